@@ -1,0 +1,45 @@
+"""Minimise the energy of protein chains in torsion space, and compare how.
+
+Names are imported when first used, so that ``import protochain`` and ``protochain --help`` are quick.
+"""
+
+from importlib import import_module
+from typing import Any
+
+_WHERE = {
+    "Chain": "chain",
+    "Comparison": "analysis",
+    "ProtochainError": "errors",
+    "Solution": "minimisers",
+    "Status": "minimisers",
+    "Structure": "structure",
+    "build_chain": "chain",
+    "ca_rmsd": "structure",
+    "compare": "analysis",
+    "energy": "energies",
+    "from_sequence": "structure",
+    "load": "structure",
+    "minimise": "minimisers",
+    "minimize": "minimisers",
+    "pose": "chain",
+    "pull_back": "chain",
+    "save": "structure",
+}
+
+__all__ = [
+    "Chain", "Comparison", "ProtochainError", "Solution", "Status", "Structure", "build_chain", "ca_rmsd",
+    "compare", "energy", "from_sequence", "load", "minimise", "minimize", "multibody", "pose",
+    "pull_back", "save",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name == "multibody":
+        return import_module("protochain.multibody")
+    if name not in _WHERE:
+        raise AttributeError(f"module 'protochain' has no attribute {name!r}")
+    return getattr(import_module(f"protochain.{_WHERE[name]}"), "minimise" if name == "minimize" else name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,16 @@
+"""The two array types everything is made of, and how a value keeps them from changing."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+def read_only(array: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
+    """Return a contiguous copy that cannot be written to."""
+    frozen = np.array(array, dtype=dtype, order="C")
+    frozen.flags.writeable = False
+    return frozen

@@ -1,0 +1,90 @@
+"""Energies and forces from an OpenMM System."""
+
+import copy
+import os
+from functools import cached_property
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from protochain.arrays import Floats
+
+
+class OpenMMEnergy:
+    """An OpenMM System on one platform.
+
+    Parameters
+    ----------
+    system : openmm.System
+        Copied, so that later changes by the caller do not reach a running minimisation.
+    platform : str
+        ``CPU`` (single precision, fast) or ``Reference`` (double precision).
+    threads : int or None
+        Threads of the CPU platform; None for all.
+    forcefield, solvent, note : str
+        What to report: names, and a remark on how the System was built.
+    """
+
+    engine = "openmm"
+
+    def __init__(
+        self,
+        system: openmm.System,
+        platform: str = "CPU",
+        threads: int | None = None,
+        forcefield: str = "custom",
+        solvent: str = "custom",
+        note: str = "",
+    ) -> None:
+        self.system = copy.deepcopy(system)
+        self.platform = platform
+        self.threads = (threads or os.cpu_count() or 1) if platform == "CPU" else 1
+        self.forcefield = forcefield
+        self.solvent = solvent
+        self.note = note
+
+    @property
+    def reason(self) -> str:
+        """Which platform runs and what was done to the System, in a sentence."""
+        precision = "double" if self.platform == "Reference" else "single"
+        text = f"OpenMM {self.platform} platform, {precision} precision, {self.threads} threads"
+        return f"{text}; {self.note}" if self.note else text
+
+    @cached_property
+    def reference(self) -> "OpenMMEnergy":
+        """The same System on the Reference platform."""
+        if self.platform == "Reference":
+            return self
+        return OpenMMEnergy(self.system, "Reference", None, self.forcefield, self.solvent, self.note)
+
+    def make_context(self, system: openmm.System) -> openmm.Context:
+        """Make a Context for a System on this platform with these threads."""
+        platform = openmm.Platform.getPlatform(self.platform)
+        # Forces summed in a fixed order: the same start gives the same run, bit for bit.
+        properties = {"Threads": str(self.threads), "DeterministicForces": "true"} if self.platform == "CPU" else {}
+        return openmm.Context(system, openmm.VerletIntegrator(0.001), platform, properties)
+
+    @cached_property
+    def _context(self) -> openmm.Context:
+        return self.make_context(self.system)
+
+    def __call__(self, x: Floats) -> tuple[float, Floats]:
+        """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm.
+
+        Notes
+        -----
+        What OpenMM refuses to evaluate (positions or forces that are not numbers) is an infinite energy
+        with forces that are not numbers: the caller's loop decides what that means.
+        """
+        try:
+            self._context.setPositions(np.asarray(x))
+            state = self._context.getState(energy=True, forces=True)
+        except openmm.OpenMMException:
+            return np.inf, np.full((self.system.getNumParticles(), 3), np.nan)
+        value = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+        forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
+        return float(value), np.asarray(forces, dtype=np.float64)
+
+    def __repr__(self) -> str:
+        return f"<OpenMMEnergy {self.forcefield}, {self.solvent}: {self.reason}>"

@@ -1,0 +1,7 @@
+"""One loop; directions times step rules; OpenMM's minimiser as the reference."""
+
+from protochain.minimisers.api import DEFAULT_METHOD, METHODS, minimise
+from protochain.minimisers.solution import Solution
+from protochain.minimisers.verdict import Judgement, Status
+
+__all__ = ["DEFAULT_METHOD", "METHODS", "Judgement", "Solution", "Status", "minimise"]

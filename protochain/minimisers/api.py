@@ -1,0 +1,193 @@
+"""``minimise``: one call for every method."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from protochain.arrays import Floats, read_only
+from protochain.chain import Chain, Pose, build_chain, pose
+from protochain.energies.factory import energy as build_energy
+from protochain.energies.protocol import Energy
+from protochain.errors import ProtochainError
+from protochain.minimisers.kcm import KCM
+from protochain.minimisers.lbfgs import LBFGS
+from protochain.minimisers.loop import Method, Stop, run
+from protochain.minimisers.openmm_reference import local_energy_minimizer
+from protochain.minimisers.problem import BudgetSpentError, Evaluation, Problem
+from protochain.minimisers.solution import Recorder, Solution, Watcher
+from protochain.minimisers.verdict import judge, rebuilt, verdict
+from protochain.structure import Structure, ca_rmsd, load
+
+TORSION_METHODS: dict[str, Callable[[], Method]] = {"kcm": KCM, "lbfgs": LBFGS}
+"""Methods that turn hinges, run by the one loop."""
+
+METHODS = (*TORSION_METHODS, "openmm")
+DEFAULT_METHOD = "lbfgs"
+PATIENCE = 500
+"""Evaluations without a new lowest energy after which a run counts as stalled."""
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What any method hands back to be judged: the chain as it ended, and where."""
+
+    stop: Stop
+    chain: Chain
+    at: Pose
+    n_iterations: int
+    n_evaluations: int
+
+
+def minimise(
+    chain: Chain | Structure | str | Path,
+    energy: Energy | None = None,
+    method: str = DEFAULT_METHOD,
+    tolerance: float = 1.0,
+    max_evaluations: int = 5000,
+    seed: int = 0,
+    *,
+    watch: Watcher | None = None,
+) -> Solution:
+    """Minimise the energy of a protein.
+
+    Parameters
+    ----------
+    chain : Chain, Structure or path
+        A file is loaded, a structure cut into a chain with the default hinges.
+    energy : Energy, optional
+        ff14SB with OBC2 by default.
+    method : str
+        ``kcm`` (kineto-static compliance, as published), ``lbfgs`` (quasi-Newton in torsions) or
+        ``openmm`` (LocalEnergyMinimizer, all atoms free).
+    tolerance : float
+        Converged when the largest torque (kJ/mol/rad) or, for ``openmm``, the RMS force (kJ/mol/nm), as
+        recomputed in double precision, is no larger.
+    max_evaluations : int
+        Energy evaluations allowed.
+    seed : int
+        Recorded; the methods here draw no random numbers.
+    watch : callable, optional
+        Called with every trace row and its positions, to show progress or write a trajectory.
+
+    Returns
+    -------
+    Solution
+        Never worse than the start, and its status is the judge's, not the method's own.
+
+    Raises
+    ------
+    ProtochainError
+        If the method is unknown, an option makes no sense, or the input cannot be used.
+
+    Notes
+    -----
+    Single-precision forces limit how small a torque can become. When a method on such a platform claims
+    its tolerance or finds no lower energy, it goes on from there on the Reference platform, within the
+    same budget.
+    """
+    if method not in METHODS:
+        raise ProtochainError(f"method {method!r} is not known; choose from {', '.join(METHODS)}")
+    if not tolerance > 0:
+        raise ProtochainError(f"tolerance {tolerance:g}: give a number above 0")
+    if max_evaluations < 1:
+        raise ProtochainError(f"max-evaluations {max_evaluations}: give at least 1")
+    if isinstance(chain, str | Path):
+        chain = load(chain)
+    if isinstance(chain, Structure):
+        chain = build_chain(chain)
+    if energy is None:
+        energy = build_energy(chain.structure)
+    structure = chain.structure
+    first = pose(chain, chain.q0)
+    # Judging first also compiles the kernels and makes both contexts, off the clock.
+    start = judge(chain, energy, first)
+    energy(first.x)
+
+    record = Recorder(structure, watch)
+    if method in TORSION_METHODS:
+        done = _in_torsions(chain, energy, TORSION_METHODS[method](), tolerance, max_evaluations, record)
+    else:
+        done = _by_openmm(chain, energy, tolerance, max_evaluations, record)
+    seconds = perf_counter() - record.started
+
+    end = judge(done.chain, energy, done.at)
+    if not end.energy <= start.energy:
+        done, end = _Run(done.stop, chain, first, done.n_iterations, done.n_evaluations), start
+    x = done.at.x
+    if method in TORSION_METHODS:
+        met, size, unit = end.max_torque <= tolerance, end.max_torque, "largest torque {:.4g} kJ/mol/rad"
+    else:
+        met, size, unit = end.rms_force <= tolerance, end.rms_force, "RMS force {:.4g} kJ/mol/nm"
+    measured = f"{unit.format(size)} for a tolerance of {tolerance:g}, in double precision"
+    status, message = verdict(done.stop, met, measured, structure, x, done.n_evaluations)
+    return Solution(
+        method=method,
+        chain=chain,
+        energy_function=energy,
+        q=done.at.q,
+        x=x,
+        energy=energy(x)[0],
+        status=status,
+        message=message,
+        n_iterations=done.n_iterations,
+        n_evaluations=done.n_evaluations,
+        seconds=seconds,
+        trace=record.trace(),
+        start=start,
+        end=end,
+        ca_rmsd_angstrom=ca_rmsd(structure, x, structure.positions),
+        tolerance=tolerance,
+        seed=seed,
+    )
+
+
+def _in_torsions(
+    chain: Chain, energy: Energy, method: Method, tolerance: float, max_evaluations: int, record: Recorder
+) -> _Run:
+    problem = Problem(chain, energy, max_evaluations)
+
+    def note(at: Evaluation) -> None:
+        record(at.x, at.energy, at.max_torque, problem.n_evaluations)
+
+    q, n_iterations, start_energy = chain.q0, 0, np.inf
+    for engine in (energy, energy.reference):
+        problem.energy, problem.best = engine, None
+        try:
+            ending = run(problem, method, q, tolerance, PATIENCE, note)
+        except BudgetSpentError:
+            break
+        n_iterations += ending.n_iterations
+        start_energy = min(start_energy, record.rows[0]["energy_kj_mol"])
+        reached = ending.stop is Stop.TOLERANCE and ending.at.energy <= start_energy
+        best = ending.at if reached or problem.best is None else problem.best
+        q = best.q
+        if ending.stop not in (Stop.TOLERANCE, Stop.NO_DESCENT) or engine is energy.reference:
+            break
+    return _Run(ending.stop, chain, pose(chain, q), n_iterations, problem.n_evaluations)
+
+
+def _by_openmm(
+    chain: Chain, energy: Energy, tolerance: float, max_evaluations: int, record: Recorder
+) -> _Run:
+    x, n_iterations, n_evaluations = chain.structure.positions, 0, 0
+    record(x, energy(x)[0], np.nan, 0)
+    for engine in (energy, energy.reference):
+        note = partial(_note_cartesian, record, n_evaluations)
+        stop, x, iterations, evaluations = local_energy_minimizer(
+            engine, x, tolerance, max_evaluations - n_evaluations, note
+        )
+        n_iterations += iterations
+        n_evaluations += evaluations
+        _, forces = energy.reference(x)
+        if stop is not Stop.NO_DESCENT or np.sqrt(np.mean(forces**2)) <= tolerance:
+            break
+    moved = rebuilt(chain, read_only(x))
+    return _Run(stop, moved, pose(moved, moved.q0), n_iterations, n_evaluations)
+
+
+def _note_cartesian(record: Recorder, before: int, x: Floats, energy: float, evaluations: int) -> None:
+    record(x, energy, np.nan, before + evaluations)

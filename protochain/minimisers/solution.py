@@ -1,0 +1,175 @@
+"""The result of a minimisation: a value that can be saved, tabled and written as JSON."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import pandas as pd
+
+from protochain.arrays import Floats
+from protochain.chain import Chain
+from protochain.energies.protocol import Energy
+from protochain.minimisers.verdict import Judgement, Status
+from protochain.structure import Structure, ca_rmsd, save
+
+TRACE_COLUMNS = (
+    "iteration",
+    "evaluations",
+    "seconds",
+    "energy_kj_mol",
+    "max_torque_kj_mol_rad",
+    "ca_rmsd_angstrom",
+)
+
+Watcher = Callable[[dict[str, float], Floats], None]
+"""Called with each trace row (without RMSD) and the positions it is about."""
+
+
+@dataclass
+class Recorder:
+    """Collects one trace row an iteration; RMSDs are measured afterwards, off the clock."""
+
+    structure: Structure
+    watch: Watcher | None = None
+    rows: list[dict[str, float]] = field(default_factory=list)
+    alphas: list[Floats] = field(default_factory=list)
+    started: float = field(default_factory=perf_counter)
+
+    def __call__(self, x: Floats, energy: float, max_torque: float, evaluations: int) -> None:
+        """Record a point."""
+        row = {
+            "iteration": len(self.rows),
+            "evaluations": evaluations,
+            "seconds": perf_counter() - self.started,
+            "energy_kj_mol": energy,
+            "max_torque_kj_mol_rad": max_torque,
+        }
+        self.rows.append(row)
+        self.alphas.append(x)
+        if self.watch:
+            self.watch(row, x)
+
+    def trace(self) -> pd.DataFrame:
+        """Return the trace with ``TRACE_COLUMNS``."""
+        start = self.structure.positions
+        rows = [
+            {**row, "ca_rmsd_angstrom": ca_rmsd(self.structure, x, start)}
+            for row, x in zip(self.rows, self.alphas, strict=True)
+        ]
+        return pd.DataFrame(rows, columns=list(TRACE_COLUMNS))
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where a minimisation ended, and what the judge says of it.
+
+    Parameters
+    ----------
+    method : str
+    chain : Chain
+        The chain at the start.
+    energy_function : Energy
+    q : (n_q,) float
+        Coordinates at the end (of the chain as it then is, for methods that move single atoms).
+    x : (na, 3) float, nm
+    energy : float, kJ/mol
+        As the engine of the run computes it; ``end.energy`` is the judge's.
+    status : Status
+    message : str
+        The status with the number that shows it.
+    n_iterations, n_evaluations : int
+    seconds : float
+        Wall time of the run, without preparation or judging.
+    trace : pandas.DataFrame
+        A row an iteration: ``TRACE_COLUMNS``.
+    start, end : Judgement
+    ca_rmsd_angstrom : float
+        From start to end, superposed.
+    tolerance : float
+    seed : int
+    """
+
+    method: str
+    chain: Chain
+    energy_function: Energy
+    q: Floats
+    x: Floats
+    energy: float
+    status: Status
+    message: str
+    n_iterations: int
+    n_evaluations: int
+    seconds: float
+    trace: pd.DataFrame
+    start: Judgement
+    end: Judgement
+    ca_rmsd_angstrom: float
+    tolerance: float
+    seed: int
+
+    @property
+    def structure(self) -> Structure:
+        """The structure at the end."""
+        return self.chain.structure.with_positions(self.x)
+
+    def save(self, path: str | Path) -> None:
+        """Write the final structure, PDB or mmCIF by suffix, with where it came from.
+
+        Raises
+        ------
+        StructureError
+            If the suffix or the structure does not fit a format.
+        """
+        save(self.structure, path, self.provenance())
+
+    def provenance(self) -> Iterable[str]:
+        """Lines on how the structure was made."""
+        e = self.energy_function
+        yield f"PROTOCHAIN {version('protochain')}, METHOD {self.method}, STATUS {self.status}"
+        yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
+        yield f"ENERGY {self.end.energy:.4f} KJ/MOL (OPENMM REFERENCE PLATFORM, BEFORE ROUNDING)"
+        yield f"ENERGY AT THE START {self.start.energy:.4f} KJ/MOL"
+
+    def record(self) -> dict[str, Any]:
+        """Return the flat record that JSON, CSV and report all show."""
+        chain, e, s = self.chain, self.energy_function, self.chain.structure
+        return {
+            "protochain": version("protochain"),
+            "structure": s.name,
+            "method": self.method,
+            "engine": e.engine,
+            "engine_reason": e.reason,
+            "forcefield": e.forcefield,
+            "solvent": e.solvent,
+            "hinges": chain.opened,
+            "n_chains": s.n_chains,
+            "n_residues": s.n_residues,
+            "n_atoms": s.n_atoms,
+            "n_bodies": chain.n_bodies,
+            "n_hinges": chain.n_hinges,
+            "energy_start_kj_mol": self.start.energy,
+            "energy_end_kj_mol": self.energy,
+            "energy_end_reference_kj_mol": self.end.energy,
+            "max_torque_end_kj_mol_rad": self.end.max_torque,
+            "rms_force_end_kj_mol_nm": self.end.rms_force,
+            "ca_rmsd_angstrom": self.ca_rmsd_angstrom,
+            "tolerance": self.tolerance,
+            "iterations": self.n_iterations,
+            "evaluations": self.n_evaluations,
+            "seconds": self.seconds,
+            "status": str(self.status),
+            "message": self.message,
+            "left_out": dict(s.left_out),
+            "repairs": list(s.repairs),
+            "seed": self.seed,
+            "threads": e.threads,
+        }
+
+    def __repr__(self) -> str:
+        return (
+            f"<Solution {self.method}: {self.status}, {self.start.energy:.2f} -> {self.end.energy:.2f} kJ/mol, "
+            f"{self.n_evaluations} evaluations, C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom>"
+        )

@@ -1,0 +1,73 @@
+"""Chemistry as tables: which residues are known, and which four atoms measure each dihedral.
+
+Dihedrals follow IUPAC-IUB (Biochemistry 9:3471, 1970). A trailing ``+`` or ``-`` on an atom name means
+the next or the previous residue of the chain.
+"""
+
+STANDARD = {
+    "ALA": "A", "ARG": "R", "ASN": "N", "ASP": "D", "CYS": "C", "GLN": "Q", "GLU": "E", "GLY": "G",
+    "HIS": "H", "ILE": "I", "LEU": "L", "LYS": "K", "MET": "M", "PHE": "F", "PRO": "P", "SER": "S",
+    "THR": "T", "TRP": "W", "TYR": "Y", "VAL": "V",
+}  # fmt: skip
+"""The 20 standard amino acids and their one-letter codes."""
+
+CAPS = frozenset({"ACE", "NME", "NMA"})
+"""Terminal caps that the force fields know."""
+
+PARENT = {
+    "HID": "HIS", "HIE": "HIS", "HIP": "HIS", "HSD": "HIS", "HSE": "HIS", "HSP": "HIS", "CYX": "CYS",
+    "CYM": "CYS", "ASH": "ASP", "GLH": "GLU", "LYN": "LYS", "NMA": "NME", "MSE": "MET",
+}  # fmt: skip
+"""Other names of standard residues (protonation states as Amber and CHARMM spell them), and
+selenomethionine, whose selenium becomes sulphur."""
+
+BACKBONE = ("N", "CA", "C")
+"""Atoms without which a residue cannot be rebuilt."""
+
+PHI = ("C-", "N", "CA", "C")
+PSI = ("N", "CA", "C", "N+")
+PSI_TERMINAL = ("N", "CA", "C", "O")
+"""At the end of a chain the carboxylate turns about the same bond; its first oxygen measures it."""
+OMEGA = ("CA", "C", "N+", "CA+")
+
+_CG = ("N", "CA", "CB", "CG")
+_CD = ("CA", "CB", "CG", "CD")
+CHI: dict[str, tuple[tuple[str, str, str, str], ...]] = {
+    "ARG": (_CG, _CD, ("CB", "CG", "CD", "NE"), ("CG", "CD", "NE", "CZ"), ("CD", "NE", "CZ", "NH1")),
+    "ASN": (_CG, ("CA", "CB", "CG", "OD1")),
+    "ASP": (_CG, ("CA", "CB", "CG", "OD1")),
+    "CYS": (("N", "CA", "CB", "SG"),),
+    "GLN": (_CG, _CD, ("CB", "CG", "CD", "OE1")),
+    "GLU": (_CG, _CD, ("CB", "CG", "CD", "OE1")),
+    "HIS": (_CG, ("CA", "CB", "CG", "ND1")),
+    "ILE": (("N", "CA", "CB", "CG1"), ("CA", "CB", "CG1", "CD1")),
+    "LEU": (_CG, ("CA", "CB", "CG", "CD1")),
+    "LYS": (_CG, _CD, ("CB", "CG", "CD", "CE"), ("CG", "CD", "CE", "NZ")),
+    "MET": (_CG, ("CA", "CB", "CG", "SD"), ("CB", "CG", "SD", "CE")),
+    "PHE": (_CG, ("CA", "CB", "CG", "CD1")),
+    "SER": (("N", "CA", "CB", "OG"),),
+    "THR": (("N", "CA", "CB", "OG1"),),
+    "TRP": (_CG, ("CA", "CB", "CG", "CD1")),
+    "TYR": (_CG, ("CA", "CB", "CG", "CD1")),
+    "VAL": (("N", "CA", "CB", "CG1"),),
+}
+"""chi1, chi2, ... of each residue; proline's ring is rigid and has none."""
+
+ROTORS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
+    "ALA": (("N", "CA", "CB", "HB1"),),
+    "ASP": (("CB", "CG", "OD2", "HD2"),),
+    "CYS": (("CA", "CB", "SG", "HG"),),
+    "GLU": (("CG", "CD", "OE2", "HE2"),),
+    "ILE": (("CA", "CB", "CG2", "HG21"), ("CB", "CG1", "CD1", "HD11")),
+    "LEU": (("CB", "CG", "CD1", "HD11"), ("CB", "CG", "CD2", "HD21")),
+    "LYS": (("CD", "CE", "NZ", "HZ1"),),
+    "MET": (("CG", "SD", "CE", "HE1"),),
+    "SER": (("CA", "CB", "OG", "HG"),),
+    "THR": (("CA", "CB", "CG2", "HG21"), ("CA", "CB", "OG1", "HG1")),
+    "TYR": (("CE1", "CZ", "OH", "HH"),),
+    "VAL": (("CA", "CB", "CG1", "HG11"), ("CA", "CB", "CG2", "HG21")),
+}
+"""Methyl, hydroxyl, thiol and amine rotors, where the hydrogen that measures them is present."""
+
+ROTOR_N_TERMINAL = ("C", "CA", "N", "H1")
+"""The charged amine at the start of a chain."""

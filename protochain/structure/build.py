@@ -1,0 +1,67 @@
+"""A sequence -> an extended all-atom chain with standard geometry."""
+
+import gemmi
+import PeptideBuilder
+
+from protochain import residues
+from protochain.errors import StructureError
+from protochain.structure.model import Structure
+from protochain.structure.prepare import prepare
+from protochain.structure.read import Draft
+
+PROLINE_PHI = -70.0
+"""Degrees. Proline's ring fixes phi near here; the extended -120 would tear the ring from the backbone."""
+
+
+def from_sequence(sequence: str) -> Structure:
+    """Build an extended all-atom chain.
+
+    Parameters
+    ----------
+    sequence : str
+        One-letter codes of the 20 standard amino acids, in either case; blanks are ignored.
+
+    Returns
+    -------
+    Structure
+        Chain A, residues from 1: phi -120 (proline -70), psi 140, omega 180 degrees, bond lengths and
+        angles as PeptideBuilder has them (Tien, Sydykova, Meyer, Wilke, PeerJ 1:e80, 2013), charged
+        termini, hydrogens at pH 7.
+
+    Raises
+    ------
+    StructureError
+        If a letter is not one of the 20, or there is none.
+    """
+    letters = "".join(sequence.split()).upper()
+    names = {letter: name for name, letter in residues.STANDARD.items()}
+    if not letters:
+        raise StructureError("the sequence is empty; give one-letter codes such as NLYIQWLKDGG")
+    for place, letter in enumerate(letters, 1):
+        if letter not in names:
+            raise StructureError(
+                f"sequence: letter {place} is {letter!r}; use the 20 codes {''.join(sorted(names))}"
+            )
+    geometries = [PeptideBuilder.Geometry.geometry(letter) for letter in letters]
+    for letter, geometry in zip(letters, geometries, strict=True):
+        if letter == "P":
+            geometry.phi = PROLINE_PHI
+    model = PeptideBuilder.initialize_res(geometries[0])
+    for geometry in geometries[1:]:
+        PeptideBuilder.add_residue(model, geometry)
+
+    name = letters if len(letters) <= 20 else f"{letters[:17]}_{len(letters)}"
+    draft = Draft(name, "sequence")
+    members = []
+    for number, built in enumerate(model.get_residues(), 1):
+        residue = gemmi.Residue()
+        residue.name = built.get_resname()
+        residue.seqid = gemmi.SeqId(str(number))
+        for part in built:
+            atom = gemmi.Atom()
+            atom.name, atom.element = part.get_name(), gemmi.Element(part.element)
+            atom.pos = gemmi.Position(*map(float, part.coord))
+            residue.add_atom(atom)
+        members.append(residue)
+    draft.add_chain("A", members)
+    return prepare(draft)

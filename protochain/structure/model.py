@@ -1,0 +1,138 @@
+"""The prepared, all-atom protein every other part of the library works on."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.arrays import Floats, Integers, read_only
+from protochain.errors import StructureError
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Atoms of a prepared protein.
+
+    Parameters
+    ----------
+    name : str
+        Short name, from the file's name or the sequence.
+    topology : openmm.app.Topology
+        Chains, residues, atoms and bonds; chain ids, numbers and insertion codes are the file's own.
+    positions : (na, 3) float, nm
+    repairs : tuple of str
+        Every change made to the file's contents, one line each.
+    left_out : mapping of str to int
+        What the file holds that the structure does not, counted by kind.
+
+    Raises
+    ------
+    StructureError
+        If the positions do not fit the topology or are not finite.
+    """
+
+    name: str
+    topology: Any
+    positions: Floats
+    repairs: tuple[str, ...] = ()
+    left_out: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "positions", read_only(self.positions))
+        object.__setattr__(self, "left_out", MappingProxyType(dict(self.left_out)))
+        if self.positions.shape != (self.n_atoms, 3):
+            raise StructureError(
+                f"{self.name}: {self.n_atoms} atoms but positions of shape {self.positions.shape}"
+            )
+        if not np.isfinite(self.positions).all():
+            atom = int(np.flatnonzero(~np.isfinite(self.positions).all(axis=1))[0])
+            raise StructureError(f"{self.name}: {self.describe(atom)}: its position is not a number")
+
+    @property
+    def n_atoms(self) -> int:
+        """Number of atoms."""
+        return self.topology.getNumAtoms()
+
+    @property
+    def n_residues(self) -> int:
+        """Number of residues."""
+        return self.topology.getNumResidues()
+
+    @property
+    def n_chains(self) -> int:
+        """Number of unbroken chains."""
+        return self.topology.getNumChains()
+
+    @cached_property
+    def atom_name(self) -> NDArray[np.str_]:
+        """(na,) str."""
+        return np.array([atom.name for atom in self.topology.atoms()])
+
+    @cached_property
+    def atom_element(self) -> NDArray[np.str_]:
+        """(na,) str: element symbols."""
+        return np.array([atom.element.symbol for atom in self.topology.atoms()])
+
+    @cached_property
+    def atom_residue(self) -> Integers:
+        """(na,) int: residue index of each atom."""
+        return read_only([atom.residue.index for atom in self.topology.atoms()], np.int64)
+
+    @cached_property
+    def residue_name(self) -> NDArray[np.str_]:
+        """(nr,) str."""
+        return np.array([residue.name for residue in self.topology.residues()])
+
+    @cached_property
+    def residue_number(self) -> NDArray[np.str_]:
+        """(nr,) str: numbers as in the file."""
+        return np.array([residue.id for residue in self.topology.residues()])
+
+    @cached_property
+    def residue_insertion_code(self) -> NDArray[np.str_]:
+        """(nr,) str: insertion codes, mostly empty."""
+        return np.array([residue.insertionCode.strip() for residue in self.topology.residues()])
+
+    @cached_property
+    def residue_chain(self) -> NDArray[np.str_]:
+        """(nr,) str: chain ids as in the file; the parts of a broken chain share one."""
+        return np.array([residue.chain.id for residue in self.topology.residues()])
+
+    @cached_property
+    def residue_chain_index(self) -> Integers:
+        """(nr,) int: index of the unbroken chain of each residue."""
+        return read_only([residue.chain.index for residue in self.topology.residues()], np.int64)
+
+    @cached_property
+    def bonds(self) -> Integers:
+        """(nbonds, 2) int: bonded atoms, the smaller index first."""
+        pairs = [(bond.atom1.index, bond.atom2.index) for bond in self.topology.bonds()]
+        return read_only(np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1), np.int64)
+
+    @cached_property
+    def alpha_carbons(self) -> Integers:
+        """(nca,) int: the C-alpha atoms."""
+        return read_only(np.flatnonzero(self.atom_name == "CA"), np.int64)
+
+    def describe_residue(self, residue: int) -> str:
+        """Name a residue as a person would: ``residue 17 GLU of chain A``."""
+        number = f"{self.residue_number[residue]}{self.residue_insertion_code[residue]}"
+        return f"residue {number} {self.residue_name[residue]} of chain {self.residue_chain[residue]}"
+
+    def describe(self, atom: int) -> str:
+        """Name an atom as a person would: ``atom CG of residue 17 GLU of chain A``."""
+        return f"atom {self.atom_name[atom]} of {self.describe_residue(int(self.atom_residue[atom]))}"
+
+    def with_positions(self, x: Floats) -> "Structure":
+        """Return the same structure with atoms at x (na, 3), nm."""
+        return replace(self, positions=x)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Structure {self.name}: {self.n_chains} chains, {self.n_residues} residues, "
+            f"{self.n_atoms} atoms, {len(self.repairs)} repairs>"
+        )

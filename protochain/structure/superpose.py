@@ -1,0 +1,48 @@
+"""Root-mean-square deviation after the best superposition."""
+
+import numpy as np
+
+from protochain.arrays import Floats
+from protochain.structure.model import Structure
+from protochain.units import ANGSTROM_PER_NM
+
+
+def superpose(x: Floats, reference: Floats) -> Floats:
+    """Move points rigidly onto others so that their RMSD is least.
+
+    Parameters
+    ----------
+    x, reference : (n, 3) float
+
+    Returns
+    -------
+    (n, 3) float
+        x, turned and moved onto ``reference`` (Kabsch, Acta Cryst. A32:922, 1976).
+    """
+    centre = reference.mean(axis=0)
+    target, arms = reference - centre, x - x.mean(axis=0)
+    # The rotation of one or two points is not unique, which scipy warns of; their deviation still is.
+    u, _, vt = np.linalg.svd(target.T @ arms)
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    return arms @ (u @ flip @ vt).T + centre
+
+
+def rmsd(x: Floats, reference: Floats) -> float:
+    """Root-mean-square deviation after superposition, in the unit of the points.
+
+    Parameters
+    ----------
+    x, reference : (n, 3) float
+
+    Returns
+    -------
+    float
+        In double precision; mdtraj's kernel, in single, is 0 or noise below about 1e-3 of the size.
+    """
+    return float(np.sqrt(np.mean(np.sum((superpose(x, reference) - reference) ** 2, axis=1))))
+
+
+def ca_rmsd(structure: Structure, x: Floats, reference: Floats) -> float:
+    """C-alpha RMSD in angstrom between two sets of positions (na, 3) in nm of one structure."""
+    alpha = structure.alpha_carbons
+    return ANGSTROM_PER_NM * rmsd(x[alpha], reference[alpha])

@@ -1,0 +1,120 @@
+"""A Structure -> a PDB or mmCIF file, written whole or not at all."""
+
+import os
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import gemmi
+
+from protochain.errors import StructureError
+from protochain.structure.model import Structure
+from protochain.units import ANGSTROM_PER_NM
+
+_REMARK_WIDTH = 68
+
+
+def save(structure: Structure, path: str | Path, remarks: Iterable[str] = ()) -> None:
+    """Write a structure, with chain ids, numbers and insertion codes as they came.
+
+    Parameters
+    ----------
+    structure : Structure
+    path : path-like
+        PDB for ``.pdb`` and ``.ent``, mmCIF for ``.cif`` and ``.mmcif``. No CRYST1 record is written:
+        it would make some programs treat the chain as periodic.
+    remarks : iterable of str
+        Lines of provenance, written as REMARK 3 or ``_struct.pdbx_details``... in their order.
+
+    Raises
+    ------
+    StructureError
+        If the suffix is neither, or the structure does not fit the format.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix in (".cif", ".mmcif"):
+        write_atomically(path, lambda target: target.write_text(_mmcif(structure, remarks)))
+    elif suffix in (".pdb", ".ent"):
+        write_atomically(path, lambda target: target.write_text(_pdb(structure, path, remarks)))
+    else:
+        raise StructureError(f"{path}: unknown suffix {suffix!r}; end the name in .pdb or .cif")
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Call ``write`` with a temporary name beside ``path``, then rename: never a half-written file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        # mkstemp makes private files; results get the permissions any new file would have.
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _gemmi_structure(structure: Structure) -> gemmi.Structure:
+    out = gemmi.Structure()
+    out.name = structure.name
+    model = gemmi.Model(1)
+    addresses = {}
+    for chain in structure.topology.chains():
+        gemmi_chain = gemmi.Chain(chain.id or " ")
+        for residue in chain.residues():
+            made = gemmi.Residue()
+            made.name = residue.name
+            made.seqid = gemmi.SeqId(f"{residue.id}{residue.insertionCode.strip()}")
+            made.het_flag = "A"
+            # Parts of a broken chain share its id: the subchain keeps them apart.
+            made.subchain = f"{chain.index}"
+            made.entity_type = gemmi.EntityType.Polymer
+            for atom in residue.atoms():
+                new = gemmi.Atom()
+                new.name, new.element = atom.name, gemmi.Element(atom.element.symbol)
+                new.pos = gemmi.Position(*(ANGSTROM_PER_NM * structure.positions[atom.index]))
+                made.add_atom(new)
+                if atom.name == "SG":
+                    addresses[atom.index] = gemmi.AtomAddress(gemmi_chain, made, new)
+            gemmi_chain.add_residue(made)
+        model.add_chain(gemmi_chain)
+    out.add_model(model)
+    for first, second in structure.bonds.tolist():
+        if first in addresses and second in addresses:
+            bridge = gemmi.Connection()
+            bridge.type = gemmi.ConnectionType.Disulf
+            bridge.name = f"disulf{len(out.connections) + 1}"
+            bridge.partner1, bridge.partner2 = addresses[first], addresses[second]
+            out.connections.append(bridge)
+    return out
+
+
+def _mmcif(structure: Structure, remarks: Iterable[str]) -> str:
+    out = _gemmi_structure(structure)
+    out.setup_entities()
+    out.assign_label_seq_id()
+    document = out.make_mmcif_document()
+    block = document.sole_block()
+    loop = block.init_loop("_protochain_provenance.", ["ordinal", "text"])
+    for i, line in enumerate(remarks, 1):
+        loop.add_row([str(i), gemmi.cif.quote(line)])
+    return document.as_string()
+
+
+def _pdb(structure: Structure, path: Path, remarks: Iterable[str]) -> str:
+    ids = [chain.id for chain in structure.topology.chains()]
+    long = [chain_id for chain_id in ids if len(chain_id) > 1]
+    if long:
+        raise StructureError(f"{path}: chain id {long[0]!r} does not fit a PDB file; write .cif instead")
+    out = _gemmi_structure(structure)
+    options = gemmi.PdbWriteOptions(minimal=True, ssbond_records=True)
+    lines = [
+        f"REMARK   3 {text[i : i + _REMARK_WIDTH]}"
+        for text in remarks
+        for i in range(0, max(len(text), 1), _REMARK_WIDTH)
+    ]
+    return "".join(f"{line}\n" for line in lines) + out.make_pdb_string(options)

@@ -1,0 +1,7 @@
+"""Units: nm, ps, amu, kJ/mol, rad and kelvin inside; other units only where numbers enter or leave.
+
+In these units kJ/mol = amu nm^2/ps^2, so mechanics carries no conversion constants.
+"""
+
+ANGSTROM_PER_NM = 10.0
+"""Angstroms in one nanometre."""
