@@ -36,5 +36,9 @@ class Energy(Protocol):
     def reference(self) -> "Energy":
         """The same energy on OpenMM's Reference platform: double precision, the judge of every result."""
 
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of the System."""
+
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""

@@ -89,12 +89,7 @@ def minimise(
     its tolerance or finds no lower energy, it goes on from there on the Reference platform, within the
     same budget.
     """
-    if method not in METHODS:
-        raise ProtochainError(f"method {method!r} is not known; choose from {', '.join(METHODS)}")
-    if not tolerance > 0:
-        raise ProtochainError(f"tolerance {tolerance:g}: give a number above 0")
-    if max_evaluations < 1:
-        raise ProtochainError(f"max-evaluations {max_evaluations}: give at least 1")
+    check_settings(method, tolerance, max_evaluations)
     if isinstance(chain, str | Path):
         chain = load(chain)
     if isinstance(chain, Structure):
@@ -145,6 +140,22 @@ def minimise(
     )
 
 
+def check_settings(method: str, tolerance: float, max_evaluations: int) -> None:
+    """Refuse settings that make no sense, before any work is done.
+
+    Raises
+    ------
+    ProtochainError
+        Naming the setting and the mend.
+    """
+    if method not in METHODS:
+        raise ProtochainError(f"method {method!r} is not known; choose from {', '.join(METHODS)}")
+    if not 0 < tolerance < np.inf:
+        raise ProtochainError(f"tolerance {tolerance:g}: give a number above 0")
+    if max_evaluations < 1:
+        raise ProtochainError(f"max-evaluations {max_evaluations}: give at least 1")
+
+
 def _in_torsions(
     chain: Chain, energy: Energy, method: Method, tolerance: float, max_evaluations: int, record: Recorder
 ) -> _Run:
@@ -174,7 +185,7 @@ def _by_openmm(
     chain: Chain, energy: Energy, tolerance: float, max_evaluations: int, record: Recorder
 ) -> _Run:
     x, n_iterations, n_evaluations = chain.structure.positions, 0, 0
-    record(x, energy(x)[0], np.nan, 0)
+    record(x, energy(x)[0], np.nan, 1)
     for engine in (energy, energy.reference):
         note = partial(_note_cartesian, record, n_evaluations)
         stop, x, iterations, evaluations = local_energy_minimizer(

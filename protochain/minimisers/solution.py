@@ -7,6 +7,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
@@ -115,6 +116,11 @@ class Solution:
         """The structure at the end."""
         return self.chain.structure.with_positions(self.x)
 
+    @property
+    def is_usable(self) -> bool:
+        """Whether the end has a finite energy at all."""
+        return bool(np.isfinite(self.end.energy))
+
     def save(self, path: str | Path) -> None:
         """Write the final structure, PDB or mmCIF by suffix, with where it came from.
 
@@ -130,8 +136,8 @@ class Solution:
         e = self.energy_function
         yield f"PROTOCHAIN {version('protochain')}, METHOD {self.method}, STATUS {self.status}"
         yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
-        yield f"ENERGY {self.end.energy:.4f} KJ/MOL (OPENMM REFERENCE PLATFORM, BEFORE ROUNDING)"
-        yield f"ENERGY AT THE START {self.start.energy:.4f} KJ/MOL"
+        yield f"ENERGY {self.end.energy:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.start.energy:.4f}"
+        yield "ENERGIES BY THE OPENMM REFERENCE PLATFORM"
 
     def record(self) -> dict[str, Any]:
         """Return the flat record that JSON, CSV and report all show."""

@@ -11,6 +11,8 @@ from protochain.errors import StructureError
 from protochain.structure.model import Structure
 from protochain.units import ANGSTROM_PER_NM
 
+_PDB = (".pdb", ".ent")
+_MMCIF = (".cif", ".mmcif")
 _REMARK_WIDTH = 68
 
 
@@ -24,7 +26,7 @@ def save(structure: Structure, path: str | Path, remarks: Iterable[str] = ()) ->
         PDB for ``.pdb`` and ``.ent``, mmCIF for ``.cif`` and ``.mmcif``. No CRYST1 record is written:
         it would make some programs treat the chain as periodic.
     remarks : iterable of str
-        Lines of provenance, written as REMARK 3 or ``_struct.pdbx_details``... in their order.
+        Lines of provenance, written as REMARK 3 or in the category ``_protochain_provenance``.
 
     Raises
     ------
@@ -32,13 +34,21 @@ def save(structure: Structure, path: str | Path, remarks: Iterable[str] = ()) ->
         If the suffix is neither, or the structure does not fit the format.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix in (".cif", ".mmcif"):
-        write_atomically(path, lambda target: target.write_text(_mmcif(structure, remarks)))
-    elif suffix in (".pdb", ".ent"):
-        write_atomically(path, lambda target: target.write_text(_pdb(structure, path, remarks)))
-    else:
-        raise StructureError(f"{path}: unknown suffix {suffix!r}; end the name in .pdb or .cif")
+    check_writable(path)
+    text = (_pdb if path.suffix.lower() in _PDB else _mmcif)(structure, path, tuple(remarks))
+    write_atomically(path, lambda target: target.write_text(text, encoding="utf-8"))
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a name whose format is not known.
+
+    Raises
+    ------
+    StructureError
+        Naming the suffix.
+    """
+    if path.suffix.lower() not in _PDB + _MMCIF:
+        raise StructureError(f"{path}: unknown suffix {path.suffix!r}; end the name in .pdb or .cif")
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
@@ -76,6 +86,7 @@ def _gemmi_structure(structure: Structure) -> gemmi.Structure:
             for atom in residue.atoms():
                 new = gemmi.Atom()
                 new.name, new.element = atom.name, gemmi.Element(atom.element.symbol)
+                new.b_iso = 0.0
                 new.pos = gemmi.Position(*(ANGSTROM_PER_NM * structure.positions[atom.index]))
                 made.add_atom(new)
                 if atom.name == "SG":
@@ -93,7 +104,7 @@ def _gemmi_structure(structure: Structure) -> gemmi.Structure:
     return out
 
 
-def _mmcif(structure: Structure, remarks: Iterable[str]) -> str:
+def _mmcif(structure: Structure, path: Path, remarks: Iterable[str]) -> str:
     out = _gemmi_structure(structure)
     out.setup_entities()
     out.assign_label_seq_id()
@@ -111,7 +122,7 @@ def _pdb(structure: Structure, path: Path, remarks: Iterable[str]) -> str:
     if long:
         raise StructureError(f"{path}: chain id {long[0]!r} does not fit a PDB file; write .cif instead")
     out = _gemmi_structure(structure)
-    options = gemmi.PdbWriteOptions(minimal=True, ssbond_records=True)
+    options = gemmi.PdbWriteOptions(minimal=True, ssbond_records=True, cryst1_record=False)
     lines = [
         f"REMARK   3 {text[i : i + _REMARK_WIDTH]}"
         for text in remarks

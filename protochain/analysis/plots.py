@@ -1,0 +1,100 @@
+"""Pictures drawn from the tables: colour-blind-safe, told apart in grey by line style, units on every axis."""
+
+from itertools import cycle
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Okabe and Ito's palette, dark ones first."""
+_DASHES = ("-", "--", "-.", ":")
+_LOG_FROM = 1e4
+"""kJ/mol: a fall larger than this (a clash relieved) would hide everything else on a linear axis."""
+
+
+def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
+    """Energy evaluations and against seconds.
+
+    Parameters
+    ----------
+    traces : pandas.DataFrame
+        As ``Comparison.traces``.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The best of each run so far as a line: what a method returns is its best. Evaluations and
+        seconds are logarithmic; the energy is too, above its lowest, where clashes make it span decades.
+    """
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    axes = figure.subplots(1, 2, sharey=True)
+    lowest = traces["energy_kj_mol"].min()
+    logarithmic = traces["energy_kj_mol"].iloc[0] - lowest > _LOG_FROM
+    for (method, run), colour, dash in zip(traces.groupby("method", sort=False), cycle(_COLOURS), cycle(_DASHES)):
+        best = run["energy_kj_mol"].cummin()
+        shown = (best - lowest).clip(lower=0.1) if logarithmic else best
+        for ax, column in zip(axes, ("evaluations", "seconds"), strict=True):
+            ax.plot(run[column], shown, color=colour, linestyle=dash, label=str(method))
+    axes[0].set_xlabel("energy evaluations")
+    axes[1].set_xlabel("seconds")
+    axes[0].set_ylabel("energy above the lowest, kJ/mol" if logarithmic else "energy, kJ/mol")
+    axes[0].legend(frameon=False)
+    for ax in axes:
+        ax.set_xscale("log")
+        ax.set_yscale("log" if logarithmic else "linear")
+        _plain(ax)
+    figure.suptitle(f"{_plain_text(title)}: energy of the best structure so far")
+    return figure
+
+
+def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
+    """C-alpha RMSD to the start along each run, and between all end points.
+
+    Parameters
+    ----------
+    traces : pandas.DataFrame
+        As ``Comparison.traces``.
+    rmsd : pandas.DataFrame
+        As ``Comparison.rmsd``, angstrom.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.3, 1))
+    for (method, run), colour, dash in zip(traces.groupby("method", sort=False), cycle(_COLOURS), cycle(_DASHES)):
+        left.plot(run["evaluations"], run["ca_rmsd_angstrom"], color=colour, linestyle=dash, label=str(method))
+    left.set_xscale("log")
+    left.set_xlabel("energy evaluations")
+    left.set_ylabel("C-alpha RMSD to the start, angstrom")
+    left.legend(frameon=False)
+    _plain(left)
+
+    values = rmsd.to_numpy()
+    image = right.imshow(values, cmap="cividis_r", vmin=0.0)
+    ticks = np.arange(len(rmsd))
+    right.set_xticks(ticks, list(rmsd.columns))
+    right.set_yticks(ticks, list(rmsd.index))
+    for i in ticks:
+        for j in ticks:
+            shade = "white" if values[i, j] > 0.6 * values.max() else "black"
+            right.text(j, i, f"{values[i, j]:.2f}", ha="center", va="center", color=shade)
+    right.set_title("between end points", fontsize="medium")
+    figure.colorbar(image, ax=right, label="C-alpha RMSD, angstrom")
+    figure.suptitle(f"{_plain_text(title)}: C-alpha RMSD after superposition")
+    return figure
+
+
+def _plain(ax: Axes) -> None:
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.grid(True, which="major", alpha=0.25)
+
+
+def _plain_text(text: str) -> str:
+    """Keep a name from a file from being read as mathematics."""
+    return text.replace("$", r"\$")

@@ -1,0 +1,311 @@
+"""Parse, call, print. Heavy imports wait until a command runs, so that --help answers at once."""
+
+import json
+import signal
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.exceptions import TyperException
+
+from protochain.errors import ProtochainError
+
+if TYPE_CHECKING:
+    from protochain.chain import Chain
+    from protochain.energies import Energy
+    from protochain.minimisers.solution import Watcher
+
+CONVERGED, FAILED, BAD_INPUT, UNCONVERGED = 0, 1, 2, 3
+"""Exit statuses: 1 when nothing usable was made, 3 when a usable result is not converged."""
+
+app = typer.Typer(
+    help="Minimise the energy of protein chains, and compare how.",
+    rich_markup_mode=None,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+)
+
+Input = Annotated[Path, typer.Argument(metavar="IN", help="PDB or mmCIF file.")]
+Forcefield = Annotated[
+    str, typer.Option(help="amber14, amber19, amber99sb, amber99sbildn, charmm36, or an OpenMM XML file.")
+]
+Solvent = Annotated[str, typer.Option(help="vacuum, obc2 or gbn2.")]
+Hinges = Annotated[str, typer.Option(help="Bonds that turn: any of phi psi omega chi rotors.")]
+Engine = Annotated[str, typer.Option(help="auto or openmm.")]
+Tolerance = Annotated[
+    float, typer.Option(help="Largest torque (kJ/mol/rad), or RMS force (kJ/mol/nm) for openmm, at convergence.")
+]
+MaxEvaluations = Annotated[int, typer.Option(help="Energy evaluations allowed for each method.")]
+Seed = Annotated[int, typer.Option(help="Seed of random methods; recorded.")]
+Threads = Annotated[int | None, typer.Option(help="Threads to compute on [default: all].")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
+Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
+Trust = Annotated[bool, typer.Option("--trust-forcefield", help="Let a force-field file run its scripts.")]
+
+
+@app.command()
+def minimise(
+    source: Input,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="PDB or mmCIF [default: NAME.METHOD.pdb].")
+    ] = None,
+    method: Annotated[str, typer.Option(help="lbfgs, kcm or openmm.")] = "lbfgs",
+    solvent: Solvent = "obc2",
+    forcefield: Forcefield = "amber14",
+    hinges: Hinges = "phi psi chi",
+    engine: Engine = "auto",
+    tolerance: Tolerance = 1.0,
+    max_evaluations: MaxEvaluations = 5000,
+    trace: Annotated[Path | None, typer.Option(help="CSV with a row an iteration.")] = None,
+    trajectory: Annotated[Path | None, typer.Option(help="DCD or XTC with a frame an iteration.")] = None,
+    seed: Seed = 0,
+    threads: Threads = None,
+    as_json: AsJson = False,
+    force: Force = False,
+    trust_forcefield: Trust = False,
+) -> None:
+    """Minimise the energy of one structure."""
+    from protochain.minimisers import minimise as run
+    from protochain.minimisers.api import check_settings
+    from protochain.structure.trajectory import TrajectoryFile
+    from protochain.structure.write import check_writable, write_atomically
+
+    check_settings(method, tolerance, max_evaluations)
+    suffix = ".cif" if source.suffix.lower() in (".cif", ".mmcif") else ".pdb"
+    output = output or Path(f"{source.name.split('.')[0]}.{method}{suffix}")
+    check_writable(output)
+    _keep_input(source, (output, trace, trajectory), force)
+    chain, energy, preparation = _prepare(source, hinges, forcefield, solvent, engine, threads, trust_forcefield)
+    with ExitStack() as stack:
+        show = stack.enter_context(_progress(method, max_evaluations))
+        frames = stack.enter_context(TrajectoryFile(trajectory)) if trajectory else None
+
+        def watch(row: dict[str, float], x: Any) -> None:
+            show(row, x)
+            if frames:
+                frames.append(x)
+
+        solution = run(chain, energy, method, tolerance, max_evaluations, seed, watch=watch)
+    if not solution.is_usable:
+        raise SystemExit(_fail(f"{source}: {solution.message}"))
+    solution.save(output)
+    if trace:
+        write_atomically(trace, lambda to: solution.trace.to_csv(to, index=False))
+    record = {
+        **solution.record(),
+        "input": str(source),
+        "output": str(output),
+        "seconds_preparation": preparation,
+    }
+    if as_json:
+        print(json.dumps(record))
+    else:
+        _print_table([record])
+        print(f"written: {output}")
+    raise typer.Exit(CONVERGED if solution.status == "converged" else UNCONVERGED)
+
+
+@app.command()
+def compare(
+    source: Input,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-comparison].")
+    ] = None,
+    methods: Annotated[str, typer.Option(help="Methods, with commas between.")] = "kcm,lbfgs,openmm",
+    solvent: Solvent = "obc2",
+    forcefield: Forcefield = "amber14",
+    hinges: Hinges = "phi psi chi",
+    engine: Engine = "auto",
+    tolerance: Tolerance = 1.0,
+    max_evaluations: MaxEvaluations = 5000,
+    seed: Seed = 0,
+    threads: Threads = None,
+    as_json: AsJson = False,
+    trust_forcefield: Trust = False,
+) -> None:
+    """Minimise one structure by several methods; write tables, plots, structures and report.html."""
+    from protochain.analysis import compare as run
+    from protochain.minimisers.api import check_settings
+
+    chosen = tuple(name.strip() for name in methods.split(","))
+    for method in chosen:
+        check_settings(method, tolerance, max_evaluations)
+    output = output or Path(f"{source.name.split('.')[0]}-comparison")
+    if output.exists() and not output.is_dir():
+        raise ProtochainError(f"{output}: not a folder; give another name with -o")
+    chain, energy, preparation = _prepare(source, hinges, forcefield, solvent, engine, threads, trust_forcefield)
+    with ExitStack() as stack:
+        comparison = run(
+            chain, chosen, energy, tolerance, max_evaluations, seed,
+            watch=lambda method: stack.enter_context(_progress(method, max_evaluations)),
+        )  # fmt: skip
+    page = comparison.report(output)
+    summary = comparison.summary()
+    if as_json:
+        summary |= {"input": str(source), "output": str(output), "seconds_preparation": preparation}
+        print(json.dumps(summary))
+    else:
+        _print_table(summary["results"])
+        print(f"written: {page} and the tables, plots and structures beside it")
+    converged = all(solution.status == "converged" for solution in comparison.solutions)
+    raise typer.Exit(CONVERGED if converged else UNCONVERGED)
+
+
+@app.command()
+def info(source: Input, hinges: Hinges = "phi psi chi", as_json: AsJson = False) -> None:
+    """Show what a file holds, what was changed to prepare it, and how it is cut into bodies."""
+    began = perf_counter()
+    from protochain.chain import build_chain
+    from protochain.structure import load
+
+    imported = perf_counter()
+    structure = load(source)
+    loaded = perf_counter()
+    chain = build_chain(structure, hinges)
+    built = perf_counter()
+    facts: dict[str, Any] = {
+        "input": str(source),
+        "n_chains": structure.n_chains,
+        "n_residues": structure.n_residues,
+        "n_atoms": structure.n_atoms,
+        "n_bodies": chain.n_bodies,
+        "n_hinges": chain.n_hinges,
+        "n_q": chain.n_q,
+        "n_v": chain.n_v,
+        "hinges": dict(Counter(hinge.kind for hinge in chain.hinges)),
+        "loops": [f"{structure.describe(a)} - {structure.describe(b)}" for a, b in chain.loops.tolist()],
+        "left_out": dict(structure.left_out),
+        "repairs": list(structure.repairs),
+        "seconds_import": imported - began,
+        "seconds_preparation": loaded - imported,
+        "seconds_chain": built - loaded,
+    }
+    if as_json:
+        print(json.dumps(facts))
+        return
+    for key, value in facts.items():
+        if isinstance(value, list):
+            print(f"{key}: {len(value)}")
+            for line in value:
+                print(f"  {line}")
+        elif isinstance(value, dict):
+            print(f"{key}: {', '.join(f'{count} {name}' for name, count in value.items()) or 'nothing'}")
+        else:
+            print(f"{key}: {value:.2f}" if isinstance(value, float) else f"{key}: {value}")
+
+
+@app.command()
+def build(
+    sequence: Annotated[str, typer.Argument(metavar="SEQUENCE", help="One-letter codes of the 20 amino acids.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="PDB or mmCIF file.")],
+) -> None:
+    """Build an extended all-atom chain from a sequence."""
+    from protochain.structure import from_sequence, save
+    from protochain.structure.write import check_writable
+
+    check_writable(output)
+    structure = from_sequence(sequence)
+    save(structure, output)
+    print(f"written: {output} ({structure.n_residues} residues, {structure.n_atoms} atoms)")
+
+
+app.command("minimize", hidden=True)(minimise)
+
+
+def main() -> None:
+    """Run the command line: one line on standard error and status 2 for bad input or usage."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        status = app(standalone_mode=False)
+    except ProtochainError as error:
+        status = _fail(str(error), BAD_INPUT)
+    except TyperException as error:
+        status = _fail(f"{error.format_message()} See protochain --help.", BAD_INPUT)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        status = _fail(f"{where}{error.strerror or error}")
+    except KeyboardInterrupt:
+        status = _fail("interrupted before there was a result")
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _fail(message: str, status: int = FAILED) -> int:
+    print(f"protochain: {' '.join(message.split())}", file=sys.stderr)
+    return status
+
+
+def _prepare(
+    source: Path,
+    hinges: str,
+    forcefield: str,
+    solvent: str,
+    engine: str,
+    threads: int | None,
+    trust: bool,
+) -> tuple["Chain", "Energy", float]:
+    """Load a file and build its chain and energy; say on standard error what was changed."""
+    from protochain.chain import build_chain
+    from protochain.energies import energy as build_energy
+    from protochain.structure import load
+
+    began = perf_counter()
+    structure = load(source)
+    chain = build_chain(structure, hinges)
+    energy = build_energy(
+        structure, forcefield, solvent, engine, threads=threads, trust_forcefield=trust
+    )
+    for line in structure.repairs:
+        print(f"{source}: {line}", file=sys.stderr)
+    return chain, energy, perf_counter() - began
+
+
+def _keep_input(source: Path, outputs: tuple[Path | None, ...], force: bool) -> None:
+    for output in outputs:
+        if output and output.exists() and source.exists() and output.samefile(source) and not force:
+            raise ProtochainError(f"{output}: is the input; give another name, or --force to replace it")
+
+
+@contextmanager
+def _progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
+    """Show a bar with energy, torque and evaluations on standard error, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(method, total=max_evaluations, now="")
+
+        def watch(row: dict[str, float], x: Any) -> None:
+            torque = row["max_torque_kj_mol_rad"]
+            size = "" if torque != torque else f", torque {torque:.3g} kJ/mol/rad"
+            now = f"{row['evaluations']:.0f} evaluations, {row['energy_kj_mol']:.2f} kJ/mol{size}"
+            bar.update(task, completed=row["evaluations"], now=now)
+
+        yield watch
+
+
+def _print_table(records: list[dict[str, Any]]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    from protochain.analysis.comparison import SHOWN
+
+    rows = [[f"{r[key]:.3f}" if isinstance(r[key], float) else str(r[key]) for key in SHOWN] for r in records]
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
+    for heading, cells in zip(SHOWN.values(), zip(*rows, strict=True), strict=True):
+        # Headings may wrap; numbers may not.
+        table.add_column(heading, min_width=max(map(len, cells)), overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console = Console()
+    console.print(table)
+    for record in records:
+        console.print(f"{record['method']}: {record['message']}", markup=False, highlight=False)
