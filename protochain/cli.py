@@ -23,6 +23,19 @@ if TYPE_CHECKING:
 CONVERGED, FAILED, BAD_INPUT, UNCONVERGED = 0, 1, 2, 3
 """Exit statuses: 1 when nothing usable was made, 3 when a usable result is not converged."""
 
+_SHOWN = {
+    "method": "method",
+    "status": "status",
+    "energy_start_kj_mol": "start kJ/mol",
+    "energy_end_reference_kj_mol": "end kJ/mol",
+    "max_torque_end_kj_mol_rad": "torque kJ/mol /rad",
+    "rms_force_end_kj_mol_nm": "force kJ/mol /nm",
+    "ca_rmsd_angstrom": "RMSD angstrom",
+    "evaluations": "evals",
+    "seconds": "seconds",
+}
+"""Columns of the table on the terminal; 80 characters wide."""
+
 app = typer.Typer(
     help="Minimise the energy of protein chains, and compare how.",
     rich_markup_mode=None,
@@ -292,17 +305,14 @@ def _progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
 
 
 def _print_table(records: list[dict[str, Any]]) -> None:
-    from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    from protochain.analysis.comparison import SHOWN
-
-    rows = [[f"{r[key]:.3f}" if isinstance(r[key], float) else str(r[key]) for key in SHOWN] for r in records]
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
-    for heading, cells in zip(SHOWN.values(), zip(*rows, strict=True), strict=True):
-        # Headings may wrap; numbers may not.
-        table.add_column(heading, min_width=max(map(len, cells)), overflow="fold")
+    rows = [[f"{r[key]:.2f}" if isinstance(r[key], float) else str(r[key]) for key in _SHOWN] for r in records]
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    for heading, cells in zip(_SHOWN.values(), zip(*rows, strict=True), strict=True):
+        # Headings may wrap at blanks; numbers may not.
+        table.add_column(heading, min_width=max(map(len, cells)), justify="right")
     for row in rows:
         table.add_row(*row)
     console = Console()

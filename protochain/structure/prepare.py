@@ -73,6 +73,11 @@ def prepare(draft: Draft) -> Structure:
     topology.setPeriodicBoxVectors(None)
     for chain, chain_id in zip(topology.chains(), draft.chain_ids, strict=True):
         chain.id = chain_id
+    for residue in topology.residues():
+        atoms = {atom.name: atom for atom in residue.atoms()}
+        if "H" in atoms and "H3" in atoms:
+            # OpenMM calls the first hydrogen of a charged N terminus H; the PDB calls it H1.
+            atoms["H"].name = "H1"
     x = np.array(positions.value_in_unit(unit.nanometer))
     return Structure(draft.name, topology, x, tuple(draft.repairs), dict(draft.left_out))
 

@@ -100,7 +100,8 @@ def _parse(text: str, path: Path) -> gemmi.Structure:
     try:
         if is_cif:
             _refuse_cut_cif(text, path)
-            return gemmi.make_structure_from_block(gemmi.cif.read_string(text)[0])
+            document = gemmi.cif.read_string(text)
+            return gemmi.make_structure_from_block(document[0])
         _refuse_cut_pdb(text, path)
         return gemmi.read_pdb_string(text)
     except StructureError:
@@ -121,7 +122,8 @@ def _refuse_cut_pdb(text: str, path: Path) -> None:
     """Refuse a file that ends within an atom record, or within the atoms of a file that has a header."""
     lines = text.rstrip("\r\n").splitlines() or [""]
     last, before = lines[-1], lines[-2] if len(lines) > 1 else ""
-    if not last.startswith(_RECORDS):
+    in_record_name = bool(last) and any(record.startswith(last) for record in _RECORDS)
+    if not last.startswith(_RECORDS) and not in_record_name:
         return
     shorter = not text.endswith("\n") and before.startswith(_RECORDS) and len(last) < len(before)
     has_header = any(line.startswith(("HEADER", "SEQRES")) for line in lines)

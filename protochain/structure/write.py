@@ -78,7 +78,7 @@ def _gemmi_structure(structure: Structure) -> gemmi.Structure:
         for residue in chain.residues():
             made = gemmi.Residue()
             made.name = residue.name
-            made.seqid = gemmi.SeqId(f"{residue.id}{residue.insertionCode.strip()}")
+            made.seqid = gemmi.SeqId(int(residue.id), residue.insertionCode.strip() or " ")
             made.het_flag = "A"
             # Parts of a broken chain share its id: the subchain keeps them apart.
             made.subchain = f"{chain.index}"
@@ -90,7 +90,7 @@ def _gemmi_structure(structure: Structure) -> gemmi.Structure:
                 new.pos = gemmi.Position(*(ANGSTROM_PER_NM * structure.positions[atom.index]))
                 made.add_atom(new)
                 if atom.name == "SG":
-                    addresses[atom.index] = gemmi.AtomAddress(gemmi_chain, made, new)
+                    addresses[atom.index] = gemmi.AtomAddress(gemmi_chain.name, made.seqid, made.name, new.name)
             gemmi_chain.add_residue(made)
         model.add_chain(gemmi_chain)
     out.add_model(model)
@@ -122,7 +122,7 @@ def _pdb(structure: Structure, path: Path, remarks: Iterable[str]) -> str:
     if long:
         raise StructureError(f"{path}: chain id {long[0]!r} does not fit a PDB file; write .cif instead")
     out = _gemmi_structure(structure)
-    options = gemmi.PdbWriteOptions(minimal=True, ssbond_records=True, cryst1_record=False)
+    options = gemmi.PdbWriteOptions(minimal=True, ssbond_records=True, cryst1_record=False, end_record=True)
     lines = [
         f"REMARK   3 {text[i : i + _REMARK_WIDTH]}"
         for text in remarks

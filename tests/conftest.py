@@ -1,0 +1,64 @@
+"""Where the structures are, what is loaded once, and every tolerance with its reason."""
+
+import functools
+from pathlib import Path
+
+import pytest
+
+import protochain as pc
+
+ROOT = Path(__file__).parent.parent
+STRUCTURES = ROOT / "structures"
+MORE_STRUCTURES = ROOT.parent / "shared" / "structures"
+SAMPLES = ("1l2y.pdb", "1vii.pdb", "1ejg.pdb", "4pti.pdb", "1ubq.pdb", "1ubq.cif", "1hel.pdb", "3i40.pdb", "ala10.pdb")
+
+ROUND_OFF = 1e-12
+"""Relative, for a few dozen double-precision operations on numbers of order one."""
+
+ROUND_OFF_DEEP = 1e-11
+"""Relative, for frames some hundred hinges from the root: one rotation product, a few eps, a hinge."""
+
+GEOMETRY_NM, GEOMETRY_RAD = 1e-9, 1e-9
+"""Bond lengths and angles of a torsion-space result: rebuilt from fixed body coordinates, they cannot
+drift; what is left is round-off at coordinates of some nm, a thousand times below this."""
+
+DIFFERENCE = 1e-5
+"""Of the norm of the torques. Central differences of a Reference-platform energy with a step of 1e-5 rad:
+truncation ~ step^2 and cancellation ~ eps |E| / step, each about 1e-6 of the torques here."""
+
+RIGID_MOTION = 1e-6
+"""Relative. Turned and moved coordinates are rounded anew; energies of the Reference platform follow."""
+
+SAME_KERNEL = 1e-8
+"""Relative, GBSAOBCForce against the CustomGBForce it replaces. Charges are scaled for the Coulomb
+constant; the surface-area constants (2.25936 x 4 pi against 28.3919551) agree to 1e-8 of a term that is
+a thousandth of the whole."""
+
+RMSD_ANGSTROM = 1e-5
+"""Against mdtraj and MDAnalysis. mdtraj works in single precision: 1e-7 of some nm^2 under a root."""
+
+PDB_ROUNDING_NM = 0.5e-4
+"""Half a unit in the third decimal of an angstrom."""
+
+
+@functools.cache
+def load(name: str) -> pc.Structure:
+    return pc.load(STRUCTURES / name)
+
+
+@functools.cache
+def chain(name: str, hinges: str = "phi psi chi", root: str = "auto") -> pc.Chain:
+    return pc.build_chain(load(name), hinges, root)
+
+
+@functools.cache
+def energy(name: str, **options: str):
+    return pc.energy(load(name), **options)
+
+
+def shared(name: str) -> Path:
+    """A structure of the larger collection, or skip."""
+    path = MORE_STRUCTURES / name
+    if not path.exists():
+        pytest.skip(f"{name} is not here")
+    return path

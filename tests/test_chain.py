@@ -1,0 +1,174 @@
+import numpy as np
+import pytest
+from conftest import (
+    DIFFERENCE,
+    GEOMETRY_NM,
+    GEOMETRY_RAD,
+    RIGID_MOTION,
+    ROUND_OFF_DEEP,
+    SAMPLES,
+    chain,
+    energy,
+    load,
+)
+from oracles import angle_triples, angles, bond_lengths
+from scipy.spatial.transform import Rotation
+
+import protochain as pc
+from protochain.chain import dihedral
+from protochain.minimisers.problem import ROOT_LEVER, evaluate, root_scale
+from protochain.multibody import HingeKind, integrate
+
+ALL_HINGES = "phi psi omega chi rotors"
+
+
+def turned(c, seed=0, size=1.0):
+    """The chain's q after a random turn of every freedom."""
+    step = np.random.default_rng(seed).uniform(-size, size, c.n_v)
+    return integrate(c.tree, c.q0, step)
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+@pytest.mark.parametrize("hinges", ["phi psi chi", ALL_HINGES])
+def test_q0_is_the_input_pose(name, hinges):
+    c = chain(name, hinges)
+    assert np.allclose(pc.pose(c, c.q0).x, load(name).positions, rtol=0, atol=ROUND_OFF_DEEP)
+
+
+@pytest.mark.parametrize("name", ["1l2y.pdb", "3i40.pdb"])
+@pytest.mark.parametrize("root", ["fixed", "free"])
+def test_a_hinge_coordinate_is_the_dihedral_measured_from_the_atoms(name, root):
+    c = chain(name, ALL_HINGES, root)
+    q = turned(c, size=3.0)
+    x = pc.pose(c, q).x
+    coordinates = q[c.tree.q_start[c.hinge_body]]
+    measured = np.array([dihedral(x[list(hinge.atoms)]) for hinge in c.hinges])
+    off = (measured - coordinates + np.pi) % (2 * np.pi) - np.pi
+    assert np.abs(off).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["1l2y.pdb", "1ejg.pdb", "3i40.pdb"])
+def test_bond_lengths_and_angles_do_not_change(name):
+    c = chain(name, ALL_HINGES)
+    s = c.structure
+    loops = {tuple(pair) for pair in c.loops.tolist()}
+    bonds = np.array([pair for pair in s.bonds.tolist() if tuple(pair) not in loops])
+    triples = angle_triples(bonds)
+    x = pc.pose(c, turned(c, size=3.0)).x
+    assert np.abs(bond_lengths(bonds, x) - bond_lengths(bonds, s.positions)).max() < GEOMETRY_NM
+    assert np.abs(angles(triples, x) - angles(triples, s.positions)).max() < GEOMETRY_RAD
+    assert np.abs(x - s.positions).max() > 0.1
+
+
+@pytest.mark.parametrize("name", ["1l2y.pdb", "1ejg.pdb", "3i40.pdb"])
+def test_torques_are_minus_the_gradient_of_the_energy(name):
+    c, e = chain(name), energy(name).reference
+    scale = root_scale(c)
+    at = evaluate(c, e, c.q0, scale)
+    h = 1e-5
+    numeric = np.empty(c.n_v)
+    for k in range(c.n_v):
+        step = np.zeros(c.n_v)
+        step[k] = h * scale[k]
+        ahead, behind = (e(pc.pose(c, integrate(c.tree, c.q0, s)).x)[0] for s in (step, -step))
+        numeric[k] = -(ahead - behind) / (2 * h)
+    assert np.linalg.norm(at.torque - numeric) < DIFFERENCE * np.linalg.norm(at.torque)
+
+
+@pytest.mark.parametrize("name", ["1l2y.pdb", "3i40.pdb"])
+def test_energy_and_torques_do_not_change_with_the_place_of_the_input(name):
+    c, e = chain(name), energy(name).reference
+    rotation = Rotation.random(rng=np.random.default_rng(3))
+    x = rotation.apply(c.structure.positions.copy()) + [1.0, -2.0, 3.0]
+    other = pc.build_chain(c.structure.with_positions(x))
+    here, there = (evaluate(k, e, k.q0, root_scale(k)) for k in (c, other))
+    assert here.energy == pytest.approx(there.energy, rel=RIGID_MOTION)
+    size = np.linalg.norm(here.torque)
+    hinges = c.tree.v_start[c.hinge_body]
+    assert np.linalg.norm(here.torque[hinges] - there.torque[hinges]) < RIGID_MOTION * size
+    for root in np.flatnonzero(c.tree.kind == HingeKind.FREE):
+        for part in (0, 3):
+            k = slice(c.tree.v_start[root] + part, c.tree.v_start[root] + part + 3)
+            assert np.linalg.norm(rotation.apply(here.torque[k]) - there.torque[k]) < RIGID_MOTION * size
+
+
+def atoms_named(s, residue, *names):
+    here = np.flatnonzero(s.atom_residue == residue)
+    return [int(a) for a in here if s.atom_name[a] in names]
+
+
+def test_a_peptide_plane_is_one_body_and_a_c_alpha_unit_another():
+    c = chain("1l2y.pdb")
+    s = c.structure
+    plane = atoms_named(s, 3, "C", "O") + atoms_named(s, 4, "N", "H")
+    unit = atoms_named(s, 4, "CA", "HA", "HA2")
+    assert len(plane) == 4 and len(set(c.atom_body[plane])) == 1
+    assert len(set(c.atom_body[unit])) == 1 and c.atom_body[unit[0]] != c.atom_body[plane[0]]
+    # With omega open the plane falls in two.
+    opened = chain("1l2y.pdb", "phi psi omega chi")
+    assert len(set(opened.atom_body[plane])) == 2
+
+
+def test_rings_are_rigid():
+    c = chain("1l2y.pdb", ALL_HINGES)
+    s = c.structure
+    for r, name in enumerate(s.residue_name):
+        if name == "PRO":
+            ring = atoms_named(s, r, "N", "CA", "CB", "CG", "CD")
+        elif name in ("TRP", "TYR"):
+            ring = atoms_named(s, r, "CG", "CD1", "CD2", "CE2", "CZ", "CZ2", "CZ3", "CH2")
+        else:
+            continue
+        assert len(set(c.atom_body[ring])) == 1
+    assert not [h for h in c.hinges if h.kind == "phi" and h.residue_name == "PRO"]
+
+
+def test_the_hinges_of_trp_cage_are_those_of_its_sequence():
+    kinds = [hinge.kind for hinge in chain("1l2y.pdb").hinges]
+    # 20 residues, 4 prolines: no phi for those or the first; psi for all, the last turning its carboxylate.
+    assert kinds.count("phi") == 20 - 4 - 1
+    assert kinds.count("psi") == 20
+    assert [kinds.count(f"chi{i}") for i in range(1, 6)] == [13, 9, 3, 2, 1] or sum(
+        k.startswith("chi") for k in kinds
+    ) == 29
+    c = chain("1l2y.pdb")
+    assert c.n_hinges == 64 == c.n_q == c.n_v and c.n_bodies == 65
+
+
+def test_disulfides_cut_loops_and_two_chains_are_two_free_trees():
+    assert len(chain("1ejg.pdb").loops) == 3
+    c = chain("3i40.pdb")
+    assert len(c.loops) == 3
+    assert (c.tree.kind == HingeKind.FREE).sum() == 2
+    assert (c.n_q, c.n_v) == (c.n_hinges + 14, c.n_hinges + 12)
+    assert c.tree.n_bodies == c.n_hinges + 2
+
+
+def test_the_root_is_in_the_middle_of_the_chain():
+    c = chain("1ubq.pdb")
+    s = c.structure
+    middle = atoms_named(s, 38, "CA")[0]
+    assert c.atom_body[middle] == 0
+
+
+def test_what_cannot_turn_or_is_unknown_is_refused():
+    with pytest.raises(pc.ProtochainError, match="'psy' is not a kind of hinge"):
+        pc.build_chain(load("ala10.pdb"), "phi psy")
+    with pytest.raises(pc.ProtochainError, match="no bond turns"):
+        pc.build_chain(load("ala10.pdb"), "chi")
+    with pytest.raises(pc.ProtochainError, match="root 'middle'"):
+        pc.build_chain(load("ala10.pdb"), root="middle")
+
+
+def test_the_scale_of_a_free_root_makes_forces_torques():
+    c = chain("3i40.pdb")
+    scale = root_scale(c)
+    assert np.count_nonzero(scale == ROOT_LEVER) == 6 and np.count_nonzero(scale == 1) == c.n_v - 6
+
+
+def test_dihedral_has_the_iupac_sign():
+    x = np.array([[1.0, 0, 0], [0, 0, 0], [0, 0, 1], [0, 0, 1]])
+    for angle in (0.5, -0.5, 3.1, -3.1):
+        # Looking along +z, clockwise is from x towards y.
+        x[3] = [np.cos(angle), np.sin(angle), 1.0]
+        assert dihedral(x) == pytest.approx(angle, abs=1e-14)

@@ -1,0 +1,163 @@
+import csv
+
+import numpy as np
+import openmm
+import pytest
+from conftest import MORE_STRUCTURES, SAME_KERNEL, STRUCTURES, energy, load
+from openmm import app
+
+import protochain as pc
+from protochain.energies import factory
+
+
+def by_the_force_field(name, *files):
+    """What OpenMM alone makes of the same topology."""
+    system = app.ForceField(*files).createSystem(load(name).topology, nonbondedMethod=app.NoCutoff)
+    return pc.energy(load(name), system=system).reference
+
+
+@pytest.mark.parametrize("name", ["1l2y.pdb", "1ejg.pdb", "1ubq.pdb", "3i40.pdb"])
+def test_gbsa_obc_equals_the_custom_force_it_replaces(name):
+    e = energy(name).reference
+    assert any(isinstance(force, openmm.GBSAOBCForce) for force in e.system.getForces())
+    assert "GBSAOBCForce" in e.reason
+    custom = by_the_force_field(name, "amber14/protein.ff14SB.xml", "implicit/obc2.xml")
+    x = load(name).positions
+    (ours, f), (theirs, g) = e(x), custom(x)
+    assert ours == pytest.approx(theirs, rel=SAME_KERNEL)
+    assert np.linalg.norm(f - g) < SAME_KERNEL * np.linalg.norm(g)
+
+
+@pytest.mark.parametrize(
+    ("solvent", "files"),
+    [("vacuum", ()), ("gbn2", ("implicit/gbn2.xml",))],
+)
+def test_other_solvents_are_openmms_own(solvent, files):
+    x = load("1l2y.pdb").positions
+    ours, _ = energy("1l2y.pdb", solvent=solvent).reference(x)
+    theirs, _ = by_the_force_field("1l2y.pdb", "amber14/protein.ff14SB.xml", *files)(x)
+    # The same forces through the same library: only round-off may differ.
+    assert ours == pytest.approx(theirs, rel=1e-12)
+
+
+@pytest.mark.parametrize("forcefield", ["amber14", "amber19", "amber99sb", "amber99sbildn", "charmm36"])
+def test_every_named_force_field_takes_every_standard_residue(forcefield):
+    s = pc.from_sequence("ACDEFGHIKLMNPQRSTVWY")
+    value, forces = pc.energy(s, forcefield=forcefield, solvent="vacuum").reference(s.positions)
+    assert np.isfinite(value) and np.isfinite(forces).all()
+
+
+def test_the_cpu_platform_agrees_with_the_reference_to_single_precision():
+    e, x = energy("1ubq.pdb"), load("1ubq.pdb").positions
+    (fast, f), (exact, g) = e(x), e.reference(x)
+    assert fast == pytest.approx(exact, rel=1e-5)
+    assert np.linalg.norm(f - g) < 1e-5 * np.linalg.norm(g)
+    assert e.reference.reference is e.reference
+
+
+def test_forces_are_minus_the_gradient():
+    e, x = energy("1l2y.pdb").reference, load("1l2y.pdb").positions
+    _, f = e(x)
+    direction = np.random.default_rng(0).normal(size=x.shape)
+    h = 1e-6
+    numeric = (e(x + h * direction)[0] - e(x - h * direction)[0]) / (2 * h)
+    # Cancellation: 1e-16 of some thousand kJ/mol over 1e-6.
+    assert -numeric == pytest.approx(np.sum(f * direction), rel=1e-5)
+
+
+def test_energies_equal_those_recorded_for_complete_files():
+    table = MORE_STRUCTURES / "refs" / "openmm_energies.tsv"
+    if not table.exists():
+        pytest.skip("no recorded energies here")
+    wanted = {"1l2y_trpcage.pdb", "ala3.pdb", "1vii_villin_header.pdb", "aaqaa3_capped.pdb"}
+    found = 0
+    with table.open() as lines:
+        for row in csv.DictReader(lines, delimiter="\t"):
+            if row["file"] in wanted:
+                s = pc.load(MORE_STRUCTURES / row["file"])
+                e = pc.energy(s, forcefield="amber99sbildn", solvent=row["solvent"])
+                assert e.reference(s.positions)[0] == pytest.approx(float(row["E_total_kJ"]), abs=2e-3)
+                found += 1
+    assert found == 8
+
+
+def test_any_system_can_be_used_and_is_copied():
+    s = load("ala10.pdb")
+    system = app.ForceField("amber14/protein.ff14SB.xml").createSystem(s.topology)
+    e = pc.energy(s, system=system)
+    before, _ = e.reference(s.positions)
+    while system.getNumForces():
+        system.removeForce(0)
+    assert e.reference(s.positions)[0] == before
+    with pytest.raises(pc.ProtochainError, match="3 particles but"):
+        small = openmm.System()
+        for _ in range(3):
+            small.addParticle(1.0)
+        pc.energy(s, system=small)
+
+
+def test_positions_that_are_not_numbers_are_an_infinite_energy():
+    e, x = energy("ala10.pdb"), load("ala10.pdb").positions.copy()
+    x[0, 0] = np.nan
+    for engine in (e, e.reference):
+        value, forces = engine(x)
+        assert not np.isfinite(value) or not np.isfinite(forces).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"solvent": "water"}, "solvent 'water' is not known"),
+        ({"engine": "warp"}, "engine 'warp' is not known"),
+        ({"forcefield": "amber99999"}, "not found"),
+        ({"forcefield": "../amber14-all.xml"}, "not found"),
+        ({"threads": 0}, "at least 1"),
+    ],
+)
+def test_unknown_names_are_refused(options, word):
+    with pytest.raises(pc.ProtochainError, match=word):
+        pc.energy(load("ala10.pdb"), **options)
+
+
+def test_a_force_field_without_the_residue_says_which(tmp_path):
+    path = tmp_path / "small.xml"
+    path.write_text("<ForceField><AtomTypes/><Residues/></ForceField>")
+    with pytest.raises(pc.ProtochainError, match=r"does not fit: No template found for residue 0 \(ALA\)"):
+        pc.energy(load("ala10.pdb"), forcefield=str(path), solvent="vacuum")
+
+
+@pytest.mark.parametrize("tag", ["Script", "InitializationScript", "Include"])
+def test_a_force_field_that_would_run_code_is_refused_unrun(tag, tmp_path):
+    mark = tmp_path / "ran"
+    path = tmp_path / "evil.xml"
+    body = f"open({str(mark)!r}, 'w')" if "Script" in tag else ""
+    path.write_text(f'<ForceField><{tag} file="other.xml">{body}</{tag}></ForceField>')
+    with pytest.raises(pc.ProtochainError, match=f"<{tag}>.*--trust-forcefield"):
+        pc.energy(load("ala10.pdb"), forcefield=str(path), solvent="vacuum")
+    assert not mark.exists()
+
+
+def test_a_trusted_script_runs(tmp_path):
+    path = tmp_path / "ff.xml"
+    original = (factory.Path(app.__file__).parent / "data" / "amber14" / "protein.ff14SB.xml").read_text()
+    path.write_text(original.replace("</ForceField>", "<Script>sys.addForce(openmm_force)</Script></ForceField>"))
+    with pytest.raises(NameError):
+        pc.energy(load("ala10.pdb"), forcefield=str(path), solvent="vacuum", trust_forcefield=True)
+
+
+def test_the_fingerprint_tells_energy_functions_apart():
+    again = pc.energy(load("ala10.pdb"))
+    assert energy("ala10.pdb").fingerprint == again.fingerprint
+    assert energy("ala10.pdb", solvent="vacuum").fingerprint != again.fingerprint
+
+
+def test_the_samples_are_the_files_the_manifest_describes():
+    import hashlib
+
+    with (STRUCTURES / "MANIFEST.tsv").open() as lines:
+        rows = {row["file"]: row for row in csv.DictReader(lines, delimiter="\t")}
+    files = {path.name for path in STRUCTURES.iterdir()} - {"MANIFEST.tsv"}
+    assert set(rows) == files
+    for name, row in rows.items():
+        assert hashlib.sha256((STRUCTURES / name).read_bytes()).hexdigest() == row["sha256"]
+        assert row["licence"] and row["source"]
