@@ -1,0 +1,243 @@
+import numpy as np
+import pytest
+from conftest import GEOMETRY_NM, GEOMETRY_RAD, SAMPLES, chain, energy, load
+from oracles import angle_triples, angles, bond_lengths
+
+import protochain as pc
+from protochain.minimisers import METHODS, Status
+from protochain.minimisers.kcm import KCM
+from protochain.minimisers.lbfgs import LBFGS, quasi_newton, strong_wolfe
+from protochain.minimisers.loop import Stop, run
+from protochain.minimisers.problem import Problem
+from protochain.minimisers.solution import TRACE_COLUMNS
+from protochain.minimisers.verdict import worst_overlap
+
+
+class Wrapped:
+    """An energy with something wrong with it; its judge is the honest one."""
+
+    def __init__(self, inner, spoil):
+        self.inner, self.spoil, self.calls = inner, spoil, 0
+
+    def __getattr__(self, name):
+        return getattr(self.inner, name)
+
+    def __call__(self, x):
+        self.calls += 1
+        return self.spoil(self.calls, *self.inner(x))
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_lowers_the_energy_of_every_sample(name, method):
+    r = pc.minimise(chain(name), energy(name), method, max_evaluations=40)
+    assert r.end.energy < r.start.energy
+    assert np.isfinite(r.x).all() and np.isfinite(r.energy)
+    assert r.end.energy == pytest.approx(energy(name).reference(r.x)[0], abs=1e-6)
+    assert list(r.trace.columns) == list(TRACE_COLUMNS)
+    assert r.trace["energy_kj_mol"].iloc[0] == pytest.approx(r.start.energy, rel=1e-5)
+    assert r.trace["evaluations"].is_monotonic_increasing and r.trace["seconds"].is_monotonic_increasing
+    assert r.trace["ca_rmsd_angstrom"].iloc[0] < 1e-6
+    assert np.allclose(pc.pose(pc.build_chain(r.structure), pc.build_chain(r.structure).q0).x, r.x, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["kcm", "lbfgs"])
+@pytest.mark.parametrize("name", ["1l2y.pdb", "3i40.pdb"])
+def test_a_torsion_space_result_keeps_bond_lengths_and_angles(name, method):
+    r = pc.minimise(chain(name), energy(name), method, max_evaluations=150)
+    s = r.chain.structure
+    cut = {tuple(pair) for pair in r.chain.loops.tolist()}
+    bonds = np.array([pair for pair in s.bonds.tolist() if tuple(pair) not in cut])
+    triples = angle_triples(bonds)
+    assert r.ca_rmsd_angstrom > 0.01
+    assert np.abs(bond_lengths(bonds, r.x) - bond_lengths(bonds, s.positions)).max() < GEOMETRY_NM
+    assert np.abs(angles(triples, r.x) - angles(triples, s.positions)).max() < GEOMETRY_RAD
+    assert np.allclose(pc.pose(r.chain, r.q).x, r.x, atol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "openmm"])
+def test_converged_means_converged_in_double_precision(method):
+    name = "1l2y.pdb"
+    r = pc.minimise(chain(name), energy(name), method, tolerance=1.0)
+    assert r.status == Status.CONVERGED and r.message.startswith("converged: ")
+    value, forces = energy(name).reference(r.x)
+    if method == "lbfgs":
+        c = pc.build_chain(r.structure)
+        size = np.abs(pc.pull_back(c, pc.pose(c, c.q0), forces)).max()
+        assert size == pytest.approx(r.end.max_torque, rel=1e-4)
+    else:
+        size = np.sqrt(np.mean(forces**2))
+        assert size == pytest.approx(r.end.rms_force, rel=1e-9)
+    assert size <= 1.0
+    assert value == pytest.approx(r.end.energy, abs=1e-6)
+
+
+def test_a_tolerance_below_single_precision_is_still_met():
+    r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), tolerance=0.01)
+    assert r.status == Status.CONVERGED and r.end.max_torque <= 0.01
+
+
+def test_an_engine_that_lies_about_its_forces_is_not_believed():
+    liar = Wrapped(energy("1l2y.pdb"), lambda calls, value, f: (value, 1e-9 * f))
+    r = pc.minimise(chain("1l2y.pdb"), liar, max_evaluations=5)
+    assert r.status == Status.BUDGET
+    assert r.end.max_torque > 100
+
+
+def test_kcm_is_as_published():
+    c, e = chain("1l2y.pdb"), energy("1l2y.pdb").reference
+    problem = Problem(c, e, 100)
+    points = []
+    run(problem, KCM(0.002), c.q0, 1e-6, 1000, points.append)
+    assert len(points) == problem.n_evaluations == 100
+    for before, after in zip(points[:-1], points[1:], strict=True):
+        turn = after.q - before.q
+        assert np.abs(turn).max() == pytest.approx(0.002, rel=1e-9)
+        assert np.allclose(turn, 0.002 * before.torque / np.abs(before.torque).max(), atol=1e-14)
+
+
+def test_the_two_loop_recursion_is_the_dense_bfgs_inverse():
+    rng = np.random.default_rng(0)
+    n, root = 6, rng.normal(size=(6, 6))
+    hessian = root @ root.T + np.eye(n)
+    steps = rng.normal(size=(4, n))
+    pairs = tuple((s, hessian @ s) for s in steps)
+    s, y = pairs[-1]
+    inverse = (s @ y) / (y @ y) * np.eye(n)
+    for s, y in pairs:
+        left = np.eye(n) - np.outer(s, y) / (s @ y)
+        inverse = left @ inverse @ left.T + np.outer(s, s) / (s @ y)
+    torque = rng.normal(size=n)
+    assert np.allclose(quasi_newton(torque, pairs), inverse @ torque, rtol=1e-10)
+    assert np.array_equal(quasi_newton(torque, ()), torque)
+
+
+def test_a_line_search_meets_the_strong_wolfe_conditions():
+    c = chain("1l2y.pdb")
+    problem = Problem(c, energy("1l2y.pdb").reference, 50)
+    at = problem.evaluate(c.q0)
+    direction = 1e-4 * at.torque / at.max_torque
+    length, found = strong_wolfe(problem, at, direction)
+    slope = -at.torque @ direction
+    assert found.energy <= at.energy + 1e-4 * length * slope
+    assert abs(found.torque @ direction) <= 0.9 * abs(slope)
+    assert np.allclose(found.q, problem.move(at.q, length * direction))
+
+
+def test_lbfgs_never_accepts_a_higher_energy():
+    c = chain("1ejg.pdb")
+    points = []
+    run(Problem(c, energy("1ejg.pdb"), 150), LBFGS(), c.q0, 1e-3, 1000, points.append)
+    values = [point.energy for point in points]
+    assert len(values) > 50 and all(b < a for a, b in zip(values[:-1], values[1:], strict=True))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("budget", [1, 2, 3])
+def test_a_tiny_budget_gives_a_result_no_worse_than_the_start(method, budget):
+    r = pc.minimise(chain("1vii.pdb"), energy("1vii.pdb"), method, max_evaluations=budget)
+    assert r.end.energy <= r.start.energy
+    assert r.status in (Status.BUDGET, Status.CLASH)
+    assert len(r.trace) >= 1
+
+
+def test_the_budget_is_kept_to_the_last_evaluation():
+    counted = Wrapped(energy("1l2y.pdb"), lambda calls, value, f: (value, f))
+    r = pc.minimise(chain("1l2y.pdb"), counted, max_evaluations=37)
+    assert r.n_evaluations == 37 and r.status == Status.BUDGET and "37 evaluations" in r.message
+    # One more before the clock starts, one for the energy reported.
+    assert counted.calls == 37 + 2
+
+
+def test_a_fixed_step_that_is_too_long_stalls_and_returns_the_start():
+    c, e = chain("1hel.pdb"), energy("1hel.pdb")
+    problem = Problem(c, e, 200)
+    ending = run(problem, KCM(0.5), c.q0, 1.0, 20, lambda at: None)
+    assert ending.stop is Stop.CIRCLING
+    assert problem.best.energy == pytest.approx(e(c.structure.positions)[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("method", ["kcm", "lbfgs"])
+def test_a_run_that_meets_no_number_keeps_the_best_before_it(method):
+    spoilt = Wrapped(energy("1l2y.pdb"), lambda calls, value, f: (value, f if calls < 12 else f * np.nan))
+    r = pc.minimise(chain("1l2y.pdb"), spoilt, method, max_evaluations=200)
+    assert r.status in (Status.NON_FINITE, Status.STALLED, Status.BUDGET)
+    assert np.isfinite(r.x).all() and r.end.energy < r.start.energy
+    if method == "kcm":
+        assert r.status == Status.NON_FINITE and "not a number" in r.message
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_interrupt_returns_the_best_so_far(method):
+    def watch(row, x):
+        if row["iteration"] == 8:
+            raise KeyboardInterrupt
+
+    r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), method, watch=watch)
+    assert r.status == Status.INTERRUPTED and r.message.startswith("interrupted after")
+    assert r.end.energy < r.start.energy
+    assert len(r.trace) == 9
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_atoms_on_top_of_one_another_give_no_nan_and_a_verdict_that_names_them(method):
+    c = chain("1l2y.pdb")
+    s = c.structure
+    q = c.q0.copy()
+    # Turn one side chain and one phi until atoms overlap badly.
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        q = c.q0 + rng.uniform(-1.5, 1.5, c.n_q)
+        crowded = s.with_positions(pc.pose(c, q).x)
+        if worst_overlap(crowded, crowded.positions):
+            break
+    e = energy("1l2y.pdb")
+    start = pc.build_chain(crowded)
+    r = pc.minimise(start, e, method, max_evaluations=6)
+    assert np.isfinite(r.x).all() and r.end.energy <= r.start.energy
+    named = worst_overlap(crowded, r.x)
+    if named:
+        assert r.status == Status.CLASH and "angstrom apart" in r.message and "of residue" in r.message
+    longer = pc.minimise(start, e, method, max_evaluations=400)
+    assert longer.end.energy < r.start.energy and np.isfinite(longer.trace["energy_kj_mol"]).all()
+
+
+def test_overlaps_are_found_by_distance_and_bonds():
+    s = load("1l2y.pdb")
+    assert worst_overlap(s, s.positions) is None
+    x = s.positions.copy()
+    far = np.flatnonzero((s.atom_residue == 17) & (s.atom_name == "CG"))[0]
+    x[far] = x[0] + [0.05, 0.0, 0.0]
+    named = worst_overlap(s, x)
+    assert "atom CG of residue 18 PRO of chain A" in named and "atom N of residue 1 ASN of chain A" in named
+    assert "0.50 angstrom apart" in named
+
+
+def test_a_start_at_the_minimum_is_recognised_at_once():
+    once = pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), tolerance=0.1)
+    assert once.status == Status.CONVERGED
+    again = pc.minimise(pc.build_chain(once.structure), energy("ala10.pdb"), tolerance=0.2)
+    assert again.status == Status.CONVERGED and again.n_iterations == 0 and again.ca_rmsd_angstrom < 1e-6
+
+
+def test_a_file_a_structure_or_a_chain_may_be_given():
+    from conftest import STRUCTURES
+
+    by_file = pc.minimise(STRUCTURES / "ala10.pdb", max_evaluations=5)
+    by_structure = pc.minimize(load("ala10.pdb"), max_evaluations=5)
+    assert by_file.method == by_structure.method == "lbfgs"
+    assert by_file.end.energy == pytest.approx(by_structure.end.energy, abs=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"method": "magic"}, "method 'magic' is not known; choose from kcm, lbfgs, openmm"),
+        ({"tolerance": 0.0}, "tolerance 0: give a number above 0"),
+        ({"tolerance": float("nan")}, "tolerance nan"),
+        ({"max_evaluations": 0}, "at least 1"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(options, word):
+    with pytest.raises(pc.ProtochainError, match=word):
+        pc.minimise(chain("ala10.pdb"), **options)
