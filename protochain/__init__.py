@@ -13,7 +13,7 @@ _WHERE = {
     "Solution": "minimisers",
     "Status": "minimisers",
     "Structure": "structure",
-    "build_chain": "chain",
+    "build_chain": "articulate",
     "ca_rmsd": "structure",
     "compare": "analysis",
     "energy": "energies",

@@ -11,6 +11,6 @@ Integers = NDArray[np.int64]
 
 def read_only(array: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
     """Return a contiguous copy that cannot be written to."""
-    frozen = np.array(array, dtype=dtype, order="C")
+    frozen: NDArray[Any] = np.array(array, dtype=dtype, order="C")
     frozen.flags.writeable = False
     return frozen

@@ -52,7 +52,8 @@ Solvent = Annotated[str, typer.Option(help="vacuum, obc2 or gbn2.")]
 Hinges = Annotated[str, typer.Option(help="Bonds that turn: any of phi psi omega chi rotors.")]
 Engine = Annotated[str, typer.Option(help="auto or openmm.")]
 Tolerance = Annotated[
-    float, typer.Option(help="Largest torque (kJ/mol/rad), or RMS force (kJ/mol/nm) for openmm, at convergence.")
+    float,
+    typer.Option(help="Largest torque (kJ/mol/rad), or RMS force (kJ/mol/nm) for openmm, at convergence."),
 ]
 MaxEvaluations = Annotated[int, typer.Option(help="Energy evaluations allowed for each method.")]
 Seed = Annotated[int, typer.Option(help="Seed of random methods; recorded.")]
@@ -94,7 +95,9 @@ def minimise(
     output = output or Path(f"{source.name.split('.')[0]}.{method}{suffix}")
     check_writable(output)
     _keep_input(source, (output, trace, trajectory), force)
-    chain, energy, preparation = _prepare(source, hinges, forcefield, solvent, engine, threads, trust_forcefield)
+    chain, energy, preparation = _prepare(
+        source, hinges, forcefield, solvent, engine, threads, trust_forcefield
+    )
     with ExitStack() as stack:
         show = stack.enter_context(_progress(method, max_evaluations))
         frames = stack.enter_context(TrajectoryFile(trajectory)) if trajectory else None
@@ -152,7 +155,9 @@ def compare(
     output = output or Path(f"{source.name.split('.')[0]}-comparison")
     if output.exists() and not output.is_dir():
         raise ProtochainError(f"{output}: not a folder; give another name with -o")
-    chain, energy, preparation = _prepare(source, hinges, forcefield, solvent, engine, threads, trust_forcefield)
+    chain, energy, preparation = _prepare(
+        source, hinges, forcefield, solvent, engine, threads, trust_forcefield
+    )
     with ExitStack() as stack:
         comparison = run(
             chain, chosen, energy, tolerance, max_evaluations, seed,
@@ -174,7 +179,7 @@ def compare(
 def info(source: Input, hinges: Hinges = "phi psi chi", as_json: AsJson = False) -> None:
     """Show what a file holds, what was changed to prepare it, and how it is cut into bodies."""
     began = perf_counter()
-    from protochain.chain import build_chain
+    from protochain.articulate import build_chain
     from protochain.structure import load
 
     imported = perf_counter()
@@ -215,7 +220,9 @@ def info(source: Input, hinges: Hinges = "phi psi chi", as_json: AsJson = False)
 
 @app.command()
 def build(
-    sequence: Annotated[str, typer.Argument(metavar="SEQUENCE", help="One-letter codes of the 20 amino acids.")],
+    sequence: Annotated[
+        str, typer.Argument(metavar="SEQUENCE", help="One-letter codes of the 20 amino acids.")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="PDB or mmCIF file.")],
 ) -> None:
     """Build an extended all-atom chain from a sequence."""
@@ -263,16 +270,14 @@ def _prepare(
     trust: bool,
 ) -> tuple["Chain", "Energy", float]:
     """Load a file and build its chain and energy; say on standard error what was changed."""
-    from protochain.chain import build_chain
+    from protochain.articulate import build_chain
     from protochain.energies import energy as build_energy
     from protochain.structure import load
 
     began = perf_counter()
     structure = load(source)
     chain = build_chain(structure, hinges)
-    energy = build_energy(
-        structure, forcefield, solvent, engine, threads=threads, trust_forcefield=trust
-    )
+    energy = build_energy(structure, forcefield, solvent, engine, threads=threads, trust_forcefield=trust)
     for line in structure.repairs:
         print(f"{source}: {line}", file=sys.stderr)
     return chain, energy, perf_counter() - began
@@ -291,7 +296,12 @@ def _progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[now]}"),
+        TimeElapsedColumn(),
+    )
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(method, total=max_evaluations, now="")
 
@@ -308,7 +318,9 @@ def _print_table(records: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    rows = [[f"{r[key]:.2f}" if isinstance(r[key], float) else str(r[key]) for key in _SHOWN] for r in records]
+    rows = [
+        [f"{r[key]:.2f}" if isinstance(r[key], float) else str(r[key]) for key in _SHOWN] for r in records
+    ]
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for heading, cells in zip(_SHOWN.values(), zip(*rows, strict=True), strict=True):
         # Headings may wrap at blanks; numbers may not.

@@ -10,7 +10,17 @@ import protochain as pc
 ROOT = Path(__file__).parent.parent
 STRUCTURES = ROOT / "structures"
 MORE_STRUCTURES = ROOT.parent / "shared" / "structures"
-SAMPLES = ("1l2y.pdb", "1vii.pdb", "1ejg.pdb", "4pti.pdb", "1ubq.pdb", "1ubq.cif", "1hel.pdb", "3i40.pdb", "ala10.pdb")
+SAMPLES = (
+    "1l2y.pdb",
+    "1vii.pdb",
+    "1ejg.pdb",
+    "4pti.pdb",
+    "1ubq.pdb",
+    "1ubq.cif",
+    "1hel.pdb",
+    "3i40.pdb",
+    "ala10.pdb",
+)
 
 ROUND_OFF = 1e-12
 """Relative, for a few dozen double-precision operations on numbers of order one."""

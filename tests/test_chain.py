@@ -79,7 +79,7 @@ def test_torques_are_minus_the_gradient_of_the_energy(name):
 def test_energy_and_torques_do_not_change_with_the_place_of_the_input(name):
     c, e = chain(name), energy(name).reference
     rotation = Rotation.random(rng=np.random.default_rng(3))
-    x = rotation.apply(c.structure.positions.copy()) + [1.0, -2.0, 3.0]
+    x = rotation.apply(c.structure.positions.copy()) + np.array([1.0, -2.0, 3.0])
     other = pc.build_chain(c.structure.with_positions(x))
     here, there = (evaluate(k, e, k.q0, root_scale(k)) for k in (c, other))
     assert here.energy == pytest.approx(there.energy, rel=RIGID_MOTION)

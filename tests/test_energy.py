@@ -140,7 +140,9 @@ def test_a_force_field_that_would_run_code_is_refused_unrun(tag, tmp_path):
 def test_a_trusted_script_runs(tmp_path):
     path = tmp_path / "ff.xml"
     original = (factory.Path(app.__file__).parent / "data" / "amber14" / "protein.ff14SB.xml").read_text()
-    path.write_text(original.replace("</ForceField>", "<Script>sys.addForce(openmm_force)</Script></ForceField>"))
+    path.write_text(
+        original.replace("</ForceField>", "<Script>sys.addForce(openmm_force)</Script></ForceField>")
+    )
     with pytest.raises(NameError):
         pc.energy(load("ala10.pdb"), forcefield=str(path), solvent="vacuum", trust_forcefield=True)
 

@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from conftest import GEOMETRY_NM, GEOMETRY_RAD, SAMPLES, chain, energy, load
@@ -30,7 +32,7 @@ class Wrapped:
 @pytest.mark.parametrize("name", SAMPLES)
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_lowers_the_energy_of_every_sample(name, method):
-    r = pc.minimise(chain(name), energy(name), method, max_evaluations=40)
+    r = pc.minimise(chain(name), energy(name), method, max_evaluations=60)
     assert r.end.energy < r.start.energy
     assert np.isfinite(r.x).all() and np.isfinite(r.energy)
     assert r.end.energy == pytest.approx(energy(name).reference(r.x)[0], abs=1e-6)
@@ -90,7 +92,7 @@ def test_kcm_is_as_published():
     points = []
     run(problem, KCM(0.002), c.q0, 1e-6, 1000, points.append)
     assert len(points) == problem.n_evaluations == 100
-    for before, after in zip(points[:-1], points[1:], strict=True):
+    for before, after in pairwise(points):
         turn = after.q - before.q
         assert np.abs(turn).max() == pytest.approx(0.002, rel=1e-9)
         assert np.allclose(turn, 0.002 * before.torque / np.abs(before.torque).max(), atol=1e-14)
@@ -129,7 +131,7 @@ def test_lbfgs_never_accepts_a_higher_energy():
     points = []
     run(Problem(c, energy("1ejg.pdb"), 150), LBFGS(), c.q0, 1e-3, 1000, points.append)
     values = [point.energy for point in points]
-    assert len(values) > 50 and all(b < a for a, b in zip(values[:-1], values[1:], strict=True))
+    assert len(values) > 50 and all(b < a for a, b in pairwise(values))
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -161,10 +163,12 @@ def test_a_fixed_step_that_is_too_long_stalls_and_returns_the_start():
 def test_a_run_that_meets_no_number_keeps_the_best_before_it(method):
     spoilt = Wrapped(energy("1l2y.pdb"), lambda calls, value, f: (value, f if calls < 12 else f * np.nan))
     r = pc.minimise(chain("1l2y.pdb"), spoilt, method, max_evaluations=200)
-    assert r.status in (Status.NON_FINITE, Status.STALLED, Status.BUDGET)
     assert np.isfinite(r.x).all() and r.end.energy < r.start.energy
     if method == "kcm":
         assert r.status == Status.NON_FINITE and "not a number" in r.message
+    else:
+        # The line search refuses such points, and the run goes on in double precision.
+        assert r.status == Status.CONVERGED
 
 
 @pytest.mark.parametrize("method", METHODS)

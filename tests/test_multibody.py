@@ -33,7 +33,9 @@ def test_pull_back_is_the_sum_over_outboard_points(n, free):
     np.add.at(moment, body, np.cross(points - at.origin[body], f))
     np.add.at(force, body, f)
     slow = torques(tree, q, points, body, f)
-    assert np.allclose(pull_back(tree, at, moment, force), slow, rtol=0, atol=ROUND_OFF * np.abs(slow).max() * n)
+    assert np.allclose(
+        pull_back(tree, at, moment, force), slow, rtol=0, atol=ROUND_OFF * np.abs(slow).max() * n
+    )
 
 
 @pytest.mark.parametrize("free", [False, True])
@@ -67,7 +69,9 @@ def test_loads_given_are_left_as_they_were():
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.3, 3.0])
 def test_integrate_turns_a_free_root_by_the_exponential(size):
-    tree = Tree(np.array([-1]), np.array([HingeKind.FREE]), np.zeros((1, 3)), np.zeros((1, 3)), np.eye(3)[None])
+    tree = Tree(
+        np.array([-1]), np.array([HingeKind.FREE]), np.zeros((1, 3)), np.zeros((1, 3)), np.eye(3)[None]
+    )
     rng = np.random.default_rng(2)
     start = Rotation.random(rng=rng)
     x, y, z, w = start.as_quat()

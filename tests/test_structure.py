@@ -137,7 +137,9 @@ def test_an_insertion_code_survives_the_round_trip(tmp_path):
 
 
 def test_missing_side_chain_atoms_are_added_and_named(tmp_path):
-    gone = [line for line in lines_of("1ubq.pdb") if not (line[:4] == "ATOM" and line[12:26] == " CD1 LEU A   8")]
+    gone = [
+        line for line in lines_of("1ubq.pdb") if not (line[:4] == "ATOM" and line[12:26] == " CD1 LEU A   8")
+    ]
     assert len(gone) == len(lines_of("1ubq.pdb")) - 1
     s = pc.load(written(tmp_path, "".join(gone)))
     assert "residue 8 LEU of chain A: missing CD1 added" in s.repairs
@@ -145,7 +147,9 @@ def test_missing_side_chain_atoms_are_added_and_named(tmp_path):
 
 
 def test_a_broken_chain_becomes_two_under_one_id(tmp_path):
-    gone = [line for line in lines_of("1ubq.pdb") if not (line[:4] == "ATOM" and 30 <= int(line[22:26]) <= 33)]
+    gone = [
+        line for line in lines_of("1ubq.pdb") if not (line[:4] == "ATOM" and 30 <= int(line[22:26]) <= 33)
+    ]
     s = pc.load(written(tmp_path, "".join(gone)))
     assert s.n_chains == 2 and set(s.residue_chain) == {"A"}
     assert any("chain A is broken between 29 and 34" in line for line in s.repairs)
@@ -176,7 +180,11 @@ def test_deuterium_is_replaced_by_hydrogen():
         ("empty.cif", "", "empty.cif"),
         ("words.pdb", "this is not a structure\nat all\n", "no atoms found"),
         ("words.cif", "this is not a structure\nat all\n", "cannot be read"),
-        ("water.pdb", "HETATM    1  O   HOH A   1      26.266  25.413   2.842  1.00 10.38           O\nEND\n", "no protein"),
+        (
+            "water.pdb",
+            "HETATM    1  O   HOH A   1      26.266  25.413   2.842  1.00 10.38           O\nEND\n",
+            "no protein",
+        ),
     ],
 )
 def test_files_without_a_protein_are_refused_in_one_line(name, text, place, tmp_path):
@@ -198,7 +206,9 @@ def test_a_c_alpha_trace_is_refused(tmp_path):
 
 
 def test_a_missing_backbone_atom_is_named(tmp_path):
-    gone = [line for line in lines_of("1ubq.pdb") if not (line[:4] == "ATOM" and line[12:26] == " C   GLU A  18")]
+    gone = [
+        line for line in lines_of("1ubq.pdb") if not (line[:4] == "ATOM" and line[12:26] == " C   GLU A  18")
+    ]
     with pytest.raises(pc.ProtochainError, match="residue 18 GLU of chain A: atom C missing"):
         pc.load(written(tmp_path, "".join(gone)))
 
@@ -216,7 +226,7 @@ def test_a_cut_file_is_refused_wherever_it_was_cut(name, tmp_path):
     end = text.rindex("\nATOM")
     rng = np.random.default_rng(0)
     for place in rng.integers(atoms + 1, end, size=60):
-        with pytest.raises(pc.ProtochainError, match="cut short|cannot be read|missing") as refused:
+        with pytest.raises(pc.ProtochainError, match=r"cut short|cannot be read|missing") as refused:
             read(written(tmp_path, text[:place], name))
         assert "\n" not in str(refused.value)
 
@@ -230,8 +240,11 @@ def test_every_amino_acid_is_built_with_standard_geometry():
     assert set(s.residue_chain) == {"A"} and list(s.residue_number) == [str(i) for i in range(1, 21)]
     first, second = s.bonds.T
     lengths = np.linalg.norm(s.positions[first] - s.positions[second], axis=1)
-    assert 0.09 < lengths.min() and lengths.max() < 0.19
-    at = {(int(r), str(n)): s.positions[i] for i, (r, n) in enumerate(zip(s.atom_residue, s.atom_name, strict=True))}
+    assert lengths.min() > 0.09 and lengths.max() < 0.19
+    at = {
+        (int(r), str(n)): s.positions[i]
+        for i, (r, n) in enumerate(zip(s.atom_residue, s.atom_name, strict=True))
+    }
     for r, name in enumerate(s.residue_name):
         if r:
             omega = [at[r - 1, "CA"], at[r - 1, "C"], at[r, "N"], at[r, "CA"]]

@@ -5,14 +5,15 @@ import platform
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from protochain.chain import Chain, build_chain
+from protochain.articulate import build_chain
+from protochain.chain import Chain
 from protochain.energies import Energy
 from protochain.energies import energy as build_energy
 from protochain.errors import ProtochainError
@@ -53,7 +54,9 @@ class Comparison:
 
     def __post_init__(self) -> None:
         if len({id(s.energy_function) for s in self.solutions}) > 1:
-            raise ProtochainError("solutions of different energy functions cannot be compared; run them with one")
+            raise ProtochainError(
+                "solutions of different energy functions cannot be compared; run them with one"
+            )
         if any(s.chain.structure is not self.structure for s in self.solutions):
             raise ProtochainError("solutions of different starts cannot be compared; run them from one")
 
@@ -135,7 +138,7 @@ class Comparison:
             solution.save(directory / f"{name}.{solution.method}{self._suffix}")
         figures = {"energy": self.plot_energy(), "rmsd": self.plot_rmsd()}
         for stem, figure in figures.items():
-            write_atomically(directory / f"{stem}.png", lambda to, f=figure: f.savefig(to, dpi=150))
+            write_atomically(directory / f"{stem}.png", partial(figure.savefig, dpi=150))
         _write_text(directory / "report.html", render(self, summary, figures))
         return directory / "report.html"
 

@@ -1,4 +1,4 @@
-"""Pictures drawn from the tables: colour-blind-safe, told apart in grey by line style, units on every axis."""
+"""Pictures drawn from the tables: colour-blind-safe, told apart in grey by line style, with units."""
 
 from itertools import cycle
 
@@ -33,7 +33,9 @@ def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
     axes = figure.subplots(1, 2, sharey=True)
     lowest = traces["energy_kj_mol"].min()
     logarithmic = traces["energy_kj_mol"].iloc[0] - lowest > _LOG_FROM
-    for (method, run), colour, dash in zip(traces.groupby("method", sort=False), cycle(_COLOURS), cycle(_DASHES)):
+    for (method, run), colour, dash in zip(
+        traces.groupby("method", sort=False), cycle(_COLOURS), cycle(_DASHES)
+    ):
         best = run["energy_kj_mol"].cummin()
         shown = (best - lowest).clip(lower=0.1) if logarithmic else best
         for ax, column in zip(axes, ("evaluations", "seconds"), strict=True):
@@ -67,8 +69,12 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
     """
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.3, 1))
-    for (method, run), colour, dash in zip(traces.groupby("method", sort=False), cycle(_COLOURS), cycle(_DASHES)):
-        left.plot(run["evaluations"], run["ca_rmsd_angstrom"], color=colour, linestyle=dash, label=str(method))
+    for (method, run), colour, dash in zip(
+        traces.groupby("method", sort=False), cycle(_COLOURS), cycle(_DASHES)
+    ):
+        left.plot(
+            run["evaluations"], run["ca_rmsd_angstrom"], color=colour, linestyle=dash, label=str(method)
+        )
     left.set_xscale("log")
     left.set_xlabel("energy evaluations")
     left.set_ylabel("C-alpha RMSD to the start, angstrom")

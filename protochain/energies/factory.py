@@ -126,7 +126,9 @@ def _check_file(path: Path, trusted: bool) -> None:
         raise ForceFieldError(f"force field {str(path)!r} not found; give a file or one of {known}") from None
     except ElementTree.ParseError as error:
         raise ForceFieldError(f"{path}: not a force-field XML file ({error})") from None
-    active = sorted({node.tag for node in root.iter() if node.tag in ("Script", "InitializationScript", "Include")})
+    active = sorted(
+        {node.tag for node in root.iter() if node.tag in ("Script", "InitializationScript", "Include")}
+    )
     if active and not trusted:
         raise ForceFieldError(
             f"{path}: has <{active[0]}>, which runs code or opens files; read it, then allow it with "

@@ -9,7 +9,8 @@ from time import perf_counter
 import numpy as np
 
 from protochain.arrays import Floats, read_only
-from protochain.chain import Chain, Pose, build_chain, pose
+from protochain.articulate import build_chain
+from protochain.chain import Chain, Pose, pose
 from protochain.energies.factory import energy as build_energy
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
@@ -186,10 +187,10 @@ def _by_openmm(
 ) -> _Run:
     x, n_iterations, n_evaluations = chain.structure.positions, 0, 0
     record(x, energy(x)[0], np.nan, 1)
-    for engine in (energy, energy.reference):
+    for platform in ("CPU", "Reference"):
         note = partial(_note_cartesian, record, n_evaluations)
         stop, x, iterations, evaluations = local_energy_minimizer(
-            engine, x, tolerance, max_evaluations - n_evaluations, note
+            energy, platform, x, tolerance, max_evaluations - n_evaluations, note
         )
         n_iterations += iterations
         n_evaluations += evaluations

@@ -115,12 +115,18 @@ def strong_wolfe(problem: Problem, at: Evaluation, direction: Floats) -> tuple[f
             tried[key] = problem.evaluate(problem.move(at.q, key * direction))
         return tried[key]
 
+    def height(length: Floats) -> float:
+        return point(length).energy
+
+    def slope(length: Floats) -> Floats:
+        return np.array([-point(length).torque @ direction])
+
     with warnings.catch_warnings():
         # Failure is in the return value.
         warnings.simplefilter("ignore")
         length = line_search(
-            lambda a: point(a).energy,
-            lambda a: np.array([-point(a).torque @ direction]),
+            height,
+            slope,
             np.zeros(1),
             np.ones(1),
             gfk=np.array([-at.torque @ direction]),

@@ -35,7 +35,7 @@ class Method(Protocol):
         """State at the start."""
 
     def step(self, problem: Problem, state: Any) -> Any | None:
-        """The next state, or None if no step lowers the energy."""
+        """Return the next state, or None if no step lowers the energy."""
 
 
 @dataclass(frozen=True)

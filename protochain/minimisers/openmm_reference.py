@@ -6,7 +6,7 @@ import numpy as np
 import openmm
 
 from protochain.arrays import Floats
-from protochain.energies.openmm_engine import OpenMMEnergy
+from protochain.energies import Energy, OpenMMEnergy
 from protochain.minimisers.loop import Stop
 
 
@@ -42,7 +42,8 @@ class _Reporter(openmm.MinimizationReporter):
 
 
 def local_energy_minimizer(
-    energy: OpenMMEnergy,
+    energy: Energy,
+    platform: str,
     x: Floats,
     tolerance: float,
     max_evaluations: int,
@@ -52,7 +53,10 @@ def local_energy_minimizer(
 
     Parameters
     ----------
-    energy : OpenMMEnergy
+    energy : Energy
+        Its System and threads are used.
+    platform : str
+        ``CPU`` (single precision) or ``Reference`` (double).
     x : (na, 3) float, nm
     tolerance : float, kJ/mol/nm
         RMS force at which it stops. It returns nothing, and in single precision it also stops, silently,
@@ -68,7 +72,7 @@ def local_energy_minimizer(
         Why it ended, the positions of lowest energy, iterations, evaluations of the forces.
     """
     reporter = _Reporter(record, max_evaluations)
-    counted = OpenMMEnergy(energy.system, energy.platform, energy.threads)
+    counted = OpenMMEnergy(energy.system, platform, energy.threads)
     counter = openmm.PythonForce(reporter.count)
     counter.setParticles([0])
     counted.system.addForce(counter)

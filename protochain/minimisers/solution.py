@@ -176,6 +176,7 @@ class Solution:
 
     def __repr__(self) -> str:
         return (
-            f"<Solution {self.method}: {self.status}, {self.start.energy:.2f} -> {self.end.energy:.2f} kJ/mol, "
+            f"<Solution {self.method}: {self.status}, "
+            f"{self.start.energy:.2f} -> {self.end.energy:.2f} kJ/mol, "
             f"{self.n_evaluations} evaluations, C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom>"
         )

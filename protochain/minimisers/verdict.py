@@ -1,14 +1,15 @@
 """What a result is worth, measured apart from the run that made it: OpenMM's Reference platform."""
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from protochain.arrays import Floats
-from protochain.chain import Chain, Pose, build_chain, pull_back
+from protochain.articulate import build_chain
+from protochain.chain import Chain, Pose, pull_back
 from protochain.energies.protocol import Energy
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import root_scale
@@ -23,7 +24,7 @@ _VAN_DER_WAALS = {"H": 0.110, "C": 0.170, "N": 0.155, "O": 0.152, "S": 0.180}
 """nm: Mantina, Chamberlin, Valero, Cramer, Truhlar, J. Phys. Chem. A 113:5806 (2009)."""
 
 
-class Status(str, Enum):
+class Status(StrEnum):
     """How a run ended, as the judge saw it."""
 
     CONVERGED = "converged"
@@ -32,9 +33,6 @@ class Status(str, Enum):
     CLASH = "clash"
     NON_FINITE = "non-finite"
     INTERRUPTED = "interrupted"
-
-    def __str__(self) -> str:
-        return self.value
 
 
 @dataclass(frozen=True)

@@ -166,7 +166,7 @@ def _inward_loads(
     parent: Integers, kind: Integers, axis: Floats, v_start: Integers, rotation: Floats, origin: Floats,
     moment: Floats, force: Floats, tau: Floats,
 ) -> None:  # fmt: skip
-    """Accumulates loads in ``moment`` and ``force``, which it overwrites."""
+    """Accumulate loads in ``moment`` and ``force``, which it overwrites."""
     for b in range(len(parent) - 1, -1, -1):
         k = v_start[b]
         if kind[b] == _REVOLUTE:
@@ -191,7 +191,7 @@ def _inward_loads(
 
 @njit(cache=True)
 def _integrate(kind: Integers, q_start: Integers, v_start: Integers, v: Floats, q: Floats) -> None:
-    """Overwrites q."""
+    """Overwrite q."""
     for b in range(len(kind)):
         k, m = q_start[b], v_start[b]
         if kind[b] == _REVOLUTE:

@@ -73,7 +73,9 @@ class Tree:
             raise ProtochainError("hinge axes must have unit length")
         free = self.kind == HingeKind.FREE
         if np.any(self.parent[free] >= 0) or np.any(self.placement[free] != np.eye(3)):
-            raise ProtochainError("only a root can be free, and its coordinates are the world's: no placement")
+            raise ProtochainError(
+                "only a root can be free, and its coordinates are the world's: no placement"
+            )
 
     @property
     def n_bodies(self) -> int:

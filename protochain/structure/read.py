@@ -181,7 +181,8 @@ def _likeliest(draft: Draft, chain_id: str, group: list[gemmi.Residue]) -> gemmi
     if others:
         occupancy = np.mean(weights[best, altloc])
         draft.repairs.append(
-            f"{where}: alternate location {altloc} kept (occupancy {occupancy:.2f}), {', '.join(others)} left out"
+            f"{where}: alternate location {altloc} kept (occupancy {occupancy:.2f}), "
+            f"{', '.join(others)} left out"
         )
         draft.left_out["alternate locations"] += len(others)
     elif dropped:
@@ -236,7 +237,8 @@ def _add_unbroken(draft: Draft, chain_id: str, protein: list[gemmi.Residue]) -> 
             if gap >= PEPTIDE_BREAK:
                 draft.repairs.append(
                     f"chain {chain_id or '(blank)'} is broken between {str(run[-1].seqid).strip()} and "
-                    f"{str(residue.seqid).strip()} ({gap:.1f} angstrom): taken as two chains with real termini"
+                    f"{str(residue.seqid).strip()} ({gap:.1f} angstrom): "
+                    "taken as two chains with real termini"
                 )
                 draft.add_chain(chain_id, run)
                 run = []

@@ -90,7 +90,9 @@ def _gemmi_structure(structure: Structure) -> gemmi.Structure:
                 new.pos = gemmi.Position(*(ANGSTROM_PER_NM * structure.positions[atom.index]))
                 made.add_atom(new)
                 if atom.name == "SG":
-                    addresses[atom.index] = gemmi.AtomAddress(gemmi_chain.name, made.seqid, made.name, new.name)
+                    addresses[atom.index] = gemmi.AtomAddress(
+                        gemmi_chain.name, made.seqid, made.name, new.name
+                    )
             gemmi_chain.add_residue(made)
         model.add_chain(gemmi_chain)
     out.add_model(model)

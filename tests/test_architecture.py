@@ -1,0 +1,86 @@
+"""The rules of CONTRIBUTING.md that a machine can check."""
+
+import ast
+import importlib
+
+import pytest
+from conftest import ROOT
+
+import protochain
+
+PACKAGE = ROOT / "protochain"
+MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
+
+LAYERS = [
+    {"units", "errors", "arrays", "residues"},
+    {"multibody", "structure", "energies"},
+    {"chain", "articulate"},
+    {"minimisers"},
+    {"analysis"},
+    {"cli"},
+]
+OPENMM_BELONGS_IN = {"structure", "energies", "minimisers/openmm_reference.py"}
+
+
+def imports(path):
+    """Absolute names imported by a module, except under TYPE_CHECKING."""
+    found = set()
+
+    def walk(node):
+        if isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING":
+            return
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            found.update(f"{node.module}.{alias.name}" for alias in node.names)
+        for child in ast.iter_child_nodes(node):
+            walk(child)
+
+    walk(ast.parse(path.read_text()))
+    return found
+
+
+def layer(part):
+    return next(i for i, names in enumerate(LAYERS) if part in names)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_imports_point_one_way(path):
+    own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    if own == "__init__":
+        return
+    for name in imports(path):
+        if not name.startswith("protochain."):
+            continue
+        other = name.split(".")[1]
+        assert other == own or layer(other) <= layer(own), f"{own} imports {other}"
+        if own == "multibody":
+            assert other == own or layer(other) == 0, "multibody knows nothing of proteins or energies"
+        assert not (own == "energies" and other == "multibody")
+        assert not (own == "structure" and other in ("multibody", "energies"))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_openmm_is_imported_only_where_it_belongs(path):
+    inside = str(path.relative_to(PACKAGE))
+    if any(inside.startswith(place) for place in OPENMM_BELONGS_IN):
+        return
+    assert not {name for name in imports(path) if name.split(".")[0] == "openmm"}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_no_file_grows_past_four_hundred_lines(path):
+    assert len(path.read_text().splitlines()) <= 400
+
+
+def test_every_public_name_is_there_and_is_what_it_says():
+    for name in protochain.__all__:
+        assert getattr(protochain, name) is not None
+    for name in ("minimise", "minimize", "energy", "pose", "compare"):
+        assert callable(getattr(protochain, name))
+    # A subpackage of the same name would shadow the function once it is imported.
+    for sub in ("energies", "minimisers", "analysis", "structure"):
+        importlib.import_module(f"protochain.{sub}")
+    assert callable(protochain.energy) and callable(protochain.minimise)
+    with pytest.raises(AttributeError, match="nonsense"):
+        protochain.nonsense  # noqa: B018

@@ -1,0 +1,148 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from conftest import ROOT, STRUCTURES
+
+COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]
+
+
+def protochain(*arguments, cwd):
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=300
+    )
+
+
+def test_help_loads_nothing_heavy(tmp_path):
+    code = "import sys, protochain.cli; print(*sorted(m for m in sys.modules if '.' not in m))"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert not {"openmm", "numba", "numpy", "scipy", "pandas", "matplotlib", "mdtraj", "gemmi"} & set(loaded)
+    shown = protochain("--help", cwd=tmp_path)
+    assert shown.returncode == 0
+    assert all(word in shown.stdout for word in ("minimise", "compare", "info", "build"))
+
+
+def test_json_is_one_object_and_the_files_are_there(tmp_path):
+    done = protochain(
+        "minimise", STRUCTURES / "3i40.pdb", "-o", "out.cif", "--json", "--max-evaluations", 30,
+        "--trace", "t.csv", "--trajectory", "t.xtc", "--seed", 5, "--threads", 1, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 3
+    record = json.loads(done.stdout)
+    promised = {
+        "protochain", "input", "output", "method", "engine", "forcefield", "solvent", "hinges", "n_chains",
+        "n_residues", "n_atoms", "n_bodies", "n_hinges", "energy_start_kj_mol", "energy_end_kj_mol",
+        "energy_end_reference_kj_mol", "max_torque_end_kj_mol_rad", "rms_force_end_kj_mol_nm",
+        "ca_rmsd_angstrom", "iterations", "evaluations", "seconds", "seconds_preparation", "status",
+        "message", "left_out", "repairs", "seed", "threads",
+    }  # fmt: skip
+    assert promised <= set(record)
+    assert (record["status"], record["seed"], record["threads"], record["n_chains"]) == ("budget", 5, 1, 2)
+    assert record["left_out"] == {"waters": 35}
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.cif", "t.csv", "t.xtc"]
+    assert (tmp_path / "t.csv").read_text().startswith("iteration,evaluations,seconds,energy_kj_mol")
+
+
+def test_minimise_says_what_it_did_and_ends_with_0_when_converged(tmp_path):
+    done = protochain("minimize", STRUCTURES / "ala10.pdb", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "converged" in done.stdout and "written: ala10.lbfgs.pdb" in done.stdout
+    assert (tmp_path / "ala10.lbfgs.pdb").exists()
+    assert max(map(len, done.stdout.splitlines())) <= 80
+
+
+def test_compare_writes_the_folder(tmp_path):
+    done = protochain(
+        "compare", STRUCTURES / "ala10.pdb", "--methods", "kcm,openmm", "--max-evaluations", 20, cwd=tmp_path
+    )
+    assert done.returncode == 3
+    names = {path.name for path in (tmp_path / "ala10-comparison").iterdir()}
+    assert {"report.html", "summary.csv", "traces.csv", "ala10.kcm.pdb", "ala10.openmm.pdb"} <= names
+
+
+def test_info_describes_the_chain(tmp_path):
+    done = protochain("info", STRUCTURES / "1ejg.pdb", "--json", cwd=tmp_path)
+    facts = json.loads(done.stdout)
+    assert done.returncode == 0 and (facts["n_residues"], len(facts["loops"])) == (46, 3)
+    shown = protochain("info", STRUCTURES / "1ejg.pdb", cwd=tmp_path)
+    assert "alternate location" in shown.stdout
+
+
+def test_build_makes_a_file_that_loads(tmp_path):
+    assert protochain("build", "GPW", "-o", "new/gpw.pdb", cwd=tmp_path).returncode == 0
+    facts = json.loads(protochain("info", "new/gpw.pdb", "--json", cwd=tmp_path).stdout)
+    assert facts["n_residues"] == 3 and not [line for line in facts["repairs"] if "added" in line]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["minimise", "nowhere.pdb"], ["nowhere.pdb", "check the name"]),
+        (["minimise"], ["IN"]),
+        (["frobnicate"], ["frobnicate"]),
+        (["minimise", "in.pdb", "--metod", "kcm"], ["--metod"]),
+        (["minimise", "in.pdb", "--method", "md"], ["'md'", "kcm, lbfgs, openmm"]),
+        (["minimise", "in.pdb", "--tolerance", "-1"], ["tolerance -1"]),
+        (["minimise", "in.pdb", "--max-evaluations", "many"], ["--max-evaluations", "integer"]),
+        (["minimise", "in.pdb", "--hinges", "phi psy"], ["'psy'"]),
+        (["minimise", "in.pdb", "--solvent", "tea"], ["'tea'"]),
+        (["minimise", "in.pdb", "--forcefield", "no.xml"], ["no.xml"]),
+        (["minimise", "in.pdb", "-o", "out.xyz"], ["out.xyz", ".pdb or .cif"]),
+        (["minimise", "in.pdb", "-o", "in.pdb"], ["in.pdb", "--force"]),
+        (["minimise", "in.pdb", "--trajectory", "t.avi"], ["t.avi"]),
+        (["minimise", "cut.pdb"], ["cut.pdb", "line", "cut short"]),
+        (["minimise", "trace.pdb"], ["trace.pdb", "C-alpha"]),
+        (["compare", "in.pdb", "--methods", "kcm,nope"], ["'nope'"]),
+        (["compare", "in.pdb", "-o", "in.pdb"], ["in.pdb", "not a folder"]),
+        (["info", "empty.pdb"], ["empty.pdb", "no atoms"]),
+        (["build", "AAZ", "-o", "a.pdb"], ["letter 3"]),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2_and_writes_nothing(arguments, words, tmp_path):
+    text = (STRUCTURES / "ala10.pdb").read_text()
+    (tmp_path / "in.pdb").write_text(text)
+    (tmp_path / "cut.pdb").write_text(text[: text.index("ATOM     40") + 30])
+    (tmp_path / "trace.pdb").write_text(
+        "".join(line for line in text.splitlines(True) if line[12:16] == " CA ")
+    )
+    (tmp_path / "empty.pdb").write_text("")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    done = protochain(*arguments, cwd=tmp_path)
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith("protochain: ") and done.stderr.count("\n") == 1
+    assert all(word in done.stderr for word in words)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_force_lets_the_input_be_replaced(tmp_path):
+    path = tmp_path / "in.pdb"
+    path.write_text((STRUCTURES / "ala10.pdb").read_text())
+    assert protochain("minimise", "in.pdb", "-o", "in.pdb", "--force", cwd=tmp_path).returncode == 0
+    assert "METHOD lbfgs" in path.read_text()
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_with_the_best_so_far_written(sent, tmp_path):
+    arguments = ["minimise", str(STRUCTURES / "1hel.pdb"), "-o", "out.pdb", "--trajectory", "t.dcd", "--json"]
+    process = subprocess.Popen(
+        [*COMMAND, *arguments], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    began = time.monotonic()
+    # The trajectory's temporary file appears when the run starts, and grows with it.
+    while time.monotonic() - began < 120 and process.poll() is None:
+        if any(path.stat().st_size > 200_000 for path in tmp_path.glob(".t.part.dcd")):
+            break
+        time.sleep(0.05)
+    process.send_signal(sent)
+    out, _ = process.communicate(timeout=120)
+    record = json.loads(out)
+    assert process.returncode == 3 and record["status"] == "interrupted"
+    assert record["energy_end_reference_kj_mol"] < record["energy_start_kj_mol"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.pdb", "t.dcd"]

@@ -1,0 +1,150 @@
+import json
+
+import numpy as np
+import openmm
+import pandas as pd
+import pytest
+from conftest import PDB_ROUNDING_NM, chain, energy, load
+from openmm import app, unit
+
+import protochain as pc
+from protochain.minimisers import METHODS
+from protochain.structure.trajectory import TrajectoryFile
+
+
+@pytest.fixture(scope="module")
+def comparison():
+    return pc.compare(chain("1l2y.pdb"), energy=energy("1l2y.pdb"), max_evaluations=200)
+
+
+@pytest.fixture(scope="module")
+def folder(comparison, tmp_path_factory):
+    directory = tmp_path_factory.mktemp("report")
+    comparison.report(directory)
+    return directory
+
+
+def test_every_method_is_judged_from_one_start(comparison):
+    assert [s.method for s in comparison.solutions] == list(METHODS)
+    assert comparison.table["energy_start_kj_mol"].nunique() == 1
+    judge = energy("1l2y.pdb").reference
+    for s in comparison.solutions:
+        assert s.end.energy == pytest.approx(judge(s.x)[0], abs=1e-6)
+
+
+def test_the_folder_holds_what_the_interface_promises(folder):
+    names = {path.name for path in folder.iterdir()}
+    structures = {f"1l2y.{m}.pdb" for m in ("start", *METHODS)}
+    tables = {"summary.csv", "traces.csv", "summary.json", "energy.png", "rmsd.png", "report.html"}
+    assert names == structures | tables
+    for name in ("energy.png", "rmsd.png"):
+        assert (folder / name).read_bytes().startswith(b"\x89PNG") and (folder / name).stat().st_size > 20_000
+
+
+def test_csv_json_and_page_hold_the_same_numbers(folder, comparison):
+    table = pd.read_csv(folder / "summary.csv")
+    summary = json.loads((folder / "summary.json").read_text())
+    page = (folder / "report.html").read_text()
+    for row, record, s in zip(
+        table.to_dict("records"), summary["results"], comparison.solutions, strict=True
+    ):
+        for key in ("energy_start_kj_mol", "energy_end_reference_kj_mol", "ca_rmsd_angstrom", "evaluations"):
+            assert row[key] == record[key]
+        assert record["energy_end_reference_kj_mol"] == s.end.energy
+        assert f"{s.end.energy:.3f}" in page and f"{s.ca_rmsd_angstrom:.3f}" in page
+        assert record["message"] in page
+    traces = pd.read_csv(folder / "traces.csv")
+    assert list(traces.columns[:2]) == ["structure", "method"]
+    assert len(traces) == sum(len(s.trace) for s in comparison.solutions)
+
+
+def test_the_page_stands_alone(folder):
+    page = (folder / "report.html").read_text()
+    assert "http://" not in page and "https://" not in page and "<script" not in page
+    assert page.count("data:image/png;base64,") == 2
+
+
+def test_names_from_files_are_escaped(tmp_path):
+    import dataclasses
+
+    evil = "<script>alert(1)</script>$x$"
+    s = dataclasses.replace(load("ala10.pdb"), name=evil, repairs=("<b>bold</b>",))
+    k = pc.compare(s, methods=("lbfgs",), max_evaluations=3)
+    from protochain.analysis.report import render
+
+    page = render(k, k.summary(), {"energy": k.plot_energy(), "rmsd": k.plot_rmsd()})
+    assert evil not in page and "<b>bold</b>" not in page
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
+
+
+def test_rmsd_is_symmetric_and_between_the_ends(comparison):
+    values = comparison.rmsd.to_numpy()
+    assert np.allclose(values, values.T, atol=1e-9) and np.allclose(np.diag(values), 0, atol=1e-9)
+    for s in comparison.solutions:
+        assert comparison.rmsd.loc["start", s.method] == pytest.approx(s.ca_rmsd_angstrom, abs=1e-9)
+
+
+@pytest.mark.parametrize("suffix", [".pdb", ".cif"])
+@pytest.mark.parametrize("method", METHODS)
+def test_openmm_alone_finds_the_reported_energy_in_the_written_file(comparison, method, suffix, tmp_path):
+    s = next(s for s in comparison.solutions if s.method == method)
+    path = tmp_path / f"out{suffix}"
+    s.save(path)
+    read = app.PDBFile(str(path)) if suffix == ".pdb" else app.PDBxFile(str(path))
+    topology = read.topology
+    topology.createDisulfideBonds(read.positions)
+    system = app.ForceField("amber14/protein.ff14SB.xml", "implicit/obc2.xml").createSystem(topology)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    context.setPositions(read.positions)
+    alone = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    x = np.array(read.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
+    # At the positions as written the two agree to round-off and the constants of GBSAOBCForce ...
+    judge = energy("1l2y.pdb").reference
+    assert alone == pytest.approx(judge(x)[0], rel=2e-8)
+    # ... and what rounding did to the energy is what the forces say it must do, to second order: the
+    # stiffest bond has k = 5e5 kJ/mol/nm^2, each atom a few bonds.
+    _, forces = judge(s.x)
+    first_order = -np.sum(forces * (x - s.x))
+    off = np.abs(x - s.x).max()
+    assert off <= (PDB_ROUNDING_NM * 1.001 if suffix == ".pdb" else 1e-8)
+    curvature = 5e5 * 4 * np.sum((x - s.x) ** 2)
+    assert abs(alone - s.end.energy - first_order) < curvature + 2e-8 * abs(alone)
+
+
+def test_different_energies_or_starts_are_not_compared(comparison):
+    other = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb", solvent="vacuum"), max_evaluations=2)
+    with pytest.raises(pc.ProtochainError, match="different energy functions"):
+        pc.Comparison(comparison.structure, (*comparison.solutions, other))
+    with pytest.raises(pc.ProtochainError, match="different starts"):
+        pc.Comparison(load("1vii.pdb"), comparison.solutions)
+
+
+def test_unknown_methods_are_refused_before_any_work():
+    with pytest.raises(pc.ProtochainError, match="method 'nope' is not known"):
+        pc.compare("nowhere.pdb", methods=("nope",))
+    with pytest.raises(pc.ProtochainError, match="no methods"):
+        pc.compare("nowhere.pdb", methods=())
+
+
+@pytest.mark.parametrize(("suffix", "precision"), [(".dcd", 1e-6), (".xtc", 6e-4)])
+def test_a_trajectory_holds_the_frames(suffix, precision, tmp_path):
+    import mdtraj
+
+    s = load("ala10.pdb")
+    frames = [s.positions + 0.01 * k for k in range(3)]
+    path = tmp_path / f"run{suffix}"
+    with TrajectoryFile(path) as file:
+        for x in frames:
+            file.append(x)
+    read = mdtraj.load(str(path), top=mdtraj.Topology.from_openmm(s.topology))
+    assert np.allclose(read.xyz, frames, atol=precision)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_trajectory_that_fails_leaves_nothing(tmp_path):
+    with pytest.raises(RuntimeError, match="stop"), TrajectoryFile(tmp_path / "run.dcd") as file:
+        file.append(load("ala10.pdb").positions)
+        raise RuntimeError("stop")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(pc.ProtochainError, match="unknown trajectory suffix"):
+        TrajectoryFile(tmp_path / "run.abc")
