@@ -36,7 +36,8 @@ def main() -> None:
     if options.output:
         table.to_csv(options.output / "methods.csv", index=False)
     print(
-        "| structure | atoms | hinges | method | status | start kJ/mol | end kJ/mol | evaluations | seconds | RMSD Å |"
+        "| structure | atoms | hinges | method | status | start kJ/mol | end kJ/mol "
+        "| evaluations | seconds | RMSD angstrom |"
     )
     print("|---|--:|--:|---|---|--:|--:|--:|--:|--:|")
     for row in table.itertuples():

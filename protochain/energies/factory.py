@@ -139,8 +139,8 @@ def _check_file(path: Path, trusted: bool) -> None:
 def _use_gbsa_obc(system: openmm.System) -> str:
     """Put OpenMM's own OBC2 kernel in place of an equal CustomGBForce, where the two are the same.
 
-    The energies are equal (to 1e-9; asserted in the tests); on the CPU platform the kernel is 3-6 times
-    faster. Anything but the parameters that ``implicit/obc2.xml`` writes is left alone.
+    The energies are equal (to 1e-9; asserted in the tests); on the CPU platform the kernel is several
+    times faster. Anything but the parameters that ``implicit/obc2.xml`` writes is left alone.
 
     Returns
     -------
@@ -165,4 +165,4 @@ def _use_gbsa_obc(system: openmm.System) -> str:
         force.addParticle(charge * charge_scale, (reduced_radius + _OBC_OFFSET) * unit.nanometer, scale)
     system.removeForce(places[0])
     system.addForce(force)
-    return "no cutoff; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml and 3-6 times faster"
+    return "no cutoff; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml and faster"
