@@ -119,6 +119,18 @@ def test_different_energies_or_starts_are_not_compared(comparison):
         pc.Comparison(load("1vii.pdb"), comparison.solutions)
 
 
+def test_an_interrupt_keeps_what_is_done_and_leaves_out_the_rest():
+    def watch(method):
+        def interrupt(row, x):
+            if method == "lbfgs" and row["iteration"] == 3:
+                raise KeyboardInterrupt
+
+        return interrupt
+
+    k = pc.compare(chain("ala10.pdb"), energy=energy("ala10.pdb"), max_evaluations=10, watch=watch)
+    assert [(s.method, str(s.status)) for s in k.solutions] == [("kcm", "budget"), ("lbfgs", "interrupted")]
+
+
 def test_unknown_methods_are_refused_before_any_work():
     with pytest.raises(pc.ProtochainError, match="method 'nope' is not known"):
         pc.compare("nowhere.pdb", methods=("nope",))

@@ -86,6 +86,13 @@ def test_an_engine_that_lies_about_its_forces_is_not_believed():
     assert r.end.max_torque > 100
 
 
+def test_an_engine_that_climbs_is_caught_and_the_start_returned():
+    climber = Wrapped(energy("1l2y.pdb"), lambda calls, value, f: (-value, -f))
+    r = pc.minimise(chain("1l2y.pdb"), climber, "kcm", max_evaluations=20)
+    assert r.trace["energy_kj_mol"].iloc[-1] < r.trace["energy_kj_mol"].iloc[0]
+    assert r.end == r.start and np.array_equal(r.x, pc.pose(chain("1l2y.pdb"), chain("1l2y.pdb").q0).x)
+
+
 def test_kcm_is_as_published():
     c, e = chain("1l2y.pdb"), energy("1l2y.pdb").reference
     problem = Problem(c, e, 100)
@@ -231,6 +238,13 @@ def test_a_file_a_structure_or_a_chain_may_be_given():
     by_structure = pc.minimize(load("ala10.pdb"), max_evaluations=5)
     assert by_file.method == by_structure.method == "lbfgs"
     assert by_file.end.energy == pytest.approx(by_structure.end.energy, abs=1e-2)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_one_thread_gives_the_same_bits_twice(method):
+    one = pc.energy(load("1l2y.pdb"), threads=1)
+    first, second = (pc.minimise(chain("1l2y.pdb"), one, method, max_evaluations=120) for _ in range(2))
+    assert np.array_equal(first.x, second.x) and first.end == second.end
 
 
 @pytest.mark.parametrize(

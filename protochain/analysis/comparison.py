@@ -17,7 +17,7 @@ from protochain.chain import Chain
 from protochain.energies import Energy
 from protochain.energies import energy as build_energy
 from protochain.errors import ProtochainError
-from protochain.minimisers import METHODS, Solution, minimise
+from protochain.minimisers import METHODS, Solution, Status, minimise
 from protochain.minimisers.api import check_settings
 from protochain.minimisers.solution import TRACE_COLUMNS, Watcher
 from protochain.structure import Structure, ca_rmsd, load, save
@@ -195,7 +195,8 @@ def compare(
     Returns
     -------
     Comparison
-        Every end point judged by the OpenMM Reference platform in double precision.
+        Every end point judged by the OpenMM Reference platform in double precision. An interrupt ends
+        the method it meets and leaves out those after it.
 
     Raises
     ------
@@ -212,13 +213,13 @@ def compare(
     chain = structure if isinstance(structure, Chain) else build_chain(structure)
     if energy is None:
         energy = build_energy(chain.structure)
-    solutions = tuple(
-        minimise(
-            chain, energy, method, tolerance, max_evaluations, seed, watch=watch(method) if watch else None
-        )
-        for method in chosen
-    )
-    return Comparison(chain.structure, solutions)
+    solutions: list[Solution] = []
+    for method in chosen:
+        watcher = watch(method) if watch else None
+        solutions.append(minimise(chain, energy, method, tolerance, max_evaluations, seed, watch=watcher))
+        if solutions[-1].status is Status.INTERRUPTED:
+            break
+    return Comparison(chain.structure, tuple(solutions))
 
 
 def _write_text(path: Path, text: str) -> None:
