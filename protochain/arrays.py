@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from protochain.errors import ProtochainError
+
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -14,3 +16,17 @@ def read_only(array: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
     frozen: NDArray[Any] = np.array(array, dtype=dtype, order="C")
     frozen.flags.writeable = False
     return frozen
+
+
+def floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
+    """Return contiguous float64 values of one shape: kernels trust what they are given.
+
+    Raises
+    ------
+    ProtochainError
+        Naming the array and both shapes.
+    """
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.shape != shape:
+        raise ProtochainError(f"{name} has shape {array.shape}, not {shape}")
+    return array

@@ -6,6 +6,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -41,7 +42,6 @@ app = typer.Typer(
     rich_markup_mode=None,
     add_completion=False,
     pretty_exceptions_enable=False,
-    no_args_is_help=True,
 )
 
 Input = Annotated[Path, typer.Argument(metavar="IN", help="PDB or mmCIF file.")]
@@ -88,16 +88,17 @@ def minimise(
     from protochain.minimisers import minimise as run
     from protochain.minimisers.api import check_settings
     from protochain.structure.trajectory import TrajectoryFile
-    from protochain.structure.write import check_writable, write_atomically
+    from protochain.structure.write import check_fits, check_format, write_atomically
 
     check_settings(method, tolerance, max_evaluations)
     suffix = ".cif" if source.suffix.lower() in (".cif", ".mmcif") else ".pdb"
-    output = output or Path(f"{source.name.split('.')[0]}.{method}{suffix}")
-    check_writable(output)
-    _keep_input(source, (output, trace, trajectory), force)
+    output = output or Path(f"{source.stem}.{method}{suffix}")
+    check_format(output)
+    _check_outputs(source, [path for path in (output, trace, trajectory) if path], force)
     chain, energy, preparation = _prepare(
         source, hinges, forcefield, solvent, engine, threads, trust_forcefield
     )
+    check_fits(chain.structure, output)
     with ExitStack() as stack:
         show = stack.enter_context(_progress(method, max_evaluations))
         frames = stack.enter_context(TrajectoryFile(trajectory)) if trajectory else None
@@ -120,7 +121,7 @@ def minimise(
         "seconds_preparation": preparation,
     }
     if as_json:
-        print(json.dumps(record))
+        print(json.dumps(record, allow_nan=False))
     else:
         _print_table([record])
         print(f"written: {output}")
@@ -148,29 +149,37 @@ def compare(
     """Minimise one structure by several methods; write tables, plots, structures and report.html."""
     from protochain.analysis import compare as run
     from protochain.minimisers.api import check_settings
+    from protochain.structure.write import check_writable
 
     chosen = tuple(name.strip() for name in methods.split(","))
     for method in chosen:
         check_settings(method, tolerance, max_evaluations)
-    output = output or Path(f"{source.name.split('.')[0]}-comparison")
-    if output.exists() and not output.is_dir():
-        raise ProtochainError(f"{output}: not a folder; give another name with -o")
+    output = output or Path(f"{source.stem}-comparison")
+    # A name with the method's added cannot be the input's own.
+    check_writable(output / "report.html")
     chain, energy, preparation = _prepare(
         source, hinges, forcefield, solvent, engine, threads, trust_forcefield
     )
-    with ExitStack() as stack:
-        comparison = run(
-            chain, chosen, energy, tolerance, max_evaluations, seed,
-            watch=lambda method: stack.enter_context(_progress(method, max_evaluations)),
-        )  # fmt: skip
+    with ExitStack() as shown:
+
+        def watch(method: str) -> "Watcher":
+            shown.close()
+            return shown.enter_context(_progress(method, max_evaluations))
+
+        comparison = run(chain, chosen, energy, tolerance, max_evaluations, seed, watch=watch)
+    comparison = replace(comparison, origin={"input": str(source), "seconds_preparation": preparation})
     page = comparison.report(output)
     summary = comparison.summary()
+    missing = chosen[len(comparison.solutions) :]
+    if missing:
+        print(f"protochain: interrupted: {', '.join(missing)} left out", file=sys.stderr)
     if as_json:
-        summary |= {"input": str(source), "output": str(output), "seconds_preparation": preparation}
-        print(json.dumps(summary))
+        print(json.dumps(summary | {"output": str(output)}, allow_nan=False))
     else:
         _print_table(summary["results"])
         print(f"written: {page} and the tables, plots and structures beside it")
+    if not any(solution.is_usable for solution in comparison.solutions):
+        raise SystemExit(_fail(f"{source}: no method made anything usable; the page says why"))
     converged = all(solution.status == "converged" for solution in comparison.solutions)
     raise typer.Exit(CONVERGED if converged else UNCONVERGED)
 
@@ -227,8 +236,9 @@ def build(
 ) -> None:
     """Build an extended all-atom chain from a sequence."""
     from protochain.structure import from_sequence, save
-    from protochain.structure.write import check_writable
+    from protochain.structure.write import check_format, check_writable
 
+    check_format(output)
     check_writable(output)
     structure = from_sequence(sequence)
     save(structure, output)
@@ -241,6 +251,8 @@ app.command("minimize", hidden=True)(minimise)
 def main() -> None:
     """Run the command line: one line on standard error and status 2 for bad input or usage."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if len(sys.argv) == 1:
+        sys.argv.append("--help")
     try:
         status = app(standalone_mode=False)
     except ProtochainError as error:
@@ -283,10 +295,17 @@ def _prepare(
     return chain, energy, perf_counter() - began
 
 
-def _keep_input(source: Path, outputs: tuple[Path | None, ...], force: bool) -> None:
+def _check_outputs(source: Path, outputs: list[Path], force: bool) -> None:
+    """Refuse, before any work, outputs that would replace the input or one another or cannot be written."""
+    from protochain.structure.write import check_writable
+
+    for output, count in Counter(path.absolute() for path in outputs).items():
+        if count > 1:
+            raise ProtochainError(f"{output}: named for two outputs; give each its own")
     for output in outputs:
-        if output and output.exists() and source.exists() and output.samefile(source) and not force:
+        if output.exists() and source.exists() and output.samefile(source) and not force:
             raise ProtochainError(f"{output}: is the input; give another name, or --force to replace it")
+        check_writable(output)
 
 
 @contextmanager
@@ -319,7 +338,11 @@ def _print_table(records: list[dict[str, Any]]) -> None:
     from rich.table import Table
 
     rows = [
-        [f"{r[key]:.2f}" if isinstance(r[key], float) else str(r[key]) for key in _SHOWN] for r in records
+        [
+            f"{r[key]:.2f}" if isinstance(r[key], float) else str(r[key] if r[key] is not None else "-")
+            for key in _SHOWN
+        ]
+        for r in records
     ]
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for heading, cells in zip(_SHOWN.values(), zip(*rows, strict=True), strict=True):

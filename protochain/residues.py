@@ -71,3 +71,8 @@ ROTORS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
 
 ROTOR_N_TERMINAL = ("C", "CA", "N", "H1")
 """The charged amine at the start of a chain."""
+
+
+def describe(number: str, name: str, chain_id: str) -> str:
+    """Name a residue as a person would: ``residue 17 GLU of chain A``."""
+    return f"residue {number} {name} of chain {chain_id or '(blank)'}"

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 
+import gemmi
 import pytest
 from conftest import ROOT, STRUCTURES
 
@@ -98,6 +99,13 @@ def test_build_makes_a_file_that_loads(tmp_path):
         (["minimise", "in.pdb", "--trajectory", "t.avi"], ["t.avi"]),
         (["minimise", "cut.pdb"], ["cut.pdb", "line", "cut short"]),
         (["minimise", "trace.pdb"], ["trace.pdb", "C-alpha"]),
+        (["minimise", "in.pdb", "-o", "one.pdb", "--trace", "one.pdb"], ["one.pdb", "two outputs"]),
+        (["minimise", "in.pdb", "-o", "folder.pdb"], ["folder.pdb", "is a folder"]),
+        (["minimise", "in.pdb", "-o", "in.pdb/out.pdb"], ["in.pdb/out.pdb", "not a folder"]),
+        (["minimise", "in.pdb", "--trace", "/proc/t.csv"], ["/proc/t.csv", "cannot be written"]),
+        (["minimise", "stars.pdb"], ["stars.pdb: line 3: x is '********'", "columns 31-38"]),
+        (["minimise", "nan.pdb"], ["nan.pdb: line 3: x is 'nan'"]),
+        (["minimise", "long.cif", "-o", "out.pdb"], ["'LONG'", "write .cif"]),
         (["compare", "in.pdb", "--methods", "kcm,nope"], ["'nope'"]),
         (["compare", "in.pdb", "-o", "in.pdb"], ["in.pdb", "not a folder"]),
         (["info", "empty.pdb"], ["empty.pdb", "no atoms"]),
@@ -108,16 +116,24 @@ def test_bad_input_is_one_line_and_status_2_and_writes_nothing(arguments, words,
     text = (STRUCTURES / "ala10.pdb").read_text()
     (tmp_path / "in.pdb").write_text(text)
     (tmp_path / "cut.pdb").write_text(text[: text.index("ATOM     40") + 30])
+    lines = text.splitlines(True)
+    for name, x in (("stars.pdb", "********"), ("nan.pdb", "     nan")):
+        changed = f"{lines[2][:30]}{x}{lines[2][38:]}"
+        (tmp_path / name).write_text("".join([*lines[:2], changed, *lines[3:]]))
+    (tmp_path / "folder.pdb").mkdir()
+    long = gemmi.read_pdb(str(STRUCTURES / "ala10.pdb"))
+    long[0][0].name = "LONG"
+    long.make_mmcif_document().write_file(str(tmp_path / "long.cif"))
     (tmp_path / "trace.pdb").write_text(
         "".join(line for line in text.splitlines(True) if line[12:16] == " CA ")
     )
     (tmp_path / "empty.pdb").write_text("")
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     done = protochain(*arguments, cwd=tmp_path)
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith("protochain: ") and done.stderr.count("\n") == 1
     assert all(word in done.stderr for word in words)
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 
 
 def test_force_lets_the_input_be_replaced(tmp_path):
@@ -128,8 +144,12 @@ def test_force_lets_the_input_be_replaced(tmp_path):
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_with_the_best_so_far_written(sent, tmp_path):
-    arguments = ["minimise", str(STRUCTURES / "1hel.pdb"), "-o", "out.pdb", "--trajectory", "t.dcd", "--json"]
+@pytest.mark.parametrize("method", ["lbfgs", "openmm"])
+def test_a_signal_ends_with_the_best_so_far_written(method, sent, tmp_path):
+    arguments = [
+        "minimise", str(STRUCTURES / "1hel.pdb"), "-o", "out.pdb", "--trajectory", "t.dcd", "--json",
+        "--method", method,
+    ]  # fmt: skip
     process = subprocess.Popen(
         [*COMMAND, *arguments], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},

@@ -131,6 +131,30 @@ def test_an_interrupt_keeps_what_is_done_and_leaves_out_the_rest():
     assert [(s.method, str(s.status)) for s in k.solutions] == [("kcm", "budget"), ("lbfgs", "interrupted")]
 
 
+def test_an_interrupt_before_a_method_has_anything_keeps_the_others():
+    def watch(method):
+        def stop(row, x):
+            if method == "openmm":
+                raise KeyboardInterrupt
+
+        return stop
+
+    k = pc.compare(
+        chain("1l2y.pdb"), ("lbfgs", "openmm"), energy("1l2y.pdb"), max_evaluations=20, watch=watch
+    )
+    assert [s.method for s in k.solutions] == ["lbfgs"]
+
+
+def test_a_comparison_of_nothing_finite_still_writes_its_page(tmp_path):
+    s = load("ala10.pdb")
+    x = s.positions.copy()
+    x[s.n_atoms - 3] = x[0]
+    k = pc.compare(pc.build_chain(s.with_positions(x)), energy=energy("ala10.pdb"), max_evaluations=4)
+    page = k.report(tmp_path)
+    assert page.exists()
+    json.loads((tmp_path / "summary.json").read_text(), parse_constant=pytest.fail)
+
+
 def test_unknown_methods_are_refused_before_any_work():
     with pytest.raises(pc.ProtochainError, match="method 'nope' is not known"):
         pc.compare("nowhere.pdb", methods=("nope",))

@@ -8,6 +8,7 @@ from openmm import app
 
 import protochain as pc
 from protochain.energies import factory
+from protochain.structure.prepare import _hydrogen_force_field
 
 
 def by_the_force_field(name, *files):
@@ -143,8 +144,38 @@ def test_a_trusted_script_runs(tmp_path):
     path.write_text(
         original.replace("</ForceField>", "<Script>sys.addForce(openmm_force)</Script></ForceField>")
     )
-    with pytest.raises(NameError):
+    with pytest.raises(pc.ProtochainError, match="openmm_force"):
         pc.energy(load("ala10.pdb"), forcefield=str(path), solvent="vacuum", trust_forcefield=True)
+
+
+def test_a_file_in_the_working_directory_never_stands_in_for_openmms_own(tmp_path, monkeypatch):
+    trap = "<ForceField><Script>raise SystemExit('the trap ran')</Script></ForceField>"
+    for name in ("amber14/protein.ff14SB.xml", "implicit/obc2.xml"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text(trap)
+    monkeypatch.chdir(tmp_path)
+    factory._own_force_field.cache_clear()
+    _hydrogen_force_field.cache_clear()
+    fresh = pc.energy(pc.load(STRUCTURES / "ala10.pdb"))
+    assert fresh.fingerprint == energy("ala10.pdb").fingerprint
+    with pytest.raises(pc.ProtochainError, match="<Script>"):
+        pc.energy(load("ala10.pdb"), forcefield="amber14/protein.ff14SB.xml")
+
+
+def test_a_changed_force_field_file_is_read_again(tmp_path):
+    path = tmp_path / "ff.xml"
+    original = (factory.DATA / "amber14" / "protein.ff14SB.xml").read_text()
+    path.write_text(original)
+    s = load("ala10.pdb")
+    before = pc.energy(s, forcefield=str(path), solvent="vacuum")(s.positions)[0]
+    path.write_text(original.replace('coulomb14scale="0.8333333333333334"', 'coulomb14scale="0.1"'))
+    after = pc.energy(s, forcefield=str(path), solvent="vacuum")(s.positions)[0]
+    assert abs(after - before) > 1
+
+
+def test_positions_of_another_structure_are_refused():
+    with pytest.raises(pc.ProtochainError, match="shape"):
+        energy("ala10.pdb")(load("1l2y.pdb").positions)
 
 
 def test_the_fingerprint_tells_energy_functions_apart():

@@ -194,6 +194,50 @@ def test_files_without_a_protein_are_refused_in_one_line(name, text, place, tmp_
     assert place in message and name in message and "\n" not in message
 
 
+def test_a_name_of_a_protonation_state_is_replaced_and_said(tmp_path):
+    text = (STRUCTURES / "1l2y.pdb").read_text()
+    heavy = [line for line in text.splitlines(True) if line[76:78].strip() != "H"]
+    path = written(tmp_path, "".join(heavy).replace("ASP A   9", "ASH A   9"))
+    assert any(line.startswith("residue 9 ASH of chain A: taken as ASP") for line in pc.load(path).repairs)
+
+
+def test_a_file_of_ours_that_was_cut_is_refused(tmp_path):
+    pc.save(load("1l2y.pdb"), tmp_path / "whole.cif")
+    lines = (tmp_path / "whole.cif").read_text().splitlines(True)
+    atoms = [i for i, line in enumerate(lines) if line.startswith("ATOM")]
+    for end in atoms[40:200:20]:
+        with pytest.raises(pc.ProtochainError, match="cut short"):
+            read(written(tmp_path, "".join(lines[:end]), "cut.cif"))
+    assert read(tmp_path / "whole.cif").chain_ids == ["A"]
+
+
+def test_a_file_without_an_end_is_taken_with_a_warning(tmp_path):
+    text = (STRUCTURES / "ala10.pdb").read_text()
+    atoms = [line for line in text.splitlines(True) if line.startswith("ATOM")]
+    assert not pc.load(written(tmp_path, "".join(atoms))).repairs
+    cut = [line for line in atoms if int(line[22:26]) <= 8]
+    said = pc.load(written(tmp_path, "".join(cut))).repairs[0]
+    assert "stops at residue 8 ALA of chain A" in said and "cut short" in said
+
+
+def test_a_position_too_far_out_for_the_columns_is_refused(tmp_path):
+    s = load("ala10.pdb")
+    far = s.with_positions(s.positions + 1500.0)
+    with pytest.raises(pc.ProtochainError, match=r"atom N of residue 1 ALA .* write .cif"):
+        pc.save(far, tmp_path / "far.pdb")
+    pc.save(far, tmp_path / "far.cif")
+    assert np.allclose(pc.load(tmp_path / "far.cif").positions, far.positions, atol=PDB_ROUNDING_NM)
+
+
+def test_a_blank_chain_id_survives_both_formats(tmp_path):
+    text = (STRUCTURES / "ala10.pdb").read_text().replace("ALA A", "ALA  ")
+    s = pc.load(written(tmp_path, text))
+    assert set(s.residue_chain) == {""} and "chain (blank)" in s.describe(0)
+    for name in ("out.cif", "out.pdb"):
+        pc.save(s, tmp_path / name)
+        assert set(pc.load(tmp_path / name).residue_chain) == {""}
+
+
 def test_a_missing_file_is_named():
     with pytest.raises(pc.ProtochainError, match=r"nowhere\.pdb: cannot be read"):
         pc.load("nowhere.pdb")
@@ -255,7 +299,9 @@ def test_every_amino_acid_is_built_with_standard_geometry():
             assert np.dot(np.cross(n, c), cb) > 0 > np.dot(np.cross(n, c), ha)
 
 
-@pytest.mark.parametrize(("sequence", "word"), [("", "empty"), ("  ", "empty"), ("AAX", "letter 3 is 'X'")])
+@pytest.mark.parametrize(
+    ("sequence", "word"), [("", "empty"), ("  ", "empty"), ("A", "at least 2"), ("AAX", "letter 3 is 'X'")]
+)
 def test_a_sequence_that_makes_no_sense_is_refused(sequence, word):
     with pytest.raises(pc.ProtochainError, match=word):
         pc.from_sequence(sequence)

@@ -3,8 +3,8 @@
 import json
 import platform
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
@@ -42,6 +42,8 @@ class Comparison:
         The common start.
     solutions : tuple of Solution
         One a method, all of one energy function.
+    origin : mapping
+        What the caller knows of the input (its path, the seconds its preparation took), for every record.
 
     Raises
     ------
@@ -51,6 +53,7 @@ class Comparison:
 
     structure: Structure
     solutions: tuple[Solution, ...]
+    origin: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len({id(s.energy_function) for s in self.solutions}) > 1:
@@ -62,12 +65,15 @@ class Comparison:
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """A row a method: the columns of the JSON record, without its lists."""
-        rows = [
-            {key: value for key, value in s.record().items() if not isinstance(value, list | dict)}
+        """A row a method: the columns of the JSON record, lists and counts as text."""
+        return pd.DataFrame([{key: _flat(value) for key, value in row.items()} for row in self.records()])
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return the JSON record of each solution, with its origin and the name of its file."""
+        return [
+            {**s.record(), **self.origin, "output": f"{self.structure.name}.{s.method}{self._suffix}"}
             for s in self.solutions
         ]
-        return pd.DataFrame(rows)
 
     @cached_property
     def traces(self) -> pd.DataFrame:
@@ -86,7 +92,7 @@ class Comparison:
         )
 
     def plot_energy(self) -> "Figure":
-        """Energy above the lowest end, against evaluations and against seconds."""
+        """Energy against evaluations and seconds; above the lowest of all where clashes make it large."""
         from protochain.analysis.plots import plot_energy
 
         return plot_energy(self.traces, self.structure.name)
@@ -99,16 +105,20 @@ class Comparison:
 
     def summary(self) -> dict[str, Any]:
         """Everything a reader needs to trust or repeat it: records, RMSDs, versions, command line."""
-        e = self.solutions[0].energy_function
+        first = self.solutions[0]
+        e = first.energy_function
         return {
             "structure": self.structure.name,
+            **self.origin,
             "engine_reason": e.reason,
             "system_sha256": e.fingerprint,
-            "judge": "OpenMM Reference platform, double precision",
+            "judge": "OpenMM's Reference platform, in double precision",
+            "seed": first.seed,
+            "threads": e.threads,
             "command": sys.argv,
             "python": platform.python_version(),
             "versions": {name: version(name) for name in _PACKAGES},
-            "results": [s.record() for s in self.solutions],
+            "results": self.records(),
             "ca_rmsd_angstrom": self.rmsd.to_dict(),
         }
 
@@ -132,7 +142,7 @@ class Comparison:
         summary = self.summary()
         _write_text(directory / "summary.csv", self.table.to_csv(index=False))
         _write_text(directory / "traces.csv", self.traces.to_csv(index=False))
-        _write_text(directory / "summary.json", json.dumps(summary, indent=2))
+        _write_text(directory / "summary.json", json.dumps(summary, indent=2, allow_nan=False))
         save(self.structure, directory / f"{name}.start{self._suffix}")
         for solution in self.solutions:
             solution.save(directory / f"{name}.{solution.method}{self._suffix}")
@@ -216,10 +226,22 @@ def compare(
     solutions: list[Solution] = []
     for method in chosen:
         watcher = watch(method) if watch else None
-        solutions.append(minimise(chain, energy, method, tolerance, max_evaluations, seed, watch=watcher))
-        if solutions[-1].status is Status.INTERRUPTED:
+        try:
+            solution = minimise(chain, energy, method, tolerance, max_evaluations, seed, watch=watcher)
+        except KeyboardInterrupt:
+            if not solutions:
+                raise
+            break
+        solutions.append(solution)
+        if solution.status is Status.INTERRUPTED:
             break
     return Comparison(chain.structure, tuple(solutions))
+
+
+def _flat(value: Any) -> Any:
+    if isinstance(value, dict):
+        return "; ".join(f"{count} {name}" for name, count in value.items())
+    return "; ".join(value) if isinstance(value, list) else value
 
 
 def _write_text(path: Path, text: str) -> None:

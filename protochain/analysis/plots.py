@@ -15,7 +15,7 @@ _LOG_FROM = 1e4
 
 
 def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
-    """Energy evaluations and against seconds.
+    """Energy against evaluations and against seconds.
 
     Parameters
     ----------
@@ -31,6 +31,10 @@ def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
     """
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
+    traces = traces[np.isfinite(traces["energy_kj_mol"])]
+    if traces.empty:
+        figure.suptitle(f"{_plain_text(title)}: no energy is a number")
+        return figure
     lowest = traces["energy_kj_mol"].min()
     logarithmic = traces["energy_kj_mol"].iloc[0] - lowest > _LOG_FROM
     for (method, run), colour, dash in zip(

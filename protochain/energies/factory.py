@@ -12,6 +12,10 @@ from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.errors import ForceFieldError
 from protochain.structure.model import Structure
 
+DATA = Path(app.__file__).parent / "data"
+"""OpenMM's own files. Named by whole path: OpenMM looks for a bare name in the working directory first,
+where anyone may have put a file that runs code."""
+
 FORCE_FIELDS = {
     "amber14": "amber14/protein.ff14SB.xml",
     "amber19": "amber19/protein.ff19SB.xml",
@@ -87,16 +91,18 @@ def energy(
         return OpenMMEnergy(system, threads=threads, note="the System given by the caller")
     if solvent not in SOLVENTS:
         raise ForceFieldError(f"solvent {solvent!r} is not known; choose from {', '.join(SOLVENTS)}")
-    files = [FORCE_FIELDS.get(forcefield, forcefield)]
-    if forcefield not in FORCE_FIELDS and not _comes_with_openmm(forcefield):
+    own = _own_file(forcefield)
+    if own is None:
         _check_file(Path(forcefield), trust_forcefield)
+    files = [own or str(Path(forcefield).resolve())]
     if SOLVENTS[solvent] is not None:
-        files.append(str(SOLVENTS[solvent]))
+        files.append(str(DATA / str(SOLVENTS[solvent])))
     try:
-        force_field = _force_field(tuple(files))
+        # A user's file may change between calls, and one that is trusted may raise anything.
+        force_field = _own_force_field(*files) if own else app.ForceField(*files)
         built = force_field.createSystem(structure.topology, nonbondedMethod=app.NoCutoff)
-    except (ValueError, KeyError, AttributeError) as error:
-        reason = " ".join(str(error).split())
+    except Exception as error:
+        reason = " ".join(f"{error}".split()) or type(error).__name__
         raise ForceFieldError(
             f"{structure.name}: force field {forcefield!r} with solvent {solvent!r} does not fit: {reason}"
         ) from None
@@ -107,14 +113,15 @@ def energy(
 
 
 @cache
-def _force_field(files: tuple[str, ...]) -> app.ForceField:
+def _own_force_field(*files: str) -> app.ForceField:
     return app.ForceField(*files)
 
 
-def _comes_with_openmm(name: str) -> bool:
-    data = Path(app.__file__).parent / "data"
-    inside = (data / name).resolve()
-    return inside.is_relative_to(data.resolve()) and inside.is_file() and not Path(name).exists()
+def _own_file(name: str) -> str | None:
+    """Whole path of a file that comes with OpenMM, unless the user has one of that name."""
+    inside = (DATA / FORCE_FIELDS.get(name, name)).resolve()
+    ours = name in FORCE_FIELDS or (inside.is_relative_to(DATA.resolve()) and not Path(name).exists())
+    return str(inside) if ours and inside.is_file() else None
 
 
 def _check_file(path: Path, trusted: bool) -> None:
@@ -139,8 +146,9 @@ def _check_file(path: Path, trusted: bool) -> None:
 def _use_gbsa_obc(system: openmm.System) -> str:
     """Put OpenMM's own OBC2 kernel in place of an equal CustomGBForce, where the two are the same.
 
-    The energies are equal (to 1e-9; asserted in the tests); on the CPU platform the kernel is several
-    times faster. Anything but the parameters that ``implicit/obc2.xml`` writes is left alone.
+    The energies are equal (to 1e-8; asserted in the tests); on the CPU platform the kernel is several
+    times faster. A CustomGBForce with other parameters, exclusions or tables than ``implicit/obc2.xml``
+    gives it is left alone.
 
     Returns
     -------

@@ -9,7 +9,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from protochain.arrays import Floats
+from protochain.arrays import Floats, floats
 
 
 class OpenMMEnergy:
@@ -77,16 +77,26 @@ class OpenMMEnergy:
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm.
 
+        Raises
+        ------
+        ProtochainError
+            If x does not fit the System.
+        OpenMMException
+            If OpenMM fails for another reason than a number it cannot represent.
+
         Notes
         -----
         What OpenMM refuses to evaluate (positions or forces that are not numbers) is an infinite energy
         with forces that are not numbers: the caller's loop decides what that means.
         """
+        x = floats(x, (self.system.getNumParticles(), 3), "x")
         try:
-            self._context.setPositions(np.asarray(x))
+            self._context.setPositions(x)
             state = self._context.getState(energy=True, forces=True)
-        except openmm.OpenMMException:
-            return np.inf, np.full((self.system.getNumParticles(), 3), np.nan)
+        except openmm.OpenMMException as error:
+            if "nan" not in str(error).lower():
+                raise
+            return np.inf, np.full(x.shape, np.nan)
         value = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
         forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
         return float(value), np.asarray(forces, dtype=np.float64)

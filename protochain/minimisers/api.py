@@ -31,6 +31,9 @@ DEFAULT_METHOD = "lbfgs"
 PATIENCE = 500
 """Evaluations without a new lowest energy after which a run counts as stalled."""
 
+_SINGLE_PRECISION_ENDS = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
+"""Endings that may be single precision's fault: its noise, or numbers beyond 1e38 where atoms overlap."""
+
 
 @dataclass(frozen=True)
 class _Run:
@@ -87,8 +90,8 @@ def minimise(
     Notes
     -----
     Single-precision forces limit how small a torque can become. When a method on such a platform claims
-    its tolerance or finds no lower energy, it goes on from there on the Reference platform, within the
-    same budget.
+    its tolerance, finds no lower energy or meets what is not a number, it goes on from there on the
+    Reference platform, within the same budget.
     """
     check_settings(method, tolerance, max_evaluations)
     if isinstance(chain, str | Path):
@@ -165,29 +168,37 @@ def _in_torsions(
     def note(at: Evaluation) -> None:
         record(at.x, at.energy, at.max_torque, problem.n_evaluations)
 
-    q, n_iterations, start_energy = chain.q0, 0, np.inf
+    q, n_iterations = chain.q0, 0
     for engine in (energy, energy.reference):
         problem.energy, problem.best = engine, None
         try:
             ending = run(problem, method, q, tolerance, PATIENCE, note)
-        except BudgetSpentError:
+        except (BudgetSpentError, KeyboardInterrupt) as error:
+            # Before this engine had evaluated anything: what the one before it found stands.
+            stop = Stop.BUDGET if isinstance(error, BudgetSpentError) else Stop.INTERRUPTED
             break
+        stop = ending.stop
         n_iterations += ending.n_iterations
-        start_energy = min(start_energy, record.rows[0]["energy_kj_mol"])
-        reached = ending.stop is Stop.TOLERANCE and ending.at.energy <= start_energy
-        best = ending.at if reached or problem.best is None else problem.best
-        q = best.q
-        if ending.stop not in (Stop.TOLERANCE, Stop.NO_DESCENT) or engine is energy.reference:
+        reached = stop is Stop.TOLERANCE and ending.at.energy <= record.rows[0]["energy_kj_mol"]
+        if reached:
+            q = ending.at.q
+        elif problem.best is not None:
+            q = problem.best.q
+        if stop not in _SINGLE_PRECISION_ENDS or engine is energy.reference:
             break
-    return _Run(ending.stop, chain, pose(chain, q), n_iterations, problem.n_evaluations)
+    return _Run(stop, chain, pose(chain, q), n_iterations, problem.n_evaluations)
 
 
 def _by_openmm(
     chain: Chain, energy: Energy, tolerance: float, max_evaluations: int, record: Recorder
 ) -> _Run:
-    x, n_iterations, n_evaluations = chain.structure.positions, 0, 0
+    x, n_iterations, n_evaluations = chain.structure.positions, 0, 1
     record(x, energy(x)[0], np.nan, 1)
+    stop = Stop.BUDGET
     for platform in ("CPU", "Reference"):
+        if n_evaluations >= max_evaluations:
+            stop = Stop.BUDGET
+            break
         note = partial(_note_cartesian, record, n_evaluations)
         stop, x, iterations, evaluations = local_energy_minimizer(
             energy, platform, x, tolerance, max_evaluations - n_evaluations, note
@@ -195,7 +206,7 @@ def _by_openmm(
         n_iterations += iterations
         n_evaluations += evaluations
         _, forces = energy.reference(x)
-        if stop is not Stop.NO_DESCENT or np.sqrt(np.mean(forces**2)) <= tolerance:
+        if stop not in _SINGLE_PRECISION_ENDS or np.sqrt(np.mean(forces**2)) <= tolerance:
             break
     moved = rebuilt(chain, read_only(x))
     return _Run(stop, moved, pose(moved, moved.q0), n_iterations, n_evaluations)

@@ -13,6 +13,9 @@ from protochain.minimisers.problem import Evaluation, Problem
 _CURVATURE = 1e-10
 """A pair with less curvature than this (relative) would make the metric singular: it is left out."""
 
+_SMALLEST_TURN = 1e-8
+"""rad: what a shorter step gains is lost in the rounding of the energy."""
+
 
 @dataclass(frozen=True)
 class Memory:
@@ -58,7 +61,10 @@ class LBFGS:
                 length, at = found
                 recent = deque(pairs, maxlen=self.memory)
                 step, change = length * direction, state.at.torque - at.torque
-                if step @ change > _CURVATURE * np.linalg.norm(step) * np.linalg.norm(change):
+                # Torques of atoms on top of one another have no representable square: no pair then.
+                with np.errstate(over="ignore"):
+                    curved = step @ change > _CURVATURE * np.linalg.norm(step) * np.linalg.norm(change)
+                if curved:
                     recent.append((step, change))
                 return Memory(at, tuple(recent))
         return None
@@ -118,6 +124,9 @@ def strong_wolfe(problem: Problem, at: Evaluation, direction: Floats) -> tuple[f
     def height(length: Floats) -> float:
         return point(length).energy
 
+    def lowest() -> float:
+        return min((found.energy for found in tried.values() if found.is_finite), default=np.inf)
+
     def slope(length: Floats) -> Floats:
         return np.array([-point(length).torque @ direction])
 
@@ -134,8 +143,13 @@ def strong_wolfe(problem: Problem, at: Evaluation, direction: Floats) -> tuple[f
             maxiter=10,
         )[0]
     if length is None:
-        finite = {key: point for key, point in tried.items() if point.is_finite}
-        length = min(finite, key=lambda key: finite[key].energy, default=None)
-        if length is None or not finite[length].energy < at.energy:
+        # Against a wall (a stiff contact, a long lever) the interpolation may give up too far out.
+        size = np.max(np.abs(direction))
+        nearest = min(tried)
+        while nearest * size > _SMALLEST_TURN and not lowest() < at.energy:
+            nearest *= 0.1
+            point(np.array([nearest]))
+        if not lowest() < at.energy:
             return None
+        length = next(key for key, found in tried.items() if found.is_finite and found.energy == lowest())
     return float(length), tried[float(length)]

@@ -1,6 +1,9 @@
 """OpenMM's own minimiser, as the reference: all atoms free, Cartesian L-BFGS."""
 
-from collections.abc import Callable
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import openmm
@@ -10,12 +13,18 @@ from protochain.energies import Energy, OpenMMEnergy
 from protochain.minimisers.loop import Stop
 
 
-class _Reporter(openmm.MinimizationReporter):
-    """Records each iteration; stops at the budget or on an interrupt, which C++ would swallow."""
+class _Enough(Exception):
+    """Raised through OpenMM, which has no other way out of a line search."""
 
-    def __init__(self, record: Callable[[Floats, float, int], None], budget: int) -> None:
+
+class _Reporter(openmm.MinimizationReporter):
+    """Records each iteration; stops at the budget or on an interrupt."""
+
+    def __init__(
+        self, record: Callable[[Floats, float, int], None], budget: int, interrupts: list[int]
+    ) -> None:
         super().__init__()
-        self.record, self.budget = record, budget
+        self.record, self.budget, self.interrupts = record, budget, interrupts
         self.n_iterations = 0
         self.n_evaluations = 0
         self.stop = Stop.NO_DESCENT
@@ -24,6 +33,12 @@ class _Reporter(openmm.MinimizationReporter):
 
     def count(self, state: openmm.State) -> tuple[float, Floats]:
         """Count an evaluation of the forces (a PythonForce that exerts none)."""
+        if self.n_evaluations >= self.budget:
+            self.stop = Stop.BUDGET
+        if self.interrupts:
+            self.stop = Stop.INTERRUPTED
+        if self.stop is not Stop.NO_DESCENT:
+            raise _Enough
         self.n_evaluations += 1
         return 0.0, np.zeros((1, 3))
 
@@ -34,8 +49,6 @@ class _Reporter(openmm.MinimizationReporter):
             if energy < self.best:
                 self.best, self.best_x = energy, positions
             self.record(positions, energy, self.n_evaluations)
-            if self.n_evaluations >= self.budget:
-                self.stop = Stop.BUDGET
         except KeyboardInterrupt:
             self.stop = Stop.INTERRUPTED
         return self.stop is not Stop.NO_DESCENT
@@ -62,7 +75,7 @@ def local_energy_minimizer(
         RMS force at which it stops. It returns nothing, and in single precision it also stops, silently,
         when its line search finds no lower energy.
     max_evaluations : int
-        Checked after each iteration.
+        Kept to the last: a line search is broken off.
     record : callable
         Called with positions, energy and evaluations so far after each iteration.
 
@@ -71,7 +84,14 @@ def local_energy_minimizer(
     Stop, (na, 3) float, int, int
         Why it ended, the positions of lowest energy, iterations, evaluations of the forces.
     """
-    reporter = _Reporter(record, max_evaluations)
+    with _held_interrupts() as interrupts:
+        reporter = _Reporter(record, max_evaluations, interrupts)
+        _minimise(energy, platform, x, tolerance, reporter)
+    best = x if reporter.best_x is None else reporter.best_x
+    return reporter.stop, best, reporter.n_iterations, reporter.n_evaluations
+
+
+def _minimise(energy: Energy, platform: str, x: Floats, tolerance: float, reporter: _Reporter) -> None:
     counted = OpenMMEnergy(energy.system, platform, energy.threads)
     counter = openmm.PythonForce(reporter.count)
     counter.setParticles([0])
@@ -80,9 +100,26 @@ def local_energy_minimizer(
     context.setPositions(np.asarray(x))
     try:
         openmm.LocalEnergyMinimizer.minimize(context, tolerance, 0, reporter)
-    except openmm.OpenMMException:
-        reporter.stop = Stop.NON_FINITE
-    except KeyboardInterrupt:
-        reporter.stop = Stop.INTERRUPTED
-    best = x if reporter.best_x is None else reporter.best_x
-    return reporter.stop, best, reporter.n_iterations, reporter.n_evaluations
+    except (openmm.OpenMMException, _Enough):
+        if reporter.stop is Stop.NO_DESCENT:
+            reporter.stop = Stop.NON_FINITE
+
+
+@contextmanager
+def _held_interrupts() -> Iterator[list[int]]:
+    """Collect signals instead of raising KeyboardInterrupt, which OpenMM would make its own exception."""
+    caught: list[int] = []
+    held = []
+    if threading.current_thread() is threading.main_thread():
+        held = [
+            number
+            for number in (signal.SIGINT, signal.SIGTERM)
+            if signal.getsignal(number) is signal.default_int_handler
+        ]
+    for number in held:
+        signal.signal(number, lambda which, _: caught.append(which))
+    try:
+        yield caught
+    finally:
+        for number in held:
+            signal.signal(number, signal.default_int_handler)

@@ -14,7 +14,8 @@ from protochain.arrays import Floats
 from protochain.chain import Chain
 from protochain.energies.protocol import Energy
 from protochain.minimisers.verdict import Judgement, Status
-from protochain.structure import Structure, ca_rmsd, save
+from protochain.structure import Structure, save
+from protochain.structure.superpose import rmsd_angstrom
 
 TRACE_COLUMNS = (
     "iteration",
@@ -49,16 +50,16 @@ class Recorder:
             "max_torque_kj_mol_rad": max_torque,
         }
         self.rows.append(row)
-        self.alphas.append(x)
+        self.alphas.append(x[self.structure.alpha_carbons])
         if self.watch:
             self.watch(row, x)
 
     def trace(self) -> pd.DataFrame:
         """Return the trace with ``TRACE_COLUMNS``."""
-        start = self.structure.positions
+        start = self.structure.positions[self.structure.alpha_carbons]
         rows = [
-            {**row, "ca_rmsd_angstrom": ca_rmsd(self.structure, x, start)}
-            for row, x in zip(self.rows, self.alphas, strict=True)
+            {**row, "ca_rmsd_angstrom": rmsd_angstrom(alphas, start) if np.isfinite(alphas).all() else np.nan}
+            for row, alphas in zip(self.rows, self.alphas, strict=True)
         ]
         return pd.DataFrame(rows, columns=list(TRACE_COLUMNS))
 
@@ -140,9 +141,9 @@ class Solution:
         yield "ENERGIES BY THE OPENMM REFERENCE PLATFORM"
 
     def record(self) -> dict[str, Any]:
-        """Return the flat record that JSON, CSV and report all show."""
+        """Return the flat record that JSON, CSV and report all show; what is not a number is None."""
         chain, e, s = self.chain, self.energy_function, self.chain.structure
-        return {
+        record: dict[str, Any] = {
             "protochain": version("protochain"),
             "structure": s.name,
             "method": self.method,
@@ -163,6 +164,7 @@ class Solution:
             "rms_force_end_kj_mol_nm": self.end.rms_force,
             "ca_rmsd_angstrom": self.ca_rmsd_angstrom,
             "tolerance": self.tolerance,
+            "tolerance_unit": "kJ/mol/nm" if self.method == "openmm" else "kJ/mol/rad",
             "iterations": self.n_iterations,
             "evaluations": self.n_evaluations,
             "seconds": self.seconds,
@@ -172,6 +174,10 @@ class Solution:
             "repairs": list(s.repairs),
             "seed": self.seed,
             "threads": e.threads,
+        }
+        return {
+            key: None if isinstance(value, float) and not np.isfinite(value) else value
+            for key, value in record.items()
         }
 
     def __repr__(self) -> str:

@@ -43,7 +43,7 @@ class Judgement:
     ----------
     energy : float, kJ/mol
     max_torque : float, kJ/mol/rad
-        Over the hinges of the chain as it stands.
+        Over the freedoms of the chain as it stands; a free root's force counts as its moment at 0.1 nm.
     rms_force : float, kJ/mol/nm
         Over all Cartesian components, as OpenMM's minimiser counts it.
     """
@@ -57,7 +57,9 @@ def judge(chain: Chain, energy: Energy, at: Pose) -> Judgement:
     """Judge a pose of a chain on the Reference platform."""
     value, forces = energy.reference(at.x)
     torque = root_scale(chain) * pull_back(chain, at, forces)
-    return Judgement(value, float(np.max(np.abs(torque))), float(np.sqrt(np.mean(forces**2))))
+    # Forces of atoms on top of one another may have no representable square.
+    with np.errstate(over="ignore"):
+        return Judgement(value, float(np.max(np.abs(torque))), float(np.sqrt(np.mean(forces**2))))
 
 
 def rebuilt(chain: Chain, x: Floats) -> Chain:
@@ -132,7 +134,12 @@ def verdict(
     if overlap:
         return Status.CLASH, f"clash: {overlap}; {measured}"
     if stop is Stop.NON_FINITE:
-        return Status.NON_FINITE, f"non-finite: {stop.value}; best finite structure kept: {measured}"
+        return (
+            Status.NON_FINITE,
+            f"non-finite: {stop.value}; the last structure before it is kept: {measured}",
+        )
     if stop is Stop.BUDGET:
         return Status.BUDGET, f"budget: {n_evaluations} evaluations used: {measured}"
+    if stop is Stop.TOLERANCE:
+        return Status.STALLED, f"stalled: the tolerance was met only above the lowest energy: {measured}"
     return Status.STALLED, f"stalled: {stop.value}: {measured}"

@@ -31,7 +31,7 @@ def from_sequence(sequence: str) -> Structure:
     Raises
     ------
     StructureError
-        If a letter is not one of the 20, or there is none.
+        If a letter is not one of the 20, or there are fewer than two.
     """
     letters = "".join(sequence.split()).upper()
     names = {letter: name for name, letter in residues.STANDARD.items()}
@@ -42,6 +42,8 @@ def from_sequence(sequence: str) -> Structure:
             raise StructureError(
                 f"sequence: letter {place} is {letter!r}; use the 20 codes {''.join(sorted(names))}"
             )
+    if len(letters) < 2:
+        raise StructureError("sequence: give at least 2 residues; no force field knows one that is both ends")
     geometries = [PeptideBuilder.Geometry.geometry(letter) for letter in letters]
     for letter, geometry in zip(letters, geometries, strict=True):
         if letter == "P":

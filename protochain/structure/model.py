@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers, read_only
 from protochain.errors import StructureError
+from protochain.residues import describe
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +122,7 @@ class Structure:
     def describe_residue(self, residue: int) -> str:
         """Name a residue as a person would: ``residue 17 GLU of chain A``."""
         number = f"{self.residue_number[residue]}{self.residue_insertion_code[residue]}"
-        return f"residue {number} {self.residue_name[residue]} of chain {self.residue_chain[residue]}"
+        return describe(number, str(self.residue_name[residue]), str(self.residue_chain[residue]))
 
     def describe(self, atom: int) -> str:
         """Name an atom as a person would: ``atom CG of residue 17 GLU of chain A``."""

@@ -20,11 +20,13 @@ from openmm import app, unit
 from pdbfixer import PDBFixer
 
 from protochain.errors import StructureError
+from protochain.residues import describe
 from protochain.structure.model import Structure
 from protochain.structure.read import Draft, read
 
 PH = 7.0
-_HYDROGEN_FORCE_FIELD = "amber14/protein.ff14SB.xml"
+_HYDROGEN_FORCE_FIELD = str(Path(app.__file__).parent / "data" / "amber14" / "protein.ff14SB.xml")
+"""The whole path: OpenMM looks for a bare name in the working directory first."""
 
 
 def load(path: str | Path) -> Structure:
@@ -154,8 +156,8 @@ def _unfit(draft: Draft, modeller: app.Modeller, error: ValueError) -> Structure
 
 
 def _describe(draft: Draft, residue: Any) -> str:
-    chain_id = draft.chain_ids[residue.chain.index] or "(blank)"
-    return f"residue {residue.id}{residue.insertionCode.strip()} {residue.name} of chain {chain_id}"
+    number = f"{residue.id}{residue.insertionCode.strip()}"
+    return describe(number, residue.name, draft.chain_ids[residue.chain.index])
 
 
 def _count_hydrogens(topology: app.Topology) -> int:

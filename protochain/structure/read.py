@@ -6,6 +6,7 @@ refused in one line.
 
 from collections import Counter
 from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
 
 import gemmi
@@ -53,7 +54,7 @@ class Draft:
 
 def describe(chain_id: str, residue: gemmi.Residue) -> str:
     """``residue 17 GLU of chain A``, with the insertion code if there is one."""
-    return f"residue {str(residue.seqid).strip()} {residue.name} of chain {chain_id or '(blank)'}"
+    return residues.describe(str(residue.seqid).strip(), residue.name, chain_id)
 
 
 def read(path: str | Path) -> Draft:
@@ -73,7 +74,7 @@ def read(path: str | Path) -> Draft:
         If the file cannot be read, is cut short, holds no protein, or holds residues that cannot be used.
     """
     path = Path(path)
-    draft = Draft(path.name.split(".")[0], str(path))
+    draft = Draft(path.stem, str(path))
     try:
         text = path.read_bytes().decode("utf-8", errors="replace")
     except OSError as error:
@@ -85,24 +86,35 @@ def read(path: str | Path) -> Draft:
         draft.repairs.append(f"model {structure[0].num} used, {len(structure) - 1} other models left out")
         draft.left_out["models"] = len(structure) - 1
     for chain in structure[0]:
+        chain.name = chain.name.strip()
         protein = _protein_residues(draft, chain)
         _check_backbone(draft, chain.name, protein)
         _add_unbroken(draft, chain.name, protein)
     if not draft.chain_ids:
         found = ", ".join(f"{count} {kind}" for kind, count in draft.left_out.items())
         raise StructureError(f"{path}: no protein found (only {found}); give a file with amino acids")
+    last = draft.model[-1][-1]
+    if "\nEND" not in text and not _is_cif(text, path) and not last.find_atom("OXT", "*"):
+        draft.repairs.append(
+            f"the file stops at {describe(draft.chain_ids[-1], last)} without an END line or a terminal "
+            "oxygen: if it was cut short, the rest is not here"
+        )
     _say_what_was_left_out(draft)
     return draft
 
 
+def _is_cif(text: str, path: Path) -> bool:
+    return path.suffix.lower() in (".cif", ".mmcif") or text.lstrip().startswith("data_")
+
+
 def _parse(text: str, path: Path) -> gemmi.Structure:
-    is_cif = path.suffix.lower() in (".cif", ".mmcif") or text.lstrip().startswith("data_")
     try:
-        if is_cif:
+        if _is_cif(text, path):
             _refuse_cut_cif(text, path)
             document = gemmi.cif.read_string(text)
             return gemmi.make_structure_from_block(document[0])
         _refuse_cut_pdb(text, path)
+        _refuse_odd_coordinates(text, path)
         return gemmi.read_pdb_string(text)
     except StructureError:
         raise
@@ -128,7 +140,27 @@ def _refuse_cut_pdb(text: str, path: Path) -> None:
     shorter = not text.endswith("\n") and before.startswith(_RECORDS) and len(last) < len(before)
     has_header = any(line.startswith(("HEADER", "SEQRES")) for line in lines)
     if len(last) < _COORDINATE_COLUMNS or shorter or has_header:
-        raise StructureError(f"{path}: line {len(lines)}: the file is cut short; download it again")
+        raise StructureError(
+            f"{path}: line {len(lines)}: the file is cut short; download it again, "
+            "or add a line END if this is all"
+        )
+
+
+def _refuse_odd_coordinates(text: str, path: Path) -> None:
+    """Refuse what is not a number: gemmi reads stars as 0."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.startswith(("ATOM", "HETATM")):
+            for axis, start in zip("xyz", (30, 38, 46), strict=True):
+                try:
+                    value = float(line[start : start + 8])
+                except ValueError:
+                    value = np.nan
+                if not np.isfinite(value):
+                    given = line[start : start + 8].strip()
+                    raise StructureError(
+                        f"{path}: line {number}: {axis} is {given!r}, not a number; "
+                        f"mend columns {start + 1}-{start + 8}"
+                    )
 
 
 def _protein_residues(draft: Draft, chain: gemmi.Chain) -> list[gemmi.Residue]:
@@ -202,6 +234,8 @@ def _standardised(draft: Draft, chain_id: str, residue: gemmi.Residue, name: str
         for atom in residue:
             if atom.element == gemmi.Element("Se"):
                 atom.name, atom.element = "SD", gemmi.Element("S")
+    elif residue.name != name:
+        draft.repairs.append(f"{describe(chain_id, residue)}: taken as {name}, its protonation chosen anew")
     residue.name = name
     heavy_hydrogens = [i for i, atom in enumerate(residue) if atom.element == gemmi.Element("D")]
     for i in reversed(heavy_hydrogens):
@@ -217,6 +251,13 @@ def _check_backbone(draft: Draft, chain_id: str, protein: list[gemmi.Residue]) -
             f"{draft.source}: chain {chain_id or '(blank)'} holds only C-alpha atoms; "
             "rebuild the other atoms first"
         )
+    for residue in protein:
+        for atom in residue:
+            if not all(map(isfinite, atom.pos.tolist())):
+                raise StructureError(
+                    f"{draft.source}: {describe(chain_id, residue)}: the position of atom {atom.name} "
+                    "is not a number; mend it"
+                )
     for residue in amino:
         present = {atom.name for atom in residue}
         missing = [name for name in residues.BACKBONE if name not in present]

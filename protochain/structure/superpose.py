@@ -42,7 +42,12 @@ def rmsd(x: Floats, reference: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum((superpose(x, reference) - reference) ** 2, axis=1))))
 
 
+def rmsd_angstrom(x: Floats, reference: Floats) -> float:
+    """RMSD in angstrom of points (n, 3) in nm, superposed."""
+    return ANGSTROM_PER_NM * rmsd(x, reference)
+
+
 def ca_rmsd(structure: Structure, x: Floats, reference: Floats) -> float:
     """C-alpha RMSD in angstrom between two sets of positions (na, 3) in nm of one structure."""
     alpha = structure.alpha_carbons
-    return ANGSTROM_PER_NM * rmsd(x[alpha], reference[alpha])
+    return rmsd_angstrom(x[alpha], reference[alpha])

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import gemmi
+import numpy as np
 
 from protochain.errors import StructureError
 from protochain.structure.model import Structure
@@ -14,6 +15,8 @@ from protochain.units import ANGSTROM_PER_NM
 _PDB = (".pdb", ".ent")
 _MMCIF = (".cif", ".mmcif")
 _REMARK_WIDTH = 68
+_PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999
+"""Angstrom: what eight columns with three decimals hold."""
 
 
 def save(structure: Structure, path: str | Path, remarks: Iterable[str] = ()) -> None:
@@ -34,12 +37,13 @@ def save(structure: Structure, path: str | Path, remarks: Iterable[str] = ()) ->
         If the suffix is neither, or the structure does not fit the format.
     """
     path = Path(path)
-    check_writable(path)
-    text = (_pdb if path.suffix.lower() in _PDB else _mmcif)(structure, path, tuple(remarks))
+    check_format(path)
+    check_fits(structure, path)
+    text = (_pdb if path.suffix.lower() in _PDB else _mmcif)(structure, tuple(remarks))
     write_atomically(path, lambda target: target.write_text(text, encoding="utf-8"))
 
 
-def check_writable(path: Path) -> None:
+def check_format(path: Path) -> None:
     """Refuse a name whose format is not known.
 
     Raises
@@ -49,6 +53,47 @@ def check_writable(path: Path) -> None:
     """
     if path.suffix.lower() not in _PDB + _MMCIF:
         raise StructureError(f"{path}: unknown suffix {path.suffix!r}; end the name in .pdb or .cif")
+
+
+def check_fits(structure: Structure, path: Path) -> None:
+    """Refuse what a PDB file's columns cannot hold.
+
+    Raises
+    ------
+    StructureError
+        Naming the chain or the atom.
+    """
+    if path.suffix.lower() not in _PDB:
+        return
+    long = [chain_id for chain_id in structure.residue_chain if len(chain_id) > 1]
+    if long:
+        raise StructureError(f"{path}: chain id {long[0]!r} does not fit a PDB file; write .cif instead")
+    x = ANGSTROM_PER_NM * structure.positions
+    far = np.flatnonzero(((x < _PDB_LOWEST) | (x > _PDB_HIGHEST)).any(axis=1))
+    if len(far):
+        raise StructureError(
+            f"{path}: {structure.describe(int(far[0]))} lies too far out for a PDB file; write .cif instead"
+        )
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a place where no file can be written.
+
+    Raises
+    ------
+    StructureError
+        Naming the path and the reason.
+    """
+    if path.is_dir():
+        raise StructureError(f"{path}: is a folder; give the name of a file")
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    if not folder.is_dir():
+        raise StructureError(f"{path}: {folder.name} is not a folder; give another name")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise StructureError(f"{path}: cannot be written ({error.strerror}); give another name") from None
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
@@ -106,7 +151,7 @@ def _gemmi_structure(structure: Structure) -> gemmi.Structure:
     return out
 
 
-def _mmcif(structure: Structure, path: Path, remarks: Iterable[str]) -> str:
+def _mmcif(structure: Structure, remarks: Iterable[str]) -> str:
     out = _gemmi_structure(structure)
     out.setup_entities()
     out.assign_label_seq_id()
@@ -115,14 +160,11 @@ def _mmcif(structure: Structure, path: Path, remarks: Iterable[str]) -> str:
     loop = block.init_loop("_protochain_provenance.", ["ordinal", "text"])
     for i, line in enumerate(remarks, 1):
         loop.add_row([str(i), gemmi.cif.quote(line)])
-    return document.as_string()
+    # As the archive does, every category ends with '#': so a file cut short can be told.
+    return document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx))
 
 
-def _pdb(structure: Structure, path: Path, remarks: Iterable[str]) -> str:
-    ids = [chain.id for chain in structure.topology.chains()]
-    long = [chain_id for chain_id in ids if len(chain_id) > 1]
-    if long:
-        raise StructureError(f"{path}: chain id {long[0]!r} does not fit a PDB file; write .cif instead")
+def _pdb(structure: Structure, remarks: Iterable[str]) -> str:
     out = _gemmi_structure(structure)
     options = gemmi.PdbWriteOptions(minimal=True, ssbond_records=True, cryst1_record=False, end_record=True)
     lines = [
