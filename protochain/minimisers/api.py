@@ -21,6 +21,7 @@ from protochain.minimisers.openmm_reference import local_energy_minimizer
 from protochain.minimisers.problem import BudgetSpentError, Evaluation, Problem
 from protochain.minimisers.solution import Recorder, Solution, Watcher
 from protochain.minimisers.verdict import judge, rebuilt, verdict
+from protochain.multibody import integrate
 from protochain.structure import Structure, ca_rmsd, load
 
 TORSION_METHODS: dict[str, Callable[[], Method]] = {"kcm": KCM, "lbfgs": LBFGS}
@@ -102,9 +103,10 @@ def minimise(
         energy = build_energy(chain.structure)
     structure = chain.structure
     first = pose(chain, chain.q0)
-    # Judging first also compiles the kernels and makes both contexts, off the clock.
+    # Judging first also makes both contexts and, with a step of no length, compiles the kernels, off the clock.
     start = judge(chain, energy, first)
     energy(first.x)
+    integrate(chain.tree, chain.q0, np.zeros(chain.n_v))
 
     record = Recorder(structure, watch)
     if method in TORSION_METHODS:
