@@ -103,7 +103,7 @@ def minimise(
         energy = build_energy(chain.structure)
     structure = chain.structure
     first = pose(chain, chain.q0)
-    # Judging first also makes both contexts and, with a step of no length, compiles the kernels, off the clock.
+    # Judging first, and a step of no length, also make both contexts and compile the kernels, off the clock.
     start = judge(chain, energy, first)
     energy(first.x)
     integrate(chain.tree, chain.q0, np.zeros(chain.n_v))
