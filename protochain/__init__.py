@@ -19,17 +19,20 @@ _WHERE = {
     "energy": "energies",
     "from_sequence": "structure",
     "load": "structure",
+    "log_det_mass": "chain",
+    "mass_matrix": "chain",
     "minimise": "minimisers",
     "minimize": "minimisers",
     "pose": "chain",
     "pull_back": "chain",
     "save": "structure",
+    "solve_mass": "chain",
 }
 
 __all__ = [
-    "Chain", "Comparison", "ProtochainError", "Solution", "Status", "Structure", "build_chain", "ca_rmsd",
-    "compare", "energy", "from_sequence", "load", "minimise", "minimize", "multibody", "pose",
-    "pull_back", "save",
+    "Chain", "Comparison", "ProtochainError", "Solution", "Status", "Structure", "build_chain",
+    "ca_rmsd", "compare", "energy", "from_sequence", "load", "log_det_mass", "mass_matrix", "minimise",
+    "minimize", "multibody", "pose", "pull_back", "save", "solve_mass",
 ]  # fmt: skip
 
 

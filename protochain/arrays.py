@@ -18,6 +18,12 @@ def read_only(array: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
     return frozen
 
 
+def frozen(array: Floats) -> Floats:
+    """Return the same array, which nobody else holds, made unwritable."""
+    array.flags.writeable = False
+    return array
+
+
 def floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     """Return contiguous float64 values of one shape: kernels trust what they are given.
 

@@ -1,6 +1,6 @@
 """Structure -> Chain: rigid bodies, hinges and loops. The one place that knows proteins and mechanics."""
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -12,11 +12,14 @@ from protochain import residues
 from protochain.arrays import Floats, Integers, read_only
 from protochain.chain import Chain, Hinge, dihedral
 from protochain.errors import ChainError
-from protochain.multibody import HingeKind, Tree
+from protochain.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.model import Structure
 
 HINGES = ("phi", "psi", "omega", "chi", "rotors")
 """Kinds of hinge that can be opened."""
+
+ON_AXIS = np.deg2rad(5.0)
+"""A hinge is closed if all it carries lies this near its axis: the threshold of cctbx's scitbx/rigid_body."""
 
 
 def build_chain(structure: Structure, hinges: str = "phi psi chi", root: str = "auto") -> Chain:
@@ -49,20 +52,18 @@ def build_chain(structure: Structure, hinges: str = "phi psi chi", root: str = "
 
     cut = _is_loop(structure)
     bonds = structure.bonds[~cut]
-    opened = list(_hinges(structure, kinds))
-    group = _rigid_groups(structure.n_atoms, bonds, opened)
-    turning = [hinge for hinge in opened if group[hinge.atoms[1]] != group[hinge.atoms[2]]]
+    turning, group = _turning(structure, bonds, list(_hinges(structure, kinds)))
     if not turning:
         raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}; open more kinds of hinge")
     molecule = _components(structure.n_atoms, bonds)
     roots = [_middle_atom(structure, np.flatnonzero(molecule == m)) for m in range(molecule.max() + 1)]
     free = root == "free" or (root == "auto" and len(roots) > 1)
-    tree, atom_body, origin, carried, q0 = _walk(structure, turning, group, roots, free)
+    tree, atom_body, atom_local, carried, q0 = _walk(structure, turning, group, roots, free)
     return Chain(
         structure=structure,
         tree=tree,
         atom_body=read_only(atom_body, np.int64),
-        atom_local=read_only(structure.positions - origin[atom_body]),
+        atom_local=read_only(atom_local),
         hinges=tuple(hinge for _, hinge in carried),
         hinge_body=read_only([body for body, _ in carried], np.int64),
         loops=read_only(structure.bonds[cut], np.int64),
@@ -115,6 +116,38 @@ def _hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
                 )
 
 
+def _turning(structure: Structure, bonds: Integers, hinges: list[Hinge]) -> tuple[list[Hinge], Integers]:
+    """Hinges that turn something, and the rigid groups they join.
+
+    A hinge that carries one group with all atoms near its own axis turns nothing that could be told: without
+    inertia against it, it would spin at any rate (a phantom hinge). It is closed, and the rest looked at
+    again.
+    """
+    while True:
+        group = _rigid_groups(structure.n_atoms, bonds, hinges)
+        hinges = [hinge for hinge in hinges if group[hinge.atoms[1]] != group[hinge.atoms[2]]]
+        touching = Counter(int(group[atom]) for hinge in hinges for atom in hinge.atoms[1:3])
+        real = [
+            hinge
+            for hinge in hinges
+            if not any(
+                touching[int(group[end])] == 1 and _on_axis(structure.positions, group, start, end)
+                for start, end in (hinge.atoms[1:3], hinge.atoms[2:0:-1])
+            )
+        ]
+        if len(real) == len(hinges):
+            return hinges, group
+        hinges = real
+
+
+def _on_axis(x: Floats, group: Integers, start: int, end: int) -> bool:
+    """Whether all atoms of the end's group lie within ON_AXIS of the axis, seen from the end atom."""
+    axis = (x[end] - x[start]) / np.linalg.norm(x[end] - x[start])
+    arms = x[group == group[end]] - x[end]
+    across = np.linalg.norm(np.cross(arms, axis), axis=1)
+    return bool(np.all(across <= np.sin(ON_AXIS) * np.linalg.norm(arms, axis=1)))
+
+
 def _components(n_atoms: int, bonds: Integers) -> Integers:
     graph = coo_array((np.ones(len(bonds), dtype=np.int8), bonds.T), shape=(n_atoms, n_atoms))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
@@ -143,13 +176,13 @@ def _walk(
 ) -> tuple[Tree, Integers, Floats, list[tuple[int, Hinge]], list[float]]:
     """Walk outward from each root atom's group and number the bodies in that order.
 
-    Every frame is aligned with the world in the input pose. A hinge turns what lies outboard about the
-    axis from its inner to its outer atom, so its dihedral grows with q whichever way it is passed.
+    A root's frame is aligned with the world in the input pose, another body's has its z axis along its hinge,
+    from the inner to the outer atom: so its dihedral grows with q whichever way it is passed.
 
     Returns
     -------
-    Tree, (na,) int, (nb, 3) float, list of (int, Hinge), list of float
-        The tree, each atom's body, the bodies' origins, the hinge each body hangs on, and q0.
+    Tree, (na,) int, (na, 3) float, list of (int, Hinge), list of float
+        The tree, each atom's body and position there, the hinge each body hangs on, and q0.
     """
     x = structure.positions
     crossings: dict[int, list[tuple[Hinge, int, int]]] = {}
@@ -161,7 +194,7 @@ def _walk(
     body_of: dict[int, int] = {}
     parent: list[int] = []
     kind: list[HingeKind] = []
-    axis, offset, placement, origin = (list[Floats]() for _ in range(4))
+    offset, placement, origin, rotation = (list[Floats]() for _ in range(4))
     carried: list[tuple[int, Hinge]] = []
     q0: list[float] = []
     for root in roots:
@@ -170,10 +203,10 @@ def _walk(
         body_of[queue[0]] = len(parent)
         parent.append(-1)
         kind.append(HingeKind.FREE if free else HingeKind.FIXED)
-        axis.append(np.zeros(3))
         offset.append(np.zeros(3) if free else centre)
         placement.append(np.eye(3))
         origin.append(centre)
+        rotation.append(np.eye(3))
         q0 += [1.0, 0.0, 0.0, 0.0, *centre] if free else []
         while queue:
             inboard = queue.popleft()
@@ -184,13 +217,14 @@ def _walk(
                 body_of[outboard] = len(parent)
                 queue.append(outboard)
                 carried.append((len(parent), hinge))
-                along = (x[outer] - x[inner]) / np.linalg.norm(x[outer] - x[inner])
+                above = body_of[inboard]
                 q = dihedral(x[list(hinge.atoms)])
-                parent.append(body_of[inboard])
+                rotation.append(_frame_along(x[outer] - x[inner]))
+                parent.append(above)
                 kind.append(HingeKind.REVOLUTE)
-                axis.append(along)
-                offset.append(x[outer] - origin[body_of[inboard]])
-                placement.append(Rotation.from_rotvec(-q * along).as_matrix())
+                offset.append(rotation[above].T @ (x[outer] - origin[above]))
+                back = Rotation.from_rotvec([0.0, 0.0, -q]).as_matrix()
+                placement.append(rotation[above].T @ rotation[-1] @ back)
                 origin.append(x[outer])
                 q0.append(q)
     if len(carried) < len(hinges):
@@ -198,5 +232,47 @@ def _walk(
         stuck = next(hinge for hinge in hinges if hinge not in walked)
         raise ChainError(f"{structure.name}: {stuck} lies in a ring of turning bonds; leave its kind closed")
 
-    tree = Tree(*map(np.array, (parent, kind, axis, offset, placement)))
-    return tree, np.array([body_of[int(g)] for g in group]), np.array(origin), carried, q0
+    atom_body = np.array([body_of[int(g)] for g in group])
+    frames = Frames(np.array(rotation), np.array(origin))
+    mass, com, inertia = _bodies(structure, atom_body, np.array(parent), carried, frames)
+    tree = Tree(np.array(parent), np.array(kind), np.array(offset), np.array(placement), mass, com, inertia)
+    return tree, atom_body, _in_frames(frames, atom_body, x), carried, q0
+
+
+def _frame_along(bond: Floats) -> Floats:
+    """Return some rotation whose third column lies along the bond."""
+    z = bond / np.linalg.norm(bond)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _in_frames(frames: Frames, body: Integers, x: Floats) -> Floats:
+    """Positions x (n, 3) in the frames of their bodies."""
+    return np.asarray(np.einsum("aji,aj->ai", frames.rotation[body], x - frames.origin[body]))
+
+
+def _bodies(
+    structure: Structure,
+    atom_body: Integers,
+    parent: Integers,
+    carried: list[tuple[int, Hinge]],
+    frames: Frames,
+) -> tuple[Floats, Floats, Floats]:
+    """Mass, centre of mass and inertia of each body.
+
+    An atom on a hinge's axis is at rest in both of its bodies, so its mass may be counted in either. Shared
+    equally, it makes bodies of one atom or of a line of atoms full, and leaves M(q) as it is.
+    """
+    holders: dict[int, set[int]] = {}
+    for body, hinge in carried:
+        for atom in hinge.atoms[1:3]:
+            holders.setdefault(atom, set()).update((body, int(parent[body])))
+    atoms = np.arange(structure.n_atoms)
+    alone = ~np.isin(atoms, list(holders))
+    shares = [(atom, body, 1.0 / len(bodies)) for atom, bodies in holders.items() for body in sorted(bodies)]
+    point_atom = np.concatenate([atoms[alone], np.array([a for a, _, _ in shares], dtype=np.int64)])
+    point_body = np.concatenate([atom_body[alone], np.array([b for _, b, _ in shares], dtype=np.int64)])
+    part = np.concatenate([np.ones(alone.sum()), [share for _, _, share in shares]])
+    local = _in_frames(frames, point_body, structure.positions[point_atom])
+    return rigid_bodies(point_body, local, part * structure.atom_mass[point_atom], len(frames.origin))

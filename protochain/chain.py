@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from protochain import multibody
-from protochain.arrays import Floats, Integers, read_only
+from protochain.arrays import Floats, Integers, floats, frozen, read_only
 from protochain.multibody import Frames, Tree
+from protochain.multibody.algebra import add, add_pair, cross, kernel, matrix, put, subtract, turned, vector
 from protochain.structure.model import Structure
 
 
@@ -135,7 +135,7 @@ def pose(chain: Chain, q: Floats) -> Pose:
     frames = multibody.pose(chain.tree, q)
     x = np.empty((chain.n_atoms, 3))
     _place_atoms(chain.atom_body, chain.atom_local, frames.rotation, frames.origin, x)
-    return Pose(read_only(q), frames, read_only(x))
+    return Pose(read_only(q), frames, frozen(x))
 
 
 def pull_back(chain: Chain, pose: Pose, f: Floats) -> Floats:
@@ -153,11 +153,62 @@ def pull_back(chain: Chain, pose: Pose, f: Floats) -> Floats:
     (n_v,) float, kJ/mol/rad
         A free root has (moment, force) about its frame's origin, the force in kJ/mol/nm. O(n).
     """
-    moment = np.zeros((chain.n_bodies, 3))
-    force = np.zeros((chain.n_bodies, 3))
-    f = np.ascontiguousarray(f, dtype=np.float64)
-    _gather_loads(chain.atom_body, pose.frames.origin, pose.x, f, moment, force)
-    return multibody.pull_back(chain.tree, pose.frames, moment, force)
+    wrench = np.zeros((chain.n_bodies, 6))
+    f = floats(f, (chain.n_atoms, 3), "f")
+    _gather_loads(chain.atom_body, pose.frames.origin, pose.x, f, wrench)
+    return multibody.pull_back(chain.tree, pose.frames, wrench)
+
+
+def mass_matrix(chain: Chain, pose: Pose) -> Floats:
+    """Mass matrix M(q): kinetic energy is qd^T M qd / 2.
+
+    Parameters
+    ----------
+    chain : Chain
+    pose : Pose
+
+    Returns
+    -------
+    (n_v, n_v) float, amu nm^2
+        By composite rigid bodies; see :func:`protochain.multibody.mass_matrix`.
+    """
+    return multibody.mass_matrix(chain.tree, pose.frames)
+
+
+def solve_mass(chain: Chain, pose: Pose, tau: Floats, method: multibody.Method = "articulated") -> Floats:
+    """M^-1 tau in O(n), without forming M.
+
+    Parameters
+    ----------
+    chain : Chain
+    pose : Pose
+    tau : (n_v,) float, kJ/mol/rad
+    method : str
+        ``articulated`` or ``fixman``; see :func:`protochain.multibody.solve_mass`.
+
+    Returns
+    -------
+    (n_v,) float, rad/ps^2
+    """
+    return multibody.solve_mass(chain.tree, pose.frames, tau, method)
+
+
+def log_det_mass(chain: Chain, pose: Pose, method: multibody.Method = "articulated") -> float:
+    """Ln det M in O(n), without forming M.
+
+    Parameters
+    ----------
+    chain : Chain
+    pose : Pose
+    method : str
+        ``articulated`` or ``fixman``; see :func:`protochain.multibody.log_det_mass`.
+
+    Returns
+    -------
+    float
+        Of M in amu nm^2.
+    """
+    return multibody.log_det_mass(chain.tree, pose.frames, method)
 
 
 def dihedral(x: Floats) -> float:
@@ -177,29 +228,18 @@ def dihedral(x: Floats) -> float:
     return float(np.arctan2(np.linalg.norm(b2) * np.dot(b1, n2), np.dot(n1, n2)))
 
 
-@njit(cache=True)
+@kernel
 def _place_atoms(
     atom_body: Integers, atom_local: Floats, rotation: Floats, origin: Floats, x: Floats
 ) -> None:
     for a in range(len(atom_body)):
         b = atom_body[a]
-        for i in range(3):
-            x[a, i] = origin[b, i] + (
-                rotation[b, i, 0] * atom_local[a, 0]
-                + rotation[b, i, 1] * atom_local[a, 1]
-                + rotation[b, i, 2] * atom_local[a, 2]
-            )
+        put(add(vector(origin, b), turned(matrix(rotation, b), vector(atom_local, a))), x, a, 0)
 
 
-@njit(cache=True)
-def _gather_loads(
-    atom_body: Integers, origin: Floats, x: Floats, f: Floats, moment: Floats, force: Floats
-) -> None:
+@kernel
+def _gather_loads(atom_body: Integers, origin: Floats, x: Floats, f: Floats, wrench: Floats) -> None:
     for a in range(len(atom_body)):
         b = atom_body[a]
-        rx, ry, rz = x[a, 0] - origin[b, 0], x[a, 1] - origin[b, 1], x[a, 2] - origin[b, 2]
-        moment[b, 0] += ry * f[a, 2] - rz * f[a, 1]
-        moment[b, 1] += rz * f[a, 0] - rx * f[a, 2]
-        moment[b, 2] += rx * f[a, 1] - ry * f[a, 0]
-        for i in range(3):
-            force[b, i] += f[a, i]
+        force = vector(f, a)
+        add_pair(cross(subtract(vector(x, a), vector(origin, b)), force), force, wrench, b)

@@ -18,3 +18,7 @@ class ForceFieldError(ProtochainError):
 
 class ChainError(ProtochainError):
     """A structure that cannot be modelled as rigid bodies joined by the hinges asked for."""
+
+
+class MechanicsError(ProtochainError):
+    """A mechanism that no rigid bodies can have, or a pose at which its equations have no answer."""

@@ -3,11 +3,20 @@
 import functools
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import protochain as pc
+from protochain.multibody import Tree
 
 ROOT = Path(__file__).parent.parent
+
+# Numba looks at the time of a kernel's own file only: kernels that use changed ones would run as they were.
+_KERNELS = ROOT / "protochain" / "multibody"
+for compiled in (ROOT / "protochain").rglob("*.nbi"):
+    shared_code = [_KERNELS / "algebra.py", _KERNELS / "small.py"]
+    if compiled.stat().st_mtime < max(path.stat().st_mtime for path in shared_code):
+        compiled.unlink(missing_ok=True)
 STRUCTURES = ROOT / "structures"
 MORE_STRUCTURES = ROOT.parent / "shared" / "structures"
 SAMPLES = (
@@ -25,8 +34,14 @@ SAMPLES = (
 ROUND_OFF = 1e-12
 """Relative, for a few dozen double-precision operations on numbers of order one."""
 
-ROUND_OFF_DEEP = 1e-11
-"""Relative, for frames some hundred hinges from the root: one rotation product, a few eps, a hinge."""
+
+def round_off(tree: Tree) -> float:
+    """Relative. A sweep of n bodies does some ten rounded operations a body, whose errors add up at worst."""
+    return 100 * np.finfo(float).eps * tree.n_bodies
+
+
+ROUND_OFF_NM = 1e-11
+"""Positions of a chain some hundred hinges deep: a few eps of some nm for every hinge."""
 
 GEOMETRY_NM, GEOMETRY_RAD = 1e-9, 1e-9
 """Bond lengths and angles of a torsion-space result: rebuilt from fixed body coordinates, they cannot

@@ -5,7 +5,7 @@ from conftest import (
     GEOMETRY_NM,
     GEOMETRY_RAD,
     RIGID_MOTION,
-    ROUND_OFF_DEEP,
+    ROUND_OFF_NM,
     SAMPLES,
     chain,
     energy,
@@ -32,7 +32,7 @@ def turned(c, seed=0, size=1.0):
 @pytest.mark.parametrize("hinges", ["phi psi chi", ALL_HINGES])
 def test_q0_is_the_input_pose(name, hinges):
     c = chain(name, hinges)
-    assert np.allclose(pc.pose(c, c.q0).x, load(name).positions, rtol=0, atol=ROUND_OFF_DEEP)
+    assert np.allclose(pc.pose(c, c.q0).x, load(name).positions, rtol=0, atol=ROUND_OFF_NM)
 
 
 @pytest.mark.parametrize("name", ["1l2y.pdb", "3i40.pdb"])
@@ -170,3 +170,65 @@ def test_dihedral_has_the_iupac_sign():
         # Looking along +z, clockwise is from x towards y.
         x[3] = [np.cos(angle), np.sin(angle), 1.0]
         assert dihedral(x) == pytest.approx(angle, abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("name", "hinges", "root"),
+    [
+        ("1l2y.pdb", "phi psi omega chi rotors", "free"),
+        ("1hel.pdb", "phi psi chi rotors", "fixed"),
+        ("3i40.pdb", "phi psi chi", "auto"),
+    ],
+)
+def test_the_mass_matrix_is_that_of_the_atoms(name, hinges, root):
+    c = chain(name, hinges, root)
+    rng = np.random.default_rng(2)
+    q, h = integrate(c.tree, c.q0, rng.normal(scale=0.3, size=c.n_v)), 1e-5
+    at = pc.pose(c, q)
+    moved = [
+        (pc.pose(c, integrate(c.tree, q, h * u)).x - pc.pose(c, integrate(c.tree, q, -h * u)).x) / (2 * h)
+        for u in np.eye(c.n_v)
+    ]
+    weighted = np.array(moved).reshape(c.n_v, -1) * np.sqrt(np.repeat(c.structure.atom_mass, 3))
+    by_atoms = weighted @ weighted.T
+    m = pc.mass_matrix(c, at)
+    scale = np.sqrt(np.outer(np.diag(m), np.diag(m)))
+    # Central differences: truncation h^2 / 6, cancellation eps |x| / h over the shortest lever.
+    assert np.abs((m - by_atoms) / scale).max() < 1e-8
+    tau = rng.normal(size=c.n_v)
+    for method in ("articulated", "fixman"):
+        x = pc.solve_mass(c, at, tau, method)
+        size = np.abs(m).sum(axis=1).max() * np.abs(x).max() + np.abs(tau).max()
+        assert np.abs(m @ x - tau).max() < 100 * np.finfo(float).eps * size
+        dense = np.linalg.slogdet(m / scale)[1] + np.log(np.diag(m)).sum()
+        assert pc.log_det_mass(c, at, method) == pytest.approx(dense, abs=1e-8)
+
+
+def test_every_body_can_be_inverted_even_with_every_hinge_open():
+    """Sharing the atoms on the axes leaves no body a point or a line; the total mass stays."""
+    c = chain("1hel.pdb", "phi psi omega chi rotors", "free")
+    moments = np.linalg.eigvalsh(c.tree.inertia)
+    assert (moments[:, 0] / moments[:, 2]).min() > 1e-3
+    assert c.tree.mass.sum() == pytest.approx(c.structure.atom_mass.sum(), rel=1e-13)
+
+
+def test_a_hinge_that_turns_nothing_is_closed():
+    """An amine whose one hydrogen lies on the line of CA and N: no torque is needed to turn it."""
+    from openmm import app
+
+    topology = app.Topology()
+    residue = topology.addResidue("GLY", topology.addChain("A"))
+    names = ["N", "CA", "C", "O", "OXT", "H1", "HA2"]
+    symbols = ["N", "C", "C", "O", "O", "H", "H"]
+    atoms = [
+        topology.addAtom(name, app.Element.getBySymbol(symbol), residue)
+        for name, symbol in zip(names, symbols, strict=True)
+    ]
+    for i, j in [(0, 1), (1, 2), (2, 3), (2, 4), (0, 5), (1, 6)]:
+        topology.addBond(atoms[i], atoms[j])
+    straight = np.array([[0, 0, 0], [0.15, 0, 0], [0.2, 0.14, 0], [0.14, 0.24, 0], [0.32, 0.14, 0.01]])
+    rest = np.array([[-0.1, 0.0, 0.0], [0.18, -0.05, 0.08]])
+    s = pc.Structure("line", topology, np.concatenate([straight, rest]))
+    assert [hinge.kind for hinge in pc.build_chain(s, "psi rotors").hinges] == ["psi"]
+    bent = s.with_positions(s.positions + np.array([[0, 0, 0]] * 5 + [[0, 0.05, 0]] + [[0, 0, 0]]))
+    assert [hinge.kind for hinge in pc.build_chain(bent, "psi rotors").hinges] == ["psi", "rotor"]

@@ -1,6 +1,31 @@
 """O(n) mechanics of trees of rigid bodies. Knows nothing of proteins or energies."""
 
-from protochain.multibody.kinematics import Frames, integrate, pose, pull_back
-from protochain.multibody.tree import HingeKind, Tree
+from protochain.multibody.articulated import forward_dynamics
+from protochain.multibody.composite import mass_matrix
+from protochain.multibody.kinematics import Frames, integrate, jacobian, pose, pull_back, velocities
+from protochain.multibody.loops import log_det_closed, solve_closed
+from protochain.multibody.mass import Method, log_det_mass, sample_velocities, solve_mass
+from protochain.multibody.newton_euler import (
+    centre_of_mass,
+    inverse_dynamics,
+    kinetic_energy,
+    momentum,
+    multiply_mass,
+)  # fmt: skip
+from protochain.multibody.operational import (
+    Rows,
+    log_det_gradient,
+    operational_inverse,
+    point_rows,
+    row_matrix,
+)  # fmt: skip
+from protochain.multibody.random_tree import random_tree
+from protochain.multibody.tree import HingeKind, Tree, rigid_bodies
 
-__all__ = ["Frames", "HingeKind", "Tree", "integrate", "pose", "pull_back"]
+__all__ = [
+    "Frames", "HingeKind", "Method", "Rows", "Tree", "centre_of_mass", "forward_dynamics", "integrate",
+    "inverse_dynamics", "jacobian", "kinetic_energy", "log_det_closed", "log_det_gradient",
+    "log_det_mass", "mass_matrix", "momentum", "multiply_mass", "operational_inverse", "point_rows",
+    "pose", "pull_back", "random_tree", "rigid_bodies", "row_matrix", "sample_velocities",
+    "solve_closed", "solve_mass", "velocities",
+]  # fmt: skip

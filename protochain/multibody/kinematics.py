@@ -1,15 +1,29 @@
-"""Where the bodies are, and what a load on them feels like at the hinges: one sweep each, O(n)."""
+"""Where the bodies are, how they move, what loads on them do at the hinges: one sweep each, O(n)."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from protochain.arrays import Floats, Integers, read_only
-from protochain.multibody.tree import HingeKind, Tree
-
-_REVOLUTE = int(HingeKind.REVOLUTE)
-_FREE = int(HingeKind.FREE)
+from protochain.arrays import Floats, Integers, floats, frozen
+from protochain.multibody.algebra import (
+    add,
+    add_pair,
+    cross,
+    dot,
+    hinge_axis,
+    kernel,
+    lever,
+    matrix,
+    pair,
+    put,
+    put_pair,
+    scale,
+    subtract,
+    turned,
+    vector,
+)  # fmt: skip
+from protochain.multibody.tree import Tree
+from protochain.multibody.trigonometry import cosines_and_sines
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +33,7 @@ class Frames:
     Parameters
     ----------
     rotation : (nb, 3, 3) float
-        Columns are the body's axes in the world.
+        Columns are the body's axes in the world; the third is the hinge's.
     origin : (nb, 3) float, nm
         The body frame's origin, which lies on its hinge axis.
     """
@@ -34,7 +48,7 @@ def pose(tree: Tree, q: Floats) -> Frames:
     Parameters
     ----------
     tree : Tree
-    q : (n_q,) float, rad (and nm for free roots)
+    q : (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
 
     Returns
     -------
@@ -47,28 +61,68 @@ def pose(tree: Tree, q: Floats) -> Frames:
     rotation = np.empty((tree.n_bodies, 3, 3))
     origin = np.empty((tree.n_bodies, 3))
     _outward_frames(
-        tree.parent, tree.kind, tree.axis, tree.offset, tree.placement, tree.q_start,
-        np.ascontiguousarray(q, dtype=np.float64), rotation, origin,
+        tree.parent, tree.q_start, tree.twist, tree.offset, tree.placement,
+        floats(q, (tree.n_q,), "q"), rotation, origin,
     )  # fmt: skip
-    return Frames(read_only(rotation), read_only(origin))
+    return Frames(frozen(rotation), frozen(origin))
 
 
-def pull_back(tree: Tree, frames: Frames, moment: Floats, force: Floats) -> Floats:
-    """Generalised torques tau = J^T (moment, force) of loads on the bodies, by one inward sweep.
+def velocities(tree: Tree, frames: Frames, qd: Floats) -> Floats:
+    """Twists of the bodies, V = J qd, by one outward sweep.
 
     Parameters
     ----------
     tree : Tree
     frames : Frames
-    moment : (nb, 3) float, kJ/mol/rad
-        Moment on each body about its frame's origin, world axes.
-    force : (nb, 3) float, kJ/mol/nm
-        Force on each body, world axes.
+    qd : (n_v,) float, rad/ps or nm/ps
+
+    Returns
+    -------
+    (nb, 6) float, rad/ps and nm/ps
+        Angular velocity, then velocity of the frame's origin, world axes.
+
+    Notes
+    -----
+    Featherstone, *Rigid Body Dynamics Algorithms* (2008), equation 3.33. O(n).
+    """
+    twists = np.empty((tree.n_bodies, 6))
+    _outward_twists(
+        tree.parent, tree.v_start, tree.twist, frames.rotation, frames.origin,
+        floats(qd, (tree.n_v,), "qd"), twists,
+    )  # fmt: skip
+    return twists
+
+
+def jacobian(tree: Tree, frames: Frames) -> Floats:
+    """Dense Jacobian of the body twists: V = J qd.
+
+    Parameters
+    ----------
+    tree : Tree
+    frames : Frames
+
+    Returns
+    -------
+    (nb, 6, n_v) float
+        A column for each freedom. O(n^2): for tests and small studies.
+    """
+    return np.stack([velocities(tree, frames, unit) for unit in np.eye(tree.n_v)], axis=2)
+
+
+def pull_back(tree: Tree, frames: Frames, wrench: Floats) -> Floats:
+    """Generalised torques tau = J^T wrench of loads on the bodies, by one inward sweep.
+
+    Parameters
+    ----------
+    tree : Tree
+    frames : Frames
+    wrench : (nb, 6) float, kJ/mol/rad and kJ/mol/nm
+        Moment on each body about its frame's origin, then force; world axes.
 
     Returns
     -------
     (n_v,) float
-        kJ/mol/rad for hinges; a free root has (moment, force) about its frame's origin, world axes.
+        kJ/mol for each unit of q; a free root has (moment, force) about its frame's origin, world axes.
 
     Notes
     -----
@@ -77,136 +131,139 @@ def pull_back(tree: Tree, frames: Frames, moment: Floats, force: Floats) -> Floa
     """
     tau = np.empty(tree.n_v)
     _inward_loads(
-        tree.parent, tree.kind, tree.axis, tree.v_start, frames.rotation, frames.origin,
-        np.array(moment, dtype=np.float64), np.array(force, dtype=np.float64), tau,
+        tree.parent, tree.v_start, tree.twist, frames.rotation, frames.origin,
+        floats(wrench, (tree.n_bodies, 6), "wrench").copy(), tau,
     )  # fmt: skip
     return tau
 
 
-def integrate(tree: Tree, q: Floats, v: Floats) -> Floats:
-    """Move from q along v for unit time, keeping quaternions of unit length.
+def integrate(tree: Tree, q: Floats, qd: Floats) -> Floats:
+    """Move from q along qd for unit time, keeping quaternions of unit length.
 
     Parameters
     ----------
     tree : Tree
     q : (n_q,) float
-    v : (n_v,) float
-        Hinge rates; a free root turns about the world-frame vector omega and moves by v.
+    qd : (n_v,) float
+        Hinge rates; a free root turns about the world-frame vector omega and moves by u.
 
     Returns
     -------
     (n_q,) float
-        For a free root exp(omega) times its rotation, so d/dt along the path is (omega, v) throughout.
+        For a free root exp(omega) times its rotation, so d/dt along the path is (omega, u) throughout.
     """
-    moved = np.array(q, dtype=np.float64)
-    _integrate(tree.kind, tree.q_start, tree.v_start, np.ascontiguousarray(v, dtype=np.float64), moved)
+    moved = floats(q, (tree.n_q,), "q").copy()
+    _integrate(tree.q_start, tree.v_start, floats(qd, (tree.n_v,), "qd"), moved)
     return moved
 
 
-@njit(cache=True)
-def _rotation_about(axis: Floats, angle: float, out: Floats) -> None:
-    """Rodrigues' formula."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y, z = axis[0], axis[1], axis[2]
-    t = 1.0 - c
-    out[0, 0], out[0, 1], out[0, 2] = t * x * x + c, t * x * y - s * z, t * x * z + s * y
-    out[1, 0], out[1, 1], out[1, 2] = t * x * y + s * z, t * y * y + c, t * y * z - s * x
-    out[2, 0], out[2, 1], out[2, 2] = t * x * z - s * y, t * y * z + s * x, t * z * z + c
-
-
-@njit(cache=True)
-def _rotation_of_quaternion(quaternion: Floats, out: Floats) -> None:
-    w, x, y, z = quaternion / np.sqrt(np.sum(quaternion * quaternion))
-    out[0, 0], out[0, 1], out[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    out[1, 0], out[1, 1], out[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    out[2, 0], out[2, 1], out[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-
-
-@njit(cache=True)
-def _multiply(a: Floats, b: Floats, out: Floats) -> None:
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
-
-
-@njit(cache=True)
+@kernel
 def _outward_frames(
-    parent: Integers, kind: Integers, axis: Floats, offset: Floats, placement: Floats, q_start: Integers,
-    q: Floats, rotation: Floats, origin: Floats,
+    parent: Integers, q_start: Integers, twist: Floats, offset: Floats, placement: Floats, q: Floats,
+    rotation: Floats, origin: Floats,
 ) -> None:  # fmt: skip
-    joint = np.empty((3, 3))
-    turn = np.empty((3, 3))
+    cosine, sine = np.empty(len(q)), np.empty(len(q))
+    cosines_and_sines(q, cosine, sine)
     for b in range(len(parent)):
-        p = parent[b]
-        if p < 0:
-            joint[:] = placement[b]
-            origin[b] = offset[b]
-        else:
-            _multiply(rotation[p], placement[b], joint)
-            for i in range(3):
-                origin[b, i] = origin[p, i]
-                for j in range(3):
-                    origin[b, i] += rotation[p, i, j] * offset[b, j]
-        k = q_start[b]
-        if kind[b] == _REVOLUTE:
-            _rotation_about(axis[b], q[k], turn)
-            _multiply(joint, turn, rotation[b])
-        elif kind[b] == _FREE:
-            _rotation_of_quaternion(q[k : k + 4], turn)
-            _multiply(joint, turn, rotation[b])
-            for i in range(3):
-                for j in range(3):
-                    origin[b, i] += joint[i, j] * q[k + 4 + j]
-        else:
-            rotation[b] = joint
-
-
-@njit(cache=True)
-def _inward_loads(
-    parent: Integers, kind: Integers, axis: Floats, v_start: Integers, rotation: Floats, origin: Floats,
-    moment: Floats, force: Floats, tau: Floats,
-) -> None:  # fmt: skip
-    """Accumulate loads in ``moment`` and ``force``, which it overwrites."""
-    for b in range(len(parent) - 1, -1, -1):
-        k = v_start[b]
-        if kind[b] == _REVOLUTE:
-            tau[k] = 0.0
-            for i in range(3):
-                along = rotation[b, i, 0] * axis[b, 0] + rotation[b, i, 1] * axis[b, 1]
-                along += rotation[b, i, 2] * axis[b, 2]
-                tau[k] += along * moment[b, i]
-        elif kind[b] == _FREE:
-            tau[k : k + 3] = moment[b]
-            tau[k + 3 : k + 6] = force[b]
-        p = parent[b]
+        p, k = parent[b], q_start[b]
+        n_q = q_start[b + 1] - k
+        joint, at = matrix(placement, b), vector(offset, b)
         if p >= 0:
-            lx, ly, lz = origin[b, 0] - origin[p, 0], origin[b, 1] - origin[p, 1], origin[b, 2] - origin[p, 2]
-            fx, fy, fz = force[b, 0], force[b, 1], force[b, 2]
-            moment[p, 0] += moment[b, 0] + ly * fz - lz * fy
-            moment[p, 1] += moment[b, 1] + lz * fx - lx * fz
-            moment[p, 2] += moment[b, 2] + lx * fy - ly * fx
-            for i in range(3):
-                force[p, i] += force[b, i]
+            above = matrix(rotation, p)
+            x = turned(above, (joint[0], joint[3], joint[6]))
+            y = turned(above, (joint[1], joint[4], joint[7]))
+            z = turned(above, (joint[2], joint[5], joint[8]))
+            at = add(vector(origin, p), turned(above, at))
+        else:
+            x, y, z = (
+                (joint[0], joint[3], joint[6]), (joint[1], joint[4], joint[7]), (joint[2], joint[5], joint[8])
+            )  # fmt: skip
+        if n_q == 1:
+            if twist[b, 0] != 0.0:
+                c, s = cosine[k], sine[k]
+                x, y = add(scale(c, x), scale(s, y)), subtract(scale(c, y), scale(s, x))
+            if twist[b, 1] != 0.0:
+                at = add(at, scale(twist[b, 1] * q[k], z))
+        elif n_q == 7:
+            x, y, z = _axes_of_quaternion(q[k], q[k + 1], q[k + 2], q[k + 3])
+            at = add(at, (q[k + 4], q[k + 5], q[k + 6]))
+        for i in range(3):
+            rotation[b, i, 0], rotation[b, i, 1], rotation[b, i, 2] = x[i], y[i], z[i]
+        put(at, origin, b, 0)
 
 
-@njit(cache=True)
-def _integrate(kind: Integers, q_start: Integers, v_start: Integers, v: Floats, q: Floats) -> None:
+@kernel
+def _axes_of_quaternion(w: float, x: float, y: float, z: float):  # type: ignore[no-untyped-def]
+    """Columns of the rotation matrix of w + ix + jy + kz, whatever its length."""
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    return (
+        (1 - s * (y * y + z * z), s * (x * y + w * z), s * (x * z - w * y)),
+        (s * (x * y - w * z), 1 - s * (x * x + z * z), s * (y * z + w * x)),
+        (s * (x * z + w * y), s * (y * z - w * x), 1 - s * (x * x + y * y)),
+    )
+
+
+@kernel
+def _outward_twists(
+    parent: Integers, v_start: Integers, twist: Floats, rotation: Floats, origin: Floats, qd: Floats,
+    twists: Floats,
+) -> None:  # fmt: skip
+    for b in range(len(parent)):
+        p, k = parent[b], v_start[b]
+        n_v = v_start[b + 1] - k
+        omega, u = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        if p >= 0:
+            omega, u = pair(twists, p)
+            u = add(u, cross(omega, lever(origin, b, p)))
+        if n_v == 1:
+            axis = hinge_axis(rotation, b)
+            omega = add(omega, scale(twist[b, 0] * qd[k], axis))
+            u = add(u, scale(twist[b, 1] * qd[k], axis))
+        elif n_v == 6:
+            omega, u = (qd[k], qd[k + 1], qd[k + 2]), (qd[k + 3], qd[k + 4], qd[k + 5])
+        put_pair(omega, u, twists, b)
+
+
+@kernel
+def _inward_loads(
+    parent: Integers, v_start: Integers, twist: Floats, rotation: Floats, origin: Floats, wrench: Floats,
+    tau: Floats,
+) -> None:  # fmt: skip
+    """Accumulate loads in ``wrench``, which it overwrites."""
+    for b in range(len(parent) - 1, -1, -1):
+        p, k = parent[b], v_start[b]
+        n_v = v_start[b + 1] - k
+        moment, force = pair(wrench, b)
+        if n_v == 1:
+            axis = hinge_axis(rotation, b)
+            tau[k] = twist[b, 0] * dot(axis, moment) + twist[b, 1] * dot(axis, force)
+        elif n_v == 6:
+            tau[k], tau[k + 1], tau[k + 2] = moment
+            tau[k + 3], tau[k + 4], tau[k + 5] = force
+        if p >= 0:
+            arm = lever(origin, b, p)
+            add_pair(add(moment, cross(arm, force)), force, wrench, p)
+
+
+@kernel
+def _integrate(q_start: Integers, v_start: Integers, qd: Floats, q: Floats) -> None:
     """Overwrite q."""
-    for b in range(len(kind)):
+    for b in range(len(q_start) - 1):
         k, m = q_start[b], v_start[b]
-        if kind[b] == _REVOLUTE:
-            q[k] += v[m]
-        elif kind[b] == _FREE:
-            x, y, z = v[m], v[m + 1], v[m + 2]
+        n_q = q_start[b + 1] - k
+        if n_q == 1:
+            q[k] += qd[m]
+        elif n_q == 7:
+            x, y, z = qd[m], qd[m + 1], qd[m + 2]
             half = 0.5 * np.sqrt(x * x + y * y + z * z)
             # sin(half)/(2 half) by its series near zero, where the quotient loses digits.
             s = 0.5 * np.sin(half) / half if half > 1e-4 else 0.5 - half * half / 12.0
             aw, ax, ay, az = np.cos(half), s * x, s * y, s * z
-            quaternion = q[k : k + 4] / np.sqrt(np.sum(q[k : k + 4] ** 2))
-            bw, bx, by, bz = quaternion
+            length = np.sqrt(q[k] ** 2 + q[k + 1] ** 2 + q[k + 2] ** 2 + q[k + 3] ** 2)
+            bw, bx, by, bz = q[k] / length, q[k + 1] / length, q[k + 2] / length, q[k + 3] / length
             q[k] = aw * bw - ax * bx - ay * by - az * bz
             q[k + 1] = aw * bx + ax * bw + ay * bz - az * by
             q[k + 2] = aw * by - ax * bz + ay * bw + az * bx
             q[k + 3] = aw * bz + ax * by - ay * bx + az * bw
             for i in range(3):
-                q[k + 4 + i] += v[m + 3 + i]
+                q[k + 4 + i] += qd[m + 3 + i]

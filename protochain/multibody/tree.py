@@ -7,7 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from protochain.arrays import Floats, Integers, read_only
-from protochain.errors import ProtochainError
+from protochain.errors import MechanicsError
+
+NO_INERTIA = 1e-12
+"""Moment about an axis, relative to the sum of all moments, below which rounding cannot tell it from zero."""
 
 
 class HingeKind(IntEnum):
@@ -16,11 +19,13 @@ class HingeKind(IntEnum):
     FIXED = 0
     REVOLUTE = 1
     FREE = 2
+    PRISMATIC = 3
+    SCREW = 4
 
 
-N_Q = {HingeKind.FIXED: 0, HingeKind.REVOLUTE: 1, HingeKind.FREE: 7}
-N_V = {HingeKind.FIXED: 0, HingeKind.REVOLUTE: 1, HingeKind.FREE: 6}
-"""Coordinates and freedoms of each kind. FREE: quaternion (w, x, y, z), then position; (omega, v)."""
+N_Q = {kind: {HingeKind.FIXED: 0, HingeKind.FREE: 7}.get(kind, 1) for kind in HingeKind}
+N_V = {kind: {HingeKind.FIXED: 0, HingeKind.FREE: 6}.get(kind, 1) for kind in HingeKind}
+"""Coordinates and freedoms of each kind. FREE: quaternion (w, x, y, z), then position; (omega, u)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +33,9 @@ class Tree:
     """A forest of rigid bodies in which every parent comes before its children.
 
     The frame of body ``b`` relative to its parent is a translation by ``offset[b]``, a rotation by
-    ``placement[b]``, and then the hinge: REVOLUTE turns by q about ``axis[b]`` through the frame's own
-    origin, FREE turns by a quaternion and moves by a vector (Featherstone, *Rigid Body Dynamics
-    Algorithms*, 2008, section 4.4).
+    ``placement[b]``, and then the hinge, along the z axis of the frame: REVOLUTE turns by q, PRISMATIC
+    slides by q, SCREW turns by q and slides by ``pitch[b]`` q. FREE turns by a quaternion and moves by a
+    vector (Featherstone, *Rigid Body Dynamics Algorithms*, 2008, sections 4.1 and 4.4).
 
     Parameters
     ----------
@@ -38,44 +43,52 @@ class Tree:
         Parent of each body, ``-1`` for a root; ``parent[b] < b``.
     kind : (nb,) int
         :class:`HingeKind` of the hinge that carries each body.
-    axis : (nb, 3) float
-        Unit hinge axis in the body's own frame; ignored unless REVOLUTE.
     offset : (nb, 3) float, nm
         Origin of the body's frame in the parent's frame at q = 0.
     placement : (nb, 3, 3) float
         Rotation of the body's frame in the parent's frame at q = 0.
+    mass : (nb,) float, amu
+    com : (nb, 3) float, nm
+        Centre of mass in the body's frame.
+    inertia : (nb, 3, 3) float, amu nm^2
+        Inertia tensor about the centre of mass, along the body's axes.
+    pitch : (nb,) float, nm/rad, optional
+        Used by SCREW hinges only.
 
     Raises
     ------
-    ProtochainError
-        If a parent does not come before its child, or an array does not fit.
+    MechanicsError
+        If a parent does not come before its child, an array does not fit or holds what no rigid body
+        can have, or a hinge carries nothing that would resist it.
     """
 
     parent: Integers
     kind: Integers
-    axis: Floats
     offset: Floats
     placement: Floats
+    mass: Floats
+    com: Floats
+    inertia: Floats
+    pitch: Floats | None = None
 
     def __post_init__(self) -> None:
-        for name, dtype in (("parent", np.int64), ("kind", np.int64), ("axis", float), ("offset", float)):
-            object.__setattr__(self, name, read_only(getattr(self, name), dtype))
-        object.__setattr__(self, "placement", read_only(self.placement))
         n = len(self.parent)
-        shapes = (self.kind.shape, self.axis.shape, self.offset.shape, self.placement.shape)
-        if shapes != ((n,), (n, 3), (n, 3), (n, 3, 3)):
-            raise ProtochainError(f"arrays of a tree of {n} bodies have the shapes {shapes}")
-        late = np.flatnonzero((self.parent >= np.arange(n)) | (self.parent < -1))
-        if len(late):
-            raise ProtochainError(f"body {late[0]}: its parent {self.parent[late[0]]} must come before it")
-        turning = self.kind == HingeKind.REVOLUTE
-        if not np.allclose(np.linalg.norm(self.axis[turning], axis=1), 1.0, atol=1e-9):
-            raise ProtochainError("hinge axes must have unit length")
-        free = self.kind == HingeKind.FREE
-        if np.any(self.parent[free] >= 0) or np.any(self.placement[free] != np.eye(3)):
-            raise ProtochainError(
-                "only a root can be free, and its coordinates are the world's: no placement"
-            )
+        if self.pitch is None:
+            object.__setattr__(self, "pitch", np.zeros(n))
+        for name, dtype, shape in (
+            ("parent", np.int64, (n,)), ("kind", np.int64, (n,)), ("offset", float, (n, 3)),
+            ("placement", float, (n, 3, 3)), ("mass", float, (n,)), ("com", float, (n, 3)),
+            ("inertia", float, (n, 3, 3)), ("pitch", float, (n,)),
+        ):  # fmt: skip
+            array = read_only(getattr(self, name), dtype)
+            if array.shape != shape:
+                raise MechanicsError(f"{name} of a tree of {n} bodies has shape {array.shape}, not {shape}")
+            if not np.all(np.isfinite(array)):
+                raise MechanicsError(f"body {_first(~np.isfinite(array))}: its {name} is not a number")
+            object.__setattr__(self, name, array)
+        _check_topology(self)
+        _check_geometry(self)
+        _check_inertia(self)
 
     @property
     def n_bodies(self) -> int:
@@ -89,20 +102,147 @@ class Tree:
 
     @cached_property
     def v_start(self) -> Integers:
-        """(nb + 1,) int: body b's freedoms are ``v[v_start[b]:v_start[b + 1]]``."""
+        """(nb + 1,) int: body b's freedoms are ``qd[v_start[b]:v_start[b + 1]]``."""
         return _starts(self.kind, N_V)
 
-    @property
+    @cached_property
+    def twist(self) -> Floats:
+        """(nb, 2) float: turn (rad) and slide (nm) along the hinge's axis for each unit of q."""
+        twist = np.zeros((self.n_bodies, 2))
+        twist[self.kind == HingeKind.REVOLUTE] = 1.0, 0.0
+        twist[self.kind == HingeKind.PRISMATIC] = 0.0, 1.0
+        screw = self.kind == HingeKind.SCREW
+        assert self.pitch is not None
+        twist[screw, 0], twist[screw, 1] = 1.0, self.pitch[screw]
+        return read_only(twist)
+
+    @cached_property
+    def rigid(self) -> Floats:
+        """(nb, 10) float: mass, first moment and xx, xy, xz, yy, yz, zz about the frame's origin."""
+        about_origin = self.inertia + self.mass[:, None, None] * _squared_cross(self.com)
+        rows, columns = np.triu_indices(3)
+        moment = self.mass[:, None] * self.com
+        return read_only(np.column_stack([self.mass, moment, about_origin[:, rows, columns]]))
+
+    @cached_property
     def n_q(self) -> int:
         """Number of coordinates."""
         return int(self.q_start[-1])
 
-    @property
+    @cached_property
     def n_v(self) -> int:
         """Number of freedoms."""
         return int(self.v_start[-1])
 
 
+def rigid_bodies(point_body: Integers, point: Floats, mass: Floats, n: int) -> tuple[Floats, Floats, Floats]:
+    """Mass, centre of mass and inertia of bodies made of point masses.
+
+    Parameters
+    ----------
+    point_body : (k,) int
+        Body of each point.
+    point : (k, 3) float, nm
+        Positions in the frames of the bodies.
+    mass : (k,) float, amu
+    n : int
+        Number of bodies.
+
+    Returns
+    -------
+    (n,) float; (n, 3) float; (n, 3, 3) float
+        As :class:`Tree` takes them.
+    """
+    total, first, second = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
+    np.add.at(total, point_body, mass)
+    np.add.at(first, point_body, mass[:, None] * point)
+    com = first / total[:, None]
+    # About the centre of mass from the start: the parallel-axis theorem would cancel digits.
+    np.add.at(second, point_body, mass[:, None, None] * _squared_cross(point - com[point_body]))
+    return total, com, second
+
+
 def _starts(kind: Integers, sizes: dict[HingeKind, int]) -> Integers:
-    counts = [sizes[HingeKind(k)] for k in kind]
+    counts = np.array([sizes[k] for k in HingeKind])[kind]
     return read_only(np.concatenate([[0], np.cumsum(counts)]), np.int64)
+
+
+def _squared_cross(c: Floats) -> Floats:
+    """-[c]x [c]x: the moment of inertia of a unit mass at c, (nb, 3, 3)."""
+    return np.sum(c * c, axis=1)[:, None, None] * np.eye(3) - c[:, :, None] * c[:, None, :]
+
+
+def _first(bad: np.ndarray) -> int:
+    return int(np.argwhere(bad)[0][0])
+
+
+def _check_topology(tree: Tree) -> None:
+    n = tree.n_bodies
+    late = (tree.parent >= np.arange(n)) | (tree.parent < -1)
+    if np.any(late):
+        b = _first(late)
+        raise MechanicsError(f"body {b}: its parent {tree.parent[b]} must come before it")
+    strange = ~np.isin(tree.kind, list(HingeKind))
+    if np.any(strange):
+        b = _first(strange)
+        raise MechanicsError(f"body {b}: {tree.kind[b]} is not a kind of hinge")
+    free = tree.kind == HingeKind.FREE
+    wrong = free & ((tree.parent >= 0) | np.any(tree.placement != np.eye(3), axis=(1, 2)))
+    if np.any(wrong):
+        raise MechanicsError(
+            f"body {_first(wrong)}: only a root can be free, and then without a placement: "
+            "its coordinates are the world's"
+        )
+
+
+def _check_geometry(tree: Tree) -> None:
+    product = tree.placement @ tree.placement.swapaxes(1, 2)
+    skew = np.any(np.abs(product - np.eye(3)) > 1e-9, axis=(1, 2)) | (np.linalg.det(tree.placement) < 0)
+    if np.any(skew):
+        raise MechanicsError(f"body {_first(skew)}: its placement is not a rotation")
+
+
+def _check_inertia(tree: Tree) -> None:
+    if np.any(tree.mass <= 0):
+        b = _first(tree.mass <= 0)
+        raise MechanicsError(f"body {b}: its mass {tree.mass[b]:g} must be positive")
+    size = np.trace(tree.inertia, axis1=1, axis2=2)
+    skew = np.any(
+        np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)) > 1e-9 * size[:, None, None], axis=(1, 2)
+    )
+    moments = np.linalg.eigvalsh(tree.inertia)
+    # A moment exceeds the sum of the other two for no arrangement of masses.
+    wrong = skew | (moments[:, 2] - moments[:, 1] - moments[:, 0] > 1e-9 * size) | (moments[:, 2] < 0)
+    if np.any(wrong):
+        raise MechanicsError(f"body {_first(wrong)}: its inertia is not that of any rigid body")
+    phantom = _turns_nothing(tree)
+    if np.any(phantom):
+        raise MechanicsError(
+            f"body {_first(phantom)}: all it carries lies on its hinge's axis, so nothing resists "
+            "turning it; make the hinge FIXED"
+        )
+
+
+def _turns_nothing(tree: Tree) -> np.ndarray:
+    """(nb,) bool: hinges that turn only what lies on their own axis, at every q.
+
+    A child keeps its parent a phantom only if all of it lies on the parent's axis too.
+    """
+    axial = tree.rigid[:, 9]
+    total = tree.rigid[:, 4] + tree.rigid[:, 7] + tree.rigid[:, 9]
+    on_axis = axial <= NO_INERTIA * total
+    turning = (tree.twist[:, 0] != 0) & (tree.twist[:, 1] == 0)
+    if not np.any(on_axis & turning):
+        return on_axis & turning
+    length = float(np.max(np.abs(tree.offset[tree.parent >= 0]), initial=0.0))
+    is_point = total <= NO_INERTIA * tree.mass * length**2
+    for b in range(tree.n_bodies - 1, -1, -1):
+        p = tree.parent[b]
+        if p < 0:
+            continue
+        along = np.hypot(*tree.offset[b, :2]) <= 1e-9 * float(np.linalg.norm(tree.offset[b]))
+        collinear = along and np.hypot(*tree.placement[b, :2, 2]) <= 1e-9
+        stays = is_point[b] and tree.twist[b, 1] == 0
+        on_axis[p] &= on_axis[b] and (collinear or (along and stays))
+        is_point[p] &= stays and not np.any(tree.offset[b])
+    return on_axis & turning

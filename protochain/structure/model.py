@@ -79,6 +79,11 @@ class Structure:
         return np.array([atom.element.symbol for atom in self.topology.atoms()])
 
     @cached_property
+    def atom_mass(self) -> Floats:
+        """(na,) float, amu."""
+        return read_only([atom.element.mass._value for atom in self.topology.atoms()])
+
+    @cached_property
     def atom_residue(self) -> Integers:
         """(na,) int: residue index of each atom."""
         return read_only([atom.residue.index for atom in self.topology.atoms()], np.int64)

@@ -1,0 +1,88 @@
+"""The mass matrix by composite rigid bodies: dense, the oracle of the O(n) routes."""
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers
+from protochain.multibody.algebra import (
+    Vector,
+    add,
+    add_inertia,
+    add_rigid,
+    cross,
+    dot,
+    freedom,
+    hinge_axis,
+    inertia,
+    inertia_times,
+    kernel,
+    lever,
+    put_inertia,
+    rigid_inertia,
+    shifted_inertia,
+)  # fmt: skip
+from protochain.multibody.kinematics import Frames
+from protochain.multibody.tree import Tree
+
+
+def mass_matrix(tree: Tree, frames: Frames) -> Floats:
+    """Mass matrix M(q): kinetic energy is qd^T M qd / 2.
+
+    Parameters
+    ----------
+    tree : Tree
+    frames : Frames
+
+    Returns
+    -------
+    (n_v, n_v) float, amu nm^2
+        A slide counts amu, a turn and a slide together amu nm.
+
+    Notes
+    -----
+    Composite-rigid-body algorithm: Walker, Orin (1982); Featherstone (2008), table 6.2. O(n depth), and
+    O(n^2) to clear the matrix.
+    """
+    out = np.zeros((tree.n_v, tree.n_v))
+    _composite(
+        tree.parent, tree.v_start, tree.twist, tree.rigid, frames.rotation, frames.origin,
+        np.zeros((tree.n_bodies, 21)), out,
+    )  # fmt: skip
+    return out
+
+
+@kernel
+def _composite(
+    parent: Integers, v_start: Integers, twist: Floats, rigid: Floats, rotation: Floats, origin: Floats,
+    carried: Floats, out: Floats,
+) -> None:  # fmt: skip
+    for b in range(len(parent) - 1, -1, -1):
+        p = parent[b]
+        n_v = v_start[b + 1] - v_start[b]
+        composite = add_rigid(inertia(carried, b), rigid_inertia(rotation, rigid, b))
+        put_inertia(composite, carried, b)
+        if p >= 0:
+            add_inertia(shifted_inertia(composite, lever(origin, b, p)), carried, p)
+        for j in range(n_v):
+            k = v_start[b] + j
+            omega, u = freedom(hinge_axis(rotation, b), twist[b, 0], twist[b, 1], n_v, j)
+            moment, force = inertia_times(composite, omega, u)
+            _project(v_start, twist, rotation, b, moment, force, k, out)
+            at, above = b, p
+            while above >= 0:
+                moment = add(moment, cross(lever(origin, at, above), force))
+                _project(v_start, twist, rotation, above, moment, force, k, out)
+                at, above = above, parent[above]
+
+
+@kernel
+def _project(
+    v_start: Integers, twist: Floats, rotation: Floats, b: int, moment: Vector, force: Vector, k: int,
+    out: Floats,
+) -> None:  # fmt: skip
+    """Write the entries of column k and row k that belong to body b's freedoms."""
+    n_v = v_start[b + 1] - v_start[b]
+    for i in range(n_v):
+        omega, u = freedom(hinge_axis(rotation, b), twist[b, 0], twist[b, 1], n_v, i)
+        entry = dot(omega, moment) + dot(u, force)
+        out[v_start[b] + i, k] = entry
+        out[k, v_start[b] + i] = entry
