@@ -1,0 +1,140 @@
+"""Forward dynamics and M^-1 tau of serial chains, beside the robotics engines.
+
+    python analysis/benchmarks/mechanics.py
+
+Medians of interleaved calls in one process, from q, qd and tau to accelerations; ratios above one mean that
+protochain is faster. Pinocchio comes with the test extra; DART is timed too where dartpy is installed.
+"""
+
+import os
+import resource
+from collections.abc import Callable
+from statistics import median
+from time import perf_counter
+
+import numpy as np
+import pinocchio as pin
+
+from protochain.multibody import HingeKind, Tree, forward_dynamics, pose, random_tree, solve_mass
+
+try:
+    import dartpy
+except ImportError:
+    dartpy = None
+
+
+def medians(calls: dict[str, Callable[[], object]], seconds: float = 1.0) -> dict[str, float]:
+    """Return the median time of each call, taken in turn so that a slow moment of the machine strikes all."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for call in calls.values():
+        call()
+    began = perf_counter()
+    while perf_counter() - began < seconds * len(calls) or len(times[next(iter(calls))]) < 5:
+        for name, call in calls.items():
+            start = perf_counter()
+            call()
+            times[name].append(perf_counter() - start)
+    return {name: median(taken) for name, taken in times.items()}
+
+
+def pinocchio_aba(tree: Tree, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> Callable[[], object]:
+    """Return a call of pin.aba on the same chain."""
+    model, joint = pin.Model(), 0
+    for b in range(tree.n_bodies):
+        placement = pin.SE3(np.array(tree.placement[b]), np.array(tree.offset[b]))
+        joint = model.addJoint(joint, pin.JointModelRZ(), placement, f"joint{b}")
+        inertia = pin.Inertia(tree.mass[b], np.array(tree.com[b]), np.array(tree.inertia[b]))
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.gravity.setZero()
+    data = model.createData()
+    return lambda: pin.aba(model, data, q, qd, tau)
+
+
+def dart_forward(tree: Tree, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> Callable[[], object]:
+    """Return a call of DART's forward dynamics on the same chain."""
+    skeleton, body = dartpy.dynamics.Skeleton("chain"), None
+    for b in range(tree.n_bodies):
+        joint, body = skeleton.createRevoluteJointAndBodyNodePair(body)
+        joint.setName(f"joint{b}")
+        body.setName(f"body{b}")
+        joint.setAxis([0, 0, 1])
+        placement = np.eye(4)
+        placement[:3, :3], placement[:3, 3] = tree.placement[b], tree.offset[b]
+        joint.setTransformFromParentBodyNode(dartpy.math.Isometry3(placement))
+        body.setInertia(dartpy.dynamics.Inertia(tree.mass[b], tree.com[b], tree.inertia[b]))
+        body.setGravityMode(False)
+
+    def call() -> object:
+        skeleton.setPositions(q)
+        skeleton.setVelocities(qd)
+        skeleton.setForces(tau)
+        skeleton.computeForwardDynamics()
+        return skeleton.getAccelerations()
+
+    return call
+
+
+def engines() -> None:
+    """Print the ratios."""
+    print("| hinges | forward dynamics us | pin.aba | DART | M^-1 tau us | pin.aba |")
+    print("|--:|--:|--:|--:|--:|--:|")
+    for n in (100, 400, 800):
+        us = {name: 1e6 * taken for name, taken in medians(calls_of(n)).items()}
+        ratios = [
+            f"{us[other]:.1f} ({us[other] / us[own]:.2f}x)" if other in us else "-"
+            for own, other in (("forward", "pin"), ("forward", "dart"), ("solve", "pin"))
+        ]
+        print(f"| {n} | {us['forward']:.1f} | {ratios[0]} | {ratios[1]} | {us['solve']:.1f} | {ratios[2]} |")
+
+
+def calls_of(n: int) -> dict[str, Callable[[], object]]:
+    """Return the same computation by each engine that can do it."""
+    tree = random_tree(n, n, 0.0, HingeKind.REVOLUTE)
+    rng = np.random.default_rng(0)
+    q, qd, tau = rng.uniform(-3, 3, n), rng.normal(size=n), rng.normal(size=n)
+    frames = pose(tree, q)
+    calls: dict[str, Callable[[], object]] = {
+        "forward": lambda: forward_dynamics(tree, pose(tree, q), qd, tau),
+        "solve": lambda: solve_mass(tree, frames, tau),
+    }
+    # Pinocchio's Data is O(n^3) in memory: at 800 hinges it does not fit.
+    if n <= 400:
+        calls["pin"] = pinocchio_aba(tree, q, qd, tau)
+    if dartpy:
+        calls["dart"] = dart_forward(tree, q, qd, tau)
+    return calls
+
+
+def scaling() -> None:
+    """Print the time and the memory for each hinge."""
+    print("\n| hinges | forward dynamics ns per hinge | bytes per hinge |")
+    print("|--:|--:|--:|")
+    for n in (100, 1000, 10_000, 100_000):
+        pid = os.fork()
+        if pid == 0:
+            report_scaling(n)
+            os._exit(0)
+        os.waitpid(pid, 0)
+
+
+def report_scaling(n: int) -> None:
+    """Print one row: run in a process of its own, whose peak memory is then this chain's."""
+    rng = np.random.default_rng(0)
+    small = random_tree(3, 0, 0.0, HingeKind.REVOLUTE)
+    forward_dynamics(small, pose(small, np.zeros(3)), np.zeros(3), np.zeros(3))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    tree = random_tree(n, n, 0.0, HingeKind.REVOLUTE)
+    q, qd, tau = rng.uniform(-3, 3, n), rng.normal(size=n), rng.normal(size=n)
+    build = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    taken = medians({"forward": lambda: forward_dynamics(tree, pose(tree, q), qd, tau)})["forward"]
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    kept = sum(array.nbytes for array in (*vars(tree).values(), q, qd, tau) if isinstance(array, np.ndarray))
+    used = max(1024 * (peak - build), 0) + kept
+    # Small chains fit into pages the process has anyway.
+    memory = f"{used / n:.0f}" if 1024 * (peak - before) > 1e7 else "-"
+    print(f"| {n} | {1e9 * taken / n:.0f} | {memory} |", flush=True)
+
+
+if __name__ == "__main__":
+    engines()
+    scaling()

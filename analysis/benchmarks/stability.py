@@ -1,0 +1,256 @@
+"""Error against run time of M^-1 tau by three routes, and what each makes of stiff and extreme cases.
+
+    python analysis/benchmarks/stability.py [-o DIR]
+
+Prints tables in Markdown; with -o also writes them as CSV, and a plot. The error is the backward error
+|M x - tau| / (|M| |x| + |tau|) in units of the machine's precision, M x by Newton-Euler and the norm of M by
+ten steps of the power method: O(n), so that no dense matrix is needed to judge long chains.
+"""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from scipy.linalg import cho_factor, cho_solve
+
+from protochain.errors import MechanicsError
+from protochain.multibody import (
+    Frames,
+    HingeKind,
+    Tree,
+    mass_matrix,
+    multiply_mass,
+    pose,
+    random_tree,
+    rigid_bodies,
+    solve_mass,
+)
+
+EPS = np.finfo(float).eps
+DENSE_UP_TO = 3000
+SIZES = (10, 30, 100, 300, 1000, 3000, 10_000, 100_000)
+
+
+def dense(tree: Tree, frames: Frames, tau: np.ndarray) -> np.ndarray:
+    """M by composite bodies, then Cholesky: O(n^3)."""
+    return cho_solve(cho_factor(mass_matrix(tree, frames)), tau)
+
+
+def articulated(tree: Tree, frames: Frames, tau: np.ndarray) -> np.ndarray:
+    """O(n)."""
+    return solve_mass(tree, frames, tau)
+
+
+def fixman(tree: Tree, frames: Frames, tau: np.ndarray) -> np.ndarray:
+    """O(n), one step of refinement included."""
+    return solve_mass(tree, frames, tau, "fixman")
+
+
+ROUTES: dict[str, Callable[[Tree, Frames, np.ndarray], np.ndarray]] = {
+    "dense Cholesky": dense,
+    "articulated": articulated,
+    "fixman": fixman,
+}
+STYLES = {"dense Cholesky": ("#D55E00", "o"), "articulated": ("#0072B2", "s"), "fixman": ("#009E73", "^")}
+
+
+def norm_of_mass(tree: Tree, frames: Frames) -> float:
+    """Largest eigenvalue of M, from below."""
+    x = np.random.default_rng(1).normal(size=tree.n_v)
+    for _ in range(10):
+        x = multiply_mass(tree, frames, x / np.linalg.norm(x))
+    return float(np.linalg.norm(x))
+
+
+def backward_error(tree: Tree, frames: Frames, x: np.ndarray, tau: np.ndarray) -> float:
+    """In units of the machine's precision."""
+    residual = np.linalg.norm(multiply_mass(tree, frames, x) - tau)
+    return float(residual / (norm_of_mass(tree, frames) * np.linalg.norm(x) + np.linalg.norm(tau)) / EPS)
+
+
+def error_against_time() -> pd.DataFrame:
+    """Measure each size and route: random serial chains, free in space."""
+    rows = []
+    for n in SIZES:
+        tree = random_tree(n, n, 0.0, HingeKind.FREE)
+        rng = np.random.default_rng(n)
+        frames = pose(tree, rng.uniform(-3, 3, tree.n_q))
+        tau = rng.normal(size=tree.n_v)
+        for name, route in ROUTES.items():
+            if name == "dense Cholesky" and n > DENSE_UP_TO:
+                continue
+            x = route(tree, frames, tau)
+            times = []
+            while len(times) < 3 or (sum(times) < 0.5 and len(times) < 1000):
+                began = perf_counter()
+                route(tree, frames, tau)
+                times.append(perf_counter() - began)
+            residual = np.linalg.norm(multiply_mass(tree, frames, x) - tau) / np.linalg.norm(tau)
+            rows.append(
+                {
+                    "bodies": n,
+                    "route": name,
+                    "ms": 1e3 * median(times),
+                    "backward_error_eps": backward_error(tree, frames, x, tau),
+                    "relative_residual": residual,
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def crossover() -> int:
+    """Smallest number of bodies from which articulated bodies are always quicker than the dense matrix."""
+    slower = 0
+    for n in range(2, 61, 2):
+        tree = random_tree(n, n, 0.0, HingeKind.REVOLUTE)
+        rng = np.random.default_rng(n)
+        frames, tau = pose(tree, rng.uniform(-3, 3, tree.n_q)), rng.normal(size=tree.n_v)
+        taken = {"articulated": [], "dense": []}
+        for _ in range(200):
+            for name, route in (("articulated", articulated), ("dense", dense)):
+                began = perf_counter()
+                route(tree, frames, tau)
+                taken[name].append(perf_counter() - began)
+        if median(taken["dense"]) <= median(taken["articulated"]):
+            slower = n
+    return slower + 2
+
+
+def beads(n: int, shared: bool, angle: float = 70.0) -> Tree:
+    """Make a chain of equal beads with all torsions open: each beyond the third is a body of its own.
+
+    With ``shared`` the mass of a bead on the axes of neighbouring hinges counts a third in each of the three
+    bodies in which it is at rest, and every body is full.
+    """
+    turn = np.deg2rad(180.0 - angle)
+    parent, kind = np.arange(-1, n - 3), np.full(n - 2, HingeKind.REVOLUTE)
+    kind[0] = HingeKind.FREE
+    # Body b holds bead b + 2 at the end of a bond; its hinge is the bond before, along z.
+    bend = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
+    placement = np.tile(bend, (n - 2, 1, 1))
+    placement[0] = np.eye(3)
+    bond = 0.15
+    tip = bond * bend[:, 2]
+    offset = np.tile(tip, (n - 2, 1))
+    offset[0] = 0.0
+    body = np.repeat(np.arange(n - 2), 3)
+    local = np.tile([[0.0, 0.0, -bond], [0.0, 0.0, 0.0], tip], (n - 2, 1))
+    bead = (np.arange(n - 2)[:, None] + np.arange(3)).ravel()
+    if shared:
+        mass = 12.0 / np.bincount(bead)[bead]
+    else:
+        first = (body == 0) | (np.tile([0, 0, 1], n - 2) == 1)
+        body, local, mass = body[first], local[first], np.full(first.sum(), 12.0)
+    return Tree(parent, kind, offset, placement, *rigid_bodies(body, local, mass, n - 2))
+
+
+def nearly_collinear(degrees: float) -> Tree:
+    """Make a chain of thirty whose last body lies within so many degrees of its hinge's axis."""
+    tree = random_tree(30, 4, 0.0, HingeKind.FREE)
+    away = np.deg2rad(degrees)
+    points = np.array([[0.0, 0.0, 0.05], [0.1 * np.sin(away), 0.0, 0.1 * np.cos(away)]])
+    mass, com, inertia = rigid_bodies(np.zeros(2, dtype=np.int64), points, np.array([12.0, 1.0]), 1)
+    all_mass, all_com, all_inertia = tree.mass.copy(), tree.com.copy(), tree.inertia.copy()
+    all_mass[-1], all_com[-1], all_inertia[-1] = mass[0], com[0], inertia[0]
+    return replace(tree, mass=all_mass, com=all_com, inertia=all_inertia)
+
+
+def mass_ratio(ratio: float) -> Tree:
+    """Make a branched tree of a hundred with every other body heavier or lighter by a factor."""
+    tree = random_tree(100, 6, 0.3, HingeKind.FREE)
+    factor = np.where(np.arange(100) % 2, ratio, 1.0)
+    return replace(tree, mass=tree.mass * factor, inertia=tree.inertia * factor[:, None, None])
+
+
+CASES: dict[str, Callable[[], Tree]] = {
+    **{f"mass ratio {r:g}": lambda r=r: mass_ratio(r) for r in (1e-6, 1e-3, 1e3, 1e6)},
+    **{
+        f"last body {d:g} degrees off its axis": lambda d=d: nearly_collinear(d)
+        for d in (5.0, 0.1, 1e-3, 1e-5, 1e-7, 0.0)
+    },
+    "100 beads, each a body of one atom": lambda: beads(100, shared=False),
+    "100 beads, masses shared": lambda: beads(100, shared=True),
+    "100 beads nearly straight (179.9 degrees), shared": lambda: beads(100, shared=True, angle=179.9),
+    "10,000 beads, masses shared": lambda: beads(10_000, shared=True),
+    "100,000 beads, masses shared": lambda: beads(100_000, shared=True),
+    "serial chain of 1,000,000": lambda: random_tree(1_000_000, 1, 0.0, HingeKind.FREE),
+}
+
+
+def extremes() -> pd.DataFrame:
+    """Measure each case: the backward error of each route, or what it says."""
+    rows = []
+    for case, build in CASES.items():
+        row: dict[str, object] = {"case": case}
+        try:
+            tree = build()
+        except MechanicsError as error:
+            rows.append({"case": case, **dict.fromkeys(ROUTES, f"refused: {error}")})
+            continue
+        rng = np.random.default_rng(7)
+        q = rng.uniform(-3, 3, tree.n_q)
+        frames, tau = pose(tree, q), rng.normal(size=tree.n_v)
+        for name, route in ROUTES.items():
+            if name == "dense Cholesky" and tree.n_v > DENSE_UP_TO:
+                row[name] = "-"
+                continue
+            try:
+                row[name] = f"{backward_error(tree, frames, route(tree, frames, tau), tau):.2g} eps"
+            except (MechanicsError, np.linalg.LinAlgError) as error:
+                row[name] = f"refused: {error}"
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def plot(table: pd.DataFrame) -> Figure:
+    """Time and error against the number of bodies."""
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    for ax, column, label in zip(
+        figure.subplots(1, 2), ("ms", "backward_error_eps"), ("ms", "backward error, eps"), strict=True
+    ):
+        for route, rows in table.groupby("route", sort=False):
+            colour, marker = STYLES[str(route)]
+            ax.loglog(rows["bodies"], rows[column], color=colour, marker=marker, label=str(route))
+        ax.set_xlabel("bodies")
+        ax.set_ylabel(label)
+        ax.grid(True, alpha=0.25)
+    figure.axes[0].legend(frameon=False)
+    figure.suptitle("M^-1 tau of random serial chains")
+    return figure
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("-o", "--output", type=Path)
+    output = parser.parse_args().output
+    table = error_against_time()
+    print("| bodies | route | ms | backward error, eps | relative residual |")
+    print("|--:|---|--:|--:|--:|")
+    for row in table.itertuples():
+        print(
+            f"| {row.bodies} | {row.route} | {row.ms:.3g} | {row.backward_error_eps:.2g} "
+            f"| {row.relative_residual:.1e} |"
+        )
+    print(f"\nFrom {crossover()} hinges on articulated bodies are quicker than the dense matrix.\n")
+    cases = extremes()
+    print("| case | " + " | ".join(ROUTES) + " |")
+    print("|---|" + "---|" * len(ROUTES))
+    for _, row in cases.iterrows():
+        print("| " + " | ".join(str(row[name]) for name in ("case", *ROUTES)) + " |")
+    if output:
+        output.mkdir(parents=True, exist_ok=True)
+        table.to_csv(output / "error_against_time.csv", index=False)
+        cases.to_csv(output / "extremes.csv", index=False)
+        plot(table).savefig(output / "error_against_time.png", dpi=150)
+
+
+if __name__ == "__main__":
+    main()
