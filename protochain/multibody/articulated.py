@@ -94,7 +94,7 @@ def articulate(tree: Tree, frames: Frames) -> Articulated:
     root = np.empty((tree.n_q - tree.n_v, 6, 6))
     failed = _factorise(
         tree.parent, tree.q_start, tree.v_start, tree.twist, tree.rigid, frames.rotation, frames.origin,
-        packed, gain, pivot, root,
+        packed, gain, pivot, root, np.zeros((n, 6)), np.zeros(tree.n_v),
     )  # fmt: skip
     _refuse(failed)
     return Articulated(tree, frames, frozen(packed), frozen(gain), frozen(pivot), frozen(root))
@@ -244,11 +244,17 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
 @kernel
 def _factorise(
     parent: Integers, q_start: Integers, v_start: Integers, twist: Floats, rigid: Floats, rotation: Floats,
-    origin: Floats, packed: Floats, gain: Floats, pivot: Floats, root: Floats,
+    origin: Floats, packed: Floats, gain: Floats, pivot: Floats, root: Floats, wrench: Floats, x: Floats,
 ) -> int:  # fmt: skip
-    """Return the first body whose hinge has no pivot, or -1. ``packed`` starts as zeros."""
+    """Return the first body whose hinge has no pivot, or -1. ``packed`` starts as zeros.
+
+    One right-hand side is carried inward on the way, as :func:`_substitute` does: the processor has the time
+    for it while it waits for the factors.
+    """
     for b in range(len(parent) - 1, -1, -1):
-        p, n_v = parent[b], v_start[b + 1] - v_start[b]
+        p, k = parent[b], v_start[b]
+        n_v = v_start[b + 1] - k
+        carried_moment, carried_force = pair(wrench, b)
         articulated = add_rigid(inertia(packed, b), rigid_inertia(rotation, rigid, b))
         put_inertia(articulated, packed, b)
         pivot[b] = 1.0
@@ -270,14 +276,21 @@ def _factorise(
             inverse = 1.0 / d
             articulated = minus_outer(articulated, moment, force, inverse)
             put_pair(scale(inverse, moment), scale(inverse, force), gain, b)
+            x[k] -= turn * dot(axis, carried_moment) + slide * dot(axis, carried_force)
+            carried_moment = add(carried_moment, scale(x[k] * inverse, moment))
+            carried_force = add(carried_force, scale(x[k] * inverse, force))
         elif n_v == 6:
             # A free root has one coordinate more than freedoms, so this difference counts the free roots.
-            factor = root[q_start[b] - v_start[b]]
+            factor = root[q_start[b] - k]
             dense_inertia(packed[b], factor)
             if not cholesky(factor, 6):
                 return b
+            for j in range(6):
+                x[k + j] -= wrench[b, j]
         if p >= 0:
-            add_inertia(shifted_inertia(articulated, lever(origin, b, p)), packed, p)
+            arm = lever(origin, b, p)
+            add_pair(add(carried_moment, cross(arm, carried_force)), carried_force, wrench, p)
+            add_inertia(shifted_inertia(articulated, arm), packed, p)
     return -1
 
 
@@ -301,12 +314,21 @@ def _substitute(
                 x[k + i] -= wrench[b, i]
         if p >= 0:
             add_pair(add(moment, cross(lever(origin, b, p), force)), force, wrench, p)
+    _outward_rates(parent, q_start, v_start, twist, rotation, origin, gain, pivot, root, wrench, x)
+
+
+@kernel
+def _outward_rates(
+    parent: Integers, q_start: Integers, v_start: Integers, twist: Floats, rotation: Floats, origin: Floats,
+    gain: Floats, pivot: Floats, root: Floats, motion: Floats, x: Floats,
+) -> None:  # fmt: skip
+    """Overwrite ``x``, carried inward, by the solution, and ``motion`` by the bodies' accelerations."""
     for b in range(len(parent)):
         p, k = parent[b], v_start[b]
         n_v = v_start[b + 1] - k
         omega, u = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         if p >= 0:
-            omega, u = pair(wrench, p)
+            omega, u = pair(motion, p)
             u = add(u, cross(omega, lever(origin, b, p)))
         if n_v == 1:
             g, h = pair(gain, b)
@@ -318,7 +340,7 @@ def _substitute(
             solve_lower(factor, 6, x[k : k + 6])
             solve_upper(factor, 6, x[k : k + 6])
             omega, u = (x[k], x[k + 1], x[k + 2]), (x[k + 3], x[k + 4], x[k + 5])
-        put_pair(omega, u, wrench, b)
+        put_pair(omega, u, motion, b)
 
 
 @kernel
@@ -331,10 +353,10 @@ def _accelerate(
     packed, gain, pivot = np.zeros((n, 21)), np.empty((n, 6)), np.empty(n)
     root = np.empty((q_start[n] - v_start[n], 6, 6))
     failed = _factorise(
-        parent, q_start, v_start, twist, rigid, rotation, origin, packed, gain, pivot, root
+        parent, q_start, v_start, twist, rigid, rotation, origin, packed, gain, pivot, root, wrench, x
     )  # fmt: skip
     if failed < 0:
-        _substitute(parent, q_start, v_start, twist, rotation, origin, gain, pivot, root, wrench, x)
+        _outward_rates(parent, q_start, v_start, twist, rotation, origin, gain, pivot, root, wrench, x)
     return failed
 
 
@@ -345,9 +367,7 @@ def _forward(
 ) -> int:  # fmt: skip
     """Overwrite tau in ``x`` by accelerations, and the external ``wrench``."""
     loads = np.empty((len(parent), 6))
-    outward_loads(
-        parent, v_start, twist, rigid, rotation, origin, qd, np.zeros(len(qd)), loads
-    )  # fmt: skip
+    outward_loads(parent, v_start, twist, rigid, rotation, origin, qd, np.zeros(len(qd)), loads)
     for b in range(len(parent)):
         for i in range(6):
             wrench[b, i] = loads[b, i] - wrench[b, i]
