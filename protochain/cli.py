@@ -151,7 +151,7 @@ def compare(
     from protochain.minimisers.api import check_settings
     from protochain.structure.write import check_writable
 
-    chosen = tuple(name.strip() for name in methods.split(","))
+    chosen = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))
     for method in chosen:
         check_settings(method, tolerance, max_evaluations)
     output = output or Path(f"{source.stem}-comparison")

@@ -155,6 +155,14 @@ def test_a_comparison_of_nothing_finite_still_writes_its_page(tmp_path):
     json.loads((tmp_path / "summary.json").read_text(), parse_constant=pytest.fail)
 
 
+def test_structures_too_far_out_for_pdb_are_written_as_mmcif(tmp_path):
+    s = load("ala10.pdb")
+    far = pc.build_chain(s.with_positions(s.positions + 1500.0))
+    k = pc.compare(far, ("lbfgs",), energy("ala10.pdb"), max_evaluations=3)
+    k.report(tmp_path)
+    assert (tmp_path / "ala10.lbfgs.cif").exists()
+
+
 def test_unknown_methods_are_refused_before_any_work():
     with pytest.raises(pc.ProtochainError, match="method 'nope' is not known"):
         pc.compare("nowhere.pdb", methods=("nope",))

@@ -16,12 +16,12 @@ from protochain.articulate import build_chain
 from protochain.chain import Chain
 from protochain.energies import Energy
 from protochain.energies import energy as build_energy
-from protochain.errors import ProtochainError
+from protochain.errors import ProtochainError, StructureError
 from protochain.minimisers import METHODS, Solution, Status, minimise
 from protochain.minimisers.api import check_settings
 from protochain.minimisers.solution import TRACE_COLUMNS, Watcher
 from protochain.structure import Structure, ca_rmsd, load, save
-from protochain.structure.write import write_atomically
+from protochain.structure.write import check_fits, write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -152,10 +152,15 @@ class Comparison:
         _write_text(directory / "report.html", render(self, summary, figures))
         return directory / "report.html"
 
-    @property
+    @cached_property
     def _suffix(self) -> str:
-        """PDB where it can hold the chain ids, else mmCIF."""
-        return ".pdb" if all(len(chain) <= 1 for chain in self.structure.residue_chain) else ".cif"
+        """PDB where it can hold all structures, else mmCIF."""
+        try:
+            for structure in (self.structure, *(solution.structure for solution in self.solutions)):
+                check_fits(structure, Path("x.pdb"))
+        except StructureError:
+            return ".cif"
+        return ".pdb"
 
     def __repr__(self) -> str:
         return f"<Comparison of {', '.join(s.method for s in self.solutions)} on {self.structure.name}>"

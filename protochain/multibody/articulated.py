@@ -229,14 +229,21 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
 
     Notes
     -----
-    One outward sweep: a hinge's rate is its noise less what the motion of its parent already gives.
+    The outward half of a solution, for D^1/2 noise: a hinge's rate is its noise less what the motion of its
+    parent already gives.
     Jain, Vaidehi, Rodriguez (1993), equation 27. O(n).
     """
     tree, frames = factors.tree, factors.frames
     x = floats(noise, (tree.n_v,), "noise").copy()
-    _outward_sample(
+    n_v = np.diff(tree.v_start)
+    hinges = np.flatnonzero(n_v == 1)
+    x[tree.v_start[hinges]] *= np.sqrt(factors.pivot[hinges])
+    for factor, b in zip(factors.root, np.flatnonzero(n_v == 6), strict=True):
+        own = slice(tree.v_start[b], tree.v_start[b + 1])
+        x[own] = np.tril(factor) @ x[own]
+    _outward_rates(
         tree.parent, tree.q_start, tree.v_start, tree.twist, frames.rotation, frames.origin, factors.gain,
-        factors.pivot, factors.root, x,
+        factors.pivot, factors.root, np.empty((tree.n_bodies, 6)), x,
     )  # fmt: skip
     return x
 
@@ -372,28 +379,3 @@ def _forward(
         for i in range(6):
             wrench[b, i] = loads[b, i] - wrench[b, i]
     return _accelerate(parent, q_start, v_start, twist, rigid, rotation, origin, wrench, x)
-
-
-@kernel
-def _outward_sample(
-    parent: Integers, q_start: Integers, v_start: Integers, twist: Floats, rotation: Floats, origin: Floats,
-    gain: Floats, pivot: Floats, root: Floats, x: Floats,
-) -> None:  # fmt: skip
-    """Overwrite noise in ``x``."""
-    twists = np.empty((len(parent), 6))
-    for b in range(len(parent)):
-        p, k = parent[b], v_start[b]
-        n_v = v_start[b + 1] - k
-        omega, u = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        if p >= 0:
-            omega, u = pair(twists, p)
-            u = add(u, cross(omega, lever(origin, b, p)))
-        if n_v == 1:
-            g, h = pair(gain, b)
-            x[k] = x[k] / np.sqrt(pivot[b]) - dot(g, omega) - dot(h, u)
-            axis = hinge_axis(rotation, b)
-            omega, u = add(omega, scale(twist[b, 0] * x[k], axis)), add(u, scale(twist[b, 1] * x[k], axis))
-        elif n_v == 6:
-            solve_upper(root[q_start[b] - k], 6, x[k : k + 6])
-            omega, u = (x[k], x[k + 1], x[k + 2]), (x[k + 3], x[k + 4], x[k + 5])
-        put_pair(omega, u, twists, b)

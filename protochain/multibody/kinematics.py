@@ -6,6 +6,7 @@ import numpy as np
 
 from protochain.arrays import Floats, Integers, floats, frozen
 from protochain.multibody.algebra import (
+    Vector,
     add,
     add_pair,
     cross,
@@ -193,7 +194,7 @@ def _outward_frames(
 
 
 @kernel
-def _axes_of_quaternion(w: float, x: float, y: float, z: float):  # type: ignore[no-untyped-def]
+def _axes_of_quaternion(w: float, x: float, y: float, z: float) -> tuple[Vector, Vector, Vector]:
     """Columns of the rotation matrix of w + ix + jy + kz, whatever its length."""
     s = 2.0 / (w * w + x * x + y * y + z * z)
     return (
