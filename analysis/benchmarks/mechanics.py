@@ -94,7 +94,7 @@ def calls_of(n: int) -> dict[str, Callable[[], object]]:
     q, qd, tau = rng.uniform(-3, 3, n), rng.normal(size=n), rng.normal(size=n)
     frames = pose(tree, q)
     calls: dict[str, Callable[[], object]] = {
-        "forward": lambda: forward_dynamics(tree, pose(tree, q), qd, tau),
+        "forward": lambda: forward_dynamics(tree, q, qd, tau),
         "solve": lambda: solve_mass(tree, frames, tau),
     }
     # Pinocchio's Data is O(n^3) in memory: at 800 hinges it does not fit.
@@ -120,7 +120,7 @@ def scaling() -> None:
 def report_scaling(n: int) -> None:
     """Print one row: run in a process of its own, whose peak memory is then this chain's."""
     small = random_tree(3, 0, 0.0, HingeKind.REVOLUTE)
-    forward_dynamics(small, pose(small, np.zeros(3)), np.zeros(3), np.zeros(3))
+    forward_dynamics(small, np.zeros(3), np.zeros(3), np.zeros(3))
     rng = np.random.default_rng(0)
     tree = random_tree(n, n, 0.0, HingeKind.REVOLUTE)
     q, qd, tau = rng.uniform(-3, 3, n), rng.normal(size=n), rng.normal(size=n)
@@ -128,7 +128,7 @@ def report_scaling(n: int) -> None:
     # Linux forgets the peak when told so: what comes after is what forward dynamics needs itself.
     Path("/proc/self/clear_refs").write_text("5")
     before = memory("VmRSS")
-    taken = medians({"forward": lambda: forward_dynamics(tree, pose(tree, q), qd, tau)})["forward"]
+    taken = medians({"forward": lambda: forward_dynamics(tree, q, qd, tau)})["forward"]
     used = kept + memory("VmHWM") - before
     # What small chains need is lost in what the process has anyway.
     print(f"| {n} | {1e9 * taken / n:.0f} | {f'{used / n:.0f}' if n >= 10_000 else '-'} |", flush=True)

@@ -1,7 +1,7 @@
 """O(n) mechanics of trees of rigid bodies. Knows nothing of proteins or energies."""
 
-from protochain.multibody.articulated import forward_dynamics
 from protochain.multibody.composite import mass_matrix
+from protochain.multibody.forward import forward_dynamics
 from protochain.multibody.kinematics import Frames, integrate, jacobian, pose, pull_back, velocities
 from protochain.multibody.loops import log_det_closed, solve_closed
 from protochain.multibody.mass import Method, log_det_mass, sample_velocities, solve_mass

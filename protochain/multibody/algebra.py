@@ -10,12 +10,21 @@ from typing import Any, TypeVar, cast
 from numba import config, njit
 
 from protochain.arrays import Floats
+from protochain.multibody.tree import FIRST_MOMENT, MASS, SECOND_MOMENTS
 
 Vector = tuple[float, float, float]
 Symmetric = tuple[float, float, float, float, float, float]
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
 Inertia = tuple[Symmetric, Matrix, Symmetric]
 """6x6 spatial inertia (I, C, M): moment = I omega + C u, force = C^T omega + M u."""
+
+ZERO: Vector = (0.0, 0.0, 0.0)
+IDENTITY: Matrix = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+MASSLESS: Inertia = (
+    (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+)
 
 # Two or four numbers at a time: LLVM's superword pass, which numba leaves off, makes sweeps 1.4 times faster.
 config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
@@ -31,6 +40,11 @@ def kernel(function: F) -> F:
 @kernel
 def vector(array: Floats, b: int, start: int = 0) -> Vector:
     return array[b, start], array[b, start + 1], array[b, start + 2]
+
+
+@kernel
+def vector_at(array: Floats, k: int) -> Vector:
+    return array[k], array[k + 1], array[k + 2]
 
 
 @kernel
@@ -56,6 +70,13 @@ def matrix(array: Floats, b: int) -> Matrix:
 @kernel
 def put(v: Vector, array: Floats, b: int, start: int) -> None:
     array[b, start], array[b, start + 1], array[b, start + 2] = v
+
+
+@kernel
+def put_matrix(m: Matrix, array: Floats, b: int) -> None:
+    array[b, 0, 0], array[b, 0, 1], array[b, 0, 2] = m[0], m[1], m[2]
+    array[b, 1, 0], array[b, 1, 1], array[b, 1, 2] = m[3], m[4], m[5]
+    array[b, 2, 0], array[b, 2, 1], array[b, 2, 2] = m[6], m[7], m[8]
 
 
 @kernel
@@ -180,10 +201,10 @@ def put_inertia(p: Inertia, out: Floats, b: int) -> None:
 
 
 @kernel
-def add_inertia(p: Inertia, out: Floats, b: int) -> None:
+def add_inertias(p: Inertia, q: Inertia) -> Inertia:
     i, c, m = p
-    j, d, n = inertia(out, b)
-    total = (
+    j, d, n = q
+    return (
         (i[0] + j[0], i[1] + j[1], i[2] + j[2], i[3] + j[3], i[4] + j[4], i[5] + j[5]),
         (
             c[0] + d[0], c[1] + d[1], c[2] + d[2], c[3] + d[3], c[4] + d[4], c[5] + d[5], c[6] + d[6],
@@ -191,15 +212,19 @@ def add_inertia(p: Inertia, out: Floats, b: int) -> None:
         ),
         (m[0] + n[0], m[1] + n[1], m[2] + n[2], m[3] + n[3], m[4] + n[4], m[5] + n[5]),
     )  # fmt: skip
-    put_inertia(total, out, b)
 
 
 @kernel
-def rigid_inertia(rotation: Floats, rigid: Floats, b: int) -> tuple[float, Vector, Symmetric]:
+def add_inertia(p: Inertia, out: Floats, b: int) -> None:
+    put_inertia(add_inertias(inertia(out, b), p), out, b)
+
+
+@kernel
+def rigid_inertia(turn: Matrix, bodies: Floats, b: int) -> tuple[float, Vector, Symmetric]:
     """Mass, first moment and moments of inertia of body b about its origin, along world axes."""
-    r = matrix(rotation, b)
-    moments = (rigid[b, 4], rigid[b, 5], rigid[b, 6], rigid[b, 7], rigid[b, 8], rigid[b, 9])
-    return rigid[b, 0], turned(r, vector(rigid, b, 1)), turned_inertia(r, moments)
+    first = vector(bodies, b, FIRST_MOMENT)
+    x, y = vector(bodies, b, SECOND_MOMENTS), vector(bodies, b, SECOND_MOMENTS + 3)
+    return bodies[b, MASS], turned(turn, first), turned_inertia(turn, (x[0], x[1], x[2], y[0], y[1], y[2]))
 
 
 @kernel

@@ -16,12 +16,13 @@ from protochain.multibody.algebra import (
     inertia_times,
     kernel,
     lever,
+    matrix,
     put_inertia,
     rigid_inertia,
     shifted_inertia,
 )  # fmt: skip
 from protochain.multibody.kinematics import Frames
-from protochain.multibody.tree import Tree
+from protochain.multibody.tree import PARENT, SLIDE, TURN, Tree, V
 
 
 def mass_matrix(tree: Tree, frames: Frames) -> Floats:
@@ -44,7 +45,7 @@ def mass_matrix(tree: Tree, frames: Frames) -> Floats:
     """
     out = np.zeros((tree.n_v, tree.n_v))
     _composite(
-        tree.parent, tree.v_start, tree.twist, tree.rigid, frames.rotation, frames.origin,
+        tree.links, tree.bodies, frames.rotation, frames.origin,
         np.zeros((tree.n_bodies, 21)), out,
     )  # fmt: skip
     return out
@@ -52,37 +53,37 @@ def mass_matrix(tree: Tree, frames: Frames) -> Floats:
 
 @kernel
 def _composite(
-    parent: Integers, v_start: Integers, twist: Floats, rigid: Floats, rotation: Floats, origin: Floats,
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats,
     carried: Floats, out: Floats,
 ) -> None:  # fmt: skip
-    for b in range(len(parent) - 1, -1, -1):
-        p = parent[b]
-        n_v = v_start[b + 1] - v_start[b]
-        composite = add_rigid(inertia(carried, b), rigid_inertia(rotation, rigid, b))
+    for b in range(len(bodies) - 1, -1, -1):
+        p = links[b, PARENT]
+        n_v = links[b + 1, V] - links[b, V]
+        composite = add_rigid(inertia(carried, b), rigid_inertia(matrix(rotation, b), bodies, b))
         put_inertia(composite, carried, b)
         if p >= 0:
             add_inertia(shifted_inertia(composite, lever(origin, b, p)), carried, p)
         for j in range(n_v):
-            k = v_start[b] + j
-            omega, u = freedom(hinge_axis(rotation, b), twist[b, 0], twist[b, 1], n_v, j)
+            k = links[b, V] + j
+            omega, u = freedom(hinge_axis(rotation, b), bodies[b, TURN], bodies[b, SLIDE], n_v, j)
             moment, force = inertia_times(composite, omega, u)
-            _project(v_start, twist, rotation, b, moment, force, k, out)
+            _project(links, bodies, rotation, b, moment, force, k, out)
             at, above = b, p
             while above >= 0:
                 moment = add(moment, cross(lever(origin, at, above), force))
-                _project(v_start, twist, rotation, above, moment, force, k, out)
-                at, above = above, parent[above]
+                _project(links, bodies, rotation, above, moment, force, k, out)
+                at, above = above, links[above, PARENT]
 
 
 @kernel
 def _project(
-    v_start: Integers, twist: Floats, rotation: Floats, b: int, moment: Vector, force: Vector, k: int,
+    links: Integers, bodies: Floats, rotation: Floats, b: int, moment: Vector, force: Vector, k: int,
     out: Floats,
 ) -> None:  # fmt: skip
     """Write the entries of column k and row k that belong to body b's freedoms."""
-    n_v = v_start[b + 1] - v_start[b]
+    n_v = links[b + 1, V] - links[b, V]
     for i in range(n_v):
-        omega, u = freedom(hinge_axis(rotation, b), twist[b, 0], twist[b, 1], n_v, i)
+        omega, u = freedom(hinge_axis(rotation, b), bodies[b, TURN], bodies[b, SLIDE], n_v, i)
         entry = dot(omega, moment) + dot(u, force)
-        out[v_start[b] + i, k] = entry
-        out[k, v_start[b] + i] = entry
+        out[links[b, V] + i, k] = entry
+        out[k, links[b, V] + i] = entry

@@ -32,7 +32,7 @@ from protochain.multibody.algebra import (
 from protochain.multibody.kinematics import Frames
 from protochain.multibody.newton_euler import multiply_mass
 from protochain.multibody.small import cholesky, solve_lower, solve_upper
-from protochain.multibody.tree import NO_INERTIA, Tree
+from protochain.multibody.tree import NO_INERTIA, PARENT, SLIDE, TURN, Tree, V
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
     inverse = _inverse_inertias(tree, frames)
     factor, gain, n_hard = np.empty((n, 6, 6)), np.empty((n, 6, 6)), 6 - np.diff(tree.v_start)
     failed = _eliminate(
-        tree.parent, n_hard, tree.twist, frames.rotation, frames.origin, inverse.copy(), factor, gain
+        tree.links, n_hard, tree.bodies, frames.rotation, frames.origin, inverse.copy(), factor, gain
     )
     if failed >= 0:
         raise MechanicsError(f"body {failed}: its hinge's block of H is singular to round-off")
@@ -119,7 +119,7 @@ def respond(factors: Eliminated, wrench: Floats) -> Floats:
     impulse = floats(wrench, (tree.n_bodies, 6), "wrench").copy()
     twists = np.empty((tree.n_bodies, 6))
     _respond(
-        tree.parent, factors.n_hard, tree.twist, frames.rotation, frames.origin, factors.inverse_inertia,
+        tree.links, factors.n_hard, tree.bodies, frames.rotation, frames.origin, factors.inverse_inertia,
         factors.factor, factors.gain, impulse, twists,
     )  # fmt: skip
     return twists
@@ -153,7 +153,7 @@ def _solve_once(factors: Eliminated, tau: Floats) -> Floats:
     tree, frames = factors.tree, factors.frames
     wrench = np.zeros((tree.n_bodies, 6))
     _push_soft(
-        tree.parent, tree.v_start, tree.twist, frames.rotation, frames.origin,
+        tree.links, tree.bodies, frames.rotation, frames.origin,
         tau, wrench,
     )  # fmt: skip
     return soft_rates(tree, frames, respond(factors, wrench))
@@ -174,7 +174,7 @@ def soft_rates(tree: Tree, frames: Frames, twists: Floats) -> Floats:
     """
     rates = np.empty(tree.n_v)
     _soft_rates(
-        tree.parent, tree.v_start, tree.twist, frames.rotation, frames.origin,
+        tree.links, tree.bodies, frames.rotation, frames.origin,
         floats(twists, (tree.n_bodies, 6), "twists"), rates,
     )  # fmt: skip
     return rates
@@ -213,7 +213,7 @@ def _inverse_inertias(tree: Tree, frames: Frames) -> Floats:
 
 
 @kernel
-def _hard_rows(rotation: Floats, twist: Floats, b: int, n_hard: int, rows: Floats) -> None:
+def _hard_rows(rotation: Floats, bodies: Floats, b: int, n_hard: int, rows: Floats) -> None:
     """Write an orthogonal basis of what the hinge locks, such that with its soft row it has determinant one.
 
     Soft is turning about z, or sliding along z if the hinge does not turn. A screw locks sliding beyond its
@@ -228,8 +228,8 @@ def _hard_rows(rotation: Floats, twist: Floats, b: int, n_hard: int, rows: Float
         if n_hard == 6:
             rows[4, i] = rotation[b, i, 2]
             rows[5, 3 + i] = rotation[b, i, 2]
-        elif twist[b, 0] != 0.0:
-            rows[4, i] = -twist[b, 1] * rotation[b, i, 2]
+        elif bodies[b, TURN] != 0.0:
+            rows[4, i] = -bodies[b, SLIDE] * rotation[b, i, 2]
             rows[4, 3 + i] = rotation[b, i, 2]
         else:
             rows[4, i] = rotation[b, i, 2]
@@ -246,14 +246,14 @@ def _carry(arm: Vector, inverse: Floats, out: Floats) -> None:
 
 @kernel
 def _eliminate(
-    parent: Integers, n_hard: Integers, twist: Floats, rotation: Floats, origin: Floats, inverse: Floats,
+    links: Integers, n_hard: Integers, bodies: Floats, rotation: Floats, origin: Floats, inverse: Floats,
     factor: Floats, gain: Floats,
 ) -> int:  # fmt: skip
     """Return the first body whose block fails, or -1. Overwrite ``inverse``."""
     rows, carried, relative = np.empty((6, 6)), np.zeros((6, 6)), np.empty((6, 6))
-    for b in range(len(parent) - 1, -1, -1):
-        p, m = parent[b], n_hard[b]
-        _hard_rows(rotation, twist, b, m, rows)
+    for b in range(len(bodies) - 1, -1, -1):
+        p, m = links[b, PARENT], n_hard[b]
+        _hard_rows(rotation, bodies, b, m, rows)
         relative[:] = inverse[b]
         if p >= 0:
             arm = lever(origin, b, p)
@@ -286,17 +286,17 @@ def _eliminate(
 
 @kernel
 def _respond(
-    parent: Integers, n_hard: Integers, twist: Floats, rotation: Floats, origin: Floats, inverse: Floats,
+    links: Integers, n_hard: Integers, bodies: Floats, rotation: Floats, origin: Floats, inverse: Floats,
     factor: Floats, gain: Floats, impulse: Floats, twists: Floats,
 ) -> None:  # fmt: skip
     """Overwrite ``impulse`` by what the bodies receive in all, hinges included."""
-    n = len(parent)
+    n = len(bodies)
     rows, reaction, later = np.empty((6, 6)), np.zeros((n, 6)), np.zeros((n, 6))
     for b in range(n):
         twists[b] = inverse[b] @ impulse[b]
     for b in range(n - 1, -1, -1):
-        p, m = parent[b], n_hard[b]
-        _hard_rows(rotation, twist, b, m, rows)
+        p, m = links[b, PARENT], n_hard[b]
+        _hard_rows(rotation, bodies, b, m, rows)
         omega, u = pair(twists, b)
         relative = twists[b].copy()
         if p >= 0:
@@ -314,8 +314,8 @@ def _respond(
         solve_upper(factor[b], m, reaction[b])
     for b in range(n):
         # Reactions found so far act on the parent after this hinge was eliminated: take their share back.
-        p, m = parent[b], n_hard[b]
-        _hard_rows(rotation, twist, b, m, rows)
+        p, m = links[b, PARENT], n_hard[b]
+        _hard_rows(rotation, bodies, b, m, rows)
         locked = -reaction[b, :m]
         if p >= 0:
             locked += gain[b, :m] @ later[p]
@@ -335,18 +335,18 @@ def _respond(
 
 @kernel
 def _push_soft(
-    parent: Integers, v_start: Integers, twist: Floats, rotation: Floats, origin: Floats, tau: Floats,
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, tau: Floats,
     wrench: Floats,
 ) -> None:  # fmt: skip
     """Add E_s^T tau: what each hinge's torque does to its body, and the opposite to the parent."""
-    for b in range(len(parent)):
-        p, k = parent[b], v_start[b]
-        n_v = v_start[b + 1] - k
+    for b in range(len(bodies)):
+        p, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
         if n_v == 6:
             wrench[b] += tau[k : k + 6]
         elif n_v == 1:
             axis = scale(tau[k], hinge_axis(rotation, b))
-            if twist[b, 0] != 0.0:
+            if bodies[b, TURN] != 0.0:
                 moment, force = axis, (0.0, 0.0, 0.0)
             else:
                 moment, force = (0.0, 0.0, 0.0), axis
@@ -358,12 +358,12 @@ def _push_soft(
 
 @kernel
 def _soft_rates(
-    parent: Integers, v_start: Integers, twist: Floats, rotation: Floats, origin: Floats, twists: Floats,
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, twists: Floats,
     rates: Floats,
 ) -> None:  # fmt: skip
-    for b in range(len(parent)):
-        p, k = parent[b], v_start[b]
-        n_v = v_start[b + 1] - k
+    for b in range(len(bodies)):
+        p, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
         if n_v == 6:
             rates[k : k + 6] = twists[b]
         elif n_v == 1:
@@ -372,4 +372,4 @@ def _soft_rates(
                 above, moving = pair(twists, p)
                 omega, u = subtract(omega, above), subtract(u, add(moving, cross(above, lever(origin, b, p))))
             axis = hinge_axis(rotation, b)
-            rates[k] = dot(axis, omega) if twist[b, 0] != 0.0 else dot(axis, u)
+            rates[k] = dot(axis, omega) if bodies[b, TURN] != 0.0 else dot(axis, u)

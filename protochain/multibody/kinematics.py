@@ -6,6 +6,9 @@ import numpy as np
 
 from protochain.arrays import Floats, Integers, floats, frozen
 from protochain.multibody.algebra import (
+    IDENTITY,
+    ZERO,
+    Matrix,
     Vector,
     add,
     add_pair,
@@ -17,13 +20,14 @@ from protochain.multibody.algebra import (
     matrix,
     pair,
     put,
+    put_matrix,
     put_pair,
     scale,
     subtract,
     turned,
     vector,
 )  # fmt: skip
-from protochain.multibody.tree import Tree
+from protochain.multibody.tree import AXES, OFFSET, PARENT, SLIDE, TURN, Q, Tree, V
 from protochain.multibody.trigonometry import cosines_and_sines
 
 
@@ -41,6 +45,10 @@ class Frames:
 
     rotation: Floats
     origin: Floats
+
+
+WORLD: tuple[Matrix, Vector] = (IDENTITY, ZERO)
+"""What a root is seated in."""
 
 
 def pose(tree: Tree, q: Floats) -> Frames:
@@ -61,10 +69,7 @@ def pose(tree: Tree, q: Floats) -> Frames:
     """
     rotation = np.empty((tree.n_bodies, 3, 3))
     origin = np.empty((tree.n_bodies, 3))
-    _outward_frames(
-        tree.parent, tree.q_start, tree.twist, tree.offset, tree.placement,
-        floats(q, (tree.n_q,), "q"), rotation, origin,
-    )  # fmt: skip
+    _outward_frames(tree.links, tree.bodies, floats(q, (tree.n_q,), "q"), rotation, origin)
     return Frames(frozen(rotation), frozen(origin))
 
 
@@ -88,9 +93,8 @@ def velocities(tree: Tree, frames: Frames, qd: Floats) -> Floats:
     """
     twists = np.empty((tree.n_bodies, 6))
     _outward_twists(
-        tree.parent, tree.v_start, tree.twist, frames.rotation, frames.origin,
-        floats(qd, (tree.n_v,), "qd"), twists,
-    )  # fmt: skip
+        tree.links, tree.bodies, frames.rotation, frames.origin, floats(qd, (tree.n_v,), "qd"), twists
+    )
     return twists
 
 
@@ -132,7 +136,7 @@ def pull_back(tree: Tree, frames: Frames, wrench: Floats) -> Floats:
     """
     tau = np.empty(tree.n_v)
     _inward_loads(
-        tree.parent, tree.v_start, tree.twist, frames.rotation, frames.origin,
+        tree.links, tree.bodies, frames.rotation, frames.origin,
         floats(wrench, (tree.n_bodies, 6), "wrench").copy(), tau,
     )  # fmt: skip
     return tau
@@ -154,72 +158,77 @@ def integrate(tree: Tree, q: Floats, qd: Floats) -> Floats:
         For a free root exp(omega) times its rotation, so d/dt along the path is (omega, u) throughout.
     """
     moved = floats(q, (tree.n_q,), "q").copy()
-    _integrate(tree.q_start, tree.v_start, floats(qd, (tree.n_v,), "qd"), moved)
+    _integrate(tree.links, floats(qd, (tree.n_v,), "qd"), moved)
     return moved
 
 
 @kernel
-def _outward_frames(
-    parent: Integers, q_start: Integers, twist: Floats, offset: Floats, placement: Floats, q: Floats,
-    rotation: Floats, origin: Floats,
-) -> None:  # fmt: skip
+def _outward_frames(links: Integers, bodies: Floats, q: Floats, rotation: Floats, origin: Floats) -> None:
     cosine, sine = np.empty(len(q)), np.empty(len(q))
     cosines_and_sines(q, cosine, sine)
-    for b in range(len(parent)):
-        p, k = parent[b], q_start[b]
-        n_q = q_start[b + 1] - k
-        joint, at = matrix(placement, b), vector(offset, b)
-        if p >= 0:
-            above = matrix(rotation, p)
-            x = turned(above, (joint[0], joint[3], joint[6]))
-            y = turned(above, (joint[1], joint[4], joint[7]))
-            z = turned(above, (joint[2], joint[5], joint[8]))
-            at = add(vector(origin, p), turned(above, at))
-        else:
-            x, y, z = (
-                (joint[0], joint[3], joint[6]), (joint[1], joint[4], joint[7]), (joint[2], joint[5], joint[8])
-            )  # fmt: skip
+    for b in range(len(bodies)):
+        p, k = links[b, PARENT], links[b, Q]
+        n_q = links[b + 1, Q] - k
+        above, at = (matrix(rotation, p), vector(origin, p)) if p >= 0 else WORLD
+        turn, at = seat(bodies, b, above, at)
         if n_q == 1:
-            if twist[b, 0] != 0.0:
-                c, s = cosine[k], sine[k]
-                x, y = add(scale(c, x), scale(s, y)), subtract(scale(c, y), scale(s, x))
-            if twist[b, 1] != 0.0:
-                at = add(at, scale(twist[b, 1] * q[k], z))
+            turn, at = turned_by_hinge(turn, at, bodies[b, TURN], bodies[b, SLIDE], q[k], cosine[k], sine[k])
         elif n_q == 7:
-            x, y, z = _axes_of_quaternion(q[k], q[k + 1], q[k + 2], q[k + 3])
-            at = add(at, (q[k + 4], q[k + 5], q[k + 6]))
-        for i in range(3):
-            rotation[b, i, 0], rotation[b, i, 1], rotation[b, i, 2] = x[i], y[i], z[i]
+            turn, at = moved_freely(at, q, k)
+        put_matrix(turn, rotation, b)
         put(at, origin, b, 0)
 
 
 @kernel
-def _axes_of_quaternion(w: float, x: float, y: float, z: float) -> tuple[Vector, Vector, Vector]:
-    """Columns of the rotation matrix of w + ix + jy + kz, whatever its length."""
+def seat(bodies: Floats, b: int, above: Matrix, at: Vector) -> tuple[Matrix, Vector]:
+    """Frame of body b at q = 0, from that of its parent."""
+    x = turned(above, vector(bodies, b, AXES))
+    y = turned(above, vector(bodies, b, AXES + 3))
+    z = turned(above, vector(bodies, b, AXES + 6))
+    at = add(at, turned(above, vector(bodies, b, OFFSET)))
+    return (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]), at
+
+
+@kernel
+def turned_by_hinge(
+    seat: Matrix, at: Vector, turn: float, slide: float, q: float, cosine: float, sine: float
+) -> tuple[Matrix, Vector]:
+    """Frame of a body whose hinge is at q, from its seat."""
+    c, s = (cosine, sine) if turn != 0.0 else (1.0, 0.0)
+    x, y, z = (seat[0], seat[3], seat[6]), (seat[1], seat[4], seat[7]), (seat[2], seat[5], seat[8])
+    x, y = add(scale(c, x), scale(s, y)), subtract(scale(c, y), scale(s, x))
+    at = add(at, scale(slide * q, z))
+    return (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]), at
+
+
+@kernel
+def moved_freely(at: Vector, q: Floats, k: int) -> tuple[Matrix, Vector]:
+    """Frame of a free root from its seat: turned by the quaternion w + ix + jy + kz, whatever its length."""
+    w, x, y, z = q[k], q[k + 1], q[k + 2], q[k + 3]
     s = 2.0 / (w * w + x * x + y * y + z * z)
-    return (
-        (1 - s * (y * y + z * z), s * (x * y + w * z), s * (x * z - w * y)),
-        (s * (x * y - w * z), 1 - s * (x * x + z * z), s * (y * z + w * x)),
-        (s * (x * z + w * y), s * (y * z - w * x), 1 - s * (x * x + y * y)),
-    )
+    turn = (
+        1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),
+        s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x),
+        s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y),
+    )  # fmt: skip
+    return turn, add(at, (q[k + 4], q[k + 5], q[k + 6]))
 
 
 @kernel
 def _outward_twists(
-    parent: Integers, v_start: Integers, twist: Floats, rotation: Floats, origin: Floats, qd: Floats,
-    twists: Floats,
-) -> None:  # fmt: skip
-    for b in range(len(parent)):
-        p, k = parent[b], v_start[b]
-        n_v = v_start[b + 1] - k
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, qd: Floats, twists: Floats
+) -> None:
+    for b in range(len(bodies)):
+        p, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
         omega, u = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         if p >= 0:
             omega, u = pair(twists, p)
             u = add(u, cross(omega, lever(origin, b, p)))
         if n_v == 1:
             axis = hinge_axis(rotation, b)
-            omega = add(omega, scale(twist[b, 0] * qd[k], axis))
-            u = add(u, scale(twist[b, 1] * qd[k], axis))
+            omega = add(omega, scale(bodies[b, TURN] * qd[k], axis))
+            u = add(u, scale(bodies[b, SLIDE] * qd[k], axis))
         elif n_v == 6:
             omega, u = (qd[k], qd[k + 1], qd[k + 2]), (qd[k + 3], qd[k + 4], qd[k + 5])
         put_pair(omega, u, twists, b)
@@ -227,17 +236,16 @@ def _outward_twists(
 
 @kernel
 def _inward_loads(
-    parent: Integers, v_start: Integers, twist: Floats, rotation: Floats, origin: Floats, wrench: Floats,
-    tau: Floats,
-) -> None:  # fmt: skip
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, wrench: Floats, tau: Floats
+) -> None:
     """Accumulate loads in ``wrench``, which it overwrites."""
-    for b in range(len(parent) - 1, -1, -1):
-        p, k = parent[b], v_start[b]
-        n_v = v_start[b + 1] - k
+    for b in range(len(bodies) - 1, -1, -1):
+        p, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
         moment, force = pair(wrench, b)
         if n_v == 1:
             axis = hinge_axis(rotation, b)
-            tau[k] = twist[b, 0] * dot(axis, moment) + twist[b, 1] * dot(axis, force)
+            tau[k] = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
         elif n_v == 6:
             tau[k], tau[k + 1], tau[k + 2] = moment
             tau[k + 3], tau[k + 4], tau[k + 5] = force
@@ -247,11 +255,11 @@ def _inward_loads(
 
 
 @kernel
-def _integrate(q_start: Integers, v_start: Integers, qd: Floats, q: Floats) -> None:
+def _integrate(links: Integers, qd: Floats, q: Floats) -> None:
     """Overwrite q."""
-    for b in range(len(q_start) - 1):
-        k, m = q_start[b], v_start[b]
-        n_q = q_start[b + 1] - k
+    for b in range(len(links) - 1):
+        k, m = links[b, Q], links[b, V]
+        n_q = links[b + 1, Q] - k
         if n_q == 1:
             q[k] += qd[m]
         elif n_q == 7:

@@ -4,11 +4,15 @@ import numpy as np
 
 from protochain.arrays import Floats, Integers, floats
 from protochain.multibody.algebra import (
+    ZERO,
+    Symmetric,
+    Vector,
     add,
     cross,
     hinge_axis,
     kernel,
     lever,
+    matrix,
     pair,
     put,
     put_pair,
@@ -16,20 +20,23 @@ from protochain.multibody.algebra import (
     scale,
     symmetric_times,
     vector,
+    vector_at,
 )  # fmt: skip
-from protochain.multibody.kinematics import Frames, pull_back, velocities
-from protochain.multibody.tree import Tree
+from protochain.multibody.kinematics import Frames, pose, pull_back, velocities
+from protochain.multibody.tree import PARENT, SLIDE, TURN, Tree, V
+
+Motion = tuple[Vector, Vector, Vector]
+"""Angular velocity and acceleration, and the classical (not spatial) acceleration of the origin."""
+AT_REST: Motion = (ZERO, ZERO, ZERO)
 
 
-def inverse_dynamics(
-    tree: Tree, frames: Frames, qd: Floats, qdd: Floats, wrench: Floats | None = None
-) -> Floats:
+def inverse_dynamics(tree: Tree, q: Floats, qd: Floats, qdd: Floats, wrench: Floats | None = None) -> Floats:
     """Torques that give the accelerations qdd: tau = M qdd + c(q, qd) - J^T wrench.
 
     Parameters
     ----------
     tree : Tree
-    frames : Frames
+    q : (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
     qd, qdd : (n_v,) float, rad/ps and rad/ps^2 (nm for slides)
         A free root's are (omega, u) and their time derivatives, world axes.
     wrench : (nb, 6) float, optional, kJ/mol/rad and kJ/mol/nm
@@ -43,6 +50,7 @@ def inverse_dynamics(
     -----
     Recursive Newton-Euler algorithm: Luh, Walker, Paul (1980); Featherstone (2008), table 5.1. O(n).
     """
+    frames = pose(tree, q)
     loads = inertial_loads(tree, frames, qd, qdd)
     if wrench is not None:
         loads -= floats(wrench, (tree.n_bodies, 6), "wrench")
@@ -63,7 +71,7 @@ def multiply_mass(tree: Tree, frames: Frames, x: Floats) -> Floats:
     (n_v,) float
         In amu nm^2 times the unit of x. O(n).
     """
-    return inverse_dynamics(tree, frames, np.zeros(tree.n_v), x)
+    return pull_back(tree, frames, inertial_loads(tree, frames, np.zeros(tree.n_v), x))
 
 
 def inertial_loads(tree: Tree, frames: Frames, qd: Floats, qdd: Floats | None = None) -> Floats:
@@ -87,8 +95,8 @@ def inertial_loads(tree: Tree, frames: Frames, qd: Floats, qdd: Floats | None = 
     force = m (a + alpha x c + omega x (omega x c)), moment = I alpha + m c x a + omega x I omega.
     """
     loads = np.empty((tree.n_bodies, 6))
-    outward_loads(
-        tree.parent, tree.v_start, tree.twist, tree.rigid, frames.rotation, frames.origin,
+    _outward_loads(
+        tree.links, tree.bodies, frames.rotation, frames.origin,
         floats(qd, (tree.n_v,), "qd"),
         np.zeros(tree.n_v) if qdd is None else floats(qdd, (tree.n_v,), "qdd"), loads,
     )  # fmt: skip
@@ -145,50 +153,78 @@ def centre_of_mass(tree: Tree, frames: Frames) -> Floats:
 def _momenta(tree: Tree, frames: Frames, twists: Floats) -> Floats:
     """(nb, 6) float: each body's angular momentum about its origin, and linear momentum."""
     momenta = np.empty((tree.n_bodies, 6))
-    _body_momenta(tree.rigid, frames.rotation, twists, momenta)
+    _body_momenta(tree.bodies, frames.rotation, twists, momenta)
     return momenta
 
 
 @kernel
-def _body_momenta(rigid: Floats, rotation: Floats, twists: Floats, momenta: Floats) -> None:
-    for b in range(len(rigid)):
-        mass, first, second = rigid_inertia(rotation, rigid, b)
+def _body_momenta(bodies: Floats, rotation: Floats, twists: Floats, momenta: Floats) -> None:
+    for b in range(len(bodies)):
+        mass, first, second = rigid_inertia(matrix(rotation, b), bodies, b)
         omega, u = pair(twists, b)
         angular = add(symmetric_times(second, omega), cross(first, u))
         put_pair(angular, add(scale(mass, u), cross(omega, first)), momenta, b)
 
 
 @kernel
-def outward_loads(
-    parent: Integers, v_start: Integers, twist: Floats, rigid: Floats, rotation: Floats, origin: Floats,
-    qd: Floats, qdd: Floats, loads: Floats,
-) -> None:  # fmt: skip
-    """Write the load on each body. Accelerations are the classical ones of the origins, not spatial ones."""
-    motion = np.empty((len(parent), 9))
-    for b in range(len(parent)):
-        p, k = parent[b], v_start[b]
-        n_v = v_start[b + 1] - k
-        omega, alpha, a = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+def _outward_loads(
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, qd: Floats, qdd: Floats, loads: Floats
+) -> None:
+    motions = np.empty((len(bodies), 9))
+    for b in range(len(bodies)):
+        p, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
+        motion = AT_REST
         if p >= 0:
-            omega, alpha, a = vector(motion, p, 0), vector(motion, p, 3), vector(motion, p, 6)
-            arm = lever(origin, b, p)
-            a = add(a, add(cross(alpha, arm), cross(omega, cross(omega, arm))))
+            motion = carried_along(motion_of(motions, p), lever(origin, b, p))
         if n_v == 1:
             axis = hinge_axis(rotation, b)
-            turn, slide = twist[b]
-            if slide != 0.0:
-                coriolis = scale(2.0 * slide * qd[k], cross(omega, axis))
-                a = add(a, add(scale(slide * qdd[k], axis), coriolis))
-            alpha = add(alpha, scale(turn, add(scale(qdd[k], axis), scale(qd[k], cross(omega, axis)))))
-            omega = add(omega, scale(turn * qd[k], axis))
+            motion = moved_by_hinge(motion, axis, bodies[b, TURN], bodies[b, SLIDE], qd[k], qdd[k])
         elif n_v == 6:
-            omega, alpha = (qd[k], qd[k + 1], qd[k + 2]), (qdd[k], qdd[k + 1], qdd[k + 2])
-            a = (qdd[k + 3], qdd[k + 4], qdd[k + 5])
-        put(omega, motion, b, 0)
-        put(alpha, motion, b, 3)
-        put(a, motion, b, 6)
-        mass, first, second = rigid_inertia(rotation, rigid, b)
-        centripetal = cross(omega, cross(omega, first))
-        force = add(scale(mass, a), add(cross(alpha, first), centripetal))
-        moment = add(symmetric_times(second, alpha), cross(first, a))
-        put_pair(add(moment, cross(omega, symmetric_times(second, omega))), force, loads, b)
+            motion = vector_at(qd, k), vector_at(qdd, k), vector_at(qdd, k + 3)
+        put_motion(motion, motions, b)
+        moment, force = load(rigid_inertia(matrix(rotation, b), bodies, b), motion)
+        put_pair(moment, force, loads, b)
+
+
+@kernel
+def carried_along(motion: Motion, arm: Vector) -> Motion:
+    """Motion of a place that a body carries, from that of the body's origin."""
+    omega, alpha, a = motion
+    return omega, alpha, add(a, add(cross(alpha, arm), cross(omega, cross(omega, arm))))
+
+
+@kernel
+def moved_by_hinge(motion: Motion, axis: Vector, turn: float, slide: float, qd: float, qdd: float) -> Motion:
+    """Motion of a body whose hinge moves, from that of its seat."""
+    omega, alpha, a = motion
+    # The axis is carried round by the seat.
+    rate = cross(omega, scale(qd, axis))
+    alpha = add(alpha, scale(turn, add(scale(qdd, axis), rate)))
+    a = add(a, scale(slide, add(scale(qdd, axis), scale(2.0, rate))))
+    return add(omega, scale(turn * qd, axis)), alpha, a
+
+
+@kernel
+def load(rigid: tuple[float, Vector, Symmetric], motion: Motion) -> tuple[Vector, Vector]:
+    """Moment about its origin, and force, that make a body move like that."""
+    mass, first, second = rigid
+    omega, alpha, a = motion
+    centripetal = cross(omega, cross(omega, first))
+    force = add(scale(mass, a), add(cross(alpha, first), centripetal))
+    moment = add(symmetric_times(second, alpha), cross(first, a))
+    return add(moment, cross(omega, symmetric_times(second, omega))), force
+
+
+@kernel
+def motion_of(motions: Floats, b: int) -> Motion:
+    """Read what :func:`put_motion` wrote."""
+    return vector(motions, b, 0), vector(motions, b, 3), vector(motions, b, 6)
+
+
+@kernel
+def put_motion(motion: Motion, motions: Floats, b: int) -> None:
+    """Write the motion of body b."""
+    put(motion[0], motions, b, 0)
+    put(motion[1], motions, b, 3)
+    put(motion[2], motions, b, 6)

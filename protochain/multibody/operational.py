@@ -12,10 +12,10 @@ import numpy as np
 from protochain.arrays import Floats, Integers, read_only
 from protochain.errors import MechanicsError
 from protochain.multibody.algebra import Vector, cross, hinge_axis, kernel, lever
-from protochain.multibody.articulated import articulate
+from protochain.multibody.articulated import Articulated, articulate
 from protochain.multibody.kinematics import Frames, pull_back
 from protochain.multibody.small import dense_inertia, solve_lower, solve_upper
-from protochain.multibody.tree import Tree
+from protochain.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +123,8 @@ def log_det_gradient(tree: Tree, frames: Frames) -> Floats:
     factors = articulate(tree, frames)
     gradient = np.zeros(tree.n_v)
     _outward_gradient(
-        tree.parent, tree.q_start, tree.v_start, tree.twist, frames.rotation, frames.origin, factors.gain,
-        factors.pivot, factors.root, factors.inertia, gradient,
+        tree.links, tree.bodies, frames.rotation, frames.origin, _gain_at_hinge(factors), factors.pivot,
+        factors.root, factors.inertia, gradient,
     )  # fmt: skip
     return gradient
 
@@ -159,10 +159,18 @@ def operational_inverse(tree: Tree, frames: Frames, rows: Rows) -> Floats:
     out = np.zeros((len(rows.body), len(rows.body)))
     if out.size:
         _operational(
-            tree.parent, tree.q_start, tree.v_start, tree.twist, frames.rotation, frames.origin, factors.gain,
+            tree.links, tree.bodies, frames.rotation, frames.origin, _gain_at_hinge(factors),
             factors.pivot, factors.root, rows.body, rows.wrench, out,
         )  # fmt: skip
     return out
+
+
+def _gain_at_hinge(factors: Articulated) -> Floats:
+    """(nb, 6) float: P h / D about the body's own origin, where the factors have it about the parent's."""
+    gain, parent, origin = factors.gain.copy(), factors.tree.parent, factors.frames.origin
+    arm = np.where(parent[:, None] >= 0, origin - origin[parent], 0.0)
+    gain[:, :3] -= np.cross(arm, gain[:, 3:])
+    return gain
 
 
 @kernel
@@ -209,21 +217,21 @@ def _past_hinge(axis: Vector, turn: float, slide: float, gain: Floats, pivot: fl
 
 @kernel
 def _outward_gradient(
-    parent: Integers, q_start: Integers, v_start: Integers, twist: Floats, rotation: Floats, origin: Floats,
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats,
     gain: Floats, pivot: Floats, root: Floats, packed: Floats, gradient: Floats,
 ) -> None:  # fmt: skip
-    n = len(parent)
+    n = len(bodies)
     inverse, plus = np.zeros((n, 6, 6)), np.empty((6, 6))
     for b in range(n):
-        p, k = parent[b], v_start[b]
-        n_v = v_start[b + 1] - k
+        p, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
         y = inverse[b]
         if p >= 0:
             _carried_out(lever(origin, b, p), inverse[p], y)
         if n_v == 6:
-            _inverse_of_root(root[q_start[b] - k], y)
+            _inverse_of_root(root[links[b, Q] - k], y)
         elif n_v == 1:
-            axis, turn, slide = hinge_axis(rotation, b), twist[b, 0], twist[b, 1]
+            axis, turn, slide = hinge_axis(rotation, b), bodies[b, TURN], bodies[b, SLIDE]
             if p >= 0:
                 # P+ = P - G D G^T: what is left of P once the hinge is free.
                 dense_inertia(packed[b], plus)
@@ -252,11 +260,11 @@ def _trace_with_twist(axis: Vector, turn: float, slide: float, y: Floats, plus: 
 
 @kernel
 def _operational(
-    parent: Integers, q_start: Integers, v_start: Integers, twist: Floats, rotation: Floats, origin: Floats,
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats,
     gain: Floats, pivot: Floats, root: Floats, row_body: Integers, row_wrench: Floats, out: Floats,
 ) -> None:  # fmt: skip
-    n, m = len(parent), len(row_body)
-    node = _nodes(parent, row_body)
+    n, m = len(bodies), len(row_body)
+    node = _nodes(links, row_body)
     n_nodes = node.max() + 1
     # For each body on the way from a row's body to its root: Y, and the load it passes to the next node
     # inward.
@@ -264,22 +272,21 @@ def _operational(
     for b in range(n):
         if node[b] == -2:
             continue
-        p, k = parent[b], v_start[b]
-        n_v = v_start[b + 1] - k
+        p, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
         y = inverse[b]
         if p >= 0:
             arm = lever(origin, b, p)
             _carried_out(arm, inverse[p], y)
             following[b] = p if node[p] >= 0 else following[p]
-            _pass_inward(
-                arm, hinge_axis(rotation, b), n_v * twist[b, 0], n_v * twist[b, 1], gain[b], operator[b]
-            )
+            turn, slide = n_v * bodies[b, TURN], n_v * bodies[b, SLIDE]
+            _pass_inward(arm, hinge_axis(rotation, b), turn, slide, gain[b], operator[b])
             if node[p] < 0:
                 operator[b] = operator[p] @ operator[b]
         if n_v == 6:
-            _inverse_of_root(root[q_start[b] - k], y)
+            _inverse_of_root(root[links[b, Q] - k], y)
         elif n_v == 1:
-            _past_hinge(hinge_axis(rotation, b), twist[b, 0], twist[b, 1], gain[b], pivot[b], y)
+            _past_hinge(hinge_axis(rotation, b), bodies[b, TURN], bodies[b, SLIDE], gain[b], pivot[b], y)
 
     body = np.empty(n_nodes, dtype=np.int64)
     for b in range(n):
@@ -311,9 +318,9 @@ def _operational(
 
 
 @kernel
-def _nodes(parent: Integers, row_body: Integers) -> Integers:
+def _nodes(links: Integers, row_body: Integers) -> Integers:
     """(nb,) int: a number where rows act or their paths meet, -1 between such bodies, -2 elsewhere."""
-    n = len(parent)
+    n = len(links) - 1
     node, paths = np.full(n, -2), np.zeros(n, dtype=np.int64)
     for i in range(len(row_body)):
         for side in range(2):
@@ -321,9 +328,9 @@ def _nodes(parent: Integers, row_body: Integers) -> Integers:
                 paths[row_body[i, side]] = 2
     for b in range(n - 1, -1, -1):
         if paths[b] > 0:
-            node[b] = 0 if paths[b] > 1 or parent[b] < 0 else -1
-            if parent[b] >= 0:
-                paths[parent[b]] += 1
+            node[b] = 0 if paths[b] > 1 or links[b, PARENT] < 0 else -1
+            if links[b, PARENT] >= 0:
+                paths[links[b, PARENT]] += 1
     count = 0
     for b in range(n):
         if node[b] == 0:

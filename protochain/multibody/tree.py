@@ -9,6 +9,10 @@ import numpy as np
 from protochain.arrays import Floats, Integers, read_only
 from protochain.errors import MechanicsError
 
+PARENT, Q, V = range(3)
+"""Columns of :attr:`Tree.links`."""
+OFFSET, AXES, MASS, FIRST_MOMENT, SECOND_MOMENTS, TURN, SLIDE = 0, 3, 12, 13, 16, 22, 23
+"""Where these begin in a row of :attr:`Tree.bodies`. One array: a call pays for each that it is given."""
 NO_INERTIA = 1e-12
 """Moment about an axis, relative to the sum of all moments, below which rounding cannot tell it from zero."""
 
@@ -123,6 +127,18 @@ class Tree:
         rows, columns = np.triu_indices(3)
         moment = self.mass[:, None] * self.com
         return read_only(np.column_stack([self.mass, moment, about_origin[:, rows, columns]]))
+
+    @cached_property
+    def links(self) -> Integers:
+        """(nb + 1, 3) int: parent, q_start, v_start, which is what the sweeps read."""
+        parent = np.append(self.parent, len(self.parent) - 1)
+        return read_only(np.column_stack([parent, self.q_start, self.v_start]), np.int64)
+
+    @cached_property
+    def bodies(self) -> Floats:
+        """(nb, 24) float: offset, columns of placement, rigid, twist, which is what the sweeps read."""
+        axes = self.placement.swapaxes(1, 2).reshape(self.n_bodies, 9)
+        return read_only(np.column_stack([self.offset, axes, self.rigid, self.twist]))
 
     @cached_property
     def n_q(self) -> int:
