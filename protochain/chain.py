@@ -138,6 +138,38 @@ def pose(chain: Chain, q: Floats) -> Pose:
     return Pose(read_only(q), frames, frozen(x))
 
 
+def rigid_groups(chain: Chain) -> Integers:
+    """Bodies that each atom keeps its place in, whatever the hinges do.
+
+    Parameters
+    ----------
+    chain : Chain
+
+    Returns
+    -------
+    (na, k) int
+        The atom's own body first, then bodies joined to it by a hinge on whose axis it lies; -1 for none.
+    """
+    frames = multibody.pose(chain.tree, chain.q0)
+    x = pose(chain, chain.q0).x
+    groups = [[int(body)] for body in chain.atom_body]
+    members: dict[int, list[int]] = {}
+    for atom, body in enumerate(chain.atom_body.tolist()):
+        members.setdefault(body, []).append(atom)
+    for body in chain.hinge_body.tolist():
+        parent = int(chain.tree.parent[body])
+        for atom in members.get(body, []) + members.get(parent, []):
+            place = frames.rotation[body].T @ (x[atom] - frames.origin[body])
+            if np.hypot(place[0], place[1]) < _ON_HINGE:
+                groups[atom].append(parent if atom in members.get(body, []) else body)
+    wide = max(len(its) for its in groups)
+    return np.array([its + [-1] * (wide - len(its)) for its in groups], dtype=np.int64)
+
+
+_ON_HINGE = 1e-9
+"""nm. An atom nearer to an axis than this lies on it: positions are rounded to 1e-15."""
+
+
 def pull_back(chain: Chain, pose: Pose, f: Floats) -> Floats:
     """Joint torques of Cartesian forces: tau = J^T f = -dE/dq.
 

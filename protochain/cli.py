@@ -50,7 +50,7 @@ Forcefield = Annotated[
 ]
 Solvent = Annotated[str, typer.Option(help="vacuum, obc2 or gbn2.")]
 Hinges = Annotated[str, typer.Option(help="Bonds that turn: any of phi psi omega chi rotors.")]
-Engine = Annotated[str, typer.Option(help="auto or openmm.")]
+Engine = Annotated[str, typer.Option(help="auto, native or openmm.")]
 Tolerance = Annotated[
     float,
     typer.Option(help="Largest torque (kJ/mol/rad), or RMS force (kJ/mol/nm) for openmm, at convergence."),
@@ -185,10 +185,19 @@ def compare(
 
 
 @app.command()
-def info(source: Input, hinges: Hinges = "phi psi chi", as_json: AsJson = False) -> None:
+def info(
+    source: Input,
+    hinges: Hinges = "phi psi chi",
+    solvent: Solvent = "obc2",
+    forcefield: Forcefield = "amber14",
+    as_json: AsJson = False,
+    trust_forcefield: Trust = False,
+) -> None:
     """Show what a file holds, what was changed to prepare it, and how it is cut into bodies."""
     began = perf_counter()
     from protochain.articulate import build_chain
+    from protochain.chain import rigid_groups
+    from protochain.energies import energy as build_energy
     from protochain.structure import load
 
     imported = perf_counter()
@@ -196,6 +205,8 @@ def info(source: Input, hinges: Hinges = "phi psi chi", as_json: AsJson = False)
     loaded = perf_counter()
     chain = build_chain(structure, hinges)
     built = perf_counter()
+    whole = build_energy(structure, forcefield, solvent, trust_forcefield=trust_forcefield)
+    energy = whole.without_constants(rigid_groups(chain), structure.positions)
     facts: dict[str, Any] = {
         "input": str(source),
         "n_chains": structure.n_chains,
@@ -209,9 +220,13 @@ def info(source: Input, hinges: Hinges = "phi psi chi", as_json: AsJson = False)
         "loops": [f"{structure.describe(a)} - {structure.describe(b)}" for a, b in chain.loops.tolist()],
         "left_out": dict(structure.left_out),
         "repairs": list(structure.repairs),
+        "engine": energy.engine,
+        "engine_reason": energy.reason,
+        "constant_terms": dict(energy.left_out),
         "seconds_import": imported - began,
         "seconds_preparation": loaded - imported,
         "seconds_chain": built - loaded,
+        "seconds_energy": perf_counter() - built,
     }
     if as_json:
         print(json.dumps(facts))

@@ -8,7 +8,9 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
+from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.openmm_engine import OpenMMEnergy
+from protochain.energies.protocol import Energy
 from protochain.errors import ForceFieldError
 from protochain.structure.model import Structure
 
@@ -28,12 +30,12 @@ FORCE_FIELDS = {
 SOLVENTS = {"vacuum": None, "obc2": "implicit/obc2.xml", "gbn2": "implicit/gbn2.xml"}
 """Solvent models, and the OpenMM file that adds each."""
 
-ENGINES = ("auto", "openmm")
+ENGINES = ("auto", "native", "openmm")
 
 _OBC_OFFSET = 0.009
 """nm. The OBC radius offset that the implicit files subtract from each radius and GBSAOBCForce adds."""
 
-_COULOMB_GBSAOBC = 138.935456
+_COULOMB_GBSAOBC = 138.93545764438198
 _COULOMB_CUSTOM = 138.935485
 """kJ nm/mol/e^2. GBSAOBCForce and the CustomGBForce of the implicit files round 1/(4 pi epsilon0)
 differently: scaling the charges by the root of the ratio makes the two energies equal."""
@@ -48,7 +50,7 @@ def energy(
     system: openmm.System | None = None,
     threads: int | None = None,
     trust_forcefield: bool = False,
-) -> OpenMMEnergy:
+) -> Energy:
     """Build the potential energy of a structure.
 
     Parameters
@@ -61,7 +63,8 @@ def energy(
         ``vacuum``, ``obc2`` (Onufriev, Bashford, Case, Proteins 55:383, 2004) or ``gbn2`` (Nguyen, Roe,
         Simmerling, J. Chem. Theory Comput. 9:2020, 2013), no cutoff.
     engine : str
-        ``auto`` or ``openmm``.
+        ``native`` (kernels of our own, double precision), ``openmm`` (its CPU platform), or ``auto``: native
+        where it can represent every force, and else openmm, with the reason.
     system : openmm.System, optional
         Use this System as it is instead of building one.
     threads : int, optional
@@ -71,12 +74,14 @@ def energy(
 
     Returns
     -------
-    OpenMMEnergy
+    Energy
 
     Raises
     ------
     ForceFieldError
         If a name is unknown, the file would run code, or a residue has no parameters.
+    UnsupportedForceError
+        If ``native`` is asked for and cannot represent a force exactly; its text names the force.
     """
     if engine not in ENGINES:
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
@@ -88,7 +93,9 @@ def energy(
                 f"the System has {system.getNumParticles()} particles but {structure.name} has "
                 f"{structure.n_atoms} atoms; build it from structure.topology"
             )
-        return OpenMMEnergy(system, threads=threads, note="the System given by the caller")
+        return _by_engine(
+            engine, OpenMMEnergy(system, threads=threads, note="the System given by the caller")
+        )
     if solvent not in SOLVENTS:
         raise ForceFieldError(f"solvent {solvent!r} is not known; choose from {', '.join(SOLVENTS)}")
     own = _own_file(forcefield)
@@ -109,7 +116,22 @@ def energy(
     note = "no cutoff"
     if solvent == "obc2":
         note = _use_gbsa_obc(built)
-    return OpenMMEnergy(built, "CPU", threads, forcefield, solvent, note)
+    return _by_engine(engine, OpenMMEnergy(built, "CPU", threads, forcefield, solvent, note))
+
+
+def _by_engine(engine: str, twin: OpenMMEnergy) -> Energy:
+    """Return the energy by the engine asked for."""
+    if engine == "openmm":
+        return twin
+    try:
+        return NativeEnergy(twin, twin.threads)
+    except UnsupportedForceError as error:
+        if engine == "native":
+            raise
+        note = f"{twin.note}; not by the native engine: {error}"
+        return OpenMMEnergy(
+            twin.system, twin.platform, twin.threads, twin.forcefield, twin.solvent, note.removeprefix("; ")
+        )
 
 
 @cache

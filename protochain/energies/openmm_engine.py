@@ -3,13 +3,15 @@
 import copy
 import hashlib
 import os
+from collections.abc import Mapping
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 import openmm
 from openmm import unit
 
-from protochain.arrays import Floats, floats
+from protochain.arrays import Floats, Integers, floats
 
 
 class OpenMMEnergy:
@@ -28,6 +30,7 @@ class OpenMMEnergy:
     """
 
     engine = "openmm"
+    left_out: Mapping[str, int] = MappingProxyType({})
 
     def __init__(
         self,
@@ -51,6 +54,15 @@ class OpenMMEnergy:
         precision = "double" if self.platform == "Reference" else "single"
         text = f"OpenMM {self.platform} platform, {precision} precision, {self.threads} threads"
         return f"{text}; {self.note}" if self.note else text
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether it computes in double precision."""
+        return self.platform == "Reference"
+
+    def without_constants(self, groups: Integers, x: Floats) -> "OpenMMEnergy":
+        """Return itself: OpenMM computes all terms, constant or not."""
+        return self
 
     @cached_property
     def reference(self) -> "OpenMMEnergy":

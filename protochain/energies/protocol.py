@@ -1,8 +1,9 @@
 """What every energy offers."""
 
+from collections.abc import Mapping
 from typing import Any, Protocol
 
-from protochain.arrays import Floats
+from protochain.arrays import Floats, Integers
 
 
 class Energy(Protocol):
@@ -10,7 +11,7 @@ class Energy(Protocol):
 
     @property
     def engine(self) -> str:
-        """Engine that computes it: ``openmm``."""
+        """Engine that computes it: ``native`` or ``openmm``."""
 
     @property
     def reason(self) -> str:
@@ -31,6 +32,17 @@ class Energy(Protocol):
     @property
     def threads(self) -> int:
         """Threads it computes on."""
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether it computes in double precision, so that nothing is gained by going on elsewhere."""
+
+    @property
+    def left_out(self) -> Mapping[str, int]:
+        """Terms and pairs that are constant and left out, by kind."""
+
+    def without_constants(self, groups: Integers, x: Floats) -> "Energy":
+        """Leave out what keeps its value while groups of atoms (na, k) stay rigid as they are at x."""
 
     @property
     def reference(self) -> "Energy":

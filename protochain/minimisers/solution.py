@@ -171,6 +171,7 @@ class Solution:
             "status": str(self.status),
             "message": self.message,
             "left_out": dict(s.left_out),
+            "constant_terms": dict(e.left_out),
             "repairs": list(s.repairs),
             "seed": self.seed,
             "threads": e.threads,

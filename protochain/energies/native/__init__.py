@@ -1,0 +1,6 @@
+"""Energies and forces of proteins by kernels of our own, in double precision."""
+
+from protochain.energies.native.engine import NativeEnergy
+from protochain.energies.native.unsupported import UnsupportedForceError
+
+__all__ = ["NativeEnergy", "UnsupportedForceError"]

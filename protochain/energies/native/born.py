@@ -1,0 +1,228 @@
+"""Born radii by pairwise descreening, and the forces that their change gives.
+
+Hawkins, Cramer, Truhlar, J. Phys. Chem. 100:19824 (1996), equations 9-11, with the radii of Onufriev,
+Bashford, Case, Proteins 55:383 (2004). Where atom j lies wholly outside atom i, its integral
+(s/(r^2 - s^2) - atanh(s/r)/r) / 2 is s^3 / (2 r^4) times a series in (s/r)^2 that knows nothing of atom i:
+no logarithm, no root. The few nearer pairs come from a list.
+"""
+
+import numpy as np
+from numba import prange
+
+from protochain.arrays import Floats, Integers
+from protochain.energies.native.layout import (
+    BORN,
+    CHUNKS,
+    FX,
+    FY,
+    FZ,
+    HALF_INVERSE_BORN,
+    OWN,
+    PULL,
+    S2,
+    S3,
+    W,
+    X,
+    Y,
+    Z,
+    part,
+    scalar,
+    shared,
+    tiled,
+)  # fmt: skip
+from protochain.energies.native.pairs import CLOSEST, difference, push
+from protochain.energies.native.series import far_integral, far_slope, near_integral, near_slope
+
+
+@shared
+def integral_sums(
+    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, sums: Floats
+) -> None:
+    """Add the descreening integrals of all pairs at ``near`` or further to the atoms' own sums."""
+    for c in prange(CHUNKS):
+        begin, end = part(len(tiles), c)
+        for k in range(begin, end):
+            i, j = tiles[k, 0], tiles[k, 1]
+            _integral_tile(
+                atoms[i], atoms[j], i == j, is_near[k], cutoff < np.inf, near * near, cutoff * cutoff,
+                sums[c, i], sums[c, j],
+            )  # fmt: skip
+
+
+@tiled
+def _integral_tile(
+    a: Floats, b: Floats, same: bool, is_near: bool, cut: bool, near2: float, cutoff2: float, a_sums: Floats,
+    b_sums: Floats,
+) -> None:  # fmt: skip
+    for i in range(W):
+        xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
+        s2, s3 = a[S2 * W + i], a[S3 * W + i]
+        own = 0.0
+        for j in range(W):
+            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+            r2 = dx * dx + dy * dy + dz * dz
+            inverse2 = 1.0 / r2
+            if is_near:
+                inverse2 = inverse2 if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
+                g, h = near_integral(b[S2 * W + j] * inverse2), near_integral(s2 * inverse2)
+            else:
+                if cut:
+                    inverse2 = inverse2 if r2 < cutoff2 else 0.0
+                g, h = far_integral(b[S2 * W + j] * inverse2), far_integral(s2 * inverse2)
+            inverse4 = inverse2 * inverse2
+            own += b[S3 * W + j] * inverse4 * g
+            b_sums[OWN * W + j] += s3 * inverse4 * h
+        a_sums[OWN * W + i] += own
+
+
+@shared
+def descreening_sums(
+    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, sums: Floats
+) -> None:
+    """Add the forces of the integrals of :func:`integral_sums`, given dE/d(integral) of each atom."""
+    for c in prange(CHUNKS):
+        begin, end = part(len(tiles), c)
+        for k in range(begin, end):
+            i, j = tiles[k, 0], tiles[k, 1]
+            _descreening_tile(
+                atoms[i], atoms[j], i == j, is_near[k], cutoff < np.inf, near * near, cutoff * cutoff,
+                sums[c, i], sums[c, j],
+            )  # fmt: skip
+
+
+@tiled
+def _descreening_tile(
+    a: Floats, b: Floats, same: bool, is_near: bool, cut: bool, near2: float, cutoff2: float, a_sums: Floats,
+    b_sums: Floats,
+) -> None:  # fmt: skip
+    for i in range(W):
+        xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
+        s2, s3, pull = a[S2 * W + i], a[S3 * W + i], a[PULL * W + i]
+        fx, fy, fz = 0.0, 0.0, 0.0
+        for j in range(W):
+            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+            r2 = dx * dx + dy * dy + dz * dz
+            inverse2 = 1.0 / r2
+            if is_near:
+                inverse2 = inverse2 if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
+                g, h = near_slope(b[S2 * W + j] * inverse2), near_slope(s2 * inverse2)
+            else:
+                if cut:
+                    inverse2 = inverse2 if r2 < cutoff2 else 0.0
+                g, h = far_slope(b[S2 * W + j] * inverse2), far_slope(s2 * inverse2)
+            f = (pull * b[S3 * W + j] * g + b[PULL * W + j] * s3 * h) * inverse2 * inverse2 * inverse2
+            fx += f * dx
+            fy += f * dy
+            fz += f * dz
+            b_sums[FX * W + j] -= f * dx
+            b_sums[FY * W + j] -= f * dy
+            b_sums[FZ * W + j] -= f * dz
+        a_sums[FX * W + i] += fx
+        a_sums[FY * W + i] += fy
+        a_sums[FZ * W + i] += fz
+
+
+@shared
+def near_integral_sums(
+    x: Floats, offset_radius: Floats, scaled_radius: Floats, engulfs: bool, pairs: Integers, near: float,
+    slopes: Floats, sums: Floats,
+) -> None:  # fmt: skip
+    """Add the integrals of listed pairs nearer than ``near``, and keep their slopes over distance."""
+    for c in prange(CHUNKS):
+        begin, end = part(len(pairs), c)
+        for k in range(begin, end):
+            i, j = pairs[k, 0], pairs[k, 1]
+            r2 = max(difference(x, i, j)[3], CLOSEST)
+            slopes[k, 0], slopes[k, 1] = 0.0, 0.0
+            if r2 < near * near:
+                r = np.sqrt(r2)
+                of_i, slopes[k, 0] = descreening(r, offset_radius[i], scaled_radius[j], engulfs)
+                of_j, slopes[k, 1] = descreening(r, offset_radius[j], scaled_radius[i], engulfs)
+                sums[c, i // W, OWN * W + i % W] += of_i
+                sums[c, j // W, OWN * W + j % W] += of_j
+
+
+@scalar
+def descreening(r: float, radius: float, s: float, engulfs: bool) -> tuple[float, float]:
+    """Integral of a sphere of radius s at distance r from an atom, and its slope over r.
+
+    ``engulfs`` adds 1/radius - 1/L where the sphere holds the whole atom, as GBSAOBCForce does.
+    """
+    if r + s <= radius:
+        return 0.0, 0.0
+    reach = abs(r - s)
+    outside = reach > radius
+    lower = 1.0 / (reach if outside else radius)
+    upper = 1.0 / (r + s)
+    # L moves with r where the sphere's nearest point lies outside the atom.
+    d_lower = (-lower * lower if r > s else lower * lower) if outside else 0.0
+    d_upper = -upper * upper
+    squares, log = upper * upper - lower * lower, np.log(upper / lower)
+    arm = r - s * s / r
+    value = lower - upper + 0.25 * arm * squares + 0.5 * log / r
+    slope = (
+        d_lower - d_upper + 0.25 * (1.0 + s * s / (r * r)) * squares
+        + 0.5 * arm * (upper * d_upper - lower * d_lower)
+        - 0.5 * log / (r * r) + 0.5 * (d_upper / upper - d_lower / lower) / r
+    )  # fmt: skip
+    if engulfs and radius < s - r:
+        value += 2.0 * (1.0 / radius - lower)
+        slope -= 2.0 * d_lower
+    return 0.5 * value, 0.5 * slope / r
+
+
+@shared
+def near_descreening_sums(x: Floats, pull: Floats, pairs: Integers, slopes: Floats, sums: Floats) -> None:
+    """Add the forces of the listed pairs, whose slopes :func:`near_integral_sums` kept."""
+    for c in prange(CHUNKS):
+        begin, end = part(len(pairs), c)
+        for k in range(begin, end):
+            i, j = pairs[k, 0], pairs[k, 1]
+            dx, dy, dz, _ = difference(x, i, j)
+            f = -(pull[i] * slopes[k, 0] + pull[j] * slopes[k, 1])
+            push(sums[c], i, j, f * dx, f * dy, f * dz)
+
+
+@scalar
+def put_born_radii(
+    integral: Floats, offset_radius: Floats, radius: Floats, bend: Floats, atoms: Floats, slope: Floats
+) -> None:
+    """Write the Born radii into the blocks, and dB/d(integral) of each atom.
+
+    ``bend`` holds alpha, beta, gamma of tanh(alpha psi - beta psi^2 + gamma psi^3), psi = integral times
+    offset radius; all zero for the plain 1/B = 1/radius - integral.
+    """
+    for i in range(len(integral)):
+        alpha, beta, gamma = bend[i, 0], bend[i, 1], bend[i, 2]
+        psi = integral[i] * offset_radius[i]
+        if alpha == 0.0:
+            born = 1.0 / (1.0 / offset_radius[i] - integral[i])
+            slope[i] = born * born
+        else:
+            t = np.tanh(psi * (alpha - psi * (beta - psi * gamma)))
+            born = 1.0 / (1.0 / offset_radius[i] - t / radius[i])
+            inner = alpha - psi * (2.0 * beta - 3.0 * psi * gamma)
+            slope[i] = born * born * (1.0 - t * t) * inner * offset_radius[i] / radius[i]
+        block, k = i // W, i % W
+        atoms[block, BORN * W + k], atoms[block, HALF_INVERSE_BORN * W + k] = born, 0.5 / born
+
+
+@scalar
+def add_self_energy(
+    gb_charge: Floats, surface: Floats, slope: Floats, atoms: Floats, with_born: Floats
+) -> tuple[float, float]:
+    """Self energy -q^2 / (2 B) and surface energy c / B^6; from dE/dB make dE/d(integral), here and in place.
+
+    Surface: Schaefer, Bartels, Karplus, J. Mol. Biol. 284:835 (1998).
+    """
+    own, area = 0.0, 0.0
+    for i in range(len(gb_charge)):
+        block, k = i // W, i % W
+        inverse = 2.0 * atoms[block, HALF_INVERSE_BORN * W + k]
+        q2 = gb_charge[i] * gb_charge[i]
+        sixth = surface[i] * inverse**6
+        own -= 0.5 * q2 * inverse
+        area += sixth
+        with_born[i] = (with_born[i] + 0.5 * q2 * inverse * inverse - 6.0 * sixth * inverse) * slope[i]
+        atoms[block, PULL * W + k] = with_born[i]
+    return own, area

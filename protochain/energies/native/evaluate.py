@@ -1,0 +1,227 @@
+"""One evaluation of compiled terms: what the kernels are called with, and in which order."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers
+from protochain.energies.native import bonded, born, neck, pairs
+from protochain.energies.native.layout import (
+    CHARGE,
+    CHUNKS,
+    GB_CHARGE,
+    ROWS,
+    S2,
+    S3,
+    SUMS,
+    W,
+    add_up,
+    empty_blocks,
+    forces_of,
+    in_blocks,
+    n_blocks,
+    own_sums,
+    put_positions,
+)  # fmt: skip
+from protochain.energies.native.neighbours import Lists, make_lists
+from protochain.energies.native.series import FAR_RATIO, NEAR_RATIO
+from protochain.energies.native.terms import Terms
+
+CLOSE = 0.35
+"""nm. Pairs nearer than this come from a list: all that bonds exclude and that clash lie there."""
+KINDS = ("bonds", "angles", "torsions", "impropers", "maps", "nonbonded", "polar", "surface")
+"""Parts of the energy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Terms as the kernels read them.
+
+    Parameters
+    ----------
+    terms : Terms
+    groups : (na, k) int
+        Rigid groups of each atom, -1 for none.
+    exceptions : (na + 1,) int, (n,) int
+        Start of each atom's excepted partners, and the partners: also of those that never change.
+    """
+
+    terms: Terms
+    groups: Integers
+    exceptions: tuple[Integers, Integers]
+
+    @cached_property
+    def near(self) -> float:
+        """Distance in nm from which on tiles take over."""
+        if self.terms.solvent is None:
+            return CLOSE
+        s, radius = np.abs(self.terms.solvent.scaled_radius), self.terms.solvent.offset_radius
+        return float(max(CLOSE, s.max() / NEAR_RATIO, s.max() + radius.max()))
+
+    @cached_property
+    def block_near(self) -> float:
+        """Distance in nm from which on blocks need no near series and no necks."""
+        if self.terms.solvent is None:
+            return self.near
+        far = float(np.abs(self.terms.solvent.scaled_radius).max()) / FAR_RATIO
+        necks = self.terms.solvent.necks
+        return max(self.near, far, float(necks.reach.max()) if necks else 0.0)
+
+    @cached_property
+    def blocks(self) -> Floats:
+        """(blocks, ROWS * W) float: what does not move."""
+        blocks = empty_blocks(self.terms.n_atoms)
+        rows = blocks.reshape(-1, ROWS, W)
+        rows[:, CHARGE] = in_blocks(self.terms.charge)
+        if self.terms.solvent is not None:
+            s = self.terms.solvent.scaled_radius
+            rows[:, GB_CHARGE] = in_blocks(self.terms.solvent.charge)
+            rows[:, S2], rows[:, S3] = in_blocks(s**2), in_blocks(0.5 * s**3)
+        return blocks
+
+    @cached_property
+    def lj_type(self) -> Integers:
+        """(blocks, W) int."""
+        return in_blocks(self.terms.lj_type)
+
+    @cached_property
+    def lj(self) -> Floats:
+        """(blocks, types, 2 W) float: 12 A and 6 B of each type with each atom of a block."""
+        a12, b6 = (
+            in_types(table, self.terms.lj_type) for table in (12.0 * self.terms.a12, 6.0 * self.terms.b6)
+        )
+        return np.concatenate([a12, b6], axis=2)
+
+    @cached_property
+    def neck_type(self) -> Integers:
+        """(blocks, W) int."""
+        assert self.terms.solvent is not None and self.terms.solvent.necks is not None
+        return in_blocks(self.terms.solvent.necks.kind)
+
+    @cached_property
+    def necks(self) -> Floats:
+        """(blocks, types, NECK_ROWS * W) float."""
+        assert self.terms.solvent is not None and self.terms.solvent.necks is not None
+        n = self.terms.solvent.necks
+        rows = (n.height, n.place, n.height.T, n.place.T, n.reach**2)
+        return np.concatenate([in_types(row, n.kind) for row in rows], axis=2)
+
+
+def in_types(table: Floats, kind: Integers) -> Floats:
+    """(blocks, types, W) float: table[type, kind of each atom of a block]."""
+    n = n_blocks(len(kind)) * W
+    wide = np.zeros((len(table), n))
+    wide[:, : len(kind)] = table[:, kind]
+    return np.ascontiguousarray(wide.reshape(len(table), -1, W).swapaxes(0, 1))
+
+
+def lists_of(layout: Layout, x: Floats) -> Lists:
+    """Neighbour lists at x."""
+    return make_lists(
+        x, layout.near, layout.block_near, layout.terms.cutoff, layout.exceptions, layout.groups
+    )  # fmt: skip
+
+
+def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[dict[str, float], Floats]:
+    """Energy by kind, and forces.
+
+    Parameters
+    ----------
+    layout : Layout
+    lists : Lists
+    x : (na, 3) float, nm
+    fixed : (na,) float
+        Parts of the Born integrals that do not change.
+
+    Returns
+    -------
+    dict of str to float, kJ/mol; (na, 3) float, kJ/mol/nm
+    """
+    terms, atoms = layout.terms, layout.blocks.copy()
+    put_positions(x, atoms)
+    sums = np.zeros((CHUNKS, len(atoms), SUMS * W))
+    parts = np.zeros((len(KINDS), CHUNKS))
+    part = dict(zip(KINDS, parts, strict=True))
+    pairwise = layout.near, terms.cutoff, terms.krf, terms.crf
+    solvent = terms.solvent
+    if solvent is None:
+        pairs.pair_sums(
+            atoms, layout.lj, layout.lj_type, lists.tiles, lists.is_near, *pairwise, sums, part["nonbonded"]
+        )
+    else:
+        integral, slopes = _integrals(layout, lists, x, atoms, sums)
+        slope = np.empty(terms.n_atoms)
+        born.put_born_radii(
+            integral + fixed, solvent.offset_radius, solvent.radius, solvent.bend, atoms, slope
+        )
+        pairs.solvated_pair_sums(
+            atoms, layout.lj, layout.lj_type, lists.tiles, lists.is_near, *pairwise, sums, part["nonbonded"],
+            part["polar"],
+        )  # fmt: skip
+        total = np.zeros(sums.shape[1:])
+        add_up(sums, total)
+        pull = own_sums(total, terms.n_atoms)
+        own, area = born.add_self_energy(solvent.charge, solvent.surface, slope, atoms, pull)
+        part["polar"][0] += own
+        part["surface"][0] += area
+        near = layout.near, solvent.cutoff
+        born.descreening_sums(atoms, lists.tiles, lists.is_near, *near, sums)
+        born.near_descreening_sums(x, pull, lists.close, slopes, sums)
+        if solvent.necks is not None:
+            neck.neck_force_sums(
+                atoms, layout.necks, layout.neck_type, lists.tiles, lists.is_near, solvent.cutoff, sums
+            )
+    pairs.near_sums(
+        x, terms.charge, terms.a12, terms.b6, terms.lj_type, lists.free, layout.near, terms.krf, terms.crf,
+        sums, part["nonbonded"],
+    )  # fmt: skip
+    pairs.exception_sums(
+        x, terms.charge, terms.a12, terms.b6, terms.lj_type, terms.exceptions.atoms,
+        terms.exceptions.parameters, *pairwise, sums, part["nonbonded"],
+    )  # fmt: skip
+    for kind, kernel in _BONDED:
+        some = getattr(terms, kind)
+        if len(some.atoms):
+            kernel(x, some.atoms, some.parameters, sums, part[kind])
+    if len(terms.maps.atoms):
+        which = terms.maps.parameters[:, 0].astype(np.int64)
+        bonded.map_sums(x, terms.maps.atoms, which, terms.map_coefficients, sums, part["maps"])
+    total = np.zeros(sums.shape[1:])
+    add_up(sums, total)
+    return {kind: float(values.sum()) for kind, values in part.items()}, forces_of(total, terms.n_atoms)
+
+
+_BONDED = (
+    ("bonds", bonded.bond_sums),
+    ("angles", bonded.angle_sums),
+    ("torsions", bonded.torsion_sums),
+    ("impropers", bonded.improper_sums),
+)
+
+
+def born_integrals(layout: Layout, lists: Lists, x: Floats) -> Floats:
+    """(na,) float: Born integrals at x of all pairs that are in tiles and lists."""
+    atoms = layout.blocks.copy()
+    put_positions(x, atoms)
+    return _integrals(layout, lists, x, atoms, np.zeros((CHUNKS, len(atoms), SUMS * W)))[0]
+
+
+def _integrals(layout: Layout, lists: Lists, x: Floats, atoms: Floats, sums: Floats) -> tuple[Floats, Floats]:
+    """Born integrals, and the slopes of the close pairs' parts of them."""
+    solvent = layout.terms.solvent
+    assert solvent is not None
+    born.integral_sums(atoms, lists.tiles, lists.is_near, layout.near, solvent.cutoff, sums)
+    slopes = np.empty((len(lists.close), 2))
+    born.near_integral_sums(
+        x, solvent.offset_radius, solvent.scaled_radius, solvent.engulfs, lists.close, layout.near, slopes,
+        sums,
+    )  # fmt: skip
+    if solvent.necks is not None:
+        neck.neck_sums(
+            atoms, layout.necks, layout.neck_type, lists.tiles, lists.is_near, solvent.cutoff, sums
+        )
+    total = np.zeros(sums.shape[1:])
+    add_up(sums, total)
+    sums[:] = 0.0
+    return own_sums(total, len(x)), slopes

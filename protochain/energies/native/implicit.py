@@ -1,0 +1,204 @@
+"""Generalised-Born parameters from GBSAOBCForce, or from the CustomGBForces of OpenMM's implicit files."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import openmm
+
+from protochain.arrays import Floats, Integers
+from protochain.energies.native.neck import REACH
+from protochain.energies.native.unsupported import UnsupportedForceError
+
+_COULOMB_GBSAOBC = 138.93545764438198
+_COULOMB_CUSTOM = 138.935485
+"""kJ nm/mol/e^2, as the two forces round them."""
+_PROBE = 0.14
+"""nm. Radius of water."""
+_AREA_CUSTOM = 28.3919551
+"""kJ/mol/nm^2, 4 pi times the surface tension, as the implicit files round it."""
+_GBSAOBC_OFFSET = 0.009
+_OBC2 = (1.0, 0.8, 4.85)
+"""alpha, beta, gamma: Onufriev, Bashford, Case, Proteins 55:383 (2004), table 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Necks:
+    """Tables of GBn and GBn2.
+
+    Parameters
+    ----------
+    kind : (na,) int
+        Row of each atom in the tables.
+    height, place : (kinds, kinds) float
+        Of the peak on atom i beside atom j; height in 1/nm, place in nm.
+    reach : (kinds, kinds) float, nm
+    """
+
+    kind: Integers
+    height: Floats
+    place: Floats
+    reach: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Solvent:
+    """Parameters of each atom.
+
+    Parameters
+    ----------
+    charge : (na,) float
+        Times the root of Coulomb's constant and of the difference of inverse dielectrics.
+    offset_radius, scaled_radius, radius : (na,) float, nm
+    bend : (na, 3) float
+        alpha, beta, gamma; zero for HCT.
+    surface : (na,) float, kJ/mol nm^6
+        c of the surface energy c / B^6.
+    engulfs : bool
+        Whether a sphere that holds a whole atom counts in full, as in GBSAOBCForce.
+    necks : Necks or None
+    cutoff : float, nm
+    """
+
+    charge: Floats
+    offset_radius: Floats
+    scaled_radius: Floats
+    radius: Floats
+    bend: Floats
+    surface: Floats
+    engulfs: bool
+    necks: Necks | None
+    cutoff: float
+
+
+def from_gbsa_obc(force: openmm.GBSAOBCForce) -> Solvent:
+    """OBC2 as OpenMM's own force has it."""
+    if force.getNonbondedMethod() == force.CutoffPeriodic:
+        raise UnsupportedForceError("GBSAOBCForce with a periodic cutoff")
+    cut = force.getNonbondedMethod() != force.NoCutoff
+    values = [force.getParticleParameters(i) for i in range(force.getNumParticles())]
+    charge, radius, scale = np.array([[getattr(v, "_value", v) for v in row] for row in values]).T
+    polar = 1.0 / force.getSoluteDielectric() - 1.0 / force.getSolventDielectric()
+    area = 4.0 * np.pi * force.getSurfaceAreaEnergy()._value
+    offset_radius = radius - _GBSAOBC_OFFSET
+    return Solvent(
+        charge * np.sqrt(_COULOMB_GBSAOBC * polar), offset_radius, offset_radius * scale, radius,
+        np.tile(_OBC2, (len(radius), 1)), area * (radius + _PROBE) ** 2 * radius**6, True, None,
+        force.getCutoffDistance()._value if cut else np.inf,
+    )  # fmt: skip
+
+
+_NUMBER = r"([-+.\deE]+)"
+_HCT = (
+    "select(step(r+sr2-or1),0.5*(1/L-1/U+0.25*(r-sr2^2/r)*(1/(U^2)-1/(L^2))+0.5*log(L/U)/r),0);"
+    "U=r+sr2;L=max(or1,D);D=abs(r-sr2)"
+)
+_NECK = (
+    "Ivdw+neckScale*Ineck;Ineck=step(radius1+radius2+neckCut-r)*getm0(radindex1,radindex2)/"
+    "(1+100*(r-getd0(radindex1,radindex2))^2+0.3*1000000*(r-getd0(radindex1,radindex2))^6);Ivdw="
+) + _HCT
+_NECK_END = re.compile(
+    rf";radius1=or1\+offset;radius2=or2\+offset;neckScale={_NUMBER};neckCut={_NUMBER};offset={_NUMBER}"
+)
+_PLAIN_RADIUS = "1/(1/or-I)"
+_BENT_RADIUS = re.compile(rf"1/\(1/or-tanh\((.+)\)/radius\);psi=I\*or;radius=or\+offset;offset={_NUMBER}")
+_BEND = re.compile(rf"(?:(alpha|{_NUMBER})\*)?psi(?:-(beta|{_NUMBER})\*psi\^2)?\+(gamma|{_NUMBER})\*psi\^3")
+_PARAMETERS = re.compile(
+    rf";solventDielectric={_NUMBER};soluteDielectric={_NUMBER};kappa=0;offset={_NUMBER}(?:;cutoff={_NUMBER})?"
+)
+_POLAR = "*138.935485*(1/soluteDielectric-1/solventDielectric)*"
+_SELF = "-0.5" + _POLAR + "charge^2/B"
+_SURFACE = "28.3919551*(radius+0.14)^2*(radius/B)^6;radius=or+offset"
+_PAIR = "-138.935485*(1/soluteDielectric-1/solventDielectric)*charge1*charge2"
+_F = ";f=sqrt(r^2+B1*B2*exp(-r^2/(4*B1*B2)))"
+
+
+def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
+    """HCT, OBC1, OBC2, GBn or GBn2, recognised by the very expressions of OpenMM's implicit files."""
+    if force.getNonbondedMethod() == force.CutoffPeriodic:
+        raise UnsupportedForceError("CustomGBForce with a periodic cutoff")
+    cutoff = np.inf if force.getNonbondedMethod() == force.NoCutoff else force.getCutoffDistance()._value
+    if force.getNumExclusions() or force.getNumGlobalParameters():
+        raise UnsupportedForceError("CustomGBForce with exclusions or global parameters")
+    names = [force.getPerParticleParameterName(i) for i in range(force.getNumPerParticleParameters())]
+    rows = np.array([force.getParticleParameters(i) for i in range(force.getNumParticles())])
+    of = dict(zip(names, rows.T, strict=True))
+    values = [force.getComputedValueParameters(i) for i in range(force.getNumComputedValues())]
+    terms = [force.getEnergyTermParameters(i) for i in range(force.getNumEnergyTerms())]
+    pairs, single = force.ParticlePairNoExclusions, force.SingleParticle
+    if [(name, kind) for name, _, kind in values] != [("I", pairs), ("B", single)]:
+        raise UnsupportedForceError("CustomGBForce that is none of HCT, OBC1, OBC2, GBn and GBn2")
+    bend, radius = _bend(_bare(values[1][1]), of)
+    polar, area = _energy_terms([(_bare(expression), kind) for expression, kind in terms], cutoff, force)
+    surface = np.zeros(len(rows))
+    if area is not None:
+        surface = _AREA_CUSTOM * (of["or"] + area + _PROBE) ** 2 * (of["or"] + area) ** 6
+    return Solvent(
+        of["charge"] * np.sqrt(_COULOMB_CUSTOM * polar), of["or"], of["sr"], radius, bend, surface, False,
+        _necks(_bare(values[0][1]), of, force), cutoff,
+    )  # fmt: skip
+
+
+def _bare(expression: str) -> str:
+    return "".join(expression.split())
+
+
+def _bend(expression: str, of: dict[str, Floats]) -> tuple[Floats, Floats]:
+    n = len(of["or"])
+    if expression == _PLAIN_RADIUS:
+        return np.zeros((n, 3)), of["or"]
+    outer = _BENT_RADIUS.fullmatch(expression)
+    inner = _BEND.fullmatch(outer[1]) if outer else None
+    if outer is None or inner is None:
+        raise UnsupportedForceError(f"CustomGBForce with Born radius {expression!r}")
+    bend = np.empty((n, 3))
+    for column, (group, default) in enumerate(((1, "1"), (3, "0"), (5, "0"))):
+        written = inner[group] or default
+        bend[:, column] = of[written] if written in of else float(written)
+    return bend, of["or"] + float(outer[2])
+
+
+def _energy_terms(
+    terms: list[tuple[str, int]], cutoff: float, force: openmm.CustomGBForce
+) -> tuple[float, float | None]:
+    """Difference of inverse dielectrics, and the surface term's radius offset if there is one."""
+    shift = "/f" if cutoff == np.inf else f"*(1/f-{1 / cutoff})"
+    known = {
+        (_SELF, force.SingleParticle): "self",
+        (_SURFACE, force.SingleParticle): "surface",
+        (_PAIR + shift + _F, force.ParticlePairNoExclusions): "pair",
+    }
+    found: dict[str, re.Match[str]] = {}
+    for expression, kind in terms:
+        tail = _PARAMETERS.search(expression)
+        head = expression[: tail.start()] if tail and tail.end() == len(expression) else expression
+        name = known.get((head, kind))
+        if tail is None or name is None or name in found:
+            raise UnsupportedForceError(f"CustomGBForce with energy {expression!r}")
+        found[name] = tail
+    dielectrics = {tail.groups()[:2] for tail in found.values()}
+    if not {"self", "pair"} <= set(found) or len(dielectrics) != 1:
+        raise UnsupportedForceError("CustomGBForce without the usual polar terms")
+    outside, inside = (float(text) for text in dielectrics.pop())
+    area = float(found["surface"][3]) if "surface" in found else None
+    return 1.0 / inside - 1.0 / outside, area
+
+
+def _necks(expression: str, of: dict[str, Floats], force: openmm.CustomGBForce) -> Necks | None:
+    if expression == _HCT:
+        return None
+    tail = _NECK_END.search(expression)
+    if tail is None or expression[: tail.start()] != _NECK or float(tail[2]) != REACH:
+        raise UnsupportedForceError(f"CustomGBForce with Born integral {expression!r}")
+    scale, offset = float(tail[1]), float(tail[3])
+    tables = {}
+    for i in range(force.getNumTabulatedFunctions()):
+        width, height, values = force.getTabulatedFunction(i).getFunctionParameters()
+        tables[force.getTabulatedFunctionName(i)] = np.array(values).reshape(height, width).T
+    kind = of["radindex"].astype(np.int64)
+    radius = np.zeros(len(tables["getm0"]))
+    radius[kind] = of["or"] + offset
+    if not np.array_equal(radius[kind], of["or"] + offset):
+        raise UnsupportedForceError("CustomGBForce whose necks' types have more than one radius")
+    reach = radius[:, None] + radius[None, :] + REACH
+    return Necks(kind, scale * tables["getm0"], tables["getd0"], reach)

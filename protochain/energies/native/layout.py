@@ -1,0 +1,116 @@
+"""How atoms lie in memory: in blocks of W, one number of all W atoms after another.
+
+A block's numbers lie at known distances from one address, so the compiler sees that what it writes does not
+touch what it reads, and works on four atoms at a time.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numba import njit, prange
+
+from protochain.arrays import Floats, Integers
+
+W = 32
+"""Atoms in a block. Wider ones waste more on padding, narrower ones more on sums along rows."""
+X, Y, Z, CHARGE, GB_CHARGE, S2, S3, BORN, HALF_INVERSE_BORN, PULL = range(10)
+"""Rows of a block: position (nm); charges times the root of their constant; square and half the cube of the
+scaled radius; Born radius B; 1/(2 B); dE/d(Born integral)."""
+ROWS = 10
+FX, FY, FZ, OWN = range(4)
+"""Rows of what the chunks write: force, and a sum of the atom's own."""
+SUMS = 4
+CHUNKS = 16
+"""Parts of the work, whatever the number of threads: sums have one order, so results have one value."""
+FAR_AWAY = 1e6
+"""nm. Where the atoms that fill the last block lie, apart from each other, without charge or radius."""
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def tiled(function: F) -> F:
+    """Compile what is done for two blocks: sums along a row may be taken in any order, four at a time."""
+    fast = {"contract", "reassoc", "nsz"}
+    return cast(F, njit(cache=True, error_model="numpy", fastmath=fast)(function))
+
+
+def scalar(function: F) -> F:
+    """Compile what is done for one term after another."""
+    return cast(F, njit(cache=True, error_model="numpy", fastmath={"contract"})(function))
+
+
+def shared(function: F) -> F:
+    """Compile a loop over chunks, which threads share."""
+    return cast(F, njit(cache=True, error_model="numpy", parallel=True)(function))
+
+
+def n_blocks(n: int) -> int:
+    """Blocks that n atoms fill."""
+    return -(-n // W)
+
+
+def in_blocks(values: np.ndarray, fill: float = 0.0) -> np.ndarray:
+    """(blocks, W): a number of each atom, and ``fill`` for those that fill the last block."""
+    padded = np.full(n_blocks(len(values)) * W, fill, dtype=values.dtype)
+    padded[: len(values)] = values
+    return padded.reshape(-1, W)
+
+
+def empty_blocks(n: int) -> Floats:
+    """(blocks, ROWS * W) float: blocks for n atoms, all far away, uncharged and of unit Born radius."""
+    blocks = np.zeros((n_blocks(n), ROWS, W))
+    blocks[:, X] = FAR_AWAY * (1 + np.arange(blocks[:, X].size).reshape(-1, W))
+    blocks[:, BORN], blocks[:, HALF_INVERSE_BORN] = 1.0, 0.5
+    return blocks.reshape(-1, ROWS * W)
+
+
+@scalar
+def put_positions(x: Floats, atoms: Floats) -> None:
+    """Write positions (na, 3) into the blocks."""
+    for i in range(len(x)):
+        block, k = i // W, i % W
+        for axis in range(3):
+            atoms[block, axis * W + k] = x[i, axis]
+
+
+@scalar
+def part(n: int, chunk: int) -> tuple[int, int]:
+    """Begin and end of a chunk's share of n things."""
+    return chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS
+
+
+@shared
+def add_up(sums: Floats, total: Floats) -> None:
+    """Add what the chunks wrote, (CHUNKS, blocks, SUMS * W), to the total, in the order of the chunks."""
+    for chunk in prange(CHUNKS):
+        begin, end = part(sums.shape[1], chunk)
+        for b in range(begin, end):
+            for k in range(sums.shape[2]):
+                value = total[b, k]
+                for c in range(CHUNKS):
+                    value += sums[c, b, k]
+                total[b, k] = value
+
+
+@scalar
+def own_sums(total: Floats, n: int) -> Floats:
+    """(na,) float: each atom's own sum."""
+    own = np.empty(n)
+    for i in range(n):
+        own[i] = total[i // W, OWN * W + i % W]
+    return own
+
+
+@scalar
+def forces_of(total: Floats, n: int) -> Floats:
+    """(na, 3) float: the forces in the blocks."""
+    forces = np.empty((n, 3))
+    for i in range(n):
+        for axis in range(3):
+            forces[i, axis] = total[i // W, axis * W + i % W]
+    return forces
+
+
+TileList = tuple[Integers, np.ndarray]
+"""(n_tiles, 2) int: pairs of blocks, the first not after the second; (n_tiles,) bool: whether near."""

@@ -1,0 +1,47 @@
+"""Torsion maps as bicubic patches."""
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from protochain.arrays import Floats
+
+_HERMITE = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]])
+"""Coefficients of 1, u, u^2, u^3 from values at 0 and 1 and slopes at 0 and 1."""
+
+
+def spline_coefficients(grid: Floats) -> Floats:
+    """Coefficients of the periodic bicubic spline through a map.
+
+    Parameters
+    ----------
+    grid : (size, size) float, kJ/mol
+        Energies at angles 2 pi (i, j) / size.
+
+    Returns
+    -------
+    (size, size, 4, 4) float
+        Of u^a v^b in each cell, u and v the places in it, from 0 to 1.
+
+    Notes
+    -----
+    Slopes and cross slopes are those of periodic cubic splines along either axis: MacKerell, Feig, Brooks,
+    J. Comput. Chem. 25:1400 (2004).
+    """
+    along = _slopes(grid, 0)
+    across = _slopes(grid, 1)
+    both = _slopes(along, 1)
+    corners = np.empty((*grid.shape, 4, 4))
+    for a, (value, slope) in enumerate(((grid, across), (along, both))):
+        for i in (0, 1):
+            for j in (0, 1):
+                corners[..., 2 * a + i, j] = np.roll(value, (-i, -j), (0, 1))
+                corners[..., 2 * a + i, 2 + j] = np.roll(slope, (-i, -j), (0, 1))
+    return np.einsum("ap,ijpq,bq->ijab", _HERMITE, corners, _HERMITE)
+
+
+def _slopes(values: Floats, axis: int) -> Floats:
+    """Slope of the periodic spline along one axis, for each step of the grid."""
+    size = values.shape[axis]
+    closed = np.concatenate([values, np.take(values, [0], axis)], axis)
+    spline = CubicSpline(np.arange(size + 1), closed, axis=axis, bc_type="periodic")
+    return np.asarray(spline(np.arange(size), 1))

@@ -1,0 +1,147 @@
+"""Which blocks, and which atoms, are close enough to matter: lists that last while nothing moves far."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers
+from protochain.energies.native.layout import W, scalar
+from protochain.energies.native.pairs import difference
+
+SKIN = 0.1
+"""nm. Lists reach this much further than needed, and hold until an atom has moved half of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lists:
+    """Pairs of blocks and of atoms at one set of positions.
+
+    Parameters
+    ----------
+    x : (na, 3) float, nm
+        Positions the lists were made at.
+    tiles : (n_tiles, 2) int
+        Pairs of blocks within the cutoff, the second not before the first.
+    is_near : (n_tiles,) bool
+        Whether two of their atoms may be near each other.
+    close : (n, 2) int
+        Pairs of atoms that may be near, but for those at a fixed distance.
+    free : (n, 2) int
+        Those of ``close`` that are no exceptions.
+    """
+
+    x: Floats
+    tiles: Integers
+    is_near: np.ndarray
+    close: Integers
+    free: Integers
+
+    def still_hold(self, x: Floats) -> bool:
+        """Whether no atom has moved far enough to enter or leave a list unseen."""
+        return bool(furthest(self.x, x) <= (0.5 * SKIN) ** 2)
+
+
+def make_lists(
+    x: Floats, near: float, block_near: float, cutoff: float, exceptions: tuple[Integers, Integers],
+    groups: Integers,
+) -> Lists:  # fmt: skip
+    """Find all pairs anew.
+
+    Parameters
+    ----------
+    x : (na, 3) float, nm
+    near : float, nm
+        Reach of the pairs of atoms.
+    block_near : float, nm
+        Reach of the blocks that count as near.
+    cutoff : float, nm
+    exceptions : (na + 1,) int, (n,) int
+        Start of each atom's partners, and the partners.
+    groups : (na, k) int
+        Rigid groups of each atom, -1 for none: atoms with one in common keep their distance.
+    """
+    low, high = _boxes(x)
+    tiles, is_near = _tiles(low, high, block_near + SKIN, cutoff + SKIN)
+    close, is_free = _close(x, tiles[is_near], near + SKIN, exceptions[0], exceptions[1], groups)
+    return Lists(x.copy(), tiles, is_near, close, close[is_free])
+
+
+@scalar
+def furthest(a: Floats, b: Floats) -> float:
+    """Largest squared distance that an atom has moved."""
+    most = 0.0
+    for i in range(len(a)):
+        dx, dy, dz = a[i, 0] - b[i, 0], a[i, 1] - b[i, 1], a[i, 2] - b[i, 2]
+        most = max(most, dx * dx + dy * dy + dz * dz)
+    return most
+
+
+@scalar
+def _boxes(x: Floats) -> tuple[Floats, Floats]:
+    """Corners of each block's box."""
+    n = -(-len(x) // W)
+    low, high = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
+    for i in range(len(x)):
+        for axis in range(3):
+            low[i // W, axis] = min(low[i // W, axis], x[i, axis])
+            high[i // W, axis] = max(high[i // W, axis], x[i, axis])
+    return low, high
+
+
+@scalar
+def _tiles(low: Floats, high: Floats, near: float, cutoff: float) -> tuple[Integers, np.ndarray]:
+    n = len(low)
+    tiles, is_near = np.empty((n * (n + 1) // 2, 2), np.int64), np.empty(n * (n + 1) // 2, np.bool_)
+    count = 0
+    for i in range(n):
+        for j in range(i, n):
+            apart = 0.0
+            for axis in range(3):
+                gap = max(low[i, axis] - high[j, axis], low[j, axis] - high[i, axis], 0.0)
+                apart += gap * gap
+            if apart < cutoff * cutoff:
+                tiles[count, 0], tiles[count, 1], is_near[count] = i, j, apart < near * near
+                count += 1
+    return tiles[:count].copy(), is_near[:count].copy()
+
+
+@scalar
+def _close(
+    x: Floats, tiles: Integers, reach: float, start: Integers, partner: Integers, groups: Integers
+) -> tuple[Integers, np.ndarray]:
+    n, room = len(x), 1024
+    pairs, is_free = np.empty((room, 2), np.int64), np.empty(room, np.bool_)
+    count = 0
+    for k in range(len(tiles)):
+        for i in range(tiles[k, 0] * W, min(n, (tiles[k, 0] + 1) * W)):
+            for j in range(max(i + 1, tiles[k, 1] * W), min(n, (tiles[k, 1] + 1) * W)):
+                if difference(x, i, j)[3] >= reach * reach or _share(groups, i, j):
+                    continue
+                if count == room:
+                    room *= 2
+                    wider, marks = np.empty((room, 2), np.int64), np.empty(room, np.bool_)
+                    wider[:count], marks[:count] = pairs, is_free
+                    pairs, is_free = wider, marks
+                pairs[count, 0], pairs[count, 1], is_free[count] = i, j, True
+                for place in range(start[i], start[i + 1]):
+                    if partner[place] == j:
+                        is_free[count] = False
+                count += 1
+    return pairs[:count].copy(), is_free[:count].copy()
+
+
+@scalar
+def _share(groups: Integers, i: int, j: int) -> bool:
+    """Whether two atoms belong to one rigid group."""
+    for a in range(groups.shape[1]):
+        for b in range(groups.shape[1]):
+            if groups[i, a] == groups[j, b] and groups[i, a] >= 0:
+                return True
+    return False
+
+
+def partners(pairs: Integers, n: int) -> tuple[Integers, Integers]:
+    """Start of each atom's later partners in a list of pairs, and the partners."""
+    order = np.lexsort((pairs[:, 1], pairs[:, 0]))
+    first, second = pairs[order].T if len(pairs) else np.zeros((2, 0), np.int64)
+    return np.searchsorted(first, np.arange(n + 1)).astype(np.int64), np.ascontiguousarray(second)

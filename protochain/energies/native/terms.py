@@ -1,0 +1,294 @@
+"""An OpenMM System -> the arrays of its energy terms."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from protochain.arrays import Floats, Integers
+from protochain.energies.native.implicit import Solvent, from_custom_gb, from_gbsa_obc
+from protochain.energies.native.maps import spline_coefficients
+from protochain.energies.native.unsupported import UnsupportedForceError
+
+COULOMB = 138.93545764438198
+"""kJ nm/mol/e^2, as OpenMM's NonbondedForce has it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bonded:
+    """Terms of one kind.
+
+    Parameters
+    ----------
+    atoms : (n, k) int
+    parameters : (n, m) float
+    """
+
+    atoms: Integers
+    parameters: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """The potential energy of a System, term by term.
+
+    Parameters
+    ----------
+    n_atoms : int
+    bonds, angles, torsions, impropers : Bonded
+        Parameters (r0, k), (theta0, k), (n, phi0, k), (phi0, k).
+    maps : Bonded
+        Eight atoms each; the parameter is the map's index.
+    map_coefficients : (maps, size, size, 4, 4) float
+    charge : (na,) float
+        Times the root of Coulomb's constant.
+    lj_type : (na,) int
+    a12, b6 : (types, types) float
+        Of A/r^12 - B/r^6.
+    exceptions : Bonded
+        Pairs with (A, B, q q) of their own; all zero for excluded ones.
+    cutoff : float, nm
+        Infinite for none.
+    krf, crf : float
+        Of the reaction field q q (1/r + krf r^2 - crf).
+    solvent : Solvent or None
+    """
+
+    n_atoms: int
+    bonds: Bonded
+    angles: Bonded
+    torsions: Bonded
+    impropers: Bonded
+    maps: Bonded
+    map_coefficients: Floats
+    charge: Floats
+    lj_type: Integers
+    a12: Floats
+    b6: Floats
+    exceptions: Bonded
+    cutoff: float
+    krf: float
+    crf: float
+    solvent: Solvent | None
+
+
+def compile_system(system: openmm.System) -> Terms:
+    """Read the terms of a System.
+
+    Parameters
+    ----------
+    system : openmm.System
+
+    Returns
+    -------
+    Terms
+
+    Raises
+    ------
+    UnsupportedForceError
+        Naming the first force, or feature of one, that has no exact counterpart here.
+    """
+    found: dict[str, list[openmm.Force]] = {}
+    for force in system.getForces():
+        found.setdefault(type(force).__name__, []).append(force)
+    found.pop("CMMotionRemover", None)
+    unknown = sorted(set(found) - set(_READERS) - {"NonbondedForce", *_WITH_NONBONDED})
+    if unknown:
+        raise UnsupportedForceError(f"{unknown[0]} has no native kernel")
+    if any(system.isVirtualSite(i) for i in range(system.getNumParticles())):
+        raise UnsupportedForceError("virtual sites have no native kernel")
+    twice = [name for name in found if name in _ONCE and len(found[name]) > 1]
+    if twice:
+        raise UnsupportedForceError(f"more than one {twice[0]}")
+    for forces in found.values():
+        for force in forces:
+            if force.usesPeriodicBoundaryConditions():
+                raise UnsupportedForceError(f"{type(force).__name__} with periodic boundaries")
+    bonded = {kind: Bonded(*_stacked(kind, found)) for kind in _SHAPES}
+    maps = [m for force in found.get("CMAPTorsionForce", []) for m in _maps(force)]
+    sizes = {len(m) for m in maps}
+    if len(sizes) > 1:
+        raise UnsupportedForceError("CMAPTorsionForce with maps of different sizes")
+    coefficients = np.array([spline_coefficients(m) for m in maps]) if maps else np.zeros((1, 1, 1, 4, 4))
+    return Terms(
+        system.getNumParticles(), **bonded, map_coefficients=coefficients, **_nonbonded(system, found),
+        solvent=_solvent(found),
+    )  # fmt: skip
+
+
+_SHAPES = {"bonds": (2, 2), "angles": (3, 2), "torsions": (4, 3), "impropers": (4, 2), "maps": (8, 1)}
+"""Atoms and parameters of each kind."""
+_WITH_NONBONDED = ("CustomNonbondedForce", "CustomBondForce", "GBSAOBCForce", "CustomGBForce")
+_ONCE = ("NonbondedForce", "CMAPTorsionForce", *_WITH_NONBONDED)
+
+
+def _stacked(kind: str, found: dict[str, list[openmm.Force]]) -> tuple[Integers, Floats]:
+    n_atoms, n_parameters = _SHAPES[kind]
+    rows = [
+        row
+        for name, (its_kind, read) in _READERS.items() if its_kind == kind
+        for force in found.get(name, []) for row in read(force)
+    ]  # fmt: skip
+    atoms = np.array([row[:n_atoms] for row in rows], dtype=np.int64).reshape(-1, n_atoms)
+    values = [[_plain(value) for value in row[n_atoms:]] for row in rows]
+    return atoms, np.array(values, dtype=float).reshape(-1, n_parameters)
+
+
+def _plain(value: object) -> float:
+    return float(value.value_in_unit_system(unit.md_unit_system) if unit.is_quantity(value) else value)  # type: ignore[arg-type,union-attr]
+
+
+def _rows(force: openmm.Force, count: str, get: str) -> list[list[object]]:
+    return [list(getattr(force, get)(i)) for i in range(getattr(force, count)())]
+
+
+def _bonds(force: openmm.HarmonicBondForce) -> list[list[object]]:
+    return _rows(force, "getNumBonds", "getBondParameters")
+
+
+def _angles(force: openmm.HarmonicAngleForce) -> list[list[object]]:
+    return _rows(force, "getNumAngles", "getAngleParameters")
+
+
+def _torsions(force: openmm.PeriodicTorsionForce) -> list[list[object]]:
+    return _rows(force, "getNumTorsions", "getTorsionParameters")
+
+
+def _impropers(force: openmm.CustomTorsionForce) -> list[list[object]]:
+    names = [force.getPerTorsionParameterName(i) for i in range(force.getNumPerTorsionParameters())]
+    if _bare(force.getEnergyFunction()) != "k*(theta-theta0)^2" or sorted(names) != ["k", "theta0"]:
+        raise UnsupportedForceError(f"CustomTorsionForce {force.getEnergyFunction()!r}")
+    order = [names.index("theta0"), names.index("k")]
+    read = _rows(force, "getNumTorsions", "getTorsionParameters")
+    return [[*row[:4], *(row[4][place] for place in order)] for row in read]  # type: ignore[index]
+
+
+def _map_torsions(force: openmm.CMAPTorsionForce) -> list[list[object]]:
+    read = _rows(force, "getNumTorsions", "getTorsionParameters")
+    return [[*row[1:], row[0]] for row in read]
+
+
+_READERS = {
+    "HarmonicBondForce": ("bonds", _bonds),
+    "HarmonicAngleForce": ("angles", _angles),
+    "PeriodicTorsionForce": ("torsions", _torsions),
+    "CustomTorsionForce": ("impropers", _impropers),
+    "CMAPTorsionForce": ("maps", _map_torsions),
+}
+
+
+def _maps(force: openmm.CMAPTorsionForce) -> list[Floats]:
+    read = [force.getMapParameters(i) for i in range(force.getNumMaps())]
+    # OpenMM's first angle runs fastest.
+    return [np.array([_plain(v) for v in values]).reshape(size, size).T for size, values in read]
+
+
+def _bare(expression: str) -> str:
+    return "".join(expression.split()).rstrip(";")
+
+
+def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> dict[str, object]:
+    n = system.getNumParticles()
+    force = found.get("NonbondedForce", [openmm.NonbondedForce()])[0]
+    if not force.getNumParticles():
+        for _ in range(n):
+            force.addParticle(0.0, 1.0, 0.0)
+    if force.getNonbondedMethod() not in (force.NoCutoff, force.CutoffNonPeriodic):
+        raise UnsupportedForceError("NonbondedForce with Ewald summation or periodic cutoff")
+    if force.getNumParticleParameterOffsets() or force.getNumExceptionParameterOffsets():
+        raise UnsupportedForceError("NonbondedForce with parameter offsets")
+    cutoff, krf, crf = np.inf, 0.0, 0.0
+    if force.getNonbondedMethod() == force.CutoffNonPeriodic:
+        if force.getUseSwitchingFunction():
+            raise UnsupportedForceError("NonbondedForce with a switching function")
+        cutoff, dielectric = _plain(force.getCutoffDistance()), force.getReactionFieldDielectric()
+        # Tironi, Sperb, Smith, van Gunsteren, J. Chem. Phys. 102:5451 (1995).
+        krf = (dielectric - 1.0) / (2.0 * dielectric + 1.0) / cutoff**3
+        crf = 3.0 * dielectric / (2.0 * dielectric + 1.0) / cutoff
+    particles = np.array([[_plain(v) for v in force.getParticleParameters(i)] for i in range(n)])
+    charge, sigma, epsilon = particles.T
+    # Where the well has no depth its width means nothing: one type less.
+    kinds = np.column_stack([np.where(epsilon == 0.0, 0.0, sigma), epsilon, np.zeros(n)])
+    table = found.get("CustomNonbondedForce")
+    if table:
+        kinds[:, 2] = _types_of(table[0], force)
+    types, lj_type = np.unique(kinds, axis=0, return_inverse=True)
+    s6 = (0.5 * (types[:, None, 0] + types[None, :, 0])) ** 6
+    b6 = 4.0 * np.sqrt(types[:, None, 1] * types[None, :, 1]) * s6
+    a12 = b6 * s6
+    if table:
+        which = types[:, 2].astype(int)
+        more_a, more_b = _tables(table[0])
+        a12, b6 = a12 + more_a[np.ix_(which, which)], b6 + more_b[np.ix_(which, which)]
+    return {
+        "charge": charge * np.sqrt(COULOMB), "lj_type": lj_type.reshape(-1).astype(np.int64), "a12": a12,
+        "b6": b6, "exceptions": _exceptions(force, found), "cutoff": cutoff, "krf": krf, "crf": crf,
+    }  # fmt: skip
+
+
+def _exceptions(force: openmm.NonbondedForce, found: dict[str, list[openmm.Force]]) -> Bonded:
+    pairs, parameters = [], []
+    for i in range(force.getNumExceptions()):
+        first, second, *values = force.getExceptionParameters(i)
+        qq, sigma, epsilon = (_plain(v) for v in values)
+        b6 = 4.0 * epsilon * sigma**6
+        pairs.append((min(first, second), max(first, second)))
+        parameters.append([b6 * sigma**6, b6, qq * COULOMB])
+    place = {pair: i for i, pair in enumerate(pairs)}
+    for own in found.get("CustomBondForce", []):
+        names = [own.getPerBondParameterName(i) for i in range(own.getNumPerBondParameters())]
+        if _bare(own.getEnergyFunction()) != "4*epsilon*((sigma/r)^12-(sigma/r)^6)" or sorted(names) != [
+            "epsilon",
+            "sigma",
+        ]:
+            raise UnsupportedForceError(f"CustomBondForce {own.getEnergyFunction()!r}")
+        for i in range(own.getNumBonds()):
+            first, second, values = own.getBondParameters(i)
+            pair = min(first, second), max(first, second)
+            if pair not in place:
+                raise UnsupportedForceError("CustomBondForce between atoms that also see each other")
+            sigma, epsilon = values[names.index("sigma")], values[names.index("epsilon")]
+            b6 = 4.0 * epsilon * sigma**6
+            parameters[place[pair]][0] += b6 * sigma**6
+            parameters[place[pair]][1] += b6
+    return Bonded(
+        np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(parameters, dtype=float).reshape(-1, 3)
+    )
+
+
+def _types_of(table: openmm.CustomNonbondedForce, force: openmm.NonbondedForce) -> list[float]:
+    """Type of each particle in CHARMM's table of Lennard-Jones pairs."""
+    names = [table.getPerParticleParameterName(i) for i in range(table.getNumPerParticleParameters())]
+    plain = (
+        _bare(table.getEnergyFunction()) == "acoef(type1,type2)/r^12-bcoef(type1,type2)/r^6"
+        and names == ["type"]
+        and not table.getNumInteractionGroups()
+        and table.getNonbondedMethod() == force.getNonbondedMethod()
+        and not table.getUseSwitchingFunction()
+    )
+    if not plain:
+        raise UnsupportedForceError(f"CustomNonbondedForce {table.getEnergyFunction()!r}")
+    excluded = {tuple(sorted(table.getExclusionParticles(i))) for i in range(table.getNumExclusions())}
+    exceptions = {tuple(sorted(force.getExceptionParameters(i)[:2])) for i in range(force.getNumExceptions())}
+    if excluded != exceptions:
+        raise UnsupportedForceError("CustomNonbondedForce with other exclusions than NonbondedForce")
+    return [table.getParticleParameters(i)[0] for i in range(table.getNumParticles())]
+
+
+def _tables(table: openmm.CustomNonbondedForce) -> tuple[Floats, Floats]:
+    read = {}
+    for i in range(table.getNumTabulatedFunctions()):
+        width, height, values = table.getTabulatedFunction(i).getFunctionParameters()
+        read[table.getTabulatedFunctionName(i)] = np.array(values).reshape(height, width).T
+    return read["acoef"], read["bcoef"]
+
+
+def _solvent(found: dict[str, list[openmm.Force]]) -> Solvent | None:
+    if "GBSAOBCForce" in found and "CustomGBForce" in found:
+        raise UnsupportedForceError("GBSAOBCForce together with CustomGBForce")
+    for force in found.get("GBSAOBCForce", []):
+        return from_gbsa_obc(force)
+    for force in found.get("CustomGBForce", []):
+        return from_custom_gb(force)
+    return None
