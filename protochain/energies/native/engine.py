@@ -19,6 +19,8 @@ from protochain.energies.native.terms import Bonded, compile_system
 from protochain.energies.openmm_engine import OpenMMEnergy
 
 _LOG = logging.getLogger(__name__)
+MOST_THREADS = numba.get_num_threads()
+"""What numba was started with: processors, or NUMBA_NUM_THREADS."""
 
 
 class NativeEnergy:
@@ -44,11 +46,13 @@ class NativeEnergy:
     def __init__(self, twin: OpenMMEnergy, threads: int) -> None:
         terms = compile_system(twin.system)
         nobody = np.full((terms.n_atoms, 1), -1)
-        self._set(twin, threads, Layout(terms, nobody, partners(terms.exceptions.atoms, terms.n_atoms)))
+        self._set(
+            twin, threads, Layout(terms, nobody, partners(terms.nonbonded.exceptions.atoms, terms.n_atoms))
+        )
 
     def _set(self, twin: OpenMMEnergy, threads: int, layout: Layout) -> None:
         self.twin = twin
-        self.threads = min(threads, numba.config.NUMBA_NUM_THREADS)
+        self.threads = min(threads, MOST_THREADS)
         self.left_out: Mapping[str, int] = MappingProxyType({})
         self._layout = layout
         self._lists: Lists | None = None
@@ -144,14 +148,15 @@ class NativeEnergy:
         """
         terms = self._layout.terms
         kept, left_out = {}, {}
-        for kind in ("bonds", "angles", "torsions", "impropers", "maps", "exceptions"):
-            some: Bonded = getattr(terms, kind)
+        for kind, some in (*terms.bonded.items(), ("exceptions", terms.nonbonded.exceptions)):
             moving = ~_in_one_group(groups, some.atoms)
             kept[kind] = Bonded(some.atoms[moving], some.parameters[moving])
             left_out[kind] = int(len(moving) - moving.sum())
+        nonbonded = replace(terms.nonbonded, exceptions=kept.pop("exceptions"))
+        fewer = replace(terms, bonded=kept, nonbonded=nonbonded)
         less = NativeEnergy.__new__(NativeEnergy)
         # Exceptions left out still mark what the list of free pairs may not hold.
-        less._set(self.twin, self.threads, replace(self._layout, terms=replace(terms, **kept), groups=groups))
+        less._set(self.twin, self.threads, replace(self._layout, terms=fewer, groups=groups))
         less._whole = self, x
         left_out["close pairs"] = len(self._lists_at(x).close) - len(less._lists_at(x).close)
         less.left_out = MappingProxyType({kind: n for kind, n in left_out.items() if n})
@@ -184,10 +189,11 @@ class NativeEnergy:
 
     def _announce(self) -> None:
         """Say once that kernels have to be compiled, which takes half a minute on a fresh installation."""
-        kernel = pairs.exception_sums
-        if kernel.signatures or any(Path(kernel._cache.cache_path).glob("pairs.exception_sums*.nbi")):
-            return
-        _LOG.warning("compiling the energy kernels for this machine; this happens once")
+        kernel: Any = pairs.exception_sums
+        if not kernel.signatures and not any(
+            Path(kernel._cache.cache_path).glob("pairs.exception_sums*.nbi")
+        ):
+            _LOG.warning("compiling the energy kernels for this machine; this happens once")
 
     def __repr__(self) -> str:
         return f"<NativeEnergy {self.forcefield}, {self.solvent}: {self.reason}>"

@@ -73,7 +73,7 @@ class Layout:
         """(blocks, ROWS * W) float: what does not move."""
         blocks = empty_blocks(self.terms.n_atoms)
         rows = blocks.reshape(-1, ROWS, W)
-        rows[:, CHARGE] = in_blocks(self.terms.charge)
+        rows[:, CHARGE] = in_blocks(self.terms.nonbonded.charge)
         if self.terms.solvent is not None:
             s = self.terms.solvent.scaled_radius
             rows[:, GB_CHARGE] = in_blocks(self.terms.solvent.charge)
@@ -83,15 +83,14 @@ class Layout:
     @cached_property
     def lj_type(self) -> Integers:
         """(blocks, W) int."""
-        return in_blocks(self.terms.lj_type)
+        return in_blocks(self.terms.nonbonded.lj_type)
 
     @cached_property
     def lj(self) -> Floats:
         """(blocks, types, 2 W) float: 12 A and 6 B of each type with each atom of a block."""
-        a12, b6 = (
-            in_types(table, self.terms.lj_type) for table in (12.0 * self.terms.a12, 6.0 * self.terms.b6)
-        )
-        return np.concatenate([a12, b6], axis=2)
+        n = self.terms.nonbonded
+        rows = (12.0 * n.a12, 6.0 * n.b6)
+        return np.concatenate([in_types(row, n.lj_type) for row in rows], axis=2)
 
     @cached_property
     def neck_type(self) -> Integers:
@@ -119,7 +118,7 @@ def in_types(table: Floats, kind: Integers) -> Floats:
 def lists_of(layout: Layout, x: Floats) -> Lists:
     """Neighbour lists at x."""
     return make_lists(
-        x, layout.near, layout.block_near, layout.terms.cutoff, layout.exceptions, layout.groups
+        x, layout.near, layout.block_near, layout.terms.nonbonded.cutoff, layout.exceptions, layout.groups
     )  # fmt: skip
 
 
@@ -138,12 +137,12 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
     -------
     dict of str to float, kJ/mol; (na, 3) float, kJ/mol/nm
     """
-    terms, atoms = layout.terms, layout.blocks.copy()
+    terms, n, atoms = layout.terms, layout.terms.nonbonded, layout.blocks.copy()
     put_positions(x, atoms)
     sums = np.zeros((CHUNKS, len(atoms), SUMS * W))
     parts = np.zeros((len(KINDS), CHUNKS))
     part = dict(zip(KINDS, parts, strict=True))
-    pairwise = layout.near, terms.cutoff, terms.krf, terms.crf
+    pairwise = layout.near, n.cutoff, n.krf, n.crf
     solvent = terms.solvent
     if solvent is None:
         pairs.pair_sums(
@@ -173,20 +172,20 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
                 atoms, layout.necks, layout.neck_type, lists.tiles, lists.is_near, solvent.cutoff, sums
             )
     pairs.near_sums(
-        x, terms.charge, terms.a12, terms.b6, terms.lj_type, lists.free, layout.near, terms.krf, terms.crf,
-        sums, part["nonbonded"],
+        x, n.charge, n.a12, n.b6, n.lj_type, lists.free, layout.near, n.krf, n.crf, sums, part["nonbonded"]
     )  # fmt: skip
     pairs.exception_sums(
-        x, terms.charge, terms.a12, terms.b6, terms.lj_type, terms.exceptions.atoms,
-        terms.exceptions.parameters, *pairwise, sums, part["nonbonded"],
+        x, n.charge, n.a12, n.b6, n.lj_type, n.exceptions.atoms, n.exceptions.parameters, *pairwise, sums,
+        part["nonbonded"],
     )  # fmt: skip
     for kind, kernel in _BONDED:
-        some = getattr(terms, kind)
+        some = terms.bonded[kind]
         if len(some.atoms):
             kernel(x, some.atoms, some.parameters, sums, part[kind])
-    if len(terms.maps.atoms):
-        which = terms.maps.parameters[:, 0].astype(np.int64)
-        bonded.map_sums(x, terms.maps.atoms, which, terms.map_coefficients, sums, part["maps"])
+    maps = terms.bonded["maps"]
+    if len(maps.atoms):
+        which = maps.parameters[:, 0].astype(np.int64)
+        bonded.map_sums(x, maps.atoms, which, terms.map_coefficients, sums, part["maps"])
     total = np.zeros(sums.shape[1:])
     add_up(sums, total)
     return {kind: float(values.sum()) for kind, values in part.items()}, forces_of(total, terms.n_atoms)

@@ -24,12 +24,12 @@ def _interpolated(
 
 def _integral(y: np.ndarray) -> np.ndarray:
     """Sum of 2k/(2k+1) y^(k-1)."""
-    return sum(2 * k / (2 * k + 1) * y ** (k - 1) for k in range(1, 200))
+    return np.sum([2 * k / (2 * k + 1) * y ** (k - 1) for k in range(1, 200)], axis=0)
 
 
 def _slope(y: np.ndarray) -> np.ndarray:
     """Sum of 2k (2k+2)/(2k+1) y^(k-1)."""
-    return sum(2 * k * (2 * k + 2) / (2 * k + 1) * y ** (k - 1) for k in range(1, 200))
+    return np.sum([2 * k * (2 * k + 2) / (2 * k + 1) * y ** (k - 1) for k in range(1, 200)], axis=0)
 
 
 _NEAR_INTEGRAL = _interpolated(_integral, 13, 0.0, NEAR_RATIO**2)

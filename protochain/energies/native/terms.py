@@ -1,6 +1,8 @@
 """An OpenMM System -> the arrays of its energy terms."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import openmm
@@ -30,17 +32,11 @@ class Bonded:
 
 
 @dataclass(frozen=True, eq=False)
-class Terms:
-    """The potential energy of a System, term by term.
+class Nonbonded:
+    """Lennard-Jones and Coulomb.
 
     Parameters
     ----------
-    n_atoms : int
-    bonds, angles, torsions, impropers : Bonded
-        Parameters (r0, k), (theta0, k), (n, phi0, k), (phi0, k).
-    maps : Bonded
-        Eight atoms each; the parameter is the map's index.
-    map_coefficients : (maps, size, size, 4, 4) float
     charge : (na,) float
         Times the root of Coulomb's constant.
     lj_type : (na,) int
@@ -52,16 +48,8 @@ class Terms:
         Infinite for none.
     krf, crf : float
         Of the reaction field q q (1/r + krf r^2 - crf).
-    solvent : Solvent or None
     """
 
-    n_atoms: int
-    bonds: Bonded
-    angles: Bonded
-    torsions: Bonded
-    impropers: Bonded
-    maps: Bonded
-    map_coefficients: Floats
     charge: Floats
     lj_type: Integers
     a12: Floats
@@ -70,6 +58,27 @@ class Terms:
     cutoff: float
     krf: float
     crf: float
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """The potential energy of a System, term by term.
+
+    Parameters
+    ----------
+    n_atoms : int
+    bonded : mapping of str to Bonded
+        ``bonds`` (r0, k), ``angles`` (theta0, k), ``torsions`` (n, phi0, k), ``impropers`` (phi0, k), and
+        ``maps``, of eight atoms each, whose parameter is the map's index.
+    map_coefficients : (maps, size, size, 4, 4) float
+    nonbonded : Nonbonded
+    solvent : Solvent or None
+    """
+
+    n_atoms: int
+    bonded: Mapping[str, Bonded]
+    map_coefficients: Floats
+    nonbonded: Nonbonded
     solvent: Solvent | None
 
 
@@ -111,10 +120,7 @@ def compile_system(system: openmm.System) -> Terms:
     if len(sizes) > 1:
         raise UnsupportedForceError("CMAPTorsionForce with maps of different sizes")
     coefficients = np.array([spline_coefficients(m) for m in maps]) if maps else np.zeros((1, 1, 1, 4, 4))
-    return Terms(
-        system.getNumParticles(), **bonded, map_coefficients=coefficients, **_nonbonded(system, found),
-        solvent=_solvent(found),
-    )  # fmt: skip
+    return Terms(system.getNumParticles(), bonded, coefficients, _nonbonded(system, found), _solvent(found))
 
 
 _SHAPES = {"bonds": (2, 2), "angles": (3, 2), "torsions": (4, 3), "impropers": (4, 2), "maps": (8, 1)}
@@ -135,36 +141,36 @@ def _stacked(kind: str, found: dict[str, list[openmm.Force]]) -> tuple[Integers,
     return atoms, np.array(values, dtype=float).reshape(-1, n_parameters)
 
 
-def _plain(value: object) -> float:
-    return float(value.value_in_unit_system(unit.md_unit_system) if unit.is_quantity(value) else value)  # type: ignore[arg-type,union-attr]
+def _plain(value: Any) -> float:
+    return float(value.value_in_unit_system(unit.md_unit_system) if unit.is_quantity(value) else value)
 
 
-def _rows(force: openmm.Force, count: str, get: str) -> list[list[object]]:
+def _rows(force: openmm.Force, count: str, get: str) -> list[list[Any]]:
     return [list(getattr(force, get)(i)) for i in range(getattr(force, count)())]
 
 
-def _bonds(force: openmm.HarmonicBondForce) -> list[list[object]]:
+def _bonds(force: openmm.HarmonicBondForce) -> list[list[Any]]:
     return _rows(force, "getNumBonds", "getBondParameters")
 
 
-def _angles(force: openmm.HarmonicAngleForce) -> list[list[object]]:
+def _angles(force: openmm.HarmonicAngleForce) -> list[list[Any]]:
     return _rows(force, "getNumAngles", "getAngleParameters")
 
 
-def _torsions(force: openmm.PeriodicTorsionForce) -> list[list[object]]:
+def _torsions(force: openmm.PeriodicTorsionForce) -> list[list[Any]]:
     return _rows(force, "getNumTorsions", "getTorsionParameters")
 
 
-def _impropers(force: openmm.CustomTorsionForce) -> list[list[object]]:
+def _impropers(force: openmm.CustomTorsionForce) -> list[list[Any]]:
     names = [force.getPerTorsionParameterName(i) for i in range(force.getNumPerTorsionParameters())]
     if _bare(force.getEnergyFunction()) != "k*(theta-theta0)^2" or sorted(names) != ["k", "theta0"]:
         raise UnsupportedForceError(f"CustomTorsionForce {force.getEnergyFunction()!r}")
     order = [names.index("theta0"), names.index("k")]
     read = _rows(force, "getNumTorsions", "getTorsionParameters")
-    return [[*row[:4], *(row[4][place] for place in order)] for row in read]  # type: ignore[index]
+    return [[*row[:4], *(row[4][place] for place in order)] for row in read]
 
 
-def _map_torsions(force: openmm.CMAPTorsionForce) -> list[list[object]]:
+def _map_torsions(force: openmm.CMAPTorsionForce) -> list[list[Any]]:
     read = _rows(force, "getNumTorsions", "getTorsionParameters")
     return [[*row[1:], row[0]] for row in read]
 
@@ -188,7 +194,7 @@ def _bare(expression: str) -> str:
     return "".join(expression.split()).rstrip(";")
 
 
-def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> dict[str, object]:
+def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> Nonbonded:
     n = system.getNumParticles()
     force = found.get("NonbondedForce", [openmm.NonbondedForce()])[0]
     if not force.getNumParticles():
@@ -221,10 +227,10 @@ def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> d
         which = types[:, 2].astype(int)
         more_a, more_b = _tables(table[0])
         a12, b6 = a12 + more_a[np.ix_(which, which)], b6 + more_b[np.ix_(which, which)]
-    return {
-        "charge": charge * np.sqrt(COULOMB), "lj_type": lj_type.reshape(-1).astype(np.int64), "a12": a12,
-        "b6": b6, "exceptions": _exceptions(force, found), "cutoff": cutoff, "krf": krf, "crf": crf,
-    }  # fmt: skip
+    return Nonbonded(
+        charge * np.sqrt(COULOMB), lj_type.reshape(-1).astype(np.int64), a12, b6, _exceptions(force, found),
+        cutoff, krf, crf,
+    )  # fmt: skip
 
 
 def _exceptions(force: openmm.NonbondedForce, found: dict[str, list[openmm.Force]]) -> Bonded:

@@ -1,0 +1,356 @@
+"""The native engine against OpenMM's Reference platform, quadrature, differences and itself."""
+
+import copy
+
+import numpy as np
+import openmm
+import pytest
+from conftest import LEFT_OUT, NATIVE_ENERGY, NATIVE_FORCE, chain, load, shared
+from openmm import app, unit
+from scipy.integrate import quad
+from scipy.spatial.distance import pdist
+
+import protochain as pc
+from protochain.chain import pose, pull_back, rigid_groups
+from protochain.energies import NativeEnergy, OpenMMEnergy, UnsupportedForceError
+from protochain.energies.native import born, neighbours, series
+from protochain.energies.native.layout import W
+
+PARTS_OF = {
+    "HarmonicBondForce": ("bonds",), "HarmonicAngleForce": ("angles",), "PeriodicTorsionForce": ("torsions",),
+    "CustomTorsionForce": ("impropers",), "CMAPTorsionForce": ("maps",), "NonbondedForce": ("nonbonded",),
+    "CustomNonbondedForce": ("nonbonded",), "CustomBondForce": ("nonbonded",),
+    "GBSAOBCForce": ("polar", "surface"), "CustomGBForce": ("polar", "surface"), "CMMotionRemover": (),
+}  # fmt: skip
+"""Parts of the native energy that hold what an OpenMM force gives."""
+
+TEN = (
+    "ala10.pdb", "1l2y.pdb", "1vii.pdb", "1ejg.pdb", "3i40.pdb", "4pti.pdb", "1ubq.pdb", "1hel.pdb",
+    "1bta_barstar.pdb", "1fas_fasciculin.cif",
+)  # fmt: skip
+
+
+def structure(name):
+    return pc.load(shared(name)) if "_" in name else load(name)
+
+
+def shaken(s, nm=0.002):
+    return s.positions + np.random.default_rng(0).normal(scale=nm, size=s.positions.shape)
+
+
+def by_force(system, x):
+    """Energy of each kind, and all forces, on the Reference platform."""
+    system = copy.deepcopy(system)
+    for group, force in enumerate(system.getForces()):
+        force.setForceGroup(group)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    context.setPositions(x)
+    energies = {}
+    for group, force in enumerate(system.getForces()):
+        value = context.getState(energy=True, groups={group}).getPotentialEnergy()._value
+        parts = PARTS_OF[type(force).__name__]
+        if parts:
+            energies[parts] = energies.get(parts, 0.0) + value
+    forces = context.getState(forces=True).getForces(asNumpy=True)
+    return energies, np.array(forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer))
+
+
+def assert_same(native, system, x):
+    theirs, their_forces = by_force(system, x)
+    ours, forces = native.parts(x)
+    # OpenMM reports a force's whole energy: where large parts cancel, digits of these are what is compared.
+    for parts, value in theirs.items():
+        assert sum(ours[part] for part in parts) == pytest.approx(value, rel=NATIVE_ENERGY, abs=1e-6)
+    size = sum(abs(value) for value in theirs.values())
+    assert abs(native(x)[0] - sum(theirs.values())) < NATIVE_ENERGY * size
+    assert np.linalg.norm(forces - their_forces) < NATIVE_FORCE * np.linalg.norm(their_forces)
+
+
+@pytest.mark.parametrize(
+    ("forcefield", "solvent"),
+    [("amber14", "obc2"), ("amber14", "gbn2"), ("amber19", "vacuum"), ("charmm36", "vacuum")],
+)
+@pytest.mark.parametrize("name", TEN)
+def test_every_term_equals_the_reference_platforms(name, forcefield, solvent):
+    s = structure(name)
+    native = pc.energy(s, forcefield, solvent, engine="native")
+    assert native.engine == "native"
+    assert_same(native, native.system, shaken(s))
+
+
+def implicit_system(name, model, cutoff=None):
+    force_field = app.ForceField("amber14/protein.ff14SB.xml", *([f"implicit/{model}.xml"] if model else []))
+    method = {"nonbondedMethod": app.NoCutoff}
+    if cutoff:
+        method = {"nonbondedMethod": app.CutoffNonPeriodic, "nonbondedCutoff": cutoff * unit.nanometer}
+    return force_field.createSystem(structure(name).topology, **method)
+
+
+@pytest.mark.parametrize("model", ["hct", "obc1", "obc2", "gbn", "gbn2"])
+@pytest.mark.parametrize("cutoff", [None, 1.0])
+def test_every_implicit_model_as_the_force_field_builds_it(model, cutoff):
+    system = implicit_system("1l2y.pdb", model, cutoff)
+    s = load("1l2y.pdb")
+    assert_same(pc.energy(s, system=system, engine="native"), system, shaken(s))
+
+
+@pytest.mark.parametrize("name", ["1l2y.pdb", "1ubq.pdb"])
+def test_a_cutoff_with_reaction_field(name):
+    system = implicit_system(name, None, 0.9)
+    assert_same(pc.energy(load(name), system=system, engine="native"), system, shaken(load(name)))
+
+
+def test_gbsa_obc_force_with_a_cutoff():
+    s = load("1ubq.pdb")
+    system = implicit_system("1ubq.pdb", None, 1.1)
+    for force in system.getForces():
+        if isinstance(force, openmm.NonbondedForce):
+            force.setReactionFieldDielectric(1.0)
+    plain = pc.energy(s, engine="openmm").system
+    (gb,) = (copy.deepcopy(f) for f in plain.getForces() if isinstance(f, openmm.GBSAOBCForce))
+    gb.setNonbondedMethod(gb.CutoffNonPeriodic)
+    gb.setCutoffDistance(1.1)
+    system.addForce(gb)
+    assert_same(pc.energy(s, system=system, engine="native"), system, shaken(s))
+
+
+@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
+def test_forces_are_minus_the_gradient(solvent):
+    s = load("1l2y.pdb")
+    e, x = pc.energy(s, "amber19", solvent, engine="native"), shaken(s)
+    _, f = e(x)
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        direction, h = rng.normal(size=x.shape), 1e-6
+        numeric = (e(x + h * direction)[0] - e(x - h * direction)[0]) / (2 * h)
+        # Cancellation: eps of ten thousand kJ/mol over the step, and its square times third derivatives.
+        assert -numeric == pytest.approx(np.sum(f * direction), rel=1e-6, abs=1e-3)
+
+
+@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
+def test_the_number_of_threads_changes_no_bit(solvent):
+    s = load("1ejg.pdb")
+    found = []
+    for threads in (1, 2):
+        value, forces = pc.energy(s, solvent=solvent, engine="native", threads=threads)(s.positions)
+        found.append((value, forces.tobytes()))
+    assert found[0] == found[1]
+
+
+def test_lists_hold_while_atoms_move_and_are_made_anew_when_they_must():
+    s = load("1ubq.pdb")
+    e, rng = pc.energy(s, engine="native"), np.random.default_rng(2)
+    x = s.positions.copy()
+    made = set()
+    for _ in range(12):
+        x = x + rng.normal(scale=0.006, size=x.shape)
+        value, forces = e(x)
+        made.add(id(e._lists))
+        fresh_value, fresh = pc.energy(s, engine="native")(x)
+        assert value == pytest.approx(fresh_value, rel=1e-12)
+        assert np.linalg.norm(forces - fresh) < 1e-11 * np.linalg.norm(fresh)
+    assert 1 < len(made) < 12
+
+
+def test_lists_hold_every_pair():
+    rng = np.random.default_rng(3)
+    x = rng.uniform(0, 3, size=(500, 3))
+    excepted = np.array([[i, i + 1] for i in range(0, 400, 2)])
+    groups = np.arange(500)[:, None] // 5
+    lists = neighbours.make_lists(x, 0.35, 0.8, 1.5, neighbours.partners(excepted, 500), groups)
+    distance = np.linalg.norm(x[:, None] - x[None], axis=2)
+    i, j = np.nonzero(np.triu(distance < 0.35 + neighbours.SKIN, 1) & (groups != groups.T))
+    assert {*zip(i.tolist(), j.tolist(), strict=True)} == {tuple(p) for p in lists.close.tolist()}
+    bonded = {tuple(p) for p in excepted.tolist()}
+    assert {tuple(p) for p in lists.free.tolist()} == {tuple(p) for p in lists.close.tolist()} - bonded
+    tiles = {tuple(t): near for t, near in zip(lists.tiles.tolist(), lists.is_near, strict=True)}
+    for a in range(500):
+        for b in range(a, 500):
+            tile = a // W, b // W
+            assert distance[a, b] > 1.5 or tile in tiles
+            assert distance[a, b] > 0.8 or tiles[tile]
+
+
+@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
+def test_atoms_on_top_of_one_another_give_large_numbers(solvent):
+    s = load("1l2y.pdb")
+    e, x = pc.energy(s, solvent=solvent, engine="native"), s.positions.copy()
+    for apart in (0.0, 1e-9, 1e-5, 1e-2):
+        x[200] = x[20] + [apart, 0, 0]
+        value, forces = e(x)
+        assert np.isfinite(value)
+        assert np.isfinite(forces).all()
+        assert apart > 1e-3 or value > 1e10
+    x[:] = 0.0
+    value, forces = e(x)
+    assert np.isfinite(value)
+    assert np.isfinite(forces).all()
+
+
+def test_positions_that_are_not_numbers_are_an_infinite_energy():
+    s = load("ala10.pdb")
+    e, x = pc.energy(s, engine="native"), s.positions.copy()
+    x[3, 1] = np.nan
+    value, forces = e(x)
+    assert value == np.inf
+    assert np.isnan(forces).all()
+
+
+@pytest.mark.parametrize("hinges", ["phi psi", "phi psi chi", "phi psi chi omega rotors"])
+@pytest.mark.parametrize(
+    ("name", "solvent"), [("1l2y.pdb", "gbn2"), ("4pti.pdb", "obc2"), ("1ubq.pdb", "vacuum")]
+)
+def test_leaving_out_constants_changes_nothing(name, solvent, hinges):
+    c = chain(name, hinges)
+    whole = pc.energy(c.structure, "amber19", solvent, engine="native")
+    less = whole.without_constants(rigid_groups(c), pose(c, c.q0).x)
+    assert less.left_out["bonds"] == whole.system.getForce(0).getNumBonds() - len(c.loops)
+    assert less.left_out["torsions"] > 0
+    rng = np.random.default_rng(4)
+    for turn in (1e-3, 0.3):
+        q = c.q0.copy()
+        q[c.tree.q_start[c.hinge_body]] += rng.normal(scale=turn, size=c.n_hinges)
+        at = pose(c, q)
+        (value, forces), (same, fewer) = whole(at.x), less(at.x)
+        assert same == pytest.approx(value, rel=1e-12, abs=1e-8)
+        tau, of_less = pull_back(c, at, forces), pull_back(c, at, fewer)
+        assert np.linalg.norm(tau - of_less) < LEFT_OUT * np.linalg.norm(tau)
+
+
+def test_more_hinges_leave_less_out():
+    counts = []
+    for hinges in ("phi psi", "phi psi chi", "phi psi chi omega rotors"):
+        c = chain("1l2y.pdb", hinges)
+        less = pc.energy(c.structure, engine="native").without_constants(
+            rigid_groups(c), c.structure.positions
+        )
+        counts.append(less.left_out)
+        assert f"{less.left_out['torsions']} torsions" in less.reason
+    for kind in ("torsions", "exceptions", "close pairs"):
+        assert counts[0][kind] > counts[1][kind] > counts[2][kind] > 0
+
+
+def test_rigid_groups_are_rigid():
+    c = chain("1l2y.pdb", "phi psi chi omega rotors")
+    groups = rigid_groups(c)
+    rng = np.random.default_rng(5)
+    q = c.q0.copy()
+    q[c.tree.q_start[c.hinge_body]] += rng.normal(size=c.n_hinges)
+    before, after = pose(c, c.q0).x, pose(c, q).x
+    assert np.array_equal(groups[:, 0], c.atom_body)
+    on_axes = 0
+    for body in range(c.n_bodies):
+        members = np.flatnonzero((groups == body).any(axis=1))
+        on_axes += len(members) - np.sum(c.atom_body == body)
+        change = pdist(before[members]) - pdist(after[members])
+        assert np.abs(change).max(initial=0.0) < 1e-11
+    # Both ends of a turning bond lie on its axis, and one of them in the other body.
+    assert on_axes >= 2 * c.n_hinges - len(c.loops)
+
+
+def with_force(force):
+    s = load("ala10.pdb")
+    system = copy.deepcopy(pc.energy(s, solvent="vacuum", engine="openmm").system)
+    system.addForce(force)
+    return s, system
+
+
+def custom_gb(old, new):
+    """The standard GBn2 force with one expression changed."""
+    system = implicit_system("ala10.pdb", "gbn2")
+    (force,) = (f for f in system.getForces() if isinstance(f, openmm.CustomGBForce))
+    for i in range(force.getNumComputedValues()):
+        name, expression, kind = force.getComputedValueParameters(i)
+        force.setComputedValueParameters(i, name, expression.replace(old, new), kind)
+    for i in range(force.getNumEnergyTerms()):
+        expression, kind = force.getEnergyTermParameters(i)
+        force.setEnergyTermParameters(i, expression.replace(old, new), kind)
+    return load("ala10.pdb"), system
+
+
+UNKNOWN = {
+    "CustomExternalForce": lambda: with_force(openmm.CustomExternalForce("x^2")),
+    "RBTorsionForce": lambda: with_force(openmm.RBTorsionForce()),
+    "CustomTorsionForce": lambda: with_force(openmm.CustomTorsionForce("theta")),
+    "CustomBondForce": lambda: with_force(openmm.CustomBondForce("r")),
+    "more than one NonbondedForce": lambda: with_force(openmm.NonbondedForce()),
+    "CustomGBForce with Born integral": lambda: custom_gb("neckCut=0.68", "neckCut=0.7"),
+    "CustomGBForce with Born radius": lambda: custom_gb("tanh(", "sin("),
+    "CustomGBForce with energy": lambda: custom_gb("kappa=0", "kappa=1"),
+}
+
+
+@pytest.mark.parametrize("what", UNKNOWN)
+def test_what_has_no_exact_counterpart_is_refused_by_name(what):
+    s, system = UNKNOWN[what]()
+    with pytest.raises(UnsupportedForceError, match=what.split()[0]) as refusal:
+        pc.energy(s, system=system, engine="native")
+    assert str(refusal.value).startswith(what)
+    fallen_back = pc.energy(s, system=system, engine="auto")
+    assert isinstance(fallen_back, OpenMMEnergy)
+    assert str(refusal.value) in fallen_back.reason
+
+
+def test_periodic_systems_are_refused():
+    s = load("ala10.pdb")
+    system = copy.deepcopy(pc.energy(s, solvent="vacuum", engine="openmm").system)
+    for force in system.getForces():
+        if isinstance(force, openmm.NonbondedForce):
+            force.setNonbondedMethod(force.PME)
+    with pytest.raises(UnsupportedForceError, match="NonbondedForce"):
+        pc.energy(s, system=system, engine="native")
+
+
+def test_auto_is_native_for_the_named_force_fields():
+    for forcefield in ("amber14", "amber19", "amber99sb", "amber99sbildn", "charmm36"):
+        for solvent in ("vacuum", "obc2", "gbn2"):
+            e = pc.energy(load("ala10.pdb"), forcefield, solvent)
+            assert isinstance(e, NativeEnergy)
+            assert e.reference.platform == "Reference"
+
+
+def test_the_exponential():
+    d = np.linspace(0.0, 40.0, 20001)
+    ours = np.array([series.exponential(value) for value in d])
+    assert np.abs(ours / np.exp(-d) - 1).max() < 1e-14
+    assert series.exponential(1e6) == series.exponential(40.0)
+
+
+@pytest.mark.parametrize(
+    ("integral", "slope", "largest"),
+    [
+        (series.near_integral, series.near_slope, series.NEAR_RATIO),
+        (series.far_integral, series.far_slope, series.FAR_RATIO),
+    ],
+)
+def test_the_series_are_the_closed_form(integral, slope, largest):
+    s = 0.12
+    for ratio in np.linspace(0.05, 0.999 * largest, 40):
+        r = s / ratio
+        value, over_r = born.descreening(r, 0.01, s, False)
+        y = ratio**2
+        # The closed form loses what cancels in it: some eps / ratio^3.
+        lost = 20 * np.finfo(float).eps / ratio**3
+        assert 0.5 * s**3 / r**4 * integral(y) == pytest.approx(value, rel=lost + 1e-14)
+        assert -0.5 * s**3 / r**6 * slope(y) == pytest.approx(over_r, rel=lost + 1e-14)
+
+
+@pytest.mark.parametrize("r", [0.05, 0.11, 0.2, 0.3, 0.7])
+def test_the_descreening_integral_is_that_of_a_sphere(r):
+    """1/(4 pi) times the integral of 1/t^4 over the part of the sphere outside the atom."""
+    radius, s = 0.14, 0.12
+
+    def inside(t):
+        """Share of the shell of radius t about the atom that lies in the sphere."""
+        if t <= s - r:
+            return 1.0
+        return np.clip((s**2 - (r - t) ** 2) / (4 * r * t), 0.0, 1.0)
+
+    ends = sorted({max(radius, abs(r - s)), max(radius, r + s)})
+    by_quadrature = quad(lambda t: inside(t) / t**2, ends[0], ends[-1], epsabs=1e-13)[0]
+    assert born.descreening(r, radius, s, True)[0] == pytest.approx(by_quadrature, rel=1e-9, abs=1e-12)
+    h = 1e-6
+    numeric = (born.descreening(r + h, radius, s, True)[0] - born.descreening(r - h, radius, s, True)[0]) / (
+        2 * h
+    )
+    assert r * born.descreening(r, radius, s, True)[1] == pytest.approx(numeric, rel=1e-6, abs=1e-9)
