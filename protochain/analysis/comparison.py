@@ -56,7 +56,7 @@ class Comparison:
     origin: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if len({id(s.energy_function) for s in self.solutions}) > 1:
+        if len({s.energy_function.fingerprint for s in self.solutions}) > 1:
             raise ProtochainError(
                 "solutions of different energy functions cannot be compared; run them with one"
             )

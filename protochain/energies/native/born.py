@@ -29,31 +29,45 @@ from protochain.energies.native.layout import (
     scalar,
     shared,
     tiled,
+    variant,
 )  # fmt: skip
 from protochain.energies.native.pairs import CLOSEST, difference, push
-from protochain.energies.native.series import far_integral, far_slope, near_integral, near_slope
+from protochain.energies.native.series import fourteen, series
 
 
 @shared
 def integral_sums(
-    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, sums: Floats
-) -> None:
+    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, near_series: Floats,
+    far_series: Floats, sums: Floats,
+) -> None:  # fmt: skip
     """Add the descreening integrals of all pairs at ``near`` or further to the atoms' own sums."""
     for c in prange(CHUNKS):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
             _integral_tile(
-                atoms[i], atoms[j], i == j, is_near[k], cutoff < np.inf, near * near, cutoff * cutoff,
-                sums[c, i], sums[c, j],
+                atoms[i], atoms[j], i == j, is_near[k], near * near, cutoff * cutoff,
+                near_series if is_near[k] else far_series, sums[c, i], sums[c, j],
             )  # fmt: skip
 
 
 @tiled
 def _integral_tile(
-    a: Floats, b: Floats, same: bool, is_near: bool, cut: bool, near2: float, cutoff2: float, a_sums: Floats,
-    b_sums: Floats,
+    a: Floats, b: Floats, same: bool, is_near: bool, near2: float, cutoff2: float, terms: Floats,
+    a_sums: Floats, b_sums: Floats,
 ) -> None:  # fmt: skip
+    if is_near:
+        _integral(a, b, same, True, near2, cutoff2, terms, a_sums, b_sums)
+    else:
+        _integral(a, b, same, False, near2, cutoff2, terms, a_sums, b_sums)
+
+
+@variant
+def _integral(
+    a: Floats, b: Floats, same: bool, near: bool, near2: float, cutoff2: float, terms: Floats,
+    a_sums: Floats, b_sums: Floats,
+) -> None:  # fmt: skip
+    c = fourteen(terms)
     for i in range(W):
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
         s2, s3 = a[S2 * W + i], a[S3 * W + i]
@@ -62,13 +76,10 @@ def _integral_tile(
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
             inverse2 = 1.0 / r2
-            if is_near:
-                inverse2 = inverse2 if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
-                g, h = near_integral(b[S2 * W + j] * inverse2), near_integral(s2 * inverse2)
-            else:
-                if cut:
-                    inverse2 = inverse2 if r2 < cutoff2 else 0.0
-                g, h = far_integral(b[S2 * W + j] * inverse2), far_integral(s2 * inverse2)
+            inverse2 = inverse2 if r2 < cutoff2 else 0.0
+            if near:
+                inverse2 = inverse2 if (r2 >= near2) & (j > first) else 0.0
+            g, h = series(b[S2 * W + j] * inverse2, c, near), series(s2 * inverse2, c, near)
             inverse4 = inverse2 * inverse2
             own += b[S3 * W + j] * inverse4 * g
             b_sums[OWN * W + j] += s3 * inverse4 * h
@@ -77,24 +88,37 @@ def _integral_tile(
 
 @shared
 def descreening_sums(
-    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, sums: Floats
-) -> None:
+    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, near_series: Floats,
+    far_series: Floats, sums: Floats,
+) -> None:  # fmt: skip
     """Add the forces of the integrals of :func:`integral_sums`, given dE/d(integral) of each atom."""
     for c in prange(CHUNKS):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
             _descreening_tile(
-                atoms[i], atoms[j], i == j, is_near[k], cutoff < np.inf, near * near, cutoff * cutoff,
-                sums[c, i], sums[c, j],
+                atoms[i], atoms[j], i == j, is_near[k], near * near, cutoff * cutoff,
+                near_series if is_near[k] else far_series, sums[c, i], sums[c, j],
             )  # fmt: skip
 
 
 @tiled
 def _descreening_tile(
-    a: Floats, b: Floats, same: bool, is_near: bool, cut: bool, near2: float, cutoff2: float, a_sums: Floats,
-    b_sums: Floats,
+    a: Floats, b: Floats, same: bool, is_near: bool, near2: float, cutoff2: float, terms: Floats,
+    a_sums: Floats, b_sums: Floats,
 ) -> None:  # fmt: skip
+    if is_near:
+        _descreening(a, b, same, True, near2, cutoff2, terms, a_sums, b_sums)
+    else:
+        _descreening(a, b, same, False, near2, cutoff2, terms, a_sums, b_sums)
+
+
+@variant
+def _descreening(
+    a: Floats, b: Floats, same: bool, near: bool, near2: float, cutoff2: float, terms: Floats,
+    a_sums: Floats, b_sums: Floats,
+) -> None:  # fmt: skip
+    c = fourteen(terms)
     for i in range(W):
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
         s2, s3, pull = a[S2 * W + i], a[S3 * W + i], a[PULL * W + i]
@@ -103,13 +127,10 @@ def _descreening_tile(
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
             inverse2 = 1.0 / r2
-            if is_near:
-                inverse2 = inverse2 if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
-                g, h = near_slope(b[S2 * W + j] * inverse2), near_slope(s2 * inverse2)
-            else:
-                if cut:
-                    inverse2 = inverse2 if r2 < cutoff2 else 0.0
-                g, h = far_slope(b[S2 * W + j] * inverse2), far_slope(s2 * inverse2)
+            inverse2 = inverse2 if r2 < cutoff2 else 0.0
+            if near:
+                inverse2 = inverse2 if (r2 >= near2) & (j > first) else 0.0
+            g, h = series(b[S2 * W + j] * inverse2, c, near), series(s2 * inverse2, c, near)
             f = (pull * b[S3 * W + j] * g + b[PULL * W + j] * s3 * h) * inverse2 * inverse2 * inverse2
             fx += f * dx
             fy += f * dy

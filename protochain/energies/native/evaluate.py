@@ -25,7 +25,15 @@ from protochain.energies.native.layout import (
     put_positions,
 )  # fmt: skip
 from protochain.energies.native.neighbours import Lists, make_lists
-from protochain.energies.native.series import FAR_RATIO, NEAR_RATIO
+from protochain.energies.native.series import (
+    EXPONENTIAL,
+    FAR_INTEGRAL,
+    FAR_RATIO,
+    FAR_SLOPE,
+    NEAR_INTEGRAL,
+    NEAR_RATIO,
+    NEAR_SLOPE,
+)  # fmt: skip
 from protochain.energies.native.terms import Terms
 
 CLOSE = 0.35
@@ -60,13 +68,18 @@ class Layout:
         return float(max(CLOSE, s.max() / NEAR_RATIO, s.max() + radius.max()))
 
     @cached_property
-    def block_near(self) -> float:
-        """Distance in nm from which on blocks need no near series and no necks."""
+    def block_near(self) -> Floats:
+        """(blocks,) float: distance in nm from which on a block needs neither near series nor masks."""
         if self.terms.solvent is None:
-            return self.near
-        far = float(np.abs(self.terms.solvent.scaled_radius).max()) / FAR_RATIO
-        necks = self.terms.solvent.necks
-        return max(self.near, far, float(necks.reach.max()) if necks else 0.0)
+            return np.full(n_blocks(self.terms.n_atoms), self.near)
+        far = in_blocks(np.abs(self.terms.solvent.scaled_radius)).max(axis=1) / FAR_RATIO
+        return np.maximum(far, self.near)
+
+    @cached_property
+    def necked(self) -> float:
+        """Distance in nm from which on there are no necks."""
+        necks = self.terms.solvent.necks if self.terms.solvent else None
+        return float(necks.reach.max()) if necks else 0.0
 
     @cached_property
     def blocks(self) -> Floats:
@@ -118,7 +131,8 @@ def in_types(table: Floats, kind: Integers) -> Floats:
 def lists_of(layout: Layout, x: Floats) -> Lists:
     """Neighbour lists at x."""
     return make_lists(
-        x, layout.near, layout.block_near, layout.terms.nonbonded.cutoff, layout.exceptions, layout.groups
+        x, layout.near, layout.block_near, layout.necked, layout.terms.nonbonded.cutoff, layout.exceptions,
+        layout.groups,
     )  # fmt: skip
 
 
@@ -155,8 +169,8 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
             integral + fixed, solvent.offset_radius, solvent.radius, solvent.bend, atoms, slope
         )
         pairs.solvated_pair_sums(
-            atoms, layout.lj, layout.lj_type, lists.tiles, lists.is_near, *pairwise, sums, part["nonbonded"],
-            part["polar"],
+            atoms, layout.lj, layout.lj_type, lists.tiles, lists.is_near, *pairwise, EXPONENTIAL, sums,
+            part["nonbonded"], part["polar"],
         )  # fmt: skip
         total = np.zeros(sums.shape[1:])
         add_up(sums, total)
@@ -164,12 +178,13 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
         own, area = born.add_self_energy(solvent.charge, solvent.surface, slope, atoms, pull)
         part["polar"][0] += own
         part["surface"][0] += area
-        near = layout.near, solvent.cutoff
-        born.descreening_sums(atoms, lists.tiles, lists.is_near, *near, sums)
+        born.descreening_sums(
+            atoms, lists.tiles, lists.is_near, layout.near, solvent.cutoff, NEAR_SLOPE, FAR_SLOPE, sums
+        )
         born.near_descreening_sums(x, pull, lists.close, slopes, sums)
         if solvent.necks is not None:
             neck.neck_force_sums(
-                atoms, layout.necks, layout.neck_type, lists.tiles, lists.is_near, solvent.cutoff, sums
+                atoms, layout.necks, layout.neck_type, lists.tiles[lists.is_necked], solvent.cutoff, sums
             )
     pairs.near_sums(
         x, n.charge, n.a12, n.b6, n.lj_type, lists.free, layout.near, n.krf, n.crf, sums, part["nonbonded"]
@@ -210,7 +225,9 @@ def _integrals(layout: Layout, lists: Lists, x: Floats, atoms: Floats, sums: Flo
     """Born integrals, and the slopes of the close pairs' parts of them."""
     solvent = layout.terms.solvent
     assert solvent is not None
-    born.integral_sums(atoms, lists.tiles, lists.is_near, layout.near, solvent.cutoff, sums)
+    born.integral_sums(
+        atoms, lists.tiles, lists.is_near, layout.near, solvent.cutoff, NEAR_INTEGRAL, FAR_INTEGRAL, sums
+    )
     slopes = np.empty((len(lists.close), 2))
     born.near_integral_sums(
         x, solvent.offset_radius, solvent.scaled_radius, solvent.engulfs, lists.close, layout.near, slopes,
@@ -218,7 +235,7 @@ def _integrals(layout: Layout, lists: Lists, x: Floats, atoms: Floats, sums: Flo
     )  # fmt: skip
     if solvent.necks is not None:
         neck.neck_sums(
-            atoms, layout.necks, layout.neck_type, lists.tiles, lists.is_near, solvent.cutoff, sums
+            atoms, layout.necks, layout.neck_type, lists.tiles[lists.is_necked], solvent.cutoff, sums
         )
     total = np.zeros(sums.shape[1:])
     add_up(sums, total)

@@ -35,6 +35,12 @@ def tiled(function: F) -> F:
     return cast(F, njit(cache=True, error_model="numpy", fastmath=fast)(function))
 
 
+def variant(function: F) -> F:
+    """Compile as :func:`tiled`, into its caller: a choice made there by a constant costs nothing in loops."""
+    fast = {"contract", "reassoc", "nsz"}
+    return cast(F, njit(error_model="numpy", fastmath=fast, forceinline=True)(function))
+
+
 def scalar(function: F) -> F:
     """Compile what is done for one term after another."""
     return cast(F, njit(cache=True, error_model="numpy", fastmath={"contract"})(function))

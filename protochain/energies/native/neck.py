@@ -35,25 +35,16 @@ _WIDE, _STEEP = 100.0, 0.3e6
 
 @shared
 def neck_sums(
-    atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, is_near: np.ndarray, cutoff: float,
-    sums: Floats,
-) -> None:  # fmt: skip
+    atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, cutoff: float, sums: Floats
+) -> None:
     """Add the necks' parts of the Born integrals to the atoms' own sums."""
     for c in prange(CHUNKS):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
-            if is_near[k]:
-                i, j = tiles[k, 0], tiles[k, 1]
-                _neck_tile(
-                    atoms[i],
-                    atoms[j],
-                    necks[j],
-                    neck_type[i],
-                    i == j,
-                    cutoff * cutoff,
-                    sums[c, i],
-                    sums[c, j],
-                )
+            i, j = tiles[k, 0], tiles[k, 1]
+            _neck_tile(
+                atoms[i], atoms[j], necks[j], neck_type[i], i == j, cutoff * cutoff, sums[c, i], sums[c, j]
+            )
 
 
 @tiled
@@ -81,25 +72,16 @@ def _neck_tile(
 
 @shared
 def neck_force_sums(
-    atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, is_near: np.ndarray, cutoff: float,
-    sums: Floats,
-) -> None:  # fmt: skip
+    atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, cutoff: float, sums: Floats
+) -> None:
     """Add the forces of the necks, given dE/d(integral) of each atom."""
     for c in prange(CHUNKS):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
-            if is_near[k]:
-                i, j = tiles[k, 0], tiles[k, 1]
-                _neck_force_tile(
-                    atoms[i],
-                    atoms[j],
-                    necks[j],
-                    neck_type[i],
-                    i == j,
-                    cutoff * cutoff,
-                    sums[c, i],
-                    sums[c, j],
-                )
+            i, j = tiles[k, 0], tiles[k, 1]
+            _neck_force_tile(
+                atoms[i], atoms[j], necks[j], neck_type[i], i == j, cutoff * cutoff, sums[c, i], sums[c, j]
+            )
 
 
 @tiled

@@ -24,6 +24,8 @@ class Lists:
         Pairs of blocks within the cutoff, the second not before the first.
     is_near : (n_tiles,) bool
         Whether two of their atoms may be near each other.
+    is_necked : (n_tiles,) bool
+        Whether two of their atoms may have a neck between them.
     close : (n, 2) int
         Pairs of atoms that may be near, but for those at a fixed distance.
     free : (n, 2) int
@@ -33,6 +35,7 @@ class Lists:
     x: Floats
     tiles: Integers
     is_near: np.ndarray
+    is_necked: np.ndarray
     close: Integers
     free: Integers
 
@@ -42,8 +45,8 @@ class Lists:
 
 
 def make_lists(
-    x: Floats, near: float, block_near: float, cutoff: float, exceptions: tuple[Integers, Integers],
-    groups: Integers,
+    x: Floats, near: float, block_near: Floats, necked: float, cutoff: float,
+    exceptions: tuple[Integers, Integers], groups: Integers,
 ) -> Lists:  # fmt: skip
     """Find all pairs anew.
 
@@ -52,8 +55,10 @@ def make_lists(
     x : (na, 3) float, nm
     near : float, nm
         Reach of the pairs of atoms.
-    block_near : float, nm
-        Reach of the blocks that count as near.
+    block_near : (blocks,) float, nm
+        Within the larger of two blocks' distances, they count as near.
+    necked : float, nm
+        Reach of necks.
     cutoff : float, nm
     exceptions : (na + 1,) int, (n,) int
         Start of each atom's partners, and the partners.
@@ -61,9 +66,9 @@ def make_lists(
         Rigid groups of each atom, -1 for none: atoms with one in common keep their distance.
     """
     low, high = _boxes(x)
-    tiles, is_near = _tiles(low, high, block_near + SKIN, cutoff + SKIN)
+    tiles, is_near, is_necked = _tiles(low, high, block_near + SKIN, necked + SKIN, cutoff + SKIN)
     close, is_free = _close(x, tiles[is_near], near + SKIN, exceptions[0], exceptions[1], groups)
-    return Lists(x.copy(), tiles, is_near, close, close[is_free])
+    return Lists(x.copy(), tiles, is_near, is_necked, close, close[is_free])
 
 
 @scalar
@@ -89,9 +94,12 @@ def _boxes(x: Floats) -> tuple[Floats, Floats]:
 
 
 @scalar
-def _tiles(low: Floats, high: Floats, near: float, cutoff: float) -> tuple[Integers, np.ndarray]:
+def _tiles(
+    low: Floats, high: Floats, near: Floats, necked: float, cutoff: float
+) -> tuple[Integers, np.ndarray, np.ndarray]:
     n = len(low)
-    tiles, is_near = np.empty((n * (n + 1) // 2, 2), np.int64), np.empty(n * (n + 1) // 2, np.bool_)
+    tiles = np.empty((n * (n + 1) // 2, 2), np.int64)
+    is_near, is_necked = np.empty(len(tiles), np.bool_), np.empty(len(tiles), np.bool_)
     count = 0
     for i in range(n):
         for j in range(i, n):
@@ -100,9 +108,11 @@ def _tiles(low: Floats, high: Floats, near: float, cutoff: float) -> tuple[Integ
                 gap = max(low[i, axis] - high[j, axis], low[j, axis] - high[i, axis], 0.0)
                 apart += gap * gap
             if apart < cutoff * cutoff:
-                tiles[count, 0], tiles[count, 1], is_near[count] = i, j, apart < near * near
+                tiles[count, 0], tiles[count, 1] = i, j
+                is_near[count] = apart < max(near[i], near[j]) ** 2
+                is_necked[count] = apart < necked * necked
                 count += 1
-    return tiles[:count].copy(), is_near[:count].copy()
+    return tiles[:count].copy(), is_near[:count].copy(), is_necked[:count].copy()
 
 
 @scalar

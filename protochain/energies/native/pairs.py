@@ -27,8 +27,9 @@ from protochain.energies.native.layout import (
     scalar,
     shared,
     tiled,
+    variant,
 )  # fmt: skip
-from protochain.energies.native.series import exponential
+from protochain.energies.native.series import exponential, sixteen
 
 CLOSEST = 1e-12
 """nm^2. Atoms on top of one another count as this far apart: large numbers, not infinite ones."""
@@ -58,7 +59,18 @@ def pair_tile(
     a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
     cutoff2: float, krf: float, crf: float, a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
-    """Energy of two blocks, in vacuum.
+    """Energy of two blocks, in vacuum: without masks where all pairs are apart."""
+    if masked:
+        return _pairs(a, b, lj, lj_type, same, True, near2, cutoff2, krf, crf, a_sums, b_sums)
+    return _pairs(a, b, lj, lj_type, same, False, near2, cutoff2, krf, crf, a_sums, b_sums)
+
+
+@variant
+def _pairs(
+    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
+    cutoff2: float, krf: float, crf: float, a_sums: Floats, b_sums: Floats,
+) -> float:  # fmt: skip
+    """Add forces, return the energy.
 
     ``lj`` holds, for each type of the atom in a, 12 A and 6 B of its A/r^12 - B/r^6 with each atom of b.
     """
@@ -70,20 +82,20 @@ def pair_tile(
         for j in range(W):
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
-            inverse, field, shift = 1.0 / np.sqrt(r2), 0.0, 0.0
+            inverse, qq = 1.0 / np.sqrt(r2), qi * b[CHARGE * W + j]
             if masked:
                 inside = (r2 >= near2) & (r2 < cutoff2) & (j > first)
-                inverse, field, shift = (
-                    inverse if inside else 0.0, krf if inside else 0.0, crf if inside else 0.0
-                )  # fmt: skip
+                inverse, qq = inverse if inside else 0.0, qq if inside else 0.0
             inverse2 = inverse * inverse
             inverse6 = inverse2 * inverse2 * inverse2
             twelve, six = row[j] * inverse6 * inverse6, row[W + j] * inverse6
-            qq = qi * b[CHARGE * W + j]
             repulsion += twelve
             attraction += six
-            coulomb += qq * (inverse + field * r2 - shift)
-            f = (twelve - six + qq * inverse) * inverse2 - 2.0 * field * qq
+            coulomb += qq * inverse
+            f = (twelve - six + qq * inverse) * inverse2
+            if masked:
+                coulomb += qq * (krf * r2 - crf)
+                f -= 2.0 * krf * qq
             fx += f * dx
             fy += f * dy
             fz += f * dz
@@ -99,7 +111,8 @@ def pair_tile(
 @shared
 def solvated_pair_sums(
     atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray, near: float,
-    cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats, gb_energies: Floats,
+    cutoff: float, krf: float, crf: float, exp: Floats, sums: Floats, energies: Floats,
+    gb_energies: Floats,
 ) -> None:  # fmt: skip
     """As :func:`pair_sums`, with the generalised-Born energy of all pairs and its slope with Born radii."""
     for c in prange(CHUNKS):
@@ -110,7 +123,7 @@ def solvated_pair_sums(
             masked = is_near[k] or cutoff < np.inf
             pair, gb = solvated_tile(
                 atoms[i], atoms[j], lj[j], lj_type[i], i == j, masked, near * near, cutoff * cutoff, krf, crf,
-                1.0 / cutoff, sums[c, i], sums[c, j],
+                1.0 / cutoff, exp, sums[c, i], sums[c, j],
             )  # fmt: skip
             energy += pair
             gb_energy += gb
@@ -121,12 +134,24 @@ def solvated_pair_sums(
 @tiled
 def solvated_tile(
     a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
-    cutoff2: float, krf: float, crf: float, inverse_cutoff: float, a_sums: Floats, b_sums: Floats,
+    cutoff2: float, krf: float, crf: float, shift: float, exp: Floats, a_sums: Floats, b_sums: Floats,
 ) -> tuple[float, float]:  # fmt: skip
     """Energies of two blocks: as :func:`pair_tile`, and -q q / f with f^2 = r^2 + P exp(-r^2 / 4P), P = B B.
 
     Still, Tempczyk, Hawley, Hendrickson, JACS 112:6127 (1990), equation 3.
     """
+    if masked:
+        return _solvated(a, b, lj, lj_type, same, True, near2, cutoff2, krf, crf, shift, exp, a_sums, b_sums)
+    return _solvated(a, b, lj, lj_type, same, False, near2, cutoff2, krf, crf, shift, exp, a_sums, b_sums)
+
+
+@variant
+def _solvated(
+    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
+    cutoff2: float, krf: float, crf: float, shift: float, exp: Floats, a_sums: Floats, b_sums: Floats,
+) -> tuple[float, float]:  # fmt: skip
+    """Add forces and slopes, return the energies."""
+    c = sixteen(exp)
     repulsion, attraction, coulomb, polar = 0.0, 0.0, 0.0, 0.0
     for i in range(W):
         xi, yi, zi, qi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], a[CHARGE * W + i], i if same else -1
@@ -137,29 +162,28 @@ def solvated_tile(
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
             d = r2 * half * b[HALF_INVERSE_BORN * W + j]
-            decay = exponential(d)
+            decay = exponential(d, c)
             inverse_f = 1.0 / np.sqrt(r2 + born * b[BORN * W + j] * decay)
-            inverse, field, shift, offset = 1.0 / np.sqrt(r2), 0.0, 0.0, 0.0
-            g = gi * b[GB_CHARGE * W + j]
+            inverse, qq, g = 1.0 / np.sqrt(r2), qi * b[CHARGE * W + j], gi * b[GB_CHARGE * W + j]
             if masked:
                 inside = (r2 < cutoff2) & (j > first)
                 apart = inside & (r2 >= near2)
-                g, offset = g if inside else 0.0, inverse_cutoff
-                inverse, field, shift = (
-                    inverse if apart else 0.0, krf if apart else 0.0, crf if apart else 0.0
-                )  # fmt: skip
+                inverse, qq, g = inverse if apart else 0.0, qq if apart else 0.0, g if inside else 0.0
             inverse2 = inverse * inverse
             inverse6 = inverse2 * inverse2 * inverse2
             twelve, six = row[j] * inverse6 * inverse6, row[W + j] * inverse6
-            qq = qi * b[CHARGE * W + j]
             repulsion += twelve
             attraction += six
-            coulomb += qq * (inverse + field * r2 - shift)
-            polar += g * (inverse_f - offset)
+            coulomb += qq * inverse
+            polar += g * inverse_f
             cube = g * inverse_f * inverse_f * inverse_f
             with_born = 0.5 * cube * decay * (1.0 + d)
             slope += with_born * b[BORN * W + j]
-            f = (twelve - six + qq * inverse) * inverse2 - 2.0 * field * qq - cube * (1.0 - 0.25 * decay)
+            f = (twelve - six + qq * inverse) * inverse2 - cube * (1.0 - 0.25 * decay)
+            if masked:
+                coulomb += qq * (krf * r2 - crf)
+                polar -= g * shift
+                f -= 2.0 * krf * qq
             fx += f * dx
             fy += f * dy
             fz += f * dz

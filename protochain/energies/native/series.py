@@ -7,11 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from protochain.energies.native.layout import tiled
+from protochain.arrays import Floats, read_only
+from protochain.energies.native.layout import tiled, variant
 
 NEAR_RATIO = 0.5
 """Largest s / r for which the near series hold."""
-FAR_RATIO = 0.16
+FAR_RATIO = 0.24
 """Largest s / r for which the far series hold."""
 
 
@@ -32,70 +33,76 @@ def _slope(y: np.ndarray) -> np.ndarray:
     return np.sum([2 * k * (2 * k + 2) / (2 * k + 1) * y ** (k - 1) for k in range(1, 200)], axis=0)
 
 
-_NEAR_INTEGRAL = _interpolated(_integral, 13, 0.0, NEAR_RATIO**2)
-_NEAR_SLOPE = _interpolated(_slope, 13, 0.0, NEAR_RATIO**2)
-_FAR_INTEGRAL = _interpolated(_integral, 6, 0.0, FAR_RATIO**2)
-_FAR_SLOPE = _interpolated(_slope, 6, 0.0, FAR_RATIO**2)
+def _padded(coefficients: tuple[float, ...]) -> Floats:
+    return read_only(np.pad(coefficients, (0, 14 - len(coefficients))))
+
+
+NEAR_INTEGRAL = _padded(_interpolated(_integral, 13, 0.0, NEAR_RATIO**2))
+NEAR_SLOPE = _padded(_interpolated(_slope, 13, 0.0, NEAR_RATIO**2))
+FAR_INTEGRAL = _padded(_interpolated(_integral, 7, 0.0, FAR_RATIO**2))
+FAR_SLOPE = _padded(_interpolated(_slope, 7, 0.0, FAR_RATIO**2))
+"""(14,) float: of g(y) and g'(y), y = (s/r)^2, in the descreening integral s^3 g / (2 r^4) and its slope
+-s^3 g' / (2 r^5)."""
 _LN2 = float(np.log(2.0))
-_LARGEST_EXPONENT = 40.0
-_EXPONENTIAL = _interpolated(np.exp, 10, -0.35, 0.35)
-_WHOLE = 2.0**52 + 2.0**51
-"""A number beside which a double keeps whole numbers only, in its last bits."""
+LARGEST_EXPONENT = 40.0
+EXPONENTIAL = read_only(
+    [*_interpolated(np.exp, 10, -0.35, 0.35), LARGEST_EXPONENT, -1.0 / _LN2, 0.5, _LN2, 2.0**52 + 2.0**51]
+)
+"""(16,) float: of exp(z), then what :func:`exponential` needs else. The last is a number beside which a
+double keeps whole numbers only, in its last bits.
+
+Coefficients come to kernels in arrays: constants written into the code would be loaded for every pair.
+"""
+Fourteen = tuple[
+    float, float, float, float, float, float, float, float, float, float, float, float, float, float
+]
+Sixteen = tuple[
+    float, float, float, float, float, float, float, float, float, float, float, float, float, float, float,
+    float,
+]  # fmt: skip
 
 
 @tiled
-def exponential(d: float) -> float:
+def sixteen(c: Floats) -> Sixteen:
+    """Read coefficients before a loop."""
+    return (
+        c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9], c[10], c[11], c[12], c[13], c[14], c[15]
+    )  # fmt: skip
+
+
+@tiled
+def fourteen(c: Floats) -> Fourteen:
+    """Read coefficients before a loop."""
+    return c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8], c[9], c[10], c[11], c[12], c[13]
+
+
+@tiled
+def exponential(d: float, c: Sixteen) -> float:
     """exp(-d) for d >= 0; e^-40, which is nothing to what it is added to, from there on.
 
     2^n exp(z), n whole: n goes into the exponent's bits. Terms are paired (Estrin), not nested, for a short
     chain of dependences.
     """
-    y = -min(d, _LARGEST_EXPONENT) * (1.0 / _LN2)
-    n = np.floor(y + 0.5)
-    z = (y - n) * _LN2
-    c, z2 = _EXPONENTIAL, z * z
+    y = min(d, c[11]) * c[12]
+    n = np.floor(y + c[13])
+    z = (y - n) * c[14]
+    z2 = z * z
     z4 = z2 * z2
     low = (c[0] + c[1] * z) + (c[2] + c[3] * z) * z2
     middle = (c[4] + c[5] * z) + (c[6] + c[7] * z) * z2
     value = low + middle * z4 + ((c[8] + c[9] * z) + c[10] * z2) * (z4 * z4)
-    bits = np.float64(value).view(np.int64) + (np.float64(n + _WHOLE).view(np.int64) << 52)
+    bits = np.float64(value).view(np.int64) + (np.float64(n + c[15]).view(np.int64) << 52)
     return float(np.int64(bits).view(np.float64))
 
 
-@tiled
-def _thirteenth(c: tuple[float, ...], y: float) -> float:
+@variant
+def series(y: float, c: Fourteen, near: bool) -> float:
+    """Sum of c[k] y^k: fourteen terms if near, eight if not."""
     y2 = y * y
     y4 = y2 * y2
     first = (c[0] + c[1] * y) + (c[2] + c[3] * y) * y2
     second = (c[4] + c[5] * y) + (c[6] + c[7] * y) * y2
-    third = (c[8] + c[9] * y) + (c[10] + c[11] * y) * y2
-    return (first + second * y4) + (third + (c[12] + c[13] * y) * y4) * (y4 * y4)
-
-
-@tiled
-def _sixth(c: tuple[float, ...], y: float) -> float:
-    return c[0] + y * (c[1] + y * (c[2] + y * (c[3] + y * (c[4] + y * (c[5] + y * c[6])))))
-
-
-@tiled
-def near_integral(y: float) -> float:
-    """g(y), y = (s/r)^2 up to NEAR_RATIO^2, of the descreening integral s^3 g(y) / (2 r^4)."""
-    return _thirteenth(_NEAR_INTEGRAL, y)
-
-
-@tiled
-def near_slope(y: float) -> float:
-    """g'(y) of its slope -s^3 g'(y) / (2 r^5)."""
-    return _thirteenth(_NEAR_SLOPE, y)
-
-
-@tiled
-def far_integral(y: float) -> float:
-    """As :func:`near_integral`, up to FAR_RATIO^2."""
-    return _sixth(_FAR_INTEGRAL, y)
-
-
-@tiled
-def far_slope(y: float) -> float:
-    """As :func:`near_slope`, up to FAR_RATIO^2."""
-    return _sixth(_FAR_SLOPE, y)
+    if near:
+        third = (c[8] + c[9] * y) + (c[10] + c[11] * y) * y2
+        return (first + second * y4) + (third + (c[12] + c[13] * y) * y4) * (y4 * y4)
+    return first + second * y4
