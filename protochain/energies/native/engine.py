@@ -183,9 +183,10 @@ class NativeEnergy:
         """Neighbour lists that hold at x; all computing passes here first."""
         self._announce()
         numba.set_num_threads(self.threads)
-        if self._lists is None or not self._lists.still_hold(x):
-            self._lists = lists_of(self._layout, x)
-        return self._lists
+        lists = self._lists
+        if lists is None or not lists.still_hold(x):
+            lists = self._lists = lists_of(self._layout, x)
+        return lists
 
     def _announce(self) -> None:
         """Say once that kernels have to be compiled, which takes half a minute on a fresh installation."""

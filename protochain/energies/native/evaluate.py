@@ -16,13 +16,12 @@ from protochain.energies.native.layout import (
     S3,
     SUMS,
     W,
-    add_up,
+    add_forces,
     empty_blocks,
-    forces_of,
     in_blocks,
     n_blocks,
-    own_sums,
     put_positions,
+    take_own,
 )  # fmt: skip
 from protochain.energies.native.neighbours import Lists, make_lists
 from protochain.energies.native.series import (
@@ -172,9 +171,8 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
             atoms, layout.lj, layout.lj_type, lists.tiles, lists.is_near, *pairwise, EXPONENTIAL, sums,
             part["nonbonded"], part["polar"],
         )  # fmt: skip
-        total = np.zeros(sums.shape[1:])
-        add_up(sums, total)
-        pull = own_sums(total, terms.n_atoms)
+        pull = np.empty(terms.n_atoms)
+        take_own(sums, pull)
         own, area = born.add_self_energy(solvent.charge, solvent.surface, slope, atoms, pull)
         part["polar"][0] += own
         part["surface"][0] += area
@@ -201,9 +199,9 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
     if len(maps.atoms):
         which = maps.parameters[:, 0].astype(np.int64)
         bonded.map_sums(x, maps.atoms, which, terms.map_coefficients, sums, part["maps"])
-    total = np.zeros(sums.shape[1:])
-    add_up(sums, total)
-    return {kind: float(values.sum()) for kind, values in part.items()}, forces_of(total, terms.n_atoms)
+    forces = np.empty((terms.n_atoms, 3))
+    add_forces(sums, forces)
+    return {kind: float(values.sum()) for kind, values in part.items()}, forces
 
 
 _BONDED = (
@@ -237,7 +235,6 @@ def _integrals(layout: Layout, lists: Lists, x: Floats, atoms: Floats, sums: Flo
         neck.neck_sums(
             atoms, layout.necks, layout.neck_type, lists.tiles[lists.is_necked], solvent.cutoff, sums
         )
-    total = np.zeros(sums.shape[1:])
-    add_up(sums, total)
-    sums[:] = 0.0
-    return own_sums(total, len(x)), slopes
+    integral = np.empty(len(x))
+    take_own(sums, integral)
+    return integral, slopes

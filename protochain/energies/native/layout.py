@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numba import njit, prange
 
-from protochain.arrays import Floats, Integers
+from protochain.arrays import Floats
 
 W = 32
 """Atoms in a block. Wider ones waste more on padding, narrower ones more on sums along rows."""
@@ -87,36 +87,28 @@ def part(n: int, chunk: int) -> tuple[int, int]:
 
 
 @shared
-def add_up(sums: Floats, total: Floats) -> None:
-    """Add what the chunks wrote, (CHUNKS, blocks, SUMS * W), to the total, in the order of the chunks."""
+def take_own(sums: Floats, own: Floats) -> None:
+    """Add up the atoms' own sums that the chunks wrote, in the order of the chunks, and clear them."""
     for chunk in prange(CHUNKS):
         begin, end = part(sums.shape[1], chunk)
         for b in range(begin, end):
-            for k in range(sums.shape[2]):
-                value = total[b, k]
+            for k in range(W):
+                value = 0.0
                 for c in range(CHUNKS):
-                    value += sums[c, b, k]
-                total[b, k] = value
+                    value += sums[c, b, OWN * W + k]
+                    sums[c, b, OWN * W + k] = 0.0
+                if b * W + k < len(own):
+                    own[b * W + k] = value
 
 
-@scalar
-def own_sums(total: Floats, n: int) -> Floats:
-    """(na,) float: each atom's own sum."""
-    own = np.empty(n)
-    for i in range(n):
-        own[i] = total[i // W, OWN * W + i % W]
-    return own
-
-
-@scalar
-def forces_of(total: Floats, n: int) -> Floats:
-    """(na, 3) float: the forces in the blocks."""
-    forces = np.empty((n, 3))
-    for i in range(n):
-        for axis in range(3):
-            forces[i, axis] = total[i // W, axis * W + i % W]
-    return forces
-
-
-TileList = tuple[Integers, np.ndarray]
-"""(n_tiles, 2) int: pairs of blocks, the first not after the second; (n_tiles,) bool: whether near."""
+@shared
+def add_forces(sums: Floats, forces: Floats) -> None:
+    """Add up the forces that the chunks wrote, (CHUNKS, blocks, SUMS * W), in the order of the chunks."""
+    for chunk in prange(CHUNKS):
+        begin, end = part(len(forces), chunk)
+        for i in range(begin, end):
+            for axis in range(3):
+                value = 0.0
+                for c in range(CHUNKS):
+                    value += sums[c, i // W, axis * W + i % W]
+                forces[i, axis] = value

@@ -1,0 +1,190 @@
+"""What one energy with forces costs: native kernels against OpenMM's CPU platform, on the same positions.
+
+    python analysis/benchmarks/engines.py [--threads N] [STRUCTURE ...]
+
+Medians of calls taken in turn in one process, and their ratios; OpenMM's implicit solvents as its force field
+builds them (CustomGBForce), OBC2 also as GBSAOBCForce. Then: a cutoff at growing sizes (copies of ubiquitin
+side by side), what leaving out constant terms saves, and what the chain's sweeps add.
+"""
+
+import argparse
+from collections.abc import Callable
+from functools import partial
+from itertools import cycle
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+
+import numba
+import numpy as np
+import openmm
+from openmm import app, unit
+
+import protochain as pc
+from protochain.chain import rigid_groups
+from protochain.energies import Energy, NativeEnergy, OpenMMEnergy
+
+SAMPLES = Path(__file__).parents[2] / "structures"
+DEFAULT = ("1l2y", "4pti", "1ubq", "1hel")
+COPIES = 4
+"""Of ubiquitin, for the largest size of the first table: 4924 atoms."""
+CUTOFF = 1.0
+
+
+def medians(calls: dict[str, Callable[[], object]], seconds: float = 1.5) -> dict[str, float]:
+    """Return the median time of each call in ms, taken in turn so that a slow moment strikes all."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for call in calls.values():
+        call()
+    began = perf_counter()
+    while perf_counter() - began < seconds * len(calls) or len(times[next(iter(calls))]) < 5:
+        for name, call in calls.items():
+            start = perf_counter()
+            call()
+            times[name].append(perf_counter() - start)
+    return {name: 1e3 * median(taken) for name, taken in times.items()}
+
+
+def copies(s: pc.Structure, n: int) -> tuple[app.Topology, np.ndarray]:
+    """Return n copies of a structure, side by side on a grid."""
+    both = app.Modeller(s.topology, s.positions * unit.nanometer)
+    side = int(np.ceil(n ** (1 / 3)))
+    step = np.ptp(s.positions, axis=0) + 0.3
+    places = [step * np.array(np.unravel_index(i, (side, side, side))) for i in range(n)]
+    for place in places[1:]:
+        both.add(s.topology, (s.positions + place) * unit.nanometer)
+    return both.topology, np.array(both.positions.value_in_unit(unit.nanometer))
+
+
+def system(topology: app.Topology, solvent: str | None, cutoff: float | None = None) -> openmm.System:
+    """Return ff14SB with a solvent, as OpenMM's force field builds it."""
+    files = ["amber14/protein.ff14SB.xml", *([f"implicit/{solvent}.xml"] if solvent else [])]
+    method = {"nonbondedMethod": app.NoCutoff}
+    if cutoff:
+        method = {"nonbondedMethod": app.CutoffNonPeriodic, "nonbondedCutoff": cutoff * unit.nanometer}
+    return app.ForceField(*files).createSystem(topology, **method)
+
+
+def with_gbsa_obc(topology: app.Topology) -> openmm.System:
+    """Return ff14SB in OBC2 by OpenMM's own force, with the radii of its implicit files."""
+    built, custom = system(topology, None), system(topology, "obc2")
+    (of,) = (force for force in custom.getForces() if isinstance(force, openmm.CustomGBForce))
+    force = openmm.GBSAOBCForce()
+    for i in range(of.getNumParticles()):
+        charge, offset_radius, scaled_radius = of.getParticleParameters(i)
+        force.addParticle(charge, offset_radius + 0.009, scaled_radius / offset_radius)
+    built.addForce(force)
+    return built
+
+
+def against_openmm(topology: app.Topology, x: np.ndarray, name: str, threads: int) -> None:
+    """Print one structure's row in each solvent."""
+    n_pairs = len(x) * (len(x) - 1) / 2
+    cases = {
+        "vacuum": system(topology, None), "OBC2": system(topology, "obc2"),
+        "OBC2, GBSAOBCForce": with_gbsa_obc(topology), "GBn2": system(topology, "gbn2"),
+    }  # fmt: skip
+    for solvent, built in cases.items():
+        theirs = OpenMMEnergy(built, "CPU", threads)
+        ours = NativeEnergy(theirs, threads)
+        ms = medians({"native": partial(ours, x), "openmm": partial(theirs, x)})
+        floor = divider_floor(n_pairs, 1 if solvent == "vacuum" else 2) / threads
+        print(
+            f"| {name} | {len(x)} | {solvent} | {ms['openmm']:.2f} | {ms['native']:.2f} "
+            f"| {ms['openmm'] / ms['native']:.1f}x | {1e6 * ms['native'] / n_pairs:.2f} "
+            f"| {ms['native'] / floor:.1f} |",
+            flush=True,
+        )
+
+
+@numba.njit(fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
+def inverse_roots(values: np.ndarray, times: int) -> float:
+    total = 0.0
+    for k in range(times):
+        for i in range(len(values)):
+            total += 1.0 / np.sqrt(values[i] + k)
+    return total
+
+
+def divider_floor(n_pairs: float, roots: int) -> float:
+    """Return the ms that one thread needs for the inverse roots of all pairs and nothing else.
+
+    The one part of the work that no instruction mix can shorten: a root and a division for each distance,
+    and for each f of generalised Born.
+    """
+    values, times = np.linspace(1.0, 2.0, 1024), 1000
+    ms = medians({"roots": partial(inverse_roots, values, times)}, 0.2)["roots"]
+    return ms * roots * n_pairs / (len(values) * times)
+
+
+def with_cutoff(threads: int) -> None:
+    """Print the time for each atom at growing sizes."""
+    print(f"\n| atoms | cutoff {CUTOFF} nm, vacuum: us per atom | OBC2: us per atom | OBC2, lists anew |")
+    print("|--:|--:|--:|--:|")
+    s = pc.load(SAMPLES / "1ubq.pdb")
+    for n in (2, 4, 8, 16, 41):
+        topology, x = copies(s, n)
+        vacuum, obc2 = (
+            NativeEnergy(OpenMMEnergy(system(topology, solvent, CUTOFF)), threads)
+            for solvent in (None, "obc2")
+        )
+        # Everything moved by 1 nm and back: no list holds.
+        there_and_back = cycle([x, x + 1.0])
+        ms = medians({"vacuum": partial(vacuum, x), "obc2": partial(obc2, x)}, 3.0)
+        ms |= medians({"anew": lambda e=obc2, moved=there_and_back: e(next(moved))}, 3.0)
+        print(f"| {len(x)} | " + " | ".join(f"{1e3 * taken / len(x):.2f}" for taken in ms.values()) + " |")
+
+
+def left_out(paths: list[Path], threads: int) -> None:
+    """Print what leaving out constant terms saves, and what the sweeps of the chain add."""
+    print(
+        "\n| structure | solvent | hinges | freedoms | all ms | moving terms ms | ratio | sweeps ms | share |"
+    )
+    print("|---|---|---|--:|--:|--:|--:|--:|--:|")
+    for path in paths:
+        s = pc.load(path)
+        for solvent in ("vacuum", "obc2"):
+            whole = pc.energy(s, solvent=solvent, engine="native", threads=threads)
+            for hinges in ("phi psi", "phi psi chi", "phi psi chi omega rotors"):
+                c = pc.build_chain(s, hinges)
+                x = pc.pose(c, c.q0).x
+                less: Energy = whole.without_constants(rigid_groups(c), x)
+                _, f = whole(x)
+                ms = medians(
+                    {"all": partial(whole, x), "moving": partial(less, x), "sweeps": partial(torques, c, f)},
+                    0.7,
+                )
+                print(
+                    f"| {s.name} | {solvent} | {hinges} | {c.n_v} | {ms['all']:.2f} | {ms['moving']:.2f} "
+                    f"| {ms['all'] / ms['moving']:.2f} | {ms['sweeps']:.3f} "
+                    f"| {100 * ms['sweeps'] / (ms['moving'] + ms['sweeps']):.1f} % |",
+                    flush=True,
+                )
+
+
+def torques(c: pc.Chain, f: np.ndarray) -> np.ndarray:
+    """Return the torques of forces at the chain's start: both sweeps."""
+    return pc.pull_back(c, pc.pose(c, c.q0), f)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("structures", nargs="*", type=Path, default=[SAMPLES / f"{n}.pdb" for n in DEFAULT])
+    parser.add_argument("--threads", type=int, default=2)
+    given = parser.parse_args()
+    print(
+        "| structure | atoms | solvent | OpenMM CPU ms | native ms | ratio | ns per pair | times the floor |"
+    )
+    print("|---|--:|---|--:|--:|--:|--:|--:|")
+    for path in given.structures:
+        s = pc.load(path)
+        against_openmm(s.topology, s.positions, s.name, given.threads)
+    against_openmm(*copies(pc.load(SAMPLES / "1ubq.pdb"), COPIES), f"{COPIES} x 1ubq", given.threads)
+    with_cutoff(given.threads)
+    left_out(given.structures, given.threads)
+
+
+if __name__ == "__main__":
+    main()
