@@ -19,7 +19,7 @@ from protochain.energies.native.terms import Bonded, compile_system
 from protochain.energies.openmm_engine import OpenMMEnergy
 
 _LOG = logging.getLogger(__name__)
-MOST_THREADS = numba.get_num_threads()
+MOST_THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
 """What numba was started with: processors, or NUMBA_NUM_THREADS."""
 
 

@@ -1,7 +1,6 @@
 """Torsion maps as bicubic patches."""
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from protochain.arrays import Floats
 
@@ -41,6 +40,9 @@ def spline_coefficients(grid: Floats) -> Floats:
 
 def _slopes(values: Floats, axis: int) -> Floats:
     """Slope of the periodic spline along one axis, for each step of the grid."""
+    # Imported where a force field has maps: it takes as long as a small protein's minimisation.
+    from scipy.interpolate import CubicSpline
+
     size = values.shape[axis]
     closed = np.concatenate([values, np.take(values, [0], axis)], axis)
     spline = CubicSpline(np.arange(size + 1), closed, axis=axis, bc_type="periodic")
