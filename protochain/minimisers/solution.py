@@ -5,10 +5,9 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from protochain.arrays import Floats
 from protochain.chain import Chain
@@ -16,6 +15,9 @@ from protochain.energies.protocol import Energy
 from protochain.minimisers.verdict import Judgement, Status
 from protochain.structure import Structure, save
 from protochain.structure.superpose import rmsd_angstrom
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 TRACE_COLUMNS = (
     "iteration",
@@ -54,8 +56,11 @@ class Recorder:
         if self.watch:
             self.watch(row, x)
 
-    def trace(self) -> pd.DataFrame:
+    def trace(self) -> "pd.DataFrame":
         """Return the trace with ``TRACE_COLUMNS``."""
+        # Only here, when the run is over: it takes longer to import than a small protein to minimise.
+        import pandas as pd
+
         start = self.structure.positions[self.structure.alpha_carbons]
         rows = [
             {**row, "ca_rmsd_angstrom": rmsd_angstrom(alphas, start) if np.isfinite(alphas).all() else np.nan}
@@ -105,7 +110,7 @@ class Solution:
     n_iterations: int
     n_evaluations: int
     seconds: float
-    trace: pd.DataFrame
+    trace: "pd.DataFrame"
     start: Judgement
     end: Judgement
     ca_rmsd_angstrom: float

@@ -1,7 +1,6 @@
 """A sequence -> an extended all-atom chain with standard geometry."""
 
 import gemmi
-import PeptideBuilder
 
 from protochain import residues
 from protochain.errors import StructureError
@@ -33,6 +32,9 @@ def from_sequence(sequence: str) -> Structure:
     StructureError
         If a letter is not one of the 20, or there are fewer than two.
     """
+    # Only here: it brings Biopython with it, which every start of the program would wait for.
+    import PeptideBuilder
+
     letters = "".join(sequence.split()).upper()
     names = {letter: name for name, letter in residues.STANDARD.items()}
     if not letters:
