@@ -150,18 +150,15 @@ def rigid_groups(chain: Chain) -> Integers:
     (na, k) int
         The atom's own body first, then bodies joined to it by a hinge on whose axis it lies; -1 for none.
     """
-    frames = multibody.pose(chain.tree, chain.q0)
-    x = pose(chain, chain.q0).x
-    groups = [[int(body)] for body in chain.atom_body]
-    members: dict[int, list[int]] = {}
-    for atom, body in enumerate(chain.atom_body.tolist()):
-        members.setdefault(body, []).append(atom)
+    at = pose(chain, chain.q0)
+    groups = [[body] for body in chain.atom_body.tolist()]
     for body in chain.hinge_body.tolist():
         parent = int(chain.tree.parent[body])
-        for atom in members.get(body, []) + members.get(parent, []):
-            place = frames.rotation[body].T @ (x[atom] - frames.origin[body])
-            if np.hypot(place[0], place[1]) < _ON_HINGE:
-                groups[atom].append(parent if atom in members.get(body, []) else body)
+        for own, other in ((body, parent), (parent, body)):
+            members = np.flatnonzero(chain.atom_body == own)
+            place = (at.x[members] - at.frames.origin[body]) @ at.frames.rotation[body]
+            for atom in members[np.hypot(place[:, 0], place[:, 1]) < _ON_HINGE].tolist():
+                groups[atom].append(other)
     wide = max(len(its) for its in groups)
     return np.array([its + [-1] * (wide - len(its)) for its in groups], dtype=np.int64)
 

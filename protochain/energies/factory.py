@@ -195,4 +195,4 @@ def _use_gbsa_obc(system: openmm.System) -> str:
         force.addParticle(charge * charge_scale, (reduced_radius + _OBC_OFFSET) * unit.nanometer, scale)
     system.removeForce(places[0])
     system.addForce(force)
-    return "no cutoff; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml and faster"
+    return "no cutoff; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml"

@@ -90,10 +90,10 @@ def minimise(
 
     Notes
     -----
-    Terms that are constant in the chain are left out. Single-precision forces, as of OpenMM's CPU platform,
-    limit how small a torque can become: when a method on such an engine claims
-    its tolerance, finds no lower energy or meets what is not a number, it goes on from there on the
-    Reference platform, within the same budget.
+    The native engine leaves out terms that are constant in the chain. Single-precision forces, as of
+    OpenMM's CPU platform, limit how small a torque can become: when a method on such an engine claims its
+    tolerance, finds no lower energy or meets what is not a number, it goes on from there on the Reference
+    platform, within the same budget.
     """
     check_settings(method, tolerance, max_evaluations)
     if isinstance(chain, str | Path):
@@ -104,16 +104,17 @@ def minimise(
         energy = build_energy(chain.structure)
     structure = chain.structure
     first = pose(chain, chain.q0)
+    moving = energy
     if method in TORSION_METHODS:
-        energy = energy.without_constants(rigid_groups(chain), first.x)
+        moving = energy.without_constants(rigid_groups(chain), first.x)
     # Judging first, and a step of no length, also make both contexts and compile the kernels, off the clock.
     start = judge(chain, energy, first)
-    energy(first.x)
+    moving(first.x)
     integrate(chain.tree, chain.q0, np.zeros(chain.n_v))
 
     record = Recorder(structure, watch)
     if method in TORSION_METHODS:
-        done = _in_torsions(chain, energy, TORSION_METHODS[method](), tolerance, max_evaluations, record)
+        done = _in_torsions(chain, moving, TORSION_METHODS[method](), tolerance, max_evaluations, record)
     else:
         done = _by_openmm(chain, energy, tolerance, max_evaluations, record)
     seconds = perf_counter() - record.started
@@ -132,9 +133,10 @@ def minimise(
         method=method,
         chain=chain,
         energy_function=energy,
+        constant_terms=moving.left_out,
         q=done.at.q,
         x=x,
-        energy=energy(x)[0],
+        energy=moving(x)[0],
         status=status,
         message=message,
         n_iterations=done.n_iterations,

@@ -1,6 +1,6 @@
 """The result of a minimisation: a value that can be saved, tabled and written as JSON."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -79,6 +79,9 @@ class Solution:
     chain : Chain
         The chain at the start.
     energy_function : Energy
+        With all terms, whatever the positions.
+    constant_terms : mapping of str to int
+        Terms and pairs that the run left out, by kind: constant in this chain.
     q : (n_q,) float
         Coordinates at the end (of the chain as it then is, for methods that move single atoms).
     x : (na, 3) float, nm
@@ -102,6 +105,7 @@ class Solution:
     method: str
     chain: Chain
     energy_function: Energy
+    constant_terms: Mapping[str, int]
     q: Floats
     x: Floats
     energy: float
@@ -176,7 +180,7 @@ class Solution:
             "status": str(self.status),
             "message": self.message,
             "left_out": dict(s.left_out),
-            "constant_terms": dict(e.left_out),
+            "constant_terms": dict(self.constant_terms),
             "repairs": list(s.repairs),
             "seed": self.seed,
             "threads": e.threads,

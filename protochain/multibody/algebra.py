@@ -27,7 +27,8 @@ MASSLESS: Inertia = (
 )
 
 # Two or four numbers at a time: LLVM's superword pass, which numba leaves off, makes sweeps 1.4 times faster.
-config.SLP_VECTORIZE = 1  # type: ignore[attr-defined]
+_SETTINGS: Any = config
+_SETTINGS.SLP_VECTORIZE = 1
 
 F = TypeVar("F", bound=Callable[..., Any])
 

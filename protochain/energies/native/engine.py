@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -15,18 +15,21 @@ from protochain.arrays import Floats, Integers, floats
 from protochain.energies.native import pairs
 from protochain.energies.native.evaluate import Layout, born_integrals, evaluate, lists_of
 from protochain.energies.native.neighbours import Lists, partners
+from protochain.energies.native.reading import UnsupportedForceError
 from protochain.energies.native.terms import Bonded, compile_system
 from protochain.energies.openmm_engine import OpenMMEnergy
 
 _LOG = logging.getLogger(__name__)
-MOST_THREADS: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+_SETTINGS: Any = numba.config
+MOST_THREADS: int = _SETTINGS.NUMBA_NUM_THREADS
 """What numba was started with: processors, or NUMBA_NUM_THREADS."""
 
 
 class NativeEnergy:
     """An OpenMM System's energy by kernels of our own, in double precision.
 
-    The same positions give the same bits, whatever the number of threads.
+    A run repeats bit for bit on any number of threads. The same positions reached on another way may differ
+    in the last digits: neighbour lists, and with them the order of sums, are those of where it came by.
 
     Parameters
     ----------
@@ -46,9 +49,10 @@ class NativeEnergy:
     def __init__(self, twin: OpenMMEnergy, threads: int) -> None:
         terms = compile_system(twin.system)
         nobody = np.full((terms.n_atoms, 1), -1)
-        self._set(
-            twin, threads, Layout(terms, nobody, partners(terms.nonbonded.exceptions.atoms, terms.n_atoms))
-        )
+        layout = Layout(terms, nobody, partners(terms.nonbonded.exceptions.atoms, terms.n_atoms))
+        if terms.nonbonded.cutoff < layout.near:
+            raise UnsupportedForceError(f"NonbondedForce with a cutoff below {layout.near:.2g} nm")
+        self._set(twin, threads, layout)
 
     def _set(self, twin: OpenMMEnergy, threads: int, layout: Layout) -> None:
         self.twin = twin
@@ -56,7 +60,8 @@ class NativeEnergy:
         self.left_out: Mapping[str, int] = MappingProxyType({})
         self._layout = layout
         self._lists: Lists | None = None
-        self._whole: tuple[NativeEnergy, Floats] | None = None
+        self._all: tuple[Layout, Lists, Lists, Floats] | None = None
+        """With terms left out: the layout of all of them, its lists and one's own, and their positions."""
 
     @property
     def reason(self) -> str:
@@ -93,7 +98,7 @@ class NativeEnergy:
         """Double precision: nothing to gain from going on elsewhere."""
         return True
 
-    @cached_property
+    @property
     def fingerprint(self) -> str:
         """SHA-256 of the System."""
         return self.twin.fingerprint
@@ -146,6 +151,7 @@ class NativeEnergy:
             The same function of positions that keep the groups rigid; its forces add up to the same on
             each group.
         """
+        x = floats(x, (self._layout.terms.n_atoms, 3), "x").copy()
         terms = self._layout.terms
         kept, left_out = {}, {}
         for kind, some in (*terms.bonded.items(), ("exceptions", terms.nonbonded.exceptions)):
@@ -157,47 +163,50 @@ class NativeEnergy:
         less = NativeEnergy.__new__(NativeEnergy)
         # Exceptions left out still mark what the list of free pairs may not hold.
         less._set(self.twin, self.threads, replace(self._layout, terms=fewer, groups=groups))
-        less._whole = self, x
-        left_out["close pairs"] = len(self._lists_at(x).close) - len(less._lists_at(x).close)
+        # Lists of these very positions, whatever was computed before: so runs repeat.
+        mine, its = lists_of(self._layout, x), lists_of(less._layout, x)
+        less._lists, less._all = its, (self._layout, mine, its, x)
+        left_out["close pairs"] = len(mine.close) - len(its.close)
         less.left_out = MappingProxyType({kind: n for kind, n in left_out.items() if n})
         return less
 
     @cached_property
     def _fixed_integral(self) -> Floats:
         """(na,) float: what atoms of one group give to each other's Born integrals."""
-        if self._whole is None or self._layout.terms.solvent is None:
+        if self._all is None or self._layout.terms.solvent is None:
             return np.zeros(self._layout.terms.n_atoms)
-        whole, x = self._whole
-        of_all = born_integrals(whole._layout, whole._lists_at(x), x)
-        return of_all - born_integrals(self._layout, self._lists_at(x), x)
+        layout, lists, own_lists, x = self._all
+        return born_integrals(layout, lists, x) - born_integrals(self._layout, own_lists, x)
 
     @cached_property
     def _constant(self) -> float:
         """Energy of what is left out."""
-        if self._whole is None:
+        if self._all is None:
             return 0.0
-        whole, x = self._whole
-        return whole(x)[0] - sum(self.parts(x)[0].values())
+        layout, lists, own_lists, x = self._all
+        whole, _ = evaluate(layout, lists, x, np.zeros(len(x)))
+        moving, _ = evaluate(self._layout, own_lists, x, self._fixed_integral)
+        return sum(whole.values()) - sum(moving.values())
 
     def _lists_at(self, x: Floats) -> Lists:
         """Neighbour lists that hold at x; all computing passes here first."""
-        self._announce()
+        _announce()
         numba.set_num_threads(self.threads)
         lists = self._lists
         if lists is None or not lists.still_hold(x):
             lists = self._lists = lists_of(self._layout, x)
         return lists
 
-    def _announce(self) -> None:
-        """Say once that kernels have to be compiled, which takes half a minute on a fresh installation."""
-        kernel: Any = pairs.exception_sums
-        if not kernel.signatures and not any(
-            Path(kernel._cache.cache_path).glob("pairs.exception_sums*.nbi")
-        ):
-            _LOG.warning("compiling the energy kernels for this machine; this happens once")
-
     def __repr__(self) -> str:
         return f"<NativeEnergy {self.forcefield}, {self.solvent}: {self.reason}>"
+
+
+@cache
+def _announce() -> None:
+    """Say that kernels have to be compiled, which takes a minute on a fresh installation."""
+    kernel: Any = pairs.exception_sums
+    if not any(Path(kernel._cache.cache_path).glob("pairs.exception_sums*.nbi")):
+        _LOG.warning("compiling the energy kernels for this machine; this happens once")
 
 
 def _in_one_group(groups: Integers, atoms: Integers) -> np.ndarray:

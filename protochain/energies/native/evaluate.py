@@ -112,7 +112,7 @@ class Layout:
 
     @cached_property
     def necks(self) -> Floats:
-        """(blocks, types, NECK_ROWS * W) float."""
+        """(blocks, types, 5 W) float: the rows that :mod:`neck` names, by type and atom of a block."""
         assert self.terms.solvent is not None and self.terms.solvent.necks is not None
         n = self.terms.solvent.necks
         rows = (n.height, n.place, n.height.T, n.place.T, n.reach**2)
@@ -150,12 +150,13 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
     -------
     dict of str to float, kJ/mol; (na, 3) float, kJ/mol/nm
     """
-    terms, n, atoms = layout.terms, layout.terms.nonbonded, layout.blocks.copy()
+    terms, atoms = layout.terms, layout.blocks.copy()
+    nonbonded = terms.nonbonded
     put_positions(x, atoms)
     sums = np.zeros((CHUNKS, len(atoms), SUMS * W))
     parts = np.zeros((len(KINDS), CHUNKS))
     part = dict(zip(KINDS, parts, strict=True))
-    pairwise = layout.near, n.cutoff, n.krf, n.crf
+    pairwise = layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf
     solvent = terms.solvent
     if solvent is None:
         pairs.pair_sums(
@@ -184,13 +185,10 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
             neck.neck_force_sums(
                 atoms, layout.necks, layout.neck_type, lists.tiles[lists.is_necked], solvent.cutoff, sums
             )
-    pairs.near_sums(
-        x, n.charge, n.a12, n.b6, n.lj_type, lists.free, layout.near, n.krf, n.crf, sums, part["nonbonded"]
-    )  # fmt: skip
-    pairs.exception_sums(
-        x, n.charge, n.a12, n.b6, n.lj_type, n.exceptions.atoms, n.exceptions.parameters, *pairwise, sums,
-        part["nonbonded"],
-    )  # fmt: skip
+    kinds = nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type
+    pairs.near_sums(x, *kinds, lists.free, layout.near, nonbonded.krf, nonbonded.crf, sums, part["nonbonded"])
+    own_terms = nonbonded.exceptions
+    pairs.exception_sums(x, *kinds, own_terms.atoms, own_terms.parameters, *pairwise, sums, part["nonbonded"])
     for kind, kernel in _BONDED:
         some = terms.bonded[kind]
         if len(some.atoms):

@@ -8,7 +8,7 @@ import openmm
 
 from protochain.arrays import Floats, Integers
 from protochain.energies.native.neck import REACH
-from protochain.energies.native.unsupported import UnsupportedForceError
+from protochain.energies.native.reading import UnsupportedForceError, bare, plain
 
 _COULOMB_GBSAOBC = 138.93545764438198
 _COULOMB_CUSTOM = 138.935485
@@ -77,15 +77,22 @@ def from_gbsa_obc(force: openmm.GBSAOBCForce) -> Solvent:
         raise UnsupportedForceError("GBSAOBCForce with a periodic cutoff")
     cut = force.getNonbondedMethod() != force.NoCutoff
     values = [force.getParticleParameters(i) for i in range(force.getNumParticles())]
-    charge, radius, scale = np.array([[getattr(v, "_value", v) for v in row] for row in values]).T
-    polar = 1.0 / force.getSoluteDielectric() - 1.0 / force.getSolventDielectric()
-    area = 4.0 * np.pi * force.getSurfaceAreaEnergy()._value
+    charge, radius, scale = np.array([[plain(v) for v in row] for row in values]).T
+    polar = _polar(force.getSoluteDielectric(), force.getSolventDielectric())
+    area = 4.0 * np.pi * plain(force.getSurfaceAreaEnergy())
     offset_radius = radius - _GBSAOBC_OFFSET
     return Solvent(
         charge * np.sqrt(_COULOMB_GBSAOBC * polar), offset_radius, offset_radius * scale, radius,
         np.tile(_OBC2, (len(radius), 1)), area * (radius + _PROBE) ** 2 * radius**6, True, None,
-        force.getCutoffDistance()._value if cut else np.inf,
+        plain(force.getCutoffDistance()) if cut else np.inf,
     )  # fmt: skip
+
+
+def _polar(inside: float, outside: float) -> float:
+    """Difference of inverse dielectrics; charges are scaled by its root."""
+    if inside > outside:
+        raise UnsupportedForceError(f"generalised Born of dielectric {inside:g} inside, {outside:g} outside")
+    return 1.0 / inside - 1.0 / outside
 
 
 _NUMBER = r"([-+.\deE]+)"
@@ -97,8 +104,9 @@ _NECK = (
     "Ivdw+neckScale*Ineck;Ineck=step(radius1+radius2+neckCut-r)*getm0(radindex1,radindex2)/"
     "(1+100*(r-getd0(radindex1,radindex2))^2+0.3*1000000*(r-getd0(radindex1,radindex2))^6);Ivdw="
 ) + _HCT
-_NECK_END = re.compile(
-    rf";radius1=or1\+offset;radius2=or2\+offset;neckScale={_NUMBER};neckCut={_NUMBER};offset={_NUMBER}"
+_WITH_NECKS = re.compile(
+    re.escape(_NECK)
+    + rf";radius1=or1\+offset;radius2=or2\+offset;neckScale={_NUMBER};neckCut={_NUMBER};offset={_NUMBER}"
 )
 _PLAIN_RADIUS = "1/(1/or-I)"
 _BENT_RADIUS = re.compile(rf"1/\(1/or-tanh\((.+)\)/radius\);psi=I\*or;radius=or\+offset;offset={_NUMBER}")
@@ -117,7 +125,7 @@ def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
     """HCT, OBC1, OBC2, GBn or GBn2, recognised by the very expressions of OpenMM's implicit files."""
     if force.getNonbondedMethod() == force.CutoffPeriodic:
         raise UnsupportedForceError("CustomGBForce with a periodic cutoff")
-    cutoff = np.inf if force.getNonbondedMethod() == force.NoCutoff else force.getCutoffDistance()._value
+    cutoff = np.inf if force.getNonbondedMethod() == force.NoCutoff else plain(force.getCutoffDistance())
     if force.getNumExclusions() or force.getNumGlobalParameters():
         raise UnsupportedForceError("CustomGBForce with exclusions or global parameters")
     names = [force.getPerParticleParameterName(i) for i in range(force.getNumPerParticleParameters())]
@@ -128,19 +136,15 @@ def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
     pairs, single = force.ParticlePairNoExclusions, force.SingleParticle
     if [(name, kind) for name, _, kind in values] != [("I", pairs), ("B", single)]:
         raise UnsupportedForceError("CustomGBForce that is none of HCT, OBC1, OBC2, GBn and GBn2")
-    bend, radius = _bend(_bare(values[1][1]), of)
-    polar, area = _energy_terms([(_bare(expression), kind) for expression, kind in terms], cutoff, force)
+    bend, radius = _bend(bare(values[1][1]), of)
+    polar, area = _energy_terms([(bare(expression), kind) for expression, kind in terms], cutoff, force)
     surface = np.zeros(len(rows))
     if area is not None:
         surface = _AREA_CUSTOM * (of["or"] + area + _PROBE) ** 2 * (of["or"] + area) ** 6
     return Solvent(
         of["charge"] * np.sqrt(_COULOMB_CUSTOM * polar), of["or"], of["sr"], radius, bend, surface, False,
-        _necks(_bare(values[0][1]), of, force), cutoff,
+        _necks(bare(values[0][1]), of, force), cutoff,
     )  # fmt: skip
-
-
-def _bare(expression: str) -> str:
-    return "".join(expression.split())
 
 
 def _bend(expression: str, of: dict[str, Floats]) -> tuple[Floats, Floats]:
@@ -155,6 +159,8 @@ def _bend(expression: str, of: dict[str, Floats]) -> tuple[Floats, Floats]:
     for column, (group, default) in enumerate(((1, "1"), (3, "0"), (5, "0"))):
         written = inner[group] or default
         bend[:, column] = of[written] if written in of else float(written)
+    if np.any(bend[:, 0] == 0.0):
+        raise UnsupportedForceError("CustomGBForce with alpha = 0")
     return bend, of["or"] + float(outer[2])
 
 
@@ -181,16 +187,16 @@ def _energy_terms(
         raise UnsupportedForceError("CustomGBForce without the usual polar terms")
     outside, inside = (float(text) for text in dielectrics.pop())
     area = float(found["surface"][3]) if "surface" in found else None
-    return 1.0 / inside - 1.0 / outside, area
+    return _polar(inside, outside), area
 
 
 def _necks(expression: str, of: dict[str, Floats], force: openmm.CustomGBForce) -> Necks | None:
     if expression == _HCT:
         return None
-    tail = _NECK_END.search(expression)
-    if tail is None or expression[: tail.start()] != _NECK or float(tail[2]) != REACH:
+    numbers = _WITH_NECKS.fullmatch(expression)
+    if numbers is None or float(numbers[2]) != REACH:
         raise UnsupportedForceError(f"CustomGBForce with Born integral {expression!r}")
-    scale, offset = float(tail[1]), float(tail[3])
+    scale, offset = float(numbers[1]), float(numbers[3])
     tables = {}
     for i in range(force.getNumTabulatedFunctions()):
         width, height, values = force.getTabulatedFunction(i).getFunctionParameters()

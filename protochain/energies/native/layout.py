@@ -56,9 +56,9 @@ def n_blocks(n: int) -> int:
     return -(-n // W)
 
 
-def in_blocks(values: np.ndarray, fill: float = 0.0) -> np.ndarray:
-    """(blocks, W): a number of each atom, and ``fill`` for those that fill the last block."""
-    padded = np.full(n_blocks(len(values)) * W, fill, dtype=values.dtype)
+def in_blocks(values: np.ndarray) -> np.ndarray:
+    """(blocks, W): a number of each atom, and zeros for those that fill the last block."""
+    padded = np.zeros(n_blocks(len(values)) * W, dtype=values.dtype)
     padded[: len(values)] = values
     return padded.reshape(-1, W)
 

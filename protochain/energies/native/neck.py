@@ -28,7 +28,6 @@ REACH = 0.68
 HEIGHT_I, PLACE_I, HEIGHT_J, PLACE_J, REACH2 = range(5)
 """Rows for each type of atom i beside a block of atoms j: height and place of the neck's peak for i and for
 j, square of the distance at which it ends."""
-NECK_ROWS = 5
 _WIDE, _STEEP = 100.0, 0.3e6
 """1/nm^2 and 1/nm^6: the peak is 1 / (1 + 100 d^2 + 300000 d^6)."""
 

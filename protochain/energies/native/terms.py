@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from protochain.arrays import Floats, Integers
 from protochain.energies.native.implicit import Solvent, from_custom_gb, from_gbsa_obc
 from protochain.energies.native.maps import spline_coefficients
-from protochain.energies.native.unsupported import UnsupportedForceError
+from protochain.energies.native.reading import UnsupportedForceError, bare, one_cutoff, plain
 
 COULOMB = 138.93545764438198
 """kJ nm/mol/e^2, as OpenMM's NonbondedForce has it."""
@@ -120,7 +119,10 @@ def compile_system(system: openmm.System) -> Terms:
     if len(sizes) > 1:
         raise UnsupportedForceError("CMAPTorsionForce with maps of different sizes")
     coefficients = np.array([spline_coefficients(m) for m in maps]) if maps else np.zeros((1, 1, 1, 4, 4))
-    return Terms(system.getNumParticles(), bonded, coefficients, _nonbonded(system, found), _solvent(found))
+    nonbonded, solvent = _nonbonded(system, found), _solvent(found)
+    if solvent is not None:
+        one_cutoff("GBSAOBCForce or CustomGBForce", solvent.cutoff, nonbonded.cutoff)
+    return Terms(system.getNumParticles(), bonded, coefficients, nonbonded, solvent)
 
 
 _SHAPES = {"bonds": (2, 2), "angles": (3, 2), "torsions": (4, 3), "impropers": (4, 2), "maps": (8, 1)}
@@ -137,12 +139,8 @@ def _stacked(kind: str, found: dict[str, list[openmm.Force]]) -> tuple[Integers,
         for force in found.get(name, []) for row in read(force)
     ]  # fmt: skip
     atoms = np.array([row[:n_atoms] for row in rows], dtype=np.int64).reshape(-1, n_atoms)
-    values = [[_plain(value) for value in row[n_atoms:]] for row in rows]
+    values = [[plain(value) for value in row[n_atoms:]] for row in rows]
     return atoms, np.array(values, dtype=float).reshape(-1, n_parameters)
-
-
-def _plain(value: Any) -> float:
-    return float(value.value_in_unit_system(unit.md_unit_system) if unit.is_quantity(value) else value)
 
 
 def _rows(force: openmm.Force, count: str, get: str) -> list[list[Any]]:
@@ -163,7 +161,7 @@ def _torsions(force: openmm.PeriodicTorsionForce) -> list[list[Any]]:
 
 def _impropers(force: openmm.CustomTorsionForce) -> list[list[Any]]:
     names = [force.getPerTorsionParameterName(i) for i in range(force.getNumPerTorsionParameters())]
-    if _bare(force.getEnergyFunction()) != "k*(theta-theta0)^2" or sorted(names) != ["k", "theta0"]:
+    if bare(force.getEnergyFunction()) != "k*(theta-theta0)^2" or sorted(names) != ["k", "theta0"]:
         raise UnsupportedForceError(f"CustomTorsionForce {force.getEnergyFunction()!r}")
     order = [names.index("theta0"), names.index("k")]
     read = _rows(force, "getNumTorsions", "getTorsionParameters")
@@ -187,11 +185,7 @@ _READERS = {
 def _maps(force: openmm.CMAPTorsionForce) -> list[Floats]:
     read = [force.getMapParameters(i) for i in range(force.getNumMaps())]
     # OpenMM's first angle runs fastest.
-    return [np.array([_plain(v) for v in values]).reshape(size, size).T for size, values in read]
-
-
-def _bare(expression: str) -> str:
-    return "".join(expression.split()).rstrip(";")
+    return [np.array([plain(v) for v in values]).reshape(size, size).T for size, values in read]
 
 
 def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> Nonbonded:
@@ -208,11 +202,11 @@ def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> N
     if force.getNonbondedMethod() == force.CutoffNonPeriodic:
         if force.getUseSwitchingFunction():
             raise UnsupportedForceError("NonbondedForce with a switching function")
-        cutoff, dielectric = _plain(force.getCutoffDistance()), force.getReactionFieldDielectric()
+        cutoff, dielectric = plain(force.getCutoffDistance()), force.getReactionFieldDielectric()
         # Tironi, Sperb, Smith, van Gunsteren, J. Chem. Phys. 102:5451 (1995).
         krf = (dielectric - 1.0) / (2.0 * dielectric + 1.0) / cutoff**3
         crf = 3.0 * dielectric / (2.0 * dielectric + 1.0) / cutoff
-    particles = np.array([[_plain(v) for v in force.getParticleParameters(i)] for i in range(n)])
+    particles = np.array([[plain(v) for v in force.getParticleParameters(i)] for i in range(n)])
     charge, sigma, epsilon = particles.T
     # Where the well has no depth its width means nothing: one type less.
     kinds = np.column_stack([np.where(epsilon == 0.0, 0.0, sigma), epsilon, np.zeros(n)])
@@ -237,17 +231,15 @@ def _exceptions(force: openmm.NonbondedForce, found: dict[str, list[openmm.Force
     pairs, parameters = [], []
     for i in range(force.getNumExceptions()):
         first, second, *values = force.getExceptionParameters(i)
-        qq, sigma, epsilon = (_plain(v) for v in values)
+        qq, sigma, epsilon = (plain(v) for v in values)
         b6 = 4.0 * epsilon * sigma**6
         pairs.append((min(first, second), max(first, second)))
         parameters.append([b6 * sigma**6, b6, qq * COULOMB])
     place = {pair: i for i, pair in enumerate(pairs)}
     for own in found.get("CustomBondForce", []):
         names = [own.getPerBondParameterName(i) for i in range(own.getNumPerBondParameters())]
-        if _bare(own.getEnergyFunction()) != "4*epsilon*((sigma/r)^12-(sigma/r)^6)" or sorted(names) != [
-            "epsilon",
-            "sigma",
-        ]:
+        known = bare(own.getEnergyFunction()) == "4*epsilon*((sigma/r)^12-(sigma/r)^6)"
+        if not known or sorted(names) != ["epsilon", "sigma"]:
             raise UnsupportedForceError(f"CustomBondForce {own.getEnergyFunction()!r}")
         for i in range(own.getNumBonds()):
             first, second, values = own.getBondParameters(i)
@@ -266,15 +258,17 @@ def _exceptions(force: openmm.NonbondedForce, found: dict[str, list[openmm.Force
 def _types_of(table: openmm.CustomNonbondedForce, force: openmm.NonbondedForce) -> list[float]:
     """Type of each particle in CHARMM's table of Lennard-Jones pairs."""
     names = [table.getPerParticleParameterName(i) for i in range(table.getNumPerParticleParameters())]
-    plain = (
-        _bare(table.getEnergyFunction()) == "acoef(type1,type2)/r^12-bcoef(type1,type2)/r^6"
+    known = (
+        bare(table.getEnergyFunction()) == "acoef(type1,type2)/r^12-bcoef(type1,type2)/r^6"
         and names == ["type"]
         and not table.getNumInteractionGroups()
         and table.getNonbondedMethod() == force.getNonbondedMethod()
         and not table.getUseSwitchingFunction()
     )
-    if not plain:
+    if not known:
         raise UnsupportedForceError(f"CustomNonbondedForce {table.getEnergyFunction()!r}")
+    if force.getNonbondedMethod() != force.NoCutoff:
+        one_cutoff("CustomNonbondedForce", plain(table.getCutoffDistance()), plain(force.getCutoffDistance()))
     excluded = {tuple(sorted(table.getExclusionParticles(i))) for i in range(table.getNumExclusions())}
     exceptions = {tuple(sorted(force.getExceptionParameters(i)[:2])) for i in range(force.getNumExceptions())}
     if excluded != exceptions:

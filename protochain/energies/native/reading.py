@@ -1,0 +1,34 @@
+"""What reading a System takes: plain numbers, bare expressions, and refusals."""
+
+from typing import Any
+
+from openmm import unit
+
+from protochain.errors import ForceFieldError
+
+
+class UnsupportedForceError(ForceFieldError):
+    """A force without an exact counterpart among the native kernels; its text names the force."""
+
+
+def plain(value: Any) -> float:
+    """Return the number of a quantity in OpenMM's units (nm, ps, amu, kJ/mol, e, rad)."""
+    return float(value.value_in_unit_system(unit.md_unit_system) if unit.is_quantity(value) else value)
+
+
+def bare(expression: str) -> str:
+    """Return an expression without blanks and closing semicolon."""
+    return "".join(expression.split()).rstrip(";")
+
+
+def one_cutoff(name: str, cutoff: float, other: float) -> None:
+    """Refuse a force whose cutoff (nm; infinite for none) is not that of the others.
+
+    Raises
+    ------
+    UnsupportedForceError
+    """
+    if cutoff != other:
+        raise UnsupportedForceError(
+            f"{name} with a cutoff of {cutoff:g} nm, NonbondedForce with {other:g} nm"
+        )
