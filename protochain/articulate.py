@@ -14,6 +14,7 @@ from protochain.chain import Chain, Hinge, dihedral
 from protochain.errors import ChainError
 from protochain.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.model import Structure
+from protochain.structure.select import select
 
 HINGES = ("phi", "psi", "omega", "chi", "rotors")
 """Kinds of hinge that can be opened."""
@@ -22,7 +23,9 @@ ON_AXIS = np.deg2rad(5.0)
 """A hinge is closed if all it carries lies this near its axis: the threshold of cctbx's scitbx/rigid_body."""
 
 
-def build_chain(structure: Structure, hinges: str = "phi psi chi", root: str = "auto") -> Chain:
+def build_chain(
+    structure: Structure, hinges: str = "phi psi chi", root: str = "auto", *, move: str = "all"
+) -> Chain:
     """Cut a structure into rigid bodies joined by hinges.
 
     Parameters
@@ -32,16 +35,24 @@ def build_chain(structure: Structure, hinges: str = "phi psi chi", root: str = "
         Kinds of bond that turn, of ``phi psi omega chi rotors``. Rings are always rigid.
     root : str
         ``fixed``, ``free``, or ``auto``: free where several chains move against one another.
+    move : str
+        What may move, in the selection language of MDAnalysis: a hinge turns if the third atom of its
+        dihedral is selected (``resid 5:20``: all dihedrals of these residues; ``not backbone``: side chains
+        only). Turning one carries along all that hangs on it; atoms that are not selected stay where they are
+        only in methods that move single atoms, and between hinges that are all closed.
 
     Returns
     -------
     Chain
-        One tree for each chain, rooted at the C-alpha unit of its middle residue.
+        One tree for each chain, rooted at the C-alpha unit of its middle residue; with a selection, at the
+        largest body that is not of it.
 
     Raises
     ------
     ChainError
         If a kind of hinge is unknown or nothing can turn.
+    StructureError
+        If the selection cannot be read or names no atom.
     """
     kinds = hinges.split()
     unknown = [kind for kind in kinds if kind not in HINGES]
@@ -50,13 +61,18 @@ def build_chain(structure: Structure, hinges: str = "phi psi chi", root: str = "
     if root not in ("auto", "fixed", "free"):
         raise ChainError(f"root {root!r} is not known; choose auto, fixed or free")
 
+    moving = np.ones(structure.n_atoms, dtype=bool) if move == "all" else select(structure, move)
     cut = _is_loop(structure)
     bonds = structure.bonds[~cut]
-    turning, group = _turning(structure, bonds, list(_hinges(structure, kinds)))
+    wanted = [hinge for hinge in _hinges(structure, kinds) if moving[hinge.atoms[2]]]
+    turning, group = _turning(structure, bonds, wanted)
     if not turning:
-        raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}; open more kinds of hinge")
+        of = "" if move == "all" else f" in {move!r}"
+        raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}{of}; open more of them")
     molecule = _components(structure.n_atoms, bonds)
-    roots = [_middle_atom(structure, np.flatnonzero(molecule == m)) for m in range(molecule.max() + 1)]
+    roots = [
+        _root_atom(structure, np.flatnonzero(molecule == m), moving, group) for m in range(molecule.max() + 1)
+    ]
     free = root == "free" or (root == "auto" and len(roots) > 1)
     tree, atom_body, atom_local, carried, q0 = _walk(structure, turning, group, roots, free)
     return Chain(
@@ -70,6 +86,8 @@ def build_chain(structure: Structure, hinges: str = "phi psi chi", root: str = "
         q0=read_only(q0),
         opened=hinges,
         root=root,
+        move=move,
+        moving=read_only(moving, np.bool_),
     )
 
 
@@ -104,15 +122,15 @@ def _hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
         rotors = (*residues.ROTORS.get(str(residue_name), ()), residues.ROTOR_N_TERMINAL)
         table += [("rotors", "rotor", names) for names in rotors]
         for kind, label, names in table:
-            atoms = tuple(atom_at(r, name) for name in names)
-            if kind in kinds and None not in atoms:
+            a, b, c, d = (atom_at(r, name) for name in names)
+            if kind in kinds and a is not None and b is not None and c is not None and d is not None:
                 yield Hinge(
                     str(structure.residue_chain[r]),
                     str(residue_name),
                     str(structure.residue_number[r]),
                     str(structure.residue_insertion_code[r]),
                     label,
-                    atoms,  # type: ignore[arg-type]
+                    (a, b, c, d),
                 )
 
 
@@ -161,6 +179,14 @@ def _rigid_groups(n_atoms: int, bonds: Integers, hinges: list[Hinge]) -> Integer
     turning = {frozenset(hinge.atoms[1:3]) for hinge in hinges}
     rigid = np.array([frozenset(bond) not in turning for bond in bonds.tolist()], dtype=bool)
     return _components(n_atoms, bonds[rigid])
+
+
+def _root_atom(structure: Structure, atoms: Integers, moving: np.ndarray, group: Integers) -> int:
+    """Return an atom of the body that stays: the largest held one, or the middle."""
+    held = atoms[~moving[atoms]]
+    if len(held):
+        return int(held[np.argmax(np.bincount(group[held])[group[held]])])
+    return _middle_atom(structure, atoms)
 
 
 def _middle_atom(structure: Structure, atoms: Integers) -> int:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain import multibody
 from protochain.arrays import Floats, Integers, floats, frozen, read_only
@@ -58,8 +59,10 @@ class Chain:
         Bonds where a loop was cut open (disulfides and other cross-links): held by the force field.
     q0 : (n_q,) float
         Coordinates of the input pose; a hinge's is its measured dihedral.
-    opened, root : str
-        The kinds of hinge and of root it was built with.
+    opened, root, move : str
+        The kinds of hinge and of root, and the selection of what may move, it was built with.
+    moving : (na,) bool
+        Atoms that may move by themselves, in methods that move atoms: the selection.
     """
 
     structure: Structure
@@ -72,6 +75,8 @@ class Chain:
     q0: Floats
     opened: str
     root: str
+    move: str
+    moving: NDArray[np.bool_]
 
     @property
     def n_atoms(self) -> int:

@@ -4,8 +4,7 @@ import json
 import signal
 import sys
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -15,6 +14,7 @@ import typer
 from typer.exceptions import TyperException
 
 from protochain.errors import ProtochainError
+from protochain.terminal import print_table, progress
 
 if TYPE_CHECKING:
     from protochain.chain import Chain
@@ -24,19 +24,7 @@ if TYPE_CHECKING:
 CONVERGED, FAILED, BAD_INPUT, UNCONVERGED = 0, 1, 2, 3
 """Exit statuses: 1 when nothing usable was made, 3 when a usable result is not converged."""
 
-_SHOWN = {
-    "method": "method",
-    "status": "status",
-    "energy_start_kj_mol": "start kJ/mol",
-    "energy_end_reference_kj_mol": "end kJ/mol",
-    "max_torque_end_kj_mol_rad": "torque kJ/mol /rad",
-    "rms_force_end_kj_mol_nm": "force kJ/mol /nm",
-    "ca_rmsd_angstrom": "RMSD angstrom",
-    "evaluations": "evals",
-    "seconds": "seconds",
-}
-"""Columns of the table on the terminal; 80 characters wide."""
-
+_SHOWN_OVERLAPS = 5
 app = typer.Typer(
     help="Minimise the energy of protein chains, and compare how.",
     rich_markup_mode=None,
@@ -51,9 +39,23 @@ Forcefield = Annotated[
 Solvent = Annotated[str, typer.Option(help="vacuum, obc2 or gbn2.")]
 Hinges = Annotated[str, typer.Option(help="Bonds that turn: any of phi psi omega chi rotors.")]
 Engine = Annotated[str, typer.Option(help="auto, native or openmm.")]
+Method = Annotated[
+    str, typer.Option(help="hybrid, cartesian, lbfgs, newton, kcm, openmm ...: an unknown one lists them.")
+]
+Move = Annotated[
+    str, typer.Option(help="What may move, as MDAnalysis selects: 'resid 5:20', 'not backbone'.")
+]
+Restrain = Annotated[
+    str, typer.Option(help="Springs to the start, kJ/mol/nm^2, one strength after the other: '1000 100 0'.")
+]
+MaxRmsd = Annotated[
+    float | None, typer.Option(help="C-alpha RMSD to the start that is not passed, angstrom.")
+]
 Tolerance = Annotated[
     float,
-    typer.Option(help="Largest torque (kJ/mol/rad), or RMS force (kJ/mol/nm) for openmm, at convergence."),
+    typer.Option(
+        help="At convergence: largest torque (kJ/mol/rad), or RMS force (kJ/mol/nm) where all atoms move."
+    ),
 ]
 MaxEvaluations = Annotated[int, typer.Option(help="Energy evaluations allowed for each method.")]
 Seed = Annotated[int, typer.Option(help="Seed of random methods; recorded.")]
@@ -69,13 +71,16 @@ def minimise(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="PDB or mmCIF [default: NAME.METHOD.pdb].")
     ] = None,
-    method: Annotated[str, typer.Option(help="lbfgs, kcm or openmm.")] = "lbfgs",
+    method: Method = "hybrid",
     solvent: Solvent = "obc2",
     forcefield: Forcefield = "amber14",
     hinges: Hinges = "phi psi chi",
     engine: Engine = "auto",
     tolerance: Tolerance = 1.0,
     max_evaluations: MaxEvaluations = 5000,
+    move: Move = "all",
+    restrain: Restrain = "",
+    max_rmsd: MaxRmsd = None,
     trace: Annotated[Path | None, typer.Option(help="CSV with a row an iteration.")] = None,
     trajectory: Annotated[Path | None, typer.Option(help="DCD or XTC with a frame an iteration.")] = None,
     seed: Seed = 0,
@@ -87,20 +92,22 @@ def minimise(
     """Minimise the energy of one structure."""
     from protochain.minimisers import minimise as run
     from protochain.minimisers.api import check_settings
+    from protochain.minimisers.stages import read_hold
     from protochain.structure.trajectory import TrajectoryFile
     from protochain.structure.write import check_fits, check_format, write_atomically
 
-    check_settings(method, tolerance, max_evaluations)
+    hold = read_hold(restrain, max_rmsd)
+    check_settings(method, tolerance, max_evaluations, hold)
     suffix = ".cif" if source.suffix.lower() in (".cif", ".mmcif") else ".pdb"
     output = output or Path(f"{source.stem}.{method}{suffix}")
     check_format(output)
     _check_outputs(source, [path for path in (output, trace, trajectory) if path], force)
     chain, energy, preparation = _prepare(
-        source, hinges, forcefield, solvent, engine, threads, trust_forcefield
+        source, hinges, forcefield, solvent, engine, threads, trust_forcefield, move
     )
     check_fits(chain.structure, output)
     with ExitStack() as stack:
-        show = stack.enter_context(_progress(method, max_evaluations))
+        show = stack.enter_context(progress(method, max_evaluations))
         frames = stack.enter_context(TrajectoryFile(trajectory)) if trajectory else None
 
         def watch(row: dict[str, float], x: Any) -> None:
@@ -108,7 +115,10 @@ def minimise(
             if frames:
                 frames.append(x)
 
-        solution = run(chain, energy, method, tolerance, max_evaluations, seed, watch=watch)
+        solution = run(
+            chain, energy, method, tolerance, max_evaluations, seed,
+            restraint=hold.restraint, max_rmsd=hold.max_rmsd, watch=watch,
+        )  # fmt: skip
     if not solution.is_usable:
         raise SystemExit(_fail(f"{source}: {solution.message}"))
     solution.save(output)
@@ -123,7 +133,7 @@ def minimise(
     if as_json:
         print(json.dumps(record, allow_nan=False))
     else:
-        _print_table([record])
+        print_table([record])
         print(f"written: {output}")
     raise typer.Exit(CONVERGED if solution.status == "converged" else UNCONVERGED)
 
@@ -134,7 +144,7 @@ def compare(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-comparison].")
     ] = None,
-    methods: Annotated[str, typer.Option(help="Methods, with commas between.")] = "kcm,lbfgs,openmm",
+    methods: Annotated[str, typer.Option(help="Methods, with commas between.")] = "kcm,lbfgs,hybrid,openmm",
     solvent: Solvent = "obc2",
     forcefield: Forcefield = "amber14",
     hinges: Hinges = "phi psi chi",
@@ -164,7 +174,7 @@ def compare(
 
         def watch(method: str) -> "Watcher":
             shown.close()
-            return shown.enter_context(_progress(method, max_evaluations))
+            return shown.enter_context(progress(method, max_evaluations))
 
         comparison = run(chain, chosen, energy, tolerance, max_evaluations, seed, watch=watch)
     comparison = replace(comparison, origin={"input": str(source), "seconds_preparation": preparation})
@@ -176,7 +186,7 @@ def compare(
     if as_json:
         print(json.dumps(summary | {"output": str(output)}, allow_nan=False))
     else:
-        _print_table(summary["results"])
+        print_table(summary["results"])
         print(f"written: {page} and the tables, plots and structures beside it")
     if not any(solution.is_usable for solution in comparison.solutions):
         raise SystemExit(_fail(f"{source}: no method made anything usable; the page says why"))
@@ -295,18 +305,25 @@ def _prepare(
     engine: str,
     threads: int | None,
     trust: bool,
+    move: str = "all",
 ) -> tuple["Chain", "Energy", float]:
-    """Load a file and build its chain and energy; say on standard error what was changed."""
+    """Load a file, build chain and energy; say on standard error what was changed and what overlaps."""
     from protochain.articulate import build_chain
     from protochain.energies import energy as build_energy
+    from protochain.minimisers.contacts import overlaps
     from protochain.structure import load
 
     began = perf_counter()
     structure = load(source)
-    chain = build_chain(structure, hinges)
+    chain = build_chain(structure, hinges, move=move)
     energy = build_energy(structure, forcefield, solvent, engine, threads=threads, trust_forcefield=trust)
     for line in structure.repairs:
         print(f"{source}: {line}", file=sys.stderr)
+    found = overlaps(structure, structure.positions, chain)
+    for overlap in found[:_SHOWN_OVERLAPS]:
+        print(f"{source}: {overlap}; {overlap.remedy}", file=sys.stderr)
+    if len(found) > _SHOWN_OVERLAPS:
+        print(f"{source}: and {len(found) - _SHOWN_OVERLAPS} more overlaps", file=sys.stderr)
     return chain, energy, perf_counter() - began
 
 
@@ -321,51 +338,3 @@ def _check_outputs(source: Path, outputs: list[Path], force: bool) -> None:
         if output.exists() and source.exists() and output.samefile(source) and not force:
             raise ProtochainError(f"{output}: is the input; give another name, or --force to replace it")
         check_writable(output)
-
-
-@contextmanager
-def _progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
-    """Show a bar with energy, torque and evaluations on standard error, if that is a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[now]}"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(method, total=max_evaluations, now="")
-
-        def watch(row: dict[str, float], x: Any) -> None:
-            torque = row["max_torque_kj_mol_rad"]
-            size = "" if torque != torque else f", torque {torque:.3g} kJ/mol/rad"
-            now = f"{row['evaluations']:.0f} evaluations, {row['energy_kj_mol']:.2f} kJ/mol{size}"
-            bar.update(task, completed=row["evaluations"], now=now)
-
-        yield watch
-
-
-def _print_table(records: list[dict[str, Any]]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    rows = [
-        [
-            f"{r[key]:.2f}" if isinstance(r[key], float) else str(r[key] if r[key] is not None else "-")
-            for key in _SHOWN
-        ]
-        for r in records
-    ]
-    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    for heading, cells in zip(_SHOWN.values(), zip(*rows, strict=True), strict=True):
-        # Headings may wrap at blanks; numbers may not.
-        table.add_column(heading, min_width=max(map(len, cells)), justify="right")
-    for row in rows:
-        table.add_row(*row)
-    console = Console()
-    console.print(table)
-    for record in records:
-        console.print(f"{record['method']}: {record['message']}", markup=False, highlight=False)

@@ -17,6 +17,7 @@ LAYERS = [
     {"chain", "articulate"},
     {"minimisers"},
     {"analysis"},
+    {"terminal"},
     {"cli"},
 ]
 OPENMM_BELONGS_IN = {"structure", "energies", "minimisers/openmm_reference.py"}

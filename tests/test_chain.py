@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.chain import dihedral
-from protochain.minimisers.problem import ROOT_LEVER, evaluate, root_scale
+from protochain.minimisers.problem import evaluate
+from protochain.minimisers.spaces import ROOT_LEVER, Torsions
 from protochain.multibody import HingeKind, integrate
 
 ALL_HINGES = "phi psi omega chi rotors"
@@ -63,8 +64,8 @@ def test_bond_lengths_and_angles_do_not_change(name):
 @pytest.mark.parametrize("name", ["1l2y.pdb", "1ejg.pdb", "3i40.pdb"])
 def test_torques_are_minus_the_gradient_of_the_energy(name):
     c, e = chain(name), energy(name).reference
-    scale = root_scale(c)
-    at = evaluate(c, e, c.q0, scale)
+    scale = Torsions(c).scale
+    at = evaluate(Torsions(c), e, c.q0)
     h = 1e-5
     numeric = np.empty(c.n_v)
     for k in range(c.n_v):
@@ -81,7 +82,7 @@ def test_energy_and_torques_do_not_change_with_the_place_of_the_input(name):
     rotation = Rotation.random(rng=np.random.default_rng(3))
     x = rotation.apply(c.structure.positions.copy()) + np.array([1.0, -2.0, 3.0])
     other = pc.build_chain(c.structure.with_positions(x))
-    here, there = (evaluate(k, e, k.q0, root_scale(k)) for k in (c, other))
+    here, there = (evaluate(Torsions(k), e, k.q0) for k in (c, other))
     assert here.energy == pytest.approx(there.energy, rel=RIGID_MOTION)
     size = np.linalg.norm(here.torque)
     hinges = c.tree.v_start[c.hinge_body]
@@ -160,7 +161,7 @@ def test_what_cannot_turn_or_is_unknown_is_refused():
 
 def test_the_scale_of_a_free_root_makes_forces_torques():
     c = chain("3i40.pdb")
-    scale = root_scale(c)
+    scale = Torsions(c).scale
     assert np.count_nonzero(scale == ROOT_LEVER) == 6 and np.count_nonzero(scale == 1) == c.n_v - 6
 
 

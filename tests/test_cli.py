@@ -53,8 +53,8 @@ def test_json_is_one_object_and_the_files_are_there(tmp_path):
 def test_minimise_says_what_it_did_and_ends_with_0_when_converged(tmp_path):
     done = protochain("minimize", STRUCTURES / "ala10.pdb", cwd=tmp_path)
     assert done.returncode == 0
-    assert "converged" in done.stdout and "written: ala10.lbfgs.pdb" in done.stdout
-    assert (tmp_path / "ala10.lbfgs.pdb").exists()
+    assert "converged" in done.stdout and "written: ala10.hybrid.pdb" in done.stdout
+    assert (tmp_path / "ala10.hybrid.pdb").exists()
     assert max(map(len, done.stdout.splitlines())) <= 80
 
 
@@ -88,7 +88,7 @@ def test_build_makes_a_file_that_loads(tmp_path):
         (["minimise"], ["IN"]),
         (["frobnicate"], ["frobnicate"]),
         (["minimise", "in.pdb", "--metod", "kcm"], ["--metod"]),
-        (["minimise", "in.pdb", "--method", "md"], ["'md'", "kcm, lbfgs, openmm"]),
+        (["minimise", "in.pdb", "--method", "md"], ["'md'", "kcm-adaptive", "hybrid, openmm"]),
         (["minimise", "in.pdb", "--tolerance", "-1"], ["tolerance -1"]),
         (["minimise", "in.pdb", "--max-evaluations", "many"], ["--max-evaluations", "integer"]),
         (["minimise", "in.pdb", "--hinges", "phi psy"], ["'psy'"]),
@@ -140,11 +140,11 @@ def test_force_lets_the_input_be_replaced(tmp_path):
     path = tmp_path / "in.pdb"
     path.write_text((STRUCTURES / "ala10.pdb").read_text())
     assert protochain("minimise", "in.pdb", "-o", "in.pdb", "--force", cwd=tmp_path).returncode == 0
-    assert "METHOD lbfgs" in path.read_text()
+    assert "METHOD hybrid" in path.read_text()
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("method", ["lbfgs", "openmm"])
+@pytest.mark.parametrize("method", ["lbfgs", "hybrid", "openmm"])
 def test_a_signal_ends_with_the_best_so_far_written(method, sent, tmp_path):
     arguments = [
         "minimise", str(STRUCTURES / "1hel.pdb"), "-o", "out.pdb", "--trajectory", "t.dcd", "--json",

@@ -26,8 +26,8 @@ from protochain.structure.write import check_fits, write_atomically
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DEFAULT_METHODS = METHODS
-"""Every method there is."""
+DEFAULT_METHODS = ("kcm", "lbfgs", "hybrid", "openmm")
+"""The published method, the best in torsions, the best of all, and the reference."""
 
 _PACKAGES = ("protochain", "openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "mdtraj", "pandas")
 
@@ -199,7 +199,7 @@ def compare(
     ----------
     structure : Structure, Chain or path
     methods : sequence of str
-        Of ``kcm``, ``lbfgs``, ``openmm``.
+        As in :func:`protochain.minimise`.
     energy : Energy, optional
         ff14SB with OBC2 by default; one energy function serves all methods.
     tolerance, max_evaluations, seed

@@ -1,6 +1,7 @@
 """One loop; directions times step rules; OpenMM's minimiser as the reference."""
 
-from protochain.minimisers.api import DEFAULT_METHOD, METHODS, minimise
+from protochain.minimisers.api import minimise
+from protochain.minimisers.methods import DEFAULT_METHOD, METHODS
 from protochain.minimisers.solution import Solution
 from protochain.minimisers.verdict import Judgement, Status
 

@@ -1,12 +1,12 @@
 """``minimise``: one call for every method."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from protochain.arrays import Floats, read_only
 from protochain.articulate import build_chain
@@ -14,37 +14,16 @@ from protochain.chain import Chain, Pose, pose, rigid_groups
 from protochain.energies.factory import energy as build_energy
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
-from protochain.minimisers.kcm import KCM
-from protochain.minimisers.lbfgs import LBFGS
-from protochain.minimisers.loop import Method, Stop, run
+from protochain.minimisers.loop import Stop
+from protochain.minimisers.methods import DEFAULT_METHOD, IN_TORSIONS, METHODS
 from protochain.minimisers.openmm_reference import local_energy_minimizer
-from protochain.minimisers.problem import BudgetSpentError, Evaluation, Problem
+from protochain.minimisers.problem import Evaluation, Force, Space
+from protochain.minimisers.restraints import Leash
 from protochain.minimisers.solution import Recorder, Solution, Watcher
+from protochain.minimisers.spaces import Cartesian, Torsions
+from protochain.minimisers.stages import SINGLE_PRECISION_ENDS, Hold, stages, walk
 from protochain.minimisers.verdict import judge, rebuilt, verdict
-from protochain.multibody import integrate
 from protochain.structure import Structure, ca_rmsd, load
-
-TORSION_METHODS: dict[str, Callable[[], Method]] = {"kcm": KCM, "lbfgs": LBFGS}
-"""Methods that turn hinges, run by the one loop."""
-
-METHODS = (*TORSION_METHODS, "openmm")
-DEFAULT_METHOD = "lbfgs"
-PATIENCE = 500
-"""Evaluations without a new lowest energy after which a run counts as stalled."""
-
-_SINGLE_PRECISION_ENDS = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
-"""Endings that may be single precision's fault: its noise, or numbers beyond 1e38 where atoms overlap."""
-
-
-@dataclass(frozen=True)
-class _Run:
-    """What any method hands back to be judged: the chain as it ended, and where."""
-
-    stop: Stop
-    chain: Chain
-    at: Pose
-    n_iterations: int
-    n_evaluations: int
 
 
 def minimise(
@@ -55,6 +34,8 @@ def minimise(
     max_evaluations: int = 5000,
     seed: int = 0,
     *,
+    restraint: float | Sequence[float] = (),
+    max_rmsd: float = np.inf,
     watch: Watcher | None = None,
 ) -> Solution:
     """Minimise the energy of a protein.
@@ -66,15 +47,21 @@ def minimise(
     energy : Energy, optional
         ff14SB with OBC2 by default.
     method : str
-        ``kcm`` (kineto-static compliance, as published), ``lbfgs`` (quasi-Newton in torsions) or
-        ``openmm`` (LocalEnergyMinimizer, all atoms free).
+        ``hybrid`` (torsions, then all atoms), ``cartesian`` (all atoms), ``lbfgs`` or ``newton`` (torsions),
+        ``kcm`` (kineto-static compliance, as published) and its kin ``kcm-adaptive``, ``kcm-metric`` ...,
+        ``fire``, ``quench``, or ``openmm`` (LocalEnergyMinimizer).
     tolerance : float
-        Converged when the largest torque (kJ/mol/rad) or, for ``openmm``, the RMS force (kJ/mol/nm), as
+        Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force (kJ/mol/nm), as
         recomputed in double precision, is no larger.
     max_evaluations : int
         Energy evaluations allowed.
     seed : int
         Recorded; the methods here draw no random numbers.
+    restraint : float or sequence of float, kJ/mol/nm^2
+        Springs from the heavy atoms to their start: one strength after the other, each until it converges. 0
+        as the last lets go.
+    max_rmsd : float, angstrom
+        C-alpha RMSD to the start, superposed, that the result does not pass.
     watch : callable, optional
         Called with every trace row and its positions, to show progress or write a trajectory.
 
@@ -95,63 +82,84 @@ def minimise(
     tolerance, finds no lower energy or meets what is not a number, it goes on from there on the Reference
     platform, within the same budget.
     """
-    check_settings(method, tolerance, max_evaluations)
+    hold = Hold(tuple(float(k) for k in np.atleast_1d(restraint)), max_rmsd)
+    check_settings(method, tolerance, max_evaluations, hold)
     if isinstance(chain, str | Path):
         chain = load(chain)
     if isinstance(chain, Structure):
         chain = build_chain(chain)
     if energy is None:
         energy = build_energy(chain.structure)
+    # One thread of linear algebra: its sums must not depend on the machine, nor its threads spin beside the
+    # energy's.
+    with threadpool_limits(1, "blas"):
+        return _minimise(chain, energy, method, tolerance, max_evaluations, seed, hold, watch)
+
+
+def _minimise(
+    chain: Chain, energy: Energy, method: str, tolerance: float, max_evaluations: int, seed: int, hold: Hold,
+    watch: Watcher | None,
+) -> Solution:  # fmt: skip
     structure = chain.structure
     first = pose(chain, chain.q0)
+    in_torsions = method in IN_TORSIONS
     moving = energy
-    if method in TORSION_METHODS:
+    if in_torsions or method == "hybrid":
         moving = energy.without_constants(rigid_groups(chain), first.x)
-    # Judging first, and a step of no length, also make both contexts and compile the kernels, off the clock.
+    # Judging first, and solving with each metric once, also make contexts and compile kernels, off the clock.
     start = judge(chain, energy, first)
-    moving(first.x)
-    integrate(chain.tree, chain.q0, np.zeros(chain.n_v))
+    _warm(chain, moving, energy, in_torsions)
 
     record = Recorder(structure, watch)
-    if method in TORSION_METHODS:
-        done = _in_torsions(chain, moving, TORSION_METHODS[method](), tolerance, max_evaluations, record)
+    restraint: Force | None = None
+    if method == "openmm":
+        stop, x, n_iterations, n_evaluations = _by_openmm(chain, energy, tolerance, max_evaluations, record)
+        space: Space = Cartesian(structure, chain.moving)
+        end_chain, at = _posed(chain, x)
     else:
-        done = _by_openmm(chain, energy, tolerance, max_evaluations, record)
+        plan = stages(method, chain, energy, moving, tolerance, hold)
+        allowed = Leash(structure, hold.max_rmsd).allows if hold.max_rmsd < np.inf else None
+        if plan[0].soft:
+            record(first.x, start.energy, start.max_torque, 0)
+        done = walk(plan, chain, max_evaluations, allowed, partial(_note, record))
+        stop, n_iterations, n_evaluations = done.stop, done.n_iterations, done.n_evaluations
+        space, restraint = done.stage.space, done.stage.restraint
+        in_torsions = isinstance(space, Torsions)
+        end_chain, at = (chain, pose(chain, done.q)) if in_torsions else _posed(chain, done.x)
     seconds = perf_counter() - record.started
 
-    end = judge(done.chain, energy, done.at)
+    end = judge(end_chain, energy, at, restraint)
     if not end.energy <= start.energy:
-        done, end = _Run(done.stop, chain, first, done.n_iterations, done.n_evaluations), start
-    x = done.at.x
-    if method in TORSION_METHODS:
-        met, size, unit = end.max_torque <= tolerance, end.max_torque, "largest torque {:.4g} kJ/mol/rad"
-    else:
-        met, size, unit = end.rms_force <= tolerance, end.rms_force, "RMS force {:.4g} kJ/mol/nm"
-    measured = f"{unit.format(size)} for a tolerance of {tolerance:g}, in double precision"
-    status, message = verdict(done.stop, met, measured, structure, x, done.n_evaluations)
+        end_chain, at, end = chain, first, judge(chain, energy, first, restraint)
+    residual = end.max_torque if isinstance(space, Torsions) else end.rms_force
+    complete = method == "openmm" or done.stage is plan[-1]
+    held = ", restraints included" if restraint else ""
+    measured = f"{space.unit.format(residual)} for a tolerance of {tolerance:g}{held}, in double precision"
+    met = complete and residual <= tolerance
+    status, message = verdict(stop, met, measured, structure, at.x, n_evaluations)
     return Solution(
         method=method,
         chain=chain,
         energy_function=energy,
         constant_terms=moving.left_out,
-        q=done.at.q,
-        x=x,
-        energy=moving(x)[0],
+        q=at.q,
+        x=at.x,
+        energy=energy(at.x)[0],
         status=status,
         message=message,
-        n_iterations=done.n_iterations,
-        n_evaluations=done.n_evaluations,
+        n_iterations=n_iterations,
+        n_evaluations=n_evaluations,
         seconds=seconds,
         trace=record.trace(),
         start=start,
         end=end,
-        ca_rmsd_angstrom=ca_rmsd(structure, x, structure.positions),
+        ca_rmsd_angstrom=ca_rmsd(structure, at.x, structure.positions),
         tolerance=tolerance,
         seed=seed,
     )
 
 
-def check_settings(method: str, tolerance: float, max_evaluations: int) -> None:
+def check_settings(method: str, tolerance: float, max_evaluations: int, hold: Hold | None = None) -> None:
     """Refuse settings that make no sense, before any work is done.
 
     Raises
@@ -159,46 +167,47 @@ def check_settings(method: str, tolerance: float, max_evaluations: int) -> None:
     ProtochainError
         Naming the setting and the mend.
     """
+    hold = hold or Hold()
     if method not in METHODS:
         raise ProtochainError(f"method {method!r} is not known; choose from {', '.join(METHODS)}")
     if not 0 < tolerance < np.inf:
         raise ProtochainError(f"tolerance {tolerance:g}: give a number above 0")
     if max_evaluations < 1:
         raise ProtochainError(f"max-evaluations {max_evaluations}: give at least 1")
+    if not all(0 <= strength < np.inf for strength in hold.restraint):
+        raise ProtochainError(f"restraint {hold.restraint}: give strengths in kJ/mol/nm^2, none below 0")
+    if not hold.max_rmsd > 0:
+        raise ProtochainError(f"max-rmsd {hold.max_rmsd:g}: give a number of angstrom above 0")
+    if method == "openmm" and hold != Hold():
+        raise ProtochainError("method 'openmm' cannot be held near its start; choose cartesian or hybrid")
 
 
-def _in_torsions(
-    chain: Chain, energy: Energy, method: Method, tolerance: float, max_evaluations: int, record: Recorder
-) -> _Run:
-    problem = Problem(chain, energy, max_evaluations)
+def _posed(chain: Chain, x: Floats) -> tuple[Chain, Pose]:
+    moved = rebuilt(chain, read_only(x))
+    return moved, pose(moved, moved.q0)
 
-    def note(at: Evaluation) -> None:
-        record(at.x, at.energy, at.max_torque, problem.n_evaluations)
 
-    q, n_iterations = chain.q0, 0
-    for engine in (energy,) if energy.is_exact else (energy, energy.reference):
-        problem.energy, problem.best = engine, None
-        try:
-            ending = run(problem, method, q, tolerance, PATIENCE, note)
-        except (BudgetSpentError, KeyboardInterrupt) as error:
-            # Before this engine had evaluated anything: what the one before it found stands.
-            stop = Stop.BUDGET if isinstance(error, BudgetSpentError) else Stop.INTERRUPTED
-            break
-        stop = ending.stop
-        n_iterations += ending.n_iterations
-        reached = stop is Stop.TOLERANCE and ending.at.energy <= record.rows[0]["energy_kj_mol"]
-        if reached:
-            q = ending.at.q
-        elif problem.best is not None:
-            q = problem.best.q
-        if stop not in _SINGLE_PRECISION_ENDS or engine is energy.reference:
-            break
-    return _Run(stop, chain, pose(chain, q), n_iterations, problem.n_evaluations)
+def _warm(chain: Chain, moving: Energy, energy: Energy, in_torsions: bool) -> None:
+    """Compute everything a run computes once."""
+    space: Space = Torsions(chain)
+    if in_torsions or moving is not energy:
+        moving(chain.structure.positions)
+        unmoved = space.move(chain.q0, np.zeros(chain.n_v))
+        nothing = Evaluation(unmoved, space.positions(unmoved), 0.0, np.zeros(chain.n_v), 0.0)
+        space.stiffness(nothing)(nothing.torque)
+        space.inertia(nothing)(nothing.torque)
+    if not in_torsions:
+        energy(chain.structure.positions)
+
+
+def _note(record: Recorder, at: Evaluation, space: Space, n_evaluations: int) -> None:
+    torque = at.residual if isinstance(space, Torsions) else np.nan
+    record(at.x, at.energy - at.restraint, torque, n_evaluations)
 
 
 def _by_openmm(
     chain: Chain, energy: Energy, tolerance: float, max_evaluations: int, record: Recorder
-) -> _Run:
+) -> tuple[Stop, Floats, int, int]:
     x, n_iterations, n_evaluations = chain.structure.positions, 0, 1
     record(x, energy(x)[0], np.nan, 1)
     stop = Stop.BUDGET
@@ -213,10 +222,9 @@ def _by_openmm(
         n_iterations += iterations
         n_evaluations += evaluations
         _, forces = energy.reference(x)
-        if stop not in _SINGLE_PRECISION_ENDS or np.sqrt(np.mean(forces**2)) <= tolerance:
+        if stop not in SINGLE_PRECISION_ENDS or np.sqrt(np.mean(forces**2)) <= tolerance:
             break
-    moved = rebuilt(chain, read_only(x))
-    return _Run(stop, moved, pose(moved, moved.q0), n_iterations, n_evaluations)
+    return stop, x, n_iterations, n_evaluations
 
 
 def _note_cartesian(record: Recorder, before: int, x: Floats, energy: float, evaluations: int) -> None:

@@ -12,7 +12,7 @@ from protochain.minimisers.problem import BudgetSpentError, Evaluation, Problem
 class Stop(Enum):
     """Why a loop ended, before anyone has judged the result."""
 
-    TOLERANCE = "the largest torque fell below the tolerance"
+    TOLERANCE = "the largest torque or RMS force fell below the tolerance"
     NO_DESCENT = "no step lowers the energy any further"
     CIRCLING = "the energy has found no new low for a long time"
     BUDGET = "the evaluations allowed are used up"
@@ -31,7 +31,7 @@ class State(Protocol):
 class Method(Protocol):
     """A direction times a step rule."""
 
-    def init(self, at: Evaluation) -> Any:
+    def init(self, problem: Problem, at: Evaluation) -> Any:
         """State at the start."""
 
     def step(self, problem: Problem, state: Any) -> Any | None:
@@ -45,12 +45,13 @@ class Ending:
     Parameters
     ----------
     stop : Stop
-    at : Evaluation
-        Where the method stood; the problem remembers the lowest energy.
+    start, at : Evaluation
+        Where the method began and where it stood; the problem remembers the lowest energy.
     n_iterations : int
     """
 
     stop: Stop
+    start: Evaluation
     at: Evaluation
     n_iterations: int
 
@@ -70,8 +71,8 @@ def run(
     problem : Problem
     method : Method
     q : (n_q,) float
-    tolerance : float, kJ/mol/rad
-        Stop when no torque is larger.
+    tolerance : float
+        Stop when the residual is no larger.
     patience : int
         Stop after this many evaluations without a new lowest energy.
     record : callable
@@ -82,25 +83,25 @@ def run(
     Ending
         Also on interruption (KeyboardInterrupt) and on a spent budget: nothing is lost.
     """
-    at = problem.evaluate(q)
+    at = start = problem.evaluate(q)
     n_iterations = 0
     try:
         record(at)
-        state = method.init(at)
+        state = method.init(problem, at)
         while True:
             if not at.is_finite:
-                return Ending(Stop.NON_FINITE, at, n_iterations)
-            if at.max_torque <= tolerance:
-                return Ending(Stop.TOLERANCE, at, n_iterations)
+                return Ending(Stop.NON_FINITE, start, at, n_iterations)
+            if at.residual <= tolerance:
+                return Ending(Stop.TOLERANCE, start, at, n_iterations)
             if problem.n_evaluations - problem.improved_at > patience:
-                return Ending(Stop.CIRCLING, at, n_iterations)
+                return Ending(Stop.CIRCLING, start, at, n_iterations)
             state = method.step(problem, state)
             if state is None:
-                return Ending(Stop.NO_DESCENT, at, n_iterations)
+                return Ending(Stop.NO_DESCENT, start, at, n_iterations)
             at = state.at
             n_iterations += 1
             record(at)
     except BudgetSpentError:
-        return Ending(Stop.BUDGET, at, n_iterations)
+        return Ending(Stop.BUDGET, start, at, n_iterations)
     except KeyboardInterrupt:
-        return Ending(Stop.INTERRUPTED, at, n_iterations)
+        return Ending(Stop.INTERRUPTED, start, at, n_iterations)

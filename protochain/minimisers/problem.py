@@ -1,17 +1,15 @@
 """What a minimiser sees: evaluate a point, move from it, and the count of what that cost."""
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from protochain import multibody
 from protochain.arrays import Floats
-from protochain.chain import Chain, pose, pull_back
-from protochain.energies.protocol import Energy
-from protochain.multibody import HingeKind
 
-ROOT_LEVER = 0.1
-"""nm moved by a free root for one radian: makes its forces and the hinges' torques one kind of number."""
+Force = Callable[[Floats], tuple[float, Floats]]
+"""Positions (na, 3) in nm -> energy in kJ/mol and forces (na, 3) in kJ/mol/nm."""
 
 
 class BudgetSpentError(Exception):
@@ -27,19 +25,21 @@ class Evaluation:
     q : (n_q,) float
     x : (na, 3) float, nm
     energy : float, kJ/mol
-    torque : (n_v,) float, kJ/mol/rad
-        -dE/d(freedom); the force on a free root is multiplied by ``ROOT_LEVER``.
+        Of the force field and of what restrains the run.
+    torque : (n_v,) float
+        -dE/d(freedom) in the space's own scale: kJ/mol/rad, or kJ/mol/nm for atoms that move freely.
+    residual : float
+        What the tolerance is held against: the largest torque, or the RMS force.
+    restraint : float, kJ/mol
+        The part of the energy that only restrains.
     """
 
     q: Floats
     x: Floats
     energy: float
     torque: Floats
-
-    @property
-    def max_torque(self) -> float:
-        """Largest torque, kJ/mol/rad."""
-        return float(np.max(np.abs(self.torque)))
+    residual: float
+    restraint: float = 0.0
 
     @property
     def is_finite(self) -> bool:
@@ -47,28 +47,62 @@ class Evaluation:
         return bool(np.isfinite(self.energy) and np.isfinite(self.torque).all())
 
 
+class Space(Protocol):
+    """Freedoms that a minimiser moves in."""
+
+    longest: float
+    """Largest change of one freedom in a step that knows the curvature."""
+    first: float
+    """Largest change of one freedom when nothing is known of the curvature."""
+    unit: str
+    """Of the residual, with what it is."""
+
+    def start(self, x: Floats) -> Floats:
+        """Coordinates (n_q,) of positions (na, 3)."""
+
+    def torque(self, q: Floats, x: Floats, forces: Floats) -> Floats:
+        """Turn forces (na, 3) on the atoms into torques (n_v,) on the freedoms."""
+
+    def positions(self, q: Floats) -> Floats:
+        """Positions (na, 3) in nm at q."""
+
+    def residual(self, torque: Floats) -> float:
+        """Return what the tolerance is held against."""
+
+    def move(self, q: Floats, step: Floats) -> Floats:
+        """Coordinates after a step (n_v,)."""
+
+    def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
+        """Solve with a model of the Hessian made at a point: torques (n_v,) -> step (n_v,)."""
+
+    def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
+        """Solve with the mass matrix at a point: torques (n_v,) -> accelerations (n_v,)."""
+
+
 @dataclass
 class Problem:
-    """An energy over a chain's coordinates, with a budget of evaluations.
+    """An energy over a space, with a budget of evaluations.
 
     Parameters
     ----------
-    chain : Chain
-    energy : Energy
+    space : Space
+    energy : callable
         May be replaced by its double-precision twin during a run.
     max_evaluations : int
+    restraint : callable, optional
+        Added to the energy.
+    allowed : callable, optional
+        Whether positions may be an answer; others are only passed through.
     """
 
-    chain: Chain
-    energy: Energy
+    space: Space
+    energy: Force
     max_evaluations: int
+    restraint: Force | None = None
+    allowed: Callable[[Floats], bool] | None = None
     n_evaluations: int = 0
     best: Evaluation | None = None
     improved_at: int = 0
-    scale: Floats = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.scale = root_scale(self.chain)
 
     def evaluate(self, q: Floats) -> Evaluation:
         """Energy and torques at q, remembering the lowest energy seen.
@@ -81,28 +115,25 @@ class Problem:
         if self.n_evaluations >= self.max_evaluations:
             raise BudgetSpentError
         self.n_evaluations += 1
-        at = evaluate(self.chain, self.energy, q, self.scale)
-        if at.is_finite and (self.best is None or at.energy < self.best.energy):
+        at = evaluate(self.space, self.energy, q, self.restraint)
+        lower = at.is_finite and (self.best is None or at.energy < self.best.energy)
+        if lower and (self.allowed is None or self.allowed(at.x)):
             self.best = at
             self.improved_at = self.n_evaluations
         return at
 
     def move(self, q: Floats, step: Floats) -> Floats:
-        """Coordinates after a step (n_v,) in the units in which torques are kJ/mol/rad."""
-        return multibody.integrate(self.chain.tree, q, self.scale * step)
+        """Coordinates after a step (n_v,) in the space's scale."""
+        return self.space.move(q, step)
 
 
-def root_scale(chain: Chain) -> Floats:
-    """(n_v,) float: 1 for angles, ``ROOT_LEVER`` for the translation of a free root."""
-    scale = np.ones(chain.n_v)
-    for body in np.flatnonzero(chain.tree.kind == HingeKind.FREE):
-        start = chain.tree.v_start[body]
-        scale[start + 3 : start + 6] = ROOT_LEVER
-    return scale
-
-
-def evaluate(chain: Chain, energy: Energy, q: Floats, scale: Floats) -> Evaluation:
-    """Energy and scaled torques at q, uncounted."""
-    posed = pose(chain, q)
-    value, forces = energy(posed.x)
-    return Evaluation(posed.q, posed.x, value, scale * pull_back(chain, posed, forces))
+def evaluate(space: Space, energy: Force, q: Floats, restraint: Force | None = None) -> Evaluation:
+    """Energy and torques at q, uncounted."""
+    x = space.positions(q)
+    value, forces = energy(x)
+    held = 0.0
+    if restraint is not None:
+        held, pull = restraint(x)
+        forces = forces + pull
+    torque = space.torque(q, x, forces)
+    return Evaluation(q, x, value + held, torque, space.residual(torque), held)

@@ -12,6 +12,7 @@ import numpy as np
 from protochain.arrays import Floats
 from protochain.chain import Chain
 from protochain.energies.protocol import Energy
+from protochain.minimisers.methods import IN_TORSIONS
 from protochain.minimisers.verdict import Judgement, Status
 from protochain.structure import Structure, save
 from protochain.structure.superpose import rmsd_angstrom
@@ -43,7 +44,7 @@ class Recorder:
     started: float = field(default_factory=perf_counter)
 
     def __call__(self, x: Floats, energy: float, max_torque: float, evaluations: int) -> None:
-        """Record a point."""
+        """Record a point; the largest torque is not a number where all atoms move."""
         row = {
             "iteration": len(self.rows),
             "evaluations": evaluations,
@@ -173,7 +174,7 @@ class Solution:
             "rms_force_end_kj_mol_nm": self.end.rms_force,
             "ca_rmsd_angstrom": self.ca_rmsd_angstrom,
             "tolerance": self.tolerance,
-            "tolerance_unit": "kJ/mol/nm" if self.method == "openmm" else "kJ/mol/rad",
+            "tolerance_unit": "kJ/mol/rad" if self.method in IN_TORSIONS else "kJ/mol/nm",
             "iterations": self.n_iterations,
             "evaluations": self.n_evaluations,
             "seconds": self.seconds,

@@ -1,0 +1,132 @@
+"""Atoms near one another that no bonds join: where they touch, where they overlap, and what can part them."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.spatial import cKDTree
+
+from protochain.arrays import Floats, Integers
+from protochain.chain import Chain, rigid_groups
+from protochain.structure.model import Structure
+from protochain.units import ANGSTROM_PER_NM
+
+OVERLAP = 0.5
+"""Unbonded atoms closer than this part of the sum of their van der Waals radii overlap. Hydrogen bonds
+stay above 0.6."""
+
+_VAN_DER_WAALS = {"H": 0.110, "C": 0.170, "N": 0.155, "O": 0.152, "S": 0.180}
+"""nm: Mantina, Chamberlin, Valero, Cramer, Truhlar, J. Phys. Chem. A 113:5806 (2009)."""
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """Two unbonded atoms that are too close.
+
+    Parameters
+    ----------
+    first, second : str
+        The atoms, as a person would name them.
+    distance_angstrom : float
+    share : float
+        Of the distance at which they touch.
+    remedy : str
+        What can part them.
+    """
+
+    first: str
+    second: str
+    distance_angstrom: float
+    share: float
+    remedy: str
+
+    def __str__(self) -> str:
+        return (
+            f"{self.first} and {self.second} are {self.distance_angstrom:.2f} angstrom apart, "
+            f"{100 * self.share:.0f} % of contact"
+        )
+
+
+def radii(structure: Structure) -> Floats:
+    """(na,) float, nm: van der Waals radii."""
+    return np.array([_VAN_DER_WAALS.get(str(element), 0.17) for element in structure.atom_element])
+
+
+def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) -> tuple[Integers, Floats]:
+    """Pairs of atoms nearer than a part of the distance at which they touch.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm
+    share : float
+        Of the sum of both van der Waals radii.
+    bonds : int
+        Pairs joined by no more bonds than this are left out.
+
+    Returns
+    -------
+    (n, 2) int, (n,) float
+        The pairs, in a fixed order, and at which distance in nm they would touch.
+    """
+    radius = radii(structure)
+    pairs = cKDTree(x).query_pairs(2 * share * radius.max(), output_type="ndarray")
+    touch = radius[pairs].sum(axis=1)
+    close = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1) < share * touch
+    pairs, touch = pairs[close], touch[close]
+    n = structure.n_atoms
+    order = np.argsort(pairs[:, 0] * n + pairs[:, 1])
+    order = order[~np.isin(pairs[order, 0] * n + pairs[order, 1], joined(structure, bonds) @ [n, 1])]
+    return pairs[order].astype(np.int64), touch[order]
+
+
+@lru_cache(maxsize=16)
+def joined(structure: Structure, bonds: int) -> Integers:
+    """(n, 2) int: pairs of atoms joined by no more bonds than this, the smaller index first."""
+    n = structure.n_atoms
+    i, j = structure.bonds.T
+    step = coo_array((np.ones(2 * len(i), dtype=np.int64), (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
+    reach, power = step, step
+    for _ in range(bonds - 1):
+        power = power @ step
+        reach = reach + power
+    found = coo_array(reach)
+    upper = found.row < found.col
+    return np.column_stack([found.row[upper], found.col[upper]]).astype(np.int64)
+
+
+def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> list[Overlap]:
+    """Name the unbonded pairs of atoms that overlap, the worst first.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm
+    chain : Chain, optional
+        With it, the remedy says whether turning its hinges can part them.
+
+    Returns
+    -------
+    list of Overlap
+    """
+    pairs, touch = near_pairs(structure, x, OVERLAP)
+    distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    share = distance / touch
+    groups = rigid_groups(chain) if chain is not None else None
+    found = []
+    for k in np.argsort(share, kind="stable"):
+        i, j = (int(atom) for atom in pairs[k])
+        if distance[k] < 1e-4:
+            remedy = "they lie on one another, so that no force says which way to part: move one of them"
+        elif groups is not None and set(groups[i]) & set(groups[j]) - {-1}:
+            remedy = "they are of one rigid body: only cartesian, hybrid or openmm can part them"
+        else:
+            remedy = "turning bonds can part them: hybrid does so first"
+        found.append(
+            Overlap(
+                structure.describe(i), structure.describe(j), float(ANGSTROM_PER_NM * distance[k]),
+                float(share[k]), remedy,
+            )
+        )  # fmt: skip
+    return found

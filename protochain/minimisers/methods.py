@@ -1,0 +1,40 @@
+"""The methods by name: each a setting of a direction and a step rule."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from protochain.minimisers.fire import Fire
+from protochain.minimisers.kcm import KCM, by_largest, by_length, by_sign
+from protochain.minimisers.lbfgs import LBFGS
+from protochain.minimisers.loop import Method
+from protochain.minimisers.metrics import Mass, Stiffness
+from protochain.minimisers.newton import Newton, PseudoTransient
+from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed
+
+IN_TORSIONS: Mapping[str, Method] = MappingProxyType(
+    {
+        "kcm": KCM(),
+        "kcm-2norm": KCM(Fixed(0.002), norm=by_length),
+        "kcm-sign": KCM(Fixed(0.0001), norm=by_sign),
+        "kcm-decaying": KCM(Decaying(0.002, 200.0)),
+        "kcm-adaptive": KCM(AcceptReject(0.0005)),
+        "kcm-armijo": KCM(Armijo(0.0005, window=5)),
+        "kcm-transient": PseudoTransient(),
+        "kcm-metric": KCM(AcceptReject(0.0005), Mass()),
+        "kcm-stiffness": KCM(AcceptReject(0.0005), Stiffness()),
+        "fire": Fire(),
+        "quench": Fire(mixing=1.0, fade=1.0),
+        "newton": Newton(),
+        "lbfgs": LBFGS(),
+    }
+)
+"""Methods that turn hinges, bond lengths and angles as they came. ``by_largest`` is the norm where none is
+named."""
+
+METHODS = (*IN_TORSIONS, "cartesian", "hybrid", "openmm")
+"""All of them: ``cartesian`` moves all atoms, ``hybrid`` turns hinges first, ``openmm`` is OpenMM's
+minimiser."""
+
+DEFAULT_METHOD = "hybrid"
+
+__all__ = ["DEFAULT_METHOD", "IN_TORSIONS", "METHODS", "by_largest"]

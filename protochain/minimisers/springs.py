@@ -1,0 +1,202 @@
+"""A model of the Hessian from geometry alone: springs between atoms, with what bonds join held hard.
+
+What makes minimisation slow is that some freedoms are a million times stiffer than others: bonds against
+dihedrals, and, in dihedrals, one that presses two atoms together against one that swings a loop. Springs
+along the lines between atoms, stiff where these touch, tell which are which well enough to precondition with,
+whatever the force field: Packwood, Kermode, Mones, Bernstein, Woolley, Gould, Ortner, Csanyi, J. Chem. Phys.
+144:164109 (2016), where the stiffness falls exponentially with distance; with bonds and angles as further
+springs, Mones, Ortner, Csanyi, Sci. Rep. 8:13991 (2018). In dihedrals K = J^T C J, as in torsional elastic
+networks (Mendez, Bastolla, Phys. Rev. Lett. 104:228103, 2010).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array, csc_array
+from scipy.sparse.linalg import splu
+
+from protochain.arrays import Floats, Integers
+from protochain.chain import Chain, Pose
+from protochain.minimisers.contacts import joined, near_pairs
+from protochain.multibody import pull_back, velocities
+from protochain.multibody.algebra import (
+    add,
+    add_pair,
+    cross,
+    dot,
+    kernel,
+    pair,
+    scale,
+    subtract,
+    vector,
+)  # fmt: skip
+from protochain.structure.model import Structure
+
+DEPTH = 0.4
+"""kJ/mol, of a contact: Lennard-Jones wells of protein atoms are 0.06 to 1 deep. At its bottom such a well
+has a curvature of 72 depths by the square of its distance."""
+
+DECAY = 14.0
+"""How fast stiffness falls with the distance, in units of contact: the logarithmic slope of a 12-6 curvature
+there."""
+
+REACH = 1.3
+"""In units of contact. Springs longer than this have 2 % of the stiffness at contact."""
+
+TORSION_FLOOR = 150.0
+"""kJ/mol/rad^2, added for every freedom: what dihedral terms and long-range forces come to. Between 60 and
+400 it matters little."""
+
+BOND, ANGLE, DIHEDRAL = 2.5e5, 4.0e4, 2.0e3
+"""kJ/mol/nm^2, of springs between atoms one, two and three bonds apart: ff14SB's bonds have 1.5e5 to 5e5, and
+an angle's 300 to 700 kJ/mol/rad^2 act at some 0.1 nm."""
+
+CARTESIAN_FLOOR = 8.0e3
+"""kJ/mol/nm^2, added for every atom."""
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """Springs between pairs of atoms, along the line between them.
+
+    Parameters
+    ----------
+    pairs : (n, 2) int
+    stiffness : (n,) float, kJ/mol/nm^2
+    """
+
+    pairs: Integers
+    stiffness: Floats
+
+
+def contacts(structure: Structure, x: Floats, bonds: int) -> Springs:
+    """Springs between atoms near one another, joined by more bonds than given."""
+    pairs, touch = near_pairs(structure, x, REACH, bonds)
+    distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    return Springs(pairs, 72.0 * DEPTH / touch**2 * np.exp(-DECAY * (distance / touch - 1.0)))
+
+
+def covalent(structure: Structure) -> Springs:
+    """Springs between atoms that bonds join."""
+    pairs = joined(structure, 3)
+    n = structure.n_atoms
+    keys = pairs @ [n, 1]
+    near = [np.isin(keys, joined(structure, bonds) @ [n, 1]) for bonds in (1, 2)]
+    return Springs(pairs, np.select(near, [BOND, ANGLE], DIHEDRAL))
+
+
+def torsion_stiffness(chain: Chain, groups: Integers, at: Pose) -> Floats:
+    """K = J^T C J of the contacts of a chain.
+
+    Parameters
+    ----------
+    chain : Chain
+    groups : (na, k) int
+        Of :func:`protochain.chain.rigid_groups`: springs within one keep their length.
+    at : Pose
+
+    Returns
+    -------
+    (n_v, n_v) float, kJ/mol/rad^2
+        Column k is what the springs answer to a unit turn of freedom k: one outward sweep, the loads, one
+        inward sweep. O(n_v (bodies + springs)).
+    """
+    near = contacts(chain.structure, at.x, 2)
+    apart = np.ones(len(near.pairs), dtype=bool)
+    for a in range(groups.shape[1]):
+        for b in range(groups.shape[1]):
+            first, second = groups[near.pairs[:, 0], a], groups[near.pairs[:, 1], b]
+            apart &= (first != second) | (first < 0)
+    pairs, stiffness = near.pairs[apart], near.stiffness[apart]
+    arms = at.x - at.frames.origin[chain.atom_body]
+    columns = np.empty((chain.n_v, chain.n_v))
+    unit = np.zeros(chain.n_v)
+    for k in range(chain.n_v):
+        unit[k] = 1.0
+        wrench = np.zeros((chain.n_bodies, 6))
+        _spring_loads(
+            chain.atom_body, arms, at.x, pairs, stiffness, velocities(chain.tree, at.frames, unit), wrench
+        )
+        columns[k] = pull_back(chain.tree, at.frames, wrench)
+        unit[k] = 0.0
+    return 0.5 * (columns + columns.T)
+
+
+def cartesian_solver(structure: Structure, bonded: Springs, x: Floats) -> Callable[[Floats], Floats]:
+    """Solve with the stiffness of bonds, angles, dihedrals and contacts, all atoms free.
+
+    Parameters
+    ----------
+    structure : Structure
+    bonded : Springs
+        Of :func:`covalent`.
+    x : (na, 3) float, nm
+
+    Returns
+    -------
+    callable
+        (3 na,) float, kJ/mol/nm -> (3 na,) float, nm. Of the contacts only what each does to its own atoms is
+        kept: so the matrix is as sparse as the bonds and its factors are too.
+    """
+    near = contacts(structure, x, 3)
+    matrix = _sparse(structure.n_atoms, bonded, x, True) + _sparse(structure.n_atoms, near, x, False)
+    matrix.setdiag(matrix.diagonal() + CARTESIAN_FLOOR)
+    factors = splu(
+        csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )  # fmt: skip
+    return lambda torque: np.asarray(factors.solve(torque))
+
+
+def _sparse(n_atoms: int, springs: Springs, x: Floats, coupled: bool) -> csc_array:
+    """(3 na, 3 na) sparse: stiffness of springs; without their coupling, its diagonal blocks."""
+    i, j = springs.pairs.T
+    along = _directions(x, springs.pairs)
+    block = springs.stiffness[:, None, None] * along[:, :, None] * along[:, None, :]
+    places = [(i, i, block), (j, j, block)]
+    if coupled:
+        places += [(i, j, -block), (j, i, -block)]
+    row, column = (np.concatenate([place[k] for place in places]) for k in (0, 1))
+    values = np.concatenate([place[2] for place in places])
+    three = np.arange(3)
+    rows = np.broadcast_to(3 * row[:, None, None] + three[:, None], values.shape)
+    columns = np.broadcast_to(3 * column[:, None, None] + three, values.shape)
+    shape = (3 * n_atoms, 3 * n_atoms)
+    return coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsc()
+
+
+def _directions(x: Floats, pairs: Integers) -> Floats:
+    """(n, 3) float: unit vectors from second to first; any for atoms at one point."""
+    across = x[pairs[:, 0]] - x[pairs[:, 1]]
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    return np.divide(across, length, out=np.zeros_like(across), where=length > 0)
+
+
+@kernel
+def _spring_loads(
+    atom_body: Integers, arms: Floats, x: Floats, pairs: Integers, stiffness: Floats, twists: Floats,
+    wrench: Floats,
+) -> None:  # fmt: skip
+    """Load the bodies against springs that the twists stretch, which are those of one freedom's unit turn."""
+    moves = np.zeros(len(twists), dtype=np.bool_)
+    for b in range(len(twists)):
+        for k in range(6):
+            moves[b] |= twists[b, k] != 0.0
+    for n in range(len(pairs)):
+        i, j = pairs[n, 0], pairs[n, 1]
+        a, b = atom_body[i], atom_body[j]
+        # What moves together keeps its distance, and few springs are between what moves and what does not.
+        if moves[a] == moves[b]:
+            continue
+        omega_a, u_a = pair(twists, a)
+        omega_b, u_b = pair(twists, b)
+        at_i, at_j = vector(arms, i), vector(arms, j)
+        rate = subtract(add(u_a, cross(omega_a, at_i)), add(u_b, cross(omega_b, at_j)))
+        across = subtract(vector(x, i), vector(x, j))
+        square = dot(across, across)
+        if square > 0.0:
+            force = scale(stiffness[n] * dot(rate, across) / square, across)
+            back = scale(-1.0, force)
+            add_pair(cross(at_i, force), force, wrench, a)
+            add_pair(cross(at_j, back), back, wrench, b)

@@ -1,0 +1,70 @@
+"""What the command line shows: a bar while it computes, a table when it is done."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from protochain.minimisers.solution import Watcher
+
+_SHOWN = {
+    "method": "method",
+    "status": "status",
+    "energy_start_kj_mol": "start kJ/mol",
+    "energy_end_reference_kj_mol": "end kJ/mol",
+    "max_torque_end_kj_mol_rad": "torque kJ/mol /rad",
+    "rms_force_end_kj_mol_nm": "force kJ/mol /nm",
+    "ca_rmsd_angstrom": "RMSD angstrom",
+    "evaluations": "evals",
+    "seconds": "seconds",
+}
+"""Columns of the table on the terminal; 80 characters wide."""
+
+
+@contextmanager
+def progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
+    """Show a bar with energy, torque and evaluations on standard error, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[now]}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(method, total=max_evaluations, now="")
+
+        def watch(row: dict[str, float], x: Any) -> None:
+            torque = row["max_torque_kj_mol_rad"]
+            size = "" if torque != torque else f", torque {torque:.3g} kJ/mol/rad"
+            now = f"{row['evaluations']:.0f} evaluations, {row['energy_kj_mol']:.2f} kJ/mol{size}"
+            bar.update(task, completed=row["evaluations"], now=now)
+
+        yield watch
+
+
+def print_table(records: list[dict[str, Any]]) -> None:
+    """Print a row a record on standard output, and under the table how each ended."""
+    from rich.console import Console
+    from rich.table import Table
+
+    rows = [
+        [
+            f"{r[key]:.2f}" if isinstance(r[key], float) else str(r[key] if r[key] is not None else "-")
+            for key in _SHOWN
+        ]
+        for r in records
+    ]
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    for heading, cells in zip(_SHOWN.values(), zip(*rows, strict=True), strict=True):
+        # Headings may wrap at blanks; numbers may not.
+        table.add_column(heading, min_width=max(map(len, cells)), justify="right")
+    for row in rows:
+        table.add_row(*row)
+    console = Console()
+    console.print(table)
+    for record in records:
+        console.print(f"{record['method']}: {record['message']}", markup=False, highlight=False)
