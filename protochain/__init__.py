@@ -12,11 +12,13 @@ _WHERE = {
     "ProtochainError": "errors",
     "Solution": "minimisers",
     "Status": "minimisers",
+    "Starts": "minimisers",
     "Structure": "structure",
     "build_chain": "articulate",
     "ca_rmsd": "structure",
     "compare": "analysis",
     "energy": "energies",
+    "explore": "minimisers",
     "from_sequence": "structure",
     "load": "structure",
     "log_det_mass": "chain",
@@ -30,9 +32,9 @@ _WHERE = {
 }
 
 __all__ = [
-    "Chain", "Comparison", "ProtochainError", "Solution", "Status", "Structure", "build_chain",
-    "ca_rmsd", "compare", "energy", "from_sequence", "load", "log_det_mass", "mass_matrix", "minimise",
-    "minimize", "multibody", "pose", "pull_back", "save", "solve_mass",
+    "Chain", "Comparison", "ProtochainError", "Solution", "Starts", "Status", "Structure", "build_chain",
+    "ca_rmsd", "compare", "energy", "explore", "from_sequence", "load", "log_det_mass", "mass_matrix",
+    "minimise", "minimize", "multibody", "pose", "pull_back", "save", "solve_mass",
 ]  # fmt: skip
 
 

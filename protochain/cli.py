@@ -1,6 +1,7 @@
 """Parse, call, print. Heavy imports wait until a command runs, so that --help answers at once."""
 
 import json
+import math
 import signal
 import sys
 from collections import Counter
@@ -14,7 +15,7 @@ import typer
 from typer.exceptions import TyperException
 
 from protochain.errors import ProtochainError
-from protochain.terminal import print_table, progress
+from protochain.terminal import print_distribution, print_table, progress
 
 if TYPE_CHECKING:
     from protochain.chain import Chain
@@ -81,6 +82,16 @@ def minimise(
     move: Move = "all",
     restrain: Restrain = "",
     max_rmsd: MaxRmsd = None,
+    starts: Annotated[
+        int,
+        typer.Option(help="Minimise this often, from dihedrals perturbed at random; the best is written."),
+    ] = 1,
+    spread: Annotated[float, typer.Option(help="Degrees by which starts differ, standard deviation.")] = 11.5,
+    hop: Annotated[
+        float | None, typer.Option(help="Start from the minimum before; kept as Metropolis at this K.")
+    ] = None,
+    checkpoint: Annotated[Path | None, typer.Option(help="Write what it takes to go on, .npz.")] = None,
+    resume: Annotated[Path | None, typer.Option(help="Go on from a checkpoint.")] = None,
     trace: Annotated[Path | None, typer.Option(help="CSV with a row an iteration.")] = None,
     trajectory: Annotated[Path | None, typer.Option(help="DCD or XTC with a frame an iteration.")] = None,
     seed: Seed = 0,
@@ -90,6 +101,7 @@ def minimise(
     trust_forcefield: Trust = False,
 ) -> None:
     """Minimise the energy of one structure."""
+    from protochain.minimisers import explore
     from protochain.minimisers import minimise as run
     from protochain.minimisers.api import check_settings
     from protochain.minimisers.stages import read_hold
@@ -97,11 +109,13 @@ def minimise(
     from protochain.structure.write import check_fits, check_format, write_atomically
 
     hold = read_hold(restrain, max_rmsd)
-    check_settings(method, tolerance, max_evaluations, hold)
+    check_settings(method, tolerance, max_evaluations, hold, bool(checkpoint or resume))
+    if starts > 1 and (checkpoint or resume or trajectory):
+        raise ProtochainError("starts: a checkpoint or trajectory is of one run; give one start")
     suffix = ".cif" if source.suffix.lower() in (".cif", ".mmcif") else ".pdb"
     output = output or Path(f"{source.stem}.{method}{suffix}")
     check_format(output)
-    _check_outputs(source, [path for path in (output, trace, trajectory) if path], force)
+    _check_outputs(source, [path for path in (output, trace, trajectory, checkpoint) if path], force)
     chain, energy, preparation = _prepare(
         source, hinges, forcefield, solvent, engine, threads, trust_forcefield, move
     )
@@ -115,10 +129,19 @@ def minimise(
             if frames:
                 frames.append(x)
 
-        solution = run(
-            chain, energy, method, tolerance, max_evaluations, seed,
-            restraint=hold.restraint, max_rmsd=hold.max_rmsd, watch=watch,
-        )  # fmt: skip
+        settings: dict[str, Any] = {
+            "tolerance": tolerance, "max_evaluations": max_evaluations, "restraint": hold.restraint,
+            "max_rmsd": hold.max_rmsd, "watch": watch,
+        }  # fmt: skip
+        if starts == 1:
+            solution = run(chain, energy, method, seed=seed, checkpoint=checkpoint, resume=resume, **settings)
+            distribution: dict[str, Any] = {}
+        else:
+            found = explore(
+                chain, energy, method, starts, seed=seed, spread=math.radians(spread), hop_temperature=hop,
+                **settings,
+            )  # fmt: skip
+            solution, distribution = found.best, found.overall()
     if not solution.is_usable:
         raise SystemExit(_fail(f"{source}: {solution.message}"))
     solution.save(output)
@@ -126,6 +149,7 @@ def minimise(
         write_atomically(trace, lambda to: solution.trace.to_csv(to, index=False))
     record = {
         **solution.record(),
+        **distribution,
         "input": str(source),
         "output": str(output),
         "seconds_preparation": preparation,
@@ -134,6 +158,8 @@ def minimise(
         print(json.dumps(record, allow_nan=False))
     else:
         print_table([record])
+        if distribution:
+            print_distribution(distribution["starts_summary"])
         print(f"written: {output}")
     raise typer.Exit(CONVERGED if solution.status == "converged" else UNCONVERGED)
 

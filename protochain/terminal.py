@@ -68,3 +68,12 @@ def print_table(records: list[dict[str, Any]]) -> None:
     console.print(table)
     for record in records:
         console.print(f"{record['method']}: {record['message']}", markup=False, highlight=False)
+
+
+def print_distribution(summary: dict[str, float]) -> None:
+    """Print where many starts ended."""
+    low, middle, high = (summary[f"energy_{name}_kj_mol"] for name in ("lowest", "median", "highest"))
+    print(
+        f"{summary['n_starts']} starts: lowest {low:.2f}, median {middle:.2f}, highest {high:.2f} kJ/mol; "
+        f"{summary['n_within_1_kj_mol_of_lowest']} within 1 kJ/mol of the lowest"
+    )

@@ -5,3 +5,6 @@ In these units kJ/mol = amu nm^2/ps^2, so mechanics carries no conversion consta
 
 ANGSTROM_PER_NM = 10.0
 """Angstroms in one nanometre."""
+
+MOLAR_GAS = 8.31446261815324e-3
+"""kJ/mol/K: Boltzmann's constant times Avogadro's (exact since 2019)."""

@@ -3,6 +3,7 @@
 from protochain.minimisers.api import minimise
 from protochain.minimisers.methods import DEFAULT_METHOD, METHODS
 from protochain.minimisers.solution import Solution
+from protochain.minimisers.starts import Starts, explore
 from protochain.minimisers.verdict import Judgement, Status
 
-__all__ = ["DEFAULT_METHOD", "METHODS", "Judgement", "Solution", "Status", "minimise"]
+__all__ = ["DEFAULT_METHOD", "METHODS", "Judgement", "Solution", "Starts", "Status", "explore", "minimise"]

@@ -1,9 +1,12 @@
 """``minimise``: one call for every method."""
 
+import hashlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -14,6 +17,7 @@ from protochain.chain import Chain, Pose, pose, rigid_groups
 from protochain.energies.factory import energy as build_energy
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
+from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.methods import DEFAULT_METHOD, IN_TORSIONS, METHODS
 from protochain.minimisers.openmm_reference import local_energy_minimizer
@@ -36,6 +40,8 @@ def minimise(
     *,
     restraint: float | Sequence[float] = (),
     max_rmsd: float = np.inf,
+    checkpoint: str | Path | None = None,
+    resume: str | Path | None = None,
     watch: Watcher | None = None,
 ) -> Solution:
     """Minimise the energy of a protein.
@@ -62,6 +68,11 @@ def minimise(
         as the last lets go.
     max_rmsd : float, angstrom
         C-alpha RMSD to the start, superposed, that the result does not pass.
+    checkpoint : path-like, optional
+        File (.npz) to write when the run ends: what it takes to go on.
+    resume : path-like, optional
+        Go on from a checkpoint of a run with the same settings; evaluations count on. The steps are those of
+        a run that was never stopped, bit for bit.
     watch : callable, optional
         Called with every trace row and its positions, to show progress or write a trajectory.
 
@@ -83,7 +94,7 @@ def minimise(
     platform, within the same budget.
     """
     hold = Hold(tuple(float(k) for k in np.atleast_1d(restraint)), max_rmsd)
-    check_settings(method, tolerance, max_evaluations, hold)
+    check_settings(method, tolerance, max_evaluations, hold, bool(checkpoint or resume))
     if isinstance(chain, str | Path):
         chain = load(chain)
     if isinstance(chain, Structure):
@@ -93,13 +104,45 @@ def minimise(
     # One thread of linear algebra: its sums must not depend on the machine, nor its threads spin beside the
     # energy's.
     with threadpool_limits(1, "blas"):
-        return _minimise(chain, energy, method, tolerance, max_evaluations, seed, hold, watch)
+        run = _Run(chain, energy, method, tolerance, max_evaluations, seed, hold)
+        return _minimise(run, _path(checkpoint), _path(resume), watch)
 
 
-def _minimise(
-    chain: Chain, energy: Energy, method: str, tolerance: float, max_evaluations: int, seed: int, hold: Hold,
-    watch: Watcher | None,
-) -> Solution:  # fmt: skip
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """What is to be done."""
+
+    chain: Chain
+    energy: Energy
+    method: str
+    tolerance: float
+    max_evaluations: int
+    seed: int
+    hold: Hold
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What a checkpoint belongs to."""
+        return {
+            "method": self.method,
+            "tolerance": self.tolerance,
+            "restraint": list(self.hold.restraint),
+            "max_rmsd": self.hold.max_rmsd,
+            "hinges": self.chain.opened,
+            "root": self.chain.root,
+            "move": self.chain.move,
+            "engine": self.energy.engine,
+            "system": self.energy.fingerprint,
+            "start": hashlib.sha256(self.chain.structure.positions.tobytes()).hexdigest(),
+        }
+
+
+def _path(name: str | Path | None) -> Path | None:
+    return None if name is None else Path(name)
+
+
+def _minimise(run: _Run, checkpoint: Path | None, resume: Path | None, watch: Watcher | None) -> Solution:
+    chain, energy, method, tolerance = run.chain, run.energy, run.method, run.tolerance
     structure = chain.structure
     first = pose(chain, chain.q0)
     in_torsions = method in IN_TORSIONS
@@ -113,15 +156,21 @@ def _minimise(
     record = Recorder(structure, watch)
     restraint: Force | None = None
     if method == "openmm":
-        stop, x, n_iterations, n_evaluations = _by_openmm(chain, energy, tolerance, max_evaluations, record)
+        stop, x, n_iterations, n_evaluations = _by_openmm(
+            chain, energy, tolerance, run.max_evaluations, record
+        )
         space: Space = Cartesian(structure, chain.moving)
         end_chain, at = _posed(chain, x)
     else:
-        plan = stages(method, chain, energy, moving, tolerance, hold)
-        allowed = Leash(structure, hold.max_rmsd).allows if hold.max_rmsd < np.inf else None
+        plan = stages(method, chain, energy, moving, tolerance, run.hold)
+        waypoint = load_checkpoint(resume, plan, run.settings) if resume else None
+        limit = run.hold.max_rmsd
+        allowed = Leash(structure, limit).allows if limit < np.inf else None
         if plan[0].soft:
             record(first.x, start.energy, start.max_torque, 0)
-        done = walk(plan, chain, max_evaluations, allowed, partial(_note, record))
+        done = walk(plan, chain, run.max_evaluations, allowed, partial(_note, record), waypoint)
+        if checkpoint and done.waypoint:
+            save_checkpoint(checkpoint, done.waypoint, run.settings)
         stop, n_iterations, n_evaluations = done.stop, done.n_iterations, done.n_evaluations
         space, restraint = done.stage.space, done.stage.restraint
         in_torsions = isinstance(space, Torsions)
@@ -155,11 +204,13 @@ def _minimise(
         end=end,
         ca_rmsd_angstrom=ca_rmsd(structure, at.x, structure.positions),
         tolerance=tolerance,
-        seed=seed,
+        seed=run.seed,
     )
 
 
-def check_settings(method: str, tolerance: float, max_evaluations: int, hold: Hold | None = None) -> None:
+def check_settings(
+    method: str, tolerance: float, max_evaluations: int, hold: Hold | None = None, stoppable: bool = False
+) -> None:
     """Refuse settings that make no sense, before any work is done.
 
     Raises
@@ -180,6 +231,10 @@ def check_settings(method: str, tolerance: float, max_evaluations: int, hold: Ho
         raise ProtochainError(f"max-rmsd {hold.max_rmsd:g}: give a number of angstrom above 0")
     if method == "openmm" and hold != Hold():
         raise ProtochainError("method 'openmm' cannot be held near its start; choose cartesian or hybrid")
+    if method == "openmm" and stoppable:
+        raise ProtochainError(
+            "method 'openmm' keeps no state to go on from; choose another, or no checkpoint"
+        )
 
 
 def _posed(chain: Chain, x: Floats) -> tuple[Chain, Pose]:

@@ -42,7 +42,7 @@ class LBFGS:
     """
 
     metric: Metric = field(default_factory=Stiffness)
-    memory: int = 50
+    memory: int = 100
 
     def init(self, problem: Problem, at: Evaluation) -> Memory:
         """Start with an empty memory."""

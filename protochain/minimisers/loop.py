@@ -1,7 +1,7 @@
 """The one loop: it counts, records, checks and stops; methods only say what the next point is."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Protocol
 
@@ -38,22 +38,44 @@ class Method(Protocol):
         """Return the next state, or None if no step lowers the energy."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A run between two iterations: all that the rest of it depends on.
+
+    Parameters
+    ----------
+    state : State
+        The method's.
+    start : Evaluation
+        Where the run began.
+    best : Evaluation or None
+    improved_at, n_evaluations, n_iterations : int
+    lists_at : (na, 3) float or None
+        Positions that the energy's neighbour lists were made at: the order of its sums hangs on them.
+    """
+
+    state: State
+    start: Evaluation
+    best: Evaluation | None
+    improved_at: int
+    n_evaluations: int
+    n_iterations: int
+    lists_at: Floats | None
+
+
+@dataclass(frozen=True, eq=False)
 class Ending:
     """How a loop ended.
 
     Parameters
     ----------
     stop : Stop
-    start, at : Evaluation
-        Where the method began and where it stood; the problem remembers the lowest energy.
-    n_iterations : int
+    last : Snapshot
+        After the last whole iteration; the problem remembers the lowest energy.
     """
 
     stop: Stop
-    start: Evaluation
-    at: Evaluation
-    n_iterations: int
+    last: Snapshot
 
 
 def run(
@@ -63,6 +85,7 @@ def run(
     tolerance: float,
     patience: int,
     record: Callable[[Evaluation], None],
+    resume: Snapshot | None = None,
 ) -> Ending:
     """Step from q until the tolerance is met or nothing more can be done.
 
@@ -77,31 +100,56 @@ def run(
         Stop after this many evaluations without a new lowest energy.
     record : callable
         Called with each point the method accepts, the start included.
+    resume : Snapshot, optional
+        Go on from there instead: the same steps follow as if there had been no stop.
 
     Returns
     -------
     Ending
         Also on interruption (KeyboardInterrupt) and on a spent budget: nothing is lost.
+
+    Raises
+    ------
+    BudgetSpentError, KeyboardInterrupt
+        Before the first point was evaluated.
     """
-    at = start = problem.evaluate(q)
-    n_iterations = 0
+    if resume is None:
+        at = problem.evaluate(q)
+        last = _snapshot(problem, Standstill(at), at, 0)
+    else:
+        last = resume
+        problem.restore(last.best, last.improved_at, last.n_evaluations, last.lists_at)
     try:
-        record(at)
-        state = method.init(problem, at)
+        record(last.state.at)
+        if isinstance(last.state, Standstill):
+            last = replace(last, state=method.init(problem, last.state.at))
         while True:
+            at = last.state.at
             if not at.is_finite:
-                return Ending(Stop.NON_FINITE, start, at, n_iterations)
+                return Ending(Stop.NON_FINITE, last)
             if at.residual <= tolerance:
-                return Ending(Stop.TOLERANCE, start, at, n_iterations)
+                return Ending(Stop.TOLERANCE, last)
             if problem.n_evaluations - problem.improved_at > patience:
-                return Ending(Stop.CIRCLING, start, at, n_iterations)
-            state = method.step(problem, state)
+                return Ending(Stop.CIRCLING, last)
+            state = method.step(problem, last.state)
             if state is None:
-                return Ending(Stop.NO_DESCENT, start, at, n_iterations)
-            at = state.at
-            n_iterations += 1
-            record(at)
+                return Ending(Stop.NO_DESCENT, last)
+            last = _snapshot(problem, state, last.start, last.n_iterations + 1)
+            record(state.at)
     except BudgetSpentError:
-        return Ending(Stop.BUDGET, start, at, n_iterations)
+        return Ending(Stop.BUDGET, last)
     except KeyboardInterrupt:
-        return Ending(Stop.INTERRUPTED, start, at, n_iterations)
+        return Ending(Stop.INTERRUPTED, last)
+
+
+@dataclass(frozen=True)
+class Standstill:
+    """The state before a method has made its own."""
+
+    at: Evaluation
+
+
+def _snapshot(problem: Problem, state: State, start: Evaluation, n_iterations: int) -> Snapshot:
+    return Snapshot(
+        state, start, problem.best, problem.improved_at, problem.n_evaluations, n_iterations, problem.lists_at
+    )

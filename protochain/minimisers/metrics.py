@@ -1,7 +1,7 @@
 """What a step is measured in: a metric turns torques into a direction."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -56,28 +56,30 @@ class Stiffness:
         return space.stiffness(at)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Preconditioner:
-    """A metric's solve, and how many iterations it has served.
+    """A metric as it was at a point, and how many iterations it has served.
 
     Parameters
     ----------
     metric : Metric
+    made_at : Evaluation
     solve : callable
     age : int
     """
 
     metric: Metric
+    made_at: Evaluation
     solve: Solve
     age: int = 0
 
     @classmethod
     def first(cls, metric: Metric, space: Space, at: Evaluation) -> "Preconditioner":
-        """Make a metric at the start."""
-        return cls(metric, metric.at(space, at))
+        """Make a metric at a point."""
+        return cls(metric, at, metric.at(space, at))
 
     def next(self, space: Space, at: Evaluation) -> "Preconditioner":
         """Return the one for the next iteration: the same, or made anew when it is too old."""
         if self.age + 1 >= self.metric.lasts:
             return self.first(self.metric, space, at)
-        return Preconditioner(self.metric, self.solve, self.age + 1)
+        return replace(self, age=self.age + 1)

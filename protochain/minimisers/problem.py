@@ -126,6 +126,19 @@ class Problem:
         """Coordinates after a step (n_v,) in the space's scale."""
         return self.space.move(q, step)
 
+    @property
+    def lists_at(self) -> Floats | None:
+        """Positions that the energy's neighbour lists were made at, if it has any."""
+        return getattr(self.energy, "lists_at", None)
+
+    def restore(
+        self, best: Evaluation | None, improved_at: int, n_evaluations: int, lists_at: Floats | None
+    ) -> None:
+        """Be as at an earlier time."""
+        self.best, self.improved_at, self.n_evaluations = best, improved_at, n_evaluations
+        if lists_at is not None and hasattr(self.energy, "list_at"):
+            self.energy.list_at(lists_at)
+
 
 def evaluate(space: Space, energy: Force, q: Floats, restraint: Force | None = None) -> Evaluation:
     """Energy and torques at q, uncounted."""

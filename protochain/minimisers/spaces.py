@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from protochain import multibody
@@ -47,7 +48,15 @@ class Torsions:
         return rigid_groups(self.chain)
 
     def start(self, x: Floats) -> Floats:
-        """Coordinates of the chain as it is: x are its own positions."""
+        """Coordinates of the chain as it is.
+
+        Raises
+        ------
+        ValueError
+            If x are other positions: a chain has no others that it could be at for sure.
+        """
+        if not np.array_equal(x, self.chain.structure.positions):
+            raise ValueError("a chain starts at its own positions")
         return self.chain.q0
 
     def positions(self, q: Floats) -> Floats:
@@ -92,7 +101,7 @@ class Cartesian:
     """
 
     structure: Structure
-    moving: np.ndarray
+    moving: NDArray[np.bool_]
     longest = 0.03
     first = 0.005
     unit = "RMS force {:.4g} kJ/mol/nm"
@@ -125,7 +134,7 @@ class Cartesian:
 
     def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solve with a sparse matrix of bonds, angles, dihedrals and contacts."""
-        return springs.cartesian_solver(self.structure, self._springs, at.x)
+        return springs.cartesian_solver(self.structure, self._springs, at.x, self.moving)
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Divide by the masses."""

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
@@ -123,7 +124,9 @@ def torsion_stiffness(chain: Chain, groups: Integers, at: Pose) -> Floats:
     return 0.5 * (columns + columns.T)
 
 
-def cartesian_solver(structure: Structure, bonded: Springs, x: Floats) -> Callable[[Floats], Floats]:
+def cartesian_solver(
+    structure: Structure, bonded: Springs, x: Floats, moving: NDArray[np.bool_]
+) -> Callable[[Floats], Floats]:
     """Solve with the stiffness of bonds, angles, dihedrals and contacts, all atoms free.
 
     Parameters
@@ -132,6 +135,8 @@ def cartesian_solver(structure: Structure, bonded: Springs, x: Floats) -> Callab
     bonded : Springs
         Of :func:`covalent`.
     x : (na, 3) float, nm
+    moving : (na,) bool
+        The others stay.
 
     Returns
     -------
@@ -142,11 +147,18 @@ def cartesian_solver(structure: Structure, bonded: Springs, x: Floats) -> Callab
     near = contacts(structure, x, 3)
     matrix = _sparse(structure.n_atoms, bonded, x, True) + _sparse(structure.n_atoms, near, x, False)
     matrix.setdiag(matrix.diagonal() + CARTESIAN_FLOOR)
+    free = np.flatnonzero(np.repeat(moving, 3))
     factors = splu(
-        csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+        csc_array(matrix[free][:, free]), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
         options={"SymmetricMode": True},
     )  # fmt: skip
-    return lambda torque: np.asarray(factors.solve(torque))
+
+    def solve(torque: Floats) -> Floats:
+        step = np.zeros_like(torque)
+        step[free] = factors.solve(torque[free])
+        return step
+
+    return solve
 
 
 def _sparse(n_atoms: int, springs: Springs, x: Floats, coupled: bool) -> csc_array:

@@ -1,7 +1,7 @@
 """A method as a sequence of runs of the one loop: in which freedoms, by which descent, held by what."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
 from protochain.minimisers.contacts import overlaps
 from protochain.minimisers.lbfgs import LBFGS
-from protochain.minimisers.loop import Method, Stop, run
+from protochain.minimisers.loop import Ending, Method, Snapshot, Stop, run
 from protochain.minimisers.methods import IN_TORSIONS
 from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Problem, Space
 from protochain.minimisers.restraints import SOFT_TETHER, Leash, SoftRepulsion, Sum, Tethers
@@ -20,7 +20,7 @@ from protochain.minimisers.spaces import Cartesian, Torsions
 PATIENCE = 500
 """Evaluations without a new lowest energy after which a run counts as stalled."""
 
-HYBRID_TORQUE = 100.0
+HYBRID_TORQUE = 300.0
 """kJ/mol/rad. Torsions go no further before all atoms move: the rest of the strain is in bonds and angles."""
 
 SINGLE_PRECISION_ENDS = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
@@ -85,6 +85,26 @@ class Stage:
 
 
 @dataclass(frozen=True, eq=False)
+class Waypoint:
+    """Where a walk was when it stopped.
+
+    Parameters
+    ----------
+    stage, engine : int
+        Which of the plan, and which of its engines.
+    before : int
+        Iterations of the stages before.
+    last : Snapshot
+        Of the loop.
+    """
+
+    stage: int
+    engine: int
+    before: int
+    last: Snapshot
+
+
+@dataclass(frozen=True, eq=False)
 class Outcome:
     """What a method hands back to be judged.
 
@@ -96,6 +116,8 @@ class Outcome:
     q : (n_q,) float
         In its space.
     n_iterations, n_evaluations : int
+    waypoint : Waypoint or None
+        To go on from; none if nothing was computed.
     """
 
     stop: Stop
@@ -103,6 +125,7 @@ class Outcome:
     q: Floats
     n_iterations: int
     n_evaluations: int
+    waypoint: Waypoint | None
 
     @property
     def x(self) -> Floats:
@@ -139,9 +162,15 @@ def stages(
     first = Stage(torsions, LBFGS(), _engines(moving), HYBRID_TORQUE, held[0])
     if not overlaps(structure, structure.positions):
         return [first, *polish]
+    return [parting(torsions), first, *polish]
+
+
+def parting(space: Torsions) -> Stage:
+    """Part overlapping atoms gently by turning hinges, before any force field is asked."""
+    structure = space.chain.structure
     tethers = Tethers(structure.positions, np.full(structure.n_atoms, SOFT_TETHER))
     gentle = Sum([SoftRepulsion(structure), tethers])
-    return [replace(first, engines=(gentle,), tolerance=1.0, soft=True), first, *polish]
+    return Stage(space, LBFGS(), (gentle,), 1.0, soft=True)
 
 
 def _engines(energy: Energy) -> tuple[Force, ...]:
@@ -163,6 +192,7 @@ def walk(
     max_evaluations: int,
     allowed: Callable[[Floats], bool] | None,
     record: Callable[[Evaluation, Space, int], None],
+    resume: Waypoint | None = None,
 ) -> Outcome:
     """Run one stage after the other, each from where the last one found the lowest energy.
 
@@ -176,6 +206,8 @@ def walk(
         Whether positions may be an answer.
     record : callable
         Called with each point accepted, its space, and the evaluations so far.
+    resume : Waypoint, optional
+        Go on from there.
 
     Returns
     -------
@@ -187,36 +219,48 @@ def walk(
     When a run on a single-precision engine claims its tolerance, finds no lower energy or meets what is not a
     number, it goes on from there on the Reference platform, within the same budget.
     """
-    n_iterations, n_evaluations = 0, 0
-    space, q = plan[0].space, plan[0].space.start(chain.structure.positions)
-    for stage in plan:
-        if stage.space is not space:
-            space, q = stage.space, stage.space.start(space.positions(q))
-        problem = Problem(space, stage.engines[0], max_evaluations, stage.restraint, allowed, n_evaluations)
+    at, n_iterations, last = (0, 0), 0, None
+    if resume is not None:
+        at, n_iterations, last = (resume.stage, resume.engine), resume.before, resume.last
+    q, waypoint = plan[0].space.start(chain.structure.positions), resume
+    stop, n_evaluations = Stop.BUDGET, 0
+    steps = [(i, j) for i, stage in enumerate(plan) for j in range(len(stage.engines)) if (i, j) >= at]
+    for i, j in steps:
+        stage = plan[i]
+        if last is not None:
+            q = last.start.q
+        elif j and stop not in SINGLE_PRECISION_ENDS:
+            continue
+        elif i and not j and plan[i - 1].space is not stage.space:
+            q = stage.space.start(plan[i - 1].space.positions(q))
+        problem = Problem(stage.space, stage.engines[j], max_evaluations, stage.restraint, allowed)
+        problem.restore(None, n_evaluations, n_evaluations, stage.space.positions(q))
 
         def note(at: Evaluation, stage: Stage = stage, problem: Problem = problem) -> None:
             if not stage.soft:
                 record(at, stage.space, problem.n_evaluations)
 
-        for engine in stage.engines:
-            problem.energy, problem.best = engine, None
-            problem.improved_at = problem.n_evaluations
-            try:
-                ending = run(problem, stage.method, q, stage.tolerance, PATIENCE, note)
-            except (BudgetSpentError, KeyboardInterrupt) as error:
-                # Before this engine had evaluated anything: what the one before it found stands.
-                stop = Stop.BUDGET if isinstance(error, BudgetSpentError) else Stop.INTERRUPTED
-                break
-            stop = ending.stop
-            n_iterations += ending.n_iterations
-            reached = stop is Stop.TOLERANCE and ending.at.energy <= ending.start.energy
-            if reached and (allowed is None or allowed(ending.at.x)):
-                q = ending.at.q
-            elif problem.best is not None:
-                q = problem.best.q
-            if stop not in SINGLE_PRECISION_ENDS:
-                break
-        n_evaluations = problem.n_evaluations
-        if stop in (Stop.BUDGET, Stop.INTERRUPTED, Stop.NON_FINITE):
+        try:
+            ending = run(problem, stage.method, q, stage.tolerance, PATIENCE, note, last)
+        except (BudgetSpentError, KeyboardInterrupt) as error:
+            # Before this engine had evaluated anything: what the one before it found stands.
+            stop = Stop.BUDGET if isinstance(error, BudgetSpentError) else Stop.INTERRUPTED
             break
-    return Outcome(stop, stage, q, n_iterations, n_evaluations)
+        stop, last, n_evaluations = ending.stop, None, problem.n_evaluations
+        waypoint = Waypoint(i, j, n_iterations, ending.last)
+        n_iterations += ending.last.n_iterations
+        q = _best(problem, ending, q)
+        if stop in (Stop.BUDGET, Stop.INTERRUPTED) or (
+            stop is Stop.NON_FINITE and j + 1 == len(stage.engines)
+        ):
+            break
+    return Outcome(stop, stage, q, n_iterations, n_evaluations, waypoint)
+
+
+def _best(problem: Problem, ending: Ending, q: Floats) -> Floats:
+    """Where a run met its tolerance without having climbed; else its lowest energy; else where it began."""
+    end = ending.last.state.at
+    reached = ending.stop is Stop.TOLERANCE and end.energy <= ending.last.start.energy
+    if reached and (problem.allowed is None or problem.allowed(end.x)):
+        return end.q
+    return q if problem.best is None else problem.best.q

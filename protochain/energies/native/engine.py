@@ -133,7 +133,7 @@ class NativeEnergy:
         x = floats(x, (self._layout.terms.n_atoms, 3), "x")
         if not np.isfinite(x).all():
             return {"bonds": np.inf}, np.full(x.shape, np.nan)
-        return evaluate(self._layout, self._lists_at(x), x, self._fixed_integral)
+        return evaluate(self._layout, self._lists_for(x), x, self._fixed_integral)
 
     def without_constants(self, groups: Integers, x: Floats) -> "NativeEnergy":
         """Leave out what keeps its value as long as each group of atoms moves as one rigid body.
@@ -188,7 +188,16 @@ class NativeEnergy:
         moving, _ = evaluate(self._layout, own_lists, x, self._fixed_integral)
         return sum(whole.values()) - sum(moving.values())
 
-    def _lists_at(self, x: Floats) -> Lists:
+    @property
+    def lists_at(self) -> Floats | None:
+        """(na, 3) float, nm: positions that the neighbour lists in use were made at."""
+        return self._lists.x if self._lists else None
+
+    def list_at(self, x: Floats) -> None:
+        """Make the neighbour lists as they are at positions x (na, 3), as after computing there first."""
+        self._lists = lists_of(self._layout, floats(x, (self._layout.terms.n_atoms, 3), "x"))
+
+    def _lists_for(self, x: Floats) -> Lists:
         """Neighbour lists that hold at x; all computing passes here first."""
         _announce()
         numba.set_num_threads(self.threads)

@@ -1,0 +1,206 @@
+"""Many starts of one protein, from perturbed dihedrals or from minimum to minimum: a distribution."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from protochain.articulate import build_chain
+from protochain.chain import Chain, pose
+from protochain.energies.protocol import Energy
+from protochain.errors import ProtochainError
+from protochain.minimisers.api import minimise
+from protochain.minimisers.methods import DEFAULT_METHOD
+from protochain.minimisers.solution import Solution
+from protochain.minimisers.spaces import Torsions
+from protochain.minimisers.stages import parting, walk
+from protochain.minimisers.verdict import Status
+from protochain.structure import ca_rmsd
+from protochain.units import MOLAR_GAS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SPREAD = 0.2
+"""rad, standard deviation of a perturbed dihedral."""
+
+_PARTING = 500
+"""Evaluations of soft repulsion, at most, before a start."""
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """What one method made of many starts.
+
+    Parameters
+    ----------
+    chain : Chain
+        Unperturbed.
+    solutions : tuple of Solution
+        The first of them from the unperturbed chain.
+    accepted : tuple of bool
+        Whether the walk went on from there; all of them, for independent starts.
+    """
+
+    chain: Chain
+    solutions: tuple[Solution, ...]
+    accepted: tuple[bool, ...]
+
+    @cached_property
+    def best(self) -> Solution:
+        """The solution of lowest energy; of equal ones the first."""
+        return min(self.solutions, key=lambda solution: solution.end.energy)
+
+    def records(self) -> list[dict[str, Any]]:
+        """Return a record a start, as the JSON has it."""
+        structure = self.chain.structure
+        return [
+            {
+                "start": k,
+                "energy_start_kj_mol": s.start.energy,
+                "energy_end_reference_kj_mol": s.end.energy,
+                "ca_rmsd_angstrom": ca_rmsd(structure, s.x, structure.positions),
+                "evaluations": s.n_evaluations,
+                "seconds": s.seconds,
+                "status": str(s.status),
+                "accepted": accepted,
+            }
+            for k, (s, accepted) in enumerate(zip(self.solutions, self.accepted, strict=True))
+        ]
+
+    @cached_property
+    def table(self) -> "pd.DataFrame":
+        """A row a start."""
+        import pandas as pd
+
+        return pd.DataFrame(self.records())
+
+    def summary(self) -> dict[str, float]:
+        """Return quantiles of the energies at the end, and how many are as low as the lowest."""
+        energies = np.array([s.end.energy for s in self.solutions])
+        low, first, middle, third, high = np.quantile(energies, [0.0, 0.25, 0.5, 0.75, 1.0])
+        return {
+            "n_starts": len(energies),
+            "energy_lowest_kj_mol": float(low),
+            "energy_first_quartile_kj_mol": float(first),
+            "energy_median_kj_mol": float(middle),
+            "energy_third_quartile_kj_mol": float(third),
+            "energy_highest_kj_mol": float(high),
+            "n_within_1_kj_mol_of_lowest": int(np.sum(energies < low + 1.0)),
+        }
+
+    def overall(self) -> dict[str, Any]:
+        """Return what the best solution's record becomes, from the common start, and all the others."""
+        rows = self.records()
+        best = self.solutions.index(self.best)
+        return {
+            "energy_start_kj_mol": self.solutions[0].start.energy,
+            "ca_rmsd_angstrom": rows[best]["ca_rmsd_angstrom"],
+            "evaluations": sum(s.n_evaluations for s in self.solutions),
+            "seconds": sum(s.seconds for s in self.solutions),
+            "starts_summary": self.summary(),
+            "starts": rows,
+        }
+
+    def __repr__(self) -> str:
+        s = self.summary()
+        low, middle, high = (s[f"energy_{name}_kj_mol"] for name in ("lowest", "median", "highest"))
+        return f"<{s['n_starts']} starts: {low:.2f}, median {middle:.2f}, highest {high:.2f} kJ/mol>"
+
+
+def explore(
+    chain: Chain,
+    energy: Energy,
+    method: str = DEFAULT_METHOD,
+    n_starts: int = 10,
+    *,
+    seed: int = 0,
+    spread: float = SPREAD,
+    hop_temperature: float | None = None,
+    each: Callable[[int, Solution], None] | None = None,
+    **settings: Any,
+) -> Starts:
+    """Minimise from many starts.
+
+    Parameters
+    ----------
+    chain : Chain
+    energy : Energy
+    method : str
+    n_starts : int
+        The first is the chain as it is.
+    seed : int
+        Start k draws from a stream of its own, (seed, k).
+    spread : float, rad
+        Standard deviation of the change of every hinge.
+    hop_temperature : float, K, optional
+        With it, each start is the minimum before it, perturbed, and a minimum is kept with the probability of
+        Metropolis at this temperature: basin hopping (Wales, Doye, J. Phys. Chem. A 101:5111, 1997).
+    each : callable, optional
+        Called with the number and solution of each start.
+    **settings
+        As in :func:`protochain.minimise`.
+
+    Returns
+    -------
+    Starts
+        An interrupt ends the start it meets and leaves out those after it.
+
+    Raises
+    ------
+    ProtochainError
+        If a setting makes no sense.
+    """
+    if n_starts < 1:
+        raise ProtochainError(f"starts {n_starts}: give at least 1")
+    if not 0 < spread < np.inf:
+        raise ProtochainError(f"spread {spread:g}: give an angle above 0, in rad")
+    if hop_temperature is not None and not 0 <= hop_temperature < np.inf:
+        raise ProtochainError(f"temperature {hop_temperature:g}: give kelvin, not below 0")
+    solutions: list[Solution] = []
+    accepted: list[bool] = []
+    here, lowest = chain, np.inf
+    for k in range(n_starts):
+        random = np.random.default_rng([seed, k])
+        start = perturbed(here, spread, random) if k else chain
+        solution = minimise(start, energy, method, seed=seed, **settings)
+        solutions.append(solution)
+        accepted.append(True)
+        if hop_temperature is not None:
+            accepted[-1] = _accept(solution.end.energy - lowest, hop_temperature, random)
+            if accepted[-1]:
+                here, lowest = _chain_at(solution), solution.end.energy
+        if each:
+            each(k, solution)
+        if solution.status is Status.INTERRUPTED:
+            break
+    return Starts(chain, tuple(solutions), tuple(accepted))
+
+
+def perturbed(chain: Chain, spread: float, random: np.random.Generator) -> Chain:
+    """Turn every hinge by a normal deviate (standard deviation in rad), and part what then overlaps."""
+    q = chain.q0.copy()
+    q[chain.tree.q_start[chain.hinge_body]] += random.normal(scale=spread, size=chain.n_hinges)
+    moved = _moved(chain, q)
+    return _moved(moved, walk([parting(Torsions(moved))], moved, _PARTING, None, lambda *_: None).q)
+
+
+def _moved(chain: Chain, q: np.ndarray) -> Chain:
+    at = pose(chain, q)
+    return replace(chain, structure=chain.structure.with_positions(at.x), q0=at.q)
+
+
+def _chain_at(solution: Solution) -> Chain:
+    """Return the chain of a solution: the same bodies if they still fit, else cut anew."""
+    chain = solution.chain
+    if len(solution.q) == chain.n_q and np.allclose(pose(chain, solution.q).x, solution.x, atol=1e-9):
+        return _moved(chain, solution.q)
+    return build_chain(solution.structure, chain.opened, chain.root, move=chain.move)
+
+
+def _accept(rise: float, temperature: float, random: np.random.Generator) -> bool:
+    if rise <= 0.0:
+        return True
+    return bool(temperature > 0.0 and random.random() < np.exp(-rise / (MOLAR_GAS * temperature)))
