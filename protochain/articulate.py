@@ -2,6 +2,7 @@
 
 from collections import Counter, deque
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -16,7 +17,7 @@ from protochain.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.model import Structure
 from protochain.structure.select import select
 
-HINGES = ("phi", "psi", "omega", "chi", "rotors")
+HINGES = ("phi", "psi", "omega", "chi", "rotors", "angles")
 """Kinds of hinge that can be opened."""
 
 ON_AXIS = np.deg2rad(5.0)
@@ -32,7 +33,8 @@ def build_chain(
     ----------
     structure : Structure
     hinges : str
-        Kinds of bond that turn, of ``phi psi omega chi rotors``. Rings are always rigid.
+        Kinds of bond that turn, of ``phi psi omega chi rotors``; with ``angles``, the backbone's bond angles
+        at N and C-alpha open too, wherever phi or psi beside them turns. Rings are always rigid.
     root : str
         ``fixed``, ``free``, or ``auto``: free where several chains move against one another.
     move : str
@@ -74,7 +76,9 @@ def build_chain(
         _root_atom(structure, np.flatnonzero(molecule == m), moving, group) for m in range(molecule.max() + 1)
     ]
     free = root == "free" or (root == "auto" and len(roots) > 1)
-    tree, atom_body, atom_local, carried, q0 = _walk(structure, turning, group, roots, free)
+    tree, atom_body, atom_local, carried, q0 = _walk(
+        structure, turning, group, roots, free, "angles" in kinds
+    )
     return Chain(
         structure=structure,
         tree=tree,
@@ -198,7 +202,7 @@ def _middle_atom(structure: Structure, atoms: Integers) -> int:
 
 
 def _walk(
-    structure: Structure, hinges: list[Hinge], group: Integers, roots: list[int], free: bool
+    structure: Structure, hinges: list[Hinge], group: Integers, roots: list[int], free: bool, angles: bool
 ) -> tuple[Tree, Integers, Floats, list[tuple[int, Hinge]], list[float]]:
     """Walk outward from each root atom's group and number the bodies in that order.
 
@@ -240,22 +244,25 @@ def _walk(
                 outboard = int(group[outer])
                 if outboard in body_of:
                     continue
-                body_of[outboard] = len(parent)
                 queue.append(outboard)
-                carried.append((len(parent), hinge))
                 above = body_of[inboard]
-                q = dihedral(x[list(hinge.atoms)])
-                rotation.append(_frame_along(x[outer] - x[inner]))
-                parent.append(above)
-                kind.append(HingeKind.REVOLUTE)
-                offset.append(rotation[above].T @ (x[outer] - origin[above]))
-                back = Rotation.from_rotvec([0.0, 0.0, -q]).as_matrix()
-                placement.append(rotation[above].T @ rotation[-1] @ back)
-                origin.append(x[outer])
-                q0.append(q)
-    if len(carried) < len(hinges):
-        walked = {hinge for _, hinge in carried}
-        stuck = next(hinge for hinge in hinges if hinge not in walked)
+                for freedom in _crossing(hinge, inner, angles):
+                    axis, at = _axis(x, freedom, inner, outer)
+                    q = _measure(x, freedom)
+                    rotation.append(_frame_along(axis))
+                    parent.append(above)
+                    kind.append(HingeKind.REVOLUTE)
+                    offset.append(rotation[above].T @ (x[at] - origin[above]))
+                    back = Rotation.from_rotvec([0.0, 0.0, -q]).as_matrix()
+                    placement.append(rotation[above].T @ rotation[-1] @ back)
+                    origin.append(x[at])
+                    q0.append(q)
+                    above = len(parent) - 1
+                    carried.append((above, freedom))
+                body_of[outboard] = above
+    walked = {hinge for _, hinge in carried}
+    stuck = next((hinge for hinge in hinges if hinge not in walked), None)
+    if stuck is not None:
         raise ChainError(f"{structure.name}: {stuck} lies in a ring of turning bonds; leave its kind closed")
 
     atom_body = np.array([body_of[int(g)] for g in group])
@@ -263,6 +270,34 @@ def _walk(
     mass, com, inertia = _bodies(structure, atom_body, np.array(parent), carried, frames)
     tree = Tree(np.array(parent), np.array(kind), np.array(offset), np.array(placement), mass, com, inertia)
     return tree, atom_body, _in_frames(frames, atom_body, x), carried, q0
+
+
+def _crossing(hinge: Hinge, inner: int, angles: bool) -> list[Hinge]:
+    """Freedoms met when a turning bond is crossed from its inner atom: with ``angles`` two of them.
+
+    Between them stands a body that has only shares of the bond's two atoms.
+    """
+    if not angles or hinge.kind not in ("phi", "psi"):
+        return [hinge]
+    name = "angle N" if hinge.kind == "phi" else "angle CA"
+    angle = replace(hinge, kind=name, atoms=hinge.atoms[:3])
+    return [angle, hinge] if inner == hinge.atoms[1] else [hinge, angle]
+
+
+def _axis(x: Floats, hinge: Hinge, inner: int, outer: int) -> tuple[Floats, int]:
+    """Direction of a hinge's axis, about which what lies outside turns as q grows, and an atom on it."""
+    if not hinge.is_angle:
+        return x[outer] - x[inner], outer
+    before, at, after = hinge.atoms if inner == hinge.atoms[1] else hinge.atoms[::-1]
+    return np.cross(x[before] - x[at], x[after] - x[at]), at
+
+
+def _measure(x: Floats, hinge: Hinge) -> float:
+    """Value of a dihedral or of a bond angle, rad."""
+    if not hinge.is_angle:
+        return dihedral(x[list(hinge.atoms)])
+    u, v = (x[hinge.atoms[end]] - x[hinge.atoms[1]] for end in (0, 2))
+    return float(np.arctan2(np.linalg.norm(np.cross(u, v)), u @ v))
 
 
 def _frame_along(bond: Floats) -> Floats:
@@ -292,7 +327,7 @@ def _bodies(
     """
     holders: dict[int, set[int]] = {}
     for body, hinge in carried:
-        for atom in hinge.atoms[1:3]:
+        for atom in hinge.on_axis:
             holders.setdefault(atom, set()).update((body, int(parent[body])))
     atoms = np.arange(structure.n_atoms)
     alone = ~np.isin(atoms, list(holders))

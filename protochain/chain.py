@@ -14,16 +14,16 @@ from protochain.structure.model import Structure
 
 @dataclass(frozen=True)
 class Hinge:
-    """One turning bond: where it is, what it is called, and the four atoms that measure it.
+    """One freedom: where it is, what it is called, and the atoms that measure it.
 
     Parameters
     ----------
     chain, residue_name, residue_number, insertion_code : str
         The residue the dihedral belongs to, as the file names it.
     kind : str
-        ``phi``, ``psi``, ``omega``, ``chi1`` ... ``chi5`` or ``rotor``.
-    atoms : tuple of 4 int
-        The bond that turns is atoms[1]-atoms[2].
+        ``phi``, ``psi``, ``omega``, ``chi1`` ... ``chi5`` or ``rotor``; ``angle N`` or ``angle CA``.
+    atoms : tuple of int
+        Four of a dihedral, whose bond atoms[1]-atoms[2] turns; three of a bond angle at atoms[1].
     """
 
     chain: str
@@ -31,7 +31,17 @@ class Hinge:
     residue_number: str
     insertion_code: str
     kind: str
-    atoms: tuple[int, int, int, int]
+    atoms: tuple[int, ...]
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether it is a bond angle that opens, and not a bond that turns."""
+        return len(self.atoms) == 3
+
+    @property
+    def on_axis(self) -> tuple[int, ...]:
+        """Atoms on its axis."""
+        return self.atoms[1:2] if self.is_angle else self.atoms[1:3]
 
     def __str__(self) -> str:
         number = f"{self.residue_number}{self.insertion_code}"
@@ -156,16 +166,26 @@ def rigid_groups(chain: Chain) -> Integers:
         The atom's own body first, then bodies joined to it by a hinge on whose axis it lies; -1 for none.
     """
     at = pose(chain, chain.q0)
-    groups = [[body] for body in chain.atom_body.tolist()]
-    for body in chain.hinge_body.tolist():
-        parent = int(chain.tree.parent[body])
-        for own, other in ((body, parent), (parent, body)):
-            members = np.flatnonzero(chain.atom_body == own)
-            place = (at.x[members] - at.frames.origin[body]) @ at.frames.rotation[body]
-            for atom in members[np.hypot(place[:, 0], place[:, 1]) < _ON_HINGE].tolist():
-                groups[atom].append(other)
+    groups = [{int(body)} for body in chain.atom_body]
+    bonds = list(zip(chain.hinge_body.tolist(), chain.tree.parent[chain.hinge_body].tolist(), strict=True))
+    members: dict[int, set[int]] = {body: set() for body in range(chain.n_bodies)}
+    for atom, body in enumerate(chain.atom_body.tolist()):
+        members[body].add(atom)
+    grown = True
+    while grown:
+        grown = False
+        for body, parent in bonds:
+            for own, other in ((body, parent), (parent, body)):
+                new = np.array(sorted(members[own] - members[other]), dtype=np.int64)
+                place = (at.x[new] - at.frames.origin[body]) @ at.frames.rotation[body]
+                for atom in new[np.hypot(place[:, 0], place[:, 1]) < _ON_HINGE].tolist():
+                    members[other].add(atom)
+                    groups[atom].add(other)
+                    grown = True
     wide = max(len(its) for its in groups)
-    return np.array([its + [-1] * (wide - len(its)) for its in groups], dtype=np.int64)
+    own = chain.atom_body.tolist()
+    rows = [[body, *sorted(its - {body})] for body, its in zip(own, groups, strict=True)]
+    return np.array([row + [-1] * (wide - len(row)) for row in rows], dtype=np.int64)
 
 
 _ON_HINGE = 1e-9

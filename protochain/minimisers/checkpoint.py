@@ -72,7 +72,7 @@ def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any]) 
         theirs, tree = text["settings"], text["waypoint"]
     except FileNotFoundError:
         raise ProtochainError(f"{path}: not found; give the checkpoint of an earlier run") from None
-    except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
+    except (OSError, EOFError, ValueError, KeyError, TypeError, BadZipFile) as error:
         raise ProtochainError(f"{path}: not a checkpoint ({error})") from None
     for name, value in settings.items():
         if theirs.get(name) != value:

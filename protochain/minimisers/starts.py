@@ -182,7 +182,9 @@ def explore(
 def perturbed(chain: Chain, spread: float, random: np.random.Generator) -> Chain:
     """Turn every hinge by a normal deviate (standard deviation in rad), and part what then overlaps."""
     q = chain.q0.copy()
-    q[chain.tree.q_start[chain.hinge_body]] += random.normal(scale=spread, size=chain.n_hinges)
+    turns = np.array([not hinge.is_angle for hinge in chain.hinges])
+    turning = chain.tree.q_start[chain.hinge_body[turns]]
+    q[turning] += random.normal(scale=spread, size=len(turning))
     moved = _moved(chain, q)
     return _moved(moved, walk([parting(Torsions(moved))], moved, _PARTING, None, lambda *_: None).q)
 

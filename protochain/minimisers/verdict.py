@@ -78,11 +78,12 @@ def verdict(
     -------
     Status, str
     """
-    if met:
+    # A minimum of atoms inside one another is one, but nobody's answer.
+    overlap = overlaps(structure, x)
+    if met and not overlap:
         return Status.CONVERGED, f"converged: {measured}"
     if stop is Stop.INTERRUPTED:
         return Status.INTERRUPTED, f"interrupted after {n_evaluations} evaluations: {measured}"
-    overlap = overlaps(structure, x)
     if overlap:
         return Status.CLASH, f"clash: {overlap[0]}; {measured}"
     if stop is Stop.NON_FINITE:

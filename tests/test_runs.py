@@ -1,0 +1,252 @@
+"""Whole runs: parted overlaps, restraints, limits, selections, many starts, checkpoints."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import GEOMETRY_NM, GEOMETRY_RAD, ROUND_OFF_NM, chain, energy, load
+from oracles import angle_triples, angles, bond_lengths
+from test_descent import crowded
+
+import protochain as pc
+from protochain.minimisers import Status
+from protochain.minimisers.contacts import OVERLAP, overlaps
+from protochain.minimisers.loop import Stop
+from protochain.minimisers.spaces import Torsions
+from protochain.minimisers.stages import parting, walk
+from protochain.minimisers.starts import _accept
+from protochain.minimisers.verdict import verdict
+
+FREE = ("lbfgs", "cartesian", "hybrid")
+
+
+def test_overlaps_are_parted_at_exact_geometry():
+    c = crowded()
+    s = c.structure
+    assert len(overlaps(s, s.positions)) > 10
+    space = Torsions(c)
+    done = walk([parting(space)], c, 500, None, lambda *_: None)
+    assert not overlaps(s, done.x)
+    triples = angle_triples(s.bonds)
+    assert np.abs(bond_lengths(s.bonds, done.x) - bond_lengths(s.bonds, s.positions)).max() < GEOMETRY_NM
+    assert np.abs(angles(triples, done.x) - angles(triples, s.positions)).max() < GEOMETRY_RAD
+
+
+@pytest.mark.parametrize(("name", "spread"), [("1l2y.pdb", 0.3), ("1vii.pdb", 0.6), ("3i40.pdb", 0.3)])
+def test_hybrid_clears_what_overlaps_and_leaves_bonds_as_the_force_field_has_them(name, spread):
+    c = crowded(name, spread)
+    worst = overlaps(c.structure, c.structure.positions, c)[0]
+    assert worst.share < 0.2
+    r = pc.minimise(c, energy(name), "hybrid", tolerance=10.0)
+    assert np.isfinite(r.trace["energy_kj_mol"]).all() and r.trace["energy_kj_mol"].iloc[0] > 1e6
+    assert r.status == Status.CONVERGED and not overlaps(c.structure, r.x)
+    lengths = bond_lengths(c.structure.bonds, r.x)
+    usual = bond_lengths(c.structure.bonds, load(name).positions)
+    assert np.abs(lengths - usual).max() < 0.015
+    assert r.ca_rmsd_angstrom > 0.1
+
+
+def test_overlaps_say_what_can_part_them():
+    s = load("1l2y.pdb")
+    c = chain("1l2y.pdb")
+    ring = np.flatnonzero((s.atom_residue == 5) & np.isin(s.atom_name, ("CD1", "CZ3")))
+    x = s.positions.copy()
+    x[ring[1]] = x[ring[0]] + [0.05, 0.0, 0.0]
+    (same,) = [o for o in overlaps(s, x, c) if "CD1" in o.first + o.second and "CZ3" in o.first + o.second]
+    assert same.distance_angstrom == pytest.approx(0.5) and "one rigid body" in same.remedy
+    assert "turning bonds" in overlaps(crowded().structure, crowded().structure.positions, c)[0].remedy
+    x[ring[1]] = x[ring[0]]
+    assert "which way" in overlaps(s, x, c)[0].remedy
+    shares = [o.share for o in overlaps(crowded().structure, crowded().structure.positions)]
+    assert shares == sorted(shares) and shares[-1] < OVERLAP
+
+
+def test_a_minimum_of_atoms_inside_one_another_is_a_clash():
+    c = crowded()
+    status, message = verdict(Stop.TOLERANCE, True, "all is well", c.structure, c.structure.positions, 5)
+    assert status == Status.CLASH and message.startswith("clash: atom")
+    at_rest = load("1l2y.pdb")
+    assert verdict(Stop.TOLERANCE, True, "", at_rest, at_rest.positions, 5)[0] == Status.CONVERGED
+
+
+@pytest.mark.parametrize("method", FREE)
+def test_stronger_restraints_hold_tighter_and_count_for_nothing_in_the_energy(method):
+    s, c, e = load("1l2y.pdb"), chain("1l2y.pdb"), energy("1l2y.pdb")
+    heavy = s.atom_element != "H"
+    moved = []
+    for strength in (10.0, 10_000.0):
+        r = pc.minimise(c, e, method, restraint=strength)
+        assert r.status == Status.CONVERGED and "restraints included" in r.message
+        assert r.end.energy == pytest.approx(e(r.x)[0], abs=1e-6)
+        assert r.trace["energy_kj_mol"].iloc[-1] == pytest.approx(r.end.energy, abs=1e-6)
+        moved.append(np.sqrt(np.mean(np.sum((r.x - s.positions)[heavy] ** 2, axis=1))))
+    assert moved[1] < 0.3 * moved[0]
+
+
+def test_a_ramp_of_restraints_ends_free():
+    r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), "cartesian", restraint=(1000.0, 100.0, 0.0))
+    assert r.status == Status.CONVERGED and "restraints" not in r.message and r.end.rms_force <= 1.0
+
+
+@pytest.mark.parametrize("method", [*FREE, "kcm-stiffness"])
+def test_an_rmsd_is_not_passed(method):
+    c, e = chain("1l2y.pdb"), energy("1l2y.pdb")
+    free = pc.minimise(c, e, method)
+    assert free.ca_rmsd_angstrom > 0.3
+    held = pc.minimise(c, e, method, max_rmsd=0.2)
+    assert 0.1 < held.ca_rmsd_angstrom <= 0.2
+    assert free.end.energy < held.end.energy < held.start.energy
+
+
+def test_what_is_not_selected_stays():
+    s = load("1l2y.pdb")
+    sides = pc.build_chain(s, move="not backbone")
+    assert {hinge.kind[:3] for hinge in sides.hinges} == {"chi"}
+    r = pc.minimise(sides, energy("1l2y.pdb"), "lbfgs")
+    backbone = np.isin(s.atom_name, ("N", "CA", "C", "O"))
+    assert r.status == Status.CONVERGED and r.end.energy < r.start.energy - 10
+    assert np.abs(r.x - s.positions)[backbone].max() < 1e-12
+    region = pc.build_chain(s, move="resid 5:9")
+    assert {int(hinge.residue_number) for hinge in region.hinges} == set(range(5, 10))
+    r = pc.minimise(region, energy("1l2y.pdb"), "cartesian")
+    chosen = np.isin(s.atom_residue, range(4, 9))
+    assert r.status == Status.CONVERGED and np.array_equal(region.moving, chosen)
+    assert np.abs(r.x - s.positions)[~chosen].max() < ROUND_OFF_NM
+    assert np.abs(r.x - s.positions)[chosen].min() > 0
+
+
+def test_selections_that_cannot_be_are_refused():
+    s = load("1l2y.pdb")
+    for selection, word in (
+        ("rezid 5", "cannot be read"),
+        ("resid 300", "names no atom"),
+        ("name OXT", "no bond"),
+    ):
+        with pytest.raises(pc.ProtochainError, match=word):
+            pc.build_chain(s, move=selection)
+
+
+def test_open_angles_change_and_lower_the_energy_further():
+    s, e = load("1l2y.pdb"), energy("1l2y.pdb")
+    c = pc.build_chain(s, "phi psi chi angles")
+    assert {hinge.kind for hinge in c.hinges if hinge.is_angle} == {"angle N", "angle CA"}
+    r, closed = pc.minimise(c, e, "lbfgs"), pc.minimise(chain("1l2y.pdb"), e, "lbfgs")
+    assert r.status == Status.CONVERGED and r.end.energy < closed.end.energy - 5
+    opened = np.array([hinge.atoms for hinge in c.hinges if hinge.is_angle])
+    at = c.tree.q_start[c.hinge_body[[hinge.is_angle for hinge in c.hinges]]]
+    assert angles(opened, r.x) == pytest.approx(r.q[at], abs=GEOMETRY_RAD)
+    assert np.abs(r.q - c.q0)[at].max() > 0.01
+    assert np.abs(bond_lengths(s.bonds, r.x) - bond_lengths(s.bonds, s.positions)).max() < GEOMETRY_NM
+    with pytest.raises(pc.ProtochainError, match="articulated"):
+        pc.solve_mass(c, pc.pose(c, c.q0), np.ones(c.n_v), method="fixman")
+
+
+def test_starts_are_a_distribution_that_a_seed_repeats():
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    first, again, other = (pc.explore(c, e, "lbfgs", 5, seed=seed, spread=0.5) for seed in (3, 3, 4))
+    assert all(np.array_equal(a.x, b.x) for a, b in zip(first.solutions, again.solutions, strict=True))
+    assert not np.array_equal(first.solutions[1].x, other.solutions[1].x)
+    assert np.array_equal(first.solutions[0].x, pc.minimise(c, e, "lbfgs", seed=3).x)
+    energies = first.table["energy_end_reference_kj_mol"]
+    assert first.best.end.energy == energies.min() == first.summary()["energy_lowest_kj_mol"]
+    assert len(set(energies.round(1))) > 1 and first.summary()["n_starts"] == 5
+    assert len(pc.explore(c, e, "lbfgs", 2, seed=3, spread=0.5).solutions) == 2
+    json.dumps(first.overall())
+
+
+def test_hops_keep_minima_as_metropolis_does():
+    found = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", 6, spread=0.5, hop_temperature=0.0)
+    kept = [s.end.energy for s, ok in zip(found.solutions, found.accepted, strict=True) if ok]
+    assert kept == sorted(kept, reverse=True) and len(kept) < 6
+    random = np.random.default_rng(0)
+    share = np.mean([_accept(2.0, 300.0, random) for _ in range(20_000)])
+    assert share == pytest.approx(np.exp(-2.0 / (8.31446e-3 * 300.0)), abs=0.01)
+    assert _accept(-1.0, 0.0, random) and not _accept(1e-3, 0.0, random)
+
+
+RESUMED = ("kcm", "kcm-decaying", "kcm-stiffness", "kcm-armijo", "kcm-transient", "fire", "newton", "lbfgs",
+           "cartesian", "hybrid")  # fmt: skip
+
+
+@pytest.mark.parametrize("method", RESUMED)
+def test_a_run_that_goes_on_takes_the_steps_of_one_that_never_stopped(method, tmp_path):
+    c, s = chain("1l2y.pdb"), load("1l2y.pdb")
+    file = tmp_path / "run.npz"
+    whole = pc.minimise(c, pc.energy(s), method, max_evaluations=90)
+    pc.minimise(c, pc.energy(s), method, max_evaluations=37, checkpoint=file)
+    rest = pc.minimise(c, pc.energy(s), method, max_evaluations=90, resume=file)
+    assert np.array_equal(rest.x, whole.x) and rest.end == whole.end
+    assert (rest.n_evaluations, rest.n_iterations) == (whole.n_evaluations, whole.n_iterations)
+    assert rest.status == whole.status
+
+
+def test_an_interrupted_run_goes_on(tmp_path):
+    def watch(row, x):
+        if row["iteration"] == 20:
+            raise KeyboardInterrupt
+
+    c, e = crowded(), energy("1l2y.pdb")
+    file = tmp_path / "run.npz"
+    whole = pc.minimise(c, e, "hybrid", max_evaluations=300)
+    stopped = pc.minimise(c, e, "hybrid", max_evaluations=300, checkpoint=file, watch=watch)
+    assert stopped.status == Status.INTERRUPTED
+    assert np.array_equal(pc.minimise(c, e, "hybrid", max_evaluations=300, resume=file).x, whole.x)
+
+
+def test_checkpoints_that_do_not_fit_are_refused(tmp_path):
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    file = tmp_path / "run.npz"
+    pc.minimise(c, e, "lbfgs", max_evaluations=5, checkpoint=file)
+    for options, word in (
+        ({"method": "newton"}, "method 'lbfgs', not 'newton'"),
+        ({"method": "lbfgs", "tolerance": 2.0}, "tolerance 1.0, not 2.0"),
+        ({"method": "openmm"}, "keeps no state"),
+    ):
+        with pytest.raises(pc.ProtochainError, match=word):
+            pc.minimise(c, e, resume=file, **options)
+    with pytest.raises(pc.ProtochainError, match="start"):
+        pc.minimise(pc.build_chain(pc.from_sequence("AAAAAAAAAA")), e, "lbfgs", resume=file)
+    for content, word in ((b"", "not a checkpoint"), (file.read_bytes()[:300], "not a checkpoint")):
+        bad = tmp_path / "bad.npz"
+        bad.write_bytes(content)
+        with pytest.raises(pc.ProtochainError, match=word):
+            pc.minimise(c, e, "lbfgs", resume=bad)
+    with pytest.raises(pc.ProtochainError, match="not found"):
+        pc.minimise(c, e, "lbfgs", resume=tmp_path / "none.npz")
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "hybrid", "kcm-stiffness", "newton"])
+def test_the_number_of_threads_changes_no_bit_of_a_result(method):
+    c = chain("1l2y.pdb")
+    one, two = (
+        pc.minimise(c, pc.energy(c.structure, threads=threads), method, max_evaluations=120)
+        for threads in (1, 2)
+    )
+    assert np.array_equal(one.x, two.x) and one.end == two.end
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"restraint": -1.0}, "none below 0"),
+        ({"restraint": (1.0, float("nan"))}, "none below 0"),
+        ({"max_rmsd": 0.0}, "max-rmsd 0"),
+        ({"method": "openmm", "max_rmsd": 1.0}, "cannot be held"),
+    ],
+)
+def test_restraints_that_make_no_sense_are_refused(options, word):
+    with pytest.raises(pc.ProtochainError, match=word):
+        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"n_starts": 0}, "at least 1"),
+        ({"spread": 0.0}, "above 0"),
+        ({"hop_temperature": -1.0}, "not below 0"),
+    ],
+)
+def test_starts_that_make_no_sense_are_refused(options, word):
+    with pytest.raises(pc.ProtochainError, match=word):
+        pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", **options)
