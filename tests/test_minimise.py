@@ -123,10 +123,10 @@ def test_the_two_loop_recursion_is_the_dense_bfgs_inverse():
     n, root = 6, rng.normal(size=(6, 6))
     hessian = root @ root.T + np.eye(n)
     steps = rng.normal(size=(4, n))
-    pairs = tuple((s, hessian @ s) for s in steps)
-    s, y = pairs[-1]
+    pairs = tuple((s, hessian @ s, s @ hessian @ s) for s in steps)
+    s, y, _ = pairs[-1]
     inverse = (s @ y) / (y @ y) * np.eye(n)
-    for s, y in pairs:
+    for s, y, _ in pairs:
         left = np.eye(n) - np.outer(s, y) / (s @ y)
         inverse = left @ inverse @ left.T + np.outer(s, s) / (s @ y)
     torque = rng.normal(size=n)

@@ -66,13 +66,13 @@ def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any]) 
         If the file cannot be read, or belongs to a run with other settings.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = dict(file)
         text = json.loads(str(arrays.pop("text")))
         theirs, tree = text["settings"], text["waypoint"]
     except FileNotFoundError:
         raise ProtochainError(f"{path}: not found; give the checkpoint of an earlier run") from None
-    except (OSError, EOFError, ValueError, KeyError, TypeError, BadZipFile) as error:
+    except (OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile) as error:
         raise ProtochainError(f"{path}: not a checkpoint ({error})") from None
     for name, value in settings.items():
         if theirs.get(name) != value:

@@ -4,6 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.linalg.blas import daxpy, ddot
 
 from protochain.arrays import Floats
 from protochain.minimisers.metrics import Metric, Preconditioner, Solve, Stiffness
@@ -13,8 +14,8 @@ from protochain.minimisers.steps import strong_wolfe
 _CURVATURE = 1e-10
 """A pair with less curvature than this (relative) would make the metric singular: it is left out."""
 
-Pairs = tuple[tuple[Floats, Floats], ...]
-"""Steps and the falls in torque along them, oldest first, each of positive curvature."""
+Pairs = tuple[tuple[Floats, Floats, float], ...]
+"""Steps, the falls in torque along them, and the products of both, which are positive; oldest first."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,9 @@ class LBFGS:
                 step, change = length * direction, state.at.torque - at.torque
                 # Torques of atoms on top of one another have no representable square: no pair then.
                 with np.errstate(over="ignore"):
-                    curved = step @ change > _CURVATURE * np.linalg.norm(step) * np.linalg.norm(change)
-                if curved:
-                    recent.append((step, change))
+                    curvature = float(step @ change)
+                    if curvature > _CURVATURE * np.linalg.norm(step) * np.linalg.norm(change):
+                        recent.append((step, change, curvature))
                 return Memory(at, state.preconditioner.next(space, at), tuple(recent))
         return None
 
@@ -76,8 +77,8 @@ def quasi_newton(torque: Floats, pairs: Pairs, solve: Solve = np.copy) -> Floats
     ----------
     torque : (n_v,) float
         Minus the gradient.
-    pairs : tuple of ((n_v,) float, (n_v,) float)
-        Steps and the falls in torque along them, oldest first, each of positive curvature.
+    pairs : tuple of ((n_v,) float, (n_v,) float, float)
+        Steps, the falls in torque along them, and the (positive) products of both; oldest first.
     solve : callable
         With the first estimate of the Hessian, but for its scale.
 
@@ -88,14 +89,14 @@ def quasi_newton(torque: Floats, pairs: Pairs, solve: Solve = np.copy) -> Floats
     """
     direction = torque.copy()
     weights = []
-    for step, change in reversed(pairs):
-        weight = (step @ direction) / (step @ change)
-        direction -= weight * change
-        weights.append(weight)
+    # In place, by BLAS: with many pairs temporaries would cost more than the energy of a small protein.
+    for step, change, curvature in reversed(pairs):
+        weights.append(ddot(step, direction) / curvature)
+        daxpy(change, direction, a=-weights[-1])
     direction = solve(direction)
     if pairs:
-        step, change = pairs[-1]
-        direction *= (step @ change) / (change @ solve(change))
-    for (step, change), weight in zip(pairs, reversed(weights), strict=True):
-        direction += (weight - (change @ direction) / (step @ change)) * step
+        _, change, curvature = pairs[-1]
+        direction *= curvature / ddot(change, solve(change))
+    for (step, change, curvature), weight in zip(pairs, reversed(weights), strict=True):
+        daxpy(step, direction, a=weight - ddot(change, direction) / curvature)
     return direction
