@@ -20,10 +20,10 @@ import protochain as pc
 SAMPLES = Path(__file__).parents[2] / "structures"
 DEFAULT = ("ala10", "1l2y", "1vii", "1ejg", "3i40", "4pti", "1ubq", "1hel")
 MORE = (
-    "1le1_trpzip2.pdb", "a6pa6_alpha.pdb", "trpcage_d9e_missing.pdb", "1ajj_ldlr.pdb", "1bx8_hirustasin.pdb",
-    "1fas_fasciculin.cif", "1orc_icode.pdb", "2sdf_sdf1_nmr30.pdb", "1a8o_mse.pdb",
-    "2k39_ubiquitin_nmr15.pdb", "1bta_barstar.pdb", "4cup_missing.cif", "t4l_l99a_amber.pdb", "1ake_A.pdb", "boltz2_5ht2c.cif",
-    "3enl_enolase.pdb",
+    "1le1_trpzip2.pdb", "a6pa6_alpha.pdb", "trpcage_d9e_missing.pdb", "1ajj_ldlr.pdb",
+    "1bx8_hirustasin.pdb", "1fas_fasciculin.cif", "1orc_icode.pdb", "2sdf_sdf1_nmr30.pdb", "1a8o_mse.pdb",
+    "2k39_ubiquitin_nmr15.pdb", "1bta_barstar.pdb", "4cup_missing.cif", "t4l_l99a_amber.pdb",
+    "1ake_A.pdb", "boltz2_5ht2c.cif", "3enl_enolase.pdb",
 )  # fmt: skip
 """Of a larger collection: crystal, NMR and predicted, 12 to 436 residues."""
 

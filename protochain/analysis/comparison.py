@@ -246,7 +246,7 @@ def compare(
 def _flat(value: Any) -> Any:
     if isinstance(value, dict):
         return "; ".join(f"{count} {name}" for name, count in value.items())
-    return "; ".join(value) if isinstance(value, list) else value
+    return "; ".join(map(str, value)) if isinstance(value, list) else value
 
 
 def _write_text(path: Path, text: str) -> None:

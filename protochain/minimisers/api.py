@@ -18,14 +18,15 @@ from protochain.energies.factory import energy as build_energy
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
+from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.methods import DEFAULT_METHOD, IN_TORSIONS, METHODS
 from protochain.minimisers.openmm_reference import local_energy_minimizer
-from protochain.minimisers.problem import Evaluation, Force, Space
+from protochain.minimisers.problem import Evaluation, Space
 from protochain.minimisers.restraints import Leash
 from protochain.minimisers.solution import Recorder, Solution, Watcher
 from protochain.minimisers.spaces import Cartesian, Torsions
-from protochain.minimisers.stages import SINGLE_PRECISION_ENDS, Hold, stages, walk
+from protochain.minimisers.stages import SINGLE_PRECISION_ENDS, Hold, Outcome, Stage, stages, walk
 from protochain.minimisers.verdict import judge, rebuilt, verdict
 from protochain.structure import Structure, ca_rmsd, load
 
@@ -154,13 +155,9 @@ def _minimise(run: _Run, checkpoint: Path | None, resume: Path | None, watch: Wa
     _warm(chain, moving, energy, in_torsions)
 
     record = Recorder(structure, watch)
-    restraint: Force | None = None
     if method == "openmm":
-        stop, x, n_iterations, n_evaluations = _by_openmm(
-            chain, energy, tolerance, run.max_evaluations, record
-        )
-        space: Space = Cartesian(structure, chain.moving)
-        end_chain, at = _posed(chain, x)
+        plan = [Stage(Cartesian(structure, chain.moving), LBFGS(), (energy,), tolerance)]
+        done = _by_openmm(chain, energy, plan[0], run.max_evaluations, record)
     else:
         plan = stages(method, chain, energy, moving, tolerance, run.hold)
         waypoint = load_checkpoint(resume, plan, run.settings) if resume else None
@@ -171,21 +168,19 @@ def _minimise(run: _Run, checkpoint: Path | None, resume: Path | None, watch: Wa
         done = walk(plan, chain, run.max_evaluations, allowed, partial(_note, record), waypoint)
         if checkpoint and done.waypoint:
             save_checkpoint(checkpoint, done.waypoint, run.settings)
-        stop, n_iterations, n_evaluations = done.stop, done.n_iterations, done.n_evaluations
-        space, restraint = done.stage.space, done.stage.restraint
-        in_torsions = isinstance(space, Torsions)
-        end_chain, at = (chain, pose(chain, done.q)) if in_torsions else _posed(chain, done.x)
     seconds = perf_counter() - record.started
 
+    space, restraint = done.stage.space, done.stage.restraint
+    turned = isinstance(space, Torsions)
+    end_chain, at = (chain, pose(chain, done.q)) if turned else _posed(chain, done.x)
     end = judge(end_chain, energy, at, restraint)
     if not end.energy <= start.energy:
-        end_chain, at, end = chain, first, judge(chain, energy, first, restraint)
-    residual = end.max_torque if isinstance(space, Torsions) else end.rms_force
-    complete = method == "openmm" or done.stage is plan[-1]
+        at, end = first, judge(chain, energy, first, restraint)
+    residual = end.max_torque if turned else end.rms_force
     held = ", restraints included" if restraint else ""
     measured = f"{space.unit.format(residual)} for a tolerance of {tolerance:g}{held}, in double precision"
-    met = complete and residual <= tolerance
-    status, message = verdict(stop, met, measured, structure, at.x, n_evaluations)
+    met = done.stage is plan[-1] and residual <= tolerance
+    status, message = verdict(done.stop, met, measured, structure, at.x, done.n_evaluations)
     return Solution(
         method=method,
         chain=chain,
@@ -196,14 +191,15 @@ def _minimise(run: _Run, checkpoint: Path | None, resume: Path | None, watch: Wa
         energy=energy(at.x)[0],
         status=status,
         message=message,
-        n_iterations=n_iterations,
-        n_evaluations=n_evaluations,
+        n_iterations=done.n_iterations,
+        n_evaluations=done.n_evaluations,
         seconds=seconds,
         trace=record.trace(),
         start=start,
         end=end,
         ca_rmsd_angstrom=ca_rmsd(structure, at.x, structure.positions),
         tolerance=tolerance,
+        hold=run.hold,
         seed=run.seed,
     )
 
@@ -243,16 +239,18 @@ def _posed(chain: Chain, x: Floats) -> tuple[Chain, Pose]:
 
 
 def _warm(chain: Chain, moving: Energy, energy: Energy, in_torsions: bool) -> None:
-    """Compute everything a run computes once."""
-    space: Space = Torsions(chain)
+    """Compute everything a run computes once: an energy twice, since its second call looks at the first's
+    lists."""
+    x = chain.structure.positions
     if in_torsions or moving is not energy:
-        moving(chain.structure.positions)
+        space = Torsions(chain)
         unmoved = space.move(chain.q0, np.zeros(chain.n_v))
         nothing = Evaluation(unmoved, space.positions(unmoved), 0.0, np.zeros(chain.n_v), 0.0)
         space.stiffness(nothing)(nothing.torque)
         space.inertia(nothing)(nothing.torque)
+        moving(x), moving(x)
     if not in_torsions:
-        energy(chain.structure.positions)
+        energy(x), energy(x)
 
 
 def _note(record: Recorder, at: Evaluation, space: Space, n_evaluations: int) -> None:
@@ -260,9 +258,7 @@ def _note(record: Recorder, at: Evaluation, space: Space, n_evaluations: int) ->
     record(at.x, at.energy - at.restraint, torque, n_evaluations)
 
 
-def _by_openmm(
-    chain: Chain, energy: Energy, tolerance: float, max_evaluations: int, record: Recorder
-) -> tuple[Stop, Floats, int, int]:
+def _by_openmm(chain: Chain, energy: Energy, stage: Stage, max_evaluations: int, record: Recorder) -> Outcome:
     x, n_iterations, n_evaluations = chain.structure.positions, 0, 1
     record(x, energy(x)[0], np.nan, 1)
     stop = Stop.BUDGET
@@ -272,14 +268,14 @@ def _by_openmm(
             break
         note = partial(_note_cartesian, record, n_evaluations)
         stop, x, iterations, evaluations = local_energy_minimizer(
-            energy, platform, x, tolerance, max_evaluations - n_evaluations, note
+            energy, platform, x, stage.tolerance, max_evaluations - n_evaluations, note
         )
         n_iterations += iterations
         n_evaluations += evaluations
         _, forces = energy.reference(x)
-        if stop not in SINGLE_PRECISION_ENDS or np.sqrt(np.mean(forces**2)) <= tolerance:
+        if stop not in SINGLE_PRECISION_ENDS or np.sqrt(np.mean(forces**2)) <= stage.tolerance:
             break
-    return stop, x, n_iterations, n_evaluations
+    return Outcome(stop, stage, stage.space.start(x), n_iterations, n_evaluations, None)
 
 
 def _note_cartesian(record: Recorder, before: int, x: Floats, energy: float, evaluations: int) -> None:

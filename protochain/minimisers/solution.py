@@ -13,6 +13,7 @@ from protochain.arrays import Floats
 from protochain.chain import Chain
 from protochain.energies.protocol import Energy
 from protochain.minimisers.methods import IN_TORSIONS
+from protochain.minimisers.stages import Hold
 from protochain.minimisers.verdict import Judgement, Status
 from protochain.structure import Structure, save
 from protochain.structure.superpose import rmsd_angstrom
@@ -100,6 +101,8 @@ class Solution:
     ca_rmsd_angstrom : float
         From start to end, superposed.
     tolerance : float
+    hold : Hold
+        What kept it near its start.
     seed : int
     """
 
@@ -120,6 +123,7 @@ class Solution:
     end: Judgement
     ca_rmsd_angstrom: float
     tolerance: float
+    hold: Hold
     seed: int
 
     @property
@@ -175,6 +179,9 @@ class Solution:
             "ca_rmsd_angstrom": self.ca_rmsd_angstrom,
             "tolerance": self.tolerance,
             "tolerance_unit": "kJ/mol/rad" if self.method in IN_TORSIONS else "kJ/mol/nm",
+            "move": chain.move,
+            "restraint_kj_mol_nm2": list(self.hold.restraint),
+            "max_rmsd_angstrom": self.hold.max_rmsd,
             "iterations": self.n_iterations,
             "evaluations": self.n_evaluations,
             "seconds": self.seconds,

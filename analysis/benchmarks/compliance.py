@@ -1,0 +1,163 @@
+"""The compliance method: its limit cycle, what cures it, and what each of its kin needs.
+
+    python analysis/benchmarks/compliance.py -o DIR
+
+1. Evaluations to a largest torque of 1 kJ/mol/rad on the samples, against scipy's L-BFGS-B on the same
+   problem.
+2. Met-enkephalin from random dihedrals: where KCM with a fixed step ends, by the step; and with every
+   other setting.
+"""
+
+import argparse
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from scipy.optimize import minimize
+
+import protochain as pc
+from protochain.chain import pose, rigid_groups
+from protochain.minimisers.kcm import KCM
+from protochain.minimisers.loop import Stop, run
+from protochain.minimisers.methods import IN_TORSIONS
+from protochain.minimisers.problem import BudgetSpentError, Problem
+from protochain.minimisers.spaces import Torsions
+from protochain.minimisers.stages import parting, walk
+from protochain.minimisers.steps import Fixed
+
+SAMPLES = Path(__file__).parents[2] / "structures"
+NAMES = ("ala10", "1l2y", "1vii", "1ejg", "3i40", "4pti", "1ubq")
+STEPS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
+STARTS = 12
+BUDGET = 2000
+
+
+def random_starts(structure: pc.Structure, number: int) -> list[pc.Chain]:
+    """Chains at random dihedrals, their overlaps parted."""
+    base = pc.build_chain(structure, "phi psi chi omega rotors")
+    chains = []
+    for k in range(number):
+        q = base.q0.copy()
+        turns = [hinge.kind != "omega" for hinge in base.hinges]
+        q[base.tree.q_start[base.hinge_body[turns]]] = np.random.default_rng(k).uniform(
+            -np.pi, np.pi, sum(turns)
+        )
+        chain = pc.build_chain(structure.with_positions(pose(base, q).x), base.opened)
+        done = walk([parting(Torsions(chain))], chain, 500, None, lambda *_: None)
+        chains.append(pc.build_chain(structure.with_positions(done.x), base.opened))
+    return chains
+
+
+def problem_of(chain: pc.Chain, energy, budget: int) -> Problem:
+    """Return a chain's energy with what is constant left out."""
+    at = pose(chain, chain.q0).x
+    return Problem(Torsions(chain), energy.without_constants(rigid_groups(chain), at), budget)
+
+
+def enkephalin(output: Path) -> None:
+    """Print where each setting ends, and draw where the fixed step does."""
+    structure = pc.from_sequence("YGGFM")
+    energy = pc.energy(structure)
+    settings = {f"kcm, {step:g} rad": KCM(Fixed(step)) for step in STEPS}
+    settings |= {name: method for name, method in IN_TORSIONS.items() if name != "kcm"}
+    rows = []
+    for k, chain in enumerate(random_starts(structure, STARTS)):
+        for name, method in settings.items():
+            problem = problem_of(chain, energy, BUDGET)
+            points = []
+            ending = run(problem, method, chain.q0, 1e-3, BUDGET, points.append)
+            residuals = np.array([point.residual for point in points])
+            met = np.flatnonzero(residuals <= 1.0)
+            circling = residuals[-50:] if ending.stop is Stop.BUDGET else residuals[-1:]
+            rows.append(
+                {
+                    "start": k, "setting": name, "stop": ending.stop.name,
+                    "torque_end_kj_mol_rad": np.median(circling),
+                    "energy_end_kj_mol": problem.best.energy,
+                    "evaluations": problem.n_evaluations, "met_1": bool(len(met)),
+                }
+            )  # fmt: skip
+    table = pd.DataFrame(rows)
+    table.to_csv(output / "enkephalin.csv", index=False)
+    print(f"Met-enkephalin, {STARTS} random starts, {BUDGET} evaluations, tolerance 0.001 kJ/mol/rad\n")
+    print("| setting | converged | reached 1 | median torque at the end | median evaluations |")
+    print("|---|--:|--:|--:|--:|")
+    for name in settings:
+        own = table[table.setting == name]
+        done, met = (own.stop == "TOLERANCE").mean(), own.met_1.mean()
+        print(
+            f"| {name} | {100 * done:.0f} % | {100 * met:.0f} % | {own.torque_end_kj_mol_rad.median():.3g} "
+            f"| {own.evaluations.median():.0f} |"
+        )
+    figure, axis = plt.subplots(figsize=(6, 4))
+    fixed = [table[table.setting == f"kcm, {step:g} rad"].torque_end_kj_mol_rad for step in STEPS]
+    axis.errorbar(
+        STEPS, [ends.median() for ends in fixed], fmt="o-", label="fixed step",
+        yerr=np.array([[e.median() - e.quantile(0.25), e.quantile(0.75) - e.median()] for e in fixed]).T,
+    )  # fmt: skip
+    for style, name in zip(("--", ":", "-."), ("kcm-decaying", "kcm-adaptive", "kcm-stiffness"), strict=True):
+        end = table[table.setting == name].torque_end_kj_mol_rad.median()
+        axis.axhline(max(end, 1e-4), linestyle=style, color="grey", label=name)
+    axis.set(xscale="log", yscale="log", xlabel="step, rad", ylabel="largest torque at the end, kJ/mol/rad")
+    axis.legend()
+    figure.tight_layout()
+    figure.savefig(output / "limit-cycle.png", dpi=150)
+
+
+def scipy_evaluations(problem: Problem, q: np.ndarray) -> float:
+    """Count what L-BFGS-B needs; it begins again, a little aside, where its line search breaks off."""
+    need = []
+
+    def value_and_gradient(turn):
+        at = problem.evaluate(q + turn)
+        if at.residual <= 1.0:
+            need.append(problem.n_evaluations)
+            raise BudgetSpentError
+        return at.energy, -at.torque
+
+    limits = {"maxcor": 20, "ftol": 0.0, "gtol": 0.5, "maxiter": 20_000, "maxfun": 20_000}
+    try:
+        for attempt in range(20):
+            aside = np.random.default_rng(attempt).normal(scale=1e-4, size=len(q))
+            minimize(value_and_gradient, aside, jac=True, method="L-BFGS-B", options=limits)
+    except BudgetSpentError:
+        pass
+    return need[0] if need else np.inf
+
+
+def evaluations() -> None:
+    """Print what every torsion method needs on the samples."""
+    names = ("kcm-adaptive", "kcm-metric", "kcm-stiffness", "newton", "lbfgs")
+    print("\nEvaluations to 1 kJ/mol/rad, of 10,000 at most\n")
+    print("| structure | hinges | L-BFGS-B | " + " | ".join(names) + " |")
+    print("|---" * (len(names) + 3) + "|")
+    for name in NAMES:
+        structure = pc.load(SAMPLES / f"{name}.pdb")
+        chain, energy = pc.build_chain(structure), pc.energy(structure)
+        # Free roots turn on a group of their own, which scipy does not know.
+        plain = chain.n_q == chain.n_v
+        needs = [scipy_evaluations(problem_of(chain, energy, 10_000), chain.q0) if plain else np.nan]
+        for method in names:
+            problem = problem_of(chain, energy, 10_000)
+            end = run(problem, IN_TORSIONS[method], chain.q0, 1.0, 10_000, lambda at: None)
+            needs.append(problem.n_evaluations if end.last.state.at.residual <= 1.0 else np.inf)
+        shown = " | ".join(
+            "-" if np.isnan(need) else f"{need:.0f}".replace("inf", "> 10000") for need in needs
+        )
+        print(f"| {name} | {chain.n_hinges} | {shown} |", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
+    evaluations()
+    enkephalin(options.output)
+
+
+if __name__ == "__main__":
+    main()
