@@ -38,7 +38,7 @@ Forcefield = Annotated[
     str, typer.Option(help="amber14, amber19, amber99sb, amber99sbildn, charmm36, or an OpenMM XML file.")
 ]
 Solvent = Annotated[str, typer.Option(help="vacuum, obc2 or gbn2.")]
-Hinges = Annotated[str, typer.Option(help="Bonds that turn: any of phi psi omega chi rotors.")]
+Hinges = Annotated[str, typer.Option(help="Freedoms: any of phi psi omega chi rotors angles.")]
 Engine = Annotated[str, typer.Option(help="auto, native or openmm.")]
 Method = Annotated[
     str, typer.Option(help="hybrid, cartesian, lbfgs, newton, kcm, openmm ...: an unknown one lists them.")

@@ -239,8 +239,10 @@ def _posed(chain: Chain, x: Floats) -> tuple[Chain, Pose]:
 
 
 def _warm(chain: Chain, moving: Energy, energy: Energy, in_torsions: bool) -> None:
-    """Compute everything a run computes once: an energy twice, since its second call looks at the first's
-    lists."""
+    """Compute everything a run computes once.
+
+    Energies twice: the second call looks whether the first's neighbour lists still hold.
+    """
     x = chain.structure.positions
     if in_torsions or moving is not energy:
         space = Torsions(chain)

@@ -23,6 +23,10 @@ PATIENCE = 500
 HYBRID_TORQUE = 300.0
 """kJ/mol/rad. Torsions go no further before all atoms move: the rest of the strain is in bonds and angles."""
 
+PARTED = ("lbfgs", "newton", "hybrid")
+"""Methods that part overlaps before they ask the force field. KCM is left as published; atoms that all may
+move find their own way."""
+
 SINGLE_PRECISION_ENDS = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
 """Endings that may be single precision's fault: its noise, or numbers beyond 1e38 where atoms overlap."""
 
@@ -154,15 +158,15 @@ def stages(
     structure = chain.structure
     torsions, cartesian = Torsions(chain), Cartesian(structure, chain.moving)
     held = [_restraint(chain, strength, hold.max_rmsd) for strength in hold.restraint or (0.0,)]
+    apart = [parting(torsions)] if method in PARTED and overlaps(structure, structure.positions) else []
     if method in IN_TORSIONS:
-        return [Stage(torsions, IN_TORSIONS[method], _engines(moving), tolerance, each) for each in held]
+        return apart + [
+            Stage(torsions, IN_TORSIONS[method], _engines(moving), tolerance, each) for each in held
+        ]
     polish = [Stage(cartesian, LBFGS(), _engines(energy), tolerance, each) for each in held]
     if method == "cartesian":
         return polish
-    first = Stage(torsions, LBFGS(), _engines(moving), HYBRID_TORQUE, held[0])
-    if not overlaps(structure, structure.positions):
-        return [first, *polish]
-    return [parting(torsions), first, *polish]
+    return [*apart, Stage(torsions, LBFGS(), _engines(moving), HYBRID_TORQUE, held[0]), *polish]
 
 
 def parting(space: Torsions) -> Stage:
