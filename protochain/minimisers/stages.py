@@ -13,12 +13,17 @@ from protochain.minimisers.contacts import overlaps
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Ending, Method, Snapshot, Stop, run
 from protochain.minimisers.methods import IN_TORSIONS
+from protochain.minimisers.metrics import Stiffness
 from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Problem, Space
 from protochain.minimisers.restraints import SOFT_TETHER, Leash, SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian, Torsions
 
 PATIENCE = 500
 """Evaluations without a new lowest energy after which a run counts as stalled."""
+
+FREE = LBFGS(Stiffness(lasts=40))
+"""All atoms: bonds and angles, which are most of the stiffness, change little; to make the matrix anew costs
+as much as some evaluations."""
 
 HYBRID_TORQUE = 300.0
 """kJ/mol/rad. Torsions go no further before all atoms move: the rest of the strain is in bonds and angles."""
@@ -163,7 +168,7 @@ def stages(
         return apart + [
             Stage(torsions, IN_TORSIONS[method], _engines(moving), tolerance, each) for each in held
         ]
-    polish = [Stage(cartesian, LBFGS(), _engines(energy), tolerance, each) for each in held]
+    polish = [Stage(cartesian, FREE, _engines(energy), tolerance, each) for each in held]
     if method == "cartesian":
         return polish
     return [*apart, Stage(torsions, LBFGS(), _engines(moving), HYBRID_TORQUE, held[0]), *polish]
