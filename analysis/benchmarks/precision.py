@@ -87,7 +87,8 @@ def show(traces: pd.DataFrame, ends: pd.DataFrame, output: Path) -> None:
                         met = trace[trace.energy_kj_mol <= limit]
                         need.append(met[unit].iloc[0] if len(met) else np.inf)
                     first, middle, third = np.quantile(need, [0.25, 0.5, 0.75], method="higher")
-                    cells.append(f"{middle:.3g} ({first:.3g}-{third:.3g})".replace("inf", "-"))
+                    quartiles = f"{middle:.3g} ({first:.3g} to {third:.3g})"
+                    cells.append(quartiles.replace("inf", "never").replace("never (never to never)", "never"))
                 mine = last[last.method == method]
                 cells.append(f"{(mine.status == 'converged').sum()} of {len(mine)}")
                 cells.append(f"{mine.ca_rmsd_angstrom.median():.2f}")
