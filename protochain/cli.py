@@ -234,6 +234,7 @@ def info(
     from protochain.articulate import build_chain
     from protochain.chain import rigid_groups
     from protochain.energies import energy as build_energy
+    from protochain.minimisers.contacts import overlaps
     from protochain.structure import load
 
     imported = perf_counter()
@@ -256,6 +257,7 @@ def info(
         "loops": [f"{structure.describe(a)} - {structure.describe(b)}" for a, b in chain.loops.tolist()],
         "left_out": dict(structure.left_out),
         "repairs": list(structure.repairs),
+        "overlaps": [f"{each}; {each.remedy}" for each in overlaps(structure, structure.positions, chain)],
         "engine": energy.engine,
         "engine_reason": energy.reason,
         "constant_terms": dict(energy.left_out),

@@ -136,6 +136,43 @@ def test_bad_input_is_one_line_and_status_2_and_writes_nothing(arguments, words,
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 
 
+def test_options_of_a_run_arrive_and_are_recorded(tmp_path):
+    sample = STRUCTURES / "ala10.pdb"
+    done = protochain(
+        "minimise", sample, "--json", "--method", "lbfgs", "--move", "resid 3:8", "--max-rmsd", 0.5,
+        "--restrain", "100 0", "--max-evaluations", 6, "--checkpoint", "c.npz", "-o", "a.pdb", cwd=tmp_path,
+    )  # fmt: skip
+    record = json.loads(done.stdout)
+    assert (record["move"], record["max_rmsd_angstrom"]) == ("resid 3:8", 0.5)
+    assert record["restraint_kj_mol_nm2"] == [100.0, 0.0] and record["status"] == "budget"
+    done = protochain(
+        "minimise", sample, "--json", "--method", "lbfgs", "--move", "resid 3:8", "--max-rmsd", 0.5,
+        "--restrain", "100 0", "--resume", "c.npz", "-o", "a.pdb", cwd=tmp_path,
+    )  # fmt: skip
+    assert json.loads(done.stdout)["evaluations"] > 6
+    done = protochain(
+        "minimise", sample, "--json", "--method", "lbfgs", "--starts", 3, "--spread", 30, "-o", "b.pdb",
+        cwd=tmp_path,
+    )  # fmt: skip
+    record = json.loads(done.stdout)
+    assert len(record["starts"]) == record["starts_summary"]["n_starts"] == 3
+    energies = [start["energy_end_reference_kj_mol"] for start in record["starts"]]
+    assert record["energy_end_reference_kj_mol"] == min(energies)
+
+
+def test_overlaps_are_named_before_a_run(tmp_path):
+    lines = (STRUCTURES / "ala10.pdb").read_text().splitlines()
+    atoms = [k for k, line in enumerate(lines) if line.startswith("ATOM")]
+    first, last = lines[atoms[0]], next(lines[k] for k in atoms if lines[k][12:26] == " CB  ALA A   9")
+    x = float(first[30:38]) + 0.5
+    lines[lines.index(last)] = f"{last[:30]}{x:8.3f}{first[38:54]}{last[54:]}"
+    (tmp_path / "in.pdb").write_text("\n".join(lines))
+    shown = json.loads(protochain("info", "in.pdb", "--json", cwd=tmp_path).stdout)["overlaps"]
+    assert any("atom CB of residue 9 ALA" in line and "atom N of residue 1 ALA" in line for line in shown)
+    done = protochain("minimise", "in.pdb", "--max-evaluations", 5, cwd=tmp_path)
+    assert "angstrom apart" in done.stderr and "turning bonds can part them" in done.stderr
+
+
 def test_force_lets_the_input_be_replaced(tmp_path):
     path = tmp_path / "in.pdb"
     path.write_text((STRUCTURES / "ala10.pdb").read_text())
