@@ -132,6 +132,11 @@ class Solution:
         return self.chain.structure.with_positions(self.x)
 
     @property
+    def keeps_geometry(self) -> bool:
+        """Whether only hinges turned: bond lengths and angles (but for open ones) are the start's."""
+        return self.method in IN_TORSIONS
+
+    @property
     def is_usable(self) -> bool:
         """Whether the end has a finite energy at all."""
         return bool(np.isfinite(self.end.energy))
@@ -178,7 +183,7 @@ class Solution:
             "rms_force_end_kj_mol_nm": self.end.rms_force,
             "ca_rmsd_angstrom": self.ca_rmsd_angstrom,
             "tolerance": self.tolerance,
-            "tolerance_unit": "kJ/mol/rad" if self.method in IN_TORSIONS else "kJ/mol/nm",
+            "tolerance_unit": "kJ/mol/rad" if self.keeps_geometry else "kJ/mol/nm",
             "move": chain.move,
             "restraint_kj_mol_nm2": list(self.hold.restraint),
             "max_rmsd_angstrom": self.hold.max_rmsd,
