@@ -36,7 +36,8 @@ def build_chain(
         Kinds of bond that turn, of ``phi psi omega chi rotors``; with ``angles``, the backbone's bond angles
         at N and C-alpha open too, wherever phi or psi beside them turns. Rings are always rigid.
     root : str
-        ``fixed``, ``free``, or ``auto``: free where several chains move against one another.
+        ``fixed``, ``free``, or ``auto``: free where several chains move against one another. A chain with
+        atoms that may not move is always fixed.
     move : str
         What may move, in the selection language of MDAnalysis: a hinge turns if the third atom of its
         dihedral is selected (``resid 5:20``: all dihedrals of these residues; ``not backbone``: side chains
@@ -72,10 +73,11 @@ def build_chain(
         of = "" if move == "all" else f" in {move!r}"
         raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}{of}; open more of them")
     molecule = _components(structure.n_atoms, bonds)
-    roots = [
-        _root_atom(structure, np.flatnonzero(molecule == m), moving, group) for m in range(molecule.max() + 1)
-    ]
-    free = root == "free" or (root == "auto" and len(roots) > 1)
+    parts = [np.flatnonzero(molecule == m) for m in range(molecule.max() + 1)]
+    roots = [_root_atom(structure, atoms, moving, group) for atoms in parts]
+    # What holds atoms that are to stay does not move as a whole either.
+    loose = root == "free" or (root == "auto" and len(roots) > 1)
+    free = [loose and bool(moving[atoms].all()) for atoms in parts]
     tree, atom_body, atom_local, carried, q0 = _walk(
         structure, turning, group, roots, free, "angles" in kinds
     )
@@ -202,7 +204,12 @@ def _middle_atom(structure: Structure, atoms: Integers) -> int:
 
 
 def _walk(
-    structure: Structure, hinges: list[Hinge], group: Integers, roots: list[int], free: bool, angles: bool
+    structure: Structure,
+    hinges: list[Hinge],
+    group: Integers,
+    roots: list[int],
+    free: list[bool],
+    angles: bool,
 ) -> tuple[Tree, Integers, Floats, list[tuple[int, Hinge]], list[float]]:
     """Walk outward from each root atom's group and number the bodies in that order.
 
@@ -227,17 +234,17 @@ def _walk(
     offset, placement, origin, rotation = (list[Floats]() for _ in range(4))
     carried: list[tuple[int, Hinge]] = []
     q0: list[float] = []
-    for root in roots:
+    for root, is_free in zip(roots, free, strict=True):
         centre = x[group == group[root]].mean(axis=0)
         queue = deque([int(group[root])])
         body_of[queue[0]] = len(parent)
         parent.append(-1)
-        kind.append(HingeKind.FREE if free else HingeKind.FIXED)
-        offset.append(np.zeros(3) if free else centre)
+        kind.append(HingeKind.FREE if is_free else HingeKind.FIXED)
+        offset.append(np.zeros(3) if is_free else centre)
         placement.append(np.eye(3))
         origin.append(centre)
         rotation.append(np.eye(3))
-        q0 += [1.0, 0.0, 0.0, 0.0, *centre] if free else []
+        q0 += [1.0, 0.0, 0.0, 0.0, *centre] if is_free else []
         while queue:
             inboard = queue.popleft()
             for hinge, inner, outer in crossings.get(inboard, []):

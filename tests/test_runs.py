@@ -115,6 +115,16 @@ def test_what_is_not_selected_stays():
     assert np.abs(r.x - s.positions)[chosen].min() > 0
 
 
+def test_a_chain_that_holds_what_stays_does_not_move_as_a_whole():
+    s = load("3i40.pdb")
+    c = pc.build_chain(s, move="chainID A and not backbone")
+    other = s.residue_chain[s.atom_residue] != "A"
+    assert c.n_q == c.n_v == c.n_hinges > 0
+    r = pc.minimise(c, energy("3i40.pdb"), "lbfgs", max_evaluations=30)
+    assert np.abs(r.x - s.positions)[other].max() < ROUND_OFF_NM and r.end.energy < r.start.energy
+    assert pc.build_chain(s, move="chainID A").n_v == pc.build_chain(s, move="chainID A").n_hinges + 6
+
+
 def test_selections_that_cannot_be_are_refused():
     s = load("1l2y.pdb")
     for selection, word in (
