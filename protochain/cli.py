@@ -26,6 +26,8 @@ CONVERGED, FAILED, BAD_INPUT, UNCONVERGED = 0, 1, 2, 3
 """Exit statuses: 1 when nothing usable was made, 3 when a usable result is not converged."""
 
 _SHOWN_OVERLAPS = 5
+"""Of all that are found before a run; ``info`` lists the rest."""
+
 app = typer.Typer(
     help="Minimise the energy of protein chains, and compare how.",
     rich_markup_mode=None,
@@ -112,6 +114,8 @@ def minimise(
     check_settings(method, tolerance, max_evaluations, hold, bool(checkpoint or resume))
     if starts > 1 and (checkpoint or resume or trajectory):
         raise ProtochainError("starts: a checkpoint or trajectory is of one run; give one start")
+    if starts == 1 and hop is not None:
+        raise ProtochainError("hop: goes from minimum to minimum; give --starts 2 or more")
     suffix = ".cif" if source.suffix.lower() in (".cif", ".mmcif") else ".pdb"
     output = output or Path(f"{source.stem}.{method}{suffix}")
     check_format(output)
