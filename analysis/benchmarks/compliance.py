@@ -27,10 +27,10 @@ from protochain.minimisers.stages import parting, walk
 from protochain.minimisers.steps import Fixed
 
 SAMPLES = Path(__file__).parents[2] / "structures"
-NAMES = ("ala10", "1l2y", "1vii", "1ejg", "4pti")
+NAMES = ("ala10", "1l2y", "1vii")
 MOST = 4000
 STEPS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
-STARTS = 10
+STARTS = 6
 BUDGET = 2000
 
 
