@@ -96,6 +96,22 @@ def test_stiffness_in_torsions_is_that_of_the_springs_between_atoms(name, hinges
     assert np.linalg.eigvalsh(found).min() > -1e-9 * np.abs(expected).max()
 
 
+def test_a_spring_at_contact_is_as_stiff_as_a_lennard_jones_well_and_softens_outward():
+    s = load("1l2y.pdb")
+    near = springs.contacts(s, s.positions, 3)
+    distance = np.linalg.norm(np.diff(s.positions[near.pairs], axis=1)[:, 0], axis=1)
+    touch = radii(s)[near.pairs].sum(axis=1)
+    r, h = touch, 1e-5
+
+    def well(r):
+        return springs.DEPTH * ((touch / r) ** 12 - 2 * (touch / r) ** 6)
+
+    curvature = (well(r + h) - 2 * well(r) + well(r - h)) / h**2
+    softer = np.exp(-springs.DECAY * (distance - touch) / touch)
+    assert near.stiffness == pytest.approx(curvature * softer, rel=1e-4)
+    assert near.stiffness[distance > touch].max() < near.stiffness[distance < 0.9 * touch].max()
+
+
 @pytest.mark.parametrize("hinges", ["phi psi chi", "phi psi chi angles"])
 def test_metrics_solve_with_their_matrices(hinges):
     c = chain("3i40.pdb", hinges)
