@@ -225,6 +225,16 @@ def test_checkpoints_that_do_not_fit_are_refused(tmp_path):
         pc.minimise(c, e, "lbfgs", resume=tmp_path / "none.npz")
 
 
+def test_what_an_energy_computed_before_changes_no_bit():
+    c = chain("1ejg.pdb")
+    used, fresh = pc.energy(c.structure), pc.energy(c.structure)
+    x = c.structure.positions
+    # Near enough for its neighbour lists to hold at the start too, and to be others.
+    used(x + np.random.default_rng(0).uniform(-0.02, 0.02, x.shape))
+    first, second = (pc.minimise(c, e, "cartesian", max_evaluations=30) for e in (used, fresh))
+    assert np.array_equal(first.x, second.x)
+
+
 @pytest.mark.parametrize("method", ["lbfgs", "hybrid", "kcm-stiffness", "newton"])
 def test_the_number_of_threads_changes_no_bit_of_a_result(method):
     c = chain("1l2y.pdb")
