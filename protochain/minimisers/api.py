@@ -22,7 +22,7 @@ from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.methods import DEFAULT_METHOD, IN_TORSIONS, METHODS
 from protochain.minimisers.openmm_reference import local_energy_minimizer
-from protochain.minimisers.problem import Evaluation, Space
+from protochain.minimisers.problem import Evaluation, Space, evaluate
 from protochain.minimisers.restraints import Leash
 from protochain.minimisers.solution import Recorder, Solution, Watcher
 from protochain.minimisers.spaces import Cartesian, Torsions
@@ -246,11 +246,10 @@ def _warm(chain: Chain, moving: Energy, energy: Energy, in_torsions: bool) -> No
     x = chain.structure.positions
     if in_torsions or moving is not energy:
         space = Torsions(chain)
-        unmoved = space.move(chain.q0, np.zeros(chain.n_v))
-        nothing = Evaluation(unmoved, space.positions(unmoved), 0.0, np.zeros(chain.n_v), 0.0)
-        space.stiffness(nothing)(nothing.torque)
-        space.inertia(nothing)(nothing.torque)
-        moving(x), moving(x)
+        at = evaluate(space, moving, space.move(chain.q0, np.zeros(chain.n_v)))
+        space.stiffness(at)(at.torque)
+        space.inertia(at)(at.torque)
+        moving(x)
     if not in_torsions:
         energy(x), energy(x)
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from protochain.minimisers.fire import Fire
-from protochain.minimisers.kcm import KCM, by_largest, by_length, by_sign
+from protochain.minimisers.kcm import KCM, by_length, by_sign
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Method
 from protochain.minimisers.metrics import Mass, Stiffness
@@ -28,13 +28,10 @@ IN_TORSIONS: Mapping[str, Method] = MappingProxyType(
         "lbfgs": LBFGS(),
     }
 )
-"""Methods that turn hinges, bond lengths and angles as they came. ``by_largest`` is the norm where none is
-named."""
+"""Methods that turn hinges, bond lengths and angles as they came."""
 
 METHODS = (*IN_TORSIONS, "cartesian", "hybrid", "openmm")
 """All of them: ``cartesian`` moves all atoms, ``hybrid`` turns hinges first, ``openmm`` is OpenMM's
 minimiser."""
 
 DEFAULT_METHOD = "hybrid"
-
-__all__ = ["DEFAULT_METHOD", "IN_TORSIONS", "METHODS", "by_largest"]

@@ -60,11 +60,8 @@ class Space(Protocol):
     def start(self, x: Floats) -> Floats:
         """Coordinates (n_q,) of positions (na, 3)."""
 
-    def torque(self, q: Floats, x: Floats, forces: Floats) -> Floats:
-        """Turn forces (na, 3) on the atoms into torques (n_v,) on the freedoms."""
-
-    def positions(self, q: Floats) -> Floats:
-        """Positions (na, 3) in nm at q."""
+    def place(self, q: Floats) -> tuple[Floats, Callable[[Floats], Floats]]:
+        """Positions (na, 3) in nm at q, and what turns forces (na, 3) there into torques (n_v,)."""
 
     def residual(self, torque: Floats) -> float:
         """Return what the tolerance is held against."""
@@ -142,11 +139,11 @@ class Problem:
 
 def evaluate(space: Space, energy: Force, q: Floats, restraint: Force | None = None) -> Evaluation:
     """Energy and torques at q, uncounted."""
-    x = space.positions(q)
+    x, pull_back = space.place(q)
     value, forces = energy(x)
     held = 0.0
     if restraint is not None:
         held, pull = restraint(x)
         forces = forces + pull
-    torque = space.torque(q, x, forces)
+    torque = pull_back(forces)
     return Evaluation(q, x, value + held, torque, space.residual(torque), held)

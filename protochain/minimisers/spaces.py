@@ -59,13 +59,10 @@ class Torsions:
             raise ValueError("a chain starts at its own positions")
         return self.chain.q0
 
-    def positions(self, q: Floats) -> Floats:
-        """Positions (na, 3) in nm at q."""
-        return pose(self.chain, q).x
-
-    def torque(self, q: Floats, x: Floats, forces: Floats) -> Floats:
-        """Joint torques, J^T f."""
-        return self.scale * pull_back(self.chain, pose(self.chain, q), forces)
+    def place(self, q: Floats) -> tuple[Floats, Callable[[Floats], Floats]]:
+        """Positions (na, 3) in nm at q, and J^T f of forces there."""
+        at = pose(self.chain, q)
+        return at.x, lambda forces: self.scale * pull_back(self.chain, at, forces)
 
     def residual(self, torque: Floats) -> float:
         """Largest torque, kJ/mol/rad."""
@@ -114,13 +111,9 @@ class Cartesian:
         """Coordinates at x."""
         return x.flatten()
 
-    def positions(self, q: Floats) -> Floats:
-        """Positions (na, 3) in nm at q."""
-        return q.reshape(-1, 3)
-
-    def torque(self, q: Floats, x: Floats, forces: Floats) -> Floats:
-        """Return the forces on the atoms that may move, row after row."""
-        return np.where(self.moving[:, None], forces, 0.0).ravel()
+    def place(self, q: Floats) -> tuple[Floats, Callable[[Floats], Floats]]:
+        """Positions (na, 3) in nm at q, and the forces on atoms that may move, row after row."""
+        return q.reshape(-1, 3), lambda forces: np.where(self.moving[:, None], forces, 0.0).ravel()
 
     def residual(self, torque: Floats) -> float:
         """RMS force over the components that may move, kJ/mol/nm."""

@@ -139,7 +139,7 @@ class Outcome:
     @property
     def x(self) -> Floats:
         """(na, 3) float, nm."""
-        return self.stage.space.positions(self.q)
+        return self.stage.space.place(self.q)[0]
 
 
 def stages(
@@ -241,9 +241,9 @@ def walk(
         elif j and stop not in SINGLE_PRECISION_ENDS:
             continue
         elif i and not j and plan[i - 1].space is not stage.space:
-            q = stage.space.start(plan[i - 1].space.positions(q))
+            q = stage.space.start(plan[i - 1].space.place(q)[0])
         problem = Problem(stage.space, stage.engines[j], max_evaluations, stage.restraint, allowed)
-        problem.restore(None, n_evaluations, n_evaluations, stage.space.positions(q))
+        problem.restore(None, n_evaluations, n_evaluations, stage.space.place(q)[0])
 
         def note(at: Evaluation, stage: Stage = stage, problem: Problem = problem) -> None:
             if not stage.soft:

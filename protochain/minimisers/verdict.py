@@ -46,10 +46,10 @@ class Judgement:
 def judge(chain: Chain, energy: Energy, at: Pose, restraint: Force | None = None) -> Judgement:
     """Judge a pose of a chain on the Reference platform; restraints count for the residuals only."""
     value, forces = energy.reference(at.x)
-    torsions, cartesian = Torsions(chain), Cartesian(chain.structure, chain.moving)
     held = forces + restraint(at.x)[1] if restraint else forces
-    torque = torsions.torque(at.q, at.x, held)
-    return Judgement(value, torsions.residual(torque), cartesian.residual(cartesian.torque(at.q, at.x, held)))
+    torsions, cartesian = Torsions(chain), Cartesian(chain.structure, chain.moving)
+    torque, force = torsions.place(at.q)[1](held), cartesian.place(at.x.ravel())[1](held)
+    return Judgement(value, torsions.residual(torque), cartesian.residual(force))
 
 
 def rebuilt(chain: Chain, x: Floats) -> Chain:
