@@ -265,6 +265,8 @@ def test_restraints_that_make_no_sense_are_refused(options, word):
         ({"n_starts": 0}, "at least 1"),
         ({"spread": 0.0}, "above 0"),
         ({"hop_temperature": -1.0}, "not below 0"),
+        ({"max_rmsd": 1.0}, "each start's own"),
+        ({"restraint": (10.0,)}, "each start's own"),
     ],
 )
 def test_starts_that_make_no_sense_are_refused(options, word):

@@ -141,7 +141,8 @@ def explore(
     each : callable, optional
         Called with the number and solution of each start.
     **settings
-        As in :func:`protochain.minimise`.
+        As in :func:`protochain.minimise`, but for ``restraint`` and ``max_rmsd``: they would hold a run near
+        its own perturbed start.
 
     Returns
     -------
@@ -159,6 +160,8 @@ def explore(
         raise ProtochainError(f"spread {spread:g}: give an angle above 0, in rad")
     if hop_temperature is not None and not 0 <= hop_temperature < np.inf:
         raise ProtochainError(f"temperature {hop_temperature:g}: give kelvin, not below 0")
+    if settings.get("restraint", ()) != () or settings.get("max_rmsd", np.inf) < np.inf:
+        raise ProtochainError("starts: restrain and max-rmsd would hold to each start's own; give one start")
     solutions: list[Solution] = []
     accepted: list[bool] = []
     here, lowest = chain, np.inf
