@@ -10,6 +10,7 @@ _WHERE = {
     "Chain": "chain",
     "Comparison": "analysis",
     "ProtochainError": "errors",
+    "Simulation": "dynamics",
     "Solution": "minimisers",
     "Status": "minimisers",
     "Starts": "minimisers",
@@ -28,13 +29,14 @@ _WHERE = {
     "pose": "chain",
     "pull_back": "chain",
     "save": "structure",
+    "simulate": "dynamics",
     "solve_mass": "chain",
 }
 
 __all__ = [
-    "Chain", "Comparison", "ProtochainError", "Solution", "Starts", "Status", "Structure", "build_chain",
-    "ca_rmsd", "compare", "energy", "explore", "from_sequence", "load", "log_det_mass", "mass_matrix",
-    "minimise", "minimize", "multibody", "pose", "pull_back", "save", "solve_mass",
+    "Chain", "Comparison", "ProtochainError", "Simulation", "Solution", "Starts", "Status", "Structure",
+    "build_chain", "ca_rmsd", "compare", "energy", "explore", "from_sequence", "load", "log_det_mass",
+    "mass_matrix", "minimise", "minimize", "multibody", "pose", "pull_back", "save", "simulate", "solve_mass",
 ]  # fmt: skip
 
 

@@ -25,7 +25,12 @@ ON_AXIS = np.deg2rad(5.0)
 
 
 def build_chain(
-    structure: Structure, hinges: str = "phi psi chi", root: str = "auto", *, move: str = "all"
+    structure: Structure,
+    hinges: str = "phi psi chi",
+    root: str = "auto",
+    *,
+    move: str = "all",
+    hydrogen_mass: float | None = None,
 ) -> Chain:
     """Cut a structure into rigid bodies joined by hinges.
 
@@ -43,6 +48,9 @@ def build_chain(
         dihedral is selected (``resid 5:20``: all dihedrals of these residues; ``not backbone``: side chains
         only). Turning one carries along all that hangs on it; atoms that are not selected stay where they are
         only in methods that move single atoms, and between hinges that are all closed.
+    hydrogen_mass : float, optional, amu
+        Mass of a hydrogen, taken from the atom it is bonded to: light rotors turn slower, and dynamics can
+        take longer steps. Equilibria do not change, only how fast they are reached.
 
     Returns
     -------
@@ -53,7 +61,7 @@ def build_chain(
     Raises
     ------
     ChainError
-        If a kind of hinge is unknown or nothing can turn.
+        If a kind of hinge is unknown, nothing can turn, or hydrogens would take more than there is.
     StructureError
         If the selection cannot be read or names no atom.
     """
@@ -79,7 +87,7 @@ def build_chain(
     loose = root == "free" or (root == "auto" and len(roots) > 1)
     free = [loose and bool(moving[atoms].all()) for atoms in parts]
     tree, atom_body, atom_local, carried, q0 = _walk(
-        structure, turning, group, roots, free, "angles" in kinds
+        structure, _masses(structure, hydrogen_mass), turning, group, roots, free, "angles" in kinds
     )
     return Chain(
         structure=structure,
@@ -94,7 +102,24 @@ def build_chain(
         root=root,
         move=move,
         moving=read_only(moving, np.bool_),
+        hydrogen_mass=hydrogen_mass,
     )
+
+
+def _masses(structure: Structure, hydrogen_mass: float | None) -> Floats:
+    """Mass of each atom, amu, with hydrogens made as heavy as is asked for."""
+    mass = structure.atom_mass.copy()
+    if hydrogen_mass is None:
+        return mass
+    light = structure.atom_element == "H"
+    for bond in structure.bonds:
+        for hydrogen, heavy in (bond, bond[::-1]):
+            if light[hydrogen] and not light[heavy]:
+                mass[heavy] -= hydrogen_mass - mass[hydrogen]
+                mass[hydrogen] = hydrogen_mass
+    if not (hydrogen_mass > 0.0 and np.all(mass > 0.0)):
+        raise ChainError(f"hydrogen-mass {hydrogen_mass:g} amu: give a mass above 0 and at most about 4")
+    return mass
 
 
 def _is_loop(structure: Structure) -> np.ndarray:
@@ -205,6 +230,7 @@ def _middle_atom(structure: Structure, atoms: Integers) -> int:
 
 def _walk(
     structure: Structure,
+    atom_mass: Floats,
     hinges: list[Hinge],
     group: Integers,
     roots: list[int],
@@ -274,7 +300,7 @@ def _walk(
 
     atom_body = np.array([body_of[int(g)] for g in group])
     frames = Frames(np.array(rotation), np.array(origin))
-    mass, com, inertia = _bodies(structure, atom_body, np.array(parent), carried, frames)
+    mass, com, inertia = _bodies(x, atom_mass, atom_body, np.array(parent), carried, frames)
     tree = Tree(np.array(parent), np.array(kind), np.array(offset), np.array(placement), mass, com, inertia)
     return tree, atom_body, _in_frames(frames, atom_body, x), carried, q0
 
@@ -321,7 +347,8 @@ def _in_frames(frames: Frames, body: Integers, x: Floats) -> Floats:
 
 
 def _bodies(
-    structure: Structure,
+    x: Floats,
+    atom_mass: Floats,
     atom_body: Integers,
     parent: Integers,
     carried: list[tuple[int, Hinge]],
@@ -336,11 +363,11 @@ def _bodies(
     for body, hinge in carried:
         for atom in hinge.on_axis:
             holders.setdefault(atom, set()).update((body, int(parent[body])))
-    atoms = np.arange(structure.n_atoms)
+    atoms = np.arange(len(x))
     alone = ~np.isin(atoms, list(holders))
     shares = [(atom, body, 1.0 / len(bodies)) for atom, bodies in holders.items() for body in sorted(bodies)]
     point_atom = np.concatenate([atoms[alone], np.array([a for a, _, _ in shares], dtype=np.int64)])
     point_body = np.concatenate([atom_body[alone], np.array([b for _, b, _ in shares], dtype=np.int64)])
     part = np.concatenate([np.ones(alone.sum()), [share for _, _, share in shares]])
-    local = _in_frames(frames, point_body, structure.positions[point_atom])
-    return rigid_bodies(point_body, local, part * structure.atom_mass[point_atom], len(frames.origin))
+    local = _in_frames(frames, point_body, x[point_atom])
+    return rigid_bodies(point_body, local, part * atom_mass[point_atom], len(frames.origin))

@@ -73,6 +73,8 @@ class Chain:
         The kinds of hinge and of root, and the selection of what may move, it was built with.
     moving : (na,) bool
         Atoms that may move by themselves, in methods that move atoms: the selection.
+    hydrogen_mass : float or None, amu
+        Mass that hydrogens were given.
     """
 
     structure: Structure
@@ -87,6 +89,7 @@ class Chain:
     root: str
     move: str
     moving: NDArray[np.bool_]
+    hydrogen_mass: float | None = None
 
     @property
     def n_atoms(self) -> int:
@@ -148,9 +151,14 @@ def pose(chain: Chain, q: Floats) -> Pose:
         Rebuilt from q and fixed body-frame coordinates, so bond lengths and angles cannot drift. O(n).
     """
     frames = multibody.pose(chain.tree, q)
+    return Pose(read_only(q), frames, place_atoms(chain, frames))
+
+
+def place_atoms(chain: Chain, frames: Frames) -> Floats:
+    """Positions (na, 3) in nm of the atoms, from the frames of their bodies."""
     x = np.empty((chain.n_atoms, 3))
     _place_atoms(chain.atom_body, chain.atom_local, frames.rotation, frames.origin, x)
-    return Pose(read_only(q), frames, frozen(x))
+    return frozen(x)
 
 
 def rigid_groups(chain: Chain) -> Integers:

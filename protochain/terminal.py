@@ -5,6 +5,9 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from protochain.dynamics.simulate import Watcher as SimulationWatcher
     from protochain.minimisers.solution import Watcher
 
 _SHOWN = {
@@ -44,6 +47,44 @@ def progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
             bar.update(task, completed=row["evaluations"], now=now)
 
         yield watch
+
+
+@contextmanager
+def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["SimulationWatcher"]:
+    """Show a bar with time, temperature, nanoseconds a day and the time left, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[now]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(name, total=n_steps, now="")
+
+        def watch(row: "Mapping[str, float]", x: Any) -> None:
+            speed = bar.tasks[0].speed
+            rate = "" if speed is None else f", {86.4 * speed * time_step:.1f} ns/day"
+            now = f"{row['time_ps']:.1f} ps, {row['temperature_k']:.0f} K{rate}"
+            bar.update(task, completed=row["step"], now=now)
+
+        yield watch
+
+
+def print_simulation(record: dict[str, Any]) -> None:
+    """Print in a few lines what a simulation was."""
+    kept = "" if record["accepted"] is None else f", {100 * record['accepted']:.0f} % of trajectories kept"
+    print(
+        f"{record['structure']}: {record['message']}, {record['ns_per_day']:.1f} ns/day\n"
+        f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half, "
+        f"conserved energy drifts {record['conserved_drift_kj_mol_ps_per_100_atoms']:.2g} kJ/mol/ps "
+        f"for 100 atoms{kept}\n"
+        f"C-alpha RMSD to the start {record['ca_rmsd_angstrom']:.2f} angstrom\n"
+        f"written: {record['output']}"
+    )
 
 
 def print_table(records: list[dict[str, Any]]) -> None:

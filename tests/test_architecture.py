@@ -12,9 +12,10 @@ PACKAGE = ROOT / "protochain"
 MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
 
 LAYERS = [
-    {"units", "errors", "arrays", "residues"},
+    {"units", "errors", "arrays", "residues", "interrupts"},
     {"multibody", "structure", "energies"},
-    {"chain", "articulate"},
+    {"chain", "articulate", "storage"},
+    {"dynamics"},
     {"minimisers"},
     {"analysis"},
     {"terminal"},

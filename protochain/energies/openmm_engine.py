@@ -31,6 +31,7 @@ class OpenMMEnergy:
 
     engine = "openmm"
     left_out: Mapping[str, int] = MappingProxyType({})
+    lists_at: Floats | None = None
 
     def __init__(
         self,
@@ -63,6 +64,9 @@ class OpenMMEnergy:
     def without_constants(self, groups: Integers, x: Floats) -> "OpenMMEnergy":
         """Return itself: OpenMM computes all terms, constant or not."""
         return self
+
+    def list_at(self, x: Floats) -> None:
+        """Do nothing: OpenMM's lists are its own."""
 
     @cached_property
     def reference(self) -> "OpenMMEnergy":

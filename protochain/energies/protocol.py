@@ -52,5 +52,12 @@ class Energy(Protocol):
     def fingerprint(self) -> str:
         """SHA-256 of the System."""
 
+    @property
+    def lists_at(self) -> Floats | None:
+        """Positions (na, 3) in nm that its neighbour lists were made at, if it keeps any of its own."""
+
+    def list_at(self, x: Floats) -> None:
+        """Make its neighbour lists as they are at positions x (na, 3), as after computing there first."""
+
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""

@@ -1,11 +1,9 @@
 """A stopped run as a file to go on from: arrays and plain values, nothing that could run when it is read."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -18,7 +16,7 @@ from protochain.minimisers.metrics import Preconditioner
 from protochain.minimisers.newton import Continuation, Position
 from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.stages import Stage, Waypoint
-from protochain.structure.write import write_atomically
+from protochain.storage import read_arrays, write_arrays
 
 _VALUES = {
     kind.__name__: kind
@@ -41,13 +39,7 @@ def save_checkpoint(path: Path, waypoint: Waypoint, settings: Mapping[str, Any])
     arrays: dict[str, np.ndarray] = {}
     known: dict[int, Any] = {}
     tree = _plain(waypoint, arrays, known)
-    text = json.dumps({"settings": dict(settings), "waypoint": tree})
-
-    def write(to: Path) -> None:
-        with to.open("wb") as file:
-            np.savez(file, allow_pickle=False, text=np.array(text), **arrays)
-
-    write_atomically(path, write)
+    write_arrays(path, arrays, tree, settings)
 
 
 def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any]) -> Waypoint:
@@ -65,20 +57,7 @@ def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any]) 
     ProtochainError
         If the file cannot be read, or belongs to a run with other settings.
     """
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = dict(file)
-        text = json.loads(str(arrays.pop("text")))
-        theirs, tree = text["settings"], text["waypoint"]
-    except FileNotFoundError:
-        raise ProtochainError(f"{path}: not found; give the checkpoint of an earlier run") from None
-    except (OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile) as error:
-        raise ProtochainError(f"{path}: not a checkpoint ({error})") from None
-    for name, value in settings.items():
-        if theirs.get(name) != value:
-            raise ProtochainError(
-                f"{path}: is of a run with {name} {theirs.get(name)!r}, not {value!r}; repeat its settings"
-            )
+    arrays, tree = read_arrays(path, settings)
     try:
         stage = plan[tree["fields"]["stage"]]
         waypoint: Waypoint = _value(tree, arrays, stage)

@@ -1,15 +1,13 @@
 """OpenMM's own minimiser, as the reference: all atoms free, Cartesian L-BFGS."""
 
-import signal
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import numpy as np
 import openmm
 
 from protochain.arrays import Floats
 from protochain.energies import Energy, OpenMMEnergy
+from protochain.interrupts import held_interrupts
 from protochain.minimisers.loop import Stop
 
 
@@ -84,7 +82,7 @@ def local_energy_minimizer(
     Stop, (na, 3) float, int, int
         Why it ended, the positions of lowest energy, iterations, evaluations of the forces.
     """
-    with _held_interrupts() as interrupts:
+    with held_interrupts() as interrupts:
         reporter = _Reporter(record, max_evaluations, interrupts)
         _minimise(energy, platform, x, tolerance, reporter)
     best = x if reporter.best_x is None else reporter.best_x
@@ -103,23 +101,3 @@ def _minimise(energy: Energy, platform: str, x: Floats, tolerance: float, report
     except (openmm.OpenMMException, _Enough):
         if reporter.stop is Stop.NO_DESCENT:
             reporter.stop = Stop.NON_FINITE
-
-
-@contextmanager
-def _held_interrupts() -> Iterator[list[int]]:
-    """Collect signals instead of raising KeyboardInterrupt, which OpenMM would make its own exception."""
-    caught: list[int] = []
-    held = []
-    if threading.current_thread() is threading.main_thread():
-        held = [
-            number
-            for number in (signal.SIGINT, signal.SIGTERM)
-            if signal.getsignal(number) is signal.default_int_handler
-        ]
-    for number in held:
-        signal.signal(number, lambda which, _: caught.append(which))
-    try:
-        yield caught
-    finally:
-        for number in held:
-            signal.signal(number, signal.default_int_handler)

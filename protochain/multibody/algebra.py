@@ -74,6 +74,11 @@ def put(v: Vector, array: Floats, b: int, start: int) -> None:
 
 
 @kernel
+def put_at(v: Vector, array: Floats, k: int) -> None:
+    array[k], array[k + 1], array[k + 2] = v
+
+
+@kernel
 def put_matrix(m: Matrix, array: Floats, b: int) -> None:
     array[b, 0, 0], array[b, 0, 1], array[b, 0, 2] = m[0], m[1], m[2]
     array[b, 1, 0], array[b, 1, 1], array[b, 1, 2] = m[3], m[4], m[5]

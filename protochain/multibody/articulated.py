@@ -122,7 +122,7 @@ def solve(factors: Articulated, tau: Floats, loads: Floats | None = None) -> Flo
     tree, frames = factors.tree, factors.frames
     wrench = np.zeros((tree.n_bodies, 6)) if loads is None else loads.copy()
     x = floats(tau, (tree.n_v,), "tau").copy()
-    _inward_loads(
+    inward_loads(
         tree.links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot, wrench, x
     )
     outward_rates(
@@ -225,7 +225,7 @@ def factorise(
 ) -> int:  # fmt: skip
     """Return the first body whose hinge has no pivot, or -1. ``packed`` holds rigid inertias and becomes P.
 
-    One right-hand side is carried inward on the way, as :func:`_inward_loads` does: the processor has the
+    One right-hand side is carried inward on the way, as :func:`inward_loads` does: the processor has the
     time for it while it waits for the factors. Inertia and gain are taken to the parent's origin at once,
     while the pivot is still being found, and what the next body needs stays in registers.
     """
@@ -278,7 +278,7 @@ def factorise(
 
 
 @kernel
-def _inward_loads(
+def inward_loads(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
     wrench: Floats, x: Floats,
 ) -> None:  # fmt: skip

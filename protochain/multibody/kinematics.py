@@ -69,7 +69,7 @@ def pose(tree: Tree, q: Floats) -> Frames:
     """
     rotation = np.empty((tree.n_bodies, 3, 3))
     origin = np.empty((tree.n_bodies, 3))
-    _outward_frames(tree.links, tree.bodies, floats(q, (tree.n_q,), "q"), rotation, origin)
+    outward_frames(tree.links, tree.bodies, floats(q, (tree.n_q,), "q"), rotation, origin)
     return Frames(frozen(rotation), frozen(origin))
 
 
@@ -92,7 +92,7 @@ def velocities(tree: Tree, frames: Frames, qd: Floats) -> Floats:
     Featherstone, *Rigid Body Dynamics Algorithms* (2008), equation 3.33. O(n).
     """
     twists = np.empty((tree.n_bodies, 6))
-    _outward_twists(
+    outward_twists(
         tree.links, tree.bodies, frames.rotation, frames.origin, floats(qd, (tree.n_v,), "qd"), twists
     )
     return twists
@@ -158,12 +158,13 @@ def integrate(tree: Tree, q: Floats, qd: Floats) -> Floats:
         For a free root exp(omega) times its rotation, so d/dt along the path is (omega, u) throughout.
     """
     moved = floats(q, (tree.n_q,), "q").copy()
-    _integrate(tree.links, floats(qd, (tree.n_v,), "qd"), moved)
+    move_along(tree.links, floats(qd, (tree.n_v,), "qd"), moved)
     return moved
 
 
 @kernel
-def _outward_frames(links: Integers, bodies: Floats, q: Floats, rotation: Floats, origin: Floats) -> None:
+def outward_frames(links: Integers, bodies: Floats, q: Floats, rotation: Floats, origin: Floats) -> None:
+    """Write the frames of :func:`pose`."""
     cosine, sine = np.empty(len(q)), np.empty(len(q))
     cosines_and_sines(q, cosine, sine)
     for b in range(len(bodies)):
@@ -215,9 +216,10 @@ def moved_freely(at: Vector, q: Floats, k: int) -> tuple[Matrix, Vector]:
 
 
 @kernel
-def _outward_twists(
+def outward_twists(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, qd: Floats, twists: Floats
 ) -> None:
+    """Write the twists of :func:`velocities`."""
     for b in range(len(bodies)):
         p, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k
@@ -255,7 +257,7 @@ def _inward_loads(
 
 
 @kernel
-def _integrate(links: Integers, qd: Floats, q: Floats) -> None:
+def move_along(links: Integers, qd: Floats, q: Floats) -> None:
     """Overwrite q."""
     for b in range(len(links) - 1):
         k, m = links[b, Q], links[b, V]

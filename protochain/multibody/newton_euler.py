@@ -153,12 +153,13 @@ def centre_of_mass(tree: Tree, frames: Frames) -> Floats:
 def _momenta(tree: Tree, frames: Frames, twists: Floats) -> Floats:
     """(nb, 6) float: each body's angular momentum about its origin, and linear momentum."""
     momenta = np.empty((tree.n_bodies, 6))
-    _body_momenta(tree.bodies, frames.rotation, twists, momenta)
+    body_momenta(tree.bodies, frames.rotation, twists, momenta)
     return momenta
 
 
 @kernel
-def _body_momenta(bodies: Floats, rotation: Floats, twists: Floats, momenta: Floats) -> None:
+def body_momenta(bodies: Floats, rotation: Floats, twists: Floats, momenta: Floats) -> None:
+    """Write the momentum of each body: about its origin, and linear."""
     for b in range(len(bodies)):
         mass, first, second = rigid_inertia(matrix(rotation, b), bodies, b)
         omega, u = pair(twists, b)

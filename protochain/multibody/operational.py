@@ -120,7 +120,12 @@ def log_det_gradient(tree: Tree, frames: Frames) -> Floats:
     all that hangs on hinge k along its twist h changes its articulated inertia P+ by -(P+ crm(h) + its
     transpose), and ln det M by the trace of that change with the parent's Y about the hinge. O(n).
     """
-    factors = articulate(tree, frames)
+    return gradient_of_log_det(articulate(tree, frames))
+
+
+def gradient_of_log_det(factors: Articulated) -> Floats:
+    """As :func:`log_det_gradient`, from factors that are known."""
+    tree, frames = factors.tree, factors.frames
     gradient = np.zeros(tree.n_v)
     _outward_gradient(
         tree.links, tree.bodies, frames.rotation, frames.origin, _gain_at_hinge(factors), factors.pivot,

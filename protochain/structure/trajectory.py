@@ -1,45 +1,114 @@
-"""Frames of a run -> a DCD or XTC file, through mdtraj."""
+"""Frames of a run -> a DCD or XTC file, through OpenMM's writers."""
 
+import os
+import struct
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import numpy as np
+from openmm import app
 
 from protochain.arrays import Floats
 from protochain.errors import StructureError
-from protochain.units import ANGSTROM_PER_NM
+from protochain.structure.model import Structure
+from protochain.structure.write import check_writable
+
+_DCD_COUNT = 8
+"""Where a DCD file keeps its number of frames: four bytes, little-endian."""
+
+
+def check_trajectory(path: Path) -> None:
+    """Refuse a name whose format is not known.
+
+    Raises
+    ------
+    StructureError
+        Naming the suffix.
+    """
+    if path.suffix.lower() not in (".dcd", ".xtc"):
+        raise StructureError(f"{path}: unknown trajectory suffix {path.suffix!r}; use .dcd or .xtc")
 
 
 class TrajectoryFile:
-    """Writes frames under a temporary name; the file appears when the ``with`` block ends.
+    """Writes frames to ``NAME.part.dcd``; the file gets its name when the ``with`` block ends.
 
     Parameters
     ----------
     path : path-like
         Ends in ``.dcd`` or ``.xtc``.
+    structure : Structure
+        Whose atoms they are.
+    interval : float, ps
+        Time between frames.
+    kept : tuple of int and int, optional
+        Go on with a file that has this many frames and bytes; what it has beyond them is cut off.
 
     Raises
     ------
     StructureError
-        If the suffix is neither.
+        If the suffix is neither, or the file to go on with has lost frames.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        from mdtraj.formats import DCDTrajectoryFile, XTCTrajectoryFile
-
-        formats = {".dcd": (DCDTrajectoryFile, ANGSTROM_PER_NM), ".xtc": (XTCTrajectoryFile, 1.0)}
+    def __init__(
+        self,
+        path: str | Path,
+        structure: Structure,
+        interval: float = 1.0,
+        kept: tuple[int, int] | None = None,
+    ) -> None:
         self.path = Path(path)
-        if self.path.suffix.lower() not in formats:
-            raise StructureError(f"{path}: unknown trajectory suffix {self.path.suffix!r}; use .dcd or .xtc")
-        opener, self._unit = formats[self.path.suffix.lower()]
+        check_trajectory(self.path)
+        check_writable(self.path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._temporary = self.path.with_name(f".{self.path.stem}.part{self.path.suffix}")
-        self._file: Any = opener(str(self._temporary), "w")
+        self.part = self.path.with_name(f"{self.path.stem}.part{self.path.suffix}")
+        self.n_frames = 0
+        if kept is None:
+            self.part.unlink(missing_ok=True)
+        else:
+            self._cut(*kept)
+        self._file: Any = None
+        settings = {"dt": interval, "append": kept is not None}
+        if self.path.suffix.lower() == ".dcd":
+            self._file = self.part.open("w+b" if kept is None else "r+b")
+            self._writer: Any = app.DCDFile(self._file, structure.topology, **settings)
+        else:
+            self.part.touch()
+            self._writer = app.XTCFile(str(self.part), structure.topology, **settings)
+
+    def _cut(self, n_frames: int, n_bytes: int) -> None:
+        if not self.part.exists() and self.path.exists():
+            self.path.replace(self.part)
+        if not self.part.exists() or self.part.stat().st_size < n_bytes:
+            raise StructureError(f"{self.part}: has lost frames that its checkpoint counts; begin anew")
+        with self.part.open("r+b") as file:
+            file.truncate(n_bytes)
+            if self.path.suffix.lower() == ".dcd":
+                file.seek(_DCD_COUNT)
+                file.write(struct.pack("<i", n_frames))
+        self.n_frames = n_frames
 
     def append(self, x: Floats) -> None:
         """Write one frame of positions (na, 3) in nm."""
-        self._file.write((self._unit * x)[None].astype(np.float32))
+        self._writer.writeModel(x)
+        self.n_frames += 1
+
+    def stored(self) -> tuple[int, int]:
+        """Frames and bytes that are on the disk for sure."""
+        if self._file is not None:
+            self._file.flush()
+        with self.part.open("rb") as file:
+            os.fsync(file.fileno())
+        return self.n_frames, self.part.stat().st_size
+
+    def close(self) -> None:
+        """Close the file under the name it has."""
+        if self._file is not None:
+            self._file.close()
+
+    def finish(self) -> None:
+        """Close the file and give it its name."""
+        self.close()
+        self.part.replace(self.path)
 
     def __enter__(self) -> Self:
         return self
@@ -47,8 +116,8 @@ class TrajectoryFile:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
         if kind is None:
-            self._temporary.replace(self.path)
+            self.finish()
         else:
-            self._temporary.unlink(missing_ok=True)
+            self.close()
+            self.part.unlink(missing_ok=True)

@@ -1,0 +1,87 @@
+"""``protochain compare``."""
+
+import json
+import sys
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from protochain.cli.options import (
+    CONVERGED,
+    UNCONVERGED,
+    AsJson,
+    Engine,
+    Forcefield,
+    Hinges,
+    Input,
+    MaxEvaluations,
+    Seed,
+    Solvent,
+    Threads,
+    Tolerance,
+    Trust,
+    fail,
+    prepare,
+)  # fmt: skip
+from protochain.terminal import print_table, progress
+
+if TYPE_CHECKING:
+    from protochain.minimisers.solution import Watcher
+
+
+def compare(
+    source: Input,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-comparison].")
+    ] = None,
+    methods: Annotated[str, typer.Option(help="Methods, with commas between.")] = "kcm,lbfgs,hybrid,openmm",
+    solvent: Solvent = "obc2",
+    forcefield: Forcefield = "amber14",
+    hinges: Hinges = "phi psi chi",
+    engine: Engine = "auto",
+    tolerance: Tolerance = 1.0,
+    max_evaluations: MaxEvaluations = 5000,
+    seed: Seed = 0,
+    threads: Threads = None,
+    as_json: AsJson = False,
+    trust_forcefield: Trust = False,
+) -> None:
+    """Minimise one structure by several methods; write tables, plots, structures and report.html."""
+    from protochain.analysis import compare as run
+    from protochain.minimisers.api import check_settings
+    from protochain.structure.write import check_writable
+
+    chosen = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))
+    for method in chosen:
+        check_settings(method, tolerance, max_evaluations)
+    output = output or Path(f"{source.stem}-comparison")
+    # A name with the method's added cannot be the input's own.
+    check_writable(output / "report.html")
+    chain, energy, preparation = prepare(
+        source, hinges, forcefield, solvent, engine, threads, trust_forcefield
+    )
+    with ExitStack() as shown:
+
+        def watch(method: str) -> "Watcher":
+            shown.close()
+            return shown.enter_context(progress(method, max_evaluations))
+
+        comparison = run(chain, chosen, energy, tolerance, max_evaluations, seed, watch=watch)
+    comparison = replace(comparison, origin={"input": str(source), "seconds_preparation": preparation})
+    page = comparison.report(output)
+    summary = comparison.summary()
+    missing = chosen[len(comparison.solutions) :]
+    if missing:
+        print(f"protochain: interrupted: {', '.join(missing)} left out", file=sys.stderr)
+    if as_json:
+        print(json.dumps(summary | {"output": str(output)}, allow_nan=False))
+    else:
+        print_table(summary["results"])
+        print(f"written: {page} and the tables, plots and structures beside it")
+    if not any(solution.is_usable for solution in comparison.solutions):
+        raise SystemExit(fail(f"{source}: no method made anything usable; the page says why"))
+    converged = all(solution.status == "converged" for solution in comparison.solutions)
+    raise typer.Exit(CONVERGED if converged else UNCONVERGED)

@@ -1,0 +1,79 @@
+"""Canonical momenta p = M qd, and what they feel: the gradient of the kinetic energy. O(n)."""
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers, floats
+from protochain.multibody.algebra import (
+    add,
+    add_pair,
+    cross,
+    dot,
+    hinge_axis,
+    kernel,
+    lever,
+    pair,
+    scale,
+)
+from protochain.multibody.kinematics import Frames, outward_twists
+from protochain.multibody.newton_euler import body_momenta
+from protochain.multibody.tree import PARENT, SLIDE, TURN, Tree, V
+
+
+def momenta(tree: Tree, frames: Frames, qd: Floats) -> tuple[Floats, Floats]:
+    """Canonical momenta, and the gradient of the kinetic energy at constant velocities.
+
+    Parameters
+    ----------
+    tree : Tree
+    frames : Frames
+    qd : (n_v,) float, rad/ps and nm/ps
+
+    Returns
+    -------
+    (n_v,) float
+        p = M qd. A free root's is the angular momentum of all it carries about its origin, then the linear
+        momentum; world axes.
+    (n_v,) float, kJ/mol for each unit of q
+        d(qd^T M(q) qd / 2)/dq at constant qd; for a free root, along a turn about world axes and a move.
+
+    Notes
+    -----
+    With V the twist of a body, h that of its hinge and Pi the momentum of all that hangs on it, about its
+    origin: p = h . Pi, and the gradient is (V x h) . Pi, since to turn what hangs on a hinge is to turn the
+    twist of its parent back. Lagrange's equations are then dp/dt = tau + gradient. O(n).
+    """
+    p, gradient = np.empty(tree.n_v), np.empty(tree.n_v)
+    put_momenta(
+        tree.links, tree.bodies, frames.rotation, frames.origin, floats(qd, (tree.n_v,), "qd"),
+        np.empty((tree.n_bodies, 6)), np.empty((tree.n_bodies, 6)), p, gradient,
+    )  # fmt: skip
+    return p, gradient
+
+
+@kernel
+def put_momenta(
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, qd: Floats, twists: Floats,
+    carried: Floats, p: Floats, gradient: Floats,
+) -> None:  # fmt: skip
+    """Write momenta and gradient; ``twists`` and ``carried`` are (nb, 6) of room."""
+    outward_twists(links, bodies, rotation, origin, qd, twists)
+    body_momenta(bodies, rotation, twists, carried)
+    for b in range(len(bodies) - 1, -1, -1):
+        parent, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
+        angular, linear = pair(carried, b)
+        omega, u = pair(twists, b)
+        if n_v == 1:
+            axis = hinge_axis(rotation, b)
+            turn, slide = scale(bodies[b, TURN], axis), scale(bodies[b, SLIDE], axis)
+            p[k] = dot(turn, angular) + dot(slide, linear)
+            gradient[k] = dot(cross(omega, turn), angular) + dot(
+                add(cross(omega, slide), cross(u, turn)), linear
+            )
+        elif n_v == 6:
+            p[k], p[k + 1], p[k + 2] = angular
+            p[k + 3], p[k + 4], p[k + 5] = linear
+            gradient[k], gradient[k + 1], gradient[k + 2] = add(cross(angular, omega), cross(linear, u))
+            gradient[k + 3], gradient[k + 4], gradient[k + 5] = 0.0, 0.0, 0.0
+        if parent >= 0:
+            add_pair(add(angular, cross(lever(origin, b, parent), linear)), linear, carried, parent)
