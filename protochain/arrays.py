@@ -25,7 +25,10 @@ def frozen(array: Floats) -> Floats:
 
 
 def floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
-    """Return contiguous float64 values of one shape: kernels trust what they are given.
+    """Return contiguous float64 values of one shape, as a view that cannot be written to.
+
+    Kernels trust what they are given; and numba, which compiles writable and read-only arrays apart, may take
+    either code for either, whichever it met first: rounding would depend on what was computed before.
 
     Raises
     ------
@@ -35,4 +38,4 @@ def floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.shape != shape:
         raise ProtochainError(f"{name} has shape {array.shape}, not {shape}")
-    return array
+    return frozen(array.view())

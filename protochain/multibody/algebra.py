@@ -34,8 +34,14 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def kernel(function: F) -> F:
-    """Compile a sweep: products and sums may fuse, which rounds once instead of twice."""
-    return cast(F, njit(cache=True, error_model="numpy", fastmath={"contract"})(function))
+    """Compile a sweep: products and sums may fuse, which rounds once instead of twice.
+
+    What a sweep calls becomes part of it. Left to themselves, libraries that hold copies of one function
+    share the copy that was loaded first, and copies round differently: results would depend on what was
+    computed before.
+    """
+    compile_it = njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
+    return cast(F, compile_it(function))
 
 
 @kernel

@@ -11,7 +11,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from protochain.arrays import Floats, Integers, floats
+from protochain.arrays import Floats, Integers, floats, read_only
 from protochain.energies.native import pairs
 from protochain.energies.native.evaluate import Layout, born_integrals, evaluate, lists_of
 from protochain.energies.native.neighbours import Lists, partners
@@ -151,7 +151,7 @@ class NativeEnergy:
             The same function of positions that keep the groups rigid; its forces add up to the same on
             each group.
         """
-        x = floats(x, (self._layout.terms.n_atoms, 3), "x").copy()
+        x = read_only(floats(x, (self._layout.terms.n_atoms, 3), "x"))
         terms = self._layout.terms
         kept, left_out = {}, {}
         for kind, some in (*terms.bonded.items(), ("exceptions", terms.nonbonded.exceptions)):
