@@ -26,8 +26,8 @@ from protochain.structure.write import check_fits, write_atomically
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DEFAULT_METHODS = ("kcm", "lbfgs", "hybrid", "openmm")
-"""The published method, the best in torsions, the best of all, and the reference."""
+DEFAULT_METHODS = ("kcm", "md", "lbfgs", "hybrid", "openmm")
+"""The two methods of the original comparison, the best in torsions, the best of all, and the reference."""
 
 _PACKAGES = ("protochain", "openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "mdtraj", "pandas")
 

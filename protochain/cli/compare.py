@@ -37,7 +37,9 @@ def compare(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-comparison].")
     ] = None,
-    methods: Annotated[str, typer.Option(help="Methods, with commas between.")] = "kcm,lbfgs,hybrid,openmm",
+    methods: Annotated[
+        str, typer.Option(help="Methods, with commas between.")
+    ] = "kcm,md,lbfgs,hybrid,openmm",
     solvent: Solvent = "obc2",
     forcefield: Forcefield = "amber14",
     hinges: Hinges = "phi psi chi",

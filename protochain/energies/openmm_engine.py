@@ -80,11 +80,13 @@ class OpenMMEnergy:
         """SHA-256 of the System: two energies with one fingerprint are the same function."""
         return hashlib.sha256(openmm.XmlSerializer.serialize(self.system).encode()).hexdigest()
 
-    def make_context(self, system: openmm.System) -> openmm.Context:
+    def make_context(
+        self, system: openmm.System, integrator: openmm.Integrator | None = None
+    ) -> openmm.Context:
         """Make a Context for a System on this platform with these threads."""
         platform = openmm.Platform.getPlatform(self.platform)
         properties = {"Threads": str(self.threads)} if self.platform == "CPU" else {}
-        return openmm.Context(system, openmm.VerletIntegrator(0.001), platform, properties)
+        return openmm.Context(system, integrator or openmm.VerletIntegrator(0.001), platform, properties)
 
     @cached_property
     def _context(self) -> openmm.Context:

@@ -20,8 +20,8 @@ from protochain.errors import ProtochainError
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Stop
-from protochain.minimisers.methods import DEFAULT_METHOD, IN_TORSIONS, METHODS
-from protochain.minimisers.openmm_reference import local_energy_minimizer
+from protochain.minimisers.methods import BY_OPENMM, DEFAULT_METHOD, IN_TORSIONS, METHODS
+from protochain.minimisers.openmm_reference import langevin_dynamics, local_energy_minimizer
 from protochain.minimisers.problem import Evaluation, Space, evaluate
 from protochain.minimisers.restraints import Leash
 from protochain.minimisers.solution import Recorder, Solution, Watcher
@@ -29,6 +29,9 @@ from protochain.minimisers.spaces import Cartesian, Torsions
 from protochain.minimisers.stages import SINGLE_PRECISION_ENDS, Hold, Outcome, Stage, stages, walk
 from protochain.minimisers.verdict import judge, rebuilt, verdict
 from protochain.structure import Structure, ca_rmsd, load
+
+_SETTLED = 100.0
+"""kJ/mol/nm. RMS force at which OpenMM's dynamics can begin: a strained start would be hot."""
 
 
 def minimise(
@@ -56,14 +59,16 @@ def minimise(
     method : str
         ``hybrid`` (torsions, then all atoms), ``cartesian`` (all atoms), ``lbfgs`` or ``newton`` (torsions),
         ``kcm`` (kineto-static compliance, as published) and its kin ``kcm-adaptive``, ``kcm-metric`` ...,
-        ``fire``, ``quench``, or ``openmm`` (LocalEnergyMinimizer).
+        ``fire``, ``quench``, ``md`` (damped constrained dynamics) and ``anneal`` (from 600 K), both ending in
+        a minimum by ``lbfgs``, ``openmm`` (LocalEnergyMinimizer), or ``openmm-md`` (OpenMM's dynamics at 300 K
+        with hydrogens' bonds constrained, between two minimisations).
     tolerance : float
         Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force (kJ/mol/nm), as
         recomputed in double precision, is no larger.
     max_evaluations : int
         Energy evaluations allowed.
     seed : int
-        Recorded; the methods here draw no random numbers.
+        Of ``anneal`` and ``openmm-md``; the other methods draw no random numbers.
     restraint : float or sequence of float, kJ/mol/nm^2
         Springs from the heavy atoms to their start: one strength after the other, each until it converges. 0
         as the last lets go.
@@ -132,6 +137,7 @@ class _Run:
             "hinges": self.chain.opened,
             "root": self.chain.root,
             "move": self.chain.move,
+            "seed": self.seed,
             "engine": self.energy.engine,
             "system": self.energy.fingerprint,
             "start": hashlib.sha256(self.chain.structure.positions.tobytes()).hexdigest(),
@@ -155,11 +161,11 @@ def _minimise(run: _Run, checkpoint: Path | None, resume: Path | None, watch: Wa
     _warm(chain, moving, energy, in_torsions)
 
     record = Recorder(structure, watch)
-    if method == "openmm":
+    if method in BY_OPENMM:
         plan = [Stage(Cartesian(structure, chain.moving), LBFGS(), (energy,), tolerance)]
-        done = _by_openmm(chain, energy, plan[0], run.max_evaluations, record)
+        done = _by_openmm(run, plan[0], record)
     else:
-        plan = stages(method, chain, energy, moving, tolerance, run.hold)
+        plan = stages(method, chain, energy, moving, tolerance, run.hold, run.seed)
         waypoint = load_checkpoint(resume, plan, run.settings) if resume else None
         limit = run.hold.max_rmsd
         allowed = Leash(structure, limit).allows if limit < np.inf else None
@@ -225,11 +231,11 @@ def check_settings(
         raise ProtochainError(f"restraint {hold.restraint}: give strengths in kJ/mol/nm^2, none below 0")
     if not hold.max_rmsd > 0:
         raise ProtochainError(f"max-rmsd {hold.max_rmsd:g}: give a number of angstrom above 0")
-    if method == "openmm" and hold != Hold():
-        raise ProtochainError("method 'openmm' cannot be held near its start; choose cartesian or hybrid")
-    if method == "openmm" and stoppable:
+    if method in BY_OPENMM and hold != Hold():
+        raise ProtochainError(f"method {method!r} cannot be held near its start; choose cartesian or hybrid")
+    if method in BY_OPENMM and stoppable:
         raise ProtochainError(
-            "method 'openmm' keeps no state to go on from; choose another, or no checkpoint"
+            f"method {method!r} keeps no state to go on from; choose another, or no checkpoint"
         )
 
 
@@ -259,17 +265,30 @@ def _note(record: Recorder, at: Evaluation, space: Space, n_evaluations: int) ->
     record(at.x, at.energy - at.restraint, torque, n_evaluations)
 
 
-def _by_openmm(chain: Chain, energy: Energy, stage: Stage, max_evaluations: int, record: Recorder) -> Outcome:
-    x, n_iterations, n_evaluations = chain.structure.positions, 0, 1
+def _by_openmm(run: _Run, stage: Stage, record: Recorder) -> Outcome:
+    energy, x = run.energy, run.chain.structure.positions
+    n_iterations, n_evaluations = 0, 1
     record(x, energy(x)[0], np.nan, 1)
     stop = Stop.BUDGET
+    if run.method == "openmm-md":
+        settle = partial(local_energy_minimizer, tolerance=_SETTLED)
+        for part in (settle, partial(langevin_dynamics, seed=run.seed)):
+            left = run.max_evaluations - n_evaluations
+            if left < 1:
+                break
+            note = partial(_note_cartesian, record, n_evaluations)
+            stop, x, iterations, evaluations = part(energy, "CPU", x, max_evaluations=left, record=note)
+            n_iterations += iterations
+            n_evaluations += evaluations
+            if stop is Stop.INTERRUPTED:
+                return Outcome(stop, stage, stage.space.start(x), n_iterations, n_evaluations, None)
     for platform in ("CPU", "Reference"):
-        if n_evaluations >= max_evaluations:
+        if n_evaluations >= run.max_evaluations:
             stop = Stop.BUDGET
             break
         note = partial(_note_cartesian, record, n_evaluations)
         stop, x, iterations, evaluations = local_energy_minimizer(
-            energy, platform, x, stage.tolerance, max_evaluations - n_evaluations, note
+            energy, platform, x, stage.tolerance, run.max_evaluations - n_evaluations, note
         )
         n_iterations += iterations
         n_evaluations += evaluations

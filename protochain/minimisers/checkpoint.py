@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from protochain.errors import ProtochainError
+from protochain.minimisers.annealing import Cooling
 from protochain.minimisers.fire import Moving
 from protochain.minimisers.kcm import Standing
 from protochain.minimisers.lbfgs import Memory
@@ -18,10 +19,10 @@ from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.stages import Stage, Waypoint
 from protochain.storage import read_arrays, write_arrays
 
-_VALUES = {
-    kind.__name__: kind
-    for kind in (Waypoint, Snapshot, Evaluation, Standstill, Standing, Memory, Position, Continuation, Moving)
-}
+_KINDS = (
+    Waypoint, Snapshot, Evaluation, Standstill, Standing, Memory, Position, Continuation, Moving, Cooling,
+)  # fmt: skip
+_VALUES = {kind.__name__: kind for kind in _KINDS}
 """What a checkpoint may be made of."""
 
 

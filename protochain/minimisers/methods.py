@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.fire import Fire
 from protochain.minimisers.kcm import KCM, by_length, by_sign
 from protochain.minimisers.lbfgs import LBFGS
@@ -24,14 +25,18 @@ IN_TORSIONS: Mapping[str, Method] = MappingProxyType(
         "kcm-stiffness": KCM(AcceptReject(0.0005), Stiffness()),
         "fire": Fire(),
         "quench": Fire(mixing=1.0, fade=1.0),
+        "md": Annealing(),
+        "anneal": Annealing(temperature=600.0, n_steps=2000),
         "newton": Newton(),
         "lbfgs": LBFGS(),
     }
 )
 """Methods that turn hinges, bond lengths and angles as they came."""
 
-METHODS = (*IN_TORSIONS, "cartesian", "hybrid", "openmm")
+METHODS = (*IN_TORSIONS, "cartesian", "hybrid", "openmm", "openmm-md")
 """All of them: ``cartesian`` moves all atoms, ``hybrid`` turns hinges first, ``openmm`` is OpenMM's
-minimiser."""
+minimiser, ``openmm-md`` its constrained dynamics between two minimisations."""
+
+BY_OPENMM = ("openmm", "openmm-md")
 
 DEFAULT_METHOD = "hybrid"

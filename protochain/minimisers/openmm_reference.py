@@ -89,6 +89,74 @@ def local_energy_minimizer(
     return reporter.stop, best, reporter.n_iterations, reporter.n_evaluations
 
 
+def langevin_dynamics(
+    energy: Energy,
+    platform: str,
+    x: Floats,
+    max_evaluations: int,
+    record: Callable[[Floats, float, int], None],
+    seed: int,
+) -> tuple[Stop, Floats, int, int]:
+    """Run OpenMM's constrained dynamics: 300 K, 2 fs, bonds to hydrogens at the force field's lengths.
+
+    Parameters
+    ----------
+    energy : Energy
+    platform : str
+    x : (na, 3) float, nm
+    max_evaluations : int
+    record : callable
+        As in :func:`local_energy_minimizer`.
+    seed : int
+
+    Returns
+    -------
+    Stop, (na, 3) float, int, int
+        Why it ended, the last positions, steps, evaluations of the forces: one a step.
+    """
+    own = OpenMMEnergy(energy.system, platform, energy.threads)
+    _constrain_hydrogens(own.system)
+    integrator = openmm.LangevinMiddleIntegrator(300.0, 1.0, 0.002)
+    integrator.setRandomNumberSeed(seed + 1)
+    context = own.make_context(own.system, integrator)
+    context.setPositions(np.asarray(x))
+    n_steps, done = min(_MD_STEPS, max_evaluations), 0
+    with held_interrupts() as interrupts:
+        try:
+            context.applyConstraints(1e-6)
+            context.setVelocitiesToTemperature(300.0, seed + 1)
+            while done < n_steps and not interrupts:
+                part = min(_MD_FRAME, n_steps - done)
+                integrator.step(part)
+                done += part
+                state = context.getState(positions=True, energy=True)
+                here = np.asarray(state.getPositions(asNumpy=True)._value, dtype=np.float64)
+                if not np.isfinite(here).all():
+                    return Stop.NON_FINITE, x, done, done
+                x = here
+                record(x, state.getPotentialEnergy()._value, done)
+        except openmm.OpenMMException:
+            return Stop.NON_FINITE, x, done, done
+    return Stop.INTERRUPTED if interrupts else Stop.NO_DESCENT, x, done, done
+
+
+_MD_STEPS, _MD_FRAME = 1000, 20
+_LIGHT = 1.5
+"""amu. What is lighter is a hydrogen."""
+
+
+def _constrain_hydrogens(system: openmm.System) -> None:
+    """Hold the bonds of hydrogens at the lengths of their harmonic terms, as ``constraints=HBonds`` does."""
+    light = [system.getParticleMass(i)._value < _LIGHT for i in range(system.getNumParticles())]
+    for force in system.getForces():
+        if isinstance(force, openmm.HarmonicBondForce):
+            for k in range(force.getNumBonds()):
+                i, j, length, _ = force.getBondParameters(k)
+                if light[i] != light[j]:
+                    system.addConstraint(i, j, length)
+                    force.setBondParameters(k, i, j, length, 0.0)
+
+
 def _minimise(energy: Energy, platform: str, x: Floats, tolerance: float, reporter: _Reporter) -> None:
     counted = OpenMMEnergy(energy.system, platform, energy.threads)
     counter = openmm.PythonForce(reporter.count)

@@ -1,7 +1,7 @@
 """A method as a sequence of runs of the one loop: in which freedoms, by which descent, held by what."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from protochain.arrays import Floats
 from protochain.chain import Chain
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
+from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.contacts import overlaps
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Ending, Method, Snapshot, Stop, run
@@ -28,7 +29,7 @@ as much as some evaluations."""
 HYBRID_TORQUE = 300.0
 """kJ/mol/rad. Torsions go no further before all atoms move: the rest of the strain is in bonds and angles."""
 
-PARTED = ("lbfgs", "newton", "hybrid")
+PARTED = ("lbfgs", "newton", "md", "anneal", "hybrid")
 """Methods that part overlaps before they ask the force field. KCM is left as published; atoms that all may
 move find their own way."""
 
@@ -83,6 +84,10 @@ class Stage:
     restraint : callable, optional
     soft : bool
         Whether the energy is not the force field's: its rows do not belong into the trace.
+    patience : int
+        Evaluations without a new lowest energy after which it is given up.
+    answer : callable
+        Where the next stage begins: given the problem, the ending, and q at the start.
     """
 
     space: Space
@@ -91,6 +96,8 @@ class Stage:
     tolerance: float
     restraint: Force | None = None
     soft: bool = False
+    patience: int = PATIENCE
+    answer: "Answer" = field(default_factory=lambda: lowest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +149,11 @@ class Outcome:
         return self.stage.space.place(self.q)[0]
 
 
+Answer = Callable[[Problem, Ending, Floats], Floats]
+
+
 def stages(
-    method: str, chain: Chain, energy: Energy, moving: Energy, tolerance: float, hold: Hold
+    method: str, chain: Chain, energy: Energy, moving: Energy, tolerance: float, hold: Hold, seed: int
 ) -> list[Stage]:
     """Return the runs that make up a method.
 
@@ -155,6 +165,8 @@ def stages(
         With all terms, and without those that are constant in the chain.
     tolerance : float
     hold : Hold
+    seed : int
+        Of methods that draw random numbers.
 
     Returns
     -------
@@ -165,9 +177,14 @@ def stages(
     held = [_restraint(chain, strength, hold.max_rmsd) for strength in hold.restraint or (0.0,)]
     apart = [parting(torsions)] if method in PARTED and overlaps(structure, structure.positions) else []
     if method in IN_TORSIONS:
-        return apart + [
-            Stage(torsions, IN_TORSIONS[method], _engines(moving), tolerance, each) for each in held
-        ]
+        descent = IN_TORSIONS[method]
+        if isinstance(descent, Annealing):
+            # Dynamics needs no second engine, and ends where it ends, not at the lowest energy it passed.
+            cooling = replace(descent, seed=seed)
+            n_steps = descent.n_steps
+            apart.append(Stage(torsions, cooling, (moving,), 0.0, held[0], patience=n_steps, answer=last))
+            descent = LBFGS()
+        return apart + [Stage(torsions, descent, _engines(moving), tolerance, each) for each in held]
     polish = [Stage(cartesian, FREE, _engines(energy), tolerance, each) for each in held]
     if method == "cartesian":
         return polish
@@ -228,16 +245,16 @@ def walk(
     When a run on a single-precision engine claims its tolerance, finds no lower energy or meets what is not a
     number, it goes on from there on the Reference platform, within the same budget.
     """
-    at, n_iterations, last = (0, 0), 0, None
+    at, n_iterations, waiting = (0, 0), 0, None
     if resume is not None:
-        at, n_iterations, last = (resume.stage, resume.engine), resume.before, resume.last
+        at, n_iterations, waiting = (resume.stage, resume.engine), resume.before, resume.last
     q, waypoint = plan[0].space.start(chain.structure.positions), resume
     stop, n_evaluations = Stop.BUDGET, 0
     steps = [(i, j) for i, stage in enumerate(plan) for j in range(len(stage.engines)) if (i, j) >= at]
     for i, j in steps:
         stage = plan[i]
-        if last is not None:
-            q = last.start.q
+        if waiting is not None:
+            q = waiting.start.q
         elif j and stop not in SINGLE_PRECISION_ENDS:
             continue
         elif i and not j and plan[i - 1].space is not stage.space:
@@ -250,15 +267,15 @@ def walk(
                 record(at, stage.space, problem.n_evaluations)
 
         try:
-            ending = run(problem, stage.method, q, stage.tolerance, PATIENCE, note, last)
+            ending = run(problem, stage.method, q, stage.tolerance, stage.patience, note, waiting)
         except (BudgetSpentError, KeyboardInterrupt) as error:
             # Before this engine had evaluated anything: what the one before it found stands.
             stop = Stop.BUDGET if isinstance(error, BudgetSpentError) else Stop.INTERRUPTED
             break
-        stop, last, n_evaluations = ending.stop, None, problem.n_evaluations
+        stop, waiting, n_evaluations = ending.stop, None, problem.n_evaluations
         waypoint = Waypoint(i, j, n_iterations, ending.last)
         n_iterations += ending.last.n_iterations
-        q = _best(problem, ending, q)
+        q = stage.answer(problem, ending, q)
         if stop in (Stop.BUDGET, Stop.INTERRUPTED) or (
             stop is Stop.NON_FINITE and j + 1 == len(stage.engines)
         ):
@@ -266,7 +283,14 @@ def walk(
     return Outcome(stop, stage, q, n_iterations, n_evaluations, waypoint)
 
 
-def _best(problem: Problem, ending: Ending, q: Floats) -> Floats:
+def last(problem: Problem, ending: Ending, q: Floats) -> Floats:
+    """Where a run ended, if that may be an answer; else as :func:`lowest`."""
+    end = ending.last.state.at
+    sound = end.is_finite and (problem.allowed is None or problem.allowed(end.x))
+    return end.q if sound else lowest(problem, ending, q)
+
+
+def lowest(problem: Problem, ending: Ending, q: Floats) -> Floats:
     """Where a run met its tolerance without having climbed; else its lowest energy; else where it began."""
     end = ending.last.state.at
     reached = ending.stop is Stop.TOLERANCE and end.energy <= ending.last.start.energy

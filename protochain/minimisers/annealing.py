@@ -1,0 +1,108 @@
+"""Constrained dynamics as a descent: the chain moves, and a thermostat takes its energy away."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protochain import multibody
+from protochain.arrays import Floats
+from protochain.dynamics.leapfrog import Leapfrog
+from protochain.dynamics.loop import noise
+from protochain.dynamics.system import Phase, StepTooLargeError, System
+from protochain.dynamics.thermostats import Langevin
+from protochain.minimisers.problem import Evaluation, Problem
+from protochain.minimisers.spaces import Torsions
+from protochain.multibody.articulated import Articulated, articulate, solve
+from protochain.units import MOLAR_GAS
+
+LONGEST_TURN = 0.1
+"""rad that a freedom may turn in one step: what overlaps push apart moves slower."""
+_HALVINGS = 30
+
+
+@dataclass(frozen=True)
+class Cooling:
+    """Where the chain is, how it moves, and how many steps it has made."""
+
+    at: Evaluation
+    velocity: Floats
+    n_steps: int
+
+
+@dataclass(frozen=True)
+class Annealing:
+    """Langevin dynamics of rigid bodies while the temperature falls to zero in equal parts.
+
+    From rest at 0 K it is damped dynamics; Kirkpatrick, Gelatt, Vecchi, Science 220:671 (1983), for the rest.
+
+    Parameters
+    ----------
+    temperature : float, K
+        At the start.
+    n_steps : int
+        The method ends after so many.
+    friction : float, 1/ps
+    time_step : float, ps
+        Shorter while a freedom would turn by more than ``LONGEST_TURN``.
+    seed : int
+    """
+
+    temperature: float = 0.0
+    n_steps: int = 1000
+    friction: float = 10.0
+    time_step: float = 0.004
+    seed: int = 0
+
+    def init(self, problem: Problem, at: Evaluation) -> Cooling:
+        """Begin at rest, or with velocities of the first temperature."""
+        tree = _torsions(problem).chain.tree
+        kt = MOLAR_GAS * self.temperature
+        qd = multibody.sample_velocities(tree, multibody.pose(tree, at.q), kt, noise(self.seed, 0))
+        return Cooling(at, qd, 0)
+
+    def step(self, problem: Problem, state: Cooling) -> Cooling | None:
+        """One time step, or None when all are done."""
+        if state.n_steps == self.n_steps:
+            return None
+        space = _torsions(problem)
+        tree, seen = space.chain.tree, [state.at]
+
+        def potential(q: Floats, factors: Articulated) -> tuple[float, Floats]:
+            seen.append(problem.evaluate(q))
+            return seen[-1].energy, seen[-1].torque / space.scale
+
+        system = System(tree, potential)
+        torque = state.at.torque / space.scale
+        factors = articulate(tree, multibody.pose(tree, state.at.q))
+        p = multibody.multiply_mass(tree, factors.frames, state.velocity)
+        phase = Phase(state.at.q, state.velocity, p, state.at.energy, torque, factors)
+        time_step = self._time_step(space, phase)
+        for _ in range(_HALVINGS):
+            try:
+                phase = Leapfrog().step(system, phase, time_step)
+                break
+            except StepTooLargeError:
+                time_step *= 0.5
+        else:
+            return None
+        done = state.n_steps + 1
+        warmth = MOLAR_GAS * self.temperature * (1.0 - done / self.n_steps)
+        thermostat = Langevin(warmth, self.friction)
+        bath = thermostat.init(system, phase)
+        phase, _ = thermostat.apply(system, phase, bath, time_step, noise(self.seed, done))
+        return Cooling(seen[-1], phase.qd, done)
+
+    def _time_step(self, space: Torsions, phase: Phase) -> float:
+        """Shorter than usual where velocities or accelerations would turn something too far."""
+        fastest = float(np.max(np.abs(phase.qd / space.scale)))
+        pushed = float(np.max(np.abs(solve(phase.factors, phase.torque) / space.scale)))
+        shortest = min(
+            LONGEST_TURN / fastest if fastest > 0.0 else np.inf,
+            np.sqrt(2.0 * LONGEST_TURN / pushed) if pushed > 0.0 else np.inf,
+        )
+        return min(self.time_step, shortest)
+
+
+def _torsions(problem: Problem) -> Torsions:
+    assert isinstance(problem.space, Torsions)
+    return problem.space
