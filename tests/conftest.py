@@ -75,6 +75,10 @@ NATIVE_FORCE = 1e-10
 LEFT_OUT = 1e-10
 """Of the norm of the torques, with constant terms left out: their forces cancel to round-off."""
 
+REVERSED = 1e-9
+"""Back at the start after some dozen steps there and back: fixed points are solved to 1e-12 of a velocity,
+and neighbouring paths part by a factor of a hundred meanwhile."""
+
 RMSD_ANGSTROM = 1e-5
 """Against mdtraj and MDAnalysis. mdtraj works in single precision: 1e-7 of some nm^2 under a root."""
 

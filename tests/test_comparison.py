@@ -62,8 +62,9 @@ def test_the_page_stands_alone(folder):
     page = (folder / "report.html").read_text()
     assert "http://" not in page and "https://" not in page and "<script" not in page
     assert page.count("data:image/png;base64,") == 2
-    # kcm and lbfgs turn hinges; hybrid and openmm move every atom.
-    assert page.count("all other angles stay as they came") == page.count("lengths and angles relax") == 2
+    # kcm, md and lbfgs turn hinges; hybrid and openmm move every atom.
+    assert page.count("all other angles stay as they came") == 3
+    assert page.count("lengths and angles relax") == 2
 
 
 def test_names_from_files_are_escaped(tmp_path):
@@ -129,7 +130,8 @@ def test_an_interrupt_keeps_what_is_done_and_leaves_out_the_rest():
 
         return interrupt
 
-    k = pc.compare(chain("ala10.pdb"), energy=energy("ala10.pdb"), max_evaluations=10, watch=watch)
+    methods = ("kcm", "lbfgs", "openmm")
+    k = pc.compare(chain("ala10.pdb"), methods, energy("ala10.pdb"), max_evaluations=10, watch=watch)
     assert [(s.method, str(s.status)) for s in k.solutions] == [("kcm", "budget"), ("lbfgs", "interrupted")]
 
 
@@ -179,7 +181,7 @@ def test_a_trajectory_holds_the_frames(suffix, precision, tmp_path):
     s = load("ala10.pdb")
     frames = [s.positions + 0.01 * k for k in range(3)]
     path = tmp_path / f"run{suffix}"
-    with TrajectoryFile(path) as file:
+    with TrajectoryFile(path, s) as file:
         for x in frames:
             file.append(x)
     read = mdtraj.load(str(path), top=mdtraj.Topology.from_openmm(s.topology))
@@ -188,9 +190,10 @@ def test_a_trajectory_holds_the_frames(suffix, precision, tmp_path):
 
 
 def test_a_trajectory_that_fails_leaves_nothing(tmp_path):
-    with pytest.raises(RuntimeError, match="stop"), TrajectoryFile(tmp_path / "run.dcd") as file:
-        file.append(load("ala10.pdb").positions)
+    s = load("ala10.pdb")
+    with pytest.raises(RuntimeError, match="stop"), TrajectoryFile(tmp_path / "run.dcd", s) as file:
+        file.append(s.positions)
         raise RuntimeError("stop")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(pc.ProtochainError, match="unknown trajectory suffix"):
-        TrajectoryFile(tmp_path / "run.abc")
+        TrajectoryFile(tmp_path / "run.abc", s)

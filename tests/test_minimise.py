@@ -43,7 +43,8 @@ class Wrapped:
     [(name, method) for name in SAMPLES for method in (METHODS if name == "1l2y.pdb" else MAIN)],
 )
 def test_every_method_lowers_the_energy_of_every_sample(name, method):
-    r = pc.minimise(chain(name), energy(name), method, max_evaluations=60)
+    # Annealing climbs before it descends.
+    r = pc.minimise(chain(name), energy(name), method, max_evaluations=2100 if method == "anneal" else 60)
     assert r.end.energy < r.start.energy
     assert np.isfinite(r.x).all() and np.isfinite(r.energy)
     assert r.end.energy == pytest.approx(energy(name).reference(r.x)[0], abs=1e-6)

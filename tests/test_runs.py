@@ -175,7 +175,7 @@ def test_hops_keep_minima_as_metropolis_does():
 
 
 RESUMED = ("kcm", "kcm-decaying", "kcm-stiffness", "kcm-armijo", "kcm-transient", "fire", "newton", "lbfgs",
-           "cartesian", "hybrid")  # fmt: skip
+           "md", "anneal", "cartesian", "hybrid")  # fmt: skip
 
 
 @pytest.mark.parametrize("method", RESUMED)

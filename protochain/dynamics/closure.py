@@ -7,7 +7,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, pose
-from protochain.dynamics.leapfrog import leap
+from protochain.dynamics.leapfrog import fly
 from protochain.dynamics.system import Phase, StepTooLargeError
 from protochain.errors import ChainError
 from protochain.multibody import Frames, Rows, Tree, operational_inverse, row_matrix, solve_closed
@@ -60,8 +60,8 @@ class Closure:
         """Velocities (n_v,) of momenta p (n_v,), less those that would change the distances."""
         return solve_closed(self.tree, factors.frames, p, self.rows(factors.frames))
 
-    def leap(self, at: Phase, pushed: Floats, time_step: float) -> tuple[Floats, Floats, Articulated]:
-        """Move as :func:`protochain.dynamics.leapfrog.leap` does, with impulses that keep the distances.
+    def fly(self, at: Phase, pushed: Floats, time_step: float) -> tuple[Floats, Floats, Articulated]:
+        """Move as :func:`protochain.dynamics.leapfrog.fly` does, with impulses that keep the distances.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class Closure:
         inverse = cho_factor(operational_inverse(self.tree, at.factors.frames, rows))
         impulse = np.zeros(len(g))
         for _ in range(_ITERATIONS):
-            q, p, factors = leap(self.tree, at, pushed - g.T @ impulse, time_step)
+            q, p, factors = fly(self.tree, at, pushed - g.T @ impulse, time_step)
             error = self.errors(factors.frames)
             if np.max(np.abs(error)) < CLOSED_NM:
                 return q, p, factors

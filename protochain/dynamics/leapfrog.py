@@ -1,10 +1,11 @@
-"""The generalised leapfrog on the coordinates of a tree: reversible, symplectic, one energy a step.
+"""The leapfrog of a tree: push, free flight, push; reversible, symplectic, one energy a step.
 
 Kinetic energies that depend on q do not separate, so the plain leapfrog (velocity Verlet) would be neither.
-In canonical coordinates this is the Lobatto IIIA-B pair of order two (Hairer, Lubich, Wanner, *Geometric
-Numerical Integration*, 2006, VI.3, equation 3.4); free roots follow the exponential map (Bou-Rabee, Marsden,
-Found. Comput. Math. 9:197, 2009), which keeps the momenta of an isolated chain to rounding. Its two halves
-are implicit in velocities and in positions only: fixed points of O(n) sweeps, without the energy.
+Here the flight without potential is one step of the midpoint rule: its discrete Lagrangian is h L(exp(xi/2)
+q, xi/h), with xi the displacement of the step and L the kinetic energy (Marsden, West, Acta Numerica 10:357,
+2001, sections 1.3 and 2.6). Free roots follow the exponential map, so the momenta of an isolated chain are
+kept to rounding. The step is implicit in velocities only: a fixed point of O(n) sweeps, or Newton's method on
+them, without the energy.
 """
 
 from dataclasses import dataclass
@@ -12,35 +13,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.arrays import Floats, Integers, frozen
+from protochain.dynamics.correction import correct
 from protochain.dynamics.system import Phase, StepTooLargeError, System
 from protochain.multibody import Frames
-from protochain.multibody.algebra import kernel, put_at, scale, vector_at
-from protochain.multibody.articulated import (
-    Articulated,
-    factorise,
-    inward_loads,
-    outward_rates,
-    put_rigid,
-    refuse_singular,
-    solve,
-)  # fmt: skip
+from protochain.multibody.algebra import add, cross, kernel, put_at, scale, subtract, vector_at
+from protochain.multibody.articulated import Articulated, factorise, outward_rates, put_rigid, solve
 from protochain.multibody.hamilton import put_momenta
 from protochain.multibody.kinematics import move_along, outward_frames
-from protochain.multibody.rotations import tangent, turn_by
+from protochain.multibody.rotations import tangent, tangent_inverse
 from protochain.multibody.tree import Tree, V
 
-_ITERATIONS = 60
-_SETTLED = 1e-12
-"""Change of a velocity, relative to the largest, at which a fixed point is found."""
-_NOISE = 1e-10
+_ITERATIONS = 40
+_SETTLED = 1e-13
+"""Error of a velocity, relative to the largest, at which a solution is found."""
+_NOISE = 1e-9
 """Below this a change that no longer shrinks is rounding."""
-_NO_FIXED_POINT = -2
-"""Returned by kernels; -1 is success, and a body's index a singular matrix."""
+_SLOW = 0.1
+"""A fixed point that attracts no faster is left to Newton's method, whose sweeps cost some times more."""
 
 
 @dataclass(frozen=True)
 class Leapfrog:
-    """Generalised leapfrog of order two."""
+    """Push, flight by the midpoint rule, push: of order two."""
 
     def init(self, system: System, q: Floats, qd: Floats) -> Phase:
         """Return the phase at q, moving with qd."""
@@ -56,157 +50,147 @@ class Leapfrog:
         """
         pushed = at.p + 0.5 * time_step * at.torque
         if system.closure is None:
-            q, p, factors = leap(system.tree, at, pushed, time_step)
+            q, p, factors = fly(system.tree, at, pushed, time_step)
         else:
-            q, p, factors = system.closure.leap(at, pushed, time_step)
+            q, p, factors = system.closure.fly(at, pushed, time_step)
         potential, torque = system.potential(q, factors)
         p = p + 0.5 * time_step * torque
         there = Phase(q, solve(factors, p), p, potential, torque, factors)
         return there if system.closure is None else system.moving(there, there.qd)
 
 
-def leap(tree: Tree, at: Phase, pushed: Floats, time_step: float) -> tuple[Floats, Floats, Articulated]:
-    """Move for one time step without further torques.
+def fly(tree: Tree, at: Phase, p: Floats, time_step: float) -> tuple[Floats, Floats, Articulated]:
+    """Move for one time step without a potential.
 
     Parameters
     ----------
     tree : Tree
     at : Phase
-        Where the step begins.
-    pushed : (n_v,) float
-        Momenta after the potential's push there.
+        Where it begins.
+    p : (n_v,) float
+        Momenta it begins with.
     time_step : float, ps
 
     Returns
     -------
     (n_q,) float, (n_v,) float, Articulated
-        Coordinates, momenta before the push there, and the factors of M there.
+        Coordinates, momenta, and the factors of M after it.
 
     Raises
     ------
     StepTooLargeError
-        If one of the two fixed points is not found.
-    MechanicsError
-        If M is singular on the way.
+        If the velocities are not found.
     """
     n = tree.n_bodies
-    q, qd, p = at.q.copy(), at.qd.copy(), np.empty(tree.n_v)
+    q, qd, p = at.q.copy(), solve(at.factors, p), p.copy()
     rotation, origin, packed = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 21))
-    gain, pivot, root = np.empty((n, 6)), np.empty(n), np.empty_like(at.factors.root)
-    old = at.factors
-    failed = _leap(
-        tree.links, tree.bodies, old.frames.rotation, old.frames.origin, old.gain, old.pivot, old.root,
-        pushed, 0.5 * time_step, q, qd, p, rotation, origin, packed, gain, pivot, root,
-    )  # fmt: skip
-    if failed == _NO_FIXED_POINT:
+    gain, pivot, root = np.zeros((n, 6)), np.empty(n), np.empty_like(at.factors.root)
+    try:
+        failed = _fly(
+            tree.links, tree.bodies, time_step, q, qd, p, rotation, origin, packed, gain, pivot, root
+        )
+    except np.linalg.LinAlgError:
+        failed = True
+    if failed:
         raise StepTooLargeError(
             f"no velocities solve the equations of a time step of {1000 * abs(time_step):g} fs"
         )
-    refuse_singular(failed)
     frames = Frames(frozen(rotation), frozen(origin))
-    factors = Articulated(tree, frames, frozen(packed), frozen(gain), frozen(pivot), frozen(root))
-    return q, p, factors
+    return q, p, Articulated(tree, frames, frozen(packed), frozen(gain), frozen(pivot), frozen(root))
 
 
 @kernel
-def _leap(
-    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
-    root: Floats, pushed: Floats, h: float, q: Floats, qd: Floats, p: Floats, new_rotation: Floats,
-    new_origin: Floats, packed: Floats, new_gain: Floats, new_pivot: Floats, new_root: Floats,
-) -> int:  # fmt: skip
-    """Half a step from q, known, and half a step to the new q, unknown; h is half the time step."""
+def _fly(
+    links: Integers, bodies: Floats, time_step: float, q: Floats, qd: Floats, p: Floats, rotation: Floats,
+    origin: Floats, packed: Floats, gain: Floats, pivot: Floats, root: Floats,
+) -> bool:  # fmt: skip
+    """Overwrite q and p; write frames and factors at the new q; return whether no velocities were found."""
     n, n_v = len(bodies), len(qd)
     twists, carried = np.empty((n, 6)), np.empty((n, 6))
-    gradient, half, rates = np.empty(n_v), np.empty(n_v), np.empty(n_v)
-    before, found = np.inf, False
+    mu, gradient, lack, middle = np.empty(n_v), np.empty(n_v), np.empty(n_v), np.empty(len(q))
+    guess = qd.copy()
+    before, newton, found = np.inf, False, False
     for _ in range(_ITERATIONS):
-        put_momenta(links, bodies, rotation, origin, qd, twists, carried, p, gradient)
+        middle[:] = q
         for k in range(n_v):
-            half[k] = pushed[k] + h * gradient[k]
-            rates[k] = half[k]
-        _turn_roots(links, h, qd, rates)
-        _solve(links, bodies, rotation, origin, gain, pivot, root, carried, rates)
-        change = _replace(qd, rates)
-        if change < _SETTLED or (change < _NOISE and change >= 0.5 * before):
+            lack[k] = 0.5 * time_step * qd[k]
+        move_along(links, lack, middle)
+        outward_frames(links, bodies, middle, rotation, origin)
+        put_momenta(links, bodies, rotation, origin, qd, twists, carried, mu, gradient)
+        _put_lack(links, time_step, qd, mu, gradient, p, lack)
+        if newton:
+            correct(links, bodies, rotation, origin, twists, carried, 0.5 * time_step, lack)
+        else:
+            put_rigid(rotation, bodies, packed)
+            carried[:] = 0.0
+            failed = factorise(links, bodies, rotation, origin, packed, gain, pivot, root, carried, lack)
+            if failed >= 0:
+                return True
+            outward_rates(links, bodies, rotation, origin, gain, root, carried, lack)
+        change = _add_on(lack, qd)
+        # What the next change would be, if they go on to shrink as they do.
+        left = change * change / before if change < before < np.inf else change
+        if left < _SETTLED or (change < _NOISE and change >= 0.5 * before):
             found = True
             break
-        before = change
-    if not found:
-        return _NO_FIXED_POINT
-    _carry_roots(links, h, qd, half)
-
-    for k in range(n_v):
-        rates[k] = h * qd[k]
-    move_along(links, rates, q)
-    middle = q.copy()
-    before, found = np.inf, False
-    for _ in range(_ITERATIONS):
-        q[:] = middle
-        for k in range(n_v):
-            rates[k] = h * qd[k]
-        move_along(links, rates, q)
-        outward_frames(links, bodies, q, new_rotation, new_origin)
-        put_rigid(new_rotation, bodies, packed)
-        for k in range(n_v):
-            rates[k] = half[k]
-        _turn_roots(links, h, qd, rates)
-        carried[:] = 0.0
-        failed = factorise(
-            links, bodies, new_rotation, new_origin, packed, new_gain, new_pivot, new_root, carried, rates
-        )
-        if failed >= 0:
-            return failed
-        outward_rates(links, bodies, new_rotation, new_origin, new_gain, new_root, carried, rates)
-        change = _replace(qd, rates)
-        if change < _SETTLED or (change < _NOISE and change >= 0.5 * before):
-            found = True
+        if not change < np.inf:
             break
+        slow = not newton and change > _SLOW * before
         before = change
+        if slow:
+            newton, before = True, np.inf
+            qd[:] = guess
     if not found:
-        return _NO_FIXED_POINT
-    put_momenta(links, bodies, new_rotation, new_origin, qd, twists, carried, p, gradient)
-    _carry_roots(links, h, qd, half)
+        return True
+    _push_by_inertia(links, time_step, qd, gradient, p)
     for k in range(n_v):
-        p[k] = half[k] + h * gradient[k]
-    return -1
+        lack[k] = time_step * qd[k]
+    move_along(links, lack, q)
+    outward_frames(links, bodies, q, rotation, origin)
+    put_rigid(rotation, bodies, packed)
+    carried[:] = 0.0
+    return factorise(links, bodies, rotation, origin, packed, gain, pivot, root, carried, lack) >= 0
 
 
 @kernel
-def _solve(
-    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
-    root: Floats, room: Floats, x: Floats,
-) -> None:  # fmt: skip
-    """Overwrite x by M^-1 x."""
-    room[:] = 0.0
-    inward_loads(links, bodies, rotation, origin, gain, pivot, room, x)
-    outward_rates(links, bodies, rotation, origin, gain, root, room, x)
+def _put_lack(
+    links: Integers, h: float, qd: Floats, mu: Floats, gradient: Floats, p: Floats, lack: Floats
+) -> None:
+    """Write p less the momenta from which a flight of time h has momenta mu half-way."""
+    for k in range(len(p)):
+        lack[k] = p[k] - (mu[k] - 0.5 * h * gradient[k])
+    for b in range(len(links) - 1):
+        k = links[b, V]
+        if links[b + 1, V] - k == 6:
+            xi = scale(h, vector_at(qd, k))
+            pushed = tangent(scale(0.5, xi), scale(0.5 * h, vector_at(gradient, k)))
+            start = tangent_inverse(xi, subtract(vector_at(mu, k), pushed))
+            put_at(subtract(vector_at(p, k), start), lack, k)
 
 
 @kernel
-def _replace(old: Floats, new: Floats) -> float:
-    """Copy new into old; return the largest change relative to the largest value, NaN if there is one."""
+def _push_by_inertia(links: Integers, h: float, qd: Floats, gradient: Floats, p: Floats) -> None:
+    """Overwrite momenta by those after a flight of time h.
+
+    A free root's are those of all that hangs on it: what they are about the world's origin does not change.
+    """
+    for b in range(len(links) - 1):
+        k = links[b, V]
+        n_v = links[b + 1, V] - k
+        if n_v == 1:
+            p[k] += h * gradient[k]
+        elif n_v == 6:
+            moved = scale(h, vector_at(qd, k + 3))
+            put_at(add(vector_at(p, k), cross(vector_at(p, k + 3), moved)), p, k)
+
+
+@kernel
+def _add_on(step: Floats, x: Floats) -> float:
+    """Add a step; return its largest entry relative to that of x, NaN if there is one."""
     change, size = 0.0, 0.0
-    for k in range(len(old)):
+    for k in range(len(x)):
+        x[k] += step[k]
         # Sums, not comparisons, so that what is not a number shows.
-        change = max(change, abs(new[k] - old[k])) + 0.0 * new[k]
-        size = max(size, abs(new[k]))
-        old[k] = new[k]
+        change = max(change, abs(step[k])) + 0.0 * step[k]
+        size = max(size, abs(x[k]))
     return change / size if size > 0.0 else 0.0
-
-
-@kernel
-def _turn_roots(links: Integers, h: float, qd: Floats, p: Floats) -> None:
-    """Angular momentum of free roots at either end of half a step -> M's, dexp of the turn."""
-    for b in range(len(links) - 1):
-        k = links[b, V]
-        if links[b + 1, V] - k == 6:
-            put_at(tangent(scale(h, vector_at(qd, k)), vector_at(p, k)), p, k)
-
-
-@kernel
-def _carry_roots(links: Integers, h: float, qd: Floats, p: Floats) -> None:
-    """Carry the angular momentum of free roots along the turn of half a step."""
-    for b in range(len(links) - 1):
-        k = links[b, V]
-        if links[b + 1, V] - k == 6:
-            put_at(turn_by(scale(h, vector_at(qd, k)), vector_at(p, k)), p, k)

@@ -7,6 +7,7 @@ import numpy as np
 from protochain import multibody
 from protochain.arrays import Floats
 from protochain.dynamics.system import Phase, StepTooLargeError, System
+from protochain.errors import MechanicsError
 from protochain.multibody.articulated import articulate
 from protochain.multibody.rotations import displacement_rates
 
@@ -105,8 +106,12 @@ class DormandPrince:
             part = part if abs(part) < abs(time_step - done) else time_step - done
             if abs(part) < 1e-9 * abs(time_step):
                 raise StepTooLargeError(f"no part of a time step of {1000 * abs(time_step):g} fs is accurate")
-            q, qd, error = _advance(DORMAND_PRINCE, system, at, part)
-            size = np.max(error / (1.0 + np.max(np.abs(at.qd)))) / self.tolerance
+            try:
+                q, qd, error = _advance(DORMAND_PRINCE, system, at, part)
+                size = np.max(error / (1.0 + np.max(np.abs(at.qd)))) / self.tolerance
+            except MechanicsError:
+                # A stage that has run off to where nothing is a number.
+                size = np.nan
             # Hairer, Norsett, Wanner (1993), II.4: 0.9 of what the estimate asks for, within bounds.
             factor = min(5.0, max(0.2, 0.9 * size**-0.2)) if np.isfinite(size) and size > 0.0 else 0.2
             if size <= 1.0:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from protochain.dynamics.leapfrog import Leapfrog
+from protochain.dynamics.lobatto import Lobatto
 from protochain.dynamics.midpoint import ImplicitMidpoint
 from protochain.dynamics.runge_kutta import DormandPrince, RungeKutta4
 from protochain.dynamics.system import Integrator
@@ -22,6 +23,7 @@ from protochain.units import MOLAR_GAS
 
 INTEGRATORS: dict[str, Integrator] = {
     "leapfrog": Leapfrog(),
+    "lobatto": Lobatto(),
     "midpoint": ImplicitMidpoint(),
     "rk4": RungeKutta4(),
     "dormand-prince": DormandPrince(),
@@ -85,7 +87,7 @@ class Settings:
             raise ProtochainError(f"seed {self.seed}: give 0 or more")
         if self.thermostat == "nose-hoover" and not (self.temperature > 0.0 and self.friction > 0.0):
             raise ProtochainError("nose-hoover: needs a temperature and a friction above 0; choose langevin")
-        if self.thermostat == "hmc" and self.integrator not in ("leapfrog", "midpoint"):
+        if self.thermostat == "hmc" and self.integrator not in ("leapfrog", "lobatto", "midpoint"):
             raise ProtochainError(f"hmc: {self.integrator} is not reversible; choose leapfrog or midpoint")
         if self.thermostat == "hmc" and self.every % self.trajectory_length:
             raise ProtochainError(

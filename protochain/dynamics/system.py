@@ -71,7 +71,7 @@ class Constraint(Protocol):
     def kept(self, factors: Articulated, p: Floats) -> Floats:
         """Velocities (n_v,) of momenta p, less those that are not allowed."""
 
-    def leap(self, at: Phase, pushed: Floats, time_step: float) -> tuple[Floats, Floats, Articulated]:
+    def fly(self, at: Phase, pushed: Floats, time_step: float) -> tuple[Floats, Floats, Articulated]:
         """Move with impulses that keep what is to be kept: coordinates, momenta and factors of M."""
 
 

@@ -60,8 +60,8 @@ def minimise(
         ``hybrid`` (torsions, then all atoms), ``cartesian`` (all atoms), ``lbfgs`` or ``newton`` (torsions),
         ``kcm`` (kineto-static compliance, as published) and its kin ``kcm-adaptive``, ``kcm-metric`` ...,
         ``fire``, ``quench``, ``md`` (damped constrained dynamics) and ``anneal`` (from 600 K), both ending in
-        a minimum by ``lbfgs``, ``openmm`` (LocalEnergyMinimizer), or ``openmm-md`` (OpenMM's dynamics at 300 K
-        with hydrogens' bonds constrained, between two minimisations).
+        a minimum by ``lbfgs``, ``openmm`` (LocalEnergyMinimizer), or ``openmm-md`` (OpenMM's dynamics at
+        300 K with hydrogens' bonds constrained, between two minimisations).
     tolerance : float
         Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force (kJ/mol/nm), as
         recomputed in double precision, is no larger.

@@ -115,7 +115,7 @@ def langevin_dynamics(
         Why it ended, the last positions, steps, evaluations of the forces: one a step.
     """
     own = OpenMMEnergy(energy.system, platform, energy.threads)
-    _constrain_hydrogens(own.system)
+    constrain_hydrogens(own.system)
     integrator = openmm.LangevinMiddleIntegrator(300.0, 1.0, 0.002)
     integrator.setRandomNumberSeed(seed + 1)
     context = own.make_context(own.system, integrator)
@@ -137,6 +137,8 @@ def langevin_dynamics(
                 record(x, state.getPotentialEnergy()._value, done)
         except openmm.OpenMMException:
             return Stop.NON_FINITE, x, done, done
+        except KeyboardInterrupt:
+            return Stop.INTERRUPTED, x, done, done
     return Stop.INTERRUPTED if interrupts else Stop.NO_DESCENT, x, done, done
 
 
@@ -145,7 +147,7 @@ _LIGHT = 1.5
 """amu. What is lighter is a hydrogen."""
 
 
-def _constrain_hydrogens(system: openmm.System) -> None:
+def constrain_hydrogens(system: openmm.System) -> None:
     """Hold the bonds of hydrogens at the lengths of their harmonic terms, as ``constraints=HBonds`` does."""
     light = [system.getParticleMass(i)._value < _LIGHT for i in range(system.getNumParticles())]
     for force in system.getForces():

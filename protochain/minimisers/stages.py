@@ -284,9 +284,13 @@ def walk(
 
 
 def last(problem: Problem, ending: Ending, q: Floats) -> Floats:
-    """Where a run ended, if that may be an answer; else as :func:`lowest`."""
+    """Where a run came to its end by itself, if that may be an answer; else as :func:`lowest`."""
     end = ending.last.state.at
-    sound = end.is_finite and (problem.allowed is None or problem.allowed(end.x))
+    sound = (
+        ending.stop is Stop.NO_DESCENT
+        and end.is_finite
+        and (problem.allowed is None or problem.allowed(end.x))
+    )
     return end.q if sound else lowest(problem, ending, q)
 
 

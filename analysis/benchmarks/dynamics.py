@@ -1,0 +1,260 @@
+"""Constrained dynamics: energy error, largest steps, cost of a step, nanoseconds a day against OpenMM.
+
+    python analysis/benchmarks/dynamics.py [-o DIR] [STUDY ...]
+
+STUDY is any of energy, steps, cost, speed (all by default). Each prints a table; with -o they are written,
+and drawn where a picture says more.
+"""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+
+import matplotlib.pyplot as plt
+import numpy as np
+import openmm
+import pandas as pd
+from openmm import app, unit
+
+import protochain as pc
+from protochain.chain import rigid_groups
+from protochain.dynamics import System, chain_potential
+from protochain.dynamics.leapfrog import Leapfrog
+from protochain.dynamics.thermostats import Langevin
+from protochain.energies.factory import DATA, FORCE_FIELDS, SOLVENTS
+from protochain.minimisers.openmm_reference import constrain_hydrogens
+from protochain.multibody import sample_velocities
+from protochain.units import MOLAR_GAS
+
+SAMPLES = Path(__file__).parents[2] / "structures"
+SHARED = SAMPLES.parents[1] / "shared" / "structures"
+THREADS = 2
+MODELS = {
+    "phi psi chi": ("phi psi chi", None),
+    "+ omega": ("phi psi omega chi", None),
+    "+ rotors": ("phi psi chi rotors", None),
+    "+ rotors, 4 amu hydrogens": ("phi psi chi rotors", 4.0),
+    "+ angles": ("phi psi chi angles", None),
+    "all": ("phi psi omega chi rotors angles", None),
+}
+
+
+def at_a_minimum(path: Path, hinges: str, solvent: str = "obc2"):
+    """Chain, energy, and coordinates of a minimum in these hinges."""
+    structure = pc.load(path)
+    chain = pc.build_chain(structure, hinges)
+    energy = pc.energy(structure, solvent=solvent, threads=THREADS)
+    return chain, energy, pc.minimise(chain, energy, "lbfgs", 10.0, max_evaluations=1500).q
+
+
+def energy_error() -> pd.DataFrame:
+    """Constant energy, Trp-cage: error and cost by integrator and time step, 100 ps at 2 fs."""
+    chain, energy, q = at_a_minimum(SAMPLES / "1l2y.pdb", "phi psi chi")
+    warm = pc.simulate(chain, energy, q, n_steps=2500, friction=10.0, seed=1)
+    runs = [("leapfrog", h, 10.0) for h in (0.5, 1.0, 2.0, 4.0, 8.0, 12.0)]
+    runs += [("lobatto", h, 10.0) for h in (0.5, 1.0, 2.0, 4.0, 8.0)]
+    runs += [("midpoint", h, 1.0) for h in (4.0, 8.0)] + [("rk4", h, 2.0) for h in (1.0, 2.0, 4.0, 8.0)]
+    runs += [("dormand-prince", h, 2.0) for h in (4.0,)] + [("leapfrog", 2.0, 100.0)]
+    rows = []
+    for name, h, ps in runs:
+        m = pc.simulate(
+            warm.chain, energy, warm.q, time_step=h / 1000, n_steps=round(1000 * ps / h), thermostat="none",
+            integrator=name, every=max(1, round(20 / h)), seed=2,
+        )  # fmt: skip
+        total = m.trace["total_kj_mol"]
+        rows.append(
+            {
+                "integrator": name,
+                "step fs": h,
+                "ps": ps,
+                "status": str(m.ending),
+                "error kJ/mol": total.std(),
+                "drift kJ/mol/ps per 100 atoms": m.drift,
+                "ms per step": 1000 * m.seconds / max(1, m.n_steps),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def largest_steps() -> pd.DataFrame:
+    """Largest step of 10 ps at constant energy and 300 K within the drift allowed, and within stability."""
+    rows = []
+    for name, (hinges, hydrogen_mass) in MODELS.items():
+        chain, energy, q = at_a_minimum(SAMPLES / "1l2y.pdb", hinges)
+        warm = pc.simulate(
+            chain,
+            energy,
+            q,
+            time_step=0.001,
+            n_steps=5000,
+            friction=10.0,
+            seed=1,
+            hydrogen_mass=hydrogen_mass,
+        )
+        quiet = stable = 0
+        for h in (1, 2, 3, 4, 5, 6, 8, 10, 12, 14, 16, 20):
+            m = pc.simulate(
+                warm.chain, energy, warm.q, time_step=h / 1000, n_steps=10_000 // h, thermostat="none",
+                every=max(1, 20 // h), seed=2,
+            )  # fmt: skip
+            if not m.is_sound:
+                break
+            if abs(m.drift) < 0.01 and quiet == stable:
+                quiet = h
+            stable = h
+        rows.append(
+            {
+                "hinges": name,
+                "freedoms": warm.chain.n_v,
+                "largest step with drift below 0.01, fs": quiet,
+                "largest stable step, fs": stable,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def median_seconds(function: Callable[[], object], n: int, repeats: int = 7) -> float:
+    """Median over repeats of the mean time of n calls."""
+    function()
+    times = []
+    for _ in range(repeats):
+        began = perf_counter()
+        for _ in range(n):
+            function()
+        times.append((perf_counter() - began) / n)
+    return float(np.median(times))
+
+
+def one_step(chain: pc.Chain, energy) -> tuple[float, float, float, float]:
+    """Seconds of the whole energy, of what moves with its torques, of a leapfrog, of a thermostat."""
+    x = chain.structure.positions
+    system = System(chain.tree, chain_potential(chain, energy.without_constants(rigid_groups(chain), x)))
+    at = system.at(chain.q0, np.zeros(chain.n_v))
+    qd = sample_velocities(chain.tree, at.factors.frames, 300 * MOLAR_GAS, np.random.default_rng(0))
+    at = system.moving(at, qd)
+    still = System(chain.tree, lambda q, f: (0.0, at.torque))
+    thermostat, rng = Langevin(300 * MOLAR_GAS), np.random.default_rng(0)
+    bath = thermostat.init(system, at)
+    return (
+        median_seconds(lambda: energy(x), 10),
+        median_seconds(lambda: system.potential(at.q, at.factors), 10),
+        median_seconds(lambda: Leapfrog().step(still, at, 0.004), 10),
+        median_seconds(lambda: thermostat.apply(system, at, bath, 0.004, rng), 10),
+    )
+
+
+def cost() -> pd.DataFrame:
+    """Cost of a step of 4 fs beyond the energy and its torques, and of Langevin's."""
+    rows = []
+    for path in (*(SAMPLES / f"{n}.pdb" for n in ("1l2y", "4pti", "1ubq", "1hel")), SHARED / "1ake_A.pdb"):
+        if not path.exists():
+            continue
+        structure = pc.load(path)
+        chain = pc.build_chain(structure, root="free")
+        energy = pc.energy(structure, threads=THREADS)
+        whole, potential, step, bathed = one_step(chain, energy)
+        rows.append(
+            {
+                "structure": path.stem.split("_")[0],
+                "atoms": structure.n_atoms,
+                "hinges": chain.n_hinges,
+                "energy ms": 1000 * whole,
+                "energy and torques ms": 1000 * potential,
+                "leapfrog ms": 1000 * step,
+                "Langevin ms": 1000 * bathed,
+                "both of energy %": 100 * (step + bathed) / potential,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def openmm_ns_per_day(structure: pc.Structure, solvent: str, x: np.ndarray, seconds: float) -> float:
+    """OpenMM on its CPU platform: Langevin middle, 2 fs, bonds of hydrogens constrained."""
+    files = [str(DATA / FORCE_FIELDS["amber14"]), str(DATA / str(SOLVENTS[solvent]))]
+    system = app.ForceField(*files).createSystem(structure.topology, nonbondedMethod=app.NoCutoff)
+    constrain_hydrogens(system)
+    integrator = openmm.LangevinMiddleIntegrator(300, 1, 0.002)
+    platform = openmm.Platform.getPlatform("CPU")
+    context = openmm.Context(system, integrator, platform, {"Threads": str(THREADS)})
+    context.setPositions(x)
+    context.applyConstraints(1e-6)
+    context.setVelocitiesToTemperature(300 * unit.kelvin, 1)
+    integrator.step(5)
+    steps, began = 0, perf_counter()
+    while perf_counter() - began < seconds:
+        integrator.step(5)
+        steps += 5
+    return 86.4 * steps * 0.002 / (perf_counter() - began)
+
+
+def speed() -> pd.DataFrame:
+    """Nanoseconds a day: OpenMM at 2 fs; ours at 2 fs, and at the step each model bears."""
+    rows = []
+    for path in (SAMPLES / "1l2y.pdb", SAMPLES / "1ubq.pdb", SHARED / "1ake_A.pdb"):
+        if not path.exists():
+            continue
+        for solvent in ("obc2", "gbn2"):
+            chain, energy, q = at_a_minimum(path, "phi psi chi", solvent)
+            x = pc.pose(chain, q).x
+            row = {
+                "structure": path.stem.split("_")[0],
+                "residues": chain.structure.n_residues,
+                "solvent": solvent,
+                "OpenMM 2 fs": openmm_ns_per_day(chain.structure, solvent, x, 20.0),
+            }
+            for h in (2, 4, 8):
+                m = pc.simulate(chain, energy, q, time_step=h / 1000, n_steps=60, every=60)
+                n = max(100, round(60 * 8.0 / m.seconds))
+                m = pc.simulate(m.chain, energy, m.q, time_step=h / 1000, n_steps=n, every=n)
+                row[f"{h} fs"] = m.ns_per_day if m.is_sound else np.nan
+            row["ratio at 2 fs"] = row["2 fs"] / row["OpenMM 2 fs"]
+            row["ratio at 4 fs"] = row["4 fs"] / row["OpenMM 2 fs"]
+            row["ratio at 8 fs"] = row["8 fs"] / row["OpenMM 2 fs"]
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def markdown(table: pd.DataFrame) -> str:
+    """Table as README shows it."""
+    cells = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in table.to_numpy(object)]
+    lines = [list(table.columns), ["---"] + ["--:"] * (len(table.columns) - 1), *cells]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def draw(table: pd.DataFrame, path: Path) -> None:
+    """Energy error against time step and against cost."""
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained", sharey=True)
+    sound = table[(table["status"] == "completed") & (table["ps"] < 100)]
+    for marker, (name, part) in zip("os^Dv", sound.groupby("integrator", sort=False), strict=False):
+        axes[0].loglog(part["step fs"], part["error kJ/mol"], marker=marker, label=name)
+        axes[1].loglog(part["ms per step"] / part["step fs"], part["error kJ/mol"], marker=marker, label=name)
+    axes[0].set(xlabel="time step, fs", ylabel="standard deviation of the energy, kJ/mol")
+    axes[1].set(xlabel="run time, s per ps")
+    axes[0].legend(frameon=False)
+    figure.suptitle("Trp-cage at constant energy, 300 K: error against step and run time")
+    figure.savefig(path, dpi=150)
+
+
+STUDIES = {"energy": energy_error, "steps": largest_steps, "cost": cost, "speed": speed}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("studies", nargs="*", metavar="STUDY", default=list(STUDIES))
+    parser.add_argument("-o", "--output", type=Path)
+    options = parser.parse_args()
+    for name in options.studies:
+        table = STUDIES[name]()
+        print(f"\n{STUDIES[name].__doc__}\n\n{markdown(table)}", flush=True)
+        if options.output:
+            options.output.mkdir(parents=True, exist_ok=True)
+            table.to_csv(options.output / f"{name}.csv", index=False)
+            if name == "energy":
+                draw(table, options.output / "energy.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,187 @@
+"""Newton's method for the implicit halves of the leapfrog, in O(n): where fixed points do not attract.
+
+The momentum of hinge k is h_k . Pi_k, with h_k its twist and Pi_k the momentum of all that it carries, and
+the gradient of the kinetic energy is (V_k x h_k) . Pi_k. Both are sums over what hangs outside of local
+terms, so the derivatives with respect to the velocities factorise by one inward sweep, as the mass matrix
+does by articulated bodies: but the twists that collect momenta are not those that spread velocities, one of
+the two is turned by the step, and the articulated inertia is not symmetric. The second half's derivative is
+the first's, transposed, for the step back: moving a hinge and its rate together does to the momenta what a
+rate does to the gradient.
+"""
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers
+from protochain.multibody.algebra import (
+    ZERO,
+    Vector,
+    add,
+    cross,
+    freedom,
+    hinge_axis,
+    kernel,
+    lever,
+    matrix,
+    pair,
+    put_pair,
+    rigid_inertia,
+    scale,
+    vector_at,
+)  # fmt: skip
+from protochain.multibody.tree import PARENT, SLIDE, TURN, V
+
+
+@kernel
+def correct(
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, twists: Floats, momenta: Floats,
+    h: float, x: Floats,
+) -> None:  # fmt: skip
+    """Overwrite what momenta lack in ``x`` (n_v,) by the velocities to add.
+
+    ``twists`` and ``momenta`` (nb, 6) are those of the bodies and of all that they carry. With ``spread`` the
+    derivative is that of momenta at q + h qd, else that of momenta less h times the gradient. The turn of
+    free roots is left out of it: it is of the size of the turn of the whole chain.
+    """
+    n = len(bodies)
+    inertia, load = np.zeros((n, 6, 6)), np.zeros((n, 6))
+    column, row = np.zeros((n, 6)), np.zeros((n, 6))
+    left, right, feel = np.empty(6), np.empty(6), np.empty(6)
+    for b in range(n - 1, -1, -1):
+        parent, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
+        p, z = inertia[b], load[b]
+        _add_rigid(p, rotation, bodies, b)
+        if n_v == 1:
+            _hinge_twists(rotation, bodies, twists, momenta, b, h, left, right, feel)
+            u, y = column[b], row[b]
+            pivot, taken = 0.0, 0.0
+            for i in range(6):
+                u[i] = h * feel[i]
+                y[i] = -h * feel[i]
+                for j in range(6):
+                    u[i] += p[i, j] * right[j]
+                    y[i] += p[j, i] * left[j]
+                pivot += left[i] * u[i] - h * feel[i] * right[i]
+                taken += left[i] * z[i]
+            for i in range(6):
+                y[i] /= pivot
+            x[k] = (x[k] - taken) / pivot
+            for i in range(6):
+                for j in range(6):
+                    p[i, j] -= u[i] * y[j]
+                z[i] += u[i] * x[k]
+        elif n_v == 6:
+            _solve_root(p, z, twists, momenta, b, h, x[k : k + 6])
+        if parent >= 0:
+            _hand_inward(p, z, lever(origin, b, parent), inertia[parent], load[parent])
+
+    for b in range(n):
+        parent, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
+        moved = load[b]
+        moved[:] = 0.0
+        if parent >= 0:
+            omega, u0 = pair(load, parent)
+            u0 = add(u0, cross(omega, lever(origin, b, parent)))
+            for i in range(3):
+                moved[i], moved[3 + i] = omega[i], u0[i]
+        if n_v == 1:
+            _hinge_twists(rotation, bodies, twists, momenta, b, h, left, right, feel)
+            for i in range(6):
+                x[k] -= row[b, i] * moved[i]
+            for i in range(6):
+                moved[i] += right[i] * x[k]
+        elif n_v == 6:
+            omega, u = pair(twists, b)
+            turn, slide = vector_at(x, k), vector_at(x, k + 3)
+            put_pair(
+                add(turn, scale(h, cross(omega, turn))),
+                add(slide, scale(h, add(cross(omega, slide), cross(u, turn)))), load, b,
+            )  # fmt: skip
+
+
+@kernel
+def _hinge_twists(
+    rotation: Floats, bodies: Floats, twists: Floats, momenta: Floats, b: int, h: float, left: Floats,
+    right: Floats, feel: Floats,
+) -> None:  # fmt: skip
+    """Write s - h V x s, s + h V x s and s x* Pi for the twist s of a hinge."""
+    axis = hinge_axis(rotation, b)
+    turn, slide = scale(bodies[b, TURN], axis), scale(bodies[b, SLIDE], axis)
+    omega, u = pair(twists, b)
+    angular, linear = pair(momenta, b)
+    spin, drift = cross(omega, turn), add(cross(omega, slide), cross(u, turn))
+    moment, force = add(cross(turn, angular), cross(slide, linear)), cross(turn, linear)
+    for i in range(3):
+        left[i], left[3 + i] = turn[i] - h * spin[i], slide[i] - h * drift[i]
+        right[i], right[3 + i] = turn[i] + h * spin[i], slide[i] + h * drift[i]
+        feel[i], feel[3 + i] = moment[i], force[i]
+
+
+@kernel
+def _solve_root(
+    p: Floats, z: Floats, twists: Floats, momenta: Floats, b: int, h: float, x: Floats
+) -> None:  # fmt: skip
+    """Overwrite what a free root's momenta lack by the velocities to add: a dense matrix of six rows.
+
+    They are those about where the step began, h u before its middle; and what turns the root turns all
+    momenta.
+    """
+    a, r = np.empty((6, 6)), np.empty(6)
+    omega, u = pair(twists, b)
+    angular, linear = pair(momenta, b)
+    shifted = cross(u, vector_at(x, 3))
+    for i in range(3):
+        r[i], r[3 + i] = x[i] - h * shifted[i] - z[i], x[3 + i] - z[3 + i]
+    for j in range(6):
+        turn, slide = freedom(ZERO, 0.0, 0.0, 6, j)
+        spin = add(turn, scale(h, cross(omega, turn)))
+        drift = add(slide, scale(h, add(cross(omega, slide), cross(u, turn))))
+        moment, force = add(cross(turn, angular), cross(slide, linear)), cross(turn, linear)
+        for i in range(3):
+            a[i, j], a[3 + i, j] = h * moment[i], h * force[i]
+        for i in range(6):
+            for k in range(3):
+                a[i, j] += p[i, k] * spin[k] + p[i, 3 + k] * drift[k]
+    x[:] = np.linalg.solve(a, r)
+
+
+@kernel
+def _add_rigid(p: Floats, rotation: Floats, bodies: Floats, b: int) -> None:
+    """Add a body's own inertia about its origin to a 6x6 matrix."""
+    mass, (x, y, z), s = rigid_inertia(matrix(rotation, b), bodies, b)
+    p[0, 0] += s[0]
+    p[0, 1] += s[1]
+    p[0, 2] += s[2]
+    p[1, 0] += s[1]
+    p[1, 1] += s[3]
+    p[1, 2] += s[4]
+    p[2, 0] += s[2]
+    p[2, 1] += s[4]
+    p[2, 2] += s[5]
+    for i, j, c in ((0, 4, -z), (0, 5, y), (1, 3, z), (1, 5, -x), (2, 3, -y), (2, 4, x)):
+        p[i, j] += c
+        p[j, i] += c
+    for i in range(3, 6):
+        p[i, i] += mass
+
+
+@kernel
+def _hand_inward(p: Floats, z: Floats, arm: Vector, onto: Floats, load: Floats) -> None:
+    """Add to the parent's matrix and load what the child's are about its origin: X^T p X and X^T z."""
+    for i in range(6):
+        # Columns: a twist (omega, u) of the parent is (omega, u + omega x arm) here.
+        shifted = cross(arm, (p[i, 3], p[i, 4], p[i, 5]))
+        for j in range(3):
+            p[i, j] += shifted[j]
+    for j in range(6):
+        shifted = cross(arm, (p[3, j], p[4, j], p[5, j]))
+        for i in range(3):
+            p[i, j] += shifted[i]
+    for i in range(6):
+        for j in range(6):
+            onto[i, j] += p[i, j]
+    moment = cross(arm, (z[3], z[4], z[5]))
+    for i in range(3):
+        load[i] += z[i] + moment[i]
+        load[3 + i] += z[3 + i]

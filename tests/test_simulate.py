@@ -1,0 +1,454 @@
+"""Simulations of proteins: energy, temperature, files, going on, and what goes wrong."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import mdtraj
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import ROOT, STRUCTURES, chain, energy, load
+from scipy.stats import kstest
+
+import protochain as pc
+from protochain import multibody
+from protochain.dynamics import Leapfrog, Simulation, StepTooLargeError, System, closure_of, simulate
+from protochain.multibody import HingeKind, random_tree
+
+COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]
+THERMOSTATS = ("none", "langevin", "nose-hoover", "rescale", "hmc")
+DRIFT = 0.01
+"""kJ/mol/ps for 100 atoms: what a constant-energy run may gain or lose."""
+
+
+def protochain(*arguments, cwd, timeout=300):
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=timeout
+    )
+
+
+@pytest.fixture(scope="module")
+def relaxed():
+    """Trp-cage at a minimum of its torsions."""
+    c, e = chain("1l2y.pdb"), energy("1l2y.pdb")
+    return c, e, pc.minimise(c, e, "lbfgs", 10.0).q
+
+
+@pytest.fixture(scope="module")
+def small():
+    s = pc.from_sequence("AGA")
+    c, e = pc.build_chain(s), pc.energy(s)
+    return c, e, pc.minimise(c, e, "lbfgs", 1.0).q
+
+
+# --- Energy and temperature
+
+
+def test_energy_of_trp_cage_does_not_drift_at_2_fs(relaxed):
+    m = simulate(*relaxed, time_step=0.002, n_steps=2500, thermostat="none", every=10, seed=1)
+    assert m.ending == "completed" and abs(m.drift) < DRIFT
+    assert m.trace["kinetic_kj_mol"].std() > 1.0
+    assert m.trace["total_kj_mol"].std() < 0.01 * m.trace["kinetic_kj_mol"].std()
+
+
+@pytest.mark.slow
+def test_energy_of_trp_cage_does_not_drift_over_100_ps(relaxed):
+    m = simulate(*relaxed, time_step=0.002, n_steps=50_000, thermostat="none", every=100, seed=1)
+    assert abs(m.drift) < DRIFT
+
+
+def test_energy_error_falls_with_the_square_of_the_step(relaxed):
+    spread = [
+        simulate(*relaxed, time_step=h, n_steps=round(1.0 / h), thermostat="none", every=1, seed=1)
+        .trace["total_kj_mol"].std()
+        for h in (0.004, 0.002)
+    ]  # fmt: skip
+    assert spread[0] / spread[1] == pytest.approx(4.0, rel=0.25)
+
+
+@pytest.mark.parametrize("thermostat", THERMOSTATS)
+def test_every_thermostat_conserves_what_it_counts(thermostat, small):
+    m = simulate(*small, n_steps=2000, thermostat=thermostat, friction=5.0, every=10, seed=2)
+    assert m.ending == "completed"
+    conserved = m.trace["conserved_kj_mol"]
+    assert conserved.max() - conserved.min() < 0.15 * np.ptp(m.trace["kinetic_kj_mol"])
+    assert (m.accepted is None) == (thermostat != "hmc") and (m.accepted or 1.0) > 0.9
+    if thermostat == "none":
+        assert m.freedoms == m.chain.n_v - 6
+    else:
+        assert np.ptp(m.trace["total_kj_mol"]) > np.ptp(conserved)
+
+
+@pytest.mark.parametrize("thermostat", ["none", "nose-hoover", "rescale"])
+def test_nothing_moves_as_one(thermostat, small):
+    m = simulate(*small, n_steps=250, thermostat=thermostat, every=50)
+    linear, angular = multibody.momentum(m.chain.tree, m.now.at.factors.frames, m.qd)
+    assert np.abs(linear).max() < 1e-8 and np.abs(angular).max() < 1e-8
+
+
+def test_hybrid_monte_carlo_samples_the_boltzmann_distribution_of_a_torsion():
+    """Two alanines of which phi turns: against the density by quadrature of the energy itself."""
+    s = pc.from_sequence("AA")
+    c, e = pc.build_chain(s, "phi"), pc.energy(s)
+    assert c.n_hinges == 1
+    n, temperature, frames = 180, 1000.0, []
+    edges = np.linspace(-np.pi, np.pi, n + 1)
+    energies = np.array([e(pc.pose(c, np.array([angle])).x)[0] for angle in (edges[1:] + edges[:-1]) / 2])
+    m = simulate(
+        c, e, c.q0, temperature, 0.012, 30_000, "hmc", 5, fixman=True, trajectory_length=50, every=50,
+        watch=lambda row, x: frames.append(x),
+    )  # fmt: skip
+    assert 0.7 < m.accepted <= 1.0
+    top = mdtraj.Topology.from_openmm(s.topology)
+    phi = mdtraj.compute_dihedrals(mdtraj.Trajectory(np.array(frames[20:]), top), [c.hinges[0].atoms])[:, 0]
+
+    def density(t):
+        weight = np.exp(-(energies - energies.min()) / (pc.units.MOLAR_GAS * t))
+        total = np.concatenate([[0.0], np.cumsum(weight)]) / weight.sum()
+        return lambda angle: np.interp(angle, edges, total)
+
+    assert kstest(phi.astype(float), density(temperature)).pvalue > 1e-3
+    assert kstest(phi.astype(float), density(0.25 * temperature)).pvalue < 1e-3
+
+
+# --- What begins where
+
+
+def test_a_root_is_freed_and_the_start_stays_where_it_was(relaxed):
+    c, e, q = relaxed
+    frames = []
+    m = simulate(c, e, q, n_steps=1, every=1, watch=lambda row, x: frames.append(x))
+    assert c.n_v + 6 == m.chain.n_v and m.chain.tree.kind[0] == HingeKind.FREE
+    assert np.abs(frames[0] - pc.pose(c, q).x).max() < 1e-12
+    held = simulate(pc.build_chain(c.structure, root="fixed"), e, q, n_steps=20, every=20)
+    assert held.chain.n_v == c.n_v
+    on = simulate(m.chain, e, m.q, n_steps=1, every=1, watch=lambda row, x: frames.append(x))
+    assert np.abs(frames[2] - m.x).max() < 1e-12 and on.chain.n_v == m.chain.n_v
+
+
+def test_a_selection_keeps_the_rest_at_rest():
+    c = pc.build_chain(load("1l2y.pdb"), move="resid 1:5 and not backbone")
+    m = simulate(c, energy("1l2y.pdb"), n_steps=50, every=50)
+    moved = np.linalg.norm(m.x - c.structure.positions, axis=1)
+    assert moved.max() > 1e-3 and np.all(moved[c.structure.atom_residue > 5] < 1e-12)
+
+
+def test_heavy_hydrogens_take_their_mass_from_what_they_are_bonded_to():
+    s = load("1l2y.pdb")
+    light, heavy = (pc.build_chain(s, "phi psi chi rotors", "free", hydrogen_mass=m) for m in (None, 4.0))
+    assert heavy.tree.mass.sum() == pytest.approx(light.tree.mass.sum(), rel=1e-14)
+    rotor = next(b for b, h in zip(heavy.hinge_body, heavy.hinges, strict=True) if h.kind == "rotor")
+    assert heavy.tree.rigid[rotor, 9] == pytest.approx(4.0 / 1.008 * light.tree.rigid[rotor, 9], rel=1e-3)
+    for wrong in (0.0, -1.0, 6.0, np.nan):
+        with pytest.raises(pc.ProtochainError, match="hydrogen-mass"):
+            pc.build_chain(s, hydrogen_mass=wrong)
+    m = simulate(light, energy("1l2y.pdb"), n_steps=5, hydrogen_mass=3.0)
+    assert m.chain.hydrogen_mass == 3.0
+
+
+# --- Loops
+
+
+@pytest.mark.parametrize("name", ["1ejg.pdb", "3i40.pdb"])
+def test_closed_loops_stay_closed_and_open_ones_are_left_to_the_force_field(name):
+    s = load(name)
+    c, e = pc.build_chain(s), energy(name)
+    settings = {"temperature": 100.0, "time_step": 0.001, "n_steps": 100, "every": 10, "thermostat": "none"}
+    closed = simulate(c, e, loops="closed", **settings)
+    free = simulate(c, e, **settings)
+    assert closed.trace["closure_error_nm"].max() < 1e-11
+    assert "closure_error_nm" not in free.trace
+    assert closed.freedoms == free.freedoms - 3 * len(c.loops)
+    assert closed.trace["total_kj_mol"].std() < 0.05 * closed.trace["kinetic_kj_mol"].std()
+    bonds = c.loops
+    length = [
+        np.linalg.norm(np.diff(x[bonds], axis=1)[:, 0], axis=1) for x in (s.positions, closed.x, free.x)
+    ]
+    assert np.abs(length[1] - length[0]).max() < 1e-11 < np.abs(length[2] - length[0]).max()
+    # The velocities, too, and as rows of differences say.
+    closure = closure_of(closed.chain)
+    rates = (
+        multibody.row_matrix(
+            closed.chain.tree, closed.now.at.factors.frames, closure.rows(closed.now.at.factors.frames)
+        )
+        @ closed.qd
+    )
+    assert np.abs(rates).max() < 1e-10
+    h = 1e-6
+    there, back = (
+        closure.errors(
+            multibody.pose(
+                closed.chain.tree, multibody.integrate(closed.chain.tree, closed.q, t * closed.qd + t)
+            )
+        )
+        for t in (h, -h)
+    )
+    rows = multibody.row_matrix(
+        closed.chain.tree, closed.now.at.factors.frames, closure.rows(closed.now.at.factors.frames)
+    )
+    assert np.allclose((there - back) / (2 * h), rows @ (closed.qd + 1.0), atol=1e-6)
+
+
+def test_a_constrained_run_returns_when_time_turns():
+    s = load("1ejg.pdb")
+    c = pc.build_chain(s, root="free")
+    closure = closure_of(c)
+    system = System(c.tree, lambda q, f: (0.0, np.zeros(c.n_v)), closure)
+    rng = np.random.default_rng(0)
+    start = system.at(c.q0, np.zeros(c.n_v))
+    start = system.moving(start, multibody.sample_velocities(c.tree, start.factors.frames, 2.5, rng))
+    at = start
+    for _ in range(20):
+        at = Leapfrog().step(system, at, 0.002)
+    assert np.abs(at.q - start.q).max() > 0.05
+    for _ in range(20):
+        at = Leapfrog().step(system, at, -0.002)
+    assert np.abs(at.q - start.q).max() < 1e-8
+    with pytest.raises(pc.ProtochainError, match="no loop"):
+        closure_of(chain("1l2y.pdb"))
+
+
+# --- Files
+
+
+@pytest.mark.parametrize(("suffix", "precision"), [("dcd", 1e-6), ("xtc", 6e-4)])
+def test_files_hold_what_the_run_was(suffix, precision, small, tmp_path):
+    frames = []
+    m = simulate(
+        *small, n_steps=60, every=20, output=tmp_path / "run", trajectory=suffix,
+        watch=lambda row, x: frames.append(x),
+    )  # fmt: skip
+    folder = tmp_path / "run"
+    names = {"checkpoint.npz", "last.pdb", "log.csv", "summary.json", f"trajectory.{suffix}"}
+    assert {path.name for path in folder.iterdir()} == names
+    top = mdtraj.Topology.from_openmm(m.chain.structure.topology)
+    read = mdtraj.load(str(folder / f"trajectory.{suffix}"), top=top)
+    assert read.n_frames == 4 and np.abs(read.xyz - frames).max() < precision
+    if suffix == "xtc":
+        assert np.allclose(read.time, m.trace["time_ps"])
+    pd.testing.assert_frame_equal(pd.read_csv(folder / "log.csv"), m.trace, check_dtype=False)
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["status"] == "completed" and summary["steps"] == 60 and summary["ns_per_day"] > 0
+    assert np.abs(pc.load(folder / "last.pdb").positions - m.x).max() < 1e-4
+    assert "CONSTRAINED DYNAMICS, COMPLETED" in (folder / "last.pdb").read_text()
+
+
+@pytest.mark.parametrize("thermostat", THERMOSTATS)
+def test_a_run_in_parts_is_the_run_in_one(thermostat, small, tmp_path):
+    settings = {"thermostat": thermostat, "every": 20, "seed": 3, "fixman": thermostat == "hmc"}
+    whole = simulate(*small, n_steps=200, **settings)
+    for n_steps in (60, 140, 200):
+        part = simulate(
+            *small, n_steps=n_steps, output=tmp_path, resume=n_steps > 60, checkpoint_every=1, **settings
+        )
+    assert np.array_equal(part.q, whole.q) and np.array_equal(part.qd, whole.qd)
+    pd.testing.assert_frame_equal(part.trace, whole.trace, check_exact=True, check_dtype=False)
+    other = simulate(*small, n_steps=200, **{**settings, "seed": 4})
+    assert not np.array_equal(other.q, whole.q)
+
+
+def test_a_checkpoint_fits_one_simulation_only(small, tmp_path):
+    simulate(*small, n_steps=20, every=10, output=tmp_path)
+    with pytest.raises(pc.ProtochainError, match="holds a simulation"):
+        simulate(*small, n_steps=40, every=10, output=tmp_path)
+    with pytest.raises(pc.ProtochainError, match=r"temperature 300\.0, not 310\.0"):
+        simulate(*small, temperature=310.0, n_steps=40, every=10, output=tmp_path, resume=True)
+    (tmp_path / "trajectory.dcd").write_bytes(b"cut")
+    with pytest.raises(pc.ProtochainError, match="lost frames"):
+        simulate(*small, n_steps=40, every=10, output=tmp_path, resume=True)
+    again = simulate(*small, n_steps=40, every=10, output=tmp_path, force=True)
+    assert len(again.trace) == 5
+    with pytest.raises(pc.ProtochainError, match="no checkpoint"):
+        simulate(*small, n_steps=40, output=tmp_path / "none", resume=True)
+    with pytest.raises(pc.ProtochainError, match="output"):
+        simulate(*small, n_steps=40, resume=True)
+
+
+@pytest.mark.parametrize("suffix", ["dcd", "xtc"])
+def test_after_kill_9_a_run_goes_on_as_if_nothing_had_been(suffix, tmp_path):
+    arguments = [
+        "simulate", STRUCTURES / "ala10.pdb", "--steps", 6000, "--every", 20, "--checkpoint-every", 2,
+        "--trajectory", suffix, "--seed", 9,
+    ]  # fmt: skip
+    assert protochain(*arguments, "-o", "whole", cwd=tmp_path).returncode == 0
+    process = subprocess.Popen(
+        [*COMMAND, *map(str, arguments), "-o", "cut"], cwd=tmp_path, stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    began = time.monotonic()
+    while not (tmp_path / "cut" / "checkpoint.npz").exists() and time.monotonic() - began < 120:
+        time.sleep(0.02)
+    time.sleep(0.3)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (tmp_path / "cut" / f"trajectory.{suffix}").exists()
+    done = protochain(*arguments, "-o", "cut", "--resume", "--json", cwd=tmp_path)
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["steps"] == 6000
+    whole, cut = (tmp_path / name for name in ("whole", "cut"))
+    assert (whole / "log.csv").read_bytes() == (cut / "log.csv").read_bytes()
+    top = mdtraj.Topology.from_openmm(pc.load(whole / "last.pdb").topology)
+    frames = [mdtraj.load(str(path / f"trajectory.{suffix}"), top=top).xyz for path in (whole, cut)]
+    assert len(frames[0]) == 301 and np.array_equal(*frames)
+    assert (whole / "last.pdb").read_bytes() == (cut / "last.pdb").read_bytes()
+
+
+def test_ctrl_c_leaves_a_run_to_go_on_with(tmp_path):
+    arguments = ["simulate", STRUCTURES / "ala10.pdb", "--steps", 1_000_000, "--every", 20, "-o", "run"]
+    process = subprocess.Popen(
+        [*COMMAND, *map(str, arguments)], cwd=tmp_path, text=True, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    began = time.monotonic()
+    while not (tmp_path / "run" / "checkpoint.npz").exists() and time.monotonic() - began < 120:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 3 and "interrupted" in out
+    rows = pd.read_csv(tmp_path / "run" / "log.csv")
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["status"] == "interrupted" and summary["steps"] // 20 == len(rows) - 1
+    more = (len(rows) + 1) * 20
+    assert protochain(*arguments[:3], more, *arguments[4:], "--resume", cwd=tmp_path).returncode == 0
+    assert len(pd.read_csv(tmp_path / "run" / "log.csv")) == len(rows) + 2
+
+
+# --- What goes wrong
+
+
+def test_a_step_too_large_is_named_and_nothing_is_written_as_if_good(tmp_path):
+    done = protochain(
+        "simulate", STRUCTURES / "ala10.pdb", "--steps", 2000, "--time-step", 60, "-o", "run", cwd=tmp_path
+    )
+    assert done.returncode == 1
+    assert "unstable after" in done.stderr and "time step" in done.stderr and "Traceback" not in done.stderr
+    names = {path.name for path in (tmp_path / "run").iterdir()}
+    assert names == {"checkpoint.npz", "log.part.csv", "summary.json", "trajectory.part.dcd"}
+    assert json.loads((tmp_path / "run" / "summary.json").read_text())["status"] == "unstable"
+
+
+@pytest.mark.parametrize(
+    ("settings", "word"),
+    [
+        ({"thermostat": "oven"}, "oven"),
+        ({"integrator": "euler"}, "euler"),
+        ({"loops": "knotted"}, "knotted"),
+        ({"time_step": 0.0}, "time-step"),
+        ({"time_step": np.nan}, "time-step"),
+        ({"temperature": -1.0}, "temperature"),
+        ({"friction": -1.0}, "friction"),
+        ({"n_steps": 0}, "steps"),
+        ({"every": 0}, "every"),
+        ({"seed": -1}, "seed"),
+        ({"thermostat": "hmc", "every": 15}, "multiple"),
+        ({"thermostat": "hmc", "integrator": "rk4"}, "reversible"),
+        ({"thermostat": "nose-hoover", "temperature": 0.0}, "nose-hoover"),
+        ({"loops": "closed", "integrator": "lobatto"}, "leapfrog"),
+        ({"loops": "closed", "fixman": True}, "Fixman"),
+        ({"loops": "closed"}, "no loop"),
+        ({"hydrogen_mass": 9.0}, "hydrogen-mass"),
+        ({"trajectory": "avi", "output": "nowhere"}, "avi"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused_by_name(settings, word, small, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(pc.ProtochainError, match=word):
+        simulate(*small, **settings)
+    assert not list(tmp_path.iterdir())
+
+
+def test_usage_errors_are_one_line(tmp_path):
+    source = STRUCTURES / "ala10.pdb"
+    for arguments, word in ((["--thermostat", "oven"], "oven"), (["--resume"], "checkpoint")):
+        done = protochain("simulate", source, "-o", "run", *arguments, cwd=tmp_path)
+        assert done.returncode == 2 and word in done.stderr and len(done.stderr.splitlines()) == 1
+        assert not (tmp_path / "run").exists()
+    (tmp_path / "file").write_text("")
+    done = protochain("simulate", source, "-o", "file", cwd=tmp_path)
+    assert done.returncode == 2 and "file" in done.stderr
+
+
+# --- Extremes
+
+
+@pytest.mark.parametrize("temperature", [0.0, 10_000.0])
+def test_zero_and_ten_thousand_kelvin(temperature, small):
+    c, e, q = small
+    start = q + 0.2
+    hot = temperature > 0
+    m = simulate(c, e, start, temperature, 0.001 if hot else 0.004, 500, friction=20.0, every=10)
+    assert m.ending == "completed" and np.isfinite(m.trace.to_numpy()).all()
+    if hot:
+        assert m.trace["temperature_k"].iloc[20:].mean() == pytest.approx(temperature, rel=0.3)
+    else:
+        total = m.trace["total_kj_mol"].to_numpy()
+        assert np.all(np.diff(total) < 1e-6) and total[-1] < total[0] - 1.0
+        assert m.trace["kinetic_kj_mol"].iloc[0] == 0.0
+
+
+@pytest.mark.parametrize("sequence", ["SS", "G" * 12])
+def test_the_smallest_chain_and_glycines_alone(sequence):
+    s = pc.from_sequence(sequence)
+    m = simulate(
+        pc.build_chain(s, "phi psi chi rotors"), pc.energy(s), time_step=0.001, n_steps=200, every=20
+    )
+    assert isinstance(m, Simulation) and m.ending == "completed"
+    assert m.trace["conserved_kj_mol"].std() < 1.0
+
+
+@pytest.mark.parametrize("hinges", ["phi psi omega chi", "phi psi chi angles"])
+def test_stiff_hinges(hinges):
+    """Omega's barrier and open bond angles are ten to a hundred times stiffer than phi and psi."""
+    s = load("ala10.pdb")
+    c, e = pc.build_chain(s, hinges), energy("ala10.pdb")
+    q = pc.minimise(c, e, "lbfgs").q
+    m = simulate(c, e, q, time_step=0.002, n_steps=500, thermostat="none", every=10)
+    assert m.trace["total_kj_mol"].std() < 0.1 * m.trace["kinetic_kj_mol"].std()
+
+
+def test_a_chain_of_ten_thousand_residues():
+    """Two hinges a residue: energy and momenta are kept in a chain that no folding holds together."""
+    tree = random_tree(20_001, 3)
+    at_q, at_v = np.arange(7, tree.n_q), np.arange(6, tree.n_v)
+
+    def springs(q, factors):
+        torque = np.zeros(tree.n_v)
+        torque[at_v] = -50.0 * np.sin(q[at_q])
+        return float(50.0 * np.sum(1.0 - np.cos(q[at_q]))), torque
+
+    system = System(tree, springs)
+    q = np.zeros(tree.n_q)
+    q[0] = 1.0
+    rng = np.random.default_rng(0)
+    at = system.at(q, multibody.sample_velocities(tree, multibody.pose(tree, q), 2.5, rng))
+    start = at
+    before = multibody.momentum(tree, at.factors.frames, at.qd)[0]
+    for _ in range(20):
+        at = Leapfrog().step(system, at, 0.0002)
+    exchanged = abs(at.potential - start.potential)
+    assert exchanged > 10.0 and at.total == pytest.approx(start.total, abs=0.01 * exchanged)
+    after = multibody.momentum(tree, at.factors.frames, at.qd)[0]
+    assert np.allclose(after, before, atol=1e-9 * tree.mass.sum())
+    with pytest.raises(StepTooLargeError, match="fs"):
+        Leapfrog().step(system, at, 0.05)
+
+
+@pytest.mark.parametrize("time_step", [0.002, 0.004])
+def test_a_long_open_chain_needs_no_shorter_step(time_step):
+    """Its ends carry momenta that no hinge feels: fixed points do not attract, and Newton's method does."""
+    c = pc.build_chain(pc.from_sequence("GAS" * 30), root="free")
+    system = System(c.tree, lambda q, f: (0.0, np.zeros(c.n_v)))
+    rng = np.random.default_rng(0)
+    frames = multibody.pose(c.tree, c.q0)
+    at = start = system.at(c.q0, multibody.sample_velocities(c.tree, frames, 2.5, rng))
+    for _ in range(30):
+        at = Leapfrog().step(system, at, time_step)
+    assert np.abs(at.q - start.q).max() > 0.1
+    assert at.total == pytest.approx(start.total, rel=1e-4)
+    assert np.linalg.norm(at.q[:4]) == pytest.approx(1.0, abs=1e-14)
