@@ -4,7 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import DIFFERENCE, chain, energy, load
+from conftest import DIFFERENCE, GEOMETRY_NM, chain, energy, load
+from oracles import bond_lengths
 from scipy.optimize import minimize
 from scipy.sparse.csgraph import shortest_path
 
@@ -314,3 +315,23 @@ def test_torques_of_open_angles_are_minus_the_gradient():
     ]
     numeric = -np.diff(np.array(ends)[:, ::-1], axis=1).ravel() / (2 * h)
     assert np.linalg.norm(tau - numeric) < DIFFERENCE * np.linalg.norm(tau)
+
+
+def test_damped_dynamics_ends_in_a_minimum_and_keeps_the_geometry():
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    r = pc.minimise(c, e, "md")
+    assert r.status == "converged" and r.end.energy < r.start.energy - 20.0
+    before, after = (bond_lengths(c.structure.bonds, x) for x in (c.structure.positions, r.x))
+    assert np.abs(after - before).max() < GEOMETRY_NM
+    # At 0 K only friction changes the total energy: the potential falls with hardly a step back.
+    energies = r.trace["energy_kj_mol"].to_numpy()[:1000]
+    assert np.sum(np.maximum(np.diff(energies), 0.0)) < 0.2 * (energies[0] - energies[-1])
+
+
+def test_annealing_climbs_first_depends_on_its_seed_and_repeats():
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    first, again, other = (pc.minimise(c, e, "anneal", seed=seed) for seed in (1, 1, 2))
+    assert np.array_equal(first.q, again.q) and not np.array_equal(first.q, other.q)
+    energies = first.trace["energy_kj_mol"]
+    assert energies.iloc[:500].max() > first.start.energy
+    assert first.status == other.status == "converged" and first.end.energy < first.start.energy

@@ -26,10 +26,12 @@ from protochain.dynamics import (
     total,
     without_drift,
 )  # fmt: skip
+from protochain.dynamics.correction import correct
+from protochain.dynamics.leapfrog import _put_lack
 from protochain.dynamics.loop import noise
 from protochain.errors import MechanicsError
 from protochain.multibody import HingeKind, Tree, random_tree, rigid_bodies
-from protochain.multibody.hamilton import momenta
+from protochain.multibody.hamilton import momenta, put_momenta
 from protochain.multibody.rotations import displacement_rates, tangent, tangent_inverse, turn_by
 
 KINDS = (HingeKind.REVOLUTE, HingeKind.PRISMATIC, HingeKind.SCREW)
@@ -262,7 +264,7 @@ def test_implicit_midpoint_holds_where_the_leapfrog_breaks():
     start = system.at(np.full(2, 0.3) + 1e-4, np.array([1.0, -1.0]))
     midpoint = run(system, ImplicitMidpoint(), start, h, 100)
     assert midpoint.total == pytest.approx(start.total, rel=1e-3)
-    with suppress(StepTooLargeError, MechanicsError):
+    with suppress(StepTooLargeError, MechanicsError), np.errstate(all="ignore"):
         assert run(system, Leapfrog(), start, h, 100).total > 100 * start.total
 
 
@@ -274,6 +276,38 @@ def test_a_step_without_solution_is_named():
     with pytest.raises(StepTooLargeError, match="accurate"):
         torn = System(system.tree, lambda q, factors: (np.nan, np.full(system.tree.n_v, np.nan)))
         DormandPrince().step(torn, system.at(q, qd), 0.1)
+
+
+@pytest.mark.parametrize("root", [HingeKind.FIXED, HingeKind.FREE])
+def test_newtons_matrix_is_the_derivative_to_first_order_in_the_step(root):
+    """Against dense differences of what a flight's velocities must satisfy: off by the square of its time."""
+    system, q, qd = scene(3, n=7, root=root)
+    tree = system.tree
+    p = momenta(tree, multibody.pose(tree, q), qd)[0]
+    wanted = np.random.default_rng(1).normal(size=tree.n_v)
+    errors = []
+    for h in (0.02, 0.01, 0.005):
+
+        def lack(rates, h=h):
+            frames = multibody.pose(tree, multibody.integrate(tree, q, 0.5 * h * rates))
+            mu, gradient = momenta(tree, frames, rates)
+            out = np.empty(tree.n_v)
+            _put_lack(tree.links, h, rates, mu, gradient, p, out)
+            return out
+
+        dense = np.array([(lack(qd + 1e-6 * e) - lack(qd - 1e-6 * e)) / -2e-6 for e in np.eye(tree.n_v)]).T
+        frames = multibody.pose(tree, multibody.integrate(tree, q, 0.5 * h * qd))
+        n, n_v = tree.n_bodies, tree.n_v
+        twists, carried, mu, gradient = (np.empty(shape) for shape in ((n, 6), (n, 6), n_v, n_v))
+        put_momenta(
+            tree.links, tree.bodies, frames.rotation, frames.origin, qd, twists, carried, mu, gradient
+        )
+        x = wanted.copy()
+        correct(tree.links, tree.bodies, frames.rotation, frames.origin, twists, carried, 0.5 * h, x)
+        errors.append(np.abs(dense @ x - wanted).max())
+    by_mass_alone = np.abs(dense @ multibody.solve_mass(tree, frames, wanted) - wanted).max()
+    assert errors[2] < 0.1 * by_mass_alone
+    assert 3.0 < errors[0] / errors[1] < 5.5 and 3.0 < errors[1] / errors[2] < 5.5
 
 
 def test_rates_of_a_displacement_integrate_to_it():

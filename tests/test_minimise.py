@@ -211,7 +211,8 @@ def test_an_interrupt_returns_the_best_so_far(method):
 
     r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), method, watch=watch)
     assert r.status == Status.INTERRUPTED and r.message.startswith("interrupted after")
-    assert r.end.energy < r.start.energy
+    # Annealing climbs before it descends: so far the start is best.
+    assert r.end.energy < r.start.energy or (method == "anneal" and r.end.energy == r.start.energy)
     assert len(r.trace) == 9
 
 

@@ -35,7 +35,7 @@ def simulate(
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-simulation].")
     ] = None,
     steps: Annotated[int, typer.Option(help="Time steps in all.")] = 10_000,
-    time_step: Annotated[float, typer.Option(help="fs.")] = 4.0,
+    time_step: Annotated[float, typer.Option(help="fs.")] = 5.0,
     temperature: Annotated[
         float, typer.Option(help="K, of the thermostat and of the first velocities.")
     ] = 300.0,

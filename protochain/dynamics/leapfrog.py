@@ -4,8 +4,8 @@ Kinetic energies that depend on q do not separate, so the plain leapfrog (veloci
 Here the flight without potential is one step of the midpoint rule: its discrete Lagrangian is h L(exp(xi/2)
 q, xi/h), with xi the displacement of the step and L the kinetic energy (Marsden, West, Acta Numerica 10:357,
 2001, sections 1.3 and 2.6). Free roots follow the exponential map, so the momenta of an isolated chain are
-kept to rounding. The step is implicit in velocities only: a fixed point of O(n) sweeps, or Newton's method on
-them, without the energy.
+kept to rounding. The step is implicit in velocities only, for which Newton's method solves in O(n), without
+the energy.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from protochain.dynamics.correction import correct
 from protochain.dynamics.system import Phase, StepTooLargeError, System
 from protochain.multibody import Frames
 from protochain.multibody.algebra import add, cross, kernel, put_at, scale, subtract, vector_at
-from protochain.multibody.articulated import Articulated, factorise, outward_rates, put_rigid, solve
+from protochain.multibody.articulated import Articulated, factorise, put_rigid, solve
 from protochain.multibody.hamilton import put_momenta
 from protochain.multibody.kinematics import move_along, outward_frames
 from protochain.multibody.rotations import tangent, tangent_inverse
@@ -28,8 +28,6 @@ _SETTLED = 1e-13
 """Error of a velocity, relative to the largest, at which a solution is found."""
 _NOISE = 1e-9
 """Below this a change that no longer shrinks is rounding."""
-_SLOW = 0.1
-"""A fixed point that attracts no faster is left to Newton's method, whose sweeps cost some times more."""
 
 
 @dataclass(frozen=True)
@@ -108,8 +106,7 @@ def _fly(
     n, n_v = len(bodies), len(qd)
     twists, carried = np.empty((n, 6)), np.empty((n, 6))
     mu, gradient, lack, middle = np.empty(n_v), np.empty(n_v), np.empty(n_v), np.empty(len(q))
-    guess = qd.copy()
-    before, newton, found = np.inf, False, False
+    before, found = np.inf, False
     for _ in range(_ITERATIONS):
         middle[:] = q
         for k in range(n_v):
@@ -118,15 +115,7 @@ def _fly(
         outward_frames(links, bodies, middle, rotation, origin)
         put_momenta(links, bodies, rotation, origin, qd, twists, carried, mu, gradient)
         _put_lack(links, time_step, qd, mu, gradient, p, lack)
-        if newton:
-            correct(links, bodies, rotation, origin, twists, carried, 0.5 * time_step, lack)
-        else:
-            put_rigid(rotation, bodies, packed)
-            carried[:] = 0.0
-            failed = factorise(links, bodies, rotation, origin, packed, gain, pivot, root, carried, lack)
-            if failed >= 0:
-                return True
-            outward_rates(links, bodies, rotation, origin, gain, root, carried, lack)
+        correct(links, bodies, rotation, origin, twists, carried, 0.5 * time_step, lack)
         change = _add_on(lack, qd)
         # What the next change would be, if they go on to shrink as they do.
         left = change * change / before if change < before < np.inf else change
@@ -135,11 +124,7 @@ def _fly(
             break
         if not change < np.inf:
             break
-        slow = not newton and change > _SLOW * before
         before = change
-        if slow:
-            newton, before = True, np.inf
-            qd[:] = guess
     if not found:
         return True
     _push_by_inertia(links, time_step, qd, gradient, p)

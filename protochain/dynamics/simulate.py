@@ -38,7 +38,7 @@ def simulate(
     energy: Energy | None = None,
     q: Floats | None = None,
     temperature: float = 300.0,
-    time_step: float = 0.004,
+    time_step: float = 0.005,
     n_steps: int = 10_000,
     thermostat: str = "langevin",
     seed: int = 0,

@@ -269,7 +269,7 @@ def _by_openmm(run: _Run, stage: Stage, record: Recorder) -> Outcome:
     energy, x = run.energy, run.chain.structure.positions
     n_iterations, n_evaluations = 0, 1
     record(x, energy(x)[0], np.nan, 1)
-    stop = Stop.BUDGET
+    stop, settled = Stop.BUDGET, x
     if run.method == "openmm-md":
         settle = partial(local_energy_minimizer, tolerance=_SETTLED)
         for part in (settle, partial(langevin_dynamics, seed=run.seed)):
@@ -280,8 +280,9 @@ def _by_openmm(run: _Run, stage: Stage, record: Recorder) -> Outcome:
             stop, x, iterations, evaluations = part(energy, "CPU", x, max_evaluations=left, record=note)
             n_iterations += iterations
             n_evaluations += evaluations
+            settled = x if part is settle else settled
             if stop is Stop.INTERRUPTED:
-                return Outcome(stop, stage, stage.space.start(x), n_iterations, n_evaluations, None)
+                return Outcome(stop, stage, stage.space.start(settled), n_iterations, n_evaluations, None)
     for platform in ("CPU", "Reference"):
         if n_evaluations >= run.max_evaluations:
             stop = Stop.BUDGET
@@ -295,6 +296,8 @@ def _by_openmm(run: _Run, stage: Stage, record: Recorder) -> Outcome:
         _, forces = energy.reference(x)
         if stop not in SINGLE_PRECISION_ENDS or np.sqrt(np.mean(forces**2)) <= stage.tolerance:
             break
+    # Dynamics that no minimisation could follow to its end leaves a hot structure.
+    x = min(x, settled, key=lambda y: energy(y)[0])
     return Outcome(stop, stage, stage.space.start(x), n_iterations, n_evaluations, None)
 
 

@@ -39,7 +39,7 @@ from protochain.multibody.algebra import (
 )  # fmt: skip
 from protochain.multibody.kinematics import Frames
 from protochain.multibody.small import cholesky, dense_inertia, solve_lower, solve_upper
-from protochain.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
+from protochain.multibody.tree import PARENT, SLIDE, TURN, HingeKind, Q, Tree, V
 
 ROUND_OFF = 1e-15
 """A pivot below this share of the articulated inertia it was taken from is rounding, not inertia."""
@@ -190,10 +190,8 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
     """
     tree, frames = factors.tree, factors.frames
     x = floats(noise, (tree.n_v,), "noise").copy()
-    n_v = np.diff(tree.v_start)
-    hinges = np.flatnonzero(n_v == 1)
-    x[tree.v_start[hinges]] /= np.sqrt(factors.pivot[hinges])
-    for factor, b in zip(factors.root, np.flatnonzero(n_v == 6), strict=True):
+    x[tree.v_start[tree.hinged]] /= np.sqrt(factors.pivot[tree.hinged])
+    for factor, b in zip(factors.root, np.flatnonzero(tree.kind == HingeKind.FREE), strict=True):
         own = slice(tree.v_start[b], tree.v_start[b + 1])
         x[own] = np.tril(factor) @ x[own]
     outward_rates(

@@ -110,6 +110,11 @@ class Tree:
         return _starts(self.kind, N_V)
 
     @cached_property
+    def hinged(self) -> Integers:
+        """(k,) int: bodies with one freedom."""
+        return read_only(np.flatnonzero(np.diff(self.v_start) == 1), np.int64)
+
+    @cached_property
     def twist(self) -> Floats:
         """(nb, 2) float: turn (rad) and slide (nm) along the hinge's axis for each unit of q."""
         twist = np.zeros((self.n_bodies, 2))
