@@ -257,6 +257,10 @@ def test_a_checkpoint_fits_one_simulation_only(small, tmp_path):
         simulate(*small, n_steps=40, every=10, output=tmp_path)
     with pytest.raises(pc.ProtochainError, match=r"temperature 300\.0, not 310\.0"):
         simulate(*small, temperature=310.0, n_steps=40, every=10, output=tmp_path, resume=True)
+    c, e, q = small
+    moved = pc.build_chain(c.structure.with_positions(pc.pose(c, q + 0.1).x))
+    with pytest.raises(pc.ProtochainError, match="start"):
+        simulate(moved, e, n_steps=40, every=10, output=tmp_path, resume=True)
     (tmp_path / "trajectory.dcd").write_bytes(b"cut")
     with pytest.raises(pc.ProtochainError, match="lost frames"):
         simulate(*small, n_steps=40, every=10, output=tmp_path, resume=True)
@@ -343,6 +347,7 @@ def test_a_step_too_large_is_named_and_nothing_is_written_as_if_good(tmp_path):
         ({"time_step": np.nan}, "time-step"),
         ({"temperature": -1.0}, "temperature"),
         ({"friction": -1.0}, "friction"),
+        ({"q": np.zeros(3)}, "q has shape"),
         ({"n_steps": 0}, "steps"),
         ({"every": 0}, "every"),
         ({"seed": -1}, "seed"),
@@ -358,8 +363,9 @@ def test_a_step_too_large_is_named_and_nothing_is_written_as_if_good(tmp_path):
 )
 def test_settings_that_make_no_sense_are_refused_by_name(settings, word, small, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    c, e, q = small
     with pytest.raises(pc.ProtochainError, match=word):
-        simulate(*small, **settings)
+        simulate(c, e, **{"q": q, **settings})
     assert not list(tmp_path.iterdir())
 
 

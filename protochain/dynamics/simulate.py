@@ -1,5 +1,6 @@
 """``simulate``: constrained dynamics of a chain, from names and numbers to files and a result."""
 
+import hashlib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain.arrays import Floats
+from protochain.arrays import Floats, floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain, place_atoms, rigid_groups
 from protochain.dynamics.closure import Closure, closure_of
@@ -160,7 +161,7 @@ class _Scene:
             "move": self.chain.move,
             "engine": self.energy.engine,
             "system": self.energy.fingerprint,
-            "n_atoms": self.chain.n_atoms,
+            "start": hashlib.sha256(self.chain.structure.positions.tobytes()).hexdigest(),
         }
 
     def row(self, now: Moment, start: Floats) -> tuple[dict[str, float], Floats]:
@@ -188,7 +189,7 @@ class _Scene:
 
 def _scene(chain: Chain, energy: Energy, q: Floats | None, settings: Settings) -> _Scene:
     """Free the root, make hydrogens heavy, and put the parts together."""
-    given = chain.q0 if q is None else np.asarray(q, dtype=np.float64)
+    given = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
     root = "free" if chain.root == "auto" else chain.root
     mass = settings.hydrogen_mass if settings.hydrogen_mass is not None else chain.hydrogen_mass
     made = build_chain(chain.structure, chain.opened, root, move=chain.move, hydrogen_mass=mass)
