@@ -43,7 +43,9 @@ def simulate(
         str, typer.Option(help="langevin, nose-hoover, rescale, hmc or none.")
     ] = "langevin",
     friction: Annotated[float, typer.Option(help="How tightly the thermostat holds, 1/ps.")] = 1.0,
-    integrator: Annotated[str, typer.Option(help="leapfrog, midpoint, rk4 or dormand-prince.")] = "leapfrog",
+    integrator: Annotated[
+        str, typer.Option(help="leapfrog, lobatto, midpoint, rk4 or dormand-prince.")
+    ] = "leapfrog",
     hinges: Hinges = "phi psi chi",
     move: Move = "all",
     fixman: Annotated[
