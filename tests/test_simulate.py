@@ -115,6 +115,18 @@ def test_hybrid_monte_carlo_samples_the_boltzmann_distribution_of_a_torsion():
     assert kstest(phi.astype(float), density(0.25 * temperature)).pvalue < 1e-3
 
 
+def test_hybrid_monte_carlo_undoes_steps_that_fail(small):
+    """At 0.1 ps most trajectories climb or break; the samples between them are still sound."""
+    m = simulate(*small, time_step=0.1, n_steps=400, thermostat="hmc", every=10, seed=1)
+    assert m.ending == "completed" and 0.0 < m.accepted < 0.9
+    assert np.isfinite(m.trace.to_numpy()).all()
+    frozen = simulate(*small, time_step=0.4, n_steps=100, thermostat="hmc", every=10, seed=1)
+    assert frozen.ending == "completed" and frozen.accepted == 0.0
+    assert np.ptp(frozen.trace["potential_kj_mol"]) == 0.0
+    unsafe = simulate(*small, time_step=0.4, n_steps=100, thermostat="langevin", every=10, seed=1)
+    assert unsafe.ending == "unstable"
+
+
 # --- What begins where
 
 

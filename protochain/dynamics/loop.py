@@ -1,7 +1,7 @@
 """The one loop of dynamics: it steps, watches the energy, and reports; all else is done by its parts."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -91,20 +91,33 @@ def advance(course: Course, now: Moment) -> Moment:
     """
     step = now.step + 1
     try:
-        at = course.integrator.step(course.system, now.at, course.time_step)
-    except MechanicsError as error:
-        raise StepTooLargeError(str(error)) from None
-    if not at.is_finite:
-        raise StepTooLargeError("the energy or a torque is not a number")
-    jump = abs(at.total - now.at.total)
-    thermal = 0.5 * len(at.qd) * course.thermal_energy
-    if jump > BREACH * (thermal + now.at.kinetic) + course.thermal_energy + 1.0:
-        raise StepTooLargeError(f"the energy changed by {jump:.3g} kJ/mol in one step")
+        at = _step(course, now.at)
+    except StepTooLargeError:
+        if not course.thermostat.undoes:
+            raise
+        at = replace(now.at, potential=np.inf)
     rng = noise(course.seed, step)
     at, bath = course.thermostat.apply(course.system, at, now.bath, course.time_step, rng)
     if course.stays and step % DRIFT_STEPS == 0:
         at = course.system.moving(at, without_drift(course.system.tree, at.factors.frames, at.qd))
     return Moment(step, at, bath)
+
+
+def _step(course: Course, before: Phase) -> Phase:
+    """Return the phase one time step later, if its energy can be right."""
+    if not np.isfinite(before.potential):
+        raise StepTooLargeError("the energy is not a number")
+    try:
+        at = course.integrator.step(course.system, before, course.time_step)
+    except MechanicsError as error:
+        raise StepTooLargeError(str(error)) from None
+    if not at.is_finite:
+        raise StepTooLargeError("the energy or a torque is not a number")
+    jump = abs(at.total - before.total)
+    thermal = 0.5 * len(at.qd) * course.thermal_energy
+    if jump > BREACH * (thermal + before.kinetic) + course.thermal_energy + 1.0:
+        raise StepTooLargeError(f"the energy changed by {jump:.3g} kJ/mol in one step")
+    return at
 
 
 def run(

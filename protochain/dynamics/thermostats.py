@@ -1,7 +1,7 @@
 """Thermostats: applied after each step of an integrator, each keeps the canonical distribution exactly."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -32,6 +32,9 @@ class Thermostat(Protocol):
     ``freedoms`` is how many velocities share the kinetic energy, ``thermal_energy`` kT in kJ/mol.
     """
 
+    undoes: ClassVar[bool]
+    """Whether it takes back a step that has failed, which has an infinite potential then."""
+
     def init(self, system: System, at: Phase) -> Bath:
         """Return the bath at the start."""
 
@@ -44,6 +47,8 @@ class Thermostat(Protocol):
 @dataclass(frozen=True)
 class Isolated:
     """No thermostat: constant energy."""
+
+    undoes: ClassVar[bool] = False
 
     def init(self, system: System, at: Phase) -> Bath:
         """Remember nothing."""
@@ -71,6 +76,7 @@ class Langevin:
 
     thermal_energy: float
     friction: float = 1.0
+    undoes: ClassVar[bool] = False
 
     def init(self, system: System, at: Phase) -> Bath:
         """Remember nothing but the energy taken."""
@@ -102,6 +108,7 @@ class Rescaling:
     thermal_energy: float
     freedoms: int
     friction: float = 1.0
+    undoes: ClassVar[bool] = False
 
     def init(self, system: System, at: Phase) -> Bath:
         """Remember nothing but the energy taken."""
@@ -147,6 +154,7 @@ class NoseHoover:
     thermal_energy: float
     freedoms: int
     friction: float = 1.0
+    undoes: ClassVar[bool] = False
 
     @property
     def _inertia(self) -> Floats:
@@ -191,7 +199,7 @@ class HybridMonteCarlo:
 
     Duane, Kennedy, Pendleton, Roweth, Phys. Lett. B 195:216 (1987). With a reversible, volume-preserving
     integrator the distribution is exact at any time step; with Fixman's potential it is that of the force
-    field in torsions. The memory holds steps since the last test, trajectories kept and tried, the total
+    field in torsions. A trajectory with a step that fails is undone. The memory holds steps since the last test, trajectories kept and tried, the total
     energy and q where the present one began.
 
     Parameters
@@ -203,6 +211,7 @@ class HybridMonteCarlo:
 
     thermal_energy: float
     length: int = 10
+    undoes: ClassVar[bool] = True
 
     def init(self, system: System, at: Phase) -> Bath:
         """Begin a trajectory."""
@@ -219,10 +228,9 @@ class HybridMonteCarlo:
         keep = climbed <= 0.0 or (
             self.thermal_energy > 0.0 and rng.random() < np.exp(-climbed / self.thermal_energy)
         )
-        before = at.total
+        before = at.total if keep else began
         if not keep:
-            q = bath.memory[4:]
-            at = system.at(q, np.zeros(system.tree.n_v))
+            at = system.at(bath.memory[4:], np.zeros(system.tree.n_v))
         noise = np.sqrt(self.thermal_energy) * rng.standard_normal(system.tree.n_v)
         at = system.moving(at, sample(at.factors, noise))
         energy = bath.energy + before - at.total
