@@ -199,8 +199,8 @@ class HybridMonteCarlo:
 
     Duane, Kennedy, Pendleton, Roweth, Phys. Lett. B 195:216 (1987). With a reversible, volume-preserving
     integrator the distribution is exact at any time step; with Fixman's potential it is that of the force
-    field in torsions. A trajectory with a step that fails is undone. The memory holds steps since the last test, trajectories kept and tried, the total
-    energy and q where the present one began.
+    field in torsions. A trajectory with a step that fails is undone. The memory holds steps since the last
+    test, trajectories kept and tried, the total energy and q where the present one began.
 
     Parameters
     ----------

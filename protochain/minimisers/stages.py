@@ -1,7 +1,7 @@
 """A method as a sequence of runs of the one loop: in which freedoms, by which descent, held by what."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,6 +70,29 @@ def read_hold(restraint: str, max_rmsd: float | None) -> Hold:
     return Hold(strengths, np.inf if max_rmsd is None else max_rmsd)
 
 
+def last(problem: Problem, ending: Ending, q: Floats) -> Floats:
+    """Where a run came to its end by itself, if that may be an answer; else as :func:`lowest`."""
+    end = ending.last.state.at
+    sound = (
+        ending.stop is Stop.NO_DESCENT
+        and end.is_finite
+        and (problem.allowed is None or problem.allowed(end.x))
+    )
+    return end.q if sound else lowest(problem, ending, q)
+
+
+def lowest(problem: Problem, ending: Ending, q: Floats) -> Floats:
+    """Where a run met its tolerance without having climbed; else its lowest energy; else where it began."""
+    end = ending.last.state.at
+    reached = ending.stop is Stop.TOLERANCE and end.energy <= ending.last.start.energy
+    if reached and (problem.allowed is None or problem.allowed(end.x)):
+        return end.q
+    return q if problem.best is None else problem.best.q
+
+
+Answer = Callable[[Problem, Ending, Floats], Floats]
+
+
 @dataclass(frozen=True, eq=False)
 class Stage:
     """One run of the loop.
@@ -97,7 +120,7 @@ class Stage:
     restraint: Force | None = None
     soft: bool = False
     patience: int = PATIENCE
-    answer: "Answer" = field(default_factory=lambda: lowest)
+    answer: Answer = lowest
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,9 +170,6 @@ class Outcome:
     def x(self) -> Floats:
         """(na, 3) float, nm."""
         return self.stage.space.place(self.q)[0]
-
-
-Answer = Callable[[Problem, Ending, Floats], Floats]
 
 
 def stages(
@@ -281,23 +301,3 @@ def walk(
         ):
             break
     return Outcome(stop, stage, q, n_iterations, n_evaluations, waypoint)
-
-
-def last(problem: Problem, ending: Ending, q: Floats) -> Floats:
-    """Where a run came to its end by itself, if that may be an answer; else as :func:`lowest`."""
-    end = ending.last.state.at
-    sound = (
-        ending.stop is Stop.NO_DESCENT
-        and end.is_finite
-        and (problem.allowed is None or problem.allowed(end.x))
-    )
-    return end.q if sound else lowest(problem, ending, q)
-
-
-def lowest(problem: Problem, ending: Ending, q: Floats) -> Floats:
-    """Where a run met its tolerance without having climbed; else its lowest energy; else where it began."""
-    end = ending.last.state.at
-    reached = ending.stop is Stop.TOLERANCE and end.energy <= ending.last.start.energy
-    if reached and (problem.allowed is None or problem.allowed(end.x)):
-        return end.q
-    return q if problem.best is None else problem.best.q
