@@ -17,12 +17,13 @@ from protochain.chain import Chain, Pose, pose, rigid_groups
 from protochain.energies.factory import energy as build_energy
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
+from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.methods import BY_OPENMM, DEFAULT_METHOD, IN_TORSIONS, METHODS
 from protochain.minimisers.openmm_reference import langevin_dynamics, local_energy_minimizer
-from protochain.minimisers.problem import Evaluation, Space, evaluate
+from protochain.minimisers.problem import Evaluation, Problem, Space, evaluate
 from protochain.minimisers.restraints import Leash
 from protochain.minimisers.solution import Recorder, Solution, Watcher
 from protochain.minimisers.spaces import Cartesian, Torsions
@@ -158,7 +159,7 @@ def _minimise(run: _Run, checkpoint: Path | None, resume: Path | None, watch: Wa
         moving = energy.without_constants(rigid_groups(chain), first.x)
     # Judging first, and solving with each metric once, also make contexts and compile kernels, off the clock.
     start = judge(chain, energy, first)
-    _warm(chain, moving, energy, in_torsions)
+    _warm(chain, moving, energy, method)
 
     record = Recorder(structure, watch)
     if method in BY_OPENMM:
@@ -244,18 +245,22 @@ def _posed(chain: Chain, x: Floats) -> tuple[Chain, Pose]:
     return moved, pose(moved, moved.q0)
 
 
-def _warm(chain: Chain, moving: Energy, energy: Energy, in_torsions: bool) -> None:
+def _warm(chain: Chain, moving: Energy, energy: Energy, method: str) -> None:
     """Compute everything a run computes once.
 
     Energies twice: the second call looks whether the first's neighbour lists still hold.
     """
     x = chain.structure.positions
+    in_torsions, descent = method in IN_TORSIONS, IN_TORSIONS.get(method)
     if in_torsions or moving is not energy:
         space = Torsions(chain)
         at = evaluate(space, moving, space.move(chain.q0, np.zeros(chain.n_v)))
         space.stiffness(at)(at.torque)
         space.inertia(at)(at.torque)
         moving(x)
+        if isinstance(descent, Annealing):
+            problem = Problem(space, moving, 1)
+            descent.step(problem, descent.init(problem, at))
     if not in_torsions:
         energy(x), energy(x)
 
