@@ -1,12 +1,14 @@
 import json
+import signal
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import GEOMETRY_NM, GEOMETRY_RAD, SAMPLES, chain, energy, load
+from conftest import GEOMETRY_NM, GEOMETRY_RAD, SAMPLES, STRUCTURES, chain, energy, load
 from oracles import angle_triples, angles, bond_lengths
 
 import protochain as pc
+from protochain.cli import main
 from protochain.minimisers import METHODS, Status
 from protochain.minimisers.contacts import overlaps
 from protochain.minimisers.kcm import KCM
@@ -16,6 +18,7 @@ from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.solution import TRACE_COLUMNS
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.steps import Fixed, strong_wolfe
+from protochain.minimisers.verdict import verdict
 
 MAIN = ("kcm", "lbfgs", "cartesian", "hybrid", "openmm")
 """The methods users meet first; the others are run on fewer structures."""
@@ -214,6 +217,44 @@ def test_an_interrupt_returns_the_best_so_far(method):
     # Annealing climbs before it descends: so far the start is best.
     assert r.end.energy < r.start.energy or (method == "anneal" and r.end.energy == r.start.energy)
     assert len(r.trace) == 9
+
+
+@pytest.fixture
+def signals(monkeypatch):
+    """Handlers as Python sets them up, whatever this process was started with."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, signal.default_int_handler) for number in numbers]
+    yield
+    assert [signal.getsignal(number) for number in numbers] == [signal.default_int_handler] * 2
+    for number, handler in zip(numbers, before, strict=True):
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_signal_ends_a_run(method, signals):
+    def watch(row, x):
+        if row["iteration"] == 8:
+            signal.raise_signal(signal.SIGTERM)
+
+    r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), method, watch=watch)
+    assert r.status == Status.INTERRUPTED and len(r.trace) <= 10
+
+
+def test_a_signal_after_the_last_step_changes_nothing(signals, monkeypatch, tmp_path):
+    def interrupted(what):
+        def call(*given):
+            signal.raise_signal(signal.SIGINT)
+            return what(*given)
+
+        return call
+
+    monkeypatch.setattr("protochain.minimisers.api.verdict", interrupted(verdict))
+    monkeypatch.setattr(pc.Solution, "save", interrupted(pc.Solution.save))
+    source, output = str(STRUCTURES / "ala10.pdb"), tmp_path / "out.pdb"
+    monkeypatch.setattr("sys.argv", ["protochain", "minimise", source, "-o", str(output)])
+    with pytest.raises(SystemExit, match="0"):
+        main()
+    assert output.exists()
 
 
 @pytest.mark.parametrize("method", METHODS)

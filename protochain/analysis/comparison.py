@@ -17,6 +17,7 @@ from protochain.chain import Chain
 from protochain.energies import Energy
 from protochain.energies import energy as build_energy
 from protochain.errors import ProtochainError, StructureError
+from protochain.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Solution, Status, minimise
 from protochain.minimisers.api import check_settings
 from protochain.minimisers.solution import TRACE_COLUMNS, Watcher
@@ -183,6 +184,7 @@ SHOWN = {
 """Columns of the short table, and how a person reads them."""
 
 
+@held_interrupts()
 def compare(
     structure: Structure | Chain | str | Path,
     methods: Sequence[str] = DEFAULT_METHODS,

@@ -26,6 +26,7 @@ from protochain.cli.options import (
     fail,
     prepare,
 )  # fmt: skip
+from protochain.interrupts import held_interrupts
 from protochain.terminal import print_table, progress
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 
 def compare(
+    context: typer.Context,
     source: Input,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-comparison].")
@@ -65,6 +67,7 @@ def compare(
     chain, energy, preparation = prepare(
         source, hinges, forcefield, solvent, engine, threads, trust_forcefield
     )
+    context.with_resource(held_interrupts())
     with ExitStack() as shown:
 
         def watch(method: str) -> "Watcher":

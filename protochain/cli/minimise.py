@@ -32,10 +32,12 @@ from protochain.cli.options import (
     prepare,
 )  # fmt: skip
 from protochain.errors import ProtochainError
+from protochain.interrupts import held_interrupts
 from protochain.terminal import print_distribution, print_table, progress
 
 
 def minimise(
+    context: typer.Context,
     source: Input,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="PDB or mmCIF [default: NAME.METHOD.pdb].")
@@ -92,6 +94,7 @@ def minimise(
         source, hinges, forcefield, solvent, engine, threads, trust_forcefield, move
     )
     check_fits(chain.structure, output)
+    context.with_resource(held_interrupts())
     with ExitStack() as stack:
         show = stack.enter_context(progress(method, max_evaluations))
         frames = stack.enter_context(TrajectoryFile(trajectory, chain.structure)) if trajectory else None

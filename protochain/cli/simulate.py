@@ -23,6 +23,7 @@ from protochain.cli.options import (
     fail,
     prepare,
 )  # fmt: skip
+from protochain.interrupts import held_interrupts
 from protochain.terminal import print_simulation, simulation_progress
 
 _RELAXED = 10.0
@@ -30,6 +31,7 @@ _RELAXED = 10.0
 
 
 def simulate(
+    context: typer.Context,
     source: Input,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-simulation].")
@@ -89,6 +91,7 @@ def simulate(
     chain, energy, preparation = prepare(
         source, hinges, forcefield, solvent, engine, threads, trust_forcefield, move
     )
+    context.with_resource(held_interrupts())
     q = chain.q0
     if relax and not resume and loops == "open":
         relaxed = minimise(chain, energy, "lbfgs", _RELAXED, seed=seed)

@@ -25,6 +25,7 @@ from protochain.dynamics.system import StepTooLargeError, System, chain_potentia
 from protochain.energies.factory import energy as build_energy
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
+from protochain.interrupts import held_interrupts
 from protochain.multibody import HingeKind, articulated
 from protochain.structure import Structure, load
 from protochain.structure.superpose import rmsd_angstrom
@@ -220,6 +221,7 @@ def _carried_over(chain: Chain, made: Chain, q: Floats) -> Floats:
     return start
 
 
+@held_interrupts()
 def _simulate(
     scene: _Scene,
     folder: Folder | None,

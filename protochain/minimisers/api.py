@@ -17,6 +17,7 @@ from protochain.chain import Chain, Pose, pose, rigid_groups
 from protochain.energies.factory import energy as build_energy
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
+from protochain.interrupts import held_interrupts
 from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.lbfgs import LBFGS
@@ -149,6 +150,7 @@ def _path(name: str | Path | None) -> Path | None:
     return None if name is None else Path(name)
 
 
+@held_interrupts()
 def _minimise(run: _Run, checkpoint: Path | None, resume: Path | None, watch: Watcher | None) -> Solution:
     chain, energy, method, tolerance = run.chain, run.energy, run.method, run.tolerance
     structure = chain.structure

@@ -6,6 +6,7 @@ from enum import Enum
 from typing import Any, Protocol
 
 from protochain.arrays import Floats
+from protochain.interrupts import held_interrupts
 from protochain.minimisers.problem import BudgetSpentError, Evaluation, Problem
 
 
@@ -106,7 +107,7 @@ def run(
     Returns
     -------
     Ending
-        Also on interruption (KeyboardInterrupt) and on a spent budget: nothing is lost.
+        Also on interruption (a signal, or KeyboardInterrupt) and on a spent budget: nothing is lost.
 
     Raises
     ------
@@ -120,22 +121,25 @@ def run(
         last = resume
         problem.restore(last.best, last.improved_at, last.n_evaluations, last.lists_at)
     try:
-        record(last.state.at)
-        if isinstance(last.state, Standstill):
-            last = replace(last, state=method.init(problem, last.state.at))
-        while True:
-            at = last.state.at
-            if not at.is_finite:
-                return Ending(Stop.NON_FINITE, last)
-            if at.residual <= tolerance:
-                return Ending(Stop.TOLERANCE, last)
-            if problem.n_evaluations - problem.improved_at > patience:
-                return Ending(Stop.CIRCLING, last)
-            state = method.step(problem, last.state)
-            if state is None:
-                return Ending(Stop.NO_DESCENT, last)
-            last = _snapshot(problem, state, last.start, last.n_iterations + 1)
-            record(state.at)
+        with held_interrupts() as interrupts:
+            record(last.state.at)
+            if isinstance(last.state, Standstill):
+                last = replace(last, state=method.init(problem, last.state.at))
+            while True:
+                at = last.state.at
+                if not at.is_finite:
+                    return Ending(Stop.NON_FINITE, last)
+                if at.residual <= tolerance:
+                    return Ending(Stop.TOLERANCE, last)
+                if problem.n_evaluations - problem.improved_at > patience:
+                    return Ending(Stop.CIRCLING, last)
+                if interrupts:
+                    return Ending(Stop.INTERRUPTED, last)
+                state = method.step(problem, last.state)
+                if state is None:
+                    return Ending(Stop.NO_DESCENT, last)
+                last = _snapshot(problem, state, last.start, last.n_iterations + 1)
+                record(state.at)
     except BudgetSpentError:
         return Ending(Stop.BUDGET, last)
     except KeyboardInterrupt:

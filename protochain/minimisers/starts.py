@@ -11,6 +11,7 @@ from protochain.articulate import build_chain
 from protochain.chain import Chain, pose
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
+from protochain.interrupts import held_interrupts
 from protochain.minimisers.api import minimise
 from protochain.minimisers.methods import DEFAULT_METHOD
 from protochain.minimisers.solution import Solution
@@ -110,6 +111,7 @@ class Starts:
         return f"<{s['n_starts']} starts: {low:.2f}, median {middle:.2f}, highest {high:.2f} kJ/mol>"
 
 
+@held_interrupts()
 def explore(
     chain: Chain,
     energy: Energy,
