@@ -12,16 +12,13 @@ from protochain.multibody import Tree
 ROOT = Path(__file__).parent.parent
 
 # Numba looks at the time of a kernel's own file only: kernels that use changed ones would run as they were.
-_SHARED_CODE = [
-    ROOT / "protochain" / part
-    for part in (
-        "multibody/algebra.py", "multibody/small.py", "multibody/kinematics.py", "multibody/newton_euler.py",
-        "multibody/articulated.py", "energies/native/layout.py", "energies/native/series.py",
-        "energies/native/pairs.py",
-    )
-]  # fmt: skip
+_KERNELS = [
+    path
+    for folder in ("multibody", "dynamics", "energies/native")
+    for path in (ROOT / "protochain" / folder).glob("*.py")
+]
 for compiled in (ROOT / "protochain").rglob("*.nbi"):
-    if compiled.stat().st_mtime < max(path.stat().st_mtime for path in _SHARED_CODE):
+    if compiled.stat().st_mtime < max(path.stat().st_mtime for path in _KERNELS):
         compiled.unlink(missing_ok=True)
 STRUCTURES = ROOT / "structures"
 MORE_STRUCTURES = ROOT.parent / "shared" / "structures"
