@@ -3,7 +3,6 @@
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.fixman import fixman
 from protochain.dynamics.leapfrog import Leapfrog
-from protochain.dynamics.lobatto import Lobatto
 from protochain.dynamics.loop import Course, Ending, Moment, initial, run
 from protochain.dynamics.midpoint import ImplicitMidpoint
 from protochain.dynamics.overall import without_drift
@@ -15,7 +14,7 @@ from protochain.dynamics.thermostats import HybridMonteCarlo, Isolated, Langevin
 
 __all__ = [
     "Closure", "Course", "DormandPrince", "Ending", "HybridMonteCarlo", "ImplicitMidpoint", "Isolated",
-    "Langevin", "Leapfrog", "Lobatto", "Moment", "NoseHoover", "Phase", "Rescaling", "RungeKutta4",
+    "Langevin", "Leapfrog", "Moment", "NoseHoover", "Phase", "Rescaling", "RungeKutta4",
     "Simulation", "StepTooLargeError", "System", "chain_potential", "closure_of", "fixman", "initial", "run",
     "simulate", "total", "without_drift",
 ]  # fmt: skip

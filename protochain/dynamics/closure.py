@@ -7,8 +7,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, pose
-from protochain.dynamics.leapfrog import fly
-from protochain.dynamics.system import Phase, StepTooLargeError
+from protochain.dynamics.system import Flight, Flown, Phase, StepTooLargeError
 from protochain.errors import ChainError
 from protochain.multibody import Frames, Rows, Tree, operational_inverse, row_matrix, solve_closed
 from protochain.multibody.articulated import Articulated
@@ -60,8 +59,8 @@ class Closure:
         """Velocities (n_v,) of momenta p (n_v,), less those that would change the distances."""
         return solve_closed(self.tree, factors.frames, p, self.rows(factors.frames))
 
-    def fly(self, at: Phase, pushed: Floats, time_step: float) -> tuple[Floats, Floats, Articulated]:
-        """Move as :func:`protochain.dynamics.leapfrog.fly` does, with impulses that keep the distances.
+    def fly(self, flight: Flight, at: Phase, p: Floats, time_step: float) -> Flown:
+        """Fly with impulses at the start that keep the distances to the end.
 
         Raises
         ------
@@ -78,10 +77,10 @@ class Closure:
         inverse = cho_factor(operational_inverse(self.tree, at.factors.frames, rows))
         impulse = np.zeros(len(g))
         for _ in range(_ITERATIONS):
-            q, p, factors = fly(self.tree, at, pushed - g.T @ impulse, time_step)
+            q, end, factors = flight(at, p - g.T @ impulse, time_step)
             error = self.errors(factors.frames)
             if np.max(np.abs(error)) < CLOSED_NM:
-                return q, p, factors
+                return q, end, factors
             impulse += cho_solve(inverse, error) / time_step
         raise StepTooLargeError(f"no impulses keep the loops closed in {1000 * abs(time_step):g} fs")
 
@@ -101,7 +100,7 @@ def closure_of(chain: Chain) -> Closure:
     Raises
     ------
     ChainError
-        If there is no loop, or an end of one can turn about its own bond only.
+        If there is no loop.
     """
     if not len(chain.loops):
         raise ChainError(f"{chain.structure.name}: has no loop to hold closed")

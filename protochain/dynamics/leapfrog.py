@@ -8,13 +8,14 @@ kept to rounding. The step is implicit in velocities only, for which Newton's me
 the energy.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from protochain.arrays import Floats, Integers, frozen
 from protochain.dynamics.correction import correct
-from protochain.dynamics.system import Phase, StepTooLargeError, System
+from protochain.dynamics.system import Flight, Flown, Integrator, Phase, StepTooLargeError, System
 from protochain.multibody import Frames
 from protochain.multibody.algebra import add, cross, kernel, put_at, scale, subtract, vector_at
 from protochain.multibody.articulated import Articulated, factorise, put_rigid, solve
@@ -31,38 +32,37 @@ _NOISE = 1e-9
 
 
 @dataclass(frozen=True)
-class Leapfrog:
-    """Push, flight by the midpoint rule, push: of order two."""
+class Leapfrog(Integrator):
+    """Push, flight, push: of order two, with one evaluation of the potential.
 
-    def init(self, system: System, q: Floats, qd: Floats) -> Phase:
-        """Return the phase at q, moving with qd."""
-        return system.at(q, qd)
+    Parameters
+    ----------
+    flight : callable
+        By the midpoint rule, unless another is given.
+    """
+
+    flight: Flight = field(default_factory=lambda: fly)
 
     def step(self, system: System, at: Phase, time_step: float) -> Phase:
-        """One step, with one evaluation of the potential.
+        """One step.
 
         Raises
         ------
         StepTooLargeError
-            If the velocities of the step cannot be found.
+            If the velocities of the flight cannot be found.
         """
         pushed = at.p + 0.5 * time_step * at.torque
         if system.closure is None:
-            q, p, factors = fly(system.tree, at, pushed, time_step)
-        else:
-            q, p, factors = system.closure.fly(at, pushed, time_step)
-        potential, torque = system.potential(q, factors)
-        p = p + 0.5 * time_step * torque
-        there = Phase(q, solve(factors, p), p, potential, torque, factors)
-        return there if system.closure is None else system.moving(there, there.qd)
+            return system.arrived(*self.flight(at, pushed, time_step), time_step)
+        there = system.arrived(*system.closure.fly(self.flight, at, pushed, time_step), time_step)
+        return system.moving(there, there.qd)
 
 
-def fly(tree: Tree, at: Phase, p: Floats, time_step: float) -> tuple[Floats, Floats, Articulated]:
-    """Move for one time step without a potential.
+def fly(at: Phase, p: Floats, time_step: float) -> Flown:
+    """Move for one time step without a potential, by the midpoint rule.
 
     Parameters
     ----------
-    tree : Tree
     at : Phase
         Where it begins.
     p : (n_v,) float
@@ -79,22 +79,48 @@ def fly(tree: Tree, at: Phase, p: Floats, time_step: float) -> tuple[Floats, Flo
     StepTooLargeError
         If the velocities are not found.
     """
-    n = tree.n_bodies
-    q, qd, p = at.q.copy(), solve(at.factors, p), p.copy()
-    rotation, origin, packed = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 21))
-    gain, pivot, root = np.zeros((n, 6)), np.empty(n), np.empty_like(at.factors.root)
+    tree, there = at.factors.tree, Landing.on(at)
+    q, p = at.q.copy(), p.copy()
     try:
-        failed = _fly(
-            tree.links, tree.bodies, time_step, q, qd, p, rotation, origin, packed, gain, pivot, root
-        )
+        failed = _fly(tree.links, tree.bodies, time_step, q, solve(at.factors, p), p, *there)
     except np.linalg.LinAlgError:
         failed = True
-    if failed:
-        raise StepTooLargeError(
-            f"no velocities solve the equations of a time step of {1000 * abs(time_step):g} fs"
+    return q, p, there.factors(tree, failed, time_step)
+
+
+class Landing(NamedTuple):
+    """Room for frames and factors where a flight ends: as :class:`Articulated` has them."""
+
+    rotation: Floats
+    origin: Floats
+    inertia: Floats
+    gain: Floats
+    pivot: Floats
+    root: Floats
+
+    @classmethod
+    def on(cls, at: Phase) -> Self:
+        """Make room for a flight that begins there."""
+        n = at.factors.tree.n_bodies
+        roots = np.empty_like(at.factors.root)
+        return cls(
+            np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 21)), np.zeros((n, 6)), np.empty(n), roots
         )
-    frames = Frames(frozen(rotation), frozen(origin))
-    return q, p, Articulated(tree, frames, frozen(packed), frozen(gain), frozen(pivot), frozen(root))
+
+    def factors(self, tree: Tree, failed: bool, time_step: float) -> Articulated:
+        """Return what was written, unless the flight failed.
+
+        Raises
+        ------
+        StepTooLargeError
+            If it did. M was not singular where it began: what is singular is what an iteration ran off to.
+        """
+        if failed:
+            raise StepTooLargeError(
+                f"no velocities solve the equations of a time step of {1000 * abs(time_step):g} fs"
+            )
+        rotation, origin, *rest = (frozen(array) for array in self)
+        return Articulated(tree, Frames(rotation, origin), *rest)
 
 
 @kernel
@@ -114,7 +140,9 @@ def _fly(
         move_along(links, lack, middle)
         outward_frames(links, bodies, middle, rotation, origin)
         put_momenta(links, bodies, rotation, origin, qd, twists, carried, mu, gradient)
-        _put_lack(links, time_step, qd, mu, gradient, p, lack)
+        put_end(links, time_step, qd, mu, gradient, lack)
+        for k in range(n_v):
+            lack[k] = p[k] - lack[k]
         correct(links, bodies, rotation, origin, twists, carried, 0.5 * time_step, lack)
         change = _add_on(lack, qd)
         # What the next change would be, if they go on to shrink as they do.
@@ -138,19 +166,19 @@ def _fly(
 
 
 @kernel
-def _put_lack(
-    links: Integers, h: float, qd: Floats, mu: Floats, gradient: Floats, p: Floats, lack: Floats
-) -> None:
-    """Write p less the momenta from which a flight of time h has momenta mu half-way."""
+def put_end(links: Integers, h: float, qd: Floats, mu: Floats, push: Floats, p: Floats) -> None:
+    """Write the momenta at the start of a step h whose velocities, half-way, have momenta mu under a push.
+
+    With a negative h, those at its end.
+    """
     for k in range(len(p)):
-        lack[k] = p[k] - (mu[k] - 0.5 * h * gradient[k])
+        p[k] = mu[k] - 0.5 * h * push[k]
     for b in range(len(links) - 1):
         k = links[b, V]
         if links[b + 1, V] - k == 6:
             xi = scale(h, vector_at(qd, k))
-            pushed = tangent(scale(0.5, xi), scale(0.5 * h, vector_at(gradient, k)))
-            start = tangent_inverse(xi, subtract(vector_at(mu, k), pushed))
-            put_at(subtract(vector_at(p, k), start), lack, k)
+            pushed = tangent(scale(0.5, xi), scale(0.5 * h, vector_at(push, k)))
+            put_at(tangent_inverse(xi, subtract(vector_at(mu, k), pushed)), p, k)
 
 
 @kernel

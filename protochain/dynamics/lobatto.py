@@ -10,26 +10,17 @@ far from any velocity of the motion: errors of the energy are large, and at some
 :mod:`protochain.dynamics.leapfrog` takes both half-way, and is what to use.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from protochain.arrays import Floats, Integers, frozen
-from protochain.dynamics.system import Phase, StepTooLargeError, System
-from protochain.multibody import Frames
+from protochain.arrays import Floats, Integers
+from protochain.dynamics.leapfrog import Landing
+from protochain.dynamics.system import Flown, Phase
 from protochain.multibody.algebra import kernel, put_at, scale, vector_at
-from protochain.multibody.articulated import (
-    Articulated,
-    factorise,
-    inward_loads,
-    outward_rates,
-    put_rigid,
-    solve,
-)  # fmt: skip
+from protochain.multibody.articulated import factorise, inward_loads, outward_rates, put_rigid
 from protochain.multibody.hamilton import put_momenta
 from protochain.multibody.kinematics import move_along, outward_frames
 from protochain.multibody.rotations import tangent, turn_by
-from protochain.multibody.tree import Tree, V
+from protochain.multibody.tree import V
 
 _ITERATIONS = 60
 _SETTLED = 1e-12
@@ -38,48 +29,15 @@ _NOISE = 1e-10
 """Below this a change that no longer shrinks is rounding."""
 
 
-@dataclass(frozen=True)
-class Lobatto:
-    """Generalised leapfrog of order two; it does not keep constraints."""
-
-    def init(self, system: System, q: Floats, qd: Floats) -> Phase:
-        """Return the phase at q, moving with qd."""
-        return system.at(q, qd)
-
-    def step(self, system: System, at: Phase, time_step: float) -> Phase:
-        """One step, with one evaluation of the potential.
-
-        Raises
-        ------
-        StepTooLargeError
-            If the velocities of the step cannot be found.
-        """
-        pushed = at.p + 0.5 * time_step * at.torque
-        q, p, factors = _leap_by(system.tree, at, pushed, time_step)
-        potential, torque = system.potential(q, factors)
-        p = p + 0.5 * time_step * torque
-        return Phase(q, solve(factors, p), p, potential, torque, factors)
-
-
-def _leap_by(tree: Tree, at: Phase, pushed: Floats, time_step: float) -> tuple[Floats, Floats, Articulated]:
-    """Coordinates, momenta before the potential's push, and factors of M after one time step."""
-    n = tree.n_bodies
-    q, qd, p = at.q.copy(), at.qd.copy(), np.empty(tree.n_v)
-    rotation, origin, packed = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 21))
-    gain, pivot, root = np.empty((n, 6)), np.empty(n), np.empty_like(at.factors.root)
-    old = at.factors
+def fly(at: Phase, p: Floats, time_step: float) -> Flown:
+    """Move for one time step without a potential: as :func:`protochain.dynamics.leapfrog.fly`."""
+    tree, there = at.factors.tree, Landing.on(at)
+    q, qd, end, old = at.q.copy(), at.qd.copy(), np.empty_like(p), at.factors
     failed = _leap(
         tree.links, tree.bodies, old.frames.rotation, old.frames.origin, old.gain, old.pivot, old.root,
-        pushed, 0.5 * time_step, q, qd, p, rotation, origin, packed, gain, pivot, root,
+        p, 0.5 * time_step, q, qd, end, *there,
     )  # fmt: skip
-    if failed:
-        # M was not singular where the step began: what is singular is what the iteration has run off to.
-        raise StepTooLargeError(
-            f"no velocities solve the equations of a time step of {1000 * abs(time_step):g} fs"
-        )
-    frames = Frames(frozen(rotation), frozen(origin))
-    factors = Articulated(tree, frames, frozen(packed), frozen(gain), frozen(pivot), frozen(root))
-    return q, p, factors
+    return q, end, there.factors(tree, failed, time_step)
 
 
 @kernel
@@ -104,8 +62,8 @@ def _leap(
         _turn_roots(links, h, qd, rates)
         _solve(links, bodies, rotation, origin, gain, pivot, root, carried, rates)
         change = _replace(qd, rates)
-        if change < _SETTLED or (change < _NOISE and change >= 0.5 * before):
-            found = True
+        found = change < _SETTLED or (change < _NOISE and change >= 0.5 * before)
+        if found:
             break
         before = change
     if not found:
@@ -135,8 +93,8 @@ def _leap(
             return True
         outward_rates(links, bodies, new_rotation, new_origin, new_gain, new_root, carried, rates)
         change = _replace(qd, rates)
-        if change < _SETTLED or (change < _NOISE and change >= 0.5 * before):
-            found = True
+        found = change < _SETTLED or (change < _NOISE and change >= 0.5 * before)
+        if found:
             break
         before = change
     if not found:

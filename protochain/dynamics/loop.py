@@ -163,4 +163,4 @@ def initial(course: Course, q: Floats) -> Moment:
     if course.stays:
         qd = without_drift(system.tree, at.factors.frames, qd)
     at = system.moving(at, qd)
-    return Moment(0, at, course.thermostat.init(system, at))
+    return Moment(0, at, course.thermostat.init(at))

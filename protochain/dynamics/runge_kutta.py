@@ -6,9 +6,8 @@ import numpy as np
 
 from protochain import multibody
 from protochain.arrays import Floats
-from protochain.dynamics.system import Phase, StepTooLargeError, System
+from protochain.dynamics.system import Integrator, Phase, StepTooLargeError, System
 from protochain.errors import MechanicsError
-from protochain.multibody.articulated import articulate
 from protochain.multibody.rotations import displacement_rates
 
 
@@ -60,16 +59,12 @@ DORMAND_PRINCE = Tableau(
 
 
 @dataclass(frozen=True)
-class RungeKutta4:
+class RungeKutta4(Integrator):
     """The classical method; free roots follow the exponential map.
 
     Munthe-Kaas, BIT 38:92 (1998): the displacement of a root from where the step began is integrated, so that
     quaternions stay of unit length.
     """
-
-    def init(self, system: System, q: Floats, qd: Floats) -> Phase:
-        """Return the phase at q, moving with qd."""
-        return system.at(q, qd)
 
     def step(self, system: System, at: Phase, time_step: float) -> Phase:
         """One step, with four evaluations of the potential."""
@@ -78,7 +73,7 @@ class RungeKutta4:
 
 
 @dataclass(frozen=True)
-class DormandPrince:
+class DormandPrince(Integrator):
     """Steps of order five as long as an estimate of their error allows.
 
     Parameters
@@ -88,10 +83,6 @@ class DormandPrince:
     """
 
     tolerance: float = 1e-8
-
-    def init(self, system: System, q: Floats, qd: Floats) -> Phase:
-        """Return the phase at q, moving with qd."""
-        return system.at(q, qd)
 
     def step(self, system: System, at: Phase, time_step: float) -> Phase:
         """Advance by the time step in as many parts as it takes: the last one ends there.
@@ -133,7 +124,7 @@ def _advance(tableau: Tableau, system: System, at: Phase, h: float) -> tuple[Flo
         q, torque = at.q, at.torque
         if i:
             q = multibody.integrate(tree, at.q, move)
-            _, torque = system.potential(q, articulate(tree, multibody.pose(tree, q)))
+            _, torque = system.potential(q, system.factors(q))
         slopes[i] = displacement_rates(tree, move, qd)
         pushes[i] = multibody.forward_dynamics(tree, q, qd, torque)
     error = np.maximum(np.abs(wrong @ slopes), np.abs(wrong @ pushes))

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from protochain.dynamics import lobatto
 from protochain.dynamics.leapfrog import Leapfrog
-from protochain.dynamics.lobatto import Lobatto
 from protochain.dynamics.midpoint import ImplicitMidpoint
 from protochain.dynamics.runge_kutta import DormandPrince, RungeKutta4
 from protochain.dynamics.system import Integrator
@@ -23,7 +23,7 @@ from protochain.units import MOLAR_GAS
 
 INTEGRATORS: dict[str, Integrator] = {
     "leapfrog": Leapfrog(),
-    "lobatto": Lobatto(),
+    "lobatto": Leapfrog(lobatto.fly),
     "midpoint": ImplicitMidpoint(),
     "rk4": RungeKutta4(),
     "dormand-prince": DormandPrince(),

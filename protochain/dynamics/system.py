@@ -71,8 +71,14 @@ class Constraint(Protocol):
     def kept(self, factors: Articulated, p: Floats) -> Floats:
         """Velocities (n_v,) of momenta p, less those that are not allowed."""
 
-    def fly(self, at: Phase, pushed: Floats, time_step: float) -> tuple[Floats, Floats, Articulated]:
-        """Move with impulses that keep what is to be kept: coordinates, momenta and factors of M."""
+    def fly(self, flight: "Flight", at: Phase, p: Floats, time_step: float) -> "Flown":
+        """Fly with impulses that keep what is to be kept."""
+
+
+Flown = tuple[Floats, Floats, Articulated]
+"""Coordinates (n_q,), momenta (n_v,) and factors of M where a flight ends."""
+Flight = Callable[[Phase, Floats, float], Flown]
+"""Where it begins, the momenta (n_v,) it begins with, its time in ps: motion without a potential."""
 
 
 class Integrator(Protocol):
@@ -80,6 +86,7 @@ class Integrator(Protocol):
 
     def init(self, system: "System", q: Floats, qd: Floats) -> Phase:
         """Return the phase at q (n_q,), moving with qd (n_v,)."""
+        return system.at(q, qd)
 
     def step(self, system: "System", at: Phase, time_step: float) -> Phase:
         """Return the phase one time step (ps) later; a negative step goes back."""
@@ -103,19 +110,19 @@ class System:
 
     def at(self, q: Floats, qd: Floats) -> Phase:
         """Return the phase at q (n_q,), moving with qd (n_v,)."""
-        return self.from_factors(q, articulate(self.tree, multibody.pose(self.tree, q)), qd=qd)
-
-    def from_factors(
-        self, q: Floats, factors: Articulated, *, qd: Floats | None = None, p: Floats | None = None
-    ) -> Phase:
-        """Return the phase at q, whose factors of M are known, from velocities or else from momenta."""
+        factors = self.factors(q)
         potential, torque = self.potential(q, factors)
-        if qd is None:
-            assert p is not None
-            qd = solve(factors, p)
-        else:
-            p, _ = momenta(self.tree, factors.frames, qd)
-        return Phase(q, qd, p, potential, torque, factors)
+        return Phase(q, qd, momenta(self.tree, factors.frames, qd)[0], potential, torque, factors)
+
+    def arrived(self, q: Floats, p: Floats, factors: Articulated, time_step: float) -> Phase:
+        """Return the phase at q (n_q,) with momenta p (n_v,), after half a time step's push there."""
+        potential, torque = self.potential(q, factors)
+        p = p + 0.5 * time_step * torque
+        return Phase(q, solve(factors, p), p, potential, torque, factors)
+
+    def factors(self, q: Floats) -> Articulated:
+        """Frames of the bodies and factors of M at q (n_q,)."""
+        return articulate(self.tree, multibody.pose(self.tree, q))
 
     def moving(self, at: Phase, qd: Floats) -> Phase:
         """Return the same place with other velocities, less what the constraints do not allow."""

@@ -32,11 +32,12 @@ class Thermostat(Protocol):
     ``freedoms`` is how many velocities share the kinetic energy, ``thermal_energy`` kT in kJ/mol.
     """
 
-    undoes: ClassVar[bool]
+    undoes: ClassVar[bool] = False
     """Whether it takes back a step that has failed, which has an infinite potential then."""
 
-    def init(self, system: System, at: Phase) -> Bath:
-        """Return the bath at the start."""
+    def init(self, at: Phase) -> Bath:
+        """Return the bath at the start: where nothing has been taken, and nothing is remembered."""
+        return Bath(0.0, np.empty(0))
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
@@ -45,14 +46,8 @@ class Thermostat(Protocol):
 
 
 @dataclass(frozen=True)
-class Isolated:
+class Isolated(Thermostat):
     """No thermostat: constant energy."""
-
-    undoes: ClassVar[bool] = False
-
-    def init(self, system: System, at: Phase) -> Bath:
-        """Remember nothing."""
-        return Bath(0.0, np.empty(0))
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
@@ -62,7 +57,7 @@ class Isolated:
 
 
 @dataclass(frozen=True)
-class Langevin:
+class Langevin(Thermostat):
     """Friction and noise in the mass metric: qd -> c qd + sqrt(1 - c^2) of a thermal velocity.
 
     The exact solution of dp = -friction p dt + sqrt(2 friction kT) M^1/2 dW at constant q, in turn with the
@@ -76,11 +71,6 @@ class Langevin:
 
     thermal_energy: float
     friction: float = 1.0
-    undoes: ClassVar[bool] = False
-
-    def init(self, system: System, at: Phase) -> Bath:
-        """Remember nothing but the energy taken."""
-        return Bath(0.0, np.empty(0))
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
@@ -93,7 +83,7 @@ class Langevin:
 
 
 @dataclass(frozen=True)
-class Rescaling:
+class Rescaling(Thermostat):
     """All velocities by one factor, drawn so that the kinetic energy is canonical.
 
     Bussi, Donadio, Parrinello, J. Chem. Phys. 126:014101 (2007), equation A7.
@@ -108,11 +98,6 @@ class Rescaling:
     thermal_energy: float
     freedoms: int
     friction: float = 1.0
-    undoes: ClassVar[bool] = False
-
-    def init(self, system: System, at: Phase) -> Bath:
-        """Remember nothing but the energy taken."""
-        return Bath(0.0, np.empty(0))
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
@@ -137,7 +122,7 @@ _YOSHIDA = (_OUTER, 1.0 - 2.0 * _OUTER, _OUTER)
 
 
 @dataclass(frozen=True)
-class NoseHoover:
+class NoseHoover(Thermostat):
     """A chain of three friction coefficients with inertia: deterministic, and time-reversible.
 
     Martyna, Tuckerman, Tobias, Klein, Mol. Phys. 87:1117 (1996), with Yoshida's weights of order four. The
@@ -154,7 +139,6 @@ class NoseHoover:
     thermal_energy: float
     freedoms: int
     friction: float = 1.0
-    undoes: ClassVar[bool] = False
 
     @property
     def _inertia(self) -> Floats:
@@ -162,7 +146,7 @@ class NoseHoover:
         each[0] *= self.freedoms
         return each
 
-    def init(self, system: System, at: Phase) -> Bath:
+    def init(self, at: Phase) -> Bath:
         """Begin without friction."""
         return Bath(0.0, np.zeros(2 * _CHAIN))
 
@@ -194,7 +178,7 @@ class NoseHoover:
 
 
 @dataclass(frozen=True)
-class HybridMonteCarlo:
+class HybridMonteCarlo(Thermostat):
     """Trajectories of some steps from thermal velocities, kept or undone by Metropolis' rule.
 
     Duane, Kennedy, Pendleton, Roweth, Phys. Lett. B 195:216 (1987). With a reversible, volume-preserving
@@ -213,7 +197,7 @@ class HybridMonteCarlo:
     length: int = 10
     undoes: ClassVar[bool] = True
 
-    def init(self, system: System, at: Phase) -> Bath:
+    def init(self, at: Phase) -> Bath:
         """Begin a trajectory."""
         return Bath(0.0, read_only([0.0, 0.0, 0.0, at.total, *at.q]))
 

@@ -88,8 +88,7 @@ class Annealing:
         done = state.n_steps + 1
         warmth = MOLAR_GAS * self.temperature * (1.0 - done / self.n_steps)
         thermostat = Langevin(warmth, self.friction)
-        bath = thermostat.init(system, phase)
-        phase, _ = thermostat.apply(system, phase, bath, time_step, noise(self.seed, done))
+        phase, _ = thermostat.apply(system, phase, thermostat.init(phase), time_step, noise(self.seed, done))
         return Cooling(seen[-1], phase.qd, done)
 
     def _time_step(self, space: Torsions, phase: Phase) -> float:

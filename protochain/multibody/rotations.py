@@ -51,11 +51,9 @@ def turn_by(xi: Vector, x: Vector) -> Vector:
     t = np.sqrt(t2)
     if t < _SMALL:
         a = 1.0 - t2 / 6.0 * (1.0 - t2 / 20.0 * (1.0 - t2 / 42.0 * (1.0 - t2 / 72.0)))
-        b = 0.5 - t2 / 24.0 * (1.0 - t2 / 30.0 * (1.0 - t2 / 56.0 * (1.0 - t2 / 90.0)))
     else:
-        a, b = np.sin(t) / t, (1.0 - np.cos(t)) / t2
-    y = cross(xi, x)
-    return add(x, add(scale(a, y), scale(b, cross(xi, y))))
+        a = np.sin(t) / t
+    return _mapped(xi, x, a, _versine(t2))
 
 
 @kernel
@@ -64,12 +62,10 @@ def tangent(xi: Vector, x: Vector) -> Vector:
     t2 = dot(xi, xi)
     t = np.sqrt(t2)
     if t < _SMALL:
-        b = 0.5 - t2 / 24.0 * (1.0 - t2 / 30.0 * (1.0 - t2 / 56.0 * (1.0 - t2 / 90.0)))
         c = (1.0 - t2 / 20.0 * (1.0 - t2 / 42.0 * (1.0 - t2 / 72.0 * (1.0 - t2 / 110.0)))) / 6.0
     else:
-        b, c = (1.0 - np.cos(t)) / t2, (t - np.sin(t)) / (t2 * t)
-    y = cross(xi, x)
-    return add(x, add(scale(b, y), scale(c, cross(xi, y))))
+        c = (t - np.sin(t)) / (t2 * t)
+    return _mapped(xi, x, _versine(t2), c)
 
 
 @kernel
@@ -81,5 +77,19 @@ def tangent_inverse(xi: Vector, x: Vector) -> Vector:
         d = 1.0 / 12.0 + t2 / 720.0 + t2 * t2 / 30240.0 + t2 * t2 * t2 / 1209600.0
     else:
         d = (1.0 - 0.5 * t / np.tan(0.5 * t)) / t2
+    return _mapped(xi, x, -0.5, d)
+
+
+@kernel
+def _mapped(xi: Vector, x: Vector, first: float, second: float) -> Vector:
+    """X + first K x + second K^2 x."""
     y = cross(xi, x)
-    return add(x, add(scale(-0.5, y), scale(d, cross(xi, y))))
+    return add(x, add(scale(first, y), scale(second, cross(xi, y))))
+
+
+@kernel
+def _versine(t2: float) -> float:
+    """(1 - cos t) / t^2, from t^2."""
+    if t2 < _SMALL * _SMALL:
+        return 0.5 - t2 / 24.0 * (1.0 - t2 / 30.0 * (1.0 - t2 / 56.0 * (1.0 - t2 / 90.0)))
+    return (1.0 - np.cos(np.sqrt(t2))) / t2
