@@ -72,7 +72,7 @@ def build_chain(
     if root not in ("auto", "fixed", "free"):
         raise ChainError(f"root {root!r} is not known; choose auto, fixed or free")
 
-    moving = np.ones(structure.n_atoms, dtype=bool) if move == "all" else select(structure, move)
+    moving = ~structure.obstacle if move == "all" else select(structure, move) & ~structure.obstacle
     cut = _is_loop(structure)
     bonds = structure.bonds[~cut]
     wanted = [hinge for hinge in _hinges(structure, kinds) if moving[hinge.atoms[2]]]
@@ -81,6 +81,10 @@ def build_chain(
         of = "" if move == "all" else f" in {move!r}"
         raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}{of}; open more of them")
     molecule = _components(structure.n_atoms, bonds)
+    if structure.obstacle.any():
+        # All that is kept beside the protein is one body, which stands still.
+        molecule[structure.obstacle], group[structure.obstacle] = molecule.max() + 1, group.max() + 1
+        molecule, group = (np.unique(of, return_inverse=True)[1] for of in (molecule, group))
     parts = [np.flatnonzero(molecule == m) for m in range(molecule.max() + 1)]
     roots = [_root_atom(structure, atoms, moving, group) for atoms in parts]
     # What holds atoms that are to stay does not move as a whole either.

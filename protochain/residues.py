@@ -11,15 +11,23 @@ STANDARD = {
 }  # fmt: skip
 """The 20 standard amino acids and their one-letter codes."""
 
-CAPS = frozenset({"ACE", "NME", "NMA"})
+CAPS = frozenset({"ACE", "NME", "NH2"})
 """Terminal caps that the force fields know."""
 
-PARENT = {
-    "HID": "HIS", "HIE": "HIS", "HIP": "HIS", "HSD": "HIS", "HSE": "HIS", "HSP": "HIS", "CYX": "CYS",
-    "CYM": "CYS", "ASH": "ASP", "GLH": "GLU", "LYN": "LYS", "NMA": "NME", "MSE": "MET",
+NUCLEOTIDES = frozenset({"A", "C", "G", "U", "DA", "DC", "DG", "DT"})
+"""Of RNA and DNA."""
+
+STATE_PARENT = {
+    "HID": ("HIS", "HID"), "HIE": ("HIS", "HIE"), "HIP": ("HIS", "HIP"), "HSD": ("HIS", "HID"),
+    "HSE": ("HIS", "HIE"), "HSP": ("HIS", "HIP"), "CYX": ("CYS", ""), "CYM": ("CYS", "CYM"),
+    "ASH": ("ASP", "ASH"), "GLH": ("GLU", "GLH"), "LYN": ("LYS", "LYN"),
 }  # fmt: skip
-"""Other names of standard residues (protonation states as Amber and CHARMM spell them), and
-selenomethionine, whose selenium becomes sulphur."""
+"""Residues named by their protonation, as Amber and CHARMM spell it: the standard residue, and the state."""
+
+PKA = {"ASP": (4.4, "ASH"), "GLU": (4.4, "GLH"), "HIS": (6.5, "HIP")}
+"""Below this pH the other state is taken; values of OpenMM's ``hydrogens.xml``."""
+PKA_BASE = {"CYS": (8.5, "CYM"), "LYS": (10.0, "LYN")}
+"""Above it."""
 
 BACKBONE = ("N", "CA", "C")
 """Atoms without which a residue cannot be rebuilt."""

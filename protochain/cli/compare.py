@@ -11,20 +11,29 @@ import typer
 
 from protochain.cli.options import (
     CONVERGED,
+    PH,
     UNCONVERGED,
+    Altloc,
     AsJson,
+    Disulfide,
     Engine,
     Forcefield,
     Hinges,
     Input,
+    Keep,
     MaxEvaluations,
+    Model,
+    NoDisulfide,
     Seed,
     Solvent,
+    Strict,
     Threads,
     Tolerance,
     Trust,
     fail,
+    named_after,
     prepare,
+    reading,
 )  # fmt: skip
 from protochain.interrupts import held_interrupts
 from protochain.terminal import print_table, progress
@@ -51,6 +60,13 @@ def compare(
     seed: Seed = 0,
     threads: Threads = None,
     as_json: AsJson = False,
+    model: Model = "",
+    altloc: Altloc = "",
+    keep: Keep = "",
+    disulfide: Disulfide = None,
+    no_disulfide: NoDisulfide = False,
+    ph: PH = 7.0,
+    strict: Strict = False,
     trust_forcefield: Trust = False,
 ) -> None:
     """Minimise one structure by several methods; write tables, plots, structures and report.html."""
@@ -61,11 +77,12 @@ def compare(
     chosen = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))
     for method in chosen:
         check_settings(method, tolerance, max_evaluations)
-    output = output or Path(f"{source.stem}-comparison")
+    taken = reading(model, altloc, keep, disulfide, no_disulfide, ph, strict)
+    output = output or Path(f"{named_after(source)[0]}-comparison")
     # A name with the method's added cannot be the input's own.
     check_writable(output / "report.html")
     chain, energy, preparation = prepare(
-        source, hinges, forcefield, solvent, engine, threads, trust_forcefield
+        source, taken, hinges, forcefield, solvent, engine, threads, trust_forcefield
     )
     context.with_resource(held_interrupts())
     with ExitStack() as shown:

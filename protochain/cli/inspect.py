@@ -8,7 +8,22 @@ from typing import Annotated, Any
 
 import typer
 
-from protochain.cli.options import AsJson, Forcefield, Hinges, Input, Solvent, Trust
+from protochain.cli.options import (
+    PH,
+    Altloc,
+    AsJson,
+    Disulfide,
+    Forcefield,
+    Hinges,
+    Input,
+    Keep,
+    Model,
+    NoDisulfide,
+    Solvent,
+    Strict,
+    Trust,
+    reading,
+)
 
 
 def info(
@@ -17,9 +32,17 @@ def info(
     solvent: Solvent = "obc2",
     forcefield: Forcefield = "amber14",
     as_json: AsJson = False,
+    model: Model = "",
+    altloc: Altloc = "",
+    keep: Keep = "",
+    disulfide: Disulfide = None,
+    no_disulfide: NoDisulfide = False,
+    ph: PH = 7.0,
+    strict: Strict = False,
     trust_forcefield: Trust = False,
 ) -> None:
     """Show what a file holds, what was changed to prepare it, and how it is cut into bodies."""
+    taken = reading(model, altloc, keep, disulfide, no_disulfide, ph, strict)
     began = perf_counter()
     from protochain.articulate import build_chain
     from protochain.chain import rigid_groups
@@ -28,7 +51,7 @@ def info(
     from protochain.structure import load
 
     imported = perf_counter()
-    structure = load(source)
+    structure = load(source, forcefield=forcefield, **taken)
     loaded = perf_counter()
     chain = build_chain(structure, hinges)
     built = perf_counter()

@@ -1,10 +1,11 @@
 """Options that commands share, and what each does with a file before its work."""
 
+import re
 import sys
 from collections import Counter
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,7 +21,23 @@ CONVERGED, FAILED, BAD_INPUT, UNCONVERGED = 0, 1, 2, 3
 _SHOWN_OVERLAPS = 5
 """Of all that are found before a run; ``info`` lists the rest."""
 
-Input = Annotated[Path, typer.Argument(metavar="IN", help="PDB or mmCIF file.")]
+Input = Annotated[
+    Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, gzipped or not; - is standard input.")
+]
+Model = Annotated[str, typer.Option(help="Number of the model to take [default: the first].")]
+Altloc = Annotated[str, typer.Option(help="Alternate location to prefer [default: of highest occupancy].")]
+Keep = Annotated[
+    str, typer.Option(help="Kept where it is: water, ions, nucleic, all, or names, with commas between.")
+]
+Disulfide = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="A:3-A:40", help="A disulfide bond, one an option [default: where sulphurs are near]."
+    ),
+]
+NoDisulfide = Annotated[bool, typer.Option("--no-disulfide", help="No disulfide bonds.")]
+PH = Annotated[float, typer.Option("--ph", help="Of protonation, where the file does not show it.")]
+Strict = Annotated[bool, typer.Option("--strict", help="Refuse chain breaks and incomplete backbones.")]
 Forcefield = Annotated[
     str, typer.Option(help="amber14, amber19, amber99sb, amber99sbildn, charmm36, or an OpenMM XML file.")
 ]
@@ -59,8 +76,49 @@ def fail(message: str, status: int = FAILED) -> int:
     return status
 
 
+def reading(
+    model: str,
+    altloc: str,
+    keep: str,
+    disulfide: list[str] | None,
+    no_disulfide: bool,
+    ph: float,
+    strict: bool,
+) -> dict[str, Any]:
+    """Say in the words of :func:`protochain.load` what is to be taken of a file."""
+    if model and not model.lstrip("-").isdigit():
+        raise ProtochainError(f"model {model!r}: give its number")
+    if disulfide and no_disulfide:
+        raise ProtochainError("disulfide: asked for and refused at once; give one of the two options")
+    pairs = None if not (disulfide or no_disulfide) else [_pair(given) for given in disulfide or []]
+    return {
+        "model": int(model) if model else None,
+        "altloc": altloc,
+        "keep": tuple(word.strip() for word in keep.split(",") if word.strip()),
+        "disulfide": pairs,
+        "ph": ph,
+        "strict": strict,
+    }
+
+
+def _pair(given: str) -> tuple[str, str]:
+    """Read ``A:3-A:40``, where numbers may be negative."""
+    found = re.fullmatch(r"(\S*:-?\d+\w?)-(\S*:-?\d+\w?)", given)
+    if not found:
+        raise ProtochainError(f"disulfide {given!r}: give chain:number-chain:number, as A:3-A:40")
+    return found[1], found[2]
+
+
+def named_after(source: Path) -> tuple[str, str]:
+    """Name and suffix for outputs named after an input."""
+    inner = Path(source.stem) if source.suffix.lower() == ".gz" else source
+    suffix = ".cif" if inner.suffix.lower() in (".cif", ".mmcif") else ".pdb"
+    return ("stdin" if str(source) == "-" else inner.stem), suffix
+
+
 def prepare(
     source: Path,
+    taken: dict[str, Any],
     hinges: str,
     forcefield: str,
     solvent: str,
@@ -76,7 +134,7 @@ def prepare(
     from protochain.structure import load
 
     began = perf_counter()
-    structure = load(source)
+    structure = load(source, forcefield=forcefield, **taken)
     chain = build_chain(structure, hinges, move=move)
     energy = build_energy(structure, forcefield, solvent, engine, threads=threads, trust_forcefield=trust)
     for line in structure.repairs:

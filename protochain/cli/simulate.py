@@ -9,19 +9,28 @@ import typer
 
 from protochain.cli.options import (
     CONVERGED,
+    PH,
     UNCONVERGED,
+    Altloc,
     AsJson,
+    Disulfide,
     Engine,
     Forcefield,
     Hinges,
     Input,
+    Keep,
+    Model,
     Move,
+    NoDisulfide,
     Seed,
     Solvent,
+    Strict,
     Threads,
     Trust,
     fail,
+    named_after,
     prepare,
+    reading,
 )  # fmt: skip
 from protochain.interrupts import held_interrupts
 from protochain.terminal import print_simulation, simulation_progress
@@ -72,6 +81,13 @@ def simulate(
     seed: Seed = 0,
     threads: Threads = None,
     as_json: AsJson = False,
+    model: Model = "",
+    altloc: Altloc = "",
+    keep: Keep = "",
+    disulfide: Disulfide = None,
+    no_disulfide: NoDisulfide = False,
+    ph: PH = 7.0,
+    strict: Strict = False,
     trust_forcefield: Trust = False,
 ) -> None:
     """Simulate one structure as rigid bodies; write trajectory, log, checkpoints and the last frame."""
@@ -86,10 +102,11 @@ def simulate(
         "hydrogen_mass": hydrogen_mass, "trajectory_length": trajectory_length, "every": every, "seed": seed,
     }  # fmt: skip
     Settings(**settings).check(steps, checkpoint_every)
-    output = output or Path(f"{source.stem}-simulation")
+    taken = reading(model, altloc, keep, disulfide, no_disulfide, ph, strict)
+    output = output or Path(f"{named_after(source)[0]}-simulation")
     check_folder(output, trajectory, resume, force)
     chain, energy, preparation = prepare(
-        source, hinges, forcefield, solvent, engine, threads, trust_forcefield, move
+        source, taken, hinges, forcefield, solvent, engine, threads, trust_forcefield, move
     )
     context.with_resource(held_interrupts())
     q = chain.q0

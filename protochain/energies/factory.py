@@ -30,6 +30,15 @@ FORCE_FIELDS = {
 SOLVENTS = {"vacuum": None, "obc2": "implicit/obc2.xml", "gbn2": "implicit/gbn2.xml"}
 """Solvent models, and the OpenMM file that adds each."""
 
+_BESIDE = {
+    "amber14": ("amber14/tip3p.xml", "amber14/DNA.OL15.xml", "amber14/RNA.OL3.xml"),
+    "amber19": ("amber19/tip3p.xml", "amber14/DNA.OL15.xml", "amber14/RNA.OL3.xml"),
+    "amber99sb": ("tip3p.xml",),
+    "amber99sbildn": ("tip3p.xml",),
+    "charmm36": ("charmm36/water.xml",),
+}
+"""Waters, ions and nucleic acids, for what is kept beside the protein."""
+
 ENGINES = ("auto", "native", "openmm")
 
 _OBC_OFFSET = 0.009
@@ -102,17 +111,22 @@ def energy(
     if own is None:
         _check_file(Path(forcefield), trust_forcefield)
     files = [own or str(Path(forcefield).resolve())]
+    if structure.obstacle.any():
+        files += [str(DATA / name) for name in _BESIDE.get(forcefield, ()) if (DATA / name).exists()]
     if SOLVENTS[solvent] is not None:
         files.append(str(DATA / str(SOLVENTS[solvent])))
     try:
         # A user's file may change between calls, and one that is trusted may raise anything.
         force_field = _own_force_field(*files) if own else app.ForceField(*files)
-        built = force_field.createSystem(structure.topology, nonbondedMethod=app.NoCutoff)
+        built = force_field.createSystem(structure.topology, nonbondedMethod=app.NoCutoff, rigidWater=False)
     except Exception as error:
         reason = " ".join(f"{error}".split()) or type(error).__name__
         raise ForceFieldError(
             f"{structure.name}: force field {forcefield!r} with solvent {solvent!r} does not fit: {reason}"
         ) from None
+    for atom in np.flatnonzero(structure.obstacle).tolist():
+        # OpenMM moves nothing that has no mass.
+        built.setParticleMass(atom, 0.0)
     note = "no cutoff"
     if solvent == "obc2":
         note = _use_gbsa_obc(built)

@@ -301,7 +301,8 @@ def _by_openmm(run: _Run, stage: Stage, record: Recorder) -> Outcome:
         n_iterations += iterations
         n_evaluations += evaluations
         _, forces = energy.reference(x)
-        if stop not in SINGLE_PRECISION_ENDS or np.sqrt(np.mean(forces**2)) <= stage.tolerance:
+        rms_force = np.sqrt(np.mean(forces[run.chain.moving] ** 2))
+        if stop not in SINGLE_PRECISION_ENDS or rms_force <= stage.tolerance:
             break
     # Dynamics that no minimisation could follow to its end leaves a hot structure.
     x = min(x, settled, key=lambda y: energy(y)[0])

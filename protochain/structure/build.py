@@ -1,12 +1,10 @@
 """A sequence -> an extended all-atom chain with standard geometry."""
 
-import gemmi
-
 from protochain import residues
 from protochain.errors import StructureError
+from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.model import Structure
 from protochain.structure.prepare import prepare
-from protochain.structure.read import Draft
 
 PROLINE_PHI = -70.0
 """Degrees. Proline's ring fixes phi near here; the extended -120 would tear the ring from the backbone."""
@@ -55,17 +53,11 @@ def from_sequence(sequence: str) -> Structure:
         PeptideBuilder.add_residue(model, geometry)
 
     name = letters if len(letters) <= 20 else f"{letters[:17]}_{len(letters)}"
-    draft = Draft(name, "sequence")
-    members = []
-    for number, built in enumerate(model.get_residues(), 1):
-        residue = gemmi.Residue()
-        residue.name = built.get_resname()
-        residue.seqid = gemmi.SeqId(str(number))
-        for part in built:
-            atom = gemmi.Atom()
-            atom.name, atom.element = part.get_name(), gemmi.Element(part.element)
-            atom.pos = gemmi.Position(*map(float, part.coord))
-            residue.add_atom(atom)
-        members.append(residue)
-    draft.add_chain("A", members)
-    return prepare(draft)
+    members = [
+        Member(
+            built.get_resname(), str(number), "", "A",
+            [atom(part.get_name(), part.element, [float(c) for c in part.coord]) for part in built],
+        )
+        for number, built in enumerate(model.get_residues(), 1)
+    ]  # fmt: skip
+    return prepare(Draft(name, "sequence", [Part("A", members)]))

@@ -29,6 +29,10 @@ class Structure:
         Every change made to the file's contents, one line each.
     left_out : mapping of str to int
         What the file holds that the structure does not, counted by kind.
+    b_factor : (na,) float, angstrom^2
+        As the file has them; an added atom has its neighbour's.
+    obstacle : (na,) bool
+        Atoms kept where they are: waters, ions and what else is not the protein.
 
     Raises
     ------
@@ -41,10 +45,16 @@ class Structure:
     positions: Floats
     repairs: tuple[str, ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
+    b_factor: Floats = field(default_factory=lambda: np.empty(0))
+    obstacle: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions))
         object.__setattr__(self, "left_out", MappingProxyType(dict(self.left_out)))
+        b_factor = self.b_factor if len(self.b_factor) else np.zeros(self.n_atoms)
+        obstacle = self.obstacle if len(self.obstacle) else np.zeros(self.n_atoms, dtype=bool)
+        object.__setattr__(self, "b_factor", read_only(b_factor))
+        object.__setattr__(self, "obstacle", read_only(obstacle, np.bool_))
         if self.positions.shape != (self.n_atoms, 3):
             raise StructureError(
                 f"{self.name}: {self.n_atoms} atoms but positions of shape {self.positions.shape}"
@@ -122,7 +132,7 @@ class Structure:
     @cached_property
     def alpha_carbons(self) -> Integers:
         """(nca,) int: the C-alpha atoms."""
-        return read_only(np.flatnonzero(self.atom_name == "CA"), np.int64)
+        return read_only(np.flatnonzero((self.atom_name == "CA") & (self.atom_element == "C")), np.int64)
 
     def describe_residue(self, residue: int) -> str:
         """Name a residue as a person would: ``residue 17 GLU of chain A``."""

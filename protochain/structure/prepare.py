@@ -1,45 +1,67 @@
-"""What a file lacks is added: heavy atoms by PDBFixer, disulfides, hydrogens by OpenMM's Modeller.
+"""A file -> a Structure: heavy atoms completed, bonds between residues found, hydrogens placed.
 
-Both tools place atoms at random and then relax them, on whatever platform is fastest; seeded and on the
-Reference platform the same file gives the same coordinates, bit for bit.
+Everything is placed by geometry, or seeded and on the Reference platform: the same file gives the same
+coordinates, bit for bit.
 """
 
-import io
-import random
-from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import cache
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
-import gemmi
 import numpy as np
-import openmm
-from openmm import app, unit
-from pdbfixer import PDBFixer
+from openmm import app
 
+from protochain.arrays import Floats, Integers
 from protochain.errors import StructureError
-from protochain.residues import describe
+from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
+from protochain.structure.complete import add_heavy_atoms
+from protochain.structure.draft import Draft, Member, Part
+from protochain.structure.hydrogens import place_hydrogens
 from protochain.structure.model import Structure
-from protochain.structure.read import Draft, read
+from protochain.structure.protonate import check_ph, protonate
+from protochain.structure.read import Reading, model_numbers, read
+from protochain.structure.templates import Template, templates
+from protochain.units import ANGSTROM_PER_NM
 
 PH = 7.0
-_HYDROGEN_FORCE_FIELD = str(Path(app.__file__).parent / "data" / "amber14" / "protein.ff14SB.xml")
-"""The whole path: OpenMM looks for a bare name in the working directory first."""
 
 
-def load(path: str | Path) -> Structure:
+def load(
+    path: str | Path,
+    *,
+    model: int | None = None,
+    altloc: str = "",
+    keep: Sequence[str] = (),
+    disulfide: Sequence[tuple[str, str]] | None = None,
+    ph: float = PH,
+    strict: bool = False,
+    forcefield: str | Path | None = None,
+) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
-    The first model is read; waters, ligands and other alternate locations are left out; chains are
-    split where they break; missing heavy atoms are added by PDBFixer, disulfides found from geometry,
-    and missing hydrogens added at pH 7 by OpenMM's Modeller. The same file gives the same bits.
+    Waters, ligands and other alternate locations are left out; chains are split where they break, and
+    head-to-tail rings closed; modified residues become their parents; missing heavy atoms are added by
+    PDBFixer, disulfides found from geometry, and missing hydrogens placed by geometry. The same file gives
+    the same bits.
 
     Parameters
     ----------
     path : path-like
-        PDB or mmCIF, by its suffix or its content.
+        PDB or mmCIF by its content, gzipped or not; ``-`` is standard input.
+    model : int, optional
+        Number of the model, as the file has it; the first by default.
+    altloc : str
+        Alternate location to prefer; by default, and where it is absent, the one of highest occupancy.
+    keep : sequence of str
+        What to keep besides, as obstacles that do not move: ``water``, ``ions``, ``nucleic``, ``all`` that
+        the force field knows, or names of residues.
+    disulfide : sequence of pairs of str, optional
+        ``[("A:3", "A:40")]``: these and no others; by default, cysteines whose sulphurs are near.
+    ph : float
+        Of the protonation of residues whose hydrogens or names do not show it.
+    strict : bool
+        Refuse chain breaks and incomplete backbones.
+    forcefield : path-like, optional
+        A force-field file whose residues are taken as they are.
 
     Returns
     -------
@@ -51,10 +73,24 @@ def load(path: str | Path) -> Structure:
     StructureError
         One line naming the file, the place and the mend.
     """
-    return prepare(read(path))
+    check_ph(ph)
+    own = Path(forcefield) if forcefield is not None and Path(forcefield).is_file() else None
+    reading = Reading(model, altloc, tuple(keep), strict, own)
+    return prepare(read(path, reading), disulfide, ph, own)
 
 
-def prepare(draft: Draft) -> Structure:
+def load_models(path: str | Path, **settings: object) -> Iterator[Structure]:
+    """Load every model of a file, one after the other: as :func:`load`."""
+    for number in model_numbers(path):
+        yield load(path, model=number, **settings)  # type: ignore[arg-type]
+
+
+def prepare(
+    draft: Draft,
+    disulfide: Sequence[tuple[str, str]] | None = None,
+    ph: float = PH,
+    forcefield: Path | None = None,
+) -> Structure:
     """Complete a draft: heavy atoms, disulfides, hydrogens.
 
     Raises
@@ -62,123 +98,77 @@ def prepare(draft: Draft) -> Structure:
     StructureError
         If a residue's atoms fit no known residue.
     """
-    fixer = PDBFixer(pdbxfile=_as_mmcif(draft), platform=_reference())
-    with _seeded():
-        _add_heavy_atoms(draft, fixer)
-        topology, positions = fixer.topology, fixer.positions
-        topology.createDisulfideBonds(positions)
-        for bond in topology.bonds():
-            if bond.atom1.name == bond.atom2.name == "SG":
-                first, second = (_describe(draft, atom.residue) for atom in bond)
-                draft.repairs.append(f"disulfide bond between {first} and {second}")
-        topology, positions = _add_hydrogens(draft, topology, positions)
-    topology.setPeriodicBoxVectors(None)
-    for chain, chain_id in zip(topology.chains(), draft.chain_ids, strict=True):
-        chain.id = chain_id
-    for residue in topology.residues():
-        atoms = {atom.name: atom for atom in residue.atoms()}
-        if "H" in atoms and "H3" in atoms:
-            # OpenMM calls the first hydrogen of a charged N terminus H; the PDB calls it H1.
-            atoms["H"].name = "H1"
-    x = np.array(positions.value_in_unit(unit.nanometer))
-    return Structure(draft.name, topology, x, tuple(draft.repairs), dict(draft.left_out))
-
-
-def _as_mmcif(draft: Draft) -> io.StringIO:
-    """Write the draft in the one format that keeps long chain ids and every insertion code."""
-    structure = gemmi.Structure()
-    structure.name = draft.name
-    structure.add_model(draft.model)
-    structure.setup_entities()
-    structure.assign_label_seq_id()
-    return io.StringIO(structure.make_mmcif_document().as_string())
-
-
-def _add_heavy_atoms(draft: Draft, fixer: PDBFixer) -> None:
-    fixer.missingResidues = {}
-    fixer.findMissingAtoms()
-    added = {residue: [atom.name for atom in atoms] for residue, atoms in fixer.missingAtoms.items()}
-    for residue, names in fixer.missingTerminals.items():
-        added.setdefault(residue, []).extend(names)
-    for residue, names in sorted(added.items(), key=lambda item: item[0].index):
-        draft.repairs.append(f"{_describe(draft, residue)}: missing {', '.join(names)} added")
-    fixer.addMissingAtoms(seed=1)
-
-
-def _add_hydrogens(draft: Draft, topology: app.Topology, positions: Any) -> tuple[app.Topology, Any]:
-    present = _count_hydrogens(topology)
-    force_field = _hydrogen_force_field()
-    modeller = app.Modeller(topology, positions)
-    try:
-        variants = modeller.addHydrogens(force_field, pH=PH, platform=_reference())
-    except ValueError:
-        # Hydrogens in the file that fit no template, or a residue that does not: tell which.
-        modeller = _without_unfit_hydrogens(draft, topology, positions)
-        try:
-            variants = modeller.addHydrogens(force_field, pH=PH, platform=_reference())
-        except ValueError as error:
-            raise _unfit(draft, modeller, error) from None
-    added = _count_hydrogens(modeller.topology) - present
-    if added:
-        draft.repairs.append(f"{added} hydrogens added at pH {PH:g} ({present} were in the file)")
-    for residue, variant in zip(modeller.topology.residues(), variants, strict=True):
-        if residue.name == "HIS":
-            draft.repairs.append(f"{_describe(draft, residue)} taken as {variant}")
-    return modeller.topology, modeller.positions
-
-
-def _without_unfit_hydrogens(draft: Draft, topology: app.Topology, positions: Any) -> app.Modeller:
-    """Strip the hydrogens of every residue that fits no template as it stands, to be built anew."""
-    trial = app.Modeller(topology, positions)
-    trial.addHydrogens(pH=PH, platform=_reference())
-    unfit = {residue.index for residue in _hydrogen_force_field().getUnmatchedResidues(trial.topology)}
-    modeller = app.Modeller(topology, positions)
-    strange = [
-        atom
-        for atom in topology.atoms()
-        if atom.residue.index in unfit and atom.element == app.element.hydrogen
-    ]
-    for residue, count in Counter(atom.residue for atom in strange).items():
-        draft.repairs.append(f"{_describe(draft, residue)}: its {count} hydrogens fit no template: rebuilt")
-    modeller.delete(strange)
-    return modeller
-
-
-def _unfit(draft: Draft, modeller: app.Modeller, error: ValueError) -> StructureError:
-    trial = app.Modeller(modeller.topology, modeller.positions)
-    trial.addHydrogens(pH=PH, platform=_reference())
-    unfit = _hydrogen_force_field().getUnmatchedResidues(trial.topology)
-    where = f"{_describe(draft, unfit[0])}: " if unfit else ""
-    reason = " ".join(str(error).split()).split("No template found for residue", 1)[-1]
-    return StructureError(
-        f"{draft.source}: {where}its atoms fit no known residue ({reason.strip()}); mend or remove it"
+    known = templates(forcefield)
+    add_heavy_atoms(draft, known)
+    refuse_crosslinks(draft)
+    bridges = disulfides(draft, disulfide)
+    done = protonate(draft, known, {id(member) for pair in bridges for member in pair}, ph)
+    atoms = [atom for member, _ in done for atom in member.atoms]
+    bonds = _bonds(draft, done, bridges)
+    x = place_hydrogens(
+        np.array([atom.pos.tolist() for atom in atoms]) / ANGSTROM_PER_NM,
+        [atom.element.name for atom in atoms],
+        np.array([template.charge.get(atom.name, 0.0) for m, template in done for atom in m.atoms]),
+        bonds,
+    )
+    _refuse_coincident(draft, done, x, bonds)
+    obstacle = [part.obstacle for part in draft.parts for member in part.members for _ in member.atoms]
+    return Structure(
+        draft.name,
+        _topology(draft.parts, bonds),
+        x,
+        tuple(draft.repairs),
+        dict(draft.left_out),
+        np.array([atom.b_iso for atom in atoms]),
+        np.array(obstacle, dtype=bool),
     )
 
 
-def _describe(draft: Draft, residue: Any) -> str:
-    number = f"{residue.id}{residue.insertionCode.strip()}"
-    return describe(number, residue.name, draft.chain_ids[residue.chain.index])
+def _bonds(draft: Draft, done: list[tuple[Member, Template]], bridges: list[Bridge]) -> Integers:
+    """(nbonds, 2) int: within residues by their templates, between them by where they are."""
+    at: dict[int, dict[str, int]] = {}
+    n = 0
+    pairs: list[tuple[int, int]] = []
+    for member, template in done:
+        index = {atom.name: n + k for k, atom in enumerate(member.atoms)}
+        n += len(member.atoms)
+        at[id(member)] = index
+        pairs += [(index[a], index[b]) for a, b in template.bonds if a in index and b in index]
+    for part in draft.parts:
+        following = part.members[1:] + ([part.members[0]] if part.cyclic else [])
+        for member, following_member in zip(part.members, following, strict=False):
+            pairs.append((at[id(member)]["C"], at[id(following_member)]["N"]))
+    pairs += [(at[id(first)]["SG"], at[id(second)]["SG"]) for first, second in bridges]
+    return np.sort(np.array(pairs, dtype=np.int64), axis=1)
 
 
-def _count_hydrogens(topology: app.Topology) -> int:
-    return sum(atom.element == app.element.hydrogen for atom in topology.atoms())
+def _topology(parts: list[Part], bonds: Integers) -> app.Topology:
+    topology = app.Topology()
+    atoms = []
+    for part in parts:
+        chain = topology.addChain(part.chain_id)
+        for member in part.members:
+            residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
+            for atom in member.atoms:
+                element = app.Element.getBySymbol(atom.element.name)
+                atoms.append(topology.addAtom(atom.name, element, residue))
+    for first, second in bonds.tolist():
+        topology.addBond(atoms[first], atoms[second])
+    return topology
 
 
-@cache
-def _hydrogen_force_field() -> app.ForceField:
-    return app.ForceField(_HYDROGEN_FORCE_FIELD)
+def _refuse_coincident(draft: Draft, done: list[tuple[Member, Template]], x: Floats, bonds: Integers) -> None:
+    """Refuse bonds of no length: no direction can be told from them."""
+    lengths = np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1)
+    if not len(lengths) or lengths.min() > _SHORTEST:
+        return
+    first, second = bonds[int(np.argmin(lengths))]
+    owners = [(member, atom.name) for member, _ in done for atom in member.atoms]
+    a, b = owners[first], owners[second]
+    raise StructureError(
+        f"{draft.source}: {a[0]}: atoms {a[1]} and {b[1]} are in the same place; mend their coordinates"
+    )
 
 
-def _reference() -> openmm.Platform:
-    return openmm.Platform.getPlatform("Reference")
-
-
-@contextmanager
-def _seeded() -> Iterator[None]:
-    """Run with the global generator that Modeller draws from at a fixed state, then put it back."""
-    state = random.getstate()
-    random.seed(1)
-    try:
-        yield
-    finally:
-        random.setstate(state)
+_SHORTEST = 0.02
+"""nm. No bond is a fifth of the shortest."""

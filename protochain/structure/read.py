@@ -1,68 +1,64 @@
-"""A PDB or mmCIF file -> the protein in it, one conformation, chains split where they break.
+"""A structure file -> the molecules in it that are used: one conformation, chains split where they break.
 
 gemmi does the parsing. What is left out or changed is said in ``repairs``; what cannot be used is
 refused in one line.
 """
 
 from collections import Counter
-from dataclasses import dataclass, field
-from math import isfinite
+from dataclasses import dataclass
 from pathlib import Path
 
 import gemmi
 import numpy as np
+from pdbfixer.pdbfixer import substitutions
 
 from protochain import residues
 from protochain.errors import StructureError
+from protochain.structure.conformation import Conformation, gathered, likeliest, same_place
+from protochain.structure.draft import Address, Draft, Member, Part
+from protochain.structure.files import STANDARD_INPUT, parse
+from protochain.structure.templates import rename, standard_name, template_name, templates
 
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""
+SMALLEST_RING = 4
+"""Residues of the smallest head-to-tail ring that is looked for."""
 
-_COORDINATE_COLUMNS = 54
-_RECORDS = ("ATOM", "HETATM", "ANISOU", "SIGATM", "SIGUIJ")
 
-
-@dataclass
-class Draft:
-    """A file's protein on its way to becoming a Structure.
+@dataclass(frozen=True)
+class Reading:
+    """What to take of a file.
 
     Parameters
     ----------
-    name, source : str
-        Short name, and how messages name the file.
-    model : gemmi.Model
-        One gemmi chain for each unbroken chain, named by its index.
-    chain_ids : list of str
-        The file's own id of each unbroken chain.
+    model : int, optional
+        Number of the model, as the file has it; the first by default.
+    altloc : str
+        Alternate location to prefer; the one of highest occupancy by default, and where it is absent.
+    keep : tuple of str
+        What else to keep, as obstacles that do not move: ``water``, ``ions``, ``nucleic``, ``all`` or names
+        of residues.
+    strict : bool
+        Refuse chain breaks and residues that would be left out of a chain.
+    forcefield : Path, optional
+        A force-field file whose residues are known besides.
     """
 
-    name: str
-    source: str
-    model: gemmi.Model = field(default_factory=lambda: gemmi.Model(1))
-    chain_ids: list[str] = field(default_factory=list)
-    repairs: list[str] = field(default_factory=list)
-    left_out: Counter[str] = field(default_factory=Counter)
-
-    def add_chain(self, chain_id: str, members: list[gemmi.Residue]) -> None:
-        """Append an unbroken chain of copies of the residues."""
-        chain = gemmi.Chain(str(len(self.chain_ids)))
-        for residue in members:
-            chain.add_residue(residue)
-        self.model.add_chain(chain)
-        self.chain_ids.append(chain_id)
+    model: int | None = None
+    altloc: str = ""
+    keep: tuple[str, ...] = ()
+    strict: bool = False
+    forcefield: Path | None = None
 
 
-def describe(chain_id: str, residue: gemmi.Residue) -> str:
-    """``residue 17 GLU of chain A``, with the insertion code if there is one."""
-    return residues.describe(str(residue.seqid).strip(), residue.name, chain_id)
-
-
-def read(path: str | Path) -> Draft:
-    """Read the protein of the first model of a PDB or mmCIF file.
+def read(path: str | Path, reading: Reading | None = None) -> Draft:
+    """Read the molecules of one model of a PDB or mmCIF file.
 
     Parameters
     ----------
     path : path-like
+        ``-`` for standard input.
+    reading : Reading, optional
 
     Returns
     -------
@@ -73,224 +69,309 @@ def read(path: str | Path) -> Draft:
     StructureError
         If the file cannot be read, is cut short, holds no protein, or holds residues that cannot be used.
     """
-    path = Path(path)
-    draft = Draft(path.stem, str(path))
-    try:
-        text = path.read_bytes().decode("utf-8", errors="replace")
-    except OSError as error:
-        raise StructureError(f"{path}: cannot be read ({error.strerror}); check the name") from None
-    structure = _parse(text, path)
-    if len(structure) == 0 or structure[0].count_atom_sites() == 0:
-        raise StructureError(f"{path}: no atoms found; give a PDB or mmCIF file with coordinates")
-    if len(structure) > 1:
-        draft.repairs.append(f"model {structure[0].num} used, {len(structure) - 1} other models left out")
-        draft.left_out["models"] = len(structure) - 1
-    for chain in structure[0]:
+    reading, path = reading or Reading(), Path(path)
+    structure, overlooked, ends = parse(path)
+    name = "stdin" if path == STANDARD_INPUT else _stem(path)
+    draft = Draft(name, "standard input" if path == STANDARD_INPUT else str(path), repairs=overlooked)
+    model = _model(draft, structure, reading.model)
+    draft.stated = [
+        (_address(bond.partner1), _address(bond.partner2))
+        for bond in structure.connections
+        if bond.type in (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale)
+    ]
+    kept: list[Part] = []
+    for chain in model:
         chain.name = chain.name.strip()
-        protein = _protein_residues(draft, chain)
-        _check_backbone(draft, chain.name, protein)
-        _add_unbroken(draft, chain.name, protein)
-    if not draft.chain_ids:
+        _Reader(draft, reading, chain.name, kept).take(chain)
+    if not draft.parts:
         found = ", ".join(f"{count} {kind}" for kind, count in draft.left_out.items())
-        raise StructureError(f"{path}: no protein found (only {found}); give a file with amino acids")
-    last = draft.model[-1][-1]
-    if "\nEND" not in text and not _is_cif(text, path) and not last.find_atom("OXT", "*"):
+        raise StructureError(f"{draft.source}: no protein found (only {found}); give a file with amino acids")
+    last = draft.parts[-1].members[-1]
+    if not ends and not last.atom("OXT"):
         draft.repairs.append(
-            f"the file stops at {describe(draft.chain_ids[-1], last)} without an END line or a terminal "
-            "oxygen: if it was cut short, the rest is not here"
+            f"the file stops at {last} without an END line or a terminal oxygen: "
+            "if it was cut short, the rest is not here"
         )
+    draft.parts += kept
     _say_what_was_left_out(draft)
     return draft
 
 
-def _is_cif(text: str, path: Path) -> bool:
-    return path.suffix.lower() in (".cif", ".mmcif") or text.lstrip().startswith("data_")
+def model_numbers(path: str | Path) -> list[int]:
+    """Numbers of the models in a file.
+
+    Raises
+    ------
+    StructureError
+        As :func:`read`.
+    """
+    return [model.num for model in parse(Path(path))[0]]
 
 
-def _parse(text: str, path: Path) -> gemmi.Structure:
-    try:
-        if _is_cif(text, path):
-            _refuse_cut_cif(text, path)
-            document = gemmi.cif.read_string(text)
-            return gemmi.make_structure_from_block(document[0])
-        _refuse_cut_pdb(text, path)
-        _refuse_odd_coordinates(text, path)
-        return gemmi.read_pdb_string(text)
-    except StructureError:
-        raise
-    except (RuntimeError, ValueError, IndexError) as error:
-        reason = " ".join(str(error).split())
-        raise StructureError(f"{path}: cannot be read: {reason}; mend or download the file again") from None
+def _stem(path: Path) -> str:
+    return Path(path.stem).stem if path.suffix.lower() == ".gz" else path.stem
 
 
-def _refuse_cut_cif(text: str, path: Path) -> None:
-    """Archive files end every category with '#': one whose last line is a row was cut."""
-    lines = text.rstrip().splitlines() or [""]
-    if lines[-1].strip() != "#" and any(line.strip() == "#" for line in lines):
-        raise StructureError(f"{path}: line {len(lines)}: the file is cut short; download it again")
+def _address(place: gemmi.AtomAddress) -> Address:
+    return place.chain_name.strip(), str(place.res_id.seqid).strip(), place.atom_name
 
 
-def _refuse_cut_pdb(text: str, path: Path) -> None:
-    """Refuse a file that ends within an atom record, or within the atoms of a file that has a header."""
-    lines = text.rstrip("\r\n").splitlines() or [""]
-    last, before = lines[-1], lines[-2] if len(lines) > 1 else ""
-    in_record_name = bool(last) and any(record.startswith(last) for record in _RECORDS)
-    if not last.startswith(_RECORDS) and not in_record_name:
-        return
-    shorter = not text.endswith("\n") and before.startswith(_RECORDS) and len(last) < len(before)
-    has_header = any(line.startswith(("HEADER", "SEQRES")) for line in lines)
-    if len(last) < _COORDINATE_COLUMNS or shorter or has_header:
-        raise StructureError(
-            f"{path}: line {len(lines)}: the file is cut short; download it again, "
-            "or add a line END if this is all"
-        )
+def _model(draft: Draft, structure: gemmi.Structure, number: int | None) -> gemmi.Model:
+    numbers = [model.num for model in structure]
+    if number is not None and number not in numbers:
+        raise StructureError(f"{draft.source}: has no model {number}; its models are {_listed(numbers)}")
+    chosen = 0 if number is None else numbers.index(number)
+    if len(structure) > 1:
+        if number is None:
+            others = len(structure) - 1
+            draft.repairs.append(f"model {structure[0].num} used, {others} other models left out")
+        draft.left_out["models"] = len(structure) - 1
+    return structure[chosen]
 
 
-def _refuse_odd_coordinates(text: str, path: Path) -> None:
-    """Refuse what is not a number: gemmi reads stars as 0."""
-    for number, line in enumerate(text.splitlines(), 1):
-        if line.startswith(("ATOM", "HETATM")):
-            for axis, start in zip("xyz", (30, 38, 46), strict=True):
-                try:
-                    value = float(line[start : start + 8])
-                except ValueError:
-                    value = np.nan
-                if not np.isfinite(value):
-                    given = line[start : start + 8].strip()
-                    raise StructureError(
-                        f"{path}: line {number}: {axis} is {given!r}, not a number; "
-                        f"mend columns {start + 1}-{start + 8}"
-                    )
+def _listed(numbers: list[int]) -> str:
+    in_row = numbers == list(range(numbers[0], numbers[-1] + 1))
+    return f"{numbers[0]} to {numbers[-1]}" if in_row else ", ".join(map(str, numbers))
 
 
-def _protein_residues(draft: Draft, chain: gemmi.Chain) -> list[gemmi.Residue]:
-    """Return the chain's amino acids and caps, each in one conformation and under its standard name."""
-    kept = []
-    for group in _same_place(chain):
-        residue = _likeliest(draft, chain.name, group)
-        name = residues.PARENT.get(residue.name, residue.name)
-        if name in residues.STANDARD or name in residues.CAPS:
-            kept.append(_standardised(draft, chain.name, residue, name))
-        elif {"N", "CA", "C"} <= {atom.name for atom in residue}:
+class _Reader:
+    """Reads one chain: what is said of it goes into the draft."""
+
+    def __init__(self, draft: Draft, reading: Reading, chain_id: str, kept: list[Part]) -> None:
+        self.draft, self.reading, self.chain_id, self.kept = draft, reading, chain_id, kept
+        self.known = templates(reading.forcefield)
+
+    def take(self, chain: gemmi.Chain) -> None:
+        """Take the chain's protein, and what is to be kept besides."""
+        run: list[Member] = []
+        residues_here, scattered = gathered(chain)
+        if scattered:
+            self._say(f"chain {self._chain}: the atoms of {scattered} residues are scattered: gathered")
+        for group in same_place(residues_here):
+            found = likeliest(group, self.reading.altloc)
+            if self._is_protein(found.residue.name):
+                self._say_alternates(found)
+            member = self._member(found.residue)
+            if member is not None and self._has_backbone(member):
+                run.append(member)
+        if run and all([atom.name for atom in member.atoms] == ["CA"] for member in run if not member.is_cap):
             raise StructureError(
-                f"{draft.source}: {describe(chain.name, residue)} is not one of the 20 standard amino acids; "
-                "replace it by its parent or remove it"
+                f"{self.draft.source}: chain {self._chain} holds only C-alpha atoms; "
+                "rebuild the other atoms first"
             )
-        else:
-            info = gemmi.find_tabulated_residue(residue.name)
-            draft.left_out["waters" if info.is_water() else residue.name] += 1
-    return kept
+        self._say_unseen(run)
+        self._add_unbroken(run)
 
+    @property
+    def _chain(self) -> str:
+        return self.chain_id or "(blank)"
 
-def _same_place(chain: gemmi.Chain) -> list[list[gemmi.Residue]]:
-    """Group the residues that share a number: alternatives for one place (microheterogeneity)."""
-    groups: list[list[gemmi.Residue]] = []
-    for residue in chain:
-        if groups and groups[-1][0].seqid == residue.seqid and residue[0].has_altloc():
-            groups[-1].append(residue)
-        else:
-            groups.append([residue])
-    return groups
+    def _say(self, line: str) -> None:
+        self.draft.repairs.append(line)
 
+    def _describe(self, residue: gemmi.Residue) -> str:
+        return residues.describe(str(residue.seqid).strip(), residue.name, self.chain_id)
 
-def _likeliest(draft: Draft, chain_id: str, group: list[gemmi.Residue]) -> gemmi.Residue:
-    """Copy of the residue and alternate location of highest occupancy (the first of equals)."""
-    weights: dict[tuple[int, str], list[float]] = {}
-    for i, residue in enumerate(group):
-        for atom in residue:
-            if atom.has_altloc():
-                weights.setdefault((i, atom.altloc), []).append(atom.occ)
-    best, altloc = max(weights, key=lambda place: float(np.mean(weights[place])), default=(0, ""))
-    chosen = group[best].clone()
-    # An atom that only another location has is still part of the residue; of two with one name, the first.
-    ranked = sorted(range(len(chosen)), key=lambda i: chosen[i].altloc not in (altloc, "\0"))
-    kept: dict[str, int] = {}
-    for i in ranked:
-        kept.setdefault(chosen[i].name, i)
-    dropped = sorted(set(ranked) - set(kept.values()))
-    where = describe(chain_id, chosen)
-    others = sorted({f"{group[i].name} {a}" for i, a in weights} - {f"{chosen.name} {altloc}"})
-    if others:
-        occupancy = np.mean(weights[best, altloc])
-        draft.repairs.append(
-            f"{where}: alternate location {altloc} kept (occupancy {occupancy:.2f}), "
-            f"{', '.join(others)} left out"
+    def _say_alternates(self, found: Conformation) -> None:
+        where = self._describe(found.residue)
+        if found.others:
+            self._say(
+                f"{where}: alternate location {found.altloc} kept (occupancy {found.occupancy:.2f}), "
+                f"{', '.join(found.others)} left out"
+            )
+            self.draft.left_out["alternate locations"] += len(found.others)
+        elif found.repeated:
+            self._say(f"{where}: {', '.join(found.repeated)} given more than once: the first kept")
+            self.draft.left_out["repeated atoms"] += len(found.repeated)
+
+    def _say_unseen(self, run: list[Member]) -> None:
+        """Say which atoms were not seen in the experiment."""
+        unseen = [sum(atom.occ == 0.0 for atom in member.atoms if not atom.is_hydrogen()) for member in run]
+        places = [str(member) for member, n in zip(run, unseen, strict=True) if n]
+        if places:
+            more = f" and {len(places) - 1} more" if len(places) > 1 else ""
+            self._say(f"{sum(unseen)} atoms of occupancy 0 kept, in {places[0]}{more}")
+
+    def _is_protein(self, name: str) -> bool:
+        standard = standard_name(name.strip().upper())[0]
+        return standard in residues.STANDARD or standard in residues.CAPS or bool(_parent(standard))
+
+    def _member(self, residue: gemmi.Residue) -> Member | None:
+        """Return the residue under its standard name, or None where it is no part of the protein."""
+        given = residue.name
+        name, state = standard_name(given.strip().upper())
+        if name in residues.STANDARD or name in residues.CAPS:
+            for atom in residue:
+                atom.element = _element(atom)
+        atoms = [atom for atom in residue if atom.element != gemmi.Element("D")]
+        self.draft.left_out["deuterium atoms"] += len(residue) - len(atoms)
+        member = Member(
+            name, str(residue.seqid.num), residue.seqid.icode.strip(), self.chain_id, atoms, state
         )
-        draft.left_out["alternate locations"] += len(others)
-    elif dropped:
-        names = ", ".join(sorted({chosen[i].name for i in dropped}))
-        draft.repairs.append(f"{where}: {names} given more than once: the first kept")
-        draft.left_out["repeated atoms"] += len(dropped)
-    for i in reversed(dropped):
-        del chosen[i]
-    for atom in chosen:
-        atom.altloc = "\0"
-    return chosen
-
-
-def _standardised(draft: Draft, chain_id: str, residue: gemmi.Residue, name: str) -> gemmi.Residue:
-    if residue.name == "MSE":
-        draft.repairs.append(f"{describe(chain_id, residue)}: selenomethionine taken as MET")
-        for atom in residue:
-            if atom.element == gemmi.Element("Se"):
-                atom.name, atom.element = "SD", gemmi.Element("S")
-    elif residue.name != name:
-        draft.repairs.append(f"{describe(chain_id, residue)}: taken as {name}, its protonation chosen anew")
-    residue.name = name
-    heavy_hydrogens = [i for i, atom in enumerate(residue) if atom.element == gemmi.Element("D")]
-    for i in reversed(heavy_hydrogens):
-        del residue[i]
-    draft.left_out["deuterium atoms"] += len(heavy_hydrogens)
-    return residue
-
-
-def _check_backbone(draft: Draft, chain_id: str, protein: list[gemmi.Residue]) -> None:
-    amino = [residue for residue in protein if residue.name in residues.STANDARD]
-    if amino and all([atom.name for atom in residue] == ["CA"] for residue in amino):
-        raise StructureError(
-            f"{draft.source}: chain {chain_id or '(blank)'} holds only C-alpha atoms; "
-            "rebuild the other atoms first"
-        )
-    for residue in protein:
-        for atom in residue:
-            if not all(map(isfinite, atom.pos.tolist())):
-                raise StructureError(
-                    f"{draft.source}: {describe(chain_id, residue)}: the position of atom {atom.name} "
-                    "is not a number; mend it"
-                )
-    for residue in amino:
-        present = {atom.name for atom in residue}
-        missing = [name for name in residues.BACKBONE if name not in present]
-        if missing:
+        backbone = {"N", "CA", "C"} <= {atom.name for atom in atoms}
+        if name in residues.STANDARD or name in residues.CAPS:
+            if state:
+                self._say(f"{self._describe(residue)}: taken as {name}, its protonation as its name says")
+            if member.is_cap:
+                rename(member.atoms, self.known[template_name(name)])
+            return member
+        if backbone and name in self.known and name not in residues.NUCLEOTIDES:
+            return member
+        parent = _parent(name)
+        if backbone and parent:
+            self._convert(member, parent, self._describe(residue))
+            return member
+        if backbone:
             raise StructureError(
-                f"{draft.source}: {describe(chain_id, residue)}: atom {missing[0]} missing; "
+                f"{self.draft.source}: {self._describe(residue)} is not an amino acid that is known, and has "
+                "no standard parent; replace or remove it, or give a force field that has it"
+            )
+        if self._is_kept(member, residue):
+            self.kept.append(Part(self.chain_id, [member], obstacle=True))
+        else:
+            water = gemmi.find_tabulated_residue(given).is_water()
+            self.draft.left_out["waters" if water or name == "HOH" else given] += 1
+        return None
+
+    def _convert(self, member: Member, parent: str, where: str) -> None:
+        """Turn a modified residue into its standard parent."""
+        named = self.known[parent]
+        own = {*named.element, *named.synonyms, "OXT", "H1", "H2", "H3", "H"}
+        for name in set(named.heavy) - {atom.name for atom in member.atoms}:
+            # Selenium, or a sulphur under another name, stands for the parent's one sulphur.
+            chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in own]
+            if named.element[name] == "S" and len(chalcogens) == 1:
+                chalcogens[0].name, chalcogens[0].element = name, gemmi.Element("S")
+        strange = [atom.name for atom in member.atoms if atom.name not in own and not atom.is_hydrogen()]
+        member.atoms = [
+            atom for atom in member.atoms if atom.name in own and not (strange and atom.is_hydrogen())
+        ]
+        given, member.name = member.name, parent
+        if given == "MSE":
+            self._say(f"{where}: selenomethionine taken as MET")
+        elif gemmi.find_tabulated_residue(given).kind == gemmi.ResidueKind.AAD:
+            self._say(f"{where}: the D form of {parent}, kept as it is under that name")
+        else:
+            gone = f", {', '.join(strange)} left out" if strange else ""
+            self._say(f"{where}: taken as {parent}, its standard parent{gone}")
+
+    def _is_kept(self, member: Member, residue: gemmi.Residue) -> bool:
+        keep = self.reading.keep
+        if not keep or member.name in keep:
+            asked = bool(keep)
+        else:
+            asked = (
+                "all" in keep
+                or ("water" in keep and member.name == "HOH")
+                or ("ions" in keep and len(member.atoms) == 1 and member.name != "HOH")
+                or ("nucleic" in keep and member.name in residues.NUCLEOTIDES)
+            )
+        if asked and member.name not in self.known:
+            if member.name in keep:
+                raise StructureError(
+                    f"{self.draft.source}: {self._describe(residue)} cannot be kept: no force field knows it"
+                )
+            return False
+        return asked
+
+    def _has_backbone(self, member: Member) -> bool:
+        missing = [name for name in residues.BACKBONE if not member.atom(name)]
+        if member.is_cap or not missing or [atom.name for atom in member.atoms] == ["CA"]:
+            return True
+        if self.reading.strict:
+            raise StructureError(
+                f"{self.draft.source}: {member}: atom {missing[0]} missing; "
                 "rebuild the backbone or remove the residue"
             )
+        self._say(f"{member}: left out, for its backbone atom {missing[0]} is missing")
+        self.draft.left_out["incomplete residues"] += 1
+        return False
 
+    def _add_unbroken(self, run: list[Member]) -> None:
+        """Split where residues are not bonded: a bond drawn across a gap would tear the chain."""
+        part: list[Member] = []
+        for member in run:
+            if part:
+                gap = _gap(part[-1], member)
+                if gap >= PEPTIDE_BREAK:
+                    self._break(part[-1], member, gap)
+                    self._add(part)
+                    part = []
+            part.append(member)
+        self._add(part)
 
-def _add_unbroken(draft: Draft, chain_id: str, protein: list[gemmi.Residue]) -> None:
-    """Split where consecutive residues are not bonded: a bond drawn across a gap would tear the chain."""
-    run: list[gemmi.Residue] = []
-    for residue in protein:
-        if run:
-            end, start = run[-1].find_atom("C", "*"), residue.find_atom("N", "*")
-            gap = end.pos.dist(start.pos) if end and start else PEPTIDE_BREAK
-            if gap >= PEPTIDE_BREAK:
-                draft.repairs.append(
-                    f"chain {chain_id or '(blank)'} is broken between {str(run[-1].seqid).strip()} and "
-                    f"{str(residue.seqid).strip()} ({gap:.1f} angstrom): "
-                    "taken as two chains with real termini"
+    def _break(self, last: Member, first: Member, gap: float) -> None:
+        """Say that the chain is broken, unless the file has real termini there."""
+        if last.atom("OXT") or last.is_cap or first.is_cap:
+            return
+        where = f"chain {self._chain} is broken between {last.seqid} and {first.seqid} ({gap:.1f} angstrom)"
+        if self.reading.strict:
+            raise StructureError(
+                f"{self.draft.source}: {where}; build what is missing, or leave out --strict"
+            )
+        self._say(f"{where}: taken as two chains with real termini")
+
+    def _add(self, part: list[Member]) -> None:
+        """Append an unbroken chain, if a force field can know it."""
+        part = [
+            member
+            for i, member in enumerate(part)
+            if not member.is_cap or self._is_in_place(member, i, len(part))
+        ]
+        if len(part) == 1:
+            self._say(f"{part[0]}: left out, for it is bonded to no other residue")
+            self.draft.left_out["single residues"] += 1
+        elif part:
+            made = Part(self.chain_id, part)
+            made.cyclic = len(part) >= SMALLEST_RING and _gap(part[-1], part[0]) < PEPTIDE_BREAK
+            if made.cyclic:
+                ends = tuple(
+                    (self.chain_id, member.seqid, name) for member, name in ((part[-1], "C"), (part[0], "N"))
                 )
-                draft.add_chain(chain_id, run)
-                run = []
-        run.append(residue)
-    if run:
-        draft.add_chain(chain_id, run)
+                if not self.draft.states(*ends):
+                    self._say(f"chain {self._chain}: {part[-1]} is bonded to {part[0]}: a ring")
+            self.draft.parts.append(made)
+
+    def _is_in_place(self, member: Member, i: int, n: int) -> bool:
+        if n > 1 and (i == 0 if member.name == "ACE" else i == n - 1):
+            return True
+        self._say(f"{member}: left out, for it caps no chain")
+        self.draft.left_out[member.name] += 1
+        return False
+
+
+def _element(atom: gemmi.Atom) -> gemmi.Element:
+    """Element of an amino acid's atom, by its name where the columns mislead: CHARMM's HD1 is in 13-15."""
+    letter = atom.name.lstrip("0123456789")[:1]
+    known = atom.element.name in ("C", "H", "D", "N", "O", "S") and atom.element.name == letter
+    return atom.element if known or letter not in "CHDNOS" or not letter else gemmi.Element(letter)
+
+
+def _parent(name: str) -> str:
+    """Return the standard amino acid that a modified one is made from, or nothing."""
+    if name in substitutions:
+        return str(substitutions[name])
+    info = gemmi.find_tabulated_residue(name)
+    if info is not None and info.is_amino_acid():
+        letters = {letter: parent for parent, letter in residues.STANDARD.items()}
+        return letters.get(info.one_letter_code.upper(), "")
+    return ""
+
+
+def _gap(last: Member, first: Member) -> float:
+    """Distance from the C of one residue to the N of another, angstrom; without them they are not bonded."""
+    end, start = last.atom("C"), first.atom("N")
+    if end is None or start is None or last.name in ("NME", "NH2") or first.name == "ACE":
+        return np.inf
+    return float(end.pos.dist(start.pos))
 
 
 def _say_what_was_left_out(draft: Draft) -> None:
-    said_already = ("models", "alternate locations", "repeated atoms")
-    draft.left_out = +draft.left_out
+    said_already = (
+        "models", "alternate locations", "repeated atoms", "incomplete residues", "single residues",
+        *residues.CAPS,
+    )  # fmt: skip
+    draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})
     for kind, count in draft.left_out.items():
         if kind not in said_already:
             draft.repairs.append(f"{count} {kind} left out")

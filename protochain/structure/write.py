@@ -124,17 +124,18 @@ def _gemmi_structure(structure: Structure) -> gemmi.Structure:
             made = gemmi.Residue()
             made.name = residue.name
             made.seqid = gemmi.SeqId(int(residue.id), residue.insertionCode.strip() or " ")
-            made.het_flag = "A"
+            obstacle = structure.obstacle[next(residue.atoms()).index]
+            made.het_flag = "H" if obstacle else "A"
             # Parts of a broken chain share its id: the subchain keeps them apart.
             made.subchain = f"{chain.index}"
-            made.entity_type = gemmi.EntityType.Polymer
+            made.entity_type = gemmi.EntityType.NonPolymer if obstacle else gemmi.EntityType.Polymer
             for atom in residue.atoms():
                 new = gemmi.Atom()
                 new.name, new.element = atom.name, gemmi.Element(atom.element.symbol)
-                new.b_iso = 0.0
+                new.b_iso = float(structure.b_factor[atom.index])
                 new.pos = gemmi.Position(*(ANGSTROM_PER_NM * structure.positions[atom.index]))
                 made.add_atom(new)
-                if atom.name == "SG":
+                if atom.name in ("SG", "C", "N"):
                     addresses[atom.index] = gemmi.AtomAddress(
                         gemmi_chain.name, made.seqid, made.name, new.name
                     )
@@ -142,12 +143,15 @@ def _gemmi_structure(structure: Structure) -> gemmi.Structure:
         model.add_chain(gemmi_chain)
     out.add_model(model)
     for first, second in structure.bonds.tolist():
-        if first in addresses and second in addresses:
-            bridge = gemmi.Connection()
-            bridge.type = gemmi.ConnectionType.Disulf
-            bridge.name = f"disulf{len(out.connections) + 1}"
-            bridge.partner1, bridge.partner2 = addresses[first], addresses[second]
-            out.connections.append(bridge)
+        apart = structure.atom_residue[second] - structure.atom_residue[first]
+        names = {str(structure.atom_name[end]) for end in (first, second)}
+        if names == {"SG"} or (names == {"C", "N"} and apart > 1):
+            link = gemmi.Connection()
+            disulfide = names == {"SG"}
+            link.type = gemmi.ConnectionType.Disulf if disulfide else gemmi.ConnectionType.Covale
+            link.name = f"{'disulf' if disulfide else 'covale'}{len(out.connections) + 1}"
+            link.partner1, link.partner2 = addresses[first], addresses[second]
+            out.connections.append(link)
     return out
 
 
@@ -166,7 +170,9 @@ def _mmcif(structure: Structure, remarks: Iterable[str]) -> str:
 
 def _pdb(structure: Structure, remarks: Iterable[str]) -> str:
     out = _gemmi_structure(structure)
-    options = gemmi.PdbWriteOptions(minimal=True, ssbond_records=True, cryst1_record=False, end_record=True)
+    options = gemmi.PdbWriteOptions(
+        minimal=True, ssbond_records=True, link_records=True, cryst1_record=False, end_record=True
+    )
     lines = [
         f"REMARK   3 {text[i : i + _REMARK_WIDTH]}"
         for text in remarks

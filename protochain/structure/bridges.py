@@ -1,0 +1,116 @@
+"""Bonds between residues that are not neighbours in a chain: disulfides, and what no force field knows."""
+
+from collections.abc import Sequence
+from itertools import combinations
+
+from scipy.spatial import KDTree
+
+from protochain.errors import StructureError
+from protochain.structure.draft import Draft, Member
+
+DISULFIDE = 3.0
+"""Angstrom: sulphurs nearer than this are bonded, as OpenMM has it (a disulfide bond is 2.05)."""
+_CROSSLINK = 1.7
+"""Angstrom: a side-chain nitrogen nearer than this to a side-chain carbonyl is an amide's (1.33)."""
+_AMINES = (("LYS", "NZ"), ("ORN", "NE"), ("DAB", "ND"))
+_CARBOXYLS = (("ASP", "CG"), ("GLU", "CD"))
+
+Bridge = tuple[Member, Member]
+
+
+def disulfides(draft: Draft, asked: Sequence[tuple[str, str]] | None = None) -> list[Bridge]:
+    """Pairs of cysteines that are bonded.
+
+    Parameters
+    ----------
+    draft : Draft
+        What is found and not stated in the file is said in its repairs.
+    asked : sequence of pairs of str, optional
+        ``("A:3", "A:40")``: these and no others. By default, those whose sulphurs lie near each other.
+
+    Raises
+    ------
+    StructureError
+        If a cysteine that is asked for is not there, or is asked for twice.
+    """
+    cysteines = [member for part in draft.parts for member in part.members if member.name == "CYS"]
+    if asked is not None:
+        return _asked(draft, cysteines, asked)
+    sulphurs = [member for member in cysteines if member.atom("SG")]
+    x = [_sulphur(member) for member in sulphurs]
+    near = KDTree(x).query_pairs(DISULFIDE) if x else set()
+    distances = sorted((_apart(sulphurs[i], sulphurs[j]), i, j) for i, j in near)
+    bonded: set[int] = set()
+    found: list[Bridge] = []
+    for _, i, j in distances:
+        if not bonded & {i, j}:
+            bonded |= {i, j}
+            found.append((sulphurs[i], sulphurs[j]))
+            if not _is_stated(draft, *found[-1]):
+                draft.repairs.append(f"disulfide bond between {sulphurs[i]} and {sulphurs[j]}")
+    for first, second in combinations(sulphurs, 2):
+        if _is_stated(draft, first, second) and (first, second) not in found:
+            draft.repairs.append(
+                f"the file's disulfide bond between {first} and {second} is {_apart(first, second):.1f} "
+                "angstrom long: not taken; ask for it if it is meant"
+            )
+    return sorted(found, key=lambda pair: cysteines.index(pair[0]))
+
+
+def _asked(draft: Draft, cysteines: list[Member], asked: Sequence[tuple[str, str]]) -> list[Bridge]:
+    at = {f"{member.chain_id}:{member.seqid}": member for member in cysteines}
+    taken: set[str] = set()
+    found = []
+    for pair in asked:
+        for name in pair:
+            if name not in at:
+                raise StructureError(
+                    f"{draft.source}: disulfide {pair[0]}-{pair[1]}: no cysteine {name}; "
+                    f"its cysteines are {', '.join(at) or 'none'}"
+                )
+            if name in taken:
+                raise StructureError(f"{draft.source}: disulfide {pair[0]}-{pair[1]}: {name} is bonded twice")
+            taken.add(name)
+        found.append((at[pair[0]], at[pair[1]]))
+        draft.repairs.append(f"disulfide bond between {found[-1][0]} and {found[-1][1]}, as asked for")
+    return found
+
+
+def refuse_crosslinks(draft: Draft) -> None:
+    """Refuse side chains joined by amide bonds: no force field of proteins has their residues.
+
+    Raises
+    ------
+    StructureError
+        Naming both residues.
+    """
+    amines = [
+        (m, atom) for m in draft.members for name, n in _AMINES if m.name == name and (atom := m.atom(n))
+    ]
+    carboxyls = [
+        (m, atom) for m in draft.members for name, c in _CARBOXYLS if m.name == name and (atom := m.atom(c))
+    ]
+    if not amines or not carboxyls:
+        return
+    near = KDTree([atom.pos.tolist() for _, atom in carboxyls])
+    for member, atom in amines:
+        for j in near.query_ball_point(atom.pos.tolist(), _CROSSLINK):
+            raise StructureError(
+                f"{draft.source}: {member} and {carboxyls[j][0]} are joined by an amide bond "
+                f"({atom.name}-{carboxyls[j][1].name}), which no force field here has; mend the file"
+            )
+
+
+def _sulphur(member: Member) -> list[float]:
+    sulphur = member.atom("SG")
+    assert sulphur is not None
+    return sulphur.pos.tolist()
+
+
+def _apart(first: Member, second: Member) -> float:
+    a, b = first.atom("SG"), second.atom("SG")
+    return float(a.pos.dist(b.pos)) if a and b else float("inf")
+
+
+def _is_stated(draft: Draft, first: Member, second: Member) -> bool:
+    return draft.states(*((member.chain_id, member.seqid, "SG") for member in (first, second)))

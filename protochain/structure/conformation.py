@@ -1,0 +1,87 @@
+"""One conformation of each residue of a gemmi chain: scattered atoms gathered, alternates chosen."""
+
+from dataclasses import dataclass
+
+import gemmi
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Conformation:
+    """What was chosen, and what was not.
+
+    Parameters
+    ----------
+    residue : gemmi.Residue
+        With no alternate locations left.
+    altloc : str
+    occupancy : float
+        Mean of the chosen location.
+    others : list of str
+        Alternates left out: ``SER B``.
+    repeated : list of str
+        Names of atoms that were given more than once.
+    """
+
+    residue: gemmi.Residue
+    altloc: str
+    occupancy: float
+    others: list[str]
+    repeated: list[str]
+
+
+def gathered(chain: gemmi.Chain) -> tuple[list[gemmi.Residue], int]:
+    """Return copies of the residues, put together where their atoms are scattered, and how many were."""
+    found: list[gemmi.Residue] = []
+    at: dict[tuple[str, str], int] = {}
+    scattered = 0
+    for residue in chain:
+        key = (str(residue.seqid), residue.name)
+        names = {(atom.name, atom.altloc) for atom in residue}
+        first = at.get(key)
+        if first is None or names & {(atom.name, atom.altloc) for atom in found[first]}:
+            at[key] = len(found)
+            found.append(residue.clone())
+        else:
+            scattered += 1
+            for atom in residue:
+                found[first].add_atom(atom)
+    return found, scattered
+
+
+def same_place(chain: list[gemmi.Residue]) -> list[list[gemmi.Residue]]:
+    """Group the residues that share a number: alternatives for one place (microheterogeneity)."""
+    groups: list[list[gemmi.Residue]] = []
+    for residue in chain:
+        if groups and groups[-1][0].seqid == residue.seqid and residue[0].has_altloc():
+            groups[-1].append(residue)
+        else:
+            groups.append([residue])
+    return groups
+
+
+def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:
+    """Choose the alternate of highest occupancy (the first of equals), or the one asked for."""
+    weights: dict[tuple[int, str], list[float]] = {}
+    for i, residue in enumerate(group):
+        for atom in residue:
+            if atom.has_altloc():
+                weights.setdefault((i, atom.altloc), []).append(atom.occ)
+    wanted = [place for place in weights if place[1] == asked]
+    best, altloc = max(wanted or weights, key=lambda place: float(np.mean(weights[place])), default=(0, ""))
+    chosen = group[best]
+    # An atom that only another location has is still part of it; of two with one name, the first.
+    ranked = sorted(range(len(chosen)), key=lambda i: chosen[i].altloc not in (altloc, "\0"))
+    kept: dict[str, int] = {}
+    for i in ranked:
+        kept.setdefault(chosen[i].name, i)
+    repeated = sorted({chosen[i].name for i in set(ranked) - set(kept.values())})
+    # Not so a hydrogen: its parent is elsewhere there.
+    of_others = [i for i in ranked if chosen[i].is_hydrogen() and chosen[i].altloc not in (altloc, "\0")]
+    for i in sorted({*(set(ranked) - set(kept.values())), *of_others}, reverse=True):
+        del chosen[i]
+    for atom in chosen:
+        atom.altloc = "\0"
+    others = sorted({f"{group[i].name} {a}" for i, a in weights} - {f"{chosen.name} {altloc}"})
+    occupancy = float(np.mean(weights.get((best, altloc), [1.0])))
+    return Conformation(chosen, altloc, occupancy, others, repeated)

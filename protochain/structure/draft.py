@@ -1,0 +1,109 @@
+"""A file's molecules on their way to becoming a Structure."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import gemmi
+
+from protochain import residues
+
+Address = tuple[str, str, str]
+"""Chain id, number with insertion code, atom name: as the file has them."""
+
+
+@dataclass(eq=False)
+class Member:
+    """A residue in one conformation, under its standard name.
+
+    Parameters
+    ----------
+    name, number, insertion_code, chain_id : str
+    atoms : list of gemmi.Atom
+        Positions in angstrom.
+    state : str
+        Protonation state that the file's name for it says, if it says any.
+    """
+
+    name: str
+    number: str
+    insertion_code: str
+    chain_id: str
+    atoms: list[gemmi.Atom]
+    state: str = ""
+
+    def __str__(self) -> str:
+        return residues.describe(self.number + self.insertion_code, self.name, self.chain_id)
+
+    @property
+    def is_cap(self) -> bool:
+        """Whether it is no amino acid of its own."""
+        return self.name in residues.CAPS
+
+    @property
+    def seqid(self) -> str:
+        """Number and insertion code."""
+        return self.number + self.insertion_code
+
+    def atom(self, name: str) -> gemmi.Atom | None:
+        """Return the atom of that name, if there is one."""
+        return next((atom for atom in self.atoms if atom.name == name), None)
+
+
+@dataclass(eq=False)
+class Part:
+    """Residues bonded in a row, or one molecule that is kept where it is.
+
+    Parameters
+    ----------
+    chain_id : str
+    members : list of Member
+    obstacle : bool
+        Kept, but it does not move.
+    cyclic : bool
+        Its last residue is bonded to its first.
+    """
+
+    chain_id: str
+    members: list[Member]
+    obstacle: bool = False
+    cyclic: bool = False
+
+
+@dataclass(eq=False)
+class Draft:
+    """What is known of a file so far.
+
+    Parameters
+    ----------
+    name, source : str
+        Short name, and how messages name the file.
+    parts : list of Part
+    stated : list of pairs of Address
+        Bonds between residues that the file states.
+    repairs : list of str
+    left_out : Counter
+    """
+
+    name: str
+    source: str
+    parts: list[Part] = field(default_factory=list)
+    stated: list[tuple[Address, Address]] = field(default_factory=list)
+    repairs: list[str] = field(default_factory=list)
+    left_out: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def members(self) -> list[Member]:
+        """Every residue, in order."""
+        return [member for part in self.parts for member in part.members]
+
+    def states(self, first: Address, second: Address) -> bool:
+        """Whether the file states this bond."""
+        return (first, second) in self.stated or (second, first) in self.stated
+
+
+def atom(name: str, element: str, position: list[float], b_iso: float = 0.0) -> gemmi.Atom:
+    """Make an atom (angstrom)."""
+    made = gemmi.Atom()
+    made.name, made.element, made.b_iso = name, gemmi.Element(element), b_iso
+    made.pos = gemmi.Position(*position)
+    return made

@@ -1,0 +1,218 @@
+"""Bytes -> the text of a structure file -> gemmi's reading of it; what is cut or garbled is refused."""
+
+import gzip
+import io
+import sys
+import zlib
+from math import isfinite
+from pathlib import Path
+
+import gemmi
+
+from protochain.errors import StructureError
+
+MAX_MEGABYTES = 512
+"""Of text, after decompression: the largest files of the archive are smaller."""
+MAX_ATOMS = 250_000
+"""Of a model. Preparation takes some ten kilobytes an atom, and energies without a cutoff take the square."""
+STANDARD_INPUT = Path("-")
+
+_COORDINATE_COLUMNS = 54
+_RECORDS = ("ATOM", "HETATM", "ANISOU", "SIGATM", "SIGUIJ")
+_FARTHEST = 1e5
+"""Angstrom. What is further from the origin is no coordinate."""
+
+
+def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
+    """Read a PDB or mmCIF file, gzipped or not, by its content.
+
+    Parameters
+    ----------
+    path : Path
+        ``-`` for standard input.
+
+    Returns
+    -------
+    gemmi.Structure, list of str, bool
+        What is in it, what had to be overlooked, and whether it says where it ends.
+
+    Raises
+    ------
+    StructureError
+        If it cannot be read, is too large, is cut short, or holds what is not a number.
+    """
+    source = "standard input" if path == STANDARD_INPUT else str(path)
+    text = _text(path, source)
+    overlooked: list[str] = []
+    try:
+        if _is_cif(text):
+            ends = _refuse_cut_cif(text, source)
+            block = _block_with_atoms(gemmi.cif.read_string(text), source)
+            structure = gemmi.make_structure_from_block(block)
+        else:
+            _refuse_cut_pdb(text, source)
+            text = _normalised(text, source, overlooked)
+            ends = any(line.startswith("END") for line in text.splitlines())
+            structure = gemmi.read_pdb_string(text)
+    except StructureError:
+        raise
+    except (RuntimeError, ValueError, IndexError) as error:
+        reason = " ".join(str(error).replace("string:", "line ").split())
+        raise StructureError(f"{source}: cannot be read: {reason}; mend or download the file again") from None
+    structure.merge_chain_parts()
+    _check(structure, source)
+    return structure, overlooked, ends
+
+
+def _text(path: Path, source: str) -> str:
+    try:
+        data = sys.stdin.buffer.read(_BYTES + 1) if path == STANDARD_INPUT else _bytes(path)
+    except OSError as error:
+        raise StructureError(f"{source}: cannot be read ({error.strerror}); check the name") from None
+    if data[:2] == b"\x1f\x8b":
+        try:
+            with gzip.open(io.BytesIO(data)) as file:
+                data = file.read(_BYTES + 1)
+        except (OSError, EOFError, zlib.error) as error:
+            raise StructureError(f"{source}: not a whole gzip file ({error}); download it again") from None
+    if len(data) > _BYTES:
+        raise StructureError(f"{source}: larger than {MAX_MEGABYTES} megabytes; give a part of it")
+    if b"\0" in data:
+        raise StructureError(f"{source}: is a binary file; give PDB or mmCIF as text")
+    text = data.decode("utf-8-sig", errors="replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+_BYTES = MAX_MEGABYTES << 20
+
+
+def _bytes(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(_BYTES + 1)
+
+
+def _is_cif(text: str) -> bool:
+    """By the first line that is no comment, of whatever a file is called."""
+    for line in text.splitlines():
+        words = line.split(maxsplit=1)
+        if words and not words[0].startswith("#"):
+            return words[0].lower().startswith("data_")
+    return False
+
+
+def _block_with_atoms(document: gemmi.cif.Document, source: str) -> gemmi.cif.Block:
+    for block in document:
+        if block.find_loop("_atom_site.Cartn_x") or block.find_pair("_atom_site.Cartn_x"):
+            return block
+    raise StructureError(f"{source}: no atoms found; give a PDB or mmCIF file with coordinates")
+
+
+def _refuse_cut_cif(text: str, source: str) -> bool:
+    """Archive files end every category with '#': one whose last line is a row was cut."""
+    lines = text.rstrip().splitlines() or [""]
+    if lines[-1].strip() != "#" and any(line.strip() == "#" for line in lines):
+        raise StructureError(f"{source}: line {len(lines)}: the file is cut short; download it again")
+    return True
+
+
+def _refuse_cut_pdb(text: str, source: str) -> None:
+    """Refuse a file that ends within an atom record, or within the atoms of a file that has a header."""
+    lines = text.rstrip("\n").splitlines() or [""]
+    last, before = lines[-1], lines[-2] if len(lines) > 1 else ""
+    in_record_name = bool(last) and any(record.startswith(last) for record in _RECORDS)
+    if not last.startswith(_RECORDS) and not in_record_name:
+        return
+    shorter = not text.endswith("\n") and before.startswith(_RECORDS) and len(last) < len(before)
+    has_header = any(line.startswith(("HEADER", "SEQRES")) for line in lines)
+    if len(last) < _COORDINATE_COLUMNS or shorter or has_header:
+        raise StructureError(
+            f"{source}: line {len(lines)}: the file is cut short; download it again, "
+            "or add a line END if this is all"
+        )
+
+
+def _normalised(text: str, source: str, overlooked: list[str]) -> str:
+    """Check the columns that are used, and put right those whose meaning is clear.
+
+    gemmi reads what is not a number as 0, and the characters after column 72 of old files as elements.
+    """
+    lines = text.split("\n")
+    in_model, unended, lower = False, 0, 0
+    strange: list[int] = []
+    for i, line in enumerate(lines):
+        record = line[:6].upper()
+        if record.startswith("MODEL"):
+            unended += in_model
+            in_model = True
+        elif record.startswith("ENDMDL"):
+            in_model = False
+        if not record.startswith(("ATOM", "HETATM")):
+            continue
+        if any(line[start:end].upper() != line[start:end] for start, end in _UPPER):
+            lower += 1
+            for start, end in _UPPER:
+                line = line[:start] + line[start:end].upper() + line[end:]
+        _refuse_odd_numbers(line, i + 1, source)
+        element = line[76:78].strip()
+        if element and not gemmi.Element(element).atomic_number:
+            strange.append(i + 1)
+            line = line[:76].rstrip()
+        lines[i] = line
+    if lower:
+        overlooked.append(f"{lower} atom records in lower case read as upper case")
+    if strange:
+        overlooked.append(
+            f"columns 77-78 of {len(strange)} atom records hold no element (line {strange[0]}, ...): "
+            "told from the atom names"
+        )
+    if unended:
+        overlooked.append(f"{unended} models without an ENDMDL line: each ends where the next begins")
+    return "\n".join(lines)
+
+
+_UPPER = ((0, 6), (12, 16), (17, 20))
+"""Columns of record, atom and residue name. Chain ids, locations and insertion codes may be lower case."""
+
+
+def _refuse_odd_numbers(line: str, number: int, source: str) -> None:
+    for axis, start in zip("xyz", (30, 38, 46), strict=True):
+        given = line[start : start + 8]
+        try:
+            value = float(given)
+        except ValueError:
+            value = float("nan")
+        if not isfinite(value):
+            raise StructureError(
+                f"{source}: line {number}: {axis} is {given.strip()!r}, not a number; "
+                f"mend columns {start + 1}-{start + 8}"
+            )
+    given = line[22:26]
+    if not given.strip().lstrip("-").isdigit() and not _is_hybrid36(given):
+        raise StructureError(
+            f"{source}: line {number}: the residue number is {given.strip()!r}; mend columns 23-26"
+        )
+
+
+def _is_hybrid36(given: str) -> bool:
+    return len(given) == 4 and given[0].isalpha() and given.isalnum() and given.isascii()
+
+
+def _check(structure: gemmi.Structure, source: str) -> None:
+    if len(structure) == 0 or structure[0].count_atom_sites() == 0:
+        raise StructureError(f"{source}: no atoms found; give a PDB or mmCIF file with coordinates")
+    for model in structure:
+        if model.count_atom_sites() > MAX_ATOMS:
+            raise StructureError(
+                f"{source}: {model.count_atom_sites()} atoms are more than the {MAX_ATOMS} that are taken; "
+                "give fewer chains"
+            )
+        for place in model.all():
+            x = place.atom.pos.tolist()
+            if not all(map(isfinite, x)) or max(map(abs, x)) > _FARTHEST:
+                where = (
+                    f"atom {place.atom.name} of residue {place.residue.seqid} {place.residue.name} of chain"
+                )
+                raise StructureError(
+                    f"{source}: the position of {where} {place.chain.name or '(blank)'} "
+                    "is not a number or too far out; mend it"
+                )

@@ -1,0 +1,172 @@
+"""Which hydrogens, and where: protonation states at a pH, and positions from geometry alone.
+
+OpenMM's Modeller places hydrogens at random and minimises; here the same atoms give the same positions. Bond
+lengths are ff14SB's, angles those of the parent's hybridisation, methyl and amine hydrogens staggered.
+Hydroxyls and thiols turn, one after the other, to where a Coulomb energy with a dielectric of 4 r/angstrom
+(Gelin, Karplus, Biochemistry 18:1256, 1979) and a repulsion are lowest.
+"""
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from protochain.arrays import Floats, Integers
+
+_LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336}
+"""nm, to hydrogen."""
+_TETRAHEDRAL, _TRIGONAL = np.deg2rad(109.5), np.deg2rad(120.0)
+_BENT = {"O": float(np.deg2rad(108.5)), "S": float(np.deg2rad(96.0))}
+_WATER = float(np.deg2rad(104.52))
+_STAGGERED = np.deg2rad([180.0, 300.0, 60.0])
+_TURNS = np.deg2rad(np.arange(0.0, 360.0, 10.0))
+_REACH = 0.6
+"""nm. What is further away does not turn a hydroxyl."""
+_COULOMB = 138.935 / 40.0
+"""kJ/mol nm^2/e^2, with a dielectric of 4 r/angstrom."""
+_CORE = 0.2
+"""nm. Where the repulsion of a hydrogen is 1 kJ/mol."""
+_DECIMALS = 6
+"""Of nm, to which positions are rounded: libraries of sines differ in the last bit."""
+
+
+def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Integers) -> Floats:
+    """Place hydrogens that have no position.
+
+    Parameters
+    ----------
+    x : (na, 3) float, nm
+        NaN for the hydrogens that are to be placed.
+    element : list of str
+    charge : (na,) float, e
+    bonds : (nbonds, 2) int
+
+    Returns
+    -------
+    (na, 3) float, nm
+    """
+    return _Placing(x, element, charge, bonds).placed()
+
+
+class _Placing:
+    """Positions so far, and who is bonded to whom."""
+
+    def __init__(self, x: Floats, element: list[str], charge: Floats, bonds: Integers) -> None:
+        self.x, self.element, self.charge = np.array(x), element, charge
+        self.missing = np.isnan(self.x[:, 0])
+        self.turned: list[int] = []
+        self.neighbours: list[list[int]] = [[] for _ in element]
+        for first, second in bonds.tolist():
+            self.neighbours[first].append(second)
+            self.neighbours[second].append(first)
+
+    def placed(self) -> Floats:
+        """Place what has one place to be, then what can turn."""
+        parents = dict.fromkeys(self.neighbours[h][0] for h in np.flatnonzero(self.missing).tolist())
+        turning = []
+        for parent in parents:
+            hydrogens = self._hydrogens(parent)
+            directions = self._directions(parent, len(hydrogens))
+            if directions is None:
+                turning.append(parent)
+            else:
+                self._put(parent, hydrogens, directions)
+        still = np.flatnonzero(~self.missing)
+        self.still, self.tree = still, KDTree(self.x[still])
+        for parent in turning:
+            for hydrogen in self._hydrogens(parent):
+                self._turn(parent, hydrogen)
+                self.turned.append(hydrogen)
+        return self.x
+
+    def _hydrogens(self, parent: int) -> list[int]:
+        return [k for k in self.neighbours[parent] if self.missing[k]]
+
+    def _put(self, parent: int, hydrogens: list[int], directions: Floats) -> None:
+        length = _LENGTH.get(self.element[parent], _LENGTH["C"])
+        self.x[hydrogens] = np.round(self.x[parent] + length * directions, _DECIMALS)
+        self.missing[hydrogens] = False
+
+    def _known(self, parent: int) -> list[int]:
+        return [k for k in self.neighbours[parent] if not self.missing[k]]
+
+    def _is_planar(self, atom: int) -> bool:
+        """Whether an atom has three neighbours in one plane: a carbon, or a nitrogen beside such a carbon."""
+        if len(self.neighbours[atom]) != 3:
+            return False
+        if self.element[atom] == "C":
+            return True
+        return self.element[atom] == "N" and any(
+            self.element[k] == "C" and len(self.neighbours[k]) == 3 for k in self.neighbours[atom]
+        )
+
+    def _directions(self, parent: int, n: int) -> Floats | None:
+        """Return unit vectors (n, 3) to the hydrogens, or None where something must choose."""
+        known, planar = self._known(parent), self._is_planar(parent)
+        to = np.array([_unit(self.x[k] - self.x[parent]) for k in known])
+        if len(known) == 3:
+            return _unit(-to.sum(axis=0))[None]
+        if len(known) == 2:
+            back = _unit(-to.sum(axis=0))
+            if planar:
+                return back[None]
+            up = _unit(np.cross(to[0], to[1]))
+            along, across = np.cos(0.5 * _TETRAHEDRAL), np.sin(0.5 * _TETRAHEDRAL)
+            return np.array([along * back + across * up, along * back - across * up])[:n]
+        if len(known) == 1 and planar:
+            return self._around(parent, _TRIGONAL, np.array([0.0, np.pi])[-n:])
+        if len(known) == 1 and len(self.neighbours[parent]) > 2:
+            return self._around(parent, _TETRAHEDRAL, _STAGGERED[:n])
+        return None
+
+    def _around(self, parent: int, angle: float, turns: Floats) -> Floats:
+        """Directions (n, 3) at an angle to the parent's one known bond, by dihedral to what is behind it."""
+        (near,) = self._known(parent)[:1]
+        axis = _unit(self.x[near] - self.x[parent])
+        behind = [k for k in self.neighbours[near] if k != parent and not self.missing[k]]
+        heavy = [k for k in behind if self.element[k] != "H"]
+        arm = self.x[(heavy or behind)[0]] - self.x[near] if behind else _least(axis)
+        arm = arm - (arm @ axis) * axis
+        m = _unit(arm) if np.linalg.norm(arm) > 1e-6 else _unit(np.cross(axis, _least(axis)))
+        n = np.cross(axis, m)
+        aside = np.cos(turns)[:, None] * m + np.sin(turns)[:, None] * n
+        return np.asarray(np.cos(angle) * axis + np.sin(angle) * aside)
+
+    def _turn(self, parent: int, hydrogen: int) -> None:
+        """Put a hydrogen that can turn where its energy is lowest."""
+        if self._known(parent):
+            is_water = all(self.element[k] == "H" for k in self.neighbours[parent])
+            angle = _WATER if is_water else _BENT.get(self.element[parent], float(_TETRAHEDRAL))
+            choices = self._around(parent, angle, _TURNS)
+        else:
+            choices = _sphere(len(_TURNS))
+        near = self._near(parent)
+        at = self.x[parent] + _LENGTH.get(self.element[parent], _LENGTH["C"]) * choices
+        r = np.linalg.norm(at[:, None] - self.x[near], axis=-1)
+        r = np.maximum(r, 0.01)
+        coulomb = _COULOMB * self.charge[hydrogen] * self.charge[near] / r**2
+        energy = (coulomb + (_CORE / r) ** 12).sum(axis=1)
+        self._put(parent, [hydrogen], choices[[int(np.argmin(np.round(energy, 6)))]])
+
+    def _near(self, parent: int) -> Integers:
+        """Placed atoms in reach, but for the parent and what is bonded to it."""
+        close = self.still[sorted(self.tree.query_ball_point(self.x[parent], _REACH))]
+        away = np.linalg.norm(self.x[self.turned] - self.x[parent], axis=1)
+        found = np.concatenate([close, np.array(self.turned, dtype=np.int64)[away < _REACH]])
+        return found[~np.isin(found, [parent, *self.neighbours[parent]])]
+
+
+def _unit(v: Floats) -> Floats:
+    length = np.linalg.norm(v)
+    return np.asarray(v / length if length > 1e-9 else [1.0, 0.0, 0.0])
+
+
+def _least(axis: Floats) -> Floats:
+    """Return the unit vector along the coordinate axis that lies least along the given one."""
+    return np.asarray(np.eye(3)[int(np.argmin(np.abs(axis)))])
+
+
+def _sphere(n: int) -> Floats:
+    """Directions (n, 3) spread evenly: a spiral of golden angles."""
+    z = 1.0 - (2.0 * np.arange(n) + 1.0) / n
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(n)
+    across = np.sqrt(1.0 - z**2)
+    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)

@@ -1,0 +1,179 @@
+"""Protonation states at a pH, and the hydrogens that each residue has then."""
+
+from collections.abc import Mapping
+
+import gemmi
+import numpy as np
+from scipy.spatial import KDTree
+
+from protochain import residues
+from protochain.errors import StructureError
+from protochain.structure.complete import base_template
+from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.templates import Template, rename
+
+_BONDED = 1.5
+"""Angstrom: a hydrogen further than this from every heavy atom of its residue belongs to none of them."""
+_HYDROGEN_BOND = 3.5
+"""Angstrom, donor to acceptor, as OpenMM's Modeller has it."""
+_STRAIGHT = np.cos(np.deg2rad(50.0))
+_UNPLACED = [float("nan")] * 3
+
+
+def protonate(
+    draft: Draft, known: Mapping[str, Template], bridged: set[int], ph: float
+) -> list[tuple[Member, Template]]:
+    """Choose states and give every residue its hydrogens; those that the file lacks have no position yet.
+
+    A state that the file shows, by a residue's name or its hydrogens, stands; others follow from the pH.
+
+    Parameters
+    ----------
+    draft : Draft
+    known : mapping of str to Template
+    bridged : set of int
+        ``id`` of the cysteines in disulfide bonds.
+    ph : float
+
+    Returns
+    -------
+    list of (Member, Template)
+        In order; atoms of a member are its heavy atoms, each followed by its hydrogens.
+    """
+    acceptors = _Acceptors(draft)
+    done = []
+    added = present = 0
+    for part in draft.parts:
+        for i, member in enumerate(part.members):
+            before = sum(a.is_hydrogen() for a in member.atoms)
+            template = _template(draft, known, part, i, bridged, ph, acceptors)
+            _match(draft, member, template)
+            now = sum(a.is_hydrogen() and not np.isnan(a.pos.x) for a in member.atoms)
+            present += min(before, now)
+            added += sum(a.is_hydrogen() for a in member.atoms) - now
+            done.append((member, template))
+    if added:
+        draft.repairs.append(f"{added} hydrogens added at pH {ph:g} ({present} were in the file)")
+    return done
+
+
+def _template(
+    draft: Draft,
+    known: Mapping[str, Template],
+    part: Part,
+    i: int,
+    bridged: set[int],
+    ph: float,
+    acceptors: "_Acceptors",
+) -> Template:
+    member = part.members[i]
+    shown = "CYX" if id(member) in bridged else _shown(member)
+    state = shown or _at_ph(member, ph)
+    if member.name == "HIS" and not state:
+        state = "HIE" if acceptors.prefer_epsilon(member) else "HID"
+    template = base_template(known, part, i, state)
+    usual = base_template(known, part, i)
+    assert usual is not None
+    if template is None:
+        draft.repairs.append(f"{member}: no force field has {state} at the end of a chain: taken as usual")
+    elif state and not shown:
+        draft.repairs.append(f"{member} taken as {state}")
+    return template or usual
+
+
+def _shown(member: Member) -> str:
+    """State that a residue's name or hydrogens in the file show."""
+    if member.state:
+        return member.state
+    names = {a.name for a in member.atoms}
+    if member.name == "HIS":
+        return {(True, True): "HIP", (True, False): "HID", (False, True): "HIE"}.get(
+            ("HD1" in names, "HE2" in names), ""
+        )
+    if member.name == "ASP" and names & {"HD1", "HD2"}:
+        return "ASH"
+    if member.name == "GLU" and names & {"HE1", "HE2"}:
+        return "GLH"
+    return ""
+
+
+def _at_ph(member: Member, ph: float) -> str:
+    """State at a pH where it is not the usual one."""
+    acid, base = residues.PKA.get(member.name), residues.PKA_BASE.get(member.name)
+    if acid and ph <= acid[0]:
+        return acid[1]
+    return base[1] if base and ph > base[0] else ""
+
+
+def _match(draft: Draft, member: Member, template: Template) -> None:
+    """Name and order the hydrogens of the file, drop what does not fit, and add what is missing."""
+    rename(member.atoms, template)
+    heavy = [a for a in member.atoms if not a.is_hydrogen()]
+    own: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
+    strange = 0
+    for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
+        nearest = min(heavy, key=lambda a: a.pos.dist(hydrogen.pos))
+        if nearest.pos.dist(hydrogen.pos) <= _BONDED:
+            own[nearest.name].append(hydrogen)
+        else:
+            strange += 1
+    expected = template.hydrogens()
+    member.atoms = []
+    for parent in heavy:
+        names = list(expected.get(parent.name, []))
+        given = own[parent.name]
+        named = {a.name: a for a in given if a.name in names}
+        others = [a for a in given if a.name not in names]
+        for name in names:
+            if name not in named and others:
+                named[name] = others.pop(0)
+                named[name].name = name
+        strange += len(given) - len(named)
+        member.atoms.append(parent)
+        member.atoms += [named.get(name) or atom(name, "H", _UNPLACED, parent.b_iso) for name in names]
+    if strange:
+        draft.repairs.append(f"{member}: {strange} of its hydrogens do not fit: left out")
+
+
+class _Acceptors:
+    """Oxygens and nitrogens that a histidine may give a hydrogen bond to."""
+
+    def __init__(self, draft: Draft) -> None:
+        found = [
+            (a.pos.tolist(), id(member))
+            for member in draft.members
+            for a in member.atoms
+            if a.element.name in ("O", "N")
+        ]
+        self.x = np.array([x for x, _ in found]).reshape(-1, 3)
+        self.owner = [owner for _, owner in found]
+        self.tree = KDTree(self.x) if found else None
+
+    def prefer_epsilon(self, member: Member) -> bool:
+        """Whether NE2 would give a hydrogen bond and ND1 would not: the rule of OpenMM's Modeller."""
+        return self._bonds(member, "NE2", ("CD2", "CE1")) and not self._bonds(member, "ND1", ("CG", "CE1"))
+
+    def _bonds(self, member: Member, donor: str, beside: tuple[str, str]) -> bool:
+        atoms = [member.atom(name) for name in (donor, *beside)]
+        if self.tree is None or any(each is None for each in atoms):
+            return False
+        at, *others = (np.array(each.pos.tolist()) for each in atoms if each is not None)
+        out = 2 * at - sum(others)
+        out = out / max(float(np.linalg.norm(out)), 1e-9)
+        for k in self.tree.query_ball_point(at, _HYDROGEN_BOND):
+            if self.owner[k] != id(member):
+                way = self.x[k] - (at + out)
+                if way @ out > _STRAIGHT * np.linalg.norm(way):
+                    return True
+        return False
+
+
+def check_ph(ph: float) -> None:
+    """Refuse a pH that is none.
+
+    Raises
+    ------
+    StructureError
+    """
+    if not 0.0 <= ph <= 14.0:
+        raise StructureError(f"pH {ph:g}: give a number from 0 to 14")
