@@ -268,7 +268,9 @@ def test_a_residue_without_its_backbone_is_left_out_and_said_or_refused(tmp_path
 
 def test_an_unknown_residue_is_named(tmp_path):
     text = "".join(lines_of("1ubq.pdb")).replace("GLU A  18", "XYZ A  18")
-    with pytest.raises(pc.ProtochainError, match="residue 18 XYZ of chain A is not an amino acid that is known"):
+    with pytest.raises(
+        pc.ProtochainError, match="residue 18 XYZ of chain A is not an amino acid that is known"
+    ):
         pc.load(written(tmp_path, text))
 
 

@@ -1,4 +1,4 @@
-"""One conformation of each residue of a gemmi chain: scattered atoms gathered, alternates chosen."""
+"""One conformation of each residue of a gemmi chain: alternates chosen."""
 
 from dataclasses import dataclass
 
@@ -30,29 +30,10 @@ class Conformation:
     repeated: list[str]
 
 
-def gathered(chain: gemmi.Chain) -> tuple[list[gemmi.Residue], int]:
-    """Return copies of the residues, put together where their atoms are scattered, and how many were."""
-    found: list[gemmi.Residue] = []
-    at: dict[tuple[str, str], int] = {}
-    scattered = 0
-    for residue in chain:
-        key = (str(residue.seqid), residue.name)
-        names = {(atom.name, atom.altloc) for atom in residue}
-        first = at.get(key)
-        if first is None or names & {(atom.name, atom.altloc) for atom in found[first]}:
-            at[key] = len(found)
-            found.append(residue.clone())
-        else:
-            scattered += 1
-            for atom in residue:
-                found[first].add_atom(atom)
-    return found, scattered
-
-
-def same_place(chain: list[gemmi.Residue]) -> list[list[gemmi.Residue]]:
-    """Group the residues that share a number: alternatives for one place (microheterogeneity)."""
+def same_place(chain: gemmi.Chain) -> list[list[gemmi.Residue]]:
+    """Group copies of the residues that share a number: alternatives for one place (microheterogeneity)."""
     groups: list[list[gemmi.Residue]] = []
-    for residue in chain:
+    for residue in map(gemmi.Residue.clone, chain):
         if groups and groups[-1][0].seqid == residue.seqid and residue[0].has_altloc():
             groups[-1].append(residue)
         else:
@@ -70,6 +51,7 @@ def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:
     wanted = [place for place in weights if place[1] == asked]
     best, altloc = max(wanted or weights, key=lambda place: float(np.mean(weights[place])), default=(0, ""))
     chosen = group[best]
+    _complete_backbone(chosen, group)
     # An atom that only another location has is still part of it; of two with one name, the first.
     ranked = sorted(range(len(chosen)), key=lambda i: chosen[i].altloc not in (altloc, "\0"))
     kept: dict[str, int] = {}
@@ -85,3 +67,12 @@ def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:
     others = sorted({f"{group[i].name} {a}" for i, a in weights} - {f"{chosen.name} {altloc}"})
     occupancy = float(np.mean(weights.get((best, altloc), [1.0])))
     return Conformation(chosen, altloc, occupancy, others, repeated)
+
+
+def _complete_backbone(chosen: gemmi.Residue, group: list[gemmi.Residue]) -> None:
+    """Add what alternatives share, and a file gives with one of them only."""
+    for residue in group:
+        present = {atom.name for atom in chosen}
+        for atom in residue:
+            if atom.name in ("N", "CA", "C", "O") and atom.name not in present and residue is not chosen:
+                chosen.add_atom(atom)

@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import re
 import sys
 import zlib
 from math import isfinite
@@ -142,7 +143,9 @@ def _normalised(text: str, source: str, overlooked: list[str]) -> str:
     for i, line in enumerate(lines):
         record = line[:6].upper()
         if record.startswith("MODEL"):
-            unended += in_model
+            if in_model:
+                unended += 1
+                lines[i] = f"ENDMDL\n{line}"
             in_model = True
         elif record.startswith("ENDMDL"):
             in_model = False
@@ -157,6 +160,8 @@ def _normalised(text: str, source: str, overlooked: list[str]) -> str:
         if element and not gemmi.Element(element).atomic_number:
             strange.append(i + 1)
             line = line[:76].rstrip()
+        if not _CHARGE.fullmatch(line[78:80].strip()):
+            line = line[:78].rstrip()
         lines[i] = line
     if lower:
         overlooked.append(f"{lower} atom records in lower case read as upper case")
@@ -170,6 +175,7 @@ def _normalised(text: str, source: str, overlooked: list[str]) -> str:
     return "\n".join(lines)
 
 
+_CHARGE = re.compile(r"(\d?[+-]|[+-]\d)?")
 _UPPER = ((0, 6), (12, 16), (17, 20))
 """Columns of record, atom and residue name. Chain ids, locations and insertion codes may be lower case."""
 

@@ -14,7 +14,7 @@ from pdbfixer.pdbfixer import substitutions
 
 from protochain import residues
 from protochain.errors import StructureError
-from protochain.structure.conformation import Conformation, gathered, likeliest, same_place
+from protochain.structure.conformation import Conformation, likeliest, same_place
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse
 from protochain.structure.templates import rename, standard_name, template_name, templates
@@ -144,10 +144,7 @@ class _Reader:
     def take(self, chain: gemmi.Chain) -> None:
         """Take the chain's protein, and what is to be kept besides."""
         run: list[Member] = []
-        residues_here, scattered = gathered(chain)
-        if scattered:
-            self._say(f"chain {self._chain}: the atoms of {scattered} residues are scattered: gathered")
-        for group in same_place(residues_here):
+        for group in same_place(chain):
             found = likeliest(group, self.reading.altloc)
             if self._is_protein(found.residue.name):
                 self._say_alternates(found)

@@ -1,0 +1,315 @@
+"""Files as people have them: every oddity is taken, said, or refused in one line."""
+
+import gzip
+import io
+import os
+import subprocess
+import sys
+
+import gemmi
+import numpy as np
+import pytest
+from conftest import MORE_STRUCTURES, ROOT, STRUCTURES, load, shared
+
+import protochain as pc
+from protochain import residues
+from protochain.structure.files import parse
+from protochain.structure.prepare import load_models
+from protochain.structure.read import model_numbers
+
+FILES = sorted(path.name for path in MORE_STRUCTURES.glob("*.[pc]*") if path.suffix in (".pdb", ".cif"))
+SLOW = {"1r19_poor_1176.pdb"}
+REFUSED = {"2n0n_lactam.pdb", "ubiquitin_ca_only.pdb"}
+
+
+def atoms_of(name):
+    return [line for line in (STRUCTURES / name).read_text().splitlines(True) if line[:6].strip() == "ATOM"]
+
+
+def written(tmp_path, text, name="x.pdb"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.skipif(not FILES, reason="the larger collection is not here")
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in FILES]
+)
+def test_every_file_is_taken_whole_or_refused_in_a_line(name):
+    path = MORE_STRUCTURES / name
+    if name in REFUSED:
+        with pytest.raises(pc.ProtochainError) as refused:
+            pc.load(path)
+        assert str(refused.value).startswith(f"{path}: ") and "\n" not in str(refused.value)
+        return
+    s = pc.load(path)
+    said = "\n".join(s.repairs)
+    there = set(zip(s.residue_chain, np.char.add(s.residue_number, s.residue_insertion_code), strict=True))
+    original = parse(path)[0]
+    for chain in original[0]:
+        for residue in chain:
+            if gemmi.find_tabulated_residue(residue.name).is_amino_acid():
+                number = str(residue.seqid).strip()
+                where = residues.describe(number, residue.name, chain.name.strip())
+                assert (chain.name.strip(), number) in there or f"{where}: left out" in said, where
+    first, second = s.bonds.T
+    lengths = np.linalg.norm(s.positions[first] - s.positions[second], axis=1)
+    assert lengths.min() > 0.08 and lengths.max() < 0.3
+    assert np.isfinite(s.positions).all() and len(s.b_factor) == s.n_atoms
+    assert dict(s.left_out) == {} or said
+
+
+def test_chains_models_and_rings_of_real_entries():
+    assert pc.load(shared("3i40_insulin.pdb")).n_chains == 2
+    assert model_numbers(shared("2sdf_sdf1_nmr30.pdb")) == list(range(1, 31))
+    first, last = (pc.load(shared("2sdf_sdf1_nmr30.pdb"), model=n) for n in (1, 30))
+    assert first.n_atoms == last.n_atoms and not np.allclose(first.positions, last.positions, atol=0.05)
+    ring = pc.load(shared("5vav_cyclic.pdb"))
+    c, n = (
+        int(np.flatnonzero((ring.atom_name == k) & (ring.atom_residue == r))[0])
+        for k, r in (("C", 13), ("N", 0))
+    )
+    assert [min(c, n), max(c, n)] in ring.bonds.tolist() and "OXT" not in ring.atom_name
+    assert set(ring.atom_name[ring.atom_residue == 0]) >= {"H"} and "H2" not in ring.atom_name
+    assert pc.build_chain(ring).loops.tolist()
+    pc.energy(ring)
+
+
+def test_models_are_numbered_as_the_file_does(tmp_path):
+    lines = "".join(atoms_of("ala10.pdb"))
+    text = "".join(f"MODEL     {n:4d}\n{lines}ENDMDL\n" for n in (3, 7))
+    path = written(tmp_path, text + "END\n")
+    assert model_numbers(path) == [3, 7] and len(list(load_models(path))) == 2
+    assert dict(pc.load(path).left_out) == {"models": 1} and "model 3 used" in pc.load(path).repairs[0]
+    with pytest.raises(pc.ProtochainError, match=r"has no model 4; its models are 3, 7"):
+        pc.load(path, model=4)
+    unended = written(tmp_path, text.replace("ENDMDL\n", "", 1) + "END\n", "unended.pdb")
+    assert "1 models without an ENDMDL line" in pc.load(unended).repairs[0]
+    assert np.array_equal(pc.load(unended, model=7).positions, pc.load(path, model=7).positions)
+
+
+def odd(lines):
+    """The same file, as other programs write it."""
+    text = "".join(lines)
+    return {
+        "windows": text.replace("\n", "\r\n"),
+        "old macintosh": text.replace("\n", "\r"),
+        "byte order mark": "\ufeff" + text,
+        "no element": "".join(line[:66].rstrip() + "\n" for line in lines),
+        "old columns": "".join(f"{line[:66]}      1ABC{k:4d}\n" for k, line in enumerate(lines, 1)),
+        "lower case": "".join(line[:21].lower() + line[21:26] + line[26:].lower() for line in lines),
+        "no occupancy": "".join(line[:54] + "\n" for line in lines),
+        "scattered": "".join(
+            [line for line in lines if line[12:16] != " O  "]
+            + [line for line in lines if line[12:16] == " O  "]
+        ),
+        "hybrid-36": "".join(f"{line[:6]}A{int(line[6:11]):04d}{line[11:]}" for line in lines),
+    }
+
+
+@pytest.mark.parametrize("kind", list(odd([])))
+def test_the_same_atoms_written_otherwise_are_the_same_structure(kind, tmp_path):
+    lines = atoms_of("1ubq.pdb")
+    straight = pc.load(written(tmp_path, "".join(lines) + "END\n"))
+    path = tmp_path / "odd.pdb"
+    path.write_bytes((odd(lines)[kind] + "END\n").encode())
+    s = pc.load(path)
+    assert np.array_equal(s.positions, straight.positions) or kind == "scattered"
+    assert s.n_atoms == straight.n_atoms and sorted(s.atom_name) == sorted(straight.atom_name)
+    if kind in ("lower case", "old columns"):
+        assert len(s.repairs) == len(straight.repairs) + 1
+
+
+def test_gzipped_and_standard_input(tmp_path, monkeypatch):
+    text = (STRUCTURES / "1l2y.pdb").read_bytes()
+    (tmp_path / "x.pdb.gz").write_bytes(gzip.compress(text))
+    s = pc.load(tmp_path / "x.pdb.gz")
+    assert s.name == "x" and np.array_equal(s.positions, load("1l2y.pdb").positions)
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(gzip.compress(text))))
+    assert np.array_equal(pc.load("-").positions, s.positions)
+    (tmp_path / "cut.pdb.gz").write_bytes(gzip.compress(text)[:-200])
+    with pytest.raises(pc.ProtochainError, match="not a whole gzip file"):
+        pc.load(tmp_path / "cut.pdb.gz")
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"\x00\x01" * 50, "binary"),
+        (b"\x1f\x8b" + b"\x00" * 20, "gzip"),
+        (
+            b"ATOM      1  N   ALA A   x       1.000   2.000   3.000  1.00  0.00           N\nEND\n",
+            "columns 23-26",
+        ),
+        (
+            b"ATOM      1  N   ALA A   1       1.000   *****   3.000  1.00  0.00           N\nEND\n",
+            "columns 39-46",
+        ),
+    ],
+)
+def test_what_is_no_structure_is_refused_with_its_place(content, why, tmp_path):
+    (tmp_path / "x.pdb").write_bytes(content)
+    with pytest.raises(pc.ProtochainError, match=why) as refused:
+        pc.load(tmp_path / "x.pdb")
+    assert str(refused.value).startswith(str(tmp_path / "x.pdb"))
+
+
+def test_too_much_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("protochain.structure.files.MAX_ATOMS", 100)
+    with pytest.raises(pc.ProtochainError, match="304 atoms are more than the 100"):
+        parse(STRUCTURES / "1l2y.pdb")
+    monkeypatch.setattr("protochain.structure.files._BYTES", 1000)
+    with pytest.raises(pc.ProtochainError, match="larger than"):
+        parse(STRUCTURES / "1l2y.pdb")
+    (tmp_path / "bomb.pdb.gz").write_bytes(gzip.compress(b" " * 100_000))
+    with pytest.raises(pc.ProtochainError, match="larger than"):
+        parse(tmp_path / "bomb.pdb.gz")
+
+
+def test_the_other_location_can_be_asked_for():
+    a, b = pc.load(STRUCTURES / "1ejg.pdb"), pc.load(STRUCTURES / "1ejg.pdb", altloc="B")
+    assert (a.residue_name[21], b.residue_name[21]) == ("PRO", "SER")
+    assert any("alternate location B kept" in line for line in b.repairs)
+
+
+def test_waters_and_ions_stay_where_they_are(tmp_path):
+    path = shared("1ajj_ldlr.pdb")
+    s = pc.load(path, keep=("ions", "water"))
+    assert s.obstacle.sum() == 1 + 3 * 30 and "SO4" in s.left_out and "waters" not in s.left_out
+    chain, energy = pc.build_chain(s), pc.energy(s)
+    assert (
+        set(chain.atom_body[s.obstacle]) == {chain.atom_body[s.obstacle][0]}
+        and not chain.moving[s.obstacle].any()
+    )
+    assert len(s.alpha_carbons) == 37
+    assert energy(s.positions)[0] == pytest.approx(energy.reference(s.positions)[0], rel=1e-9)
+    for method in ("lbfgs", "cartesian", "openmm"):
+        r = pc.minimise(chain, energy, method, max_evaluations=30)
+        assert np.allclose(r.x[s.obstacle], s.positions[s.obstacle], atol=1e-12)
+        assert r.end.energy < r.start.energy
+    pc.save(s, tmp_path / "out.pdb")
+    again = pc.load(tmp_path / "out.pdb", keep=("all",))
+    assert again.repairs == () and np.array_equal(again.obstacle, s.obstacle)
+    with pytest.raises(pc.ProtochainError, match="SO4 of chain A cannot be kept: no force field knows it"):
+        pc.load(path, keep=("SO4",))
+
+
+def test_disulfides_can_be_asked_for_and_refused():
+    path = STRUCTURES / "4pti.pdb"
+    assert len(pc.build_chain(pc.load(path)).loops) == 3
+    free = pc.load(path, disulfide=())
+    assert free.n_atoms == load("4pti.pdb").n_atoms + 6 and not len(pc.build_chain(free).loops)
+    one = pc.load(path, disulfide=[("A:5", "A:55")])
+    assert "as asked for" in "".join(one.repairs) and len(pc.build_chain(one).loops) == 1
+    for pair, why in ((("A:5", "A:6"), "no cysteine A:6"), (("A:5", "A:5"), "bonded twice")):
+        with pytest.raises(pc.ProtochainError, match=why):
+            pc.load(path, disulfide=[pair])
+
+
+@pytest.mark.parametrize(
+    ("ph", "names"), [(2.0, {"HIP", "ASH", "GLH"}), (7.0, {"HIE", "HID"}), (12.0, {"HIE", "HID", "LYN"})]
+)
+def test_protonation_follows_the_ph_and_is_said(ph, names):
+    s = pc.load(STRUCTURES / "1hel.pdb", ph=ph)
+    said = {
+        line.rsplit(" taken as ", 1)[1] for line in s.repairs if " taken as H" in line or "taken as " in line
+    }
+    assert said & {"HIP", "ASH", "GLH", "HIE", "HID", "LYN", "CYM"} <= names and said
+    assert pc.energy(s, solvent="vacuum")(s.positions)[0] < 1e9
+    with pytest.raises(pc.ProtochainError, match="pH 15"):
+        pc.load(STRUCTURES / "1hel.pdb", ph=15)
+
+
+def test_breaks_are_refused_when_that_is_asked(tmp_path):
+    gone = [line for line in atoms_of("1ubq.pdb") if not 30 <= int(line[22:26]) <= 33]
+    with pytest.raises(pc.ProtochainError, match=r"chain A is broken between 29 and 34 .* --strict"):
+        pc.load(written(tmp_path, "".join(gone) + "END\n"), strict=True)
+
+
+def test_modified_residues_become_their_parents_and_d_stays_d():
+    s = pc.load(shared("1grm_gramicidin.pdb"))
+    assert any("DVA of chain A: the D form of VAL" in line for line in s.repairs) or s.left_out["FOR"] == 2
+    handed = []
+    for r in np.flatnonzero(s.residue_name == "VAL"):
+        at = {
+            n: s.positions[i]
+            for i, n in zip(
+                np.flatnonzero(s.atom_residue == r), s.atom_name[s.atom_residue == r], strict=True
+            )
+        }
+        n, c, cb, ha = (at[k] - at["CA"] for k in ("N", "C", "CB", "HA"))
+        handed.append(np.sign(np.dot(np.cross(n, c), cb)))
+        assert np.sign(np.dot(np.cross(n, c), ha)) == -handed[-1]
+    assert set(handed) == {-1.0, 1.0}
+    methionine = pc.load(shared("1a8o_mse.pdb"))
+    assert np.count_nonzero(methionine.residue_name == "MET") == 4
+    assert "M3L of chain W: taken as LYS, its standard parent, CM1, CM2, CM3 left out" in "".join(
+        pc.load(shared("1kyo_m3l.pdb")).repairs
+    )
+
+
+def test_a_crosslink_that_no_force_field_has_is_named(tmp_path):
+    lines = atoms_of("1ubq.pdb")
+    (carbon,) = [line for line in lines if line[12:26] == " CG  ASP A  58"]
+    (amine,) = [line for line in lines if line[12:26] == " NZ  LYS A  48"]
+    x, y = float(carbon[30:38]) + 1.0, float(carbon[38:46]) + 0.8
+    near = f"{amine[:30]}{x:8.3f}{y:8.3f}{carbon[46:54]}{amine[54:]}"
+    text = "".join(near if line is amine else line for line in lines)
+    with pytest.raises(pc.ProtochainError, match=r"residue 48 LYS .* and residue 58 ASP .* amide bond"):
+        pc.load(written(tmp_path, text + "END\n"))
+
+
+def test_residues_of_a_force_field_of_ones_own_are_known(tmp_path):
+    own = tmp_path / "own.xml"
+    own.write_text(
+        '<ForceField><AtomTypes><Type name="x-N" class="N" element="N" mass="14"/><Type name="x-C" class="C" '
+        'element="C" mass="12"/><Type name="x-O" class="O" element="O" mass="16"/><Type name="x-H" class="H" '
+        'element="H" mass="1"/></AtomTypes><Residues><Residue name="ZZZ"><Atom name="N" type="x-N"/>'
+        '<Atom name="H" type="x-H"/><Atom name="CA" type="x-C"/><Atom name="HA2" type="x-H"/>'
+        '<Atom name="HA3" type="x-H"/><Atom name="C" type="x-C"/><Atom name="O" type="x-O"/>'
+        '<Bond from="0" to="1"/><Bond from="0" to="2"/><Bond from="2" to="3"/><Bond from="2" to="4"/>'
+        '<Bond from="2" to="5"/><Bond from="5" to="6"/></Residue></Residues></ForceField>'
+    )
+    lines = [line.replace("GLY A  10", "ZZZ A  10") for line in atoms_of("1ubq.pdb")]
+    path = written(tmp_path, "".join(lines) + "END\n")
+    with pytest.raises(pc.ProtochainError, match="residue 10 ZZZ"):
+        pc.load(path)
+    s = pc.load(path, forcefield=own)
+    assert s.residue_name[9] == "ZZZ" and np.count_nonzero(s.atom_residue == 9) == 7
+
+
+def test_the_same_file_gives_the_same_bits_in_another_process():
+    code = (
+        "import sys, hashlib, protochain as pc\n"
+        "print(hashlib.sha256(pc.load(sys.argv[1]).positions.tobytes()).hexdigest())"
+    )
+    path = MORE_STRUCTURES / "4cup_missing.cif"
+    path = path if path.exists() else STRUCTURES / "4pti.pdb"
+    runs = {
+        subprocess.run(
+            [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": seed},
+        ).stdout
+        for seed in ("1", "2")
+    }  # fmt: skip
+    assert len(runs) == 1
+
+
+@pytest.mark.parametrize("method", ["kcm-adaptive", "lbfgs", "hybrid", "openmm"])
+@pytest.mark.parametrize(
+    "name", ["1ejg_crambin.pdb", "3i40_insulin.pdb", "5vav_cyclic.pdb", "1a1p_compstatin.pdb"]
+)
+def test_rings_and_bridges_stay_closed(name, method):
+    s = pc.load(shared(name))
+    chain, energy = pc.build_chain(s), pc.energy(s)
+    r = pc.minimise(chain, energy, method, max_evaluations=400)
+    for first, second in chain.loops.tolist():
+        usual = 0.204 if s.atom_name[first] == "SG" else 0.1335
+        assert abs(np.linalg.norm(r.x[first] - r.x[second]) - usual) < 0.015
+
+
+def test_the_largest_complex_loads():
+    s = pc.load(shared("4jsv_2750.pdb"))
+    assert (s.n_residues, s.n_chains) == (2750, 8)
+    assert pc.build_chain(s).n_hinges > 10_000
