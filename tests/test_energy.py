@@ -8,7 +8,7 @@ from openmm import app
 
 import protochain as pc
 from protochain.energies import factory
-from protochain.structure.prepare import _hydrogen_force_field
+from protochain.structure.templates import _amber
 
 
 def by_the_force_field(name, *files):
@@ -155,7 +155,7 @@ def test_a_file_in_the_working_directory_never_stands_in_for_openmms_own(tmp_pat
         (tmp_path / name).write_text(trap)
     monkeypatch.chdir(tmp_path)
     factory._own_force_field.cache_clear()
-    _hydrogen_force_field.cache_clear()
+    _amber.cache_clear()
     fresh = pc.energy(pc.load(STRUCTURES / "ala10.pdb"))
     assert fresh.fingerprint == energy("ala10.pdb").fingerprint
     with pytest.raises(pc.ProtochainError, match="<Script>"):

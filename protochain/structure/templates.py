@@ -57,7 +57,6 @@ class Template:
         return found
 
 
-@cache
 def templates(own: Path | None = None) -> Mapping[str, Template]:
     """Templates by name: proteins, caps, nucleic acids, water and ions.
 
@@ -71,17 +70,31 @@ def templates(own: Path | None = None) -> Mapping[str, Template]:
     StructureError
         If that file cannot be read.
     """
+    if own is None:
+        return _amber()
+    # A user's file may change between calls.
+    return {**_read(own), **_amber()}
+
+
+@cache
+def _amber() -> Mapping[str, Template]:
     known: dict[str, Template] = {}
-    for file in [_DATA / "amber14" / name for name in _FILES] + ([own] if own else []):
-        try:
-            root = ElementTree.parse(file).getroot()
-        except (OSError, ElementTree.ParseError) as error:
-            raise StructureError(f"{file}: not a force-field XML file ({error})") from None
-        elements = {node.get("name"): node.get("element", "") for node in root.iter("Type")}
-        for node in root.iterfind("Residues/Residue"):
-            made = _template(node, elements)
-            known.setdefault(made.name, made)
+    for name in _FILES:
+        known = {**_read(_DATA / "amber14" / name), **known}
     return known
+
+
+def _read(file: Path) -> dict[str, Template]:
+    try:
+        root = ElementTree.parse(file).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise StructureError(f"{file}: not a force-field XML file ({error})") from None
+    elements = {node.get("name"): node.get("element", "") for node in root.iter("Type")}
+    try:
+        made = [_template(node, elements) for node in root.iterfind("Residues/Residue")]
+    except (KeyError, ValueError, IndexError) as error:
+        raise StructureError(f"{file}: a residue in it cannot be read ({error!r})") from None
+    return {template.name: template for template in made}
 
 
 def _template(node: ElementTree.Element, elements: Mapping[str | None, str]) -> Template:
