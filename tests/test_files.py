@@ -5,6 +5,7 @@ import io
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import gemmi
 import numpy as np
@@ -193,6 +194,28 @@ def test_waters_and_ions_stay_where_they_are(tmp_path):
     assert again.repairs == () and np.array_equal(again.obstacle, s.obstacle)
     with pytest.raises(pc.ProtochainError, match="SO4 of chain A cannot be kept: no force field knows it"):
         pc.load(path, keep=("SO4",))
+
+
+def test_nucleic_acids_are_kept_as_strands(tmp_path):
+    """Two nucleotides of ideal geometry, 6.8 angstrom apart, moved until O3' and P are bonded."""
+    import pdbfixer
+
+    template = Path(pdbfixer.__file__).parent / "templates" / "DG.pdb"
+    lines = [line for line in template.read_text().splitlines() if line.startswith("ATOM")]
+    x = np.array([[float(line[k : k + 8]) for k in (30, 38, 46)] for line in lines]) + 60.0
+    names = [line[12:16].strip() for line in lines]
+    shift = x[names.index("O3'")] - x[names.index("P")] + [-0.9, -0.9, -0.9]
+    text = "".join(atoms_of("ala10.pdb"))
+    for number in (1, 2):
+        for line, at in zip(lines, x + (number - 1) * shift, strict=True):
+            text += f"{line[:20]} B{number:4d}    {at[0]:8.3f}{at[1]:8.3f}{at[2]:8.3f}  1.00  0.00\n"
+    path = written(tmp_path, text + "END\n")
+    assert dict(pc.load(path).left_out) == {"DG": 2}
+    s = pc.load(path, keep=("nucleic",))
+    assert s.n_residues == 12 and s.n_chains == 2 and s.obstacle.sum() == 31 + 34
+    assert any("5' phosphate left out" in line for line in s.repairs)
+    value, forces = pc.energy(s, engine="openmm").reference(s.positions)
+    assert np.isfinite(value) and np.isfinite(forces).all()
 
 
 def test_disulfides_can_be_asked_for_and_refused():

@@ -32,6 +32,10 @@ def base_template(known: Mapping[str, Template], part: Part, i: int, state: str 
     member = part.members[i]
     name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
     ends = (i == 0, i == len(part.members) - 1)
+    if member.name in residues.NUCLEOTIDES:
+        return known.get(
+            member.name + {(True, True): "N", (True, False): "5", (False, True): "3"}.get(ends, "")
+        )
     if part.obstacle or part.cyclic or member.is_cap or not any(ends):
         return known.get(name)
     return known.get(("N" if ends[0] else "C") + name)

@@ -137,7 +137,8 @@ def _bonds(draft: Draft, done: list[tuple[Member, Template]], bridges: list[Brid
     for part in draft.parts:
         following = part.members[1:] + ([part.members[0]] if part.cyclic else [])
         for member, following_member in zip(part.members, following, strict=False):
-            pairs.append((at[id(member)]["C"], at[id(following_member)]["N"]))
+            end, start = ("O3'", "P") if part.obstacle else ("C", "N")
+            pairs.append((at[id(member)][end], at[id(following_member)][start]))
     pairs += [(at[id(first)]["SG"], at[id(second)]["SG"]) for first, second in bridges]
     return np.sort(np.array(pairs, dtype=np.int64), axis=1)
 

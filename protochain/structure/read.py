@@ -17,6 +17,7 @@ from protochain.errors import StructureError
 from protochain.structure.conformation import Conformation, likeliest, same_place
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse
+from protochain.structure.kept import is_wanted, obstacles
 from protochain.structure.templates import rename, standard_name, template_name, templates
 
 PEPTIDE_BREAK = 2.0
@@ -140,6 +141,8 @@ class _Reader:
     def __init__(self, draft: Draft, reading: Reading, chain_id: str, kept: list[Part]) -> None:
         self.draft, self.reading, self.chain_id, self.kept = draft, reading, chain_id, kept
         self.known = templates(reading.forcefield)
+        self.beside: list[Member] = []
+        self.unknown: set[int] = set()
 
     def take(self, chain: gemmi.Chain) -> None:
         """Take the chain's protein, and what is to be kept besides."""
@@ -158,6 +161,7 @@ class _Reader:
             )
         self._say_unseen(run)
         self._add_unbroken(run)
+        self.kept += obstacles(self.draft, self.chain_id, self.beside)
 
     @property
     def _chain(self) -> str:
@@ -219,12 +223,15 @@ class _Reader:
             self._convert(member, parent, self._describe(residue))
             return member
         if backbone:
+            # Refused if it is part of a chain, and a ligand if not.
+            self.unknown.add(id(member))
+            return member
+        if is_wanted(member, self.reading.keep, self.known):
+            self.beside.append(member)
+        elif name in self.reading.keep:
             raise StructureError(
-                f"{self.draft.source}: {self._describe(residue)} is not an amino acid that is known, and has "
-                "no standard parent; replace or remove it, or give a force field that has it"
+                f"{self.draft.source}: {self._describe(residue)} cannot be kept: no force field knows it"
             )
-        if self._is_kept(member, residue):
-            self.kept.append(Part(self.chain_id, [member], obstacle=True))
         else:
             water = gemmi.find_tabulated_residue(given).is_water()
             self.draft.left_out["waters" if water or name == "HOH" else given] += 1
@@ -251,25 +258,6 @@ class _Reader:
         else:
             gone = f", {', '.join(strange)} left out" if strange else ""
             self._say(f"{where}: taken as {parent}, its standard parent{gone}")
-
-    def _is_kept(self, member: Member, residue: gemmi.Residue) -> bool:
-        keep = self.reading.keep
-        if not keep or member.name in keep:
-            asked = bool(keep)
-        else:
-            asked = (
-                "all" in keep
-                or ("water" in keep and member.name == "HOH")
-                or ("ions" in keep and len(member.atoms) == 1 and member.name != "HOH")
-                or ("nucleic" in keep and member.name in residues.NUCLEOTIDES)
-            )
-        if asked and member.name not in self.known:
-            if member.name in keep:
-                raise StructureError(
-                    f"{self.draft.source}: {self._describe(residue)} cannot be kept: no force field knows it"
-                )
-            return False
-        return asked
 
     def _has_backbone(self, member: Member) -> bool:
         missing = [name for name in residues.BACKBONE if not member.atom(name)]
@@ -299,7 +287,7 @@ class _Reader:
 
     def _break(self, last: Member, first: Member, gap: float) -> None:
         """Say that the chain is broken, unless the file has real termini there."""
-        if last.atom("OXT") or last.is_cap or first.is_cap:
+        if last.atom("OXT") or last.is_cap or first.is_cap or {id(last), id(first)} & self.unknown:
             return
         where = f"chain {self._chain} is broken between {last.seqid} and {first.seqid} ({gap:.1f} angstrom)"
         if self.reading.strict:
@@ -315,7 +303,14 @@ class _Reader:
             for i, member in enumerate(part)
             if not member.is_cap or self._is_in_place(member, i, len(part))
         ]
-        if len(part) == 1:
+        if len(part) == 1 and id(part[0]) in self.unknown:
+            self.draft.left_out[part[0].name] += 1
+        elif strange := next((member for member in part if id(member) in self.unknown), None):
+            raise StructureError(
+                f"{self.draft.source}: {strange} is not an amino acid that is known, and has no standard "
+                "parent; replace or remove it, or give a force field that has it"
+            )
+        elif len(part) == 1:
             self._say(f"{part[0]}: left out, for it is bonded to no other residue")
             self.draft.left_out["single residues"] += 1
         elif part:
