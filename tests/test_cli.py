@@ -211,3 +211,44 @@ def test_a_signal_ends_with_the_best_so_far_written(method, sent, tmp_path):
     assert process.returncode == 3 and record["status"] == "interrupted"
     assert record["energy_end_reference_kj_mol"] < record["energy_start_kj_mol"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.pdb", "t.dcd"]
+
+
+def test_what_is_taken_of_a_file_can_be_said(tmp_path):
+    path = str(STRUCTURES / "4pti.pdb")
+    facts = [
+        json.loads(protochain("info", path, "--json", *options, cwd=tmp_path).stdout)
+        for options in (
+            (),
+            ("--no-disulfide",),
+            ("--disulfide", "A:5-A:55"),
+            ("--keep", "water"),
+            ("--ph", "2"),
+        )
+    ]
+    assert [len(each["loops"]) for each in facts] == [3, 0, 1, 3, 3]
+    n_atoms = [each["n_atoms"] for each in facts]
+    assert n_atoms[1] == n_atoms[0] + 6 and n_atoms[3] == n_atoms[0] + 180 and n_atoms[4] > n_atoms[0]
+    for wrong, why in (
+        (("--disulfide", "5-55"), "A:3-A:40"),
+        (("--disulfide", "A:5-A:55", "--no-disulfide"), "refused at once"),
+        (("--model", "one"), "give its number"),
+        (("--model", "2"), "no model 2"),
+        (("--ph", "15"), "pH 15"),
+    ):
+        done = protochain("info", path, *wrong, cwd=tmp_path)
+        assert done.returncode == 2 and why in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_every_model_can_be_minimised(tmp_path):
+    lines = [line for line in (STRUCTURES / "ala10.pdb").read_text().splitlines(True) if line[:4] == "ATOM"]
+    (tmp_path / "two.pdb").write_text(
+        "".join(f"MODEL {n:8d}\n{''.join(lines)}ENDMDL\n" for n in (1, 5)) + "END\n"
+    )
+    done = protochain("minimise", "two.pdb", "--model", "all", "--json", "-o", "out.pdb", cwd=tmp_path)
+    records = json.loads(done.stdout)["models"]
+    assert [(each["model"], each["output"]) for each in records] == [(1, "out.1.pdb"), (5, "out.5.pdb")]
+    assert records[0]["energy_end_kj_mol"] == records[1]["energy_end_kj_mol"]
+    assert {path.name for path in tmp_path.iterdir()} == {"two.pdb", "out.1.pdb", "out.5.pdb"}
+    assert (
+        protochain("minimise", "two.pdb", "--model", "all", "--trace", "t.csv", cwd=tmp_path).returncode == 2
+    )
