@@ -1,7 +1,11 @@
 """Where the structures are, what is loaded once, and every tolerance with its reason."""
 
 import functools
+import os
 from pathlib import Path
+
+# Threads of several test processes that spin while they wait take the cores from one another.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import numpy as np
 import pytest

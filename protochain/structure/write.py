@@ -65,7 +65,7 @@ def check_fits(structure: Structure, path: Path) -> None:
     """
     if path.suffix.lower() not in _PDB:
         return
-    long = [chain_id for chain_id in structure.residue_chain if len(chain_id) > 1]
+    long = [str(chain_id) for chain_id in structure.residue_chain if len(chain_id) > 1]
     if long:
         raise StructureError(f"{path}: chain id {long[0]!r} does not fit a PDB file; write .cif instead")
     x = ANGSTROM_PER_NM * structure.positions
