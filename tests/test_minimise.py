@@ -1,5 +1,6 @@
 import json
 import signal
+from importlib.metadata import version
 from itertools import pairwise
 
 import numpy as np
@@ -238,6 +239,16 @@ def test_a_signal_ends_a_run(method, signals):
 
     r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), method, watch=watch)
     assert r.status == Status.INTERRUPTED and len(r.trace) <= 10
+
+
+def test_what_is_written_says_where_it_came_from(tmp_path):
+    r = pc.minimise(chain("1ejg.pdb"), energy("1ejg.pdb"), "lbfgs", max_evaluations=3)
+    for name in ("out.pdb", "out.cif"):
+        r.save(tmp_path / name)
+        text = " ".join((tmp_path / name).read_text().split())
+        assert "METHOD lbfgs" in text and f"OPENMM {version('openmm')}" in text
+        assert "residue 22 PRO of chain A: alternate location A kept" in text.replace(" REMARK 3", "")
+        assert pc.load(tmp_path / name).repairs == ()
 
 
 def test_a_signal_after_the_last_step_changes_nothing(signals, monkeypatch, tmp_path):

@@ -155,9 +155,12 @@ class Solution:
         """Lines on how the structure was made."""
         e = self.energy_function
         yield f"PROTOCHAIN {version('protochain')}, METHOD {self.method}, STATUS {self.status}"
+        yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}, PDBFIXER {version('pdbfixer')}"
         yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
         yield f"ENERGY {self.end.energy:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.start.energy:.4f}"
         yield "ENERGIES BY THE OPENMM REFERENCE PLATFORM"
+        # Which of several conformations this is, the coordinates do not show.
+        yield from (line for line in self.chain.structure.repairs if "alternate location" in line)
 
     def record(self) -> dict[str, Any]:
         """Return the flat record that JSON, CSV and report all show; what is not a number is None."""

@@ -95,9 +95,10 @@ def _drop_strange(draft: Draft, member: Member, template: Template) -> None:
 def _terminal_oxygen(draft: Draft, member: Member) -> gemmi.Atom:
     """Return the second oxygen of a carboxylate, in the plane of the first."""
     c, alpha, o = (np.array(own.pos.tolist()) for name in ("C", "CA", "O") if (own := member.atom(name)))
-    away = -sum((other - c) / np.linalg.norm(other - c) for other in (alpha, o))
+    arms = np.array([alpha - c, o - c])
+    away = -(arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)).sum(axis=0)
     length = np.linalg.norm(away)
-    if not length > 1e-3:
+    if not 1e-3 < length < 1.999:
         raise StructureError(f"{draft.source}: {member}: CA, C and O lie in a line; mend their coordinates")
     return atom("OXT", "O", (c + _CARBOXYLATE * away / length).tolist(), member.atoms[0].b_iso)
 

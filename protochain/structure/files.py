@@ -149,6 +149,9 @@ def _normalised(text: str, source: str, overlooked: list[str]) -> str:
             in_model = True
         elif record.startswith("ENDMDL"):
             in_model = False
+        if record.startswith(("ANISOU", "SIGATM", "SIGUIJ")):
+            # Not used, and so no reason to refuse a file in which they are out of order.
+            lines[i] = ""
         if not record.startswith(("ATOM", "HETATM")):
             continue
         if any(line[start:end].upper() != line[start:end] for start, end in _UPPER):

@@ -85,7 +85,7 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
         chain.name = chain.name.strip()
         _Reader(draft, reading, chain.name, kept).take(chain)
     if not draft.parts:
-        found = ", ".join(f"{count} {kind}" for kind, count in draft.left_out.items())
+        found = ", ".join(f"{count} {kind}" for kind, count in draft.left_out.items() if count)
         raise StructureError(f"{draft.source}: no protein found (only {found}); give a file with amino acids")
     last = draft.parts[-1].members[-1]
     if not ends and not last.atom("OXT"):
