@@ -118,3 +118,29 @@ def print_distribution(summary: dict[str, float]) -> None:
         f"{summary['n_starts']} starts: lowest {low:.2f}, median {middle:.2f}, highest {high:.2f} kJ/mol; "
         f"{summary['n_within_1_kj_mol_of_lowest']} within 1 kJ/mol of the lowest"
     )
+
+
+def print_deviations(rows: list[dict[str, Any]]) -> None:
+    """Print a row for each model measured, and a line for each that could not be."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("file", overflow="fold", min_width=24)
+    for heading in ("model", "RMSD angstrom", "TM-score", "matched residues"):
+        table.add_column(heading, justify="right")
+    measured = [row for row in rows if not row["message"]]
+    for row in measured:
+        score = row["tm_score"]
+        table.add_row(
+            escape(row["file"]), f"{row['model']:.0f}", f"{row['rmsd_angstrom']:.3f}",
+            "-" if score is None else f"{score:.4f}",
+            f"{row['matched_residues']:.0f} ({100 * row['coverage']:.0f} %) by {row['matched_by']}",
+        )  # fmt: skip
+    console = Console()
+    if measured:
+        console.print(table)
+    for row in rows:
+        if row["message"]:
+            console.print(row["message"], markup=False, highlight=False, soft_wrap=True)

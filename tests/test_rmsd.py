@@ -48,7 +48,7 @@ def test_ca_rmsd_equals_mdanalysis(pairs):
 def test_rmsd_of_models_of_a_real_ensemble_equals_mdtraj():
     import mdtraj
 
-    frames = mdtraj.load_pdb(str(shared("1vii_villin_nmr3.pdb")), no_boxchk=True)
+    frames = mdtraj.load_pdb(str(shared("2sdf_sdf1_nmr30.pdb")), no_boxchk=True)
     alpha = frames.topology.select("name CA")
     x = np.array(frames.xyz, dtype=np.float64)[:, alpha]
     for k in (1, 2):

@@ -10,6 +10,7 @@ from protochain.cli.compare import compare
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
 from protochain.cli.options import BAD_INPUT, fail
+from protochain.cli.rmsd import rmsd
 from protochain.cli.simulate import simulate
 from protochain.errors import ProtochainError
 
@@ -22,7 +23,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-for command in (minimise, compare, simulate, info, build):
+for command in (minimise, compare, simulate, rmsd, info, build):
     app.command()(command)
 app.command("minimize", hidden=True)(minimise)
 

@@ -19,12 +19,18 @@ def superpose(x: Floats, reference: Floats) -> Floats:
     (n, 3) float
         x, turned and moved onto ``reference`` (Kabsch, Acta Cryst. A32:922, 1976).
     """
-    centre = reference.mean(axis=0)
-    target, arms = reference - centre, x - x.mean(axis=0)
+    turn, shift = motion(x, reference)
+    return x @ turn.T + shift
+
+
+def motion(x: Floats, reference: Floats) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and shift (3,) of the rigid motion by which :func:`superpose` moves points."""
+    centre, own = reference.mean(axis=0), x.mean(axis=0)
     # The rotation of one or two points is not unique, which scipy warns of; their deviation still is.
-    u, _, vt = np.linalg.svd(target.T @ arms)
+    u, _, vt = np.linalg.svd((reference - centre).T @ (x - own))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    return arms @ (u @ flip @ vt).T + centre
+    turn = np.asarray(u @ flip @ vt)
+    return turn, centre - turn @ own
 
 
 def rmsd(x: Floats, reference: Floats) -> float:

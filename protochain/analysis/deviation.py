@@ -1,0 +1,294 @@
+"""How far one structure is from another: which atoms are matched, superposed on what, measured on what."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gemmi
+import numpy as np
+import pandas as pd
+from scipy.optimize import linear_sum_assignment
+
+from protochain.arrays import Floats, Integers
+from protochain.errors import ProtochainError, StructureError
+from protochain.residues import STANDARD
+from protochain.structure import Structure, load
+from protochain.structure.read import model_numbers
+from protochain.structure.select import select
+from protochain.structure.superpose import motion
+from protochain.units import ANGSTROM_PER_NM
+
+ALPHA = "name CA"
+"""Selection of the C-alpha atoms, in the language of MDAnalysis."""
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """Residues of one structure that stand for residues of another.
+
+    Parameters
+    ----------
+    reference, model : (n,) int
+        Residues, pair by pair, in the order of the reference.
+    how : str
+        ``numbers``, where chains, numbers and names are the same; ``sequence``, where they were aligned.
+    identity : float
+        Part of the pairs that have one name.
+    coverage : float
+        Part of the reference's amino acids that are matched.
+    """
+
+    reference: Integers
+    model: Integers
+    how: str
+    identity: float
+    coverage: float
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """What was measured, angstrom.
+
+    Parameters
+    ----------
+    rmsd : float
+        Of the measured atoms, after superposition of the aligned ones.
+    rmsd_unsuperposed : float
+        Of the same atoms, as the files have them.
+    tm_score : float
+        Of the C-alphas, normalised by the reference's length, with tmtools' own alignment (Zhang, Skolnick,
+        Nucleic Acids Res. 33:2302, 2005); NaN below three residues.
+    n_aligned, n_measured : int
+        Atoms.
+    match : Match
+    """
+
+    rmsd: float
+    rmsd_unsuperposed: float
+    tm_score: float
+    n_aligned: int
+    n_measured: int
+    match: Match
+
+    def record(self) -> dict[str, Any]:
+        """Return a flat row, with units in the names."""
+        return {
+            "rmsd_angstrom": self.rmsd,
+            "rmsd_unsuperposed_angstrom": self.rmsd_unsuperposed,
+            "tm_score": self.tm_score if np.isfinite(self.tm_score) else None,
+            "matched_residues": len(self.match.reference),
+            "coverage": self.match.coverage,
+            "identity": self.match.identity,
+            "matched_by": self.match.how,
+            "aligned_atoms": self.n_aligned,
+            "measured_atoms": self.n_measured,
+        }
+
+
+def match(reference: Structure, model: Structure) -> Match:
+    """Pair residues: by chain, number and name where all those agree, else by sequence alignment.
+
+    Alignments are gemmi's, global, with BLOSUM62. Chains are paired so that the sum of scores is largest.
+
+    Parameters
+    ----------
+    reference, model : Structure
+
+    Returns
+    -------
+    Match
+
+    Raises
+    ------
+    ProtochainError
+        If no residue matches.
+    """
+    ours, theirs = _names(reference), _names(model)
+    place = {name: r for r, name in enumerate(theirs)}
+    pairs = [(r, place[name]) for r, name in enumerate(ours) if name in place]
+    how = "numbers"
+    if len(pairs) < min(len(ours), len(theirs)) or len(place) < len(theirs):
+        pairs, how = sorted(_aligned(reference, model)), "sequence"
+    amino = [r for r in range(reference.n_residues) if str(reference.residue_name[r]) in STANDARD]
+    pairs = [(r, s) for r, s in pairs if str(reference.residue_name[r]) in STANDARD]
+    if not pairs:
+        raise ProtochainError(f"{model.name}: has no residue in common with {reference.name}")
+    first, second = np.array(pairs, dtype=np.int64).T
+    same = reference.residue_name[first] == model.residue_name[second]
+    return Match(first, second, how, float(same.mean()), len(pairs) / len(amino))
+
+
+def deviation(reference: Structure, model: Structure, align: str = ALPHA, measure: str = ALPHA) -> Deviation:
+    """Measure how far a model is from a reference.
+
+    Parameters
+    ----------
+    reference, model : Structure
+        Of sequences that need not be equal.
+    align, measure : str
+        Selections of the reference's atoms: on which the model is superposed, and of which the RMSD is taken.
+        Atoms are matched by name within matched residues.
+
+    Returns
+    -------
+    Deviation
+
+    Raises
+    ------
+    ProtochainError
+        If nothing matches.
+    StructureError
+        If a selection cannot be read or names no atom.
+    """
+    found = match(reference, model)
+    aligned = _atoms(reference, model, found, align)
+    measured = aligned if measure == align else _atoms(reference, model, found, measure)
+    turn, shift = motion(model.positions[aligned[1]], reference.positions[aligned[0]])
+    off = model.positions[measured[1]] - reference.positions[measured[0]]
+    moved = model.positions[measured[1]] @ turn.T + shift - reference.positions[measured[0]]
+    return Deviation(
+        _root_mean_square(moved), _root_mean_square(off), tm_score(reference, model),
+        len(aligned[0]), len(measured[0]), found,
+    )  # fmt: skip
+
+
+def tm_score(reference: Structure, model: Structure) -> float:
+    """TM-score of the C-alphas, by tmtools, normalised by the reference's length."""
+    import tmtools
+
+    (x, sequence), (y, other) = _trace(reference), _trace(model)
+    if min(len(sequence), len(other)) < 3:
+        return float("nan")
+    return float(tmtools.tm_align(y, x, other, sequence).tm_norm_chain2)
+
+
+def rmsd_table(
+    reference: str | Path, models: Sequence[str | Path], align: str = ALPHA, measure: str = ALPHA
+) -> pd.DataFrame:
+    """Measure many files against one: a row for every model of every file, failures included.
+
+    Parameters
+    ----------
+    reference : path-like
+    models : sequence of path-like
+    align, measure : str
+        As in :func:`deviation`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``reference``, ``file``, ``model``, the columns of :meth:`Deviation.record`, and ``message``, which
+        says why where nothing could be measured.
+
+    Raises
+    ------
+    StructureError
+        If the reference cannot be used.
+    """
+    first = load(reference)
+    select(first, align), select(first, measure)
+    rows = []
+    for path in models:
+        for number, structure in _models(path):
+            row: dict[str, Any] = {"reference": str(reference), "file": str(path), "model": number}
+            try:
+                if isinstance(structure, StructureError):
+                    raise structure
+                row |= {**deviation(first, structure, align, measure).record(), "message": ""}
+            except ProtochainError as error:
+                row["message"] = str(error)
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _models(path: str | Path) -> Iterator[tuple[int | None, Structure | StructureError]]:
+    try:
+        numbers: list[int] = model_numbers(path)
+    except StructureError as error:
+        yield None, error
+        return
+    for number in numbers:
+        try:
+            yield number, load(path, model=number)
+        except StructureError as error:
+            yield number, error
+
+
+def _names(s: Structure) -> list[tuple[str, ...]]:
+    columns = (s.residue_chain, s.residue_number, s.residue_insertion_code, s.residue_name)
+    return [tuple(map(str, row)) for row in zip(*columns, strict=True)]
+
+
+def _aligned(reference: Structure, model: Structure) -> Iterator[tuple[int, int]]:
+    """Pairs of residues whose chains' sequences were aligned."""
+    ours, theirs = _by_chain(reference), _by_chain(model)
+    results = [[_align(a, b, reference, model) for b in theirs] for a in ours]
+    scores = np.array([[score for score, _ in row] for row in results])
+    for i, j in zip(*linear_sum_assignment(-scores), strict=True):
+        yield from results[i][j][1]
+
+
+def _by_chain(s: Structure) -> list[list[int]]:
+    """Amino acids of each chain id: the parts of a broken chain are one sequence."""
+    found: dict[str, list[int]] = {}
+    for r in range(s.n_residues):
+        if str(s.residue_name[r]) in STANDARD:
+            found.setdefault(str(s.residue_chain[r]), []).append(r)
+    return list(found.values())
+
+
+def _align(
+    first: list[int], second: list[int], reference: Structure, model: Structure
+) -> tuple[float, list[tuple[int, int]]]:
+    result = gemmi.align_string_sequences(
+        [str(reference.residue_name[r]) for r in first],
+        [str(model.residue_name[r]) for r in second],
+        [],
+        gemmi.AlignmentScoring("b"),
+    )
+    pairs, i, j = [], 0, 0
+    for length, kind in _cigar(result.cigar_str()):
+        if kind == "M":
+            pairs += [(first[i + k], second[j + k]) for k in range(length)]
+        i += length if kind in "MI" else 0
+        j += length if kind in "MD" else 0
+    return float(result.score), pairs
+
+
+def _cigar(text: str) -> Iterator[tuple[int, str]]:
+    digits = ""
+    for letter in text:
+        if letter.isdigit():
+            digits += letter
+        else:
+            yield int(digits), letter
+            digits = ""
+
+
+def _atoms(reference: Structure, model: Structure, found: Match, selection: str) -> tuple[Integers, Integers]:
+    chosen = select(reference, selection)
+    counterpart = dict(zip(found.reference.tolist(), found.model.tolist(), strict=True))
+    at = {
+        (int(r), str(name)): k
+        for k, (r, name) in enumerate(zip(model.atom_residue, model.atom_name, strict=True))
+    }
+    pairs = [
+        (k, at[key])
+        for k in np.flatnonzero(chosen).tolist()
+        if (key := (counterpart.get(int(reference.atom_residue[k]), -1), str(reference.atom_name[k]))) in at
+    ]
+    if not pairs:
+        raise ProtochainError(f"{model.name}: has no atom of {selection!r} in common with {reference.name}")
+    first, second = np.array(pairs, dtype=np.int64).T
+    return first, second
+
+
+def _trace(s: Structure) -> tuple[Floats, str]:
+    alpha = s.alpha_carbons
+    names = s.residue_name[s.atom_residue[alpha]]
+    return ANGSTROM_PER_NM * s.positions[alpha], "".join(STANDARD.get(str(name), "X") for name in names)
+
+
+def _root_mean_square(off: Floats) -> float:
+    return float(ANGSTROM_PER_NM * np.sqrt(np.mean(np.sum(off**2, axis=1))))

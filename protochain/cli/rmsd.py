@@ -1,0 +1,37 @@
+"""``protochain rmsd``."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protochain.cli.options import CONVERGED, FAILED, UNCONVERGED, AsJson, check_outputs
+from protochain.terminal import print_deviations
+
+
+def rmsd(
+    reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="PDB or mmCIF file.")],
+    models: Annotated[list[Path], typer.Argument(metavar="IN...", help="Files, all models of each.")],
+    align: Annotated[str, typer.Option(help="Superposed on these, as MDAnalysis selects.")] = "name CA",
+    measure: Annotated[str | None, typer.Option(help="RMSD of these [default: those superposed on].")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how far models are from a reference: RMSD, TM-score, and what was matched."""
+    from protochain.analysis.deviation import rmsd_table
+    from protochain.structure.write import write_atomically
+
+    if output:
+        check_outputs(reference, [output], force=False)
+    table = rmsd_table(reference, models, align, measure or align)
+    if output:
+        write_atomically(output, lambda to: table.to_csv(to, index=False))
+    rows = json.loads(table.to_json(orient="records", double_precision=15))
+    if as_json:
+        asked = {"reference": str(reference), "align": align, "measure": measure or align}
+        print(json.dumps(asked | {"results": rows}))
+    else:
+        print_deviations(rows)
+    failed = sum(bool(row["message"]) for row in rows)
+    raise typer.Exit(CONVERGED if not failed else FAILED if failed == len(rows) else UNCONVERGED)

@@ -1,0 +1,144 @@
+"""RMSD between files against mdtraj, MDAnalysis and tmtools, unequal lengths and numbers included."""
+
+import json
+
+import gemmi
+import numpy as np
+import pytest
+from conftest import RMSD_ANGSTROM, STRUCTURES, load, shared
+from test_cli import protochain
+
+import protochain as pc
+from protochain.analysis.deviation import deviation, match, rmsd_table
+
+PAIRS = [
+    ("1ake_A.pdb", 1, "4ake_A_H.pdb", 1),
+    ("1ubq_ubiquitin.pdb", 1, "1ubi_ubiquitin_addH.pdb", 1),
+    ("4pti_bpti.pdb", 1, "2ptc_I_bpti_occ0.pdb", 1),
+    ("4pti_bpti.pdb", 1, "5pti_bpti.cif", 1),
+    ("2sdf_sdf1_nmr30.pdb", 1, "2sdf_sdf1_nmr30.pdb", 2),
+    ("2sdf_sdf1_nmr30.pdb", 3, "2sdf_sdf1_nmr30.pdb", 30),
+    ("1a1p_compstatin.pdb", 1, "1a1p_compstatin.pdb", 21),
+    ("src_1yi6_start.pdb", 1, "src_1yi6_minimized.pdb", 1),
+    ("2k39_ubiquitin_nmr15.pdb", 1, "1ubq_ubiquitin.pdb", 1),
+    ("1hel_lysozyme.pdb", 1, "hewl_charmm_H.pdb", 1),
+]
+
+
+def alpha_by_gemmi(name, model):
+    """C-alpha positions (angstrom) of the amino acids of a model in file order, and the sequence."""
+    (chosen,) = [m for m in gemmi.read_structure(str(shared(name))) if m.num == model]
+    found, letters = [], ""
+    for chain in chosen:
+        for residue in chain:
+            info = gemmi.find_tabulated_residue(residue.name)
+            if info.is_amino_acid() or residue.name in ("HSD", "HSP", "HSE"):
+                found.append(residue.get_ca().pos.tolist())
+                letters += info.one_letter_code.upper() if info.one_letter_code.strip() else "H"
+    return np.array(found), letters
+
+
+@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: f"{pair[0]}-{pair[2]}")
+def test_ten_pairs_equal_mdtraj_mdanalysis_and_tmtools(pair):
+    import mdtraj
+    import tmtools
+    from MDAnalysis.analysis.rms import rmsd
+
+    name, model, other, number = pair
+    (x, first), (y, second) = alpha_by_gemmi(name, model), alpha_by_gemmi(other, number)
+    assert len(x) == len(y)
+    d = deviation(pc.load(shared(name), model=model), pc.load(shared(other), model=number))
+    assert (d.n_measured, d.match.coverage) == (len(x), 1.0)
+    assert d.rmsd == pytest.approx(rmsd(y, x, center=True, superposition=True), abs=RMSD_ANGSTROM)
+    assert d.rmsd_unsuperposed == pytest.approx(rmsd(y, x), abs=RMSD_ANGSTROM)
+    topology = mdtraj.Topology()
+    chain = topology.add_chain()
+    for _ in x:
+        topology.add_atom("CA", mdtraj.element.carbon, topology.add_residue("ALA", chain))
+    frames = mdtraj.Trajectory(np.array([x, y]) / 10.0, topology)
+    frames.superpose(frames, 0)
+    off = 10.0 * (frames.xyz[1].astype(float) - frames.xyz[0])
+    # Superposed in single precision, at coordinates of some nm.
+    assert d.rmsd == pytest.approx(np.sqrt(np.mean(np.sum(off**2, axis=1))), abs=10 * RMSD_ANGSTROM)
+    assert d.tm_score == pytest.approx(tmtools.tm_align(y, x, second, first).tm_norm_chain2, abs=1e-4)
+
+
+def cut_and_renumbered(tmp_path):
+    """Ubiquitin from 6 to 70, numbered from 301 in chain Z, with residue 40 mutated to alanine."""
+    structure = gemmi.read_structure(str(STRUCTURES / "1ubq.pdb"))
+    structure.remove_ligands_and_waters()
+    chain = structure[0][0]
+    for k in reversed(range(len(chain))):
+        if not 6 <= chain[k].seqid.num <= 70:
+            del chain[k]
+    chain.name = "Z"
+    for k, residue in enumerate(chain):
+        if residue.seqid.num == 40:
+            residue.name = "ALA"
+            for i in reversed(range(len(residue))):
+                if residue[i].name not in ("N", "CA", "C", "O", "CB"):
+                    del residue[i]
+        residue.seqid.num = 301 + k
+    structure.write_pdb(str(tmp_path / "cut.pdb"))
+    return tmp_path / "cut.pdb"
+
+
+def test_unequal_sequences_are_aligned(tmp_path):
+    whole, part = load("1ubq.pdb"), pc.load(cut_and_renumbered(tmp_path))
+    found = match(whole, part)
+    assert found.how == "sequence" and found.reference.tolist() == list(range(5, 70))
+    assert found.identity == pytest.approx(64 / 65) and found.coverage == pytest.approx(65 / 76)
+    d = deviation(whole, part)
+    assert d.rmsd < 1e-6 and d.n_measured == 65 and 0.8 < d.tm_score < 0.9
+    back = deviation(part, whole)
+    assert back.match.coverage == 1.0 and back.tm_score == pytest.approx(1.0, abs=1e-6)
+
+
+def test_chains_are_paired_whatever_they_are_called(tmp_path):
+    s = load("3i40.pdb")
+    structure = gemmi.read_structure(str(STRUCTURES / "3i40.pdb"))
+    structure[0][0].name, structure[0][1].name = "B", "A"
+    structure.write_pdb(str(tmp_path / "swapped.pdb"))
+    found = match(s, pc.load(tmp_path / "swapped.pdb"))
+    assert found.how == "sequence" and found.identity == 1.0 and found.coverage == 1.0
+    assert deviation(s, pc.load(tmp_path / "swapped.pdb")).rmsd < 1e-6
+
+
+def test_superposed_on_one_selection_and_measured_on_another():
+    s = load("1ubq.pdb")
+    x = s.positions.copy()
+    tail = np.isin(s.atom_residue, range(70, 76))
+    x[tail] += 0.3
+    x = x @ np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]).T + 2.0
+    d = deviation(s, s.with_positions(x), "name CA and resid 1:70", "name CA and resid 71:76")
+    assert d.rmsd == pytest.approx(3.0 * np.sqrt(3.0), abs=1e-9)
+    assert (d.n_aligned, d.n_measured) == (70, 6)
+    assert deviation(s, s.with_positions(x), "resid 1:70", "resid 1:70").rmsd == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_has_nothing_in_common_is_refused():
+    glycines, leucines = pc.from_sequence("GG"), pc.from_sequence("LL")
+    with pytest.raises(pc.ProtochainError, match="selection 'name XX'"):
+        deviation(glycines, leucines, "name XX")
+    assert deviation(glycines, leucines).match.identity == 0.0
+    assert np.isnan(deviation(glycines, leucines).tm_score)
+
+
+def test_a_batch_report_has_a_row_for_every_model_and_every_failure(tmp_path):
+    lines = [line for line in (STRUCTURES / "ala10.pdb").read_text().splitlines(True) if line[:4] == "ATOM"]
+    two = tmp_path / "two.pdb"
+    two.write_text("".join(f"MODEL {n:8d}\n{''.join(lines)}ENDMDL\n" for n in (1, 5)) + "END\n")
+    (tmp_path / "bad.pdb").write_text("nothing\n")
+    table = rmsd_table(STRUCTURES / "ala10.pdb", [two, tmp_path / "bad.pdb", tmp_path / "none.pdb"])
+    assert table["model"].tolist()[:2] == [1, 5] and len(table) == 4
+    assert (table["message"] == "").tolist() == [True, True, False, False]
+    done = protochain(
+        "rmsd", STRUCTURES / "ala10.pdb", "two.pdb", "bad.pdb", "--json", "-o", "r.csv", cwd=tmp_path
+    )
+    rows = json.loads(done.stdout)["results"]
+    assert done.returncode == 3 and [row["file"] for row in rows] == ["two.pdb", "two.pdb", "bad.pdb"]
+    assert rows[0]["rmsd_angstrom"] < 1e-9 and rows[2]["rmsd_angstrom"] is None
+    assert (tmp_path / "r.csv").read_text().count("\n") == 4
+    assert "two.pdb" in protochain("rmsd", STRUCTURES / "ala10.pdb", "two.pdb", cwd=tmp_path).stdout
+    for arguments, status in ((["none.pdb", "two.pdb"], 2), ([str(STRUCTURES / "ala10.pdb"), "bad.pdb"], 1)):
+        assert protochain("rmsd", *arguments, cwd=tmp_path).returncode == status
