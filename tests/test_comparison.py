@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 import pandas as pd
 import pytest
-from conftest import PDB_ROUNDING_NM, chain, energy, load
+from conftest import PDB_ROUNDING_NM, STRUCTURES, chain, energy, load
 from openmm import app, unit
 
 import protochain as pc
@@ -35,9 +35,10 @@ def test_every_method_is_judged_from_one_start(comparison):
 def test_the_folder_holds_what_the_interface_promises(folder):
     names = {path.name for path in folder.iterdir()}
     structures = {f"1l2y.{m}.pdb" for m in ("start", *DEFAULT_METHODS)}
-    tables = {"summary.csv", "traces.csv", "summary.json", "energy.png", "rmsd.png", "report.html"}
-    assert names == structures | tables
-    for name in ("energy.png", "rmsd.png"):
+    tables = {"summary.csv", "traces.csv", "quality.csv", "displacement.csv", "summary.json", "report.html"}
+    pictures = {"energy.png", "rmsd.png", "displacement.png", "ramachandran.png"}
+    assert names == structures | tables | pictures
+    for name in pictures:
         assert (folder / name).read_bytes().startswith(b"\x89PNG") and (folder / name).stat().st_size > 20_000
 
 
@@ -53,6 +54,10 @@ def test_csv_json_and_page_hold_the_same_numbers(folder, comparison):
         assert record["energy_end_reference_kj_mol"] == s.end.energy
         assert f"{s.end.energy:.3f}" in page and f"{s.ca_rmsd_angstrom:.3f}" in page
         assert record["message"] in page
+    quality = pd.read_csv(folder / "quality.csv", index_col=0)
+    for name, row in summary["quality"].items():
+        assert {key: quality.loc[name, key] for key in row} == pytest.approx(row, rel=1e-12)
+        assert f"{row['radius_of_gyration_angstrom']:.3f}" in page
     traces = pd.read_csv(folder / "traces.csv")
     assert list(traces.columns[:2]) == ["structure", "method"]
     assert len(traces) == sum(len(s.trace) for s in comparison.solutions)
@@ -61,7 +66,7 @@ def test_csv_json_and_page_hold_the_same_numbers(folder, comparison):
 def test_the_page_stands_alone(folder):
     page = (folder / "report.html").read_text()
     assert "http://" not in page and "https://" not in page and "<script" not in page
-    assert page.count("data:image/png;base64,") == 2
+    assert page.count("data:image/png;base64,") == 4
     # kcm, md and lbfgs turn hinges; hybrid and openmm move every atom.
     assert page.count("all other angles stay as they came") == 3
     assert page.count("lengths and angles relax") == 2
@@ -197,3 +202,63 @@ def test_a_trajectory_that_fails_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(pc.ProtochainError, match="unknown trajectory suffix"):
         TrajectoryFile(tmp_path / "run.abc", s)
+
+
+def test_quality_is_what_other_programs_measure(comparison):
+    import MDAnalysis
+    import mdtraj
+
+    quality, s = comparison.quality, comparison.structure
+    assert list(quality.index) == ["start", *(each.method for each in comparison.solutions)]
+    start = quality.loc["start"]
+    assert start["secondary_structure_kept"] == 1.0 and start["tm_score_to_start"] == pytest.approx(1.0)
+    assert start["bond_length_change_rms_angstrom"] == 0.0 == start["bond_angle_change_rms_degrees"]
+    for solution in comparison.solutions:
+        row = quality.loc[solution.method]
+        frames = mdtraj.Trajectory(
+            solution.x[None].astype(np.float32), mdtraj.Topology.from_openmm(s.topology)
+        )
+        universe = MDAnalysis.Universe.empty(s.n_atoms, trajectory=True)
+        universe.add_TopologyAttr("masses", s.atom_mass)
+        universe.atoms.positions = 10 * solution.x
+        size = universe.atoms.radius_of_gyration()
+        assert row["radius_of_gyration_angstrom"] == pytest.approx(size, rel=1e-5)
+        assert row["ca_rmsd_to_start_angstrom"] == solution.ca_rmsd_angstrom
+        assert row["hydrogen_bonds"] == len(mdtraj.baker_hubbard(frames, freq=0.0, periodic=False))
+        moved = comparison.displacements[solution.method]
+        assert np.sqrt(np.mean(moved**2)) == pytest.approx(solution.ca_rmsd_angstrom, rel=1e-9)
+        if solution.keeps_geometry:
+            assert row["bond_length_change_rms_angstrom"] < 1e-8
+        else:
+            assert row["bond_length_change_rms_angstrom"] > 1e-3
+    assert len(comparison.displacements) == len(s.alpha_carbons)
+
+
+def test_backbone_dihedrals_equal_those_of_the_chain_and_outliers_are_found():
+    from protochain.analysis.quality import ramachandran, ramachandran_outliers
+
+    s = load("1ubq.pdb")
+    c = chain("1ubq.pdb")
+    residues, angles = ramachandran(s)
+    phi = {int(h.residue_number): q for h, q in zip(c.hinges, c.q0, strict=True) if h.kind == "phi"}
+    own = {int(s.residue_number[r]): a for r, a in zip(residues, angles[:, 0], strict=True)}
+    assert len(own) == 74
+    for number, value in phi.items():
+        if number in own:
+            assert np.degrees(value) == pytest.approx(own[number], abs=1e-3)
+    assert not ramachandran_outliers(s).any()
+    q = c.q0.copy()
+    (place,) = [i for i, h in enumerate(c.hinges) if (h.kind, h.residue_number) == ("phi", "30")]
+    q[c.tree.q_start[c.hinge_body[place]]] = np.radians(0.0)
+    bent = s.with_positions(pc.pose(c, q).x)
+    assert [int(s.residue_number[r]) for r in residues[ramachandran_outliers(bent)]] == [30]
+
+
+def test_ends_are_measured_against_a_native_structure():
+    k = pc.compare(
+        chain("1l2y.pdb"), ("lbfgs",), energy("1l2y.pdb"), max_evaluations=20,
+        native=STRUCTURES / "1l2y.pdb",
+    )  # fmt: skip
+    assert k.quality.loc["start", "native_rmsd_angstrom"] == pytest.approx(0.0, abs=1e-6)
+    end = k.quality.loc["lbfgs"]
+    assert end["native_rmsd_angstrom"] == pytest.approx(end["ca_rmsd_to_start_angstrom"], abs=1e-6)

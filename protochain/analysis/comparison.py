@@ -10,8 +10,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 
+from protochain.analysis.deviation import deviation
+from protochain.analysis.quality import displacement, quality, ramachandran
 from protochain.articulate import build_chain
 from protochain.chain import Chain
 from protochain.energies import Energy
@@ -45,6 +48,8 @@ class Comparison:
         One a method, all of one energy function.
     origin : mapping
         What the caller knows of the input (its path, the seconds its preparation took), for every record.
+    native : Structure, optional
+        What the ends are measured against besides: an experiment's structure, of a sequence that may differ.
 
     Raises
     ------
@@ -55,6 +60,7 @@ class Comparison:
     structure: Structure
     solutions: tuple[Solution, ...]
     origin: Mapping[str, Any] = field(default_factory=dict)
+    native: Structure | None = None
 
     def __post_init__(self) -> None:
         if len({s.energy_function.fingerprint for s in self.solutions}) > 1:
@@ -92,6 +98,45 @@ class Comparison:
             columns=list(ends),
         )
 
+    @cached_property
+    def quality(self) -> pd.DataFrame:
+        """A row for the start and for every end: what :func:`protochain.analysis.quality.quality` measures.
+
+        With a native structure also ``native_rmsd_angstrom``, ``native_tm_score``, ``native_coverage``.
+        """
+        rows = {}
+        for name, end in self._ends().items():
+            rows[name] = quality(end, self.structure, self.solutions[0].chain)
+            if self.native is not None:
+                off = deviation(self.native, end)
+                rows[name] |= {
+                    "native_rmsd_angstrom": off.rmsd,
+                    "native_tm_score": off.tm_score,
+                    "native_coverage": off.match.coverage,
+                }
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("structure")
+
+    @cached_property
+    def displacements(self) -> pd.DataFrame:
+        """Angstrom each C-alpha went, all superposed on the start: a row a residue, a column a method."""
+        alpha = self.structure.alpha_carbons
+        residues = self.structure.atom_residue[alpha]
+        table = pd.DataFrame(
+            {
+                "chain": self.structure.residue_chain[residues],
+                "residue": np.char.add(
+                    self.structure.residue_number[residues], self.structure.residue_insertion_code[residues]
+                ),
+                "name": self.structure.residue_name[residues],
+            }
+        )
+        for solution in self.solutions:
+            table[solution.method] = displacement(solution.structure, self.structure)
+        return table
+
+    def _ends(self) -> dict[str, Structure]:
+        return {"start": self.structure} | {s.method: s.structure for s in self.solutions}
+
     def plot_energy(self) -> "Figure":
         """Energy against evaluations and seconds; above the lowest of all where clashes make it large."""
         from protochain.analysis.plots import plot_energy
@@ -103,6 +148,19 @@ class Comparison:
         from protochain.analysis.plots import plot_rmsd
 
         return plot_rmsd(self.traces, self.rmsd, self.structure.name)
+
+    def plot_displacement(self) -> "Figure":
+        """How far each C-alpha went, one line a method."""
+        from protochain.analysis.plots import plot_displacement
+
+        return plot_displacement(self.displacements, self.structure.name)
+
+    def plot_ramachandran(self) -> "Figure":
+        """Phi and psi of every residue, before and after, over where residues usually have them."""
+        from protochain.analysis.plots import plot_ramachandran
+
+        angles = {name: ramachandran(end)[1] for name, end in self._ends().items()}
+        return plot_ramachandran(angles, self.structure.name)
 
     def summary(self) -> dict[str, Any]:
         """Everything a reader needs to trust or repeat it: records, RMSDs, versions, command line."""
@@ -121,6 +179,7 @@ class Comparison:
             "versions": {name: version(name) for name in _PACKAGES},
             "results": self.records(),
             "ca_rmsd_angstrom": self.rmsd.to_dict(),
+            "quality": json.loads(self.quality.to_json(orient="index", double_precision=15)),
         }
 
     def report(self, directory: str | Path) -> Path:
@@ -142,12 +201,19 @@ class Comparison:
         name = self.structure.name
         summary = self.summary()
         _write_text(directory / "summary.csv", self.table.to_csv(index=False))
+        _write_text(directory / "quality.csv", self.quality.to_csv())
+        _write_text(directory / "displacement.csv", self.displacements.to_csv(index=False))
         _write_text(directory / "traces.csv", self.traces.to_csv(index=False))
         _write_text(directory / "summary.json", json.dumps(summary, indent=2, allow_nan=False))
         save(self.structure, directory / f"{name}.start{self._suffix}")
         for solution in self.solutions:
             solution.save(directory / f"{name}.{solution.method}{self._suffix}")
-        figures = {"energy": self.plot_energy(), "rmsd": self.plot_rmsd()}
+        figures = {
+            "energy": self.plot_energy(),
+            "rmsd": self.plot_rmsd(),
+            "displacement": self.plot_displacement(),
+            "ramachandran": self.plot_ramachandran(),
+        }
         for stem, figure in figures.items():
             write_atomically(directory / f"{stem}.png", partial(figure.savefig, dpi=150))
         _write_text(directory / "report.html", render(self, summary, figures))
@@ -193,6 +259,7 @@ def compare(
     max_evaluations: int = 5000,
     seed: int = 0,
     *,
+    native: Structure | str | Path | None = None,
     watch: Callable[[str], Watcher] | None = None,
 ) -> Comparison:
     """Minimise one structure by several methods from the same prepared start.
@@ -206,6 +273,8 @@ def compare(
         ff14SB with OBC2 by default; one energy function serves all methods.
     tolerance, max_evaluations, seed
         As in :func:`protochain.minimise`.
+    native : Structure or path, optional
+        Measure the ends against it too.
     watch : callable, optional
         Given a method's name, returns the watcher of its run.
 
@@ -242,7 +311,9 @@ def compare(
         solutions.append(solution)
         if solution.status is Status.INTERRUPTED:
             break
-    return Comparison(chain.structure, tuple(solutions))
+    if isinstance(native, str | Path):
+        native = load(native)
+    return Comparison(chain.structure, tuple(solutions), native=native)
 
 
 def _flat(value: Any) -> Any:

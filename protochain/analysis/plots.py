@@ -6,6 +6,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from protochain.analysis.quality import ramachandran_reference
+from protochain.arrays import Floats
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's palette, dark ones first."""
@@ -97,6 +101,76 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
     right.set_title("between end points", fontsize="medium")
     figure.colorbar(image, ax=right, label="C-alpha RMSD, angstrom")
     figure.suptitle(f"{_plain_text(title)}: C-alpha RMSD after superposition")
+    return figure
+
+
+def plot_displacement(displacements: pd.DataFrame, title: str) -> Figure:
+    """How far each C-alpha went from the start.
+
+    Parameters
+    ----------
+    displacements : pandas.DataFrame
+        As ``Comparison.displacements``, angstrom.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A line a method; chains follow one another, with a rule between.
+    """
+    figure = Figure(figsize=(10, 3.8), layout="constrained")
+    ax = figure.subplots()
+    place = np.arange(1, len(displacements) + 1)
+    methods = list(displacements.columns[3:])
+    for method, colour, dash in zip(methods, cycle(_COLOURS), cycle(_DASHES)):
+        ax.plot(place, displacements[method], color=colour, linestyle=dash, label=method)
+    chains = displacements["chain"].to_numpy()
+    for k in np.flatnonzero(chains[1:] != chains[:-1]):
+        ax.axvline(k + 1.5, color="black", linewidth=0.8)
+    ax.set_xlabel("residue, in the order of the file")
+    ax.set_ylabel("displacement of C-alpha, angstrom")
+    ax.set_ylim(bottom=0.0)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.legend(frameon=False, ncols=3)
+    _plain(ax)
+    figure.suptitle(f"{_plain_text(title)}: displacement from the start, superposed on all C-alphas")
+    return figure
+
+
+def plot_ramachandran(angles: dict[str, Floats], title: str) -> Figure:
+    """Phi and psi before and after.
+
+    Parameters
+    ----------
+    angles : dict of str to (n, 2) float
+        Degrees, by the name of the start or method; the start comes first.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A panel each, over the regions of MDAnalysis' reference: usual, and rare.
+    """
+    columns = min(3, len(angles))
+    rows = -(-len(angles) // columns)
+    figure = Figure(figsize=(3.4 * columns, 3.3 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    reference = ramachandran_reference()
+    grid = np.linspace(-180.0, 180.0, len(reference) + 1)[:-1]
+    for ax, (name, values) in zip(axes.flat, angles.items(), strict=False):
+        ax.contourf(grid, grid, reference, levels=[1, 17, 15000], colors=["#dddddd", "#aaaaaa"])
+        ax.scatter(values[:, 0], values[:, 1], s=9, color=_COLOURS[0])
+        ax.set(xlim=(-180, 180), ylim=(-180, 180), xticks=range(-180, 181, 90), yticks=range(-180, 181, 90))
+        ax.set_aspect("equal")
+        ax.set_title(name, fontsize="medium")
+    for k, ax in enumerate(axes.flat):
+        ax.set_visible(k < len(angles))
+        if k + columns >= len(angles):
+            ax.set_xlabel("phi, degrees")
+            ax.tick_params(labelbottom=True)
+    for ax in axes[:, 0]:
+        ax.set_ylabel("psi, degrees")
+    figure.suptitle(f"{_plain_text(title)}: backbone dihedrals; grey: usual (dark) and rare (light)")
     return figure
 
 

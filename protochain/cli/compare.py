@@ -51,6 +51,7 @@ def compare(
     methods: Annotated[
         str, typer.Option(help="Methods, with commas between.")
     ] = "kcm,md,lbfgs,hybrid,openmm",
+    native: Annotated[Path | None, typer.Option(help="Measure the ends against this structure too.")] = None,
     solvent: Solvent = "obc2",
     forcefield: Forcefield = "amber14",
     hinges: Hinges = "phi psi chi",
@@ -72,6 +73,7 @@ def compare(
     """Minimise one structure by several methods; write tables, plots, structures and report.html."""
     from protochain.analysis import compare as run
     from protochain.minimisers.api import check_settings
+    from protochain.structure import load
     from protochain.structure.write import check_writable
 
     chosen = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))
@@ -81,6 +83,7 @@ def compare(
     output = output or Path(f"{named_after(source)[0]}-comparison")
     # A name with the method's added cannot be the input's own.
     check_writable(output / "report.html")
+    known = load(native) if native else None
     chain, energy, preparation = prepare(
         source, taken, hinges, forcefield, solvent, engine, threads, trust_forcefield
     )
@@ -91,7 +94,7 @@ def compare(
             shown.close()
             return shown.enter_context(progress(method, max_evaluations))
 
-        comparison = run(chain, chosen, energy, tolerance, max_evaluations, seed, watch=watch)
+        comparison = run(chain, chosen, energy, tolerance, max_evaluations, seed, native=known, watch=watch)
     comparison = replace(comparison, origin={"input": str(source), "seconds_preparation": preparation})
     page = comparison.report(output)
     summary = comparison.summary()

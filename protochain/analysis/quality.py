@@ -1,0 +1,152 @@
+"""What a structure is like, beside its energy: size, folds, outliers, overlaps, hydrogen bonds, geometry."""
+
+from functools import cache
+from typing import Any
+
+import mdtraj
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.analysis.deviation import tm_score
+from protochain.arrays import Floats, Integers
+from protochain.chain import Chain
+from protochain.minimisers.contacts import overlaps
+from protochain.structure import Structure, ca_rmsd
+from protochain.structure.superpose import motion
+from protochain.units import ANGSTROM_PER_NM
+
+_RARE = 1.0
+"""Below this count of MDAnalysis' reference a pair of phi and psi is an outlier: "marginally allowed" ends
+there in its Ramachandran plot (after Lovell et al., Proteins 50:437, 2003)."""
+_CELL = 4.0
+"""Degrees, of that reference."""
+
+
+def quality(structure: Structure, start: Structure, chain: Chain | None = None) -> dict[str, Any]:
+    """Measure an end point against a start.
+
+    Parameters
+    ----------
+    structure, start : Structure
+        With the same atoms.
+    chain : Chain, optional
+        Whose hinges say what can part an overlap.
+
+    Returns
+    -------
+    dict
+        A flat row, with units in the names.
+    """
+    lengths = _bond_lengths(structure) - _bond_lengths(start)
+    angles = _bond_angles(structure) - _bond_angles(start)
+    score = tm_score(start, structure)
+    return {
+        "radius_of_gyration_angstrom": radius_of_gyration(structure),
+        "ca_rmsd_to_start_angstrom": ca_rmsd(structure, structure.positions, start.positions),
+        "tm_score_to_start": score if np.isfinite(score) else None,
+        "secondary_structure_kept": float(np.mean(dssp(structure) == dssp(start))),
+        "ramachandran_outliers": int(ramachandran_outliers(structure).sum()),
+        "overlaps": len(overlaps(structure, structure.positions, chain)),
+        "hydrogen_bonds": hydrogen_bonds(structure),
+        "bond_length_change_rms_angstrom": ANGSTROM_PER_NM * _root_mean_square(lengths),
+        "bond_angle_change_rms_degrees": float(np.degrees(_root_mean_square(angles))),
+    }
+
+
+def displacement(structure: Structure, start: Structure) -> Floats:
+    """(nca,) float, angstrom: how far each C-alpha went, all superposed."""
+    alpha = structure.alpha_carbons
+    x, reference = structure.positions[alpha], start.positions[alpha]
+    turn, shift = motion(x, reference)
+    return np.asarray(ANGSTROM_PER_NM * np.linalg.norm(x @ turn.T + shift - reference, axis=1))
+
+
+def radius_of_gyration(structure: Structure) -> float:
+    """Angstrom, of all atoms about their centre of mass (mdtraj takes the centre of the positions)."""
+    share = structure.atom_mass / structure.atom_mass.sum()
+    arms = structure.positions - share @ structure.positions
+    return float(ANGSTROM_PER_NM * np.sqrt(share @ np.sum(arms**2, axis=1)))
+
+
+def dssp(structure: Structure) -> NDArray[np.str_]:
+    """(nr,) str: H, E or C of each residue, NA of what is none: mdtraj's DSSP (Kabsch, Sander 1983)."""
+    return np.asarray(mdtraj.compute_dssp(_trajectory(structure), simplified=True)[0])
+
+
+def hydrogen_bonds(structure: Structure) -> int:
+    """Count of hydrogen bonds by mdtraj's Baker-Hubbard criterion (120 degrees, 2.5 angstrom)."""
+    return len(mdtraj.baker_hubbard(_trajectory(structure), freq=0.0, periodic=False))
+
+
+def ramachandran(structure: Structure) -> tuple[Integers, Floats]:
+    """Residues that have both phi and psi, and these angles in degrees.
+
+    Returns
+    -------
+    (n,) int, (n, 2) float
+    """
+    trajectory = _trajectory(structure)
+    angles: dict[int, dict[str, float]] = {}
+    residue = structure.atom_residue
+    for name, compute, own in (("phi", mdtraj.compute_phi, 1), ("psi", mdtraj.compute_psi, 0)):
+        atoms, values = compute(trajectory, periodic=False)
+        for quadruple, value in zip(atoms, values[0], strict=True):
+            angles.setdefault(int(residue[quadruple[own]]), {})[name] = float(np.degrees(value))
+    both = sorted(r for r, its in angles.items() if len(its) == 2)
+    return np.array(both, dtype=np.int64), np.array(
+        [(angles[r]["phi"], angles[r]["psi"]) for r in both]
+    ).reshape(-1, 2)
+
+
+def ramachandran_outliers(structure: Structure) -> NDArray[np.bool_]:
+    """(n,) bool: whether phi and psi of each residue are where almost no residue has them; glycine never."""
+    residues, angles = ramachandran(structure)
+    if not len(residues):
+        return np.zeros(0, dtype=bool)
+    cell = np.floor((angles + 180.0) / _CELL).astype(int) % len(ramachandran_reference())
+    rare = ramachandran_reference()[cell[:, 1], cell[:, 0]] < _RARE
+    return np.asarray(rare & (structure.residue_name[residues] != "GLY"))
+
+
+@cache
+def ramachandran_reference() -> Floats:
+    """(90, 90) float: counts at psi (rows) and phi (columns) from -180 degrees in steps of 4."""
+    from MDAnalysis.analysis.data.filenames import Rama_ref
+
+    return np.asarray(np.load(Rama_ref), dtype=float)
+
+
+def _trajectory(structure: Structure) -> Any:
+    topology = mdtraj.Topology.from_openmm(structure.topology)
+    return mdtraj.Trajectory(structure.positions[None].astype(np.float32), topology)
+
+
+def _bond_lengths(structure: Structure) -> Floats:
+    first, second = structure.bonds.T
+    return np.linalg.norm(structure.positions[first] - structure.positions[second], axis=1)
+
+
+def _bond_angles(structure: Structure) -> Floats:
+    triples = _triples(structure)
+    x = structure.positions
+    u, v = x[triples[:, 0]] - x[triples[:, 1]], x[triples[:, 2]] - x[triples[:, 1]]
+    return np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.sum(u * v, axis=1))
+
+
+def _triples(structure: Structure) -> Integers:
+    """(n, 3) int: atoms of every bond angle, the middle one in the middle."""
+    neighbours: list[list[int]] = [[] for _ in range(structure.n_atoms)]
+    for first, second in structure.bonds.tolist():
+        neighbours[first].append(second)
+        neighbours[second].append(first)
+    found = [
+        (a, b, c)
+        for b, around in enumerate(neighbours)
+        for i, a in enumerate(around)
+        for c in around[i + 1 :]
+    ]
+    return np.array(found, dtype=np.int64).reshape(-1, 3)
+
+
+def _root_mean_square(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
