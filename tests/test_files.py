@@ -18,7 +18,11 @@ from protochain.structure.files import parse
 from protochain.structure.prepare import load_models
 from protochain.structure.read import model_numbers
 
-FILES = sorted(path.name for path in MORE_STRUCTURES.glob("*.[pc]*") if path.suffix in (".pdb", ".cif"))
+FILES = sorted(
+    str(path.relative_to(MORE_STRUCTURES))
+    for path in MORE_STRUCTURES.rglob("*")
+    if path.suffix in (".pdb", ".cif")
+)
 SLOW = {"1r19_poor_1176.pdb"}
 REFUSED = {"2n0n_lactam.pdb", "ubiquitin_ca_only.pdb"}
 

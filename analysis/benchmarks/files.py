@@ -33,11 +33,11 @@ METHODS = ("kcm", "kcm-adaptive", "lbfgs", "md", "hybrid", "cartesian", "openmm"
 def table(folder: Path) -> pd.DataFrame:
     """Files: what each is taken as, or which line refuses it."""
     rows = []
-    for path in sorted(folder.iterdir()):
+    for path in sorted(folder.rglob("*")):
         if path.suffix not in (".pdb", ".cif"):
             continue
         began = perf_counter()
-        row: dict[str, object] = {"file": path.name}
+        row: dict[str, object] = {"file": str(path.relative_to(folder))}
         try:
             s = pc.load(path)
             row |= {
