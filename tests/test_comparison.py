@@ -9,6 +9,7 @@ from openmm import app, unit
 
 import protochain as pc
 from protochain.analysis.comparison import DEFAULT_METHODS
+from protochain.analysis.viewer import library
 from protochain.structure.trajectory import TrajectoryFile
 
 
@@ -65,7 +66,10 @@ def test_csv_json_and_page_hold_the_same_numbers(folder, comparison):
 
 def test_the_page_stands_alone(folder):
     page = (folder / "report.html").read_text()
-    assert "http://" not in page and "https://" not in page and "<script" not in page
+    own = page.replace(library(), "")
+    assert len(own) < len(page) - 500_000 and "default-src 'none'" in own
+    assert "http://" not in own and "https://" not in own
+    assert "href=" not in own and own.count("src=") == own.count('src="data:image/png;base64,') == 4
     assert page.count("data:image/png;base64,") == 4
     # kcm, md and lbfgs turn hinges; hybrid and openmm move every atom.
     assert page.count("all other angles stay as they came") == 3

@@ -78,7 +78,7 @@ class Comparison:
     def records(self) -> list[dict[str, Any]]:
         """Return the JSON record of each solution, with its origin and the name of its file."""
         return [
-            {**s.record(), **self.origin, "output": f"{self.structure.name}.{s.method}{self._suffix}"}
+            {**s.record(), **self.origin, "output": f"{self.structure.name}.{s.method}{self.suffix}"}
             for s in self.solutions
         ]
 
@@ -105,7 +105,7 @@ class Comparison:
         With a native structure also ``native_rmsd_angstrom``, ``native_tm_score``, ``native_coverage``.
         """
         rows = {}
-        for name, end in self._ends().items():
+        for name, end in self.ends().items():
             rows[name] = quality(end, self.structure, self.solutions[0].chain)
             if self.native is not None:
                 off = deviation(self.native, end)
@@ -134,7 +134,8 @@ class Comparison:
             table[solution.method] = displacement(solution.structure, self.structure)
         return table
 
-    def _ends(self) -> dict[str, Structure]:
+    def ends(self) -> dict[str, Structure]:
+        """Start and end structures, by ``start`` and method."""
         return {"start": self.structure} | {s.method: s.structure for s in self.solutions}
 
     def plot_energy(self) -> "Figure":
@@ -159,7 +160,7 @@ class Comparison:
         """Phi and psi of every residue, before and after, over where residues usually have them."""
         from protochain.analysis.plots import plot_ramachandran
 
-        angles = {name: ramachandran(end)[1] for name, end in self._ends().items()}
+        angles = {name: ramachandran(end)[1] for name, end in self.ends().items()}
         return plot_ramachandran(angles, self.structure.name)
 
     def summary(self) -> dict[str, Any]:
@@ -205,9 +206,9 @@ class Comparison:
         _write_text(directory / "displacement.csv", self.displacements.to_csv(index=False))
         _write_text(directory / "traces.csv", self.traces.to_csv(index=False))
         _write_text(directory / "summary.json", json.dumps(summary, indent=2, allow_nan=False))
-        save(self.structure, directory / f"{name}.start{self._suffix}")
+        save(self.structure, directory / f"{name}.start{self.suffix}")
         for solution in self.solutions:
-            solution.save(directory / f"{name}.{solution.method}{self._suffix}")
+            solution.save(directory / f"{name}.{solution.method}{self.suffix}")
         figures = {
             "energy": self.plot_energy(),
             "rmsd": self.plot_rmsd(),
@@ -220,7 +221,7 @@ class Comparison:
         return directory / "report.html"
 
     @cached_property
-    def _suffix(self) -> str:
+    def suffix(self) -> str:
         """PDB where it can hold all structures, else mmCIF."""
         try:
             for structure in (self.structure, *(solution.structure for solution in self.solutions)):

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from protochain.analysis.quality import ramachandran_reference
 from protochain.arrays import Floats
 
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's palette, dark ones first."""
 _DASHES = ("-", "--", "-.", ":")
 _LOG_FROM = 1e4
@@ -42,7 +42,7 @@ def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
     lowest = traces["energy_kj_mol"].min()
     logarithmic = traces["energy_kj_mol"].iloc[0] - lowest > _LOG_FROM
     for (method, run), colour, dash in zip(
-        traces.groupby("method", sort=False), cycle(_COLOURS), cycle(_DASHES)
+        traces.groupby("method", sort=False), cycle(COLOURS), cycle(_DASHES)
     ):
         best = run["energy_kj_mol"].cummin()
         shown = (best - lowest).clip(lower=0.1) if logarithmic else best
@@ -78,7 +78,7 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.3, 1))
     for (method, run), colour, dash in zip(
-        traces.groupby("method", sort=False), cycle(_COLOURS), cycle(_DASHES)
+        traces.groupby("method", sort=False), cycle(COLOURS), cycle(_DASHES)
     ):
         left.plot(
             run["evaluations"], run["ca_rmsd_angstrom"], color=colour, linestyle=dash, label=str(method)
@@ -122,7 +122,7 @@ def plot_displacement(displacements: pd.DataFrame, title: str) -> Figure:
     ax = figure.subplots()
     place = np.arange(1, len(displacements) + 1)
     methods = list(displacements.columns[3:])
-    for method, colour, dash in zip(methods, cycle(_COLOURS), cycle(_DASHES)):
+    for method, colour, dash in zip(methods, cycle(COLOURS), cycle(_DASHES)):
         ax.plot(place, displacements[method], color=colour, linestyle=dash, label=method)
     chains = displacements["chain"].to_numpy()
     for k in np.flatnonzero(chains[1:] != chains[:-1]):
@@ -159,7 +159,7 @@ def plot_ramachandran(angles: dict[str, Floats], title: str) -> Figure:
     grid = np.linspace(-180.0, 180.0, len(reference) + 1)[:-1]
     for ax, (name, values) in zip(axes.flat, angles.items(), strict=False):
         ax.contourf(grid, grid, reference, levels=[1, 17, 15000], colors=["#dddddd", "#aaaaaa"])
-        ax.scatter(values[:, 0], values[:, 1], s=9, color=_COLOURS[0])
+        ax.scatter(values[:, 0], values[:, 1], s=9, color=COLOURS[0])
         ax.set(xlim=(-180, 180), ylim=(-180, 180), xticks=range(-180, 181, 90), yticks=range(-180, 181, 90))
         ax.set_aspect("equal")
         ax.set_title(name, fontsize="medium")

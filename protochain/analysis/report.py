@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Any
 from jinja2 import Environment, PackageLoader
 from matplotlib.figure import Figure
 
+from protochain.analysis.plots import COLOURS
+from protochain.analysis.viewer import library, models
+
 if TYPE_CHECKING:
     from protochain.analysis.comparison import Comparison
 
@@ -39,6 +42,9 @@ def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str,
         quality=comparison.quality,
         figures={name: _data_url(figure) for name, figure in figures.items()},
         summary=summary,
+        models=models(comparison),
+        library=library(),
+        colours=("#999999", *COLOURS),
         command=shlex.join(summary["command"]),
     )
 

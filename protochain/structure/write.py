@@ -39,8 +39,16 @@ def save(structure: Structure, path: str | Path, remarks: Iterable[str] = ()) ->
     path = Path(path)
     check_format(path)
     check_fits(structure, path)
-    text = (_pdb if path.suffix.lower() in _PDB else _mmcif)(structure, tuple(remarks))
+    text = as_text(structure, path.suffix, remarks)
     write_atomically(path, lambda target: target.write_text(text, encoding="utf-8"))
+
+
+def as_text(structure: Structure, suffix: str, remarks: Iterable[str] = (), *, hydrogens: bool = True) -> str:
+    """Return what :func:`save` writes: PDB or mmCIF by the suffix."""
+    out = _gemmi_structure(structure)
+    if not hydrogens:
+        out.remove_hydrogens()
+    return (_pdb if suffix.lower() in _PDB else _mmcif)(out, remarks)
 
 
 def check_format(path: Path) -> None:
@@ -155,8 +163,7 @@ def _gemmi_structure(structure: Structure) -> gemmi.Structure:
     return out
 
 
-def _mmcif(structure: Structure, remarks: Iterable[str]) -> str:
-    out = _gemmi_structure(structure)
+def _mmcif(out: gemmi.Structure, remarks: Iterable[str]) -> str:
     out.setup_entities()
     out.assign_label_seq_id()
     document = out.make_mmcif_document()
@@ -168,8 +175,7 @@ def _mmcif(structure: Structure, remarks: Iterable[str]) -> str:
     return document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx))
 
 
-def _pdb(structure: Structure, remarks: Iterable[str]) -> str:
-    out = _gemmi_structure(structure)
+def _pdb(out: gemmi.Structure, remarks: Iterable[str]) -> str:
     options = gemmi.PdbWriteOptions(
         minimal=True, ssbond_records=True, link_records=True, cryst1_record=False, end_record=True
     )
