@@ -15,6 +15,7 @@ _WHERE = {
     "Status": "minimisers",
     "Starts": "minimisers",
     "Structure": "structure",
+    "as_structure": "structure",
     "build_chain": "articulate",
     "ca_rmsd": "structure",
     "compare": "analysis",
@@ -31,12 +32,15 @@ _WHERE = {
     "save": "structure",
     "simulate": "dynamics",
     "solve_mass": "chain",
+    "to_mdanalysis": "structure",
+    "to_mdtraj": "structure",
 }
 
 __all__ = [
     "Chain", "Comparison", "ProtochainError", "Simulation", "Solution", "Starts", "Status", "Structure",
-    "build_chain", "ca_rmsd", "compare", "energy", "explore", "from_sequence", "load", "log_det_mass",
-    "mass_matrix", "minimise", "minimize", "multibody", "pose", "pull_back", "save", "simulate", "solve_mass",
+    "as_structure", "build_chain", "ca_rmsd", "compare", "energy", "explore", "from_sequence", "load",
+    "log_det_mass", "mass_matrix", "minimise", "minimize", "multibody", "pose", "pull_back", "save", "simulate", "solve_mass",
+    "to_mdanalysis", "to_mdtraj",
 ]  # fmt: skip
 
 

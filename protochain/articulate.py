@@ -3,6 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -14,6 +15,7 @@ from protochain.arrays import Floats, Integers, read_only
 from protochain.chain import Chain, Hinge, dihedral
 from protochain.errors import ChainError
 from protochain.multibody import Frames, HingeKind, Tree, rigid_bodies
+from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 from protochain.structure.select import select
 
@@ -108,6 +110,11 @@ def build_chain(
         moving=read_only(moving, np.bool_),
         hydrogen_mass=hydrogen_mass,
     )
+
+
+def as_chain(source: Any) -> Chain:
+    """Return a chain as it is, or cut with the default hinges what :func:`as_structure` can prepare."""
+    return source if isinstance(source, Chain) else build_chain(as_structure(source))
 
 
 def _masses(structure: Structure, hydrogen_mass: float | None) -> Floats:

@@ -15,8 +15,7 @@ import pandas as pd
 
 from protochain.analysis.deviation import deviation
 from protochain.analysis.quality import displacement, quality, ramachandran
-from protochain.articulate import build_chain
-from protochain.chain import Chain
+from protochain.articulate import as_chain
 from protochain.energies import Energy
 from protochain.energies import energy as build_energy
 from protochain.errors import ProtochainError, StructureError
@@ -24,7 +23,7 @@ from protochain.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Solution, Status, minimise
 from protochain.minimisers.api import check_settings
 from protochain.minimisers.solution import TRACE_COLUMNS, Watcher
-from protochain.structure import Structure, ca_rmsd, load, save
+from protochain.structure import Structure, as_structure, ca_rmsd, save
 from protochain.structure.write import check_fits, write_atomically
 
 if TYPE_CHECKING:
@@ -253,28 +252,28 @@ SHOWN = {
 
 @held_interrupts()
 def compare(
-    structure: Structure | Chain | str | Path,
+    structure: Any,
     methods: Sequence[str] = DEFAULT_METHODS,
     energy: Energy | None = None,
     tolerance: float = 1.0,
     max_evaluations: int = 5000,
     seed: int = 0,
     *,
-    native: Structure | str | Path | None = None,
+    native: Any = None,
     watch: Callable[[str], Watcher] | None = None,
 ) -> Comparison:
     """Minimise one structure by several methods from the same prepared start.
 
     Parameters
     ----------
-    structure : Structure, Chain or path
+    structure : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
     methods : sequence of str
         As in :func:`protochain.minimise`.
     energy : Energy, optional
         ff14SB with OBC2 by default; one energy function serves all methods.
     tolerance, max_evaluations, seed
         As in :func:`protochain.minimise`.
-    native : Structure or path, optional
+    native : Structure, path, or anything that :func:`protochain.as_structure` takes, optional
         Measure the ends against it too.
     watch : callable, optional
         Given a method's name, returns the watcher of its run.
@@ -295,9 +294,8 @@ def compare(
         raise ProtochainError(f"no methods to compare; choose from {', '.join(METHODS)}")
     for method in chosen:
         check_settings(method, tolerance, max_evaluations)
-    if isinstance(structure, str | Path):
-        structure = load(structure)
-    chain = structure if isinstance(structure, Chain) else build_chain(structure)
+    chain = as_chain(structure)
+    known = None if native is None else as_structure(native)
     if energy is None:
         energy = build_energy(chain.structure)
     solutions: list[Solution] = []
@@ -312,9 +310,7 @@ def compare(
         solutions.append(solution)
         if solution.status is Status.INTERRUPTED:
             break
-    if isinstance(native, str | Path):
-        native = load(native)
-    return Comparison(chain.structure, tuple(solutions), native=native)
+    return Comparison(chain.structure, tuple(solutions), native=known)
 
 
 def _flat(value: Any) -> Any:

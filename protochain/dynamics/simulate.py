@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from protochain.arrays import Floats, floats
-from protochain.articulate import build_chain
+from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, place_atoms, rigid_groups
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.fixman import fixman
@@ -27,7 +27,6 @@ from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.multibody import HingeKind, articulated
-from protochain.structure import Structure, load
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.units import MOLAR_GAS
 
@@ -36,7 +35,7 @@ Watcher = Callable[[Mapping[str, float], Floats], None]
 
 
 def simulate(
-    chain: Chain | Structure | str | Path,
+    chain: Any,
     energy: Energy | None = None,
     q: Floats | None = None,
     temperature: float = 300.0,
@@ -63,7 +62,7 @@ def simulate(
 
     Parameters
     ----------
-    chain : Chain, Structure or path
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
         A file is loaded, a structure cut into a chain with the default hinges. A root that ``auto`` fixed is
         freed.
     energy : Energy, optional
@@ -127,10 +126,7 @@ def simulate(
         check_folder(Path(output), trajectory, resume, force)
     elif resume:
         raise ProtochainError("resume: give the folder of the simulation as output")
-    if isinstance(chain, str | Path):
-        chain = load(chain)
-    if isinstance(chain, Structure):
-        chain = build_chain(chain)
+    chain = as_chain(chain)
     if energy is None:
         energy = build_energy(chain.structure)
     scene = _scene(chain, energy, q, settings)

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from protochain.arrays import Floats, read_only
-from protochain.articulate import build_chain
+from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose, rigid_groups
 from protochain.energies.factory import energy as build_energy
 from protochain.energies.protocol import Energy
@@ -30,14 +30,14 @@ from protochain.minimisers.solution import Recorder, Solution, Watcher
 from protochain.minimisers.spaces import Cartesian, Torsions
 from protochain.minimisers.stages import SINGLE_PRECISION_ENDS, Hold, Outcome, Stage, stages, walk
 from protochain.minimisers.verdict import judge, rebuilt, verdict
-from protochain.structure import Structure, ca_rmsd, load
+from protochain.structure import ca_rmsd
 
 _SETTLED = 100.0
 """kJ/mol/nm. RMS force at which OpenMM's dynamics can begin: a strained start would be hot."""
 
 
 def minimise(
-    chain: Chain | Structure | str | Path,
+    chain: Any,
     energy: Energy | None = None,
     method: str = DEFAULT_METHOD,
     tolerance: float = 1.0,
@@ -54,7 +54,7 @@ def minimise(
 
     Parameters
     ----------
-    chain : Chain, Structure or path
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
         A file is loaded, a structure cut into a chain with the default hinges.
     energy : Energy, optional
         ff14SB with OBC2 by default.
@@ -103,10 +103,7 @@ def minimise(
     """
     hold = Hold(tuple(float(k) for k in np.atleast_1d(restraint)), max_rmsd)
     check_settings(method, tolerance, max_evaluations, hold, bool(checkpoint or resume))
-    if isinstance(chain, str | Path):
-        chain = load(chain)
-    if isinstance(chain, Structure):
-        chain = build_chain(chain)
+    chain = as_chain(chain)
     if energy is None:
         energy = build_energy(chain.structure)
     # One thread of linear algebra: its sums must not depend on the machine, nor its threads spin beside the

@@ -61,7 +61,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
         reason = " ".join(str(error).replace("string:", "line ").split())
         raise StructureError(f"{source}: cannot be read: {reason}; mend or download the file again") from None
     structure.merge_chain_parts()
-    _check(structure, source)
+    check(structure, source)
     return structure, overlooked, ends
 
 
@@ -206,7 +206,13 @@ def _is_hybrid36(given: str) -> bool:
     return len(given) == 4 and given[0].isalpha() and given.isalnum() and given.isascii()
 
 
-def _check(structure: gemmi.Structure, source: str) -> None:
+def check(structure: gemmi.Structure, source: str) -> None:
+    """Refuse what has no atoms or too many, or positions that are none.
+
+    Raises
+    ------
+    StructureError
+    """
     if len(structure) == 0 or structure[0].count_atom_sites() == 0:
         raise StructureError(f"{source}: no atoms found; give a PDB or mmCIF file with coordinates")
     for model in structure:

@@ -74,9 +74,14 @@ def load(
         One line naming the file, the place and the mend.
     """
     check_ph(ph)
-    own = Path(forcefield) if forcefield is not None and Path(forcefield).is_file() else None
+    own = own_file(forcefield)
     reading = Reading(model, altloc, tuple(keep), strict, own)
     return prepare(read(path, reading), disulfide, ph, own)
+
+
+def own_file(forcefield: str | Path | None) -> Path | None:
+    """Path of a force field that is a file of the user's, and not the name of one that comes with OpenMM."""
+    return Path(forcefield) if forcefield is not None and Path(forcefield).is_file() else None
 
 
 def load_models(path: str | Path, **settings: object) -> Iterator[Structure]:

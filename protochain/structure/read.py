@@ -70,10 +70,28 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
     StructureError
         If the file cannot be read, is cut short, holds no protein, or holds residues that cannot be used.
     """
-    reading, path = reading or Reading(), Path(path)
+    path = Path(path)
     structure, overlooked, ends = parse(path)
     name = "stdin" if path == STANDARD_INPUT else _stem(path)
-    draft = Draft(name, "standard input" if path == STANDARD_INPUT else str(path), repairs=overlooked)
+    source = "standard input" if path == STANDARD_INPUT else str(path)
+    draft = read_structure(structure, Draft(name, source, repairs=overlooked), reading or Reading())
+    last = next(part for part in reversed(draft.parts) if not part.obstacle).members[-1]
+    if not ends and not last.atom("OXT"):
+        draft.repairs.append(
+            f"the file stops at {last} without an END line or a terminal oxygen: "
+            "if it was cut short, the rest is not here"
+        )
+    return draft
+
+
+def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -> Draft:
+    """Fill a draft from what gemmi, or anything that became a gemmi structure, holds.
+
+    Raises
+    ------
+    StructureError
+        If it holds no protein, or residues that cannot be used.
+    """
     model = _model(draft, structure, reading.model)
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
@@ -87,12 +105,6 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
     if not draft.parts:
         found = ", ".join(f"{count} {kind}" for kind, count in draft.left_out.items() if count)
         raise StructureError(f"{draft.source}: no protein found (only {found}); give a file with amino acids")
-    last = draft.parts[-1].members[-1]
-    if not ends and not last.atom("OXT"):
-        draft.repairs.append(
-            f"the file stops at {last} without an END line or a terminal oxygen: "
-            "if it was cut short, the rest is not here"
-        )
     draft.parts += kept
     _say_what_was_left_out(draft)
     return draft

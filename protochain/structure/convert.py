@@ -1,0 +1,167 @@
+"""From and to what other libraries hold: gemmi, OpenMM, mdtraj, MDAnalysis."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gemmi
+import numpy as np
+from openmm import app, unit
+
+from protochain.arrays import Floats
+from protochain.errors import StructureError
+from protochain.structure.draft import Draft, atom
+from protochain.structure.files import check
+from protochain.structure.model import Structure
+from protochain.structure.prepare import PH, load, own_file, prepare
+from protochain.structure.protonate import check_ph
+from protochain.structure.read import Reading, read_structure
+from protochain.units import ANGSTROM_PER_NM
+
+if TYPE_CHECKING:
+    import MDAnalysis
+    import mdtraj
+
+
+def as_structure(source: Any, name: str = "structure", **settings: Any) -> Structure:
+    """Prepare a protein from a file, or from what another library has made of one.
+
+    Parameters
+    ----------
+    source : Structure, path-like, gemmi.Structure, mdtraj.Trajectory, MDAnalysis Universe or AtomGroup, or a
+        pair of an openmm.app.Topology and its positions
+        Of a trajectory the first frame is taken, of a Universe the current one. A Structure stays as it is.
+    name : str
+        Short name, where there is no file.
+    **settings
+        As of :func:`protochain.load`.
+
+    Returns
+    -------
+    Structure
+
+    Raises
+    ------
+    StructureError
+        If nothing is known about such a source, or it cannot be used.
+    """
+    if isinstance(source, Structure):
+        return source
+    if isinstance(source, str | Path):
+        return load(source, **settings)
+    made = _as_gemmi(source)
+    made.merge_chain_parts()
+    check(made, name)
+    own, ph = own_file(settings.pop("forcefield", None)), settings.pop("ph", PH)
+    disulfide = settings.pop("disulfide", None)
+    settings["keep"] = tuple(settings.get("keep", ()))
+    check_ph(ph)
+    draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=own))
+    return prepare(draft, disulfide, ph, own)
+
+
+def to_mdtraj(structure: Structure, frames: Floats | None = None) -> "mdtraj.Trajectory":
+    """Return a trajectory of one frame, or of positions (n, na, 3) in nm."""
+    import mdtraj
+
+    xyz = structure.positions[None] if frames is None else np.asarray(frames)
+    topology = mdtraj.Topology.from_openmm(structure.topology)
+    return mdtraj.Trajectory(xyz.astype(np.float32), topology)
+
+
+def to_mdanalysis(structure: Structure) -> "MDAnalysis.Universe":
+    """Return a Universe of one frame, in memory."""
+    import MDAnalysis
+
+    chains, chain_of = np.unique(structure.residue_chain, return_inverse=True)
+    universe = MDAnalysis.Universe.empty(
+        structure.n_atoms, structure.n_residues, len(chains),
+        atom_resindex=structure.atom_residue, residue_segindex=chain_of, trajectory=True,
+    )  # fmt: skip
+    for name, values in (
+        ("names", structure.atom_name), ("elements", structure.atom_element), ("masses", structure.atom_mass),
+        ("chainIDs", structure.residue_chain[structure.atom_residue]), ("resnames", structure.residue_name),
+        ("resids", [int(number) for number in structure.residue_number]),
+        ("icodes", structure.residue_insertion_code), ("segids", chains), ("tempfactors", structure.b_factor),
+    ):  # fmt: skip
+        universe.add_TopologyAttr(name, values)
+    universe.add_TopologyAttr("bonds", structure.bonds.tolist())
+    universe.atoms.positions = ANGSTROM_PER_NM * structure.positions
+    return universe
+
+
+def _as_gemmi(source: Any) -> gemmi.Structure:
+    if isinstance(source, gemmi.Structure):
+        return source.clone()
+    if isinstance(source, tuple | list) and len(source) == 2 and isinstance(source[0], app.Topology):
+        return _from_openmm(*source)
+    # By what they have, and not by their type: to ask for that, their libraries would have to be imported.
+    if hasattr(source, "xyz") and hasattr(source, "topology"):
+        return _from_openmm(source.topology.to_openmm(), np.asarray(source.xyz[0], dtype=float))
+    if hasattr(source, "atoms") and hasattr(source.atoms, "residues"):
+        return _from_mdanalysis(source.atoms)
+    raise StructureError(
+        f"{type(source).__name__}: give a file, a Structure, a gemmi Structure, an mdtraj Trajectory, an "
+        "MDAnalysis Universe or AtomGroup, or an OpenMM Topology with its positions"
+    )
+
+
+def _from_openmm(topology: app.Topology, positions: Any) -> gemmi.Structure:
+    if unit.is_quantity(positions):
+        positions = positions.value_in_unit(unit.nanometer)
+    x = ANGSTROM_PER_NM * np.asarray(positions, dtype=float).reshape(-1, 3)
+    if len(x) != topology.getNumAtoms():
+        raise StructureError(f"{len(x)} positions do not fit a topology of {topology.getNumAtoms()} atoms")
+    model = gemmi.Model(1)
+    for chain in topology.chains():
+        made = gemmi.Chain(chain.id or " ")
+        for residue in chain.residues():
+            own = [
+                atom(each.name, each.element.symbol if each.element else "X", x[each.index].tolist())
+                for each in residue.atoms()
+            ]
+            made.add_residue(_residue(residue.name, str(residue.id), residue.insertionCode.strip(), own))
+        model.add_chain(made)
+    return _structure(model)
+
+
+def _from_mdanalysis(group: Any) -> gemmi.Structure:
+    model = gemmi.Model(1)
+    has = {name: hasattr(group, name) for name in ("chainIDs", "icodes", "elements", "tempfactors")}
+    chains: dict[str, gemmi.Chain] = {}
+    for residue in group.residues:
+        mine = group[group.resindices == residue.resindex]
+        chain_id = str(mine[0].chainID if has["chainIDs"] and mine[0].chainID else residue.segid)
+        own = [
+            atom(
+                str(each.name),
+                str(each.element)
+                if has["elements"] and each.element
+                else str(each.name).lstrip("0123456789")[:1],
+                [float(value) for value in each.position],
+                float(each.tempfactor) if has["tempfactors"] else 0.0,
+            )
+            for each in mine
+        ]
+        code = str(residue.icode).strip() if has["icodes"] else ""
+        made = chains.setdefault(chain_id, gemmi.Chain(chain_id or " "))
+        made.add_residue(_residue(str(residue.resname), str(residue.resid), code, own))
+    for made in chains.values():
+        model.add_chain(made)
+    return _structure(model)
+
+
+def _residue(name: str, number: str, insertion_code: str, atoms: Iterable[gemmi.Atom]) -> gemmi.Residue:
+    made = gemmi.Residue()
+    made.name = name
+    made.seqid = gemmi.SeqId(int(number), insertion_code or " ")
+    for each in atoms:
+        each.occ = 1.0
+        made.add_atom(each)
+    return made
+
+
+def _structure(model: gemmi.Model) -> gemmi.Structure:
+    made = gemmi.Structure()
+    made.add_model(model)
+    return made
