@@ -39,8 +39,8 @@ _WHERE = {
 __all__ = [
     "Chain", "Comparison", "ProtochainError", "Simulation", "Solution", "Starts", "Status", "Structure",
     "as_structure", "build_chain", "ca_rmsd", "compare", "energy", "explore", "from_sequence", "load",
-    "log_det_mass", "mass_matrix", "minimise", "minimize", "multibody", "pose", "pull_back", "save", "simulate", "solve_mass",
-    "to_mdanalysis", "to_mdtraj",
+    "log_det_mass", "mass_matrix", "minimise", "minimize", "multibody", "pose", "pull_back", "save",
+    "simulate", "solve_mass", "to_mdanalysis", "to_mdtraj",
 ]  # fmt: skip
 
 
