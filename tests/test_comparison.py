@@ -36,7 +36,8 @@ def test_every_method_is_judged_from_one_start(comparison):
 def test_the_folder_holds_what_the_interface_promises(folder):
     names = {path.name for path in folder.iterdir()}
     structures = {f"1l2y.{m}.pdb" for m in ("start", *DEFAULT_METHODS)}
-    tables = {"summary.csv", "traces.csv", "quality.csv", "displacement.csv", "summary.json", "report.html"}
+    tables = {f"{stem}.csv" for stem in ("summary", "traces", "quality", "displacement", "progress")}
+    tables |= {"summary.json", "report.html"}
     pictures = {"energy.png", "rmsd.png", "displacement.png", "ramachandran.png"}
     assert names == structures | tables | pictures
     for name in pictures:
@@ -266,3 +267,23 @@ def test_ends_are_measured_against_a_native_structure():
     assert k.quality.loc["start", "native_rmsd_angstrom"] == pytest.approx(0.0, abs=1e-6)
     end = k.quality.loc["lbfgs"]
     assert end["native_rmsd_angstrom"] == pytest.approx(end["ca_rmsd_to_start_angstrom"], abs=1e-6)
+
+
+def test_progress_is_the_lowest_energy_so_far(comparison, folder):
+    table = pd.read_csv(folder / "progress.csv")
+    traces = comparison.traces
+    assert set(table["cost"]) == {"evaluations", "seconds"}
+    for row in table.to_dict("records"):
+        for method in DEFAULT_METHODS:
+            run = traces[(traces["method"] == method) & (traces[row["cost"]] <= row["at"] * (1 + 1e-12))]
+            if run.empty:
+                assert np.isnan(row[method])
+            else:
+                assert row[method] == pytest.approx(run["energy_kj_mol"].min(), rel=1e-12)
+    assert (np.diff(table[table["cost"] == "evaluations"]["lbfgs"]) <= 0).all()
+
+
+def test_a_view_holds_all_it_needs(comparison):
+    view = comparison.view()
+    shown = view._repr_html_()
+    assert shown.startswith("<iframe sandbox=") and shown.count("<") == 2 and "start, kcm" in repr(view)

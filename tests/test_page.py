@@ -69,3 +69,15 @@ def test_the_page_works_from_a_file(browser, page_file, width, scheme):
     page.keyboard.press("Enter")
     assert [float(value) for value in column(3)] == sorted(ends, reverse=True)
     assert said == []
+
+
+def test_a_notebooks_view_draws_in_its_frame(browser, tmp_path):
+    comparison = pc.compare(chain("1l2y.pdb"), ("lbfgs",), energy("1l2y.pdb"), max_evaluations=10)
+    (tmp_path / "notebook.html").write_text(f"<!doctype html><body>{comparison.view()._repr_html_()}</body>")
+    page = browser.new_page()
+    said = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto((tmp_path / "notebook.html").as_uri())
+    page.frame_locator("iframe").locator("#viewer[data-models='2'] canvas").wait_for()
+    assert said == []

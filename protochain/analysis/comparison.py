@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from protochain.analysis.deviation import deviation
+from protochain.analysis.progress import at_equal_cost
 from protochain.analysis.quality import displacement, quality, ramachandran
 from protochain.articulate import as_chain
 from protochain.energies import Energy
@@ -28,6 +29,8 @@ from protochain.structure.write import check_fits, write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from protochain.analysis.viewer import View
 
 DEFAULT_METHODS = ("kcm", "md", "lbfgs", "hybrid", "openmm")
 """The two methods of the original comparison, the best in torsions, the best of all, and the reference."""
@@ -133,6 +136,17 @@ class Comparison:
             table[solution.method] = displacement(solution.structure, self.structure)
         return table
 
+    @cached_property
+    def progress(self) -> pd.DataFrame:
+        """Lowest energy so far at equal evaluations and at equal seconds."""
+        return at_equal_cost(self.traces)
+
+    def view(self) -> "View":
+        """Start and ends, superposed, to turn with the mouse in a notebook; no server is asked."""
+        from protochain.analysis.viewer import View
+
+        return View(self)
+
     def ends(self) -> dict[str, Structure]:
         """Start and end structures, by ``start`` and method."""
         return {"start": self.structure} | {s.method: s.structure for s in self.solutions}
@@ -201,6 +215,7 @@ class Comparison:
         name = self.structure.name
         summary = self.summary()
         _write_text(directory / "summary.csv", self.table.to_csv(index=False))
+        _write_text(directory / "progress.csv", self.progress.to_csv(index=False))
         _write_text(directory / "quality.csv", self.quality.to_csv())
         _write_text(directory / "displacement.csv", self.displacements.to_csv(index=False))
         _write_text(directory / "traces.csv", self.traces.to_csv(index=False))

@@ -5,11 +5,9 @@ import io
 import shlex
 from typing import TYPE_CHECKING, Any
 
-from jinja2 import Environment, PackageLoader
 from matplotlib.figure import Figure
 
-from protochain.analysis.plots import COLOURS
-from protochain.analysis.viewer import library, models
+from protochain.analysis.viewer import scene, template
 
 if TYPE_CHECKING:
     from protochain.analysis.comparison import Comparison
@@ -32,19 +30,17 @@ def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str,
     """
     from protochain.analysis.comparison import SHOWN
 
-    environment = Environment(loader=PackageLoader("protochain.analysis"), autoescape=True)
-    return environment.get_template("report.html").render(
+    return template("report.html").render(
         structure=comparison.structure,
         solutions=comparison.solutions,
         shown=SHOWN,
         rows=comparison.table.to_dict("records"),
         rmsd=comparison.rmsd,
         quality=comparison.quality,
+        progress=comparison.progress,
         figures={name: _data_url(figure) for name, figure in figures.items()},
         summary=summary,
-        models=models(comparison),
-        library=library(),
-        colours=("#999999", *COLOURS),
+        **scene(comparison),
         command=shlex.join(summary["command"]),
     )
 

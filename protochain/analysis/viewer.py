@@ -1,9 +1,13 @@
 """Structures for the interactive viewer of a report: superposed, as text that 3Dmol.js reads."""
 
 from functools import cache
+from html import escape
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from jinja2 import Environment, PackageLoader, Template
+
+from protochain.analysis.plots import COLOURS
 from protochain.structure import Structure
 from protochain.structure.superpose import motion
 from protochain.structure.write import as_text
@@ -28,6 +32,31 @@ def models(comparison: "Comparison") -> list[dict[str, str]]:
         {"name": name, "format": suffix.removeprefix("."), "text": _text(superposed(end, start), suffix)}
         for name, end in comparison.ends().items()
     ]
+
+
+def scene(comparison: "Comparison") -> dict[str, Any]:
+    """Return what the template of the viewer needs."""
+    return {"models": models(comparison), "library": library(), "colours": ("#999999", *COLOURS)}
+
+
+def template(name: str) -> Template:
+    """Return a page of the package, which escapes what it is given."""
+    return Environment(loader=PackageLoader("protochain.analysis"), autoescape=True).get_template(name)
+
+
+class View:
+    """A frame in a notebook that holds the viewer and all it needs; text, where no HTML is shown."""
+
+    def __init__(self, comparison: "Comparison") -> None:
+        self.comparison = comparison
+
+    def _repr_html_(self) -> str:
+        page = template("viewer.html").render(**scene(self.comparison))
+        frame = 'sandbox="allow-scripts" style="width: 100%; height: 34rem; border: 0"'
+        return f'<iframe {frame} srcdoc="{escape(page)}"></iframe>'
+
+    def __repr__(self) -> str:
+        return f"<View of {', '.join(self.comparison.ends())}: shown in notebooks; report() writes a page>"
 
 
 def superposed(structure: Structure, start: Structure) -> Structure:

@@ -1,0 +1,41 @@
+"""Where each method was after the same work: evaluations, or seconds."""
+
+import numpy as np
+import pandas as pd
+
+
+def at_equal_cost(traces: pd.DataFrame) -> pd.DataFrame:
+    """Lowest energy so far of every method at the same evaluations and at the same seconds.
+
+    Parameters
+    ----------
+    traces : pandas.DataFrame
+        As ``Comparison.traces``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``cost`` (evaluations or seconds), ``at``, and a column a method, kJ/mol: NaN before its first point,
+        and what it ended with after its last. Costs go by 1, 3, 10, 30 up to that of the longest run.
+    """
+    parts = []
+    for cost in ("evaluations", "seconds"):
+        grid = _grid(traces[cost])
+        part = pd.DataFrame({"cost": cost, "at": grid})
+        for method, run in traces.groupby("method", sort=False):
+            best = run["energy_kj_mol"].cummin().to_numpy()
+            last = np.searchsorted(run[cost].to_numpy(), grid, side="right") - 1
+            part[str(method)] = np.where(last >= 0, best[np.maximum(last, 0)], np.nan)
+        parts.append(part)
+    return pd.concat(parts, ignore_index=True)
+
+
+def _grid(costs: pd.Series) -> np.ndarray:
+    """1, 3, 10, 30 ... that span the costs."""
+    positive = costs[costs > 0]
+    if positive.empty:
+        return np.zeros(0)
+    low, high = (np.floor(np.log10(value)) for value in (positive.min(), positive.max()))
+    grid = np.array([f * 10.0**k for k in np.arange(low, high + 1) for f in (1.0, 3.0)])
+    inside = grid[(grid >= positive.min()) & (grid < positive.max())]
+    return np.append(inside, positive.max())
