@@ -10,6 +10,10 @@ from protochain.structure.write import write_atomically
 from protochain.units import ANGSTROM_PER_NM
 
 
+OXYGEN_NM = 0.02
+"""Of a carboxylate of ideal geometry, built on an experiment's three other atoms."""
+
+
 def identities(path):
     """(chain, number, insertion code, residue name) in the order of the file's first model, by gemmi."""
     structure = gemmi.read_structure(str(path))
@@ -146,6 +150,14 @@ def test_missing_side_chain_atoms_are_added_and_named(tmp_path):
     s = pc.load(written(tmp_path, "".join(gone)))
     assert "residue 8 LEU of chain A: missing CD1 added" in s.repairs
     assert s.n_atoms == load("1ubq.pdb").n_atoms
+
+
+def test_a_terminal_oxygen_is_where_the_files_own_was(tmp_path):
+    gone = [line for line in lines_of("1ubq.pdb") if line[12:16] != " OXT"]
+    s, file = pc.load(written(tmp_path, "".join(gone))), load("1ubq.pdb")
+    assert any(line.endswith("missing OXT added") for line in s.repairs)
+    (ours,), (theirs,) = (np.flatnonzero(each.atom_name == "OXT") for each in (s, file))
+    assert np.linalg.norm(s.positions[ours] - file.positions[theirs]) < OXYGEN_NM
 
 
 def test_a_broken_chain_becomes_two_under_one_id(tmp_path):
