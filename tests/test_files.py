@@ -181,6 +181,8 @@ def test_the_other_location_can_be_asked_for():
 def test_waters_and_ions_stay_where_they_are(tmp_path):
     path = shared("1ajj_ldlr.pdb")
     s = pc.load(path, keep=("ions", "water"))
+    assert pc.load(path, keep=("ions",)).obstacle.sum() == 1
+    assert pc.load(path, keep=("water",)).obstacle.sum() == 3 * 30
     assert s.obstacle.sum() == 1 + 3 * 30 and "SO4" in s.left_out and "waters" not in s.left_out
     chain, energy = pc.build_chain(s), pc.energy(s)
     assert (

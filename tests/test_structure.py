@@ -9,7 +9,6 @@ from protochain.structure.read import read
 from protochain.structure.write import write_atomically
 from protochain.units import ANGSTROM_PER_NM
 
-
 OXYGEN_NM = 0.02
 """Of a carboxylate of ideal geometry, built on an experiment's three other atoms."""
 
