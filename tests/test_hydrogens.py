@@ -3,7 +3,7 @@
 import numpy as np
 import openmm
 import pytest
-from conftest import STRUCTURES, load
+from conftest import load
 from openmm import app, unit
 from oracles import angle_triples, angles
 from scipy.spatial.transform import Rotation
@@ -115,4 +115,3 @@ def test_a_water_is_put_together():
     assert np.degrees(np.arccos(u @ v / np.linalg.norm(u) / np.linalg.norm(v))) == pytest.approx(
         104.52, abs=0.01
     )
-    assert (STRUCTURES / "1ubq.pdb").exists()

@@ -1,7 +1,6 @@
 """Bonds between residues that are not neighbours in a chain: disulfides, and what no force field knows."""
 
 from collections.abc import Sequence
-from itertools import combinations
 
 from scipy.spatial import KDTree
 
@@ -48,8 +47,10 @@ def disulfides(draft: Draft, asked: Sequence[tuple[str, str]] | None = None) -> 
             found.append((sulphurs[i], sulphurs[j]))
             if not _is_stated(draft, *found[-1]):
                 draft.repairs.append(f"disulfide bond between {sulphurs[i]} and {sulphurs[j]}")
-    for first, second in combinations(sulphurs, 2):
-        if _is_stated(draft, first, second) and (first, second) not in found:
+    at = {(member.chain_id, member.seqid, "SG"): member for member in sulphurs}
+    taken = [set(map(id, pair)) for pair in found]
+    for first, second in [(at[a], at[b]) for a, b in draft.stated if a in at and b in at]:
+        if {id(first), id(second)} not in taken:
             draft.repairs.append(
                 f"the file's disulfide bond between {first} and {second} is {_apart(first, second):.1f} "
                 "angstrom long: not taken; ask for it if it is meant"

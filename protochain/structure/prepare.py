@@ -4,7 +4,7 @@ Everything is placed by geometry, or seeded and on the Reference platform: the s
 coordinates, bit for bit.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from protochain.structure.draft import Draft, Member, Part
 from protochain.structure.hydrogens import place_hydrogens
 from protochain.structure.model import Structure
 from protochain.structure.protonate import check_ph, protonate
-from protochain.structure.read import Reading, model_numbers, read
+from protochain.structure.read import Reading, read
 from protochain.structure.templates import Template, templates
 from protochain.units import ANGSTROM_PER_NM
 
@@ -82,12 +82,6 @@ def load(
 def own_file(forcefield: str | Path | None) -> Path | None:
     """Path of a force field that is a file of the user's, and not the name of one that comes with OpenMM."""
     return Path(forcefield) if forcefield is not None and Path(forcefield).is_file() else None
-
-
-def load_models(path: str | Path, **settings: object) -> Iterator[Structure]:
-    """Load every model of a file, one after the other: as :func:`load`."""
-    for number in model_numbers(path):
-        yield load(path, model=number, **settings)  # type: ignore[arg-type]
 
 
 def prepare(

@@ -42,16 +42,18 @@ def protonate(
     """
     acceptors = _Acceptors(draft)
     done = []
-    added = present = 0
+    added = present = renamed = 0
     for part in draft.parts:
         for i, member in enumerate(part.members):
             before = sum(a.is_hydrogen() for a in member.atoms)
             template = _template(draft, known, part, i, bridged, ph, acceptors)
-            _match(draft, member, template)
+            renamed += _match(draft, member, template)
             now = sum(a.is_hydrogen() and not np.isnan(a.pos.x) for a in member.atoms)
             present += min(before, now)
             added += sum(a.is_hydrogen() for a in member.atoms) - now
             done.append((member, template))
+    if renamed:
+        draft.repairs.append(f"{renamed} hydrogens of names that are not known named by their parents")
     if added:
         draft.repairs.append(f"{added} hydrogens added at pH {ph:g} ({present} were in the file)")
     return done
@@ -105,8 +107,15 @@ def _at_ph(member: Member, ph: float) -> str:
     return base[1] if base and ph > base[0] else ""
 
 
-def _match(draft: Draft, member: Member, template: Template) -> None:
-    """Name and order the hydrogens of the file, drop what does not fit, and add what is missing."""
+def _match(draft: Draft, member: Member, template: Template) -> int:
+    """Name and order the hydrogens of the file, drop what does not fit, and add what is missing.
+
+    Returns
+    -------
+    int
+        How many have another name now.
+    """
+    before = {a.name for a in member.atoms if a.is_hydrogen()}
     rename(member.atoms, template)
     heavy = [a for a in member.atoms if not a.is_hydrogen()]
     own: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
@@ -117,7 +126,7 @@ def _match(draft: Draft, member: Member, template: Template) -> None:
             own[nearest.name].append(hydrogen)
         else:
             strange += 1
-    expected = template.hydrogens()
+    expected = template.hydrogens
     member.atoms = []
     for parent in heavy:
         names = list(expected.get(parent.name, []))
@@ -133,6 +142,7 @@ def _match(draft: Draft, member: Member, template: Template) -> None:
         member.atoms += [named.get(name) or atom(name, "H", _UNPLACED, parent.b_iso) for name in names]
     if strange:
         draft.repairs.append(f"{member}: {strange} of its hydrogens do not fit: left out")
+    return len({a.name for a in member.atoms if a.is_hydrogen() and not np.isnan(a.pos.x)} - before)
 
 
 class _Acceptors:

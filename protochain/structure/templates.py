@@ -5,7 +5,7 @@ The files are data: names, elements, charges and bonds are taken from them, and 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -42,11 +42,12 @@ class Template:
     bonds: tuple[tuple[str, str], ...]
     synonyms: Mapping[str, str]
 
-    @property
+    @cached_property
     def heavy(self) -> list[str]:
         """Names of the atoms that are not hydrogens."""
         return [name for name, element in self.element.items() if element != "H"]
 
+    @cached_property
     def hydrogens(self) -> dict[str, list[str]]:
         """Names of the hydrogens of each heavy atom that has any."""
         found: dict[str, list[str]] = {}
