@@ -10,6 +10,7 @@ from openmm import app, unit
 import protochain as pc
 from protochain.analysis.comparison import DEFAULT_METHODS
 from protochain.analysis.viewer import library
+from protochain.minimisers.methods import repeats_exactly
 from protochain.structure.trajectory import TrajectoryFile
 
 
@@ -36,9 +37,15 @@ def test_every_method_is_judged_from_one_start(comparison):
 def test_the_folder_holds_what_the_interface_promises(folder):
     names = {path.name for path in folder.iterdir()}
     structures = {f"1l2y.{m}.pdb" for m in ("start", *DEFAULT_METHODS)}
-    tables = {f"{stem}.csv" for stem in ("summary", "traces", "quality", "displacement", "progress")}
+    tables = {
+        f"{stem}.csv"
+        for stem in ("summary", "traces", "quality", "displacement", "progress", "work", "spread")
+    }
     tables |= {"summary.json", "report.html"}
-    pictures = {"energy.png", "rmsd.png", "displacement.png", "ramachandran.png"}
+    pictures = {
+        f"{stem}.png"
+        for stem in ("energy", "work_precision", "torque", "rmsd", "displacement", "ramachandran")
+    }
     assert names == structures | tables | pictures
     for name in pictures:
         assert (folder / name).read_bytes().startswith(b"\x89PNG") and (folder / name).stat().st_size > 20_000
@@ -60,6 +67,12 @@ def test_csv_json_and_page_hold_the_same_numbers(folder, comparison):
     for name, row in summary["quality"].items():
         assert {key: quality.loc[name, key] for key in row} == pytest.approx(row, rel=1e-12)
         assert f"{row['radius_of_gyration_angstrom']:.3f}" in page
+    for stem in ("work", "spread"):
+        written = pd.read_csv(folder / f"{stem}.csv")
+        pd.testing.assert_frame_equal(written, pd.DataFrame(summary[stem]), rtol=1e-12, check_dtype=False)
+        for v in written.select_dtypes("float").stack():
+            assert (f"{v:.0f}" if v % 1 == 0 else f"{v:.3f}") in page
+    assert [record["seed"] for record in summary["repeats"]] == [1, 2]
     traces = pd.read_csv(folder / "traces.csv")
     assert list(traces.columns[:2]) == ["structure", "method"]
     assert len(traces) == sum(len(s.trace) for s in comparison.solutions)
@@ -70,8 +83,8 @@ def test_the_page_stands_alone(folder):
     own = page.replace(library(), "")
     assert len(own) < len(page) - 500_000 and "default-src 'none'" in own
     assert "http://" not in own and "https://" not in own
-    assert "href=" not in own and own.count("src=") == own.count('src="data:image/png;base64,') == 4
-    assert page.count("data:image/png;base64,") == 4
+    assert "href=" not in own and own.count("src=") == own.count('src="data:image/png;base64,') == 6
+    assert page.count("data:image/png;base64,") == 6
     # kcm, md and lbfgs turn hinges; hybrid and openmm move every atom.
     assert page.count("all other angles stay as they came") == 3
     assert page.count("lengths and angles relax") == 2
@@ -287,3 +300,79 @@ def test_a_view_holds_all_it_needs(comparison):
     view = comparison.view()
     shown = view._repr_html_()
     assert shown.startswith("<iframe sandbox=") and shown.count("<") == 2 and "start, kcm" in repr(view)
+
+
+def test_methods_that_do_not_repeat_are_run_again_and_their_spread_is_told():
+    k = pc.compare(
+        chain("1l2y.pdb"), ("lbfgs", "anneal"), energy("1l2y.pdb"), max_evaluations=60, seed=5, repeats=3
+    )
+    assert [s.method for s in k.solutions] == ["lbfgs", "anneal"]
+    assert [(s.method, s.seed) for s in k.repeats] == [("anneal", 6), ("anneal", 7)]
+    spread = k.spread.set_index("method")
+    assert spread.loc["lbfgs", ["runs", "repeats_exactly"]].tolist() == [1, True]
+    row, runs = spread.loc["anneal"], [k.solutions[1], *k.repeats]
+    energies = sorted(s.end.energy for s in runs)
+    columns = ["energy_lowest_kj_mol", "energy_median_kj_mol", "energy_highest_kj_mol"]
+    assert row[columns].tolist() == energies and energies[0] < energies[2]
+    apart = [pc.ca_rmsd(k.structure, a.x, b.x) for a in runs for b in runs]
+    assert row["ca_rmsd_between_angstrom"] == max(apart) and not row["repeats_exactly"]
+    again = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), "anneal", max_evaluations=60, seed=6)
+    assert again.end.energy == k.repeats[0].end.energy
+    other = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb", solvent="vacuum"), max_evaluations=2)
+    with pytest.raises(pc.ProtochainError, match="different energy functions"):
+        pc.Comparison(k.structure, k.solutions, repeats=(other,))
+
+
+def test_which_methods_repeat_exactly():
+    own = energy("ala10.pdb")
+    one, two = (pc.energy(load("ala10.pdb"), engine="openmm", threads=n) for n in (1, 2))
+    assert all(repeats_exactly(method, own) for method in ("kcm", "md", "lbfgs", "hybrid"))
+    assert not any(repeats_exactly("openmm-md", e) or repeats_exactly("anneal", e) for e in (own, one, two))
+    assert repeats_exactly("openmm", one) and repeats_exactly("lbfgs", one)
+    assert not repeats_exactly("openmm", two) and not repeats_exactly("lbfgs", two)
+
+
+def test_a_comparison_with_one_seed_gives_the_same_numbers_again():
+    def run():
+        e = pc.energy(load("1l2y.pdb"), threads=1)
+        methods = ("kcm", "anneal", "hybrid", "openmm")
+        return pc.compare(chain("1l2y.pdb"), methods, e, max_evaluations=40, seed=3, repeats=2)
+
+    first, again = run(), run()
+    for name in ("table", "traces", "rmsd", "quality", "displacements", "spread"):
+        one, two = (getattr(k, name).filter(regex="^(?!.*seconds)") for k in (first, again))
+        pd.testing.assert_frame_equal(one, two, check_exact=True)
+
+
+def test_work_is_what_it_took_to_come_near(comparison, folder):
+    traces = comparison.traces
+    work = pd.read_csv(folder / "work.csv").set_index("method")
+    for s in comparison.solutions:
+        runs = comparison.solutions + comparison.repeats
+        lowest = min(r.end.energy for r in runs if r.keeps_geometry == s.keeps_geometry)
+        assert work.loc[s.method, "lowest_kj_mol"] == pytest.approx(lowest, rel=1e-14)
+        for cost in ("evaluations", "seconds"):
+            for near in (100, 10, 1):
+                run = traces[traces["method"] == s.method]
+                met = run[run["energy_kj_mol"] <= work.loc[s.method, "lowest_kj_mol"] + near][cost]
+                told = work.loc[s.method, f"{cost}_within_{near}_kj_mol"]
+                assert np.isnan(told) if met.empty else told == pytest.approx(met.min(), rel=1e-12)
+    assert (
+        work.loc["lbfgs", "evaluations_within_1_kj_mol"] > work.loc["lbfgs", "evaluations_within_10_kj_mol"]
+    )
+
+
+def test_pictures_show_each_method_with_its_unit(comparison):
+    torque, work = comparison.plot_torque(), comparison.plot_work_precision()
+    shown = {line.get_label() for line in torque.axes[0].lines}
+    assert shown == {"kcm", "md", "lbfgs", "hybrid"}
+    assert "kJ/mol/rad" in torque.axes[0].get_ylabel()
+    assert [{line.get_label() for line in ax.lines} for ax in work.axes[::2]] == [
+        {"kcm", "md", "lbfgs"},
+        {"hybrid", "openmm"},
+    ]
+    colours = [
+        {line.get_label(): line.get_color() for ax in figure.axes for line in ax.lines}
+        for figure in (torque, work, comparison.plot_energy())
+    ]
+    assert all(each[method] == colours[2][method] for each in colours for method in each)

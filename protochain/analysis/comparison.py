@@ -5,7 +5,7 @@ import platform
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +14,9 @@ import numpy as np
 import pandas as pd
 
 from protochain.analysis.deviation import deviation
-from protochain.analysis.progress import at_equal_cost
+from protochain.analysis.progress import at_equal_cost, work_to_reach
 from protochain.analysis.quality import displacement, quality, ramachandran
+from protochain.analysis.spread import spreads
 from protochain.articulate import as_chain
 from protochain.energies import Energy
 from protochain.energies import energy as build_energy
@@ -23,9 +24,10 @@ from protochain.errors import ProtochainError, StructureError
 from protochain.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Solution, Status, minimise
 from protochain.minimisers.api import check_settings
+from protochain.minimisers.methods import repeats_exactly
 from protochain.minimisers.solution import TRACE_COLUMNS, Watcher
-from protochain.structure import Structure, as_structure, ca_rmsd, save
-from protochain.structure.write import check_fits, write_atomically
+from protochain.structure import Structure, as_structure, ca_rmsd
+from protochain.structure.write import check_fits
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,7 +37,10 @@ if TYPE_CHECKING:
 DEFAULT_METHODS = ("kcm", "md", "lbfgs", "hybrid", "openmm")
 """The two methods of the original comparison, the best in torsions, the best of all, and the reference."""
 
-_PACKAGES = ("protochain", "openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "mdtraj", "pandas")
+_PACKAGES = (
+    "protochain", "openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "mdtraj", "MDAnalysis", "tmtools",
+    "pandas",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +52,13 @@ class Comparison:
     structure : Structure
         The common start.
     solutions : tuple of Solution
-        One a method, all of one energy function.
+        One a method, all of one energy function: what tables, plots and files show.
     origin : mapping
         What the caller knows of the input (its path, the seconds its preparation took), for every record.
     native : Structure, optional
         What the ends are measured against besides: an experiment's structure, of a sequence that may differ.
+    repeats : tuple of Solution
+        Further runs of the methods that do not repeat exactly, for ``spread``.
 
     Raises
     ------
@@ -63,13 +70,15 @@ class Comparison:
     solutions: tuple[Solution, ...]
     origin: Mapping[str, Any] = field(default_factory=dict)
     native: Structure | None = None
+    repeats: tuple[Solution, ...] = ()
 
     def __post_init__(self) -> None:
-        if len({s.energy_function.fingerprint for s in self.solutions}) > 1:
+        runs = self.solutions + self.repeats
+        if len({s.energy_function.fingerprint for s in runs}) > 1:
             raise ProtochainError(
                 "solutions of different energy functions cannot be compared; run them with one"
             )
-        if any(s.chain.structure is not self.structure for s in self.solutions):
+        if any(s.chain.structure is not self.structure for s in runs):
             raise ProtochainError("solutions of different starts cannot be compared; run them from one")
 
     @cached_property
@@ -141,6 +150,24 @@ class Comparison:
         """Lowest energy so far at equal evaluations and at equal seconds."""
         return at_equal_cost(self.traces)
 
+    @cached_property
+    def work(self) -> pd.DataFrame:
+        """Evaluations and seconds to come near the lowest end of all methods with the same freedoms."""
+        lowest = {
+            s.method: min(
+                other.end.energy
+                for other in self.solutions + self.repeats
+                if other.keeps_geometry == s.keeps_geometry
+            )
+            for s in self.solutions
+        }
+        return work_to_reach(self.traces, lowest)
+
+    @cached_property
+    def spread(self) -> pd.DataFrame:
+        """A row a method: how far its runs lie apart; one stands for all where they repeat exactly."""
+        return spreads(self.solutions, self.repeats)
+
     def view(self) -> "View":
         """Start and ends, superposed, to turn with the mouse in a notebook; no server is asked."""
         from protochain.analysis.viewer import View
@@ -156,6 +183,22 @@ class Comparison:
         from protochain.analysis.plots import plot_energy
 
         return plot_energy(self.traces, self.structure.name)
+
+    def plot_work_precision(self) -> "Figure":
+        """Energy above the lowest end of the same freedoms, against evaluations and seconds."""
+        from protochain.analysis.plots import plot_work_precision
+
+        groups = {
+            "torsions only": [s.method for s in self.solutions if s.keeps_geometry],
+            "all atoms free": [s.method for s in self.solutions if not s.keeps_geometry],
+        }
+        return plot_work_precision(self.traces, self.work, groups, self.structure.name)
+
+    def plot_torque(self) -> "Figure":
+        """Largest torque against evaluations and seconds, of the methods that turn hinges."""
+        from protochain.analysis.plots import plot_torque
+
+        return plot_torque(self.traces, self.structure.name)
 
     def plot_rmsd(self) -> "Figure":
         """C-alpha RMSD to the start along each run, and between all ends."""
@@ -193,7 +236,10 @@ class Comparison:
             "versions": {name: version(name) for name in _PACKAGES},
             "results": self.records(),
             "ca_rmsd_angstrom": self.rmsd.to_dict(),
-            "quality": json.loads(self.quality.to_json(orient="index", double_precision=15)),
+            "quality": _as_json(self.quality, "index"),
+            "work": _as_json(self.work, "records"),
+            "spread": _as_json(self.spread, "records"),
+            "repeats": [s.record() for s in self.repeats],
         }
 
     def report(self, directory: str | Path) -> Path:
@@ -209,30 +255,9 @@ class Comparison:
         Path
             The page.
         """
-        from protochain.analysis.report import render
+        from protochain.analysis.report import write_report
 
-        directory = Path(directory)
-        name = self.structure.name
-        summary = self.summary()
-        _write_text(directory / "summary.csv", self.table.to_csv(index=False))
-        _write_text(directory / "progress.csv", self.progress.to_csv(index=False))
-        _write_text(directory / "quality.csv", self.quality.to_csv())
-        _write_text(directory / "displacement.csv", self.displacements.to_csv(index=False))
-        _write_text(directory / "traces.csv", self.traces.to_csv(index=False))
-        _write_text(directory / "summary.json", json.dumps(summary, indent=2, allow_nan=False))
-        save(self.structure, directory / f"{name}.start{self.suffix}")
-        for solution in self.solutions:
-            solution.save(directory / f"{name}.{solution.method}{self.suffix}")
-        figures = {
-            "energy": self.plot_energy(),
-            "rmsd": self.plot_rmsd(),
-            "displacement": self.plot_displacement(),
-            "ramachandran": self.plot_ramachandran(),
-        }
-        for stem, figure in figures.items():
-            write_atomically(directory / f"{stem}.png", partial(figure.savefig, dpi=150))
-        _write_text(directory / "report.html", render(self, summary, figures))
-        return directory / "report.html"
+        return write_report(self, Path(directory))
 
     @cached_property
     def suffix(self) -> str:
@@ -275,6 +300,7 @@ def compare(
     seed: int = 0,
     *,
     native: Any = None,
+    repeats: int = 3,
     watch: Callable[[str], Watcher] | None = None,
 ) -> Comparison:
     """Minimise one structure by several methods from the same prepared start.
@@ -290,6 +316,9 @@ def compare(
         As in :func:`protochain.minimise`.
     native : Structure, path, or anything that :func:`protochain.as_structure` takes, optional
         Measure the ends against it too.
+    repeats : int
+        Runs of each method that does not repeat exactly (it draws random numbers, or OpenMM sums on several
+        threads), with seeds that follow; the first is shown, all are in ``Comparison.spread``.
     watch : callable, optional
         Given a method's name, returns the watcher of its run.
 
@@ -297,7 +326,7 @@ def compare(
     -------
     Comparison
         Every end point judged by the OpenMM Reference platform in double precision. An interrupt ends
-        the method it meets and leaves out those after it.
+        the run it meets and leaves out those after it.
 
     Raises
     ------
@@ -307,25 +336,37 @@ def compare(
     chosen = tuple(dict.fromkeys(methods))
     if not chosen:
         raise ProtochainError(f"no methods to compare; choose from {', '.join(METHODS)}")
+    if repeats < 1:
+        raise ProtochainError(f"repeats {repeats}: give at least 1")
     for method in chosen:
         check_settings(method, tolerance, max_evaluations)
     chain = as_chain(structure)
     known = None if native is None else as_structure(native)
     if energy is None:
         energy = build_energy(chain.structure)
-    solutions: list[Solution] = []
-    for method in chosen:
+    plan = [
+        (method, k) for method in chosen for k in range(1 if repeats_exactly(method, energy) else repeats)
+    ]
+    solutions: dict[tuple[str, int], Solution] = {}
+    for method, k in plan:
         watcher = watch(method) if watch else None
         try:
-            solution = minimise(chain, energy, method, tolerance, max_evaluations, seed, watch=watcher)
+            solution = minimise(chain, energy, method, tolerance, max_evaluations, seed + k, watch=watcher)
         except KeyboardInterrupt:
             if not solutions:
                 raise
             break
-        solutions.append(solution)
-        if solution.status is Status.INTERRUPTED:
+        interrupted = solution.status is Status.INTERRUPTED
+        if not (interrupted and k):
+            solutions[method, k] = solution
+        if interrupted:
             break
-    return Comparison(chain.structure, tuple(solutions), native=known)
+    return Comparison(
+        chain.structure,
+        tuple(s for (_, k), s in solutions.items() if k == 0),
+        native=known,
+        repeats=tuple(s for (_, k), s in solutions.items() if k > 0),
+    )
 
 
 def _flat(value: Any) -> Any:
@@ -334,5 +375,6 @@ def _flat(value: Any) -> Any:
     return "; ".join(map(str, value)) if isinstance(value, list) else value
 
 
-def _write_text(path: Path, text: str) -> None:
-    write_atomically(path, lambda target: target.write_text(text, encoding="utf-8"))
+def _as_json(table: pd.DataFrame, orient: Any) -> Any:
+    """Return a table as JSON has it, what is not a number as None."""
+    return json.loads(table.to_json(orient=orient, double_precision=15))

@@ -1,6 +1,8 @@
 """Pictures drawn from the tables: colour-blind-safe, told apart in grey by line style, with units."""
 
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,6 +18,8 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 _DASHES = ("-", "--", "-.", ":")
 _LOG_FROM = 1e4
 """kJ/mol: a fall larger than this (a clash relieved) would hide everything else on a linear axis."""
+_SAME = 0.1
+"""kJ/mol above the lowest at which curves end on a logarithmic axis: less is the same minimum."""
 
 
 def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
@@ -35,29 +39,106 @@ def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
     """
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
+    styles = _styles(traces["method"].unique())
     traces = traces[np.isfinite(traces["energy_kj_mol"])]
     if traces.empty:
         figure.suptitle(f"{_plain_text(title)}: no energy is a number")
         return figure
-    lowest = traces["energy_kj_mol"].min()
-    logarithmic = traces["energy_kj_mol"].iloc[0] - lowest > _LOG_FROM
-    for (method, run), colour, dash in zip(
-        traces.groupby("method", sort=False), cycle(COLOURS), cycle(_DASHES)
-    ):
-        best = run["energy_kj_mol"].cummin()
-        shown = (best - lowest).clip(lower=0.1) if logarithmic else best
-        for ax, column in zip(axes, ("evaluations", "seconds"), strict=True):
-            ax.plot(run[column], shown, color=colour, linestyle=dash, label=str(method))
+    best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
+    logarithmic = best.iloc[0] - best.min() > _LOG_FROM
+    if logarithmic:
+        best = (best - best.min()).clip(lower=_SAME)
+    _draw_runs(axes, traces.assign(shown=best), "shown", styles)
+    axes[0].set_ylabel("energy above the lowest, kJ/mol" if logarithmic else "energy, kJ/mol")
+    axes[0].set_yscale("log" if logarithmic else "linear")
+    figure.suptitle(f"{_plain_text(title)}: energy of the best structure so far")
+    return figure
+
+
+def plot_work_precision(
+    traces: pd.DataFrame, work: pd.DataFrame, groups: Mapping[str, Sequence[str]], title: str
+) -> Figure:
+    """Error against work: energy above the lowest end, against evaluations and against seconds.
+
+    Parameters
+    ----------
+    traces, work : pandas.DataFrame
+        As ``Comparison.traces`` and ``Comparison.work``.
+    groups : mapping of str to sequence of str
+        Methods that are measured against the same lowest end, by what they have in common: a row of panels
+        each.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    groups = {name: methods for name, methods in groups.items() if methods}
+    figure = Figure(figsize=(10, 0.6 + 3.6 * len(groups)), layout="constrained")
+    grid = figure.subplots(len(groups), 2, sharex="col", sharey=True, squeeze=False)
+    lowest = traces["method"].map(work.set_index("method")["lowest_kj_mol"])
+    best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
+    styles = _styles(traces["method"].unique())
+    # What an engine of single precision sees may lie below the judge's lowest.
+    traces = traces.assign(above=(best - lowest).clip(lower=_SAME))
+    for axes, (name, methods) in zip(grid, groups.items(), strict=True):
+        _draw_runs(axes, traces[traces["method"].isin(methods)], "above", styles)
+        axes[0].set_ylabel(f"{name}:\nenergy above the lowest end, kJ/mol")
+        axes[0].set_yscale("log")
+    figure.suptitle(f"{_plain_text(title)}: error against work")
+    return figure
+
+
+def plot_torque(traces: pd.DataFrame, title: str) -> Figure:
+    """Largest torque against evaluations and against seconds.
+
+    Parameters
+    ----------
+    traces : pandas.DataFrame
+        As ``Comparison.traces``; methods that move all atoms have no torques and are left out.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Logarithmic in both.
+    """
+    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    styles = _styles(traces["method"].unique())
+    traces = traces[traces["max_torque_kj_mol_rad"] > 0.0]
+    if traces.empty:
+        figure.suptitle(f"{_plain_text(title)}: no method turns hinges only")
+        return figure
+    axes = figure.subplots(1, 2, sharey=True)
+    _draw_runs(axes, traces, "max_torque_kj_mol_rad", styles)
+    axes[0].set_ylabel("largest torque, kJ/mol/rad")
+    axes[0].set_yscale("log")
+    figure.suptitle(f"{_plain_text(title)}: largest torque on a hinge")
+    return figure
+
+
+Styles = dict[str, dict[str, Any]]
+
+
+def _styles(methods: Iterable[str]) -> Styles:
+    """Colour and dashes of each method: the same in every picture of a comparison."""
+    return {
+        method: {"color": colour, "linestyle": dash, "label": method}
+        for method, colour, dash in zip(methods, cycle(COLOURS), cycle(_DASHES))
+    }
+
+
+def _draw_runs(axes: Sequence[Axes], traces: pd.DataFrame, value: str, styles: Styles) -> None:
+    """Draw a column of the traces against evaluations and against seconds, a line a method."""
+    for method, run in traces.groupby("method", sort=False):
+        for ax, cost in zip(axes, ("evaluations", "seconds"), strict=True):
+            ax.plot(run[cost], run[value], **styles[str(method)])
     axes[0].set_xlabel("energy evaluations")
     axes[1].set_xlabel("seconds")
-    axes[0].set_ylabel("energy above the lowest, kJ/mol" if logarithmic else "energy, kJ/mol")
     axes[0].legend(frameon=False)
     for ax in axes:
         ax.set_xscale("log")
-        ax.set_yscale("log" if logarithmic else "linear")
         _plain(ax)
-    figure.suptitle(f"{_plain_text(title)}: energy of the best structure so far")
-    return figure
 
 
 def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
@@ -77,12 +158,9 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
     """
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.3, 1))
-    for (method, run), colour, dash in zip(
-        traces.groupby("method", sort=False), cycle(COLOURS), cycle(_DASHES)
-    ):
-        left.plot(
-            run["evaluations"], run["ca_rmsd_angstrom"], color=colour, linestyle=dash, label=str(method)
-        )
+    styles = _styles(traces["method"].unique())
+    for method, run in traces.groupby("method", sort=False):
+        left.plot(run["evaluations"], run["ca_rmsd_angstrom"], **styles[str(method)])
     left.set_xscale("log")
     left.set_xlabel("energy evaluations")
     left.set_ylabel("C-alpha RMSD to the start, angstrom")
@@ -121,9 +199,8 @@ def plot_displacement(displacements: pd.DataFrame, title: str) -> Figure:
     figure = Figure(figsize=(10, 3.8), layout="constrained")
     ax = figure.subplots()
     place = np.arange(1, len(displacements) + 1)
-    methods = list(displacements.columns[3:])
-    for method, colour, dash in zip(methods, cycle(COLOURS), cycle(_DASHES)):
-        ax.plot(place, displacements[method], color=colour, linestyle=dash, label=method)
+    for method, style in _styles(displacements.columns[3:]).items():
+        ax.plot(place, displacements[method], **style)
     chains = displacements["chain"].to_numpy()
     for k in np.flatnonzero(chains[1:] != chains[:-1]):
         ax.axvline(k + 1.5, color="black", linewidth=0.8)

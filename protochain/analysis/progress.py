@@ -1,4 +1,6 @@
-"""Where each method was after the same work: evaluations, or seconds."""
+"""Where each method was after the same work, and what it took to come near: evaluations, or seconds."""
+
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
@@ -28,6 +30,37 @@ def at_equal_cost(traces: pd.DataFrame) -> pd.DataFrame:
             part[str(method)] = np.where(last >= 0, best[np.maximum(last, 0)], np.nan)
         parts.append(part)
     return pd.concat(parts, ignore_index=True)
+
+
+WITHIN = (100.0, 10.0, 1.0)
+"""kJ/mol above the lowest end: near enough to look at, to compare, and to call it the same minimum."""
+
+
+def work_to_reach(traces: pd.DataFrame, lowest: Mapping[str, float]) -> pd.DataFrame:
+    """Count evaluations and seconds until every method was first this near.
+
+    Parameters
+    ----------
+    traces : pandas.DataFrame
+        As ``Comparison.traces``.
+    lowest : mapping of str to float, kJ/mol
+        For every method the energy that it is measured against.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row a method: ``method``, ``lowest_kj_mol``, and for each cost and each of ``WITHIN`` a column like
+        ``evaluations_within_10_kj_mol``; NaN where it never came that near.
+    """
+    rows = []
+    for method, run in traces.groupby("method", sort=False):
+        row: dict[str, object] = {"method": method, "lowest_kj_mol": lowest[str(method)]}
+        for cost in ("evaluations", "seconds"):
+            for near in WITHIN:
+                met = run.loc[run["energy_kj_mol"] <= lowest[str(method)] + near, cost]
+                row[f"{cost}_within_{near:g}_kj_mol"] = np.nan if met.empty else met.iloc[0]
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
 def _grid(costs: pd.Series) -> np.ndarray:

@@ -1,16 +1,53 @@
-"""One self-contained page from a comparison."""
+"""A comparison as files: tables, plots, structures, and one self-contained page."""
 
 import base64
 import io
+import json
 import shlex
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
 
 from protochain.analysis.viewer import scene, template
+from protochain.structure import save
+from protochain.structure.write import write_atomically
 
 if TYPE_CHECKING:
     from protochain.analysis.comparison import Comparison
+
+
+def write_report(comparison: "Comparison", directory: Path) -> Path:
+    """Write what :meth:`Comparison.report` promises; return the page."""
+    name, suffix, summary = comparison.structure.name, comparison.suffix, comparison.summary()
+    tables = {
+        "summary": comparison.table,
+        "progress": comparison.progress,
+        "work": comparison.work,
+        "spread": comparison.spread,
+        "displacement": comparison.displacements,
+        "traces": comparison.traces,
+    }
+    for stem, table in tables.items():
+        _write_text(directory / f"{stem}.csv", table.to_csv(index=False))
+    _write_text(directory / "quality.csv", comparison.quality.to_csv())
+    _write_text(directory / "summary.json", json.dumps(summary, indent=2, allow_nan=False))
+    save(comparison.structure, directory / f"{name}.start{suffix}")
+    for solution in comparison.solutions:
+        solution.save(directory / f"{name}.{solution.method}{suffix}")
+    figures = {
+        "energy": comparison.plot_energy(),
+        "work_precision": comparison.plot_work_precision(),
+        "torque": comparison.plot_torque(),
+        "rmsd": comparison.plot_rmsd(),
+        "displacement": comparison.plot_displacement(),
+        "ramachandran": comparison.plot_ramachandran(),
+    }
+    for stem, figure in figures.items():
+        write_atomically(directory / f"{stem}.png", partial(figure.savefig, dpi=150))
+    _write_text(directory / "report.html", render(comparison, summary, figures))
+    return directory / "report.html"
 
 
 def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str, Figure]) -> str:
@@ -38,6 +75,8 @@ def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str,
         rmsd=comparison.rmsd,
         quality=comparison.quality,
         progress=comparison.progress,
+        work=comparison.work,
+        spread=comparison.spread,
         figures={name: _data_url(figure) for name, figure in figures.items()},
         summary=summary,
         **scene(comparison),
@@ -49,3 +88,7 @@ def _data_url(figure: Figure) -> str:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=150)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def _write_text(path: Path, text: str) -> None:
+    write_atomically(path, lambda target: target.write_text(text, encoding="utf-8"))

@@ -51,6 +51,7 @@ def compare(
     methods: Annotated[
         str, typer.Option(help="Methods, with commas between.")
     ] = "kcm,md,lbfgs,hybrid,openmm",
+    repeats: Annotated[int, typer.Option(help="Runs of each method that does not repeat exactly.")] = 3,
     native: Annotated[Path | None, typer.Option(help="Measure the ends against this structure too.")] = None,
     solvent: Solvent = "obc2",
     forcefield: Forcefield = "amber14",
@@ -94,7 +95,17 @@ def compare(
             shown.close()
             return shown.enter_context(progress(method, max_evaluations))
 
-        comparison = run(chain, chosen, energy, tolerance, max_evaluations, seed, native=known, watch=watch)
+        comparison = run(
+            chain,
+            chosen,
+            energy,
+            tolerance,
+            max_evaluations,
+            seed,
+            native=known,
+            repeats=repeats,
+            watch=watch,
+        )
     comparison = replace(comparison, origin={"input": str(source), "seconds_preparation": preparation})
     page = comparison.report(output)
     summary = comparison.summary()

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from protochain.energies.protocol import Energy
 from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.fire import Fire
 from protochain.minimisers.kcm import KCM, by_length, by_sign
@@ -40,3 +41,15 @@ minimiser, ``openmm-md`` its constrained dynamics between two minimisations."""
 BY_OPENMM = ("openmm", "openmm-md")
 
 DEFAULT_METHOD = "hybrid"
+
+RANDOM = ("anneal", "openmm-md")
+"""Methods that draw from their seed."""
+
+
+def repeats_exactly(method: str, energy: Energy) -> bool:
+    """Whether any run from one start ends in the same bits: no seed is used, and sums have one order.
+
+    OpenMM's CPU platform, which also runs OpenMM's own methods, sums in no fixed order on several threads.
+    """
+    sums_in_order = energy.threads == 1 or (energy.engine != "openmm" and method not in BY_OPENMM)
+    return method not in RANDOM and sums_in_order

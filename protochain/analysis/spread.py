@@ -1,0 +1,47 @@
+"""How far the runs of one method lie apart."""
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+
+from protochain.minimisers import Solution, Status
+from protochain.minimisers.methods import repeats_exactly
+from protochain.structure import ca_rmsd
+
+
+def spread(runs: Sequence[Solution]) -> dict[str, object]:
+    """Measure runs of one method from one start.
+
+    Parameters
+    ----------
+    runs : sequence of Solution
+        One stands for all where they repeat exactly.
+
+    Returns
+    -------
+    dict
+        ``method``, ``runs``, ``repeats_exactly``, ``converged`` (how many), the lowest, median and highest
+        energy, the largest C-alpha RMSD between any two ends (superposed), median evaluations and seconds.
+    """
+    first = runs[0]
+    energies = [s.end.energy for s in runs]
+    apart = [ca_rmsd(first.structure, a.x, b.x) for a, b in combinations(runs, 2)]
+    return {
+        "method": first.method,
+        "runs": len(runs),
+        "repeats_exactly": repeats_exactly(first.method, first.energy_function),
+        "converged": sum(s.status is Status.CONVERGED for s in runs),
+        "energy_lowest_kj_mol": min(energies),
+        "energy_median_kj_mol": float(np.median(energies)),
+        "energy_highest_kj_mol": max(energies),
+        "ca_rmsd_between_angstrom": max(apart, default=0.0),
+        "evaluations_median": float(np.median([s.n_evaluations for s in runs])),
+        "seconds_median": float(np.median([s.seconds for s in runs])),
+    }
+
+
+def spreads(solutions: Sequence[Solution], repeats: Sequence[Solution]) -> pd.DataFrame:
+    """Return a row for each solution's method, with its further runs."""
+    return pd.DataFrame([spread([s, *(r for r in repeats if r.method == s.method)]) for s in solutions])
