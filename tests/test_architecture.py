@@ -12,7 +12,7 @@ PACKAGE = ROOT / "protochain"
 MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
 
 LAYERS = [
-    {"units", "errors", "arrays", "residues", "interrupts"},
+    {"units", "errors", "arrays", "residues", "interrupts", "markup"},
     {"multibody", "structure", "energies"},
     {"chain", "articulate", "storage"},
     {"dynamics"},

@@ -20,14 +20,14 @@ from protochain.analysis.spread import spreads
 from protochain.articulate import as_chain
 from protochain.energies import Energy
 from protochain.energies import energy as build_energy
-from protochain.errors import ProtochainError, StructureError
+from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Solution, Status, minimise
 from protochain.minimisers.api import check_settings
 from protochain.minimisers.methods import repeats_exactly
 from protochain.minimisers.solution import TRACE_COLUMNS, Watcher
 from protochain.structure import Structure, as_structure, ca_rmsd
-from protochain.structure.write import check_fits
+from protochain.structure.write import common_suffix
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -172,7 +172,7 @@ class Comparison:
         """Start and ends, superposed, to turn with the mouse in a notebook; no server is asked."""
         from protochain.analysis.viewer import View
 
-        return View(self)
+        return View(self.ends())
 
     def ends(self) -> dict[str, Structure]:
         """Start and end structures, by ``start`` and method."""
@@ -262,12 +262,7 @@ class Comparison:
     @cached_property
     def suffix(self) -> str:
         """PDB where it can hold all structures, else mmCIF."""
-        try:
-            for structure in (self.structure, *(solution.structure for solution in self.solutions)):
-                check_fits(structure, Path("x.pdb"))
-        except StructureError:
-            return ".cif"
-        return ".pdb"
+        return common_suffix(self.ends().values())
 
     def __repr__(self) -> str:
         return f"<Comparison of {', '.join(s.method for s in self.solutions)} on {self.structure.name}>"

@@ -79,7 +79,7 @@ def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str,
         spread=comparison.spread,
         figures={name: _data_url(figure) for name, figure in figures.items()},
         summary=summary,
-        **scene(comparison),
+        **scene(comparison.ends()),
         command=shlex.join(summary["command"]),
     )
 

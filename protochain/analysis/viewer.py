@@ -1,42 +1,32 @@
 """Structures for the interactive viewer of a report: superposed, as text that 3Dmol.js reads."""
 
+from collections.abc import Mapping
 from functools import cache
 from html import escape
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, Template
 
 from protochain.analysis.plots import COLOURS
+from protochain.minimisers import Solution
 from protochain.structure import Structure
 from protochain.structure.superpose import motion
-from protochain.structure.write import as_text
-
-if TYPE_CHECKING:
-    from protochain.analysis.comparison import Comparison
+from protochain.structure.write import as_text, common_suffix
 
 _ALL_ATOMS = 5000
 """Of larger structures the page holds no hydrogens: it would grow by megabytes for what nobody can see."""
 
 
-def models(comparison: "Comparison") -> list[dict[str, str]]:
-    """Start and ends, superposed on the C-alphas of the start.
-
-    Returns
-    -------
-    list of dict
-        ``name``, ``format`` (pdb or cif) and ``text`` of each.
-    """
-    start, suffix = comparison.structure, comparison.suffix
-    return [
-        {"name": name, "format": suffix.removeprefix("."), "text": _text(superposed(end, start), suffix)}
-        for name, end in comparison.ends().items()
+def scene(shown: Mapping[str, Structure]) -> dict[str, Any]:
+    """Return what the template of the viewer needs to show structures, superposed on the first."""
+    first = next(iter(shown.values()))
+    suffix = common_suffix(shown.values())
+    models = [
+        {"name": name, "format": suffix.removeprefix("."), "text": _text(superposed(each, first), suffix)}
+        for name, each in shown.items()
     ]
-
-
-def scene(comparison: "Comparison") -> dict[str, Any]:
-    """Return what the template of the viewer needs."""
-    return {"models": models(comparison), "library": library(), "colours": ("#999999", *COLOURS)}
+    return {"models": models, "library": library(), "colours": ("#999999", *COLOURS)}
 
 
 def template(name: str) -> Template:
@@ -47,16 +37,33 @@ def template(name: str) -> Template:
 class View:
     """A frame in a notebook that holds the viewer and all it needs; text, where no HTML is shown."""
 
-    def __init__(self, comparison: "Comparison") -> None:
-        self.comparison = comparison
+    def __init__(self, shown: Mapping[str, Structure]) -> None:
+        self.shown = shown
 
     def _repr_html_(self) -> str:
-        page = template("viewer.html").render(**scene(self.comparison))
+        page = template("viewer.html").render(**scene(self.shown))
         frame = 'sandbox="allow-scripts" style="width: 100%; height: 34rem; border: 0"'
         return f'<iframe {frame} srcdoc="{escape(page)}"></iframe>'
 
     def __repr__(self) -> str:
-        return f"<View of {', '.join(self.comparison.ends())}: shown in notebooks; report() writes a page>"
+        return f"<View of {', '.join(self.shown)}: drawn in notebooks>"
+
+
+def view(shown: Structure | Solution) -> View:
+    """Show a structure, or the start and end of a minimisation, in three dimensions in a notebook.
+
+    Parameters
+    ----------
+    shown : Structure or Solution
+
+    Returns
+    -------
+    View
+        To turn with the mouse; no server is asked.
+    """
+    if isinstance(shown, Solution):
+        return View({"start": shown.chain.structure, shown.method: shown.structure})
+    return View({shown.name: shown})
 
 
 def superposed(structure: Structure, start: Structure) -> Structure:

@@ -23,7 +23,8 @@ def fixman(thermal_energy: float) -> Potential:
     Notes
     -----
     Fixman, PNAS 71:3050 (1974); its torque by Jain, Kandel, Wagner, Larsen, Vaidehi, J. Chem. Phys.
-    139:244103 (2013). O(n).
+    139:244103 (2013). O(n). Hinges that open bond angles would need -kT ln sin(angle) each besides, which is
+    not added: angles hardly leave their minima.
     """
 
     def potential(q: Floats, factors: Articulated) -> tuple[float, Floats]:

@@ -6,4 +6,16 @@ from protochain.minimisers.solution import Solution
 from protochain.minimisers.starts import Starts, explore
 from protochain.minimisers.verdict import Judgement, Status
 
-__all__ = ["DEFAULT_METHOD", "METHODS", "Judgement", "Solution", "Starts", "Status", "explore", "minimise"]
+minimize = minimise
+
+__all__ = [
+    "DEFAULT_METHOD",
+    "METHODS",
+    "Judgement",
+    "Solution",
+    "Starts",
+    "Status",
+    "explore",
+    "minimise",
+    "minimize",
+]

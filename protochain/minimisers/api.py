@@ -156,6 +156,8 @@ def _minimise(run: _Run, checkpoint: Path | None, resume: Path | None, watch: Wa
     moving = energy
     if in_torsions or method == "hybrid":
         moving = energy.without_constants(rigid_groups(chain), first.x)
+    # Neighbour lists of the start, whatever was computed before: they set the order of sums.
+    energy.list_at(first.x)
     # Judging first, and solving with each metric once, also make contexts and compile kernels, off the clock.
     start = judge(chain, energy, first)
     _warm(chain, moving, energy, method)

@@ -12,6 +12,7 @@ import numpy as np
 from protochain.arrays import Floats
 from protochain.chain import Chain
 from protochain.energies.protocol import Energy
+from protochain.markup import facts
 from protochain.minimisers.methods import IN_TORSIONS
 from protochain.minimisers.stages import Hold
 from protochain.minimisers.verdict import Judgement, Status
@@ -20,6 +21,7 @@ from protochain.structure.superpose import rmsd_angstrom
 
 if TYPE_CHECKING:
     import pandas as pd
+    from scipy.optimize import OptimizeResult
 
 TRACE_COLUMNS = (
     "iteration",
@@ -141,6 +143,23 @@ class Solution:
         """Whether the end has a finite energy at all."""
         return bool(np.isfinite(self.end.energy))
 
+    def to_scipy(self) -> "OptimizeResult":
+        """Return what scipy's minimisers return: ``x`` is q, ``fun`` the judge's energy in kJ/mol."""
+        from scipy.optimize import OptimizeResult
+
+        result: Any = OptimizeResult()
+        result.update(
+            x=self.q,
+            fun=self.end.energy,
+            success=self.status is Status.CONVERGED,
+            status=list(Status).index(self.status),
+            message=self.message,
+            nit=self.n_iterations,
+            nfev=self.n_evaluations,
+            njev=self.n_evaluations,
+        )
+        return result
+
     def save(self, path: str | Path) -> None:
         """Write the final structure, PDB or mmCIF by suffix, with where it came from.
 
@@ -211,4 +230,17 @@ class Solution:
             f"<Solution {self.method}: {self.status}, "
             f"{self.start.energy:.2f} -> {self.end.energy:.2f} kJ/mol, "
             f"{self.n_evaluations} evaluations, C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom>"
+        )
+
+    def _repr_html_(self) -> str:
+        return facts(
+            f"{self.chain.structure.name} by {self.method}",
+            {
+                "status": self.message,
+                "energy": f"{self.start.energy:.2f} to {self.end.energy:.2f} kJ/mol",
+                "largest torque": f"{self.start.max_torque:.3g} to {self.end.max_torque:.3g} kJ/mol/rad",
+                "RMS force": f"{self.start.rms_force:.3g} to {self.end.rms_force:.3g} kJ/mol/nm",
+                "C-alpha RMSD to the start": f"{self.ca_rmsd_angstrom:.3f} angstrom",
+                "work": f"{self.n_evaluations} evaluations, {self.seconds:.2f} s",
+            },
         )

@@ -1,6 +1,6 @@
 """M^-1 in O(n) by articulated bodies: hinges are eliminated one by one, from the leaves to the root.
 
-Featherstone (1983); Jain, Vaidehi, Rodriguez, J. Chem. Phys. 106:258 (1993), whose factors are
+Featherstone (1983); Jain, Vaidehi, Rodriguez, J. Comput. Phys. 106:258 (1993), whose factors are
 M = [1 + H phi K] D [1 + H phi K]^T and M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K].
 """
 

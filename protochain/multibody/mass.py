@@ -11,6 +11,7 @@ from protochain.multibody.kinematics import Frames
 from protochain.multibody.tree import Tree
 
 Method = Literal["articulated", "fixman"]
+"""How to solve: by articulated bodies (Featherstone), or by Fixman's method."""
 
 
 def solve_mass(tree: Tree, frames: Frames, tau: Floats, method: Method = "articulated") -> Floats:

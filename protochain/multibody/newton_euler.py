@@ -142,6 +142,11 @@ def momentum(tree: Tree, frames: Frames, qd: Floats) -> tuple[Floats, Floats]:
 def centre_of_mass(tree: Tree, frames: Frames) -> Floats:
     """Centre of mass of all bodies together.
 
+    Parameters
+    ----------
+    tree : Tree
+    frames : Frames
+
     Returns
     -------
     (3,) float, nm

@@ -28,9 +28,10 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
 
     Parameters
     ----------
-    source : Structure, path-like, gemmi.Structure, mdtraj.Trajectory, MDAnalysis Universe or AtomGroup, or a
-        pair of an openmm.app.Topology and its positions
-        Of a trajectory the first frame is taken, of a Universe the current one. A Structure stays as it is.
+    source : Structure, path-like, or an object of another library
+        A gemmi Structure, an mdtraj Trajectory, an MDAnalysis Universe or AtomGroup, or a pair of an OpenMM
+        Topology and its positions. Of a trajectory the first frame is taken, of a Universe the current one. A
+        Structure stays as it is.
     name : str
         Short name, where there is no file.
     **settings
@@ -61,7 +62,18 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
 
 
 def to_mdtraj(structure: Structure, frames: Floats | None = None) -> "mdtraj.Trajectory":
-    """Return a trajectory of one frame, or of positions (n, na, 3) in nm."""
+    """Return a structure as a trajectory.
+
+    Parameters
+    ----------
+    structure : Structure
+    frames : (n, na, 3) float, nm, optional
+        Its own positions as the only frame by default.
+
+    Returns
+    -------
+    mdtraj.Trajectory
+    """
     import mdtraj
 
     xyz = structure.positions[None] if frames is None else np.asarray(frames)
@@ -70,7 +82,16 @@ def to_mdtraj(structure: Structure, frames: Floats | None = None) -> "mdtraj.Tra
 
 
 def to_mdanalysis(structure: Structure) -> "MDAnalysis.Universe":
-    """Return a Universe of one frame, in memory."""
+    """Return a structure as a Universe of one frame, in memory.
+
+    Parameters
+    ----------
+    structure : Structure
+
+    Returns
+    -------
+    MDAnalysis.Universe
+    """
     import MDAnalysis
 
     chains, chain_of = np.unique(structure.residue_chain, return_inverse=True)

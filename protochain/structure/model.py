@@ -1,5 +1,6 @@
 """The prepared, all-atom protein every other part of the library works on."""
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers, read_only
 from protochain.errors import StructureError
+from protochain.markup import facts
 from protochain.residues import describe
 
 
@@ -134,6 +136,17 @@ class Structure:
         """(nca,) int: the C-alpha atoms."""
         return read_only(np.flatnonzero((self.atom_name == "CA") & (self.atom_element == "C")), np.int64)
 
+    @cached_property
+    def fingerprint(self) -> str:
+        """SHA-256 of what an energy sees besides positions: atoms, residues, bonds, obstacles."""
+        seen = hashlib.sha256()
+        for values in (
+            self.atom_name, self.atom_element, self.atom_residue, self.residue_name,
+            self.residue_chain_index, self.bonds, self.obstacle,
+        ):  # fmt: skip
+            seen.update(f"{values.dtype.str}{values.shape}".encode() + values.tobytes())
+        return seen.hexdigest()
+
     def describe_residue(self, residue: int) -> str:
         """Name a residue as a person would: ``residue 17 GLU of chain A``."""
         number = f"{self.residue_number[residue]}{self.residue_insertion_code[residue]}"
@@ -151,4 +164,17 @@ class Structure:
         return (
             f"<Structure {self.name}: {self.n_chains} chains, {self.n_residues} residues, "
             f"{self.n_atoms} atoms, {len(self.repairs)} repairs>"
+        )
+
+    def _repr_html_(self) -> str:
+        left_out = "; ".join(f"{count} {kind}" for kind, count in self.left_out.items())
+        return facts(
+            f"Structure {self.name}",
+            {
+                "chains": self.n_chains,
+                "residues": self.n_residues,
+                "atoms": self.n_atoms,
+                "left out": left_out or "nothing",
+                "repairs": "; ".join(self.repairs) or "none",
+            },
         )

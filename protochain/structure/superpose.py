@@ -54,6 +54,17 @@ def rmsd_angstrom(x: Floats, reference: Floats) -> float:
 
 
 def ca_rmsd(structure: Structure, x: Floats, reference: Floats) -> float:
-    """C-alpha RMSD in angstrom between two sets of positions (na, 3) in nm of one structure."""
+    """C-alpha RMSD between two sets of positions of one structure, superposed.
+
+    Parameters
+    ----------
+    structure : Structure
+    x, reference : (na, 3) float, nm
+
+    Returns
+    -------
+    float, angstrom
+        In double precision, by Kabsch's rotation (Acta Cryst. A32:922, 1976).
+    """
     alpha = structure.alpha_carbons
     return rmsd_angstrom(x[alpha], reference[alpha])

@@ -84,6 +84,16 @@ def check_fits(structure: Structure, path: Path) -> None:
         )
 
 
+def common_suffix(structures: Iterable[Structure]) -> str:
+    """Return ``.pdb`` where such a file can hold all of them, else ``.cif``."""
+    try:
+        for structure in structures:
+            check_fits(structure, Path("x.pdb"))
+    except StructureError:
+        return ".cif"
+    return ".pdb"
+
+
 def check_writable(path: Path) -> None:
     """Refuse a place where no file can be written.
 

@@ -1,0 +1,44 @@
+"""Energies for other libraries."""
+
+from typing import TYPE_CHECKING
+
+from protochain.energies.protocol import Energy
+from protochain.errors import ProtochainError
+from protochain.structure.model import Structure
+
+if TYPE_CHECKING:
+    from ase import Atoms
+
+
+def to_ase(structure: Structure, energy: Energy) -> "Atoms":
+    """Return ASE's Atoms with this energy as their calculator.
+
+    Parameters
+    ----------
+    structure : Structure
+    energy : Energy
+        Of this structure's atoms.
+
+    Returns
+    -------
+    ase.Atoms
+        In angstrom and eV; ASE's optimisers and dynamics work on it.
+
+    Raises
+    ------
+    ProtochainError
+        If ASE is not installed.
+    """
+    try:
+        from ase import Atoms
+        from ase.units import nm
+
+        from protochain.energies.ase_calculator import EnergyCalculator
+    except ModuleNotFoundError as error:
+        raise ProtochainError("ASE is not installed; python -m pip install ase") from error
+    return Atoms(
+        symbols=structure.atom_element.tolist(),
+        positions=structure.positions * nm,
+        masses=structure.atom_mass,
+        calculator=EnergyCalculator(energy),
+    )

@@ -1,0 +1,190 @@
+"""What the pages and docstrings say is there: links, names, options, parameters, figures, the reference."""
+
+import ast
+import importlib.util
+import inspect
+import re
+import tomllib
+
+import pytest
+import typer.main
+import yaml
+from conftest import ROOT
+from numpydoc.docscrape import NumpyDocString
+
+import protochain as pc
+from protochain.cli import app
+
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "analysis").rglob("*.md")])
+README, GUIDE = ROOT / "README.md", ROOT / "analysis" / "guide.md"
+MEASUREMENTS, THEORY = ROOT / "analysis" / "README.md", ROOT / "analysis" / "theory.md"
+COMMANDS = typer.main.get_command(app).commands
+PUBLIC = {
+    f"{module.__name__}.{name}": getattr(module, name)
+    for module in (pc, pc.multibody)
+    for name in module.__all__
+    if not inspect.ismodule(getattr(module, name))
+}
+
+
+def page_name(path):
+    return str(path.relative_to(ROOT))
+
+
+def blocks(path, language):
+    """The fenced blocks of a page, as text."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", path.read_text(), re.MULTILINE | re.DOTALL)
+
+
+def section(path, heading):
+    """The text under a heading of the second level."""
+    return re.search(rf"^## {heading}\n(.*?)(?=^## |\Z)", path.read_text(), re.MULTILINE | re.DOTALL)[1]
+
+
+def anchors(path):
+    """What GitHub makes of the headings of a page."""
+    prose = re.sub(r"^```.*?^```$", "", path.read_text(), flags=re.MULTILINE | re.DOTALL)
+    headings = re.findall(r"^#+ (.*)$", prose, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+def is_there(page, link):
+    name, _, anchor = link.partition("#")
+    target = page.parent / name if name else page
+    return target.exists() and (not anchor or anchor in anchors(target))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_links_and_pictures_are_there(page):
+    links = [link for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text()) if "://" not in link]
+    assert [link for link in links if not is_there(page, link)] == []
+
+
+@pytest.mark.parametrize("page", [README, GUIDE], ids=page_name)
+def test_python_examples_compile_and_name_what_there_is(page):
+    assert blocks(page, "python")
+    for block in blocks(page, "python"):
+        compile(block, page_name(page), "exec")
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "pc":
+                assert node.attr in pc.__all__, f"{page_name(page)}: pc.{node.attr}"
+
+
+def options_of(command):
+    return {name for option in COMMANDS[command].params for name in (*option.opts, *option.secondary_opts)}
+
+
+def calls(block):
+    """Commands of each line and the options written there; lines that are indented go on with the last."""
+    commands, above = [], []
+    for line in block.splitlines():
+        called = re.match(r"protochain (\w+)", line)
+        if called:
+            commands = [called[1]]
+            above += commands
+        elif "of these also" in line:
+            commands = above
+        elif not line.startswith(" "):
+            commands = []
+        for command in commands:
+            yield command, re.findall(r"(?<![\w-])--?[a-z][a-z-]*", line.partition(" #")[0])
+
+
+@pytest.mark.parametrize("page", [README, GUIDE], ids=page_name)
+def test_options_that_are_written_exist(page):
+    written = [call for block in blocks(page, "") for call in calls(block)]
+    assert sum(len(options) for _, options in written) > 10
+    for command, options in written:
+        assert command in COMMANDS, f"{page_name(page)}: protochain {command}"
+        unknown = set(options) - options_of(command)
+        assert not unknown, f"{page_name(page)}: protochain {command} has no {sorted(unknown)}"
+
+
+def test_every_command_is_in_the_readme():
+    (synopsis,) = re.findall(r"^```\n(.*?)^```$", section(README, "Command line"), re.MULTILINE | re.DOTALL)
+    shown = set(re.findall(r"^protochain (\w+)", synopsis, re.MULTILINE))
+    assert shown == {name for name, command in COMMANDS.items() if not command.hidden}
+
+
+def test_figures_of_the_readme_are_those_measured():
+    measured = MEASUREMENTS.read_text()
+    rows = [line for line in section(README, "How they do").splitlines() if line.startswith("| ")]
+    cells = [cell.strip() for row in rows for cell in row.strip("|").split("|")]
+    assert len(cells) > 80
+    assert [cell for cell in cells if re.search(r"\d", cell) and cell not in measured] == []
+
+
+def test_names_in_the_theory_exist():
+    parts = "articulate|chain|multibody|dynamics|minimisers|energies|structure|analysis"
+    names = set(re.findall(rf"`((?:{parts})\.[\w.]+)`", THEORY.read_text()))
+    assert len(names) > 40
+    assert sorted(name for name in names if not resolves(f"protochain.{name}")) == []
+
+
+def resolves(name):
+    """Whether a dotted name is a module, or can be looked up from one."""
+    try:
+        found(name)
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+def found(name):
+    head, _, last = name.rpartition(".")
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        if not head:
+            raise
+        return getattr(found(head), last)
+
+
+def has_parameters(value):
+    """Whether it is a function or a class, but no enumeration and no exception."""
+    is_kind = isinstance(value, type) and issubclass(value, (Exception, int, str))
+    return (inspect.isfunction(value) or isinstance(value, type)) and not is_kind
+
+
+@pytest.mark.parametrize("name", [name for name, value in PUBLIC.items() if has_parameters(value)])
+def test_docstrings_name_the_parameters(name):
+    value = PUBLIC[name]
+    listed = NumpyDocString(inspect.getdoc(value) or "")["Parameters"]
+    documented = [each.strip().lstrip("*") for entry in listed for each in entry.name.split(",")]
+    assert documented == list(inspect.signature(value).parameters)
+
+
+def test_every_public_name_says_what_it_is():
+    for name, value in PUBLIC.items():
+        if isinstance(value, type) or inspect.isfunction(value):
+            first = (inspect.getdoc(value) or "").split("\n")[0]
+            assert first.endswith("."), f"{name}: {first!r}"
+
+
+def test_citation_is_of_this_version():
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert (cited["title"], cited["version"]) == (project["name"], project["version"])
+    assert cited["license"] == project["license"]
+    assert cited["authors"] == project["authors"]
+    for work in cited["references"]:
+        assert {"type", "title", "authors", "journal", "volume", "start", "year"} == set(work)
+
+
+def test_reference_holds_every_public_name(tmp_path):
+    pytest.importorskip("pdoc")
+    spec = importlib.util.spec_from_file_location("reference", ROOT / "analysis" / "reference.py")
+    reference = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(reference)
+    reference.build(tmp_path)
+    assert (tmp_path / "index.html").exists()
+    pages = {
+        "protochain": (tmp_path / "protochain.html").read_text(),
+        "protochain.multibody": (tmp_path / "protochain" / "multibody.html").read_text(),
+    }
+    for name in PUBLIC:
+        module, _, own = name.rpartition(".")
+        assert f'id="{own}"' in pages[module], name
+    for page in pages.values():
+        assert str(ROOT) not in page
+        assert ":func:" not in page and ":class:" not in page
