@@ -5,6 +5,8 @@ from .analysis.bars import progress as progress
 from .analysis.frames import EveryFrame as EveryFrame
 from .analysis.viewer import view as view
 from .articulate import build_chain as build_chain
+from .batches import Batch as Batch
+from .batches import batch as batch
 from .chain import Chain as Chain
 from .chain import log_det_mass as log_det_mass
 from .chain import mass_matrix as mass_matrix

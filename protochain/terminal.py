@@ -1,12 +1,18 @@
 """What the command line shows: a bar while it computes, a table when it is done."""
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
+    from pandas import DataFrame
+
+    from protochain.batches.api import Progress as BatchProgress
+    from protochain.batches.api import Watcher as BatchWatcher
+    from protochain.batches.jobs import Job
     from protochain.dynamics.simulate import Watcher as SimulationWatcher
     from protochain.minimisers.solution import Watcher
 
@@ -22,6 +28,9 @@ _SHOWN = {
     "seconds": "seconds",
 }
 """Columns of the table on the terminal; 80 characters wide."""
+
+_SHOWN_FAILURES = 10
+"""Structures without a result that are named; all are in the table and on the page."""
 
 
 @contextmanager
@@ -74,6 +83,29 @@ def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["
         yield watch
 
 
+@contextmanager
+def batch_progress() -> Iterator["BatchWatcher"]:
+    """Show a bar with done, failed, structures a minute and the time left, if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (BarColumn(), TextColumn("{task.fields[now]}"), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=None, now="starting workers")
+        told: list[str] = []
+
+        def watch(so_far: "BatchProgress") -> None:
+            if so_far.dashboard and not told:
+                told.append(so_far.dashboard)
+                console.print(f"dashboard: {so_far.dashboard}", highlight=False)
+            rate = 60.0 * so_far.done / so_far.seconds
+            now = f"{so_far.skipped + so_far.done} of {so_far.total}, {so_far.failed} failed, {rate:.0f}/min"
+            bar.update(task, total=so_far.total, completed=so_far.skipped + so_far.done, now=now)
+
+        yield watch
+
+
 def print_simulation(record: dict[str, Any]) -> None:
     """Print in a few lines what a simulation was."""
     kept = "" if record["accepted"] is None else f", {100 * record['accepted']:.0f} % of trajectories kept"
@@ -109,6 +141,34 @@ def print_table(records: list[dict[str, Any]]) -> None:
     console.print(table)
     for record in records:
         console.print(f"{record['method']}: {record['message']}", markup=False, highlight=False)
+
+
+def print_jobs(jobs: "Sequence[Job]") -> None:
+    """Print a line a structure: its name, its methods, where it comes from."""
+    for job in jobs:
+        print(f"{job.name}  {','.join(job.settings.methods)}  {job.path}")
+    print(f"{len(jobs)} structures", file=sys.stderr)
+
+
+def print_batch(table: "DataFrame", report: str) -> None:
+    """Print how the runs of each method ended, and what failed."""
+    from rich.console import Console
+
+    console = Console()
+    for method, rows in table.groupby("method", sort=False):
+        counts = ", ".join(f"{n} {status}" for status, n in rows["status"].value_counts().items())
+        usable = rows[rows["output"].notna()]
+        rmsd, seconds = usable["ca_rmsd_angstrom"].median(), usable["seconds"].median()
+        told = f"; medians: RMSD {rmsd:.2f} angstrom, {seconds:.2f} s" if rmsd == rmsd else ""
+        console.print(f"{method}: {counts}{told}", markup=False, highlight=False)
+    failed = table[table["output"].isna()].drop_duplicates("structure")
+    for row in failed.head(_SHOWN_FAILURES).itertuples():
+        console.print(
+            f"{row.structure}: {row.status}: {row.message}", markup=False, highlight=False, soft_wrap=True
+        )
+    if len(failed) > _SHOWN_FAILURES:
+        console.print(f"and {len(failed) - _SHOWN_FAILURES} more without a result")
+    console.print(f"written: {report} and the tables, structures and pages beside it", soft_wrap=True)
 
 
 def print_distribution(summary: dict[str, float]) -> None:

@@ -18,6 +18,7 @@ LAYERS = [
     {"dynamics"},
     {"minimisers"},
     {"analysis"},
+    {"batches"},
     {"terminal"},
     {"cli"},
 ]

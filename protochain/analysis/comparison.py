@@ -84,7 +84,7 @@ class Comparison:
     @cached_property
     def table(self) -> pd.DataFrame:
         """A row a method: the columns of the JSON record, lists and counts as text."""
-        return pd.DataFrame([{key: _flat(value) for key, value in row.items()} for row in self.records()])
+        return pd.DataFrame([{key: flat(value) for key, value in row.items()} for row in self.records()])
 
     def records(self) -> list[dict[str, Any]]:
         """Return the JSON record of each solution, with its origin and the name of its file."""
@@ -364,7 +364,8 @@ def compare(
     )
 
 
-def _flat(value: Any) -> Any:
+def flat(value: Any) -> Any:
+    """Return a value of a record as a cell of a table: lists and counts as text."""
     if isinstance(value, dict):
         return "; ".join(f"{count} {name}" for name, count in value.items())
     return "; ".join(map(str, value)) if isinstance(value, list) else value

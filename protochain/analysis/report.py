@@ -77,14 +77,15 @@ def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str,
         progress=comparison.progress,
         work=comparison.work,
         spread=comparison.spread,
-        figures={name: _data_url(figure) for name, figure in figures.items()},
+        figures={name: data_url(figure) for name, figure in figures.items()},
         summary=summary,
         **scene(comparison.ends()),
         command=shlex.join(summary["command"]),
     )
 
 
-def _data_url(figure: Figure) -> str:
+def data_url(figure: Figure) -> str:
+    """Return a picture as a page holds it."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=150)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

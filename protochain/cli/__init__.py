@@ -6,6 +6,7 @@ import sys
 import typer
 from typer.exceptions import TyperException
 
+from protochain.cli.batch import batch
 from protochain.cli.compare import compare
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
@@ -23,7 +24,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-for command in (minimise, compare, simulate, rmsd, info, build):
+for command in (minimise, compare, batch, simulate, rmsd, info, build):
     app.command()(command)
 app.command("minimize", hidden=True)(minimise)
 

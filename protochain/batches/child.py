@@ -1,0 +1,67 @@
+"""The process that minimises: ``python -m protochain.batches.child``, started and fed by a worker.
+
+It may hang, be killed, or run out of memory; the worker only reads its pipe. Jobs come in on standard input,
+rows go out on standard output, pickled.
+"""
+
+import os
+import pickle
+import queue
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+READY, DONE = "ready", "done"
+
+
+def main() -> None:
+    """Work until the worker closes the pipe."""
+    results = os.fdopen(os.dup(1), "wb")
+    # What libraries print must not get between the rows.
+    os.dup2(2, 1)
+    with suppress(OSError):
+        # If memory ends, this process is to go, and not the worker or somebody else's.
+        Path("/proc/self/oom_score_adj").write_text("500")
+    jobs: queue.Queue[Any] = queue.Queue()
+    threading.Thread(target=_read, args=(sys.stdin.buffer, jobs), daemon=True).start()
+    _warm_up()
+    _send(results, READY)
+
+    from protochain.batches.task import run
+
+    while True:
+        job, folder, threads = jobs.get()
+        for row in run(job, folder, threads):
+            _send(results, row)
+        _send(results, DONE)
+
+
+def _read(source: BinaryIO, jobs: "queue.Queue[Any]") -> None:
+    """Pass on what comes; without a worker nobody waits for the result."""
+    while True:
+        try:
+            jobs.put(pickle.load(source))
+        except EOFError:
+            os._exit(0)
+
+
+def _send(target: BinaryIO, message: Any) -> None:
+    pickle.dump(message, target)
+    target.flush()
+
+
+def _warm_up() -> None:
+    """Compile the kernels on a fresh installation, off the clock of the first structure."""
+    from protochain.articulate import build_chain
+    from protochain.energies import energy
+    from protochain.minimisers import minimise
+    from protochain.structure import from_sequence
+
+    structure = from_sequence("GAG")
+    minimise(build_chain(structure), energy(structure, threads=1), max_evaluations=3)
+
+
+if __name__ == "__main__":
+    main()

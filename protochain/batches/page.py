@@ -1,0 +1,80 @@
+"""The page of one structure: verdicts, a curve, what was changed. Small, for there may be thousands."""
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from jinja2 import Template
+
+from protochain.batches.jobs import Job
+from protochain.batches.task import Row
+from protochain.structure.write import write_atomically
+
+WIDTH, HEIGHT = 640, 240
+"""Of the drawing, in its own units."""
+
+
+def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[str]) -> None:
+    """Write ``pages/NAME.html``.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the batch.
+    job : Job
+    rows : sequence of Row
+        One a method.
+    repairs : sequence of str
+    """
+    from protochain.analysis.comparison import SHOWN
+
+    text = _template().render(
+        job=job,
+        shown=SHOWN,
+        records=[row.record for row in rows],
+        repairs=repairs,
+        curves=curves(rows),
+        width=WIDTH,
+        height=HEIGHT,
+    )
+    (folder / "pages").mkdir(exist_ok=True)
+    path = folder / "pages" / f"{job.name}.html"
+    write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
+
+
+def curves(rows: Sequence[Row]) -> dict[str, object]:
+    """Lowest energy so far against evaluations, as points of an SVG.
+
+    Returns
+    -------
+    dict
+        ``low`` and ``high`` in kJ/mol, ``most`` evaluations, and ``lines`` by method.
+    """
+    runs = {}
+    for row in rows:
+        energies = np.array([point["energy_kj_mol"] for point in row.trace])
+        work = np.array([max(point["evaluations"], 1.0) for point in row.trace])
+        sound = np.isfinite(energies)
+        if sound.any():
+            runs[row.record["method"]] = (np.log10(work[sound]), np.minimum.accumulate(energies[sound]))
+    if not runs:
+        return {"lines": {}}
+    low = min(float(energy.min()) for _, energy in runs.values())
+    high = max(float(energy.max()) for _, energy in runs.values())
+    most = max(float(work.max()) for work, _ in runs.values())
+    lines = {
+        method: " ".join(
+            f"{WIDTH * w / max(most, 1e-9):.1f},{HEIGHT * (high - e) / max(high - low, 1e-9):.1f}"
+            for w, e in zip(work, energy, strict=True)
+        )
+        for method, (work, energy) in runs.items()
+    }
+    return {"low": low, "high": high, "most": round(10**most), "lines": lines}
+
+
+@cache
+def _template() -> Template:
+    from protochain.analysis.viewer import template
+
+    return template("structure.html")

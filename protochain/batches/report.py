@@ -1,0 +1,147 @@
+"""The page of a whole batch: how it ended, distributions, the worst cases first."""
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from protochain.analysis.plots import COLOURS
+from protochain.analysis.report import data_url
+from protochain.analysis.viewer import template
+from protochain.structure.write import write_atomically
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+WORST = 200
+"""Rows on the page; all are in the table."""
+
+USABLE = "energy_end_reference_kj_mol"
+
+
+def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -> None:
+    """Write ``report.html``, ``energy.png`` and ``rmsd.png``.
+
+    Parameters
+    ----------
+    folder : Path
+    table : pandas.DataFrame
+        As ``Batch.table``.
+    summary : dict
+        As ``summary.json``.
+    """
+    figures = {
+        "energy": plot_distribution(_drop(table), table["method"], "energy drop, kJ/mol per residue"),
+        "rmsd": plot_distribution(
+            table["ca_rmsd_angstrom"], table["method"], "C-alpha RMSD to the start, angstrom"
+        ),
+        "seconds": plot_distribution(table["seconds"], table["method"], "seconds"),
+    }
+    for stem, figure in figures.items():
+        write_atomically(folder / f"{stem}.png", partial(figure.savefig, dpi=150))
+    rows = worst_first(table)
+    text = template("batch.html").render(
+        summary=summary,
+        counts=table.groupby("method", sort=False)["status"].value_counts().unstack(fill_value=0),
+        statistics=statistics(table),
+        rows=rows.head(WORST).to_dict("records"),
+        total=len(rows),
+        pages={path.stem for path in (folder / "pages").glob("*.html")} if len(table) else set(),
+        figures={name: data_url(figure) for name, figure in figures.items()},
+    )
+    write_atomically(folder / "report.html", lambda to: to.write_text(text, encoding="utf-8"))
+
+
+def statistics(table: "pd.DataFrame") -> "pd.DataFrame":
+    """Medians with quartiles of what distributions show, a row a method.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        As ``Batch.table``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Indexed by method.
+    """
+    import pandas as pd
+
+    usable = table[table[USABLE].notna()]
+    columns = {
+        "energy_drop_kj_mol_per_residue": _drop(usable),
+        "ca_rmsd_angstrom": usable["ca_rmsd_angstrom"],
+        "ca_rmsd_to_openmm_angstrom": usable["ca_rmsd_to_openmm_angstrom"],
+        "evaluations": usable["evaluations"],
+        "seconds": usable["seconds"],
+    }
+    quantiles = {"first_quartile": 0.25, "median": 0.5, "third_quartile": 0.75, "highest": 1.0}
+    groups = pd.DataFrame(columns).astype(float).groupby(usable["method"], sort=False)
+    return pd.DataFrame(
+        {
+            f"{name}_{said}": groups[name].quantile(at)
+            for name in columns
+            for said, at in quantiles.items()
+            if columns[name].notna().any()
+        }
+    )
+
+
+def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
+    """Sort rows: without a result, then not converged, and among these what went farthest from its start.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        As ``Batch.table``.
+
+    Returns
+    -------
+    pandas.DataFrame
+    """
+    rank = np.where(table[USABLE].isna(), 0, np.where(table["status"] != "converged", 1, 2))
+    return (
+        table.assign(rank=rank, far=-table["ca_rmsd_angstrom"].astype(float))
+        .sort_values(["rank", "far"], kind="stable")
+        .drop(columns=["rank", "far"])
+    )
+
+
+def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str) -> Figure:
+    """Share of the structures up to each value, a line a method.
+
+    Parameters
+    ----------
+    values, methods : pandas.Series
+        Of the same rows; what is not a number is left out.
+    label : str
+        With its unit.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Cumulative, so that no width of bins is to be chosen and outliers are seen.
+    """
+    figure = Figure(figsize=(5.2, 3.6), layout="constrained")
+    ax = figure.subplots()
+    for k, (method, own) in enumerate(values.astype(float).groupby(methods, sort=False)):
+        there = np.sort(own.dropna().to_numpy())
+        if len(there):
+            share = 100.0 * np.arange(1, len(there) + 1) / len(there)
+            style = ("-", "--", "-.", ":")[k % 4]
+            ax.step(there, share, where="post", color=COLOURS[k % 7], linestyle=style, label=str(method))
+    ax.set_xlabel(label)
+    ax.set_ylabel("structures up to there, %")
+    ax.set_ylim(0, 101)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.grid(True, alpha=0.25)
+    if ax.lines:
+        ax.legend(frameon=False)
+    return figure
+
+
+def _drop(table: "pd.DataFrame") -> "pd.Series":
+    drop = table["energy_start_kj_mol"].astype(float) - table[USABLE].astype(float)
+    return drop / table["n_residues"].astype(float)

@@ -1,0 +1,156 @@
+"""What a Dask worker does with a job: it has a child process do it, and outlives the child."""
+
+import os
+import pickle
+import queue
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+from time import perf_counter
+from typing import IO, Any
+
+from protochain.batches.child import DONE
+from protochain.batches.jobs import Job
+from protochain.batches.task import Row, failure
+
+_START = 600.0
+"""s. For a child to import and, on a fresh installation, to compile; several may compile at once."""
+
+_PINNED = (
+    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENMM_CPU_THREADS",
+)  # fmt: skip
+
+
+class ChildError(Exception):
+    """The child died or was late; ``status`` and text say which."""
+
+    def __init__(self, status: str, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+class Child:
+    """A process that does one job after the other.
+
+    Parameters
+    ----------
+    threads : int
+        That its libraries may use.
+    """
+
+    def __init__(self, threads: int) -> None:
+        self.threads = threads
+        # Not a pipe: nobody reads it until the child is dead.
+        self.said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as the child)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "protochain.batches.child"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self.said,
+            start_new_session=True,  # Ctrl-C is the client's business.
+            env=os.environ | dict.fromkeys(_PINNED, str(threads)),
+        )
+        self.messages: queue.Queue[Any] = queue.Queue()
+        threading.Thread(target=self._listen, daemon=True).start()
+        try:
+            self._next(perf_counter() + _START, "the process that was to work on it did not start")
+        except ChildError:
+            self.kill()
+            raise
+
+    def do(self, job: Job, folder: Path, time_limit: float) -> list[Row]:
+        """Have a job done; return a row for every method, whatever happens to the child."""
+        rows: list[Row] = []
+        began = perf_counter()
+        try:
+            self._send((job, folder, self.threads))
+            while True:
+                message = self._next(began + time_limit, f"time limit of {time_limit:g} s reached")
+                if isinstance(message, str) and message == DONE:
+                    return rows
+                rows.append(message)
+        except ChildError as error:
+            self.kill()
+            done = {row.record["method"] for row in rows}
+            left = [method for method in job.settings.methods if method not in done]
+            seconds = perf_counter() - began
+            return rows + [failure(job, method, error.status, str(error), seconds) for method in left]
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it can be given a job."""
+        return self.process.poll() is None
+
+    def kill(self) -> None:
+        """End it."""
+        self.process.kill()
+        self.process.wait()
+
+    def _send(self, message: Any) -> None:
+        assert self.process.stdin
+        try:
+            pickle.dump(message, self.process.stdin)
+            self.process.stdin.flush()
+        except OSError as error:
+            raise ChildError("killed", self._death()) from error
+
+    def _listen(self) -> None:
+        assert self.process.stdout
+        while True:
+            try:
+                self.messages.put(pickle.load(self.process.stdout))
+            except (EOFError, pickle.UnpicklingError, OSError):
+                self.messages.put(None)
+                return
+
+    def _next(self, deadline: float, late: str) -> Any:
+        try:
+            message = self.messages.get(timeout=max(0.0, deadline - perf_counter()))
+        except queue.Empty:
+            raise ChildError("time-limit", late) from None
+        if message is None:
+            raise ChildError("killed", self._death())
+        return message
+
+    def _death(self) -> str:
+        status = self.process.wait()
+        self.said.seek(0, os.SEEK_SET)
+        lines = self.said.read()[-2000:].decode(errors="replace").strip().splitlines()
+        if status >= 0:
+            return f"the process that worked on it ended with status {status}: {lines[-1] if lines else ''}"
+        name = signal.Signals(-status).name
+        why = ", as when memory runs out" if name == "SIGKILL" else ""
+        return f"the process that worked on it was ended by {name}{why}"
+
+
+_here = threading.local()
+"""A child for each thread of a worker."""
+
+
+def supervise(job: Job, folder: Path, threads: int, time_limit: float) -> list[Row]:
+    """Do a job in this thread's child, started where there is none alive; return a row for every method.
+
+    Parameters
+    ----------
+    job : Job
+    folder : Path
+        Where its files go.
+    threads : int
+        For the child.
+    time_limit : float, s
+        After which the child is killed. Starting one does not count.
+
+    Returns
+    -------
+    list of Row
+    """
+    child: Child | None = getattr(_here, "child", None)
+    try:
+        if child is None or not child.is_alive or child.threads != threads:
+            child = _here.child = Child(threads)
+    except ChildError as error:
+        return [failure(job, method, error.status, str(error)) for method in job.settings.methods]
+    return child.do(job, folder, time_limit)

@@ -1,0 +1,189 @@
+"""The tables of a batch, appended to as results arrive, whole again after any death."""
+
+import csv
+import io
+import os
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from filelock import FileLock, Timeout
+
+from protochain.batches.jobs import Job
+from protochain.batches.task import Row
+from protochain.errors import ProtochainError
+from protochain.structure.write import write_atomically
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+COLUMNS = (
+    "structure", "method", "status", "message", "energy_start_kj_mol", "energy_end_kj_mol",
+    "energy_end_reference_kj_mol", "max_torque_end_kj_mol_rad", "rms_force_end_kj_mol_nm", "ca_rmsd_angstrom",
+    "ca_rmsd_to_openmm_angstrom", "iterations", "evaluations", "seconds", "seconds_preparation", "input",
+    "model", "output", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges", "protochain", "engine",
+    "engine_reason", "forcefield", "solvent", "hinges", "tolerance", "tolerance_unit", "move",
+    "restraint_kj_mol_nm2", "max_rmsd_angstrom", "left_out", "constant_terms", "repairs", "seed", "threads",
+    "key",
+)  # fmt: skip
+"""Of ``summary.csv``: what is looked at first stands first. All keys of a record, and of its origin."""
+
+CIRCUMSTANCES = ("killed", "time-limit", "interrupted")
+"""Ends that may be others next time: done again on resuming."""
+
+TRACE_COLUMNS = (
+    "structure", "method", "iteration", "evaluations", "seconds", "energy_kj_mol", "max_torque_kj_mol_rad",
+    "ca_rmsd_angstrom", "key",
+)  # fmt: skip
+
+
+class Tables:
+    """``summary.csv`` and ``traces.csv`` of a folder, written by one process at a time.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if it is not there.
+    resume : bool
+        Go on with what is in it; else it may not hold a batch.
+
+    Raises
+    ------
+    ProtochainError
+        If it holds a batch and is not to be resumed, or another process is writing to it.
+
+    Notes
+    -----
+    All rows of a structure are appended by one call of the system, its traces before them: a process that is
+    killed leaves them all or none. A machine that loses power may leave a part, which is cut off on resuming.
+    """
+
+    def __init__(self, folder: Path, resume: bool) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
+        self.summary, self.traces = folder / "summary.csv", folder / "traces.csv"
+        self.lock = FileLock(folder / ".lock")
+        try:
+            self.lock.acquire(timeout=0)
+        except Timeout:
+            raise ProtochainError(f"{folder}: another batch is writing there; give another folder") from None
+        if self.summary.exists() and not resume:
+            self.lock.release()
+            raise ProtochainError(
+                f"{self.summary}: holds a batch; --resume goes on with it, or give another folder"
+            )
+
+    def finished(self, jobs: Sequence[Job]) -> set[tuple[str, str]]:
+        """Drop what is not whole, or of these structures as they were before; return what is done.
+
+        Parameters
+        ----------
+        jobs : sequence of Job
+
+        Returns
+        -------
+        set of (str, str)
+            Identities of jobs that have all their rows, none of them cut short from outside.
+        """
+        of = {job.name: job for job in jobs}
+        groups = defaultdict(list)
+        for row in _whole_lines(self.summary):
+            groups[row["structure"], row["key"]].append(row)
+        done, kept = set(), []
+        for identity, rows in groups.items():
+            job = of.get(identity[0])
+            if job is not None:
+                if job.key != identity[1] or {row["method"] for row in rows} != set(job.settings.methods):
+                    continue
+                if any(row["status"] in CIRCUMSTANCES for row in rows):
+                    continue
+                done.add(identity)
+            kept += rows
+        whole = {(row["structure"], row["key"]) for row in kept}
+        traces = [row for row in _whole_lines(self.traces) if (row["structure"], row["key"]) in whole]
+        _replace(self.summary, COLUMNS, kept)
+        _replace(self.traces, TRACE_COLUMNS, traces)
+        return done
+
+    def append(self, rows: Iterable[Row]) -> None:
+        """Add all rows of a structure."""
+        rows = list(rows)
+        own = {name: rows[0].record[name] for name in ("structure", "key")}
+        traces = [own | {"method": row.record["method"]} | point for row in rows for point in row.trace]
+        _append(self.traces, _lines(TRACE_COLUMNS, traces))
+        _append(self.summary, _lines(COLUMNS, [row.record for row in rows]))
+
+    def sort(self, jobs: Sequence[Job]) -> None:
+        """Put the rows into the order of the jobs and their methods, and not that in which they arrived."""
+        order = {
+            (*job.identity, method): (k, m)
+            for k, job in enumerate(jobs)
+            for m, method in enumerate(job.settings.methods)
+        }
+        last = (len(jobs), 0)
+        for path, columns in ((self.summary, COLUMNS), (self.traces, TRACE_COLUMNS)):
+            rows = list(_whole_lines(path))
+            rows.sort(key=lambda row: order.get((row["structure"], row["key"], row["method"]), last))
+            _replace(path, columns, rows)
+
+    def read(self) -> "pd.DataFrame":
+        """Return ``summary.csv``, with empty cells for what a failure has not."""
+        return read_table(self.summary)
+
+    def close(self) -> None:
+        """Let others write."""
+        self.lock.release()
+
+
+def read_table(path: Path) -> "pd.DataFrame":
+    """Read a table of a batch; names that look like numbers stay names."""
+    import pandas as pd
+
+    text = (
+        "structure",
+        "message",
+        "key",
+        "repairs",
+        "left_out",
+        "constant_terms",
+        "restraint_kj_mol_nm2",
+        "output",
+    )
+    return pd.read_csv(path, dtype=dict.fromkeys((*text, "model"), "string"), float_precision="round_trip")
+
+
+def _lines(columns: Sequence[str], rows: Iterable[Mapping[str, object]], header: bool = False) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
+    if header:
+        writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _append(path: Path, text: str) -> None:
+    file = os.open(path, os.O_WRONLY | os.O_APPEND)
+    try:
+        os.write(file, text.encode())
+    finally:
+        os.close(file)
+
+
+def _replace(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
+    text = _lines(columns, rows, header=True)
+    write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
+
+
+def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
+    """Rows of a table, without a last line that was cut off."""
+    if not path.exists():
+        return
+    with path.open(newline="", encoding="utf-8", errors="replace") as file:
+        columns: list[str] | None = None
+        whole = (line for line in file if line.endswith("\n"))
+        for cells in csv.reader(whole):
+            if columns is None:
+                columns = cells
+            elif len(cells) == len(columns):
+                yield dict(zip(columns, cells, strict=True))

@@ -1,0 +1,142 @@
+"""One job, done: its rows, its traces, its files."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from protochain.batches.jobs import Job
+from protochain.errors import ProtochainError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from protochain.minimisers import Solution
+    from protochain.structure import Structure
+
+TRACE_POINTS = 50
+"""Rows of a trace that are kept, evenly in the logarithm of their number, first and last among them."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one method made of one structure.
+
+    Parameters
+    ----------
+    record : dict
+        A line of ``summary.csv``.
+    trace : list of dict
+        Lines of ``traces.csv``, thinned.
+    """
+
+    record: dict[str, Any]
+    trace: list[dict[str, float]]
+
+
+def failure(job: Job, method: str, status: str, message: str, seconds: float = 0.0) -> Row:
+    """Return the row of a method that made nothing: why stands in ``status`` and ``message``."""
+    record = _origin(job) | {"method": method, "status": status, "message": " ".join(message.split())}
+    return Row(record | {"seconds": seconds}, [])
+
+
+def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
+    """Minimise a structure by all methods of a job; write its structures and its page.
+
+    Parameters
+    ----------
+    job : Job
+    folder : Path
+        Where its files go.
+    threads : int
+
+    Yields
+    ------
+    Row
+        One a method, as it is done. What cannot be used is ``refused``; what should not happen is ``error``.
+    """
+    from protochain.batches.page import write_page
+
+    began = perf_counter()
+    done: list[Row] = []
+    try:
+        for row, structure in _solve(job, folder, threads):
+            done.append(row)
+            repairs = structure.repairs
+            yield row
+        write_page(folder, job, done, repairs)
+    except ProtochainError as error:
+        yield from _rest(job, done, "refused", str(error), perf_counter() - began)
+    except MemoryError:
+        yield from _rest(job, done, "killed", "out of memory", perf_counter() - began)
+    except OSError as error:
+        why = f"{error.filename or job.path}: {error.strerror or error}"
+        yield from _rest(job, done, "refused", why, perf_counter() - began)
+    except Exception as error:  # Whatever it is, the other structures are not to suffer for it.
+        yield from _rest(job, done, "error", f"{type(error).__name__}: {error}", perf_counter() - began)
+
+
+def _rest(job: Job, done: list[Row], status: str, message: str, seconds: float) -> Iterator[Row]:
+    finished = {row.record["method"] for row in done}
+    for method in job.settings.methods:
+        if method not in finished:
+            yield failure(job, method, status, message, seconds)
+
+
+def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure"]]:
+    from protochain.analysis.comparison import flat
+    from protochain.articulate import build_chain
+    from protochain.energies.shared import shared_energy
+    from protochain.minimisers import minimise
+    from protochain.structure import ca_rmsd, load
+    from protochain.structure.write import common_suffix
+
+    s = job.settings
+    began = perf_counter()
+    structure = load(
+        job.path,
+        model=int(s.model) if s.model else None,
+        altloc=s.altloc,
+        keep=tuple(word.strip() for word in s.keep.split(",") if word.strip()),
+        ph=s.ph,
+        strict=s.strict,
+        forcefield=s.forcefield,
+    )
+    chain = build_chain(structure, s.hinges, move=s.move)
+    energy = shared_energy(
+        structure, forcefield=s.forcefield, solvent=s.solvent, engine=s.engine, threads=threads
+    )
+    preparation = perf_counter() - began
+    ends: dict[str, Solution] = {}
+    # OpenMM's end first: the others are measured against it.
+    for method in sorted(s.methods, key=lambda method: method != "openmm"):
+        solution = minimise(
+            chain, energy, method, s.tolerance, s.max_evaluations, s.seed, max_rmsd=s.max_rmsd
+        )
+        ends[method] = solution
+        reference = ends.get("openmm")
+        record = {key: flat(value) for key, value in solution.record().items()} | _origin(job)
+        record |= {"method": method, "seconds_preparation": preparation}
+        if solution.is_usable:
+            output = folder / f"{job.name}.{method}{common_suffix([solution.structure])}"
+            solution.save(output)
+            record["output"] = output.name
+        if reference and method != "openmm":
+            apart = ca_rmsd(structure, solution.x, reference.x)
+            record["ca_rmsd_to_openmm_angstrom"] = apart
+        yield Row(record, _thin(solution.trace)), structure
+
+
+def _origin(job: Job) -> dict[str, Any]:
+    return {"structure": job.name, "input": str(job.path), "model": job.settings.model, "key": job.key}
+
+
+def _thin(trace: "pd.DataFrame") -> list[dict[str, float]]:
+    n = len(trace)
+    if n > TRACE_POINTS:
+        places = np.unique(np.geomspace(1, n, TRACE_POINTS).astype(int)) - 1
+        trace = trace.iloc[places]
+    return [{str(key): value for key, value in row.items()} for row in trace.to_dict("records")]
