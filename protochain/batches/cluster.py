@@ -49,7 +49,7 @@ def connected(workers: int | None, scheduler: str | None, threads: int) -> Itera
         return
     try:
         security = Security() if scheduler.startswith("tls://") else None
-        client = Client(scheduler, security=security, timeout="20s", set_as_default=False)
+        client = Client(scheduler, security=security, timeout="10s", set_as_default=False)
     except (OSError, TypeError, ValueError) as error:
         raise ProtochainError(f"scheduler {scheduler}: no cluster answers there: {error}") from error
     with client:

@@ -209,10 +209,10 @@ def _models(found: _Found) -> list[_Found]:
     if found.settings.model != "all":
         return [found]
     try:
-        numbers: Sequence[int | None] = model_numbers(found.path)
+        numbers: Sequence[int] = model_numbers(found.path)
     except (ProtochainError, OSError):
-        numbers = [None]
-    models = ["" if number is None else str(number) for number in numbers]
+        numbers = ()  # It fails when its turn comes.
+    models = [str(number) for number in numbers] if len(numbers) > 1 else [""]
     return [replace(found, settings=replace(found.settings, model=model)) for model in models]
 
 

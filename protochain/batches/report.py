@@ -22,7 +22,7 @@ USABLE = "energy_end_reference_kj_mol"
 
 
 def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -> None:
-    """Write ``report.html``, ``energy.png`` and ``rmsd.png``.
+    """Write ``report.html``, ``statistics.csv``, ``energy.png``, ``rmsd.png`` and ``seconds.png``.
 
     Parameters
     ----------
@@ -32,20 +32,21 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
     summary : dict
         As ``summary.json``.
     """
+    usable = table[table[USABLE].notna()]
+    methods = usable["method"]
     figures = {
-        "energy": plot_distribution(_drop(table), table["method"], "energy drop, kJ/mol per residue"),
-        "rmsd": plot_distribution(
-            table["ca_rmsd_angstrom"], table["method"], "C-alpha RMSD to the start, angstrom"
-        ),
-        "seconds": plot_distribution(table["seconds"], table["method"], "seconds"),
+        "energy": plot_distribution(_drop(usable), methods, "energy drop, kJ/mol per residue"),
+        "rmsd": plot_distribution(usable["ca_rmsd_angstrom"], methods, "C-alpha RMSD to the start, angstrom"),
+        "seconds": plot_distribution(usable["seconds"], methods, "seconds"),
     }
     for stem, figure in figures.items():
         write_atomically(folder / f"{stem}.png", partial(figure.savefig, dpi=150))
-    rows = worst_first(table)
+    rows, quartiles = worst_first(table), statistics(table)
+    write_atomically(folder / "statistics.csv", lambda to: quartiles.to_csv(to, index=False))
     text = template("batch.html").render(
         summary=summary,
         counts=table.groupby("method", sort=False)["status"].value_counts().unstack(fill_value=0),
-        statistics=statistics(table),
+        statistics=quartiles,
         rows=rows.head(WORST).to_dict("records"),
         total=len(rows),
         pages={path.stem for path in (folder / "pages").glob("*.html")} if len(table) else set(),
@@ -55,7 +56,7 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
 
 
 def statistics(table: "pd.DataFrame") -> "pd.DataFrame":
-    """Medians with quartiles of what distributions show, a row a method.
+    """Quartiles of what distributions show.
 
     Parameters
     ----------
@@ -65,28 +66,28 @@ def statistics(table: "pd.DataFrame") -> "pd.DataFrame":
     Returns
     -------
     pandas.DataFrame
-        Indexed by method.
+        A row a method and quantity, which carries its unit: ``first_quartile``, ``median``,
+        ``third_quartile``, ``highest`` of the rows with a result.
     """
     import pandas as pd
 
     usable = table[table[USABLE].notna()]
     columns = {
         "energy_drop_kj_mol_per_residue": _drop(usable),
-        "ca_rmsd_angstrom": usable["ca_rmsd_angstrom"],
-        "ca_rmsd_to_openmm_angstrom": usable["ca_rmsd_to_openmm_angstrom"],
-        "evaluations": usable["evaluations"],
-        "seconds": usable["seconds"],
+        **{
+            name: usable[name]
+            for name in ("ca_rmsd_angstrom", "ca_rmsd_to_openmm_angstrom", "evaluations", "seconds")
+        },
     }
     quantiles = {"first_quartile": 0.25, "median": 0.5, "third_quartile": 0.75, "highest": 1.0}
-    groups = pd.DataFrame(columns).astype(float).groupby(usable["method"], sort=False)
-    return pd.DataFrame(
-        {
-            f"{name}_{said}": groups[name].quantile(at)
-            for name in columns
-            for said, at in quantiles.items()
-            if columns[name].notna().any()
-        }
-    )
+    rows = []
+    for method, own in usable.groupby("method", sort=False):
+        for name, values in columns.items():
+            there = values[own.index].astype(float).dropna()
+            if len(there):
+                row = {said: there.quantile(at) for said, at in quantiles.items()}
+                rows.append({"method": method, "quantity": name, **row})
+    return pd.DataFrame(rows, columns=["method", "quantity", *quantiles])
 
 
 def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
 from typing import IO, Any
@@ -54,7 +55,8 @@ class Child:
             env=os.environ | dict.fromkeys(_PINNED, str(threads)),
         )
         self.messages: queue.Queue[Any] = queue.Queue()
-        threading.Thread(target=self._listen, daemon=True).start()
+        self.listener = threading.Thread(target=self._listen, daemon=True)
+        self.listener.start()
         try:
             self._next(perf_counter() + _START, "the process that was to work on it did not start")
         except ChildError:
@@ -85,9 +87,14 @@ class Child:
         return self.process.poll() is None
 
     def kill(self) -> None:
-        """End it."""
+        """End it, if it has not ended, and let go of its pipes."""
         self.process.kill()
         self.process.wait()
+        self.listener.join()
+        for pipe in (self.process.stdin, self.process.stdout, self.said):
+            assert pipe
+            with suppress(OSError):  # What was not sent yet cannot be.
+                pipe.close()
 
     def _send(self, message: Any) -> None:
         assert self.process.stdin
@@ -149,8 +156,11 @@ def supervise(job: Job, folder: Path, threads: int, time_limit: float) -> list[R
     """
     child: Child | None = getattr(_here, "child", None)
     try:
-        if child is None or not child.is_alive or child.threads != threads:
-            child = _here.child = Child(threads)
+        if child is not None and not (child.is_alive and child.threads == threads):
+            child.kill()
+            child = None
+        child = child or Child(threads)
+        _here.child = child
     except ChildError as error:
         return [failure(job, method, error.status, str(error)) for method in job.settings.methods]
     return child.do(job, folder, time_limit)

@@ -150,7 +150,7 @@ def read_table(path: Path) -> "pd.DataFrame":
         "restraint_kj_mol_nm2",
         "output",
     )
-    return pd.read_csv(path, dtype=dict.fromkeys((*text, "model"), "string"), float_precision="round_trip")
+    return pd.read_csv(path, dtype=dict.fromkeys((*text, "model"), "string"))
 
 
 def _lines(columns: Sequence[str], rows: Iterable[Mapping[str, object]], header: bool = False) -> str:

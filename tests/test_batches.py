@@ -1,0 +1,312 @@
+"""Many structures: what is found, that each is done as if alone, and that nothing stops or loses the rest."""
+
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import ROOT, STRUCTURES, chain, energy, load
+
+import protochain as pc
+from protochain.batches import Settings, find_jobs
+from protochain.batches.page import curves
+from protochain.batches.report import statistics, worst_first
+from protochain.batches.supervise import Child
+from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables
+from protochain.batches.task import Row, failure, run
+
+CUT = "ATOM      1  N   ALA A   1      11.104   6.134  -6.504  1.00  0.00           N\n"
+EVIL = "<script>alert(1)</script>"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Inputs: two structures, one with two models, one that is cut short, one with an evil name."""
+    folder = tmp_path_factory.mktemp("inputs")
+    (folder / "deep").mkdir()
+    (folder / "deep" / "ala10.pdb").write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
+    (folder / "1l2y.pdb").write_bytes((STRUCTURES / "1l2y.pdb").read_bytes())
+    (folder / "cut.pdb").write_text(CUT)
+    (folder / "notes.txt").write_text("not a structure")
+    shaken = [load("ala10.pdb"), load("ala10.pdb").with_positions(load("ala10.pdb").positions * 1.001)]
+    text = ""
+    for k, s in enumerate(shaken, 1):
+        pc.save(s, folder / "one.pdb")
+        lines = (folder / "one.pdb").read_text().splitlines()
+        atoms = "\n".join(line for line in lines if line.startswith(("ATOM", "TER")))
+        text += f"MODEL     {k:4}\n{atoms}\nENDMDL\n"
+    (folder / "one.pdb").unlink()
+    (folder / "two.pdb").write_text(text + "END\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(folder, tmp_path_factory):
+    """All of it by two methods, in one worker."""
+    output = tmp_path_factory.mktemp("batch")
+    seen = []
+    result = pc.batch(
+        folder, output, ("lbfgs", "kcm"), workers=1, model="all", max_evaluations=60, watch=seen.append
+    )
+    return result, seen
+
+
+def test_inputs_are_found_in_order_and_once(folder, monkeypatch):
+    names = ["1l2y", "cut", "ala10", "two"]
+    assert [job.name for job in find_jobs([folder], Settings())] == names
+    assert [job.name for job in find_jobs([folder / "two.pdb", folder], Settings())] == ["two", *names[:3]]
+    assert [job.name for job in find_jobs([f"{folder}/**/*a*.pdb"], Settings())] == ["ala10"]
+    listed = iter([f"{folder}/cut.pdb\n", "\n", f"{folder}/deep\n"])
+    monkeypatch.setattr("sys.stdin", listed)
+    assert [job.name for job in find_jobs(["-"], Settings())] == ["cut", "ala10"]
+    models = find_jobs([folder / "two.pdb", folder / "cut.pdb"], Settings(model="all"))
+    assert [(job.name, job.settings.model) for job in models] == [("two.1", "1"), ("two.2", "2"), ("cut", "")]
+    for nothing in ([], [folder / "deep" / "nothing*.pdb"]):
+        with pytest.raises(pc.ProtochainError, match=r"no structures found|matches no file"):
+            find_jobs(nothing, Settings())
+
+
+def test_a_key_is_of_content_and_settings(folder, tmp_path):
+    (job,) = find_jobs([folder / "1l2y.pdb"], Settings())
+    copy = tmp_path / "1l2y.pdb"
+    copy.write_bytes(job.path.read_bytes())
+    assert find_jobs([copy], Settings())[0].key == job.key
+    assert find_jobs([copy], Settings(seed=1))[0].key != job.key
+    copy.write_bytes(job.path.read_bytes() + b"REMARK\n")
+    assert find_jobs([copy], Settings())[0].key != job.key
+    both = find_jobs([job.path, copy, job.path.parent / "two.pdb"], Settings())
+    assert both[0].name == f"1l2y-{both[0].key[:8]}" and both[1].name == f"1l2y-{both[1].key[:8]}"
+    copy.write_bytes(job.path.read_bytes())
+    assert len({job.name for job in find_jobs([job.path, copy], Settings())}) == 2
+
+
+def test_a_manifest_has_settings_of_its_own(folder, tmp_path):
+    manifest = tmp_path / "work.csv"
+    path = os.path.relpath(folder / "1l2y.pdb", tmp_path)
+    manifest.write_text(f'path,methods,solvent,strict\n{path},"kcm, lbfgs",vacuum,yes\n{path},,,\n')
+    first, second = find_jobs([], Settings(seed=7), manifest)
+    assert first.settings == Settings(methods=("kcm", "lbfgs"), solvent="vacuum", strict=True, seed=7)
+    assert second.settings == Settings(seed=7) and first.key != second.key
+    assert first.path.samefile(folder / "1l2y.pdb")
+    for text, said in (
+        ("file\nx\n", "no column 'path'"),
+        ("path,colour\nx,red\n", r"work.csv: line 2: no setting is called 'colour'"),
+        ("path,seed\nx,1\ny,many\n", "line 3: invalid literal"),
+        ("path,strict\nx,maybe\n", "neither true nor false"),
+        ("path\nx,1\n", "more cells than columns"),
+    ):
+        manifest.write_text(text)
+        with pytest.raises(pc.ProtochainError, match=said):
+            find_jobs([], Settings(), manifest)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"methods": ()}, "at least one"), ({"methods": ("nope",)}, "'nope' is not known"),
+        ({"tolerance": -1.0}, "tolerance"), ({"model": "first"}, "model"), ({"max_rmsd": -1.0}, "rmsd"),
+    ],
+)  # fmt: skip
+def test_settings_that_make_no_sense_are_refused(settings, said):
+    with pytest.raises(pc.ProtochainError, match=said):
+        Settings(**settings)
+
+
+def test_each_structure_ends_as_it_does_alone(done):
+    table = done[0].table.set_index(["structure", "method"])
+    for method in ("lbfgs", "kcm"):
+        alone = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), method, max_evaluations=60)
+        row = table.loc[("1l2y", method)]
+        assert row["energy_end_reference_kj_mol"] == alone.end.energy
+        assert row["ca_rmsd_angstrom"] == alone.ca_rmsd_angstrom and row["status"] == str(alone.status)
+        assert set(alone.record()) <= set(COLUMNS)
+        written = pc.load(done[0].folder / row["output"])
+        assert np.abs(written.positions - alone.x).max() < 1e-4
+        points = done[0].traces.query(f"structure == '1l2y' and method == '{method}'")
+        assert points["energy_kj_mol"].iloc[0] == alone.trace["energy_kj_mol"].iloc[0]
+        assert points["evaluations"].iloc[-1] == alone.trace["evaluations"].iloc[-1]
+        assert len(points) <= 50
+
+
+def test_what_fails_is_a_row_and_all_else_is_done(done):
+    result, seen = done
+    table = result.table
+    names = ["1l2y", "cut", "ala10", "two.1", "two.2"]
+    assert table["structure"].tolist() == [name for name in names for _ in range(2)]
+    assert table["method"].tolist() == ["lbfgs", "kcm"] * 5
+    bad = table[table["structure"] == "cut"]
+    assert (bad["status"] == "refused").all() and bad["output"].isna().all()
+    assert bad["message"].str.contains("cut.pdb").all()
+    assert table[table["structure"] != "cut"]["output"].notna().all()
+    assert [(p.done, p.total, p.skipped) for p in seen] == [(k, 5, 0) for k in range(1, 6)]
+    assert seen[-1].failed == 1
+
+
+def test_the_folder_holds_one_truth(done):
+    result = done[0]
+    parquet = pd.read_parquet(result.folder / "summary.parquet")
+    pd.testing.assert_frame_equal(parquet, result.table, check_dtype=False)
+    assert tuple(result.table.columns) == COLUMNS and tuple(result.traces.columns) == TRACE_COLUMNS
+    page = result.report.read_text()
+    for row in result.table.to_dict("records"):
+        if row["status"] == "refused":
+            continue
+        assert f"{row['energy_end_reference_kj_mol']:.3f}" in page
+        own = (result.folder / "pages" / f"{row['structure']}.html").read_text()
+        assert f"{row['energy_end_reference_kj_mol']:.3f}" in own and row["message"] in own
+        assert f'href="../{row["output"]}"' in own
+    for row in pd.read_csv(result.folder / "statistics.csv").to_dict("records"):
+        assert f"{row['median']:.3f}" in page or f"{row['median']:.0f}" in page
+    assert "http://" not in page.replace("http://127.0.0.1", "")
+
+
+def test_resuming_skips_what_is_finished_and_redoes_what_is_not(folder, done, tmp_path):
+    first = pc.batch(
+        [folder / "1l2y.pdb", folder / "cut.pdb"], tmp_path, "lbfgs", workers=1, max_evaluations=60
+    )
+    before = (tmp_path / "summary.csv").read_text()
+    seen = []
+    again = {"workers": 1, "max_evaluations": 60, "resume": True, "watch": seen.append}
+    pc.batch([folder / "1l2y.pdb", folder / "cut.pdb"], tmp_path, "lbfgs", **again)
+    assert not seen and (tmp_path / "summary.csv").read_text() == before
+    # A row cut off in the middle, and a structure added: both are done, and nothing else.
+    summary = tmp_path / "summary.csv"
+    summary.write_text(before[:-30])
+    result = pc.batch([folder / "1l2y.pdb", folder / "cut.pdb", folder / "deep"], tmp_path, "lbfgs", **again)
+    assert [p.skipped for p in seen] == [1, 1]
+    assert result.table["structure"].tolist() == ["1l2y", "cut", "ala10"]
+    assert result.table["energy_end_kj_mol"].iloc[0] == first.table["energy_end_kj_mol"].iloc[0]
+    with pytest.raises(pc.ProtochainError, match="holds a batch"):
+        pc.batch(folder, tmp_path, "lbfgs")
+
+
+def test_tables_are_of_one_writer_and_drop_what_is_stale(folder, tmp_path):
+    one, two = find_jobs([folder / "1l2y.pdb", folder / "cut.pdb"], Settings(methods=("lbfgs", "kcm")))
+    tables = Tables(tmp_path, resume=False)
+    with pytest.raises(pc.ProtochainError, match="another batch"):
+        Tables(tmp_path, resume=True)
+    tables.finished([])
+    point = {"iteration": 0, "evaluations": 1, "seconds": 0.1, "energy_kj_mol": -1.0}
+    for job in (two, one):
+        rows = [failure(job, method, "refused", 'why,\n"so"') for method in job.settings.methods]
+        tables.append([Row(row.record, [point]) for row in rows])
+    tables.sort([one, two])
+    assert tables.read()["structure"].tolist() == ["1l2y", "1l2y", "cut", "cut"]
+    assert tables.read()["message"].tolist() == ['why, "so"'] * 4
+    tables.close()
+    resumed = Tables(tmp_path, resume=True)
+    assert resumed.finished([one, two]) == {one.identity, two.identity}
+    (changed,) = find_jobs([folder / "1l2y.pdb"], Settings(methods=("lbfgs", "kcm"), seed=2))
+    assert resumed.finished([changed]) == set()
+    # Of a structure that is not asked about nothing is lost.
+    assert resumed.read()["structure"].tolist() == ["cut", "cut"]
+    rows = [failure(one, method, "time-limit", "late") for method in one.settings.methods]
+    resumed.append(rows)
+    assert resumed.finished([one, two]) == {two.identity}
+    assert (tmp_path / "traces.csv").read_text().count("\n") == 3
+    resumed.close()
+
+
+def test_a_hang_a_death_and_an_odd_file_end_one_job_each(folder, tmp_path):
+    (long,) = find_jobs([STRUCTURES / "1hel.pdb"], Settings(methods=("lbfgs", "kcm"), max_evaluations=10**9))
+    (short,) = find_jobs([folder / "deep"], Settings(methods=("lbfgs",), max_evaluations=20))
+    child = Child(threads=1)
+    rows = child.do(long, tmp_path, time_limit=12.0)
+    assert [row.record["status"] for row in rows] == ["converged", "time-limit"]
+    assert "12 s" in rows[1].record["message"] and not child.is_alive
+    child = Child(threads=1)
+    threading.Timer(1.0, os.kill, (child.process.pid, signal.SIGKILL)).start()
+    rows = child.do(long, tmp_path, time_limit=60.0)
+    assert {row.record["method"]: row.record["status"] for row in rows}["kcm"] == "killed"
+    assert "SIGKILL" in rows[-1].record["message"]
+    child = Child(threads=1)
+    assert [row.record["status"] for row in child.do(short, tmp_path, 60.0)] == ["converged"]
+    child.kill()
+
+
+def test_a_child_does_not_outlive_its_worker(folder, tmp_path):
+    (long,) = find_jobs([STRUCTURES / "1hel.pdb"], Settings(methods=("kcm",), max_evaluations=10**9))
+    child = Child(threads=1)
+    child._send((long, tmp_path, 1))
+    time.sleep(0.5)
+    child.process.stdin.close()
+    assert child.process.wait(timeout=20) == 0
+    child.kill()
+
+
+def test_a_bug_or_full_memory_is_a_row(folder, tmp_path, monkeypatch):
+    (job,) = find_jobs([folder / "deep"], Settings(methods=("lbfgs", "kcm")))
+    for error, status, said in (
+        (MemoryError(), "killed", "out of memory"),
+        (ZeroDivisionError("oh\nno"), "error", "ZeroDivisionError: oh no"),
+    ):
+
+        def fail(*args, error=error, **kwargs):
+            raise error
+
+        monkeypatch.setattr("protochain.minimisers.minimise", fail)
+        rows = list(run(job, tmp_path, 1))
+        assert [row.record["method"] for row in rows] == ["lbfgs", "kcm"]
+        assert {(row.record["status"], row.record["message"]) for row in rows} == {(status, said)}
+
+
+def test_ends_are_compared_with_openmms(folder, tmp_path):
+    (job,) = find_jobs([folder / "deep"], Settings(methods=("lbfgs", "openmm"), max_evaluations=300))
+    rows = {row.record["method"]: row.record for row in run(job, tmp_path, 1)}
+    ends = {name: pc.load(tmp_path / f"ala10.{name}.pdb") for name in rows}
+    apart = pc.ca_rmsd(ends["lbfgs"], ends["lbfgs"].positions, ends["openmm"].positions)
+    assert rows["lbfgs"]["ca_rmsd_to_openmm_angstrom"] == pytest.approx(apart, abs=2e-3)
+    assert "ca_rmsd_to_openmm_angstrom" not in rows["openmm"]
+
+
+def test_names_are_escaped_on_pages(tmp_path):
+    path = tmp_path / f"{EVIL.replace('/', '|')}.pdb"
+    path.write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
+    (job,) = find_jobs([path], Settings(methods=("lbfgs",), max_evaluations=3))
+    list(run(job, tmp_path, 1))
+    (page,) = (tmp_path / "pages").iterdir()
+    assert "<script>" not in page.read_text() and "&lt;script&gt;" in page.read_text()
+
+
+def test_worst_cases_come_first_and_quartiles_are_of_results():
+    table = pd.DataFrame(
+        {
+            "structure": list("abcde"),
+            "method": "lbfgs",
+            "status": ["converged", "converged", "budget", "refused", "converged"],
+            "energy_start_kj_mol": [0.0, 0.0, 0.0, np.nan, 0.0],
+            "energy_end_reference_kj_mol": [-10.0, -20.0, -30.0, np.nan, -40.0],
+            "n_residues": [10.0, 10.0, 10.0, np.nan, 10.0],
+            "ca_rmsd_angstrom": [0.1, 0.5, 0.2, np.nan, 0.3],
+            "ca_rmsd_to_openmm_angstrom": np.nan,
+            "evaluations": [1.0, 2.0, 3.0, np.nan, 4.0],
+            "seconds": [1.0, 1.0, 1.0, 99.0, 1.0],
+        }
+    )
+    assert worst_first(table)["structure"].tolist() == ["d", "c", "b", "e", "a"]
+    rows = statistics(table).set_index("quantity")
+    assert rows.loc["energy_drop_kj_mol_per_residue", "median"] == 2.5
+    assert rows.loc["seconds", "highest"] == 1.0 and "ca_rmsd_to_openmm_angstrom" not in rows.index
+
+
+def test_a_curve_falls_from_corner_to_corner():
+    trace = [{"evaluations": e, "energy_kj_mol": v} for e, v in ((0, 5.0), (1, 3.0), (10, 4.0), (100, 1.0))]
+    drawn = curves([Row({"method": "kcm"}, trace), Row({"method": "none"}, [])])
+    assert (drawn["low"], drawn["high"], drawn["most"]) == (1.0, 5.0, 100)
+    assert drawn["lines"] == {"kcm": "0.0,0.0 0.0,120.0 320.0,120.0 640.0,240.0"}
+    assert curves([])["lines"] == {}
+
+
+def test_a_cluster_that_is_not_there_is_named(folder, tmp_path):
+    with pytest.raises(pc.ProtochainError, match="no cluster answers"):
+        pc.batch(folder, tmp_path, scheduler="tcp://127.0.0.1:9")
+
+
+@pytest.mark.parametrize("options", [{"workers": 0}, {"threads": 0}, {"time_limit": 0.0}, {"colour": "red"}])
+def test_options_that_make_no_sense_are_refused_before_any_work(options, folder, tmp_path):
+    with pytest.raises(pc.ProtochainError, match=r"numbers above 0|unexpected keyword"):
+        pc.batch(folder, tmp_path / "new", **options)
+    assert not (tmp_path / "new").exists() and ROOT.exists()
