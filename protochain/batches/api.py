@@ -206,7 +206,7 @@ def _work(
             yield future
 
     window = _Window(client)
-    running = as_completed(submit(window.size()))
+    running = as_completed(submit(window.size()), loop=client.loop)
     try:
         for future in running:
             with held_interrupts() as interrupts:

@@ -2,12 +2,13 @@
 
 import logging
 import os
+import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from importlib.util import find_spec
 
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, Worker, WorkerPlugin
 from distributed.security import Security
 
 from protochain.errors import ProtochainError
@@ -45,6 +46,7 @@ def connected(workers: int | None, scheduler: str | None, threads: int) -> Itera
             ) as cluster,
             Client(cluster) as client,
         ):
+            client.register_plugin(_CalmWorker())
             yield client
         return
     try:
@@ -55,6 +57,14 @@ def connected(workers: int | None, scheduler: str | None, threads: int) -> Itera
     with client:
         _check_versions(client, scheduler)
         yield client
+
+
+class _CalmWorker(WorkerPlugin):
+    """Leaves Ctrl-C, which all processes of a terminal get, to the client, who ends the workers."""
+
+    def setup(self, worker: Worker) -> None:
+        with suppress(ValueError):  # Not in a main thread, where no signal arrives.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _check_versions(client: Client, scheduler: str) -> None:
