@@ -2,8 +2,8 @@
 
     python analysis/benchmarks/batch.py -o DIR [--workers 1,2] [--structures N] [--method M] [--more DIR]
 
-The set: all models of an NMR ensemble (with --more FOLDER), perturbed copies of samples, one file in ten broken.
-Rates are from when all workers have started to the last row written.
+The set: all models of an NMR ensemble (with --more FOLDER), perturbed copies of samples, one file in ten
+broken. Rates are from when all workers have started to the last row written.
 Per structure it measures what a plan for many needs: seconds and bytes of each kind of output.
 """
 

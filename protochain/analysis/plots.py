@@ -138,7 +138,7 @@ def _draw_runs(axes: Sequence[Axes], traces: pd.DataFrame, value: str, styles: S
     axes[0].legend(frameon=False)
     for ax in axes:
         ax.set_xscale("log")
-        _plain(ax)
+        plain(ax)
 
 
 def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
@@ -165,7 +165,7 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
     left.set_xlabel("energy evaluations")
     left.set_ylabel("C-alpha RMSD to the start, angstrom")
     left.legend(frameon=False)
-    _plain(left)
+    plain(left)
 
     values = rmsd.to_numpy()
     image = right.imshow(values, cmap="cividis_r", vmin=0.0)
@@ -209,7 +209,7 @@ def plot_displacement(displacements: pd.DataFrame, title: str) -> Figure:
     ax.set_ylim(bottom=0.0)
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.legend(frameon=False, ncols=3)
-    _plain(ax)
+    plain(ax)
     figure.suptitle(f"{_plain_text(title)}: displacement from the start, superposed on all C-alphas")
     return figure
 
@@ -251,7 +251,8 @@ def plot_ramachandran(angles: dict[str, Floats], title: str) -> Figure:
     return figure
 
 
-def _plain(ax: Axes) -> None:
+def plain(ax: Axes) -> None:
+    """Draw no more than two axes and a faint grid."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(True, which="major", alpha=0.25)
 

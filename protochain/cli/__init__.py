@@ -7,6 +7,7 @@ import typer
 from typer.exceptions import TyperException
 
 from protochain.cli.batch import batch
+from protochain.cli.bench import bench
 from protochain.cli.compare import compare
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
@@ -24,7 +25,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-for command in (minimise, compare, batch, simulate, rmsd, info, build):
+for command in (minimise, compare, batch, simulate, rmsd, bench, info, build):
     app.command()(command)
 app.command("minimize", hidden=True)(minimise)
 

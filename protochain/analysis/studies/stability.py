@@ -1,15 +1,13 @@
 """Error against run time of M^-1 tau by three routes, and what each makes of stiff and extreme cases.
 
-    python analysis/benchmarks/stability.py [-o DIR]
-
-Prints tables in Markdown; with -o also writes them as CSV, and a plot. The error is the backward error
+The error is the backward error
 |M x - tau| / (|M| |x| + |tau|) in units of the machine's precision, M x by Newton-Euler and the norm of M by
 ten steps of the power method: O(n), so that no dense matrix is needed to judge long chains.
 """
 
-import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -19,7 +17,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy.linalg import cho_factor, cho_solve
 
-from protochain.errors import MechanicsError
+from protochain.errors import MechanicsError, ProtochainError
 from protochain.multibody import (
     Frames,
     HingeKind,
@@ -31,6 +29,7 @@ from protochain.multibody import (
     rigid_bodies,
     solve_mass,
 )
+from protochain.structure.write import write_atomically
 
 EPS = np.finfo(float).eps
 DENSE_UP_TO = 3000
@@ -69,7 +68,7 @@ def norm_of_mass(tree: Tree, frames: Frames) -> float:
 
 
 def backward_error(tree: Tree, frames: Frames, x: np.ndarray, tau: np.ndarray) -> float:
-    """In units of the machine's precision."""
+    """Return the backward error of x as M^-1 tau, in units of the machine's precision."""
     residual = np.linalg.norm(multiply_mass(tree, frames, x) - tau)
     return float(residual / (norm_of_mass(tree, frames) * np.linalg.norm(x) + np.linalg.norm(tau)) / EPS)
 
@@ -86,7 +85,7 @@ def error_against_time() -> pd.DataFrame:
             if name == "dense Cholesky" and n > DENSE_UP_TO:
                 continue
             x = route(tree, frames, tau)
-            times = []
+            times: list[float] = []
             while len(times) < 3 or (sum(times) < 0.5 and len(times) < 1000):
                 began = perf_counter()
                 route(tree, frames, tau)
@@ -111,7 +110,7 @@ def crossover() -> int:
         tree = random_tree(n, n, 0.0, HingeKind.REVOLUTE)
         rng = np.random.default_rng(n)
         frames, tau = pose(tree, rng.uniform(-3, 3, tree.n_q)), rng.normal(size=tree.n_v)
-        taken = {"articulated": [], "dense": []}
+        taken: dict[str, list[float]] = {"articulated": [], "dense": []}
         for _ in range(200):
             for name, route in (("articulated", articulated), ("dense", dense)):
                 began = perf_counter()
@@ -169,9 +168,9 @@ def mass_ratio(ratio: float) -> Tree:
 
 
 CASES: dict[str, Callable[[], Tree]] = {
-    **{f"mass ratio {r:g}": lambda r=r: mass_ratio(r) for r in (1e-6, 1e-3, 1e3, 1e6)},
+    **{f"mass ratio {r:g}": partial(mass_ratio, r) for r in (1e-6, 1e-3, 1e3, 1e6)},
     **{
-        f"last body {d:g} degrees off its axis": lambda d=d: nearly_collinear(d)
+        f"last body {d:g} degrees off its axis": partial(nearly_collinear, d)
         for d in (5.0, 0.1, 1e-3, 1e-5, 1e-7, 0.0)
     },
     "100 beads, each a body of one atom": lambda: beads(100, shared=False),
@@ -185,7 +184,7 @@ CASES: dict[str, Callable[[], Tree]] = {
 
 def extremes() -> pd.DataFrame:
     """Measure each case: the backward error of each route, or what it says."""
-    rows = []
+    rows: list[dict[str, object]] = []
     for case, build in CASES.items():
         row: dict[str, object] = {"case": case}
         try:
@@ -225,32 +224,28 @@ def plot(table: pd.DataFrame) -> Figure:
     return figure
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("-o", "--output", type=Path)
-    output = parser.parse_args().output
+def run(output: Path, inputs: Sequence[Path] = ()) -> Iterator[pd.DataFrame]:
+    """Measure both; write ``error_against_time.csv`` with its plot, and ``extremes.csv``.
+
+    Parameters
+    ----------
+    output : Path
+        Folder.
+    inputs : sequence of Path
+        None: chains are random.
+
+    Yields
+    ------
+    pandas.DataFrame
+        Each table, when it is written.
+    """
+    if inputs:
+        raise ProtochainError("stability: makes its own chains; give no files")
     table = error_against_time()
-    print("| bodies | route | ms | backward error, eps | relative residual |")
-    print("|--:|---|--:|--:|--:|")
-    for row in table.itertuples():
-        print(
-            f"| {row.bodies} | {row.route} | {row.ms:.3g} | {row.backward_error_eps:.2g} "
-            f"| {row.relative_residual:.1e} |"
-        )
-    print(f"\nFrom {crossover()} hinges on articulated bodies are quicker than the dense matrix.\n")
+    write_atomically(output / "error_against_time.csv", lambda to: table.to_csv(to, index=False))
+    write_atomically(output / "error_against_time.png", partial(plot(table).savefig, dpi=150))
+    yield table
+    yield pd.DataFrame({"hinges_from_which_articulated_is_quicker_than_dense": [crossover()]})
     cases = extremes()
-    print("| case | " + " | ".join(ROUTES) + " |")
-    print("|---|" + "---|" * len(ROUTES))
-    for _, row in cases.iterrows():
-        print("| " + " | ".join(str(row[name]) for name in ("case", *ROUTES)) + " |")
-    if output:
-        output.mkdir(parents=True, exist_ok=True)
-        table.to_csv(output / "error_against_time.csv", index=False)
-        cases.to_csv(output / "extremes.csv", index=False)
-        plot(table).savefig(output / "error_against_time.png", dpi=150)
-
-
-if __name__ == "__main__":
-    main()
+    write_atomically(output / "extremes.csv", lambda to: cases.to_csv(to, index=False))
+    yield cases

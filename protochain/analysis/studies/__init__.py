@@ -1,0 +1,26 @@
+"""Studies that any machine can repeat: ``protochain bench NAME``."""
+
+from importlib import import_module
+from typing import Any
+
+from protochain.errors import ProtochainError
+
+STUDIES = ("precision", "stability")
+
+
+def study(name: str) -> Any:
+    """Return the module of a study, whose ``run(output, inputs)`` gives its tables one after the other.
+
+    Parameters
+    ----------
+    name : str
+        One of ``STUDIES``.
+
+    Raises
+    ------
+    ProtochainError
+        If there is no such study.
+    """
+    if name not in STUDIES:
+        raise ProtochainError(f"there is no study {name!r}; choose from {', '.join(STUDIES)}")
+    return import_module(f"protochain.analysis.studies.{name}")

@@ -1,0 +1,154 @@
+"""Error against run time: what each method makes of many structures, by evaluations and by seconds.
+
+For every structure the lowest end of all methods with the same freedoms is the best known: torsion methods
+keep bond lengths and angles, the others do not. Energies are those of the run's own engine: in double
+precision, but for OpenMM's.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import cycle
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from protochain.analysis.plots import COLOURS, plain
+from protochain.articulate import build_chain
+from protochain.energies import energy
+from protochain.minimisers import minimise
+from protochain.minimisers.methods import IN_TORSIONS
+from protochain.structure import Structure, from_sequence, load
+from protochain.structure.write import write_atomically
+
+METHODS = (
+    "kcm", "kcm-adaptive", "kcm-metric", "kcm-stiffness", "newton", "lbfgs", "cartesian", "hybrid", "openmm",
+)  # fmt: skip
+PEPTIDES = ("YGGFM", "AAAAAAAAAA", "NLYIQWLKDGGPSSGRPPPS")
+"""Met-enkephalin, decaalanine and Trp-cage, from extended chains, where no files are given."""
+ABOVE = (100.0, 10.0, 1.0)
+"""kJ/mol per 100 residues above the best known."""
+_WORK, _LEAST, _MOST = 2e6, 200, 1000
+"""Evaluations times atoms, and evaluations at least and at most: the steady methods need no more, and the
+others would creep for hours on a large protein. OpenMM has twice as many."""
+
+
+def run(output: Path, inputs: Sequence[Path] = ()) -> Iterator[pd.DataFrame]:
+    """Measure all methods; write ``traces.csv``, ``ends.csv``, ``precision.csv`` and ``precision.png``.
+
+    Parameters
+    ----------
+    output : Path
+        Folder.
+    inputs : sequence of Path
+        Structures; three peptides by default.
+
+    Yields
+    ------
+    pandas.DataFrame
+        The ends of each structure when it is done, and at last the table.
+    """
+    traces, ends = [], []
+    for structure in (load(path) for path in inputs) if inputs else map(from_sequence, PEPTIDES):
+        trace, end = measure(structure)
+        traces.append(trace)
+        ends.append(end)
+        for stem, parts in (("traces", traces), ("ends", ends)):
+            table = pd.concat(parts, ignore_index=True)
+            write_atomically(output / f"{stem}.csv", partial(table.to_csv, index=False))
+        yield end
+    all_traces, all_ends = pd.concat(traces), pd.concat(ends)
+    needed = work(all_traces, all_ends)
+    write_atomically(output / "precision.csv", partial(needed.to_csv, index=False))
+    write_atomically(output / "precision.png", partial(plot(all_traces, all_ends).savefig, dpi=150))
+    yield needed
+
+
+def measure(structure: Structure) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Run all methods on a structure, phi psi chi, in ff14SB and OBC2; return traces and ends."""
+    chain, own = build_chain(structure), energy(structure)
+    traces, ends = [], []
+    for method in METHODS:
+        budget = int(np.clip(_WORK / structure.n_atoms, _LEAST, _MOST)) * (2 if method == "openmm" else 1)
+        solution = minimise(chain, own, method, max_evaluations=budget)
+        traces.append(solution.trace.assign(structure=structure.name, method=method))
+        ends.append(
+            {
+                "structure": structure.name,
+                "residues": structure.n_residues,
+                "method": method,
+                "status": str(solution.status),
+                "energy_end_reference_kj_mol": solution.end.energy,
+                "ca_rmsd_angstrom": solution.ca_rmsd_angstrom,
+                "evaluations": solution.n_evaluations,
+                "seconds": solution.seconds,
+            }
+        )
+    return pd.concat(traces), pd.DataFrame(ends)
+
+
+def work(traces: pd.DataFrame, ends: pd.DataFrame) -> pd.DataFrame:
+    """Count evaluations and seconds until each method was near the best known.
+
+    Parameters
+    ----------
+    traces, ends : pandas.DataFrame
+        As of :func:`measure`, of one or many structures.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row a method, cost and nearness: ``median`` with quartiles over the structures, infinite for never.
+    """
+    rows = []
+    for (method, structure), trace in traces.groupby(["method", "structure"], sort=False):
+        best, residues = _best(ends, str(method), str(structure))
+        for cost in ("evaluations", "seconds"):
+            for above in ABOVE:
+                met = trace.loc[trace["energy_kj_mol"] <= best + above * residues / 100.0, cost]
+                needed = met.iloc[0] if len(met) else np.inf
+                rows.append({"method": method, "cost": cost, "above": above, "needed": needed})
+    groups = pd.DataFrame(rows).groupby(["method", "cost", "above"], sort=False)["needed"]
+    levels = {"first_quartile": 0.25, "median": 0.5, "third_quartile": 0.75}
+    # Between a number and never there is nothing to interpolate.
+    table = pd.DataFrame({name: groups.quantile(at, interpolation="higher") for name, at in levels.items()})
+    return table.reset_index().rename(columns={"above": "above_kj_mol_per_100_residues"})
+
+
+def plot(traces: pd.DataFrame, ends: pd.DataFrame) -> Figure:
+    """Draw the median energy above the best known against evaluations and seconds."""
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    axes = figure.subplots(2, 2, sharey=True)
+    for row, (name, in_torsions) in zip(
+        axes, (("torsions only", True), ("all atoms free", False)), strict=True
+    ):
+        methods = [m for m in traces["method"].unique() if (m in IN_TORSIONS) == in_torsions]
+        for ax, cost in zip(row, ("evaluations", "seconds"), strict=True):
+            for method, colour, dash in zip(methods, cycle(COLOURS), cycle(("-", "--", "-.", ":"))):
+                own = traces[traces["method"] == method]
+                grid = np.geomspace(1.0 if cost == "evaluations" else 1e-3, own[cost].max(), 200)
+                curve = np.median(
+                    [_above(run, ends, cost, grid) for _, run in own.groupby("structure")], axis=0
+                )
+                ax.plot(grid, np.maximum(curve, 1e-2), color=colour, linestyle=dash, label=method)
+            ax.set(xscale="log", yscale="log", xlabel=cost, title=name)
+            ax.legend(frameon=False, fontsize=8)
+            plain(ax)
+        row[0].set_ylabel("median energy above the best known,\nkJ/mol per 100 residues")
+    return figure
+
+
+def _above(run: pd.DataFrame, ends: pd.DataFrame, cost: str, grid: np.ndarray) -> np.ndarray:
+    """Energy above the best known after each cost of the grid, kJ/mol per 100 residues."""
+    best, residues = _best(ends, str(run["method"].iloc[0]), str(run["structure"].iloc[0]))
+    place = np.searchsorted(run[cost].to_numpy(), grid, side="right") - 1
+    lowest = np.minimum.accumulate(run["energy_kj_mol"].to_numpy())
+    return np.asarray((lowest[np.maximum(place, 0)] - best) * 100.0 / residues)
+
+
+def _best(ends: pd.DataFrame, method: str, structure: str) -> tuple[float, int]:
+    """Lowest end of the methods with this one's freedoms, kJ/mol, and the number of residues."""
+    own = ends[ends["structure"] == structure]
+    alike = own[own["method"].isin(IN_TORSIONS) == (method in IN_TORSIONS)]
+    return float(alike["energy_end_reference_kj_mol"].min()), int(own["residues"].iloc[0])

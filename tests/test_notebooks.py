@@ -1,0 +1,83 @@
+"""The notebooks of analysis/: committed plain, built on public names, and run to their last assertion."""
+
+import ast
+import json
+
+import pytest
+from conftest import ROOT
+
+FOLDER = ROOT / "analysis"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+PUBLIC = {"protochain", "protochain.multibody", "protochain.analysis"}
+LONGEST = 180
+"""Seconds for a cell; each notebook takes less than a minute where nothing else runs."""
+
+every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+
+
+def cells(path, kind):
+    """Sources of the cells of a kind."""
+    found = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    return ["".join(cell["source"]) for cell in found if cell["cell_type"] == kind]
+
+
+def program(path):
+    """All code, as Python reads it: without IPython's magics."""
+    lines = "\n".join(cells(path, "code")).splitlines()
+    return ast.parse("\n".join(line for line in lines if not line.startswith("%")))
+
+
+def test_all_five_are_there():
+    assert [path.name[:3] for path in NOTEBOOKS] == ["01-", "02-", "03-", "04-", "05-"]
+
+
+@every_notebook
+def test_it_is_committed_plain(path):
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
+    assert notebook["metadata"] == {"kernelspec": {"display_name": "Python 3", "name": "python3"}}
+    assert [cell["id"] for cell in notebook["cells"]] == [
+        f"cell-{k:02d}" for k in range(1, len(notebook["cells"]) + 1)
+    ]
+    for cell in notebook["cells"]:
+        assert cell["metadata"] == {}
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == [] and cell["execution_count"] is None
+
+
+@every_notebook
+def test_it_asks_first_and_says_last_what_was_found(path):
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    kinds = [cell["cell_type"] for cell in notebook["cells"]]
+    assert kinds[0] == kinds[-1] == "markdown" and kinds[-2] == "code"
+    text = cells(path, "markdown")
+    assert text[0].startswith("# ")
+    assert text[-1].startswith("## What was found\n\n") and len(text[-1]) > 300
+    assert "assert " in cells(path, "code")[-1]
+
+
+@every_notebook
+def test_it_uses_public_names_only(path):
+    for node in ast.walk(program(path)):
+        if isinstance(node, ast.Import):
+            ours = {alias.name for alias in node.names if alias.name.split(".")[0] == "protochain"}
+            assert ours <= PUBLIC
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "protochain":
+            assert node.module in PUBLIC
+            assert not [alias.name for alias in node.names if alias.name.startswith("_")]
+        if isinstance(node, ast.Attribute):
+            assert not node.attr.startswith("_"), node.attr
+
+
+@every_notebook
+def test_it_runs(path, tmp_path, monkeypatch):
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
+    before = sorted(FOLDER.iterdir())
+    notebook = nbformat.read(path, as_version=4)
+    nbclient.NotebookClient(
+        notebook, timeout=LONGEST, kernel_name="python3", resources={"metadata": {"path": str(FOLDER)}}
+    ).execute()
+    assert sorted(FOLDER.iterdir()) == before, "it leaves files behind"
