@@ -1,6 +1,7 @@
 """What notebooks and other libraries see: frames of MDAnalysis, ASE, scipy, bars, tables, shared energies."""
 
 import dataclasses
+import gc
 import io
 import sys
 
@@ -130,6 +131,7 @@ def test_a_bar_counts_what_was_done_and_ends(kind, monkeypatch):
         pc.simulate(chain("ala10.pdb"), energy("ala10.pdb"), n_steps=40, every=10, watch=watch)
         said = "40 steps"
     del watch
+    gc.collect()  # A compiler that ran meanwhile may have kept its callers' frames.
     last = shown.getvalue().split("\r")[-1]
     assert said in last and last.endswith("\n") and ("kJ/mol" in last or " K" in last)
 
@@ -155,3 +157,19 @@ def test_a_structure_and_a_solution_can_be_looked_at():
     r = pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", max_evaluations=3)
     assert list(pc.view(r).shown) == ["start", "lbfgs"]
     assert pc.view(load("ala10.pdb"))._repr_html_().startswith("<iframe sandbox=")
+
+
+def test_an_energy_of_other_atoms_is_refused():
+    built = pc.from_sequence("NLYIQWLKDGGPSSGRPPPS")
+    assert built.n_atoms == load("1l2y.pdb").n_atoms
+    e = energy("1l2y.pdb")
+    for run in (pc.minimise, pc.simulate):
+        with pytest.raises(pc.ProtochainError, match="other atoms"):
+            run(pc.build_chain(built), e)
+    given = pc.energy(built, system=e.system, engine="openmm")
+    assert pc.minimise(pc.build_chain(built), given, "kcm", max_evaluations=2).n_evaluations == 2
+
+
+def test_notebooks_draw_the_figures():
+    k = pc.compare(chain("ala10.pdb"), ("lbfgs",), energy("ala10.pdb"), max_evaluations=5)
+    assert k.plot_energy()._repr_png_().startswith(b"\x89PNG")

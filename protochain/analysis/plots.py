@@ -1,5 +1,6 @@
 """Pictures drawn from the tables: colour-blind-safe, told apart in grey by line style, with units."""
 
+import io
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as PlainFigure
 from matplotlib.ticker import MaxNLocator
 
 from protochain.analysis.quality import ramachandran_reference
@@ -20,6 +21,15 @@ _LOG_FROM = 1e4
 """kJ/mol: a fall larger than this (a clash relieved) would hide everything else on a linear axis."""
 _SAME = 0.1
 """kJ/mol above the lowest at which curves end on a logarithmic axis: less is the same minimum."""
+
+
+class Figure(PlainFigure):
+    """A figure that notebooks draw without pyplot, which would keep every figure for ever."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=100)
+        return buffer.getvalue()
 
 
 def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
@@ -95,7 +105,7 @@ def plot_torque(traces: pd.DataFrame, title: str) -> Figure:
     Parameters
     ----------
     traces : pandas.DataFrame
-        As ``Comparison.traces``; methods that move all atoms have no torques and are left out.
+        As ``Comparison.traces``; where all atoms move there are no torques, and nothing is drawn.
     title : str
 
     Returns

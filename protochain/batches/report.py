@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from protochain.analysis.plots import COLOURS
+from protochain.analysis.plots import COLOURS, Figure, plain
 from protochain.analysis.report import data_url
 from protochain.analysis.viewer import template
 from protochain.structure.write import write_atomically
@@ -136,8 +135,7 @@ def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str) -> 
     ax.set_xlabel(label)
     ax.set_ylabel("structures up to there, %")
     ax.set_ylim(0, 101)
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.grid(True, alpha=0.25)
+    plain(ax)
     if ax.lines:
         ax.legend(frameon=False)
     return figure

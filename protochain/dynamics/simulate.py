@@ -23,7 +23,7 @@ from protochain.dynamics.settings import Settings, integrator, thermostat
 from protochain.dynamics.simulation import Simulation
 from protochain.dynamics.system import StepTooLargeError, System, chain_potential, total
 from protochain.energies.factory import energy as build_energy
-from protochain.energies.protocol import Energy
+from protochain.energies.protocol import Energy, check_is_of
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.multibody import HingeKind, articulated
@@ -82,8 +82,8 @@ def simulate(
     friction : float, 1/ps
         How tightly the thermostat holds.
     integrator : str
-        ``leapfrog`` (reversible, one energy a step), ``midpoint`` (implicit, for stiff springs), ``rk4`` or
-        ``dormand-prince`` (references).
+        ``leapfrog`` (reversible, one energy a step), ``lobatto`` (as good for short chains), ``midpoint``
+        (implicit, for stiff springs), ``rk4`` or ``dormand-prince`` (references).
     fixman : bool
         Add Fixman's potential, which undoes the bias of rigid bonds and angles.
     loops : str
@@ -129,6 +129,7 @@ def simulate(
     chain = as_chain(chain)
     if energy is None:
         energy = build_energy(chain.structure)
+    check_is_of(energy, chain.structure)
     scene = _scene(chain, energy, q, settings)
     folder = Folder(Path(output), trajectory, scene.identity) if output is not None else None
     with threadpool_limits(1, "blas"):

@@ -130,7 +130,8 @@ def energy(
     note = "no cutoff"
     if solvent == "obc2":
         note = _use_gbsa_obc(built)
-    return _by_engine(engine, OpenMMEnergy(built, "CPU", threads, forcefield, solvent, note))
+    twin = OpenMMEnergy(built, "CPU", threads, forcefield, solvent, note, structure.fingerprint)
+    return _by_engine(engine, twin)
 
 
 def _by_engine(engine: str, twin: OpenMMEnergy) -> Energy:
@@ -144,8 +145,9 @@ def _by_engine(engine: str, twin: OpenMMEnergy) -> Energy:
             raise
         note = f"{twin.note}; not by the native engine: {error}"
         return OpenMMEnergy(
-            twin.system, twin.platform, twin.threads, twin.forcefield, twin.solvent, note.removeprefix("; ")
-        )
+            twin.system, twin.platform, twin.threads, twin.forcefield, twin.solvent, note.removeprefix("; "),
+            twin.atoms,
+        )  # fmt: skip
 
 
 @cache

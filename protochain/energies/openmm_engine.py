@@ -27,6 +27,8 @@ class OpenMMEnergy:
         Threads of the CPU platform; None for all.
     forcefield, solvent, note : str
         What to report: names, and a remark on how the System was built.
+    atoms : str
+        ``Structure.fingerprint`` of what it was built for; empty if the System was given.
     """
 
     engine = "openmm"
@@ -41,6 +43,7 @@ class OpenMMEnergy:
         forcefield: str = "custom",
         solvent: str = "custom",
         note: str = "",
+        atoms: str = "",
     ) -> None:
         self.system = copy.deepcopy(system)
         self.platform = platform
@@ -48,6 +51,7 @@ class OpenMMEnergy:
         self.forcefield = forcefield
         self.solvent = solvent
         self.note = note
+        self.atoms = atoms
 
     @property
     def reason(self) -> str:
@@ -73,7 +77,9 @@ class OpenMMEnergy:
         """The same System on the Reference platform."""
         if self.platform == "Reference":
             return self
-        return OpenMMEnergy(self.system, "Reference", None, self.forcefield, self.solvent, self.note)
+        return OpenMMEnergy(
+            self.system, "Reference", None, self.forcefield, self.solvent, self.note, self.atoms
+        )
 
     @cached_property
     def fingerprint(self) -> str:

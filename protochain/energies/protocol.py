@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from protochain.arrays import Floats, Integers
+from protochain.errors import ProtochainError
+from protochain.structure.model import Structure
 
 
 class Energy(Protocol):
@@ -20,6 +22,10 @@ class Energy(Protocol):
     @property
     def system(self) -> Any:
         """The OpenMM System it evaluates."""
+
+    @property
+    def atoms(self) -> str:
+        """Fingerprint of the structure it was built for; empty if its System was given."""
 
     @property
     def forcefield(self) -> str:
@@ -61,3 +67,17 @@ class Energy(Protocol):
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
+
+
+def check_is_of(energy: Energy, structure: Structure) -> None:
+    """Refuse an energy that was built for another molecule, whose atoms may be as many.
+
+    Raises
+    ------
+    ProtochainError
+        Naming the mend.
+    """
+    if energy.atoms and energy.atoms != structure.fingerprint:
+        raise ProtochainError(
+            f"the energy was built for other atoms than those of {structure.name}; give pc.energy(structure)"
+        )

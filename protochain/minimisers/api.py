@@ -15,7 +15,7 @@ from protochain.arrays import Floats, read_only
 from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose, rigid_groups
 from protochain.energies.factory import energy as build_energy
-from protochain.energies.protocol import Energy
+from protochain.energies.protocol import Energy, check_is_of
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.minimisers.annealing import Annealing
@@ -106,6 +106,7 @@ def minimise(
     chain = as_chain(chain)
     if energy is None:
         energy = build_energy(chain.structure)
+    check_is_of(energy, chain.structure)
     # One thread of linear algebra: its sums must not depend on the machine, nor its threads spin beside the
     # energy's.
     with threadpool_limits(1, "blas"):

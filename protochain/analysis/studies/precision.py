@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
-from protochain.analysis.plots import COLOURS, plain
+from protochain.analysis.plots import COLOURS, Figure, plain
 from protochain.articulate import build_chain
 from protochain.energies import energy
 from protochain.minimisers import minimise

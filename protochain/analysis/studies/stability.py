@@ -14,9 +14,9 @@ from time import perf_counter
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from scipy.linalg import cho_factor, cho_solve
 
+from protochain.analysis.plots import Figure
 from protochain.errors import MechanicsError, ProtochainError
 from protochain.multibody import (
     Frames,

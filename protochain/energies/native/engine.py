@@ -64,6 +64,11 @@ class NativeEnergy:
         """With terms left out: the layout of all of them, its lists and one's own, and their positions."""
 
     @property
+    def atoms(self) -> str:
+        """Fingerprint of the structure it was built for; empty if the System was given."""
+        return self.twin.atoms
+
+    @property
     def reason(self) -> str:
         """Which kernels run, and what they leave out, in a sentence."""
         text = f"native kernels, double precision, {self.threads} threads"
