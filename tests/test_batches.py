@@ -69,6 +69,20 @@ def test_inputs_are_found_in_order_and_once(folder, monkeypatch):
             find_jobs(nothing, Settings())
 
 
+def test_results_are_never_taken_for_inputs(folder, tmp_path):
+    (tmp_path / "out").mkdir()
+    for place in ("a.pdb", "out/a.lbfgs.pdb"):
+        (tmp_path / place).write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
+    assert [job.name for job in find_jobs([tmp_path], Settings(), output=tmp_path / "out")] == ["a"]
+    with pytest.raises(pc.ProtochainError, match="folder of their own"):
+        find_jobs([tmp_path / "out" / "a.lbfgs.pdb"], Settings(), output=tmp_path / "out")
+    with pytest.raises(pc.ProtochainError, match="folder of their own"):
+        pc.batch(tmp_path / "a.pdb", tmp_path)
+    (tmp_path / "out" / "summary.csv").write_text("method,status\nlbfgs,converged\n")
+    with pytest.raises(pc.ProtochainError, match="not the table of a batch"):
+        pc.batch(tmp_path / "a.pdb", tmp_path / "out", resume=True)
+
+
 def test_a_key_is_of_content_and_settings(folder, tmp_path):
     (job,) = find_jobs([folder / "1l2y.pdb"], Settings())
     copy = tmp_path / "1l2y.pdb"
@@ -211,12 +225,12 @@ def test_tables_are_of_one_writer_and_drop_what_is_stale(folder, tmp_path):
 
 
 def test_a_hang_a_death_and_an_odd_file_end_one_job_each(folder, tmp_path):
-    (long,) = find_jobs([STRUCTURES / "1hel.pdb"], Settings(methods=("lbfgs", "kcm"), max_evaluations=10**9))
+    (long,) = find_jobs([STRUCTURES / "4pti.pdb"], Settings(methods=("lbfgs", "kcm"), max_evaluations=10**9))
     (short,) = find_jobs([folder / "deep"], Settings(methods=("lbfgs",), max_evaluations=20))
     child = Child(threads=1)
-    rows = child.do(long, tmp_path, time_limit=12.0)
+    rows = child.do(long, tmp_path, time_limit=6.0)
     assert [row.record["status"] for row in rows] == ["converged", "time-limit"]
-    assert "12 s" in rows[1].record["message"] and not child.is_alive
+    assert "6 s" in rows[1].record["message"] and not child.is_alive
     child = Child(threads=1)
     threading.Timer(1.0, os.kill, (child.process.pid, signal.SIGKILL)).start()
     rows = child.do(long, tmp_path, time_limit=60.0)

@@ -114,6 +114,14 @@ def test_build_makes_a_file_that_loads(tmp_path):
         (["minimise", "long.cif", "-o", "out.pdb"], ["'LONG'", "write .cif"]),
         (["compare", "in.pdb", "--methods", "kcm,nope"], ["'nope'"]),
         (["compare", "in.pdb", "-o", "in.pdb"], ["in.pdb", "not a folder"]),
+        (["compare", "in.pdb", "--repeats", "0"], ["repeats 0"]),
+        (["batch"], ["no structures found"]),
+        (["batch", "*.xyz"], ["*.xyz", "matches no file"]),
+        (["batch", "in.pdb", "-o", "."], ["in.pdb", "folder of their own"]),
+        (["batch", "in.pdb", "-o", "in.pdb"], ["in.pdb", "not a folder"]),
+        (["batch", "in.pdb", "--methods", "kcm,nope"], ["'nope'"]),
+        (["batch", "in.pdb", "--time-limit", "0"], ["time-limit"]),
+        (["bench", "speed"], ["'speed'", "precision, stability"]),
         (["info", "empty.pdb"], ["empty.pdb", "no atoms"]),
         (["build", "AAZ", "-o", "a.pdb"], ["letter 3"]),
     ],
@@ -253,3 +261,26 @@ def test_every_model_can_be_minimised(tmp_path):
     assert (
         protochain("minimise", "two.pdb", "--model", "all", "--trace", "t.csv", cwd=tmp_path).returncode == 2
     )
+
+
+def test_a_batch_lists_its_work_does_it_and_says_how_it_ended(tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a.pdb").write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
+    (tmp_path / "in" / "b.pdb").write_text("nothing of use\n")
+    listed = protochain("batch", "in", "--dry-run", "--methods", "lbfgs,kcm", cwd=tmp_path)
+    assert listed.returncode == 0 and not (tmp_path / "batch").exists()
+    assert [line.split()[:2] for line in listed.stdout.splitlines()] == [
+        ["a", "lbfgs,kcm"],
+        ["b", "lbfgs,kcm"],
+    ]
+    work = ("batch", "in", "-o", "out", "--methods", "lbfgs", "--workers", 1)
+    done = protochain(*work, cwd=tmp_path)
+    assert done.returncode == 3 and "lbfgs: 1 converged, 1 refused" in done.stdout
+    assert "b: refused: in/b.pdb" in done.stdout and (tmp_path / "out" / "a.lbfgs.pdb").exists()
+    refused = protochain(*work, cwd=tmp_path)
+    assert refused.returncode == 2 and "holds a batch; --resume" in refused.stderr
+    again = protochain(*work, "--resume", "--json", cwd=tmp_path)
+    assert again.returncode == 3
+    assert json.loads(again.stdout)["status"] == {"converged": 1, "refused": 1}
+    nothing = protochain("batch", "in/b.pdb", "-o", "none", "--workers", 1, cwd=tmp_path)
+    assert nothing.returncode == 1

@@ -184,6 +184,17 @@ def test_workers_of_the_dask_command_line_do_the_same(inputs, whole, tmp_path):
     pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
 
 
+def test_without_its_scheduler_a_batch_ends_and_goes_on_later(inputs, whole, tmp_path):
+    with cluster(tmp_path) as address:
+        running = start(inputs, tmp_path / "out", "--scheduler", address)
+        wait_for_rows(tmp_path / "out", N_BAD + 2, running)
+        (scheduler,) = [p for p in psutil.Process().children() if "scheduler" in p.cmdline()]
+        scheduler.kill()
+        assert running.wait(timeout=120) == 3
+    assert start(inputs, tmp_path / "out", "--workers", "2", "--resume").wait(timeout=300) == 3
+    pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
+
+
 def test_a_cluster_with_tls_takes_only_who_has_a_certificate(inputs, whole, tmp_path):
     pytest.importorskip("cryptography")
     from distributed.security import Security

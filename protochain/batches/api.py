@@ -165,8 +165,8 @@ def batch(
         common = Settings(methods=chosen, **settings)
     except TypeError as error:
         raise ProtochainError(f"settings: {error}") from error
-    jobs = find_jobs(given, common, Path(manifest) if manifest else None)
     folder = Path(output)
+    jobs = find_jobs(given, common, Path(manifest) if manifest else None, folder)
     tables = Tables(folder, resume)
     try:
         done = tables.finished(jobs)
@@ -192,7 +192,7 @@ def _work(
     skipped: int,
     watch: Watcher | None,
 ) -> bool:
-    """Have the jobs done; append their rows as they arrive. Return whether an interrupt ended it."""
+    """Have the jobs done; append their rows as they arrive. Return whether it ended before all were."""
     began = perf_counter()
     folder = tables.folder.absolute()
     waiting = iter(todo)
@@ -209,6 +209,8 @@ def _work(
     running = as_completed(submit(window.size()), loop=client.loop)
     try:
         for future in running:
+            if future.status not in ("finished", "error"):
+                return True  # The scheduler is gone.
             with held_interrupts() as interrupts:
                 rows = _rows(future, of.pop(future.key))
                 tables.append(rows)
@@ -245,8 +247,6 @@ def _rows(future: Future, job: Job) -> list[Row]:
     if future.status == "finished":
         rows: list[Row] = future.result()
         return rows
-    if future.status != "error":
-        raise ProtochainError("the scheduler is gone; what is done is kept, --resume goes on with the rest")
     message = f"no worker finished it: {future.exception()}"
     return [failure(job, method, "killed", message) for method in job.settings.methods]
 

@@ -135,7 +135,12 @@ class _Found:
         return inner.stem + (f".{self.settings.model}" if self.settings.model else "")
 
 
-def find_jobs(inputs: Iterable[str | Path], settings: Settings, manifest: Path | None = None) -> list[Job]:
+def find_jobs(
+    inputs: Iterable[str | Path],
+    settings: Settings,
+    manifest: Path | None = None,
+    output: Path | None = None,
+) -> list[Job]:
     """List the jobs of a batch.
 
     Parameters
@@ -146,6 +151,8 @@ def find_jobs(inputs: Iterable[str | Path], settings: Settings, manifest: Path |
         Of all; ``model="all"`` makes a job of each model.
     manifest : Path, optional
         CSV with a column ``path`` and any of the settings; paths are relative to its folder.
+    output : Path, optional
+        Where results will go: folders are not searched there, and nothing in it may be an input.
 
     Returns
     -------
@@ -155,25 +162,31 @@ def find_jobs(inputs: Iterable[str | Path], settings: Settings, manifest: Path |
     Raises
     ------
     ProtochainError
-        If there is nothing to do, or the manifest makes no sense.
+        If there is nothing to do, the manifest makes no sense, or a result might replace an input.
     """
-    found = [_Found(path, settings) for given in inputs for path in _paths(str(given))]
+    found = [_Found(path, settings) for given in inputs for path in _paths(str(given), output)]
     if manifest:
         found += _from_manifest(manifest, settings)
     found = [each for one in dict.fromkeys(found) for each in _models(one)]
+    for each in found:
+        if _is_inside(each.path, output):
+            raise ProtochainError(
+                f"{each.path}: lies in the folder for the results; give them a folder of their own"
+            )
     if not found:
         raise ProtochainError("no structures found; give files, folders or patterns")
     hashed = [replace(each, content=_hash(each.path)) for each in found]
     return _named_apart(hashed)
 
 
-def _paths(given: str) -> Iterator[Path]:
+def _paths(given: str, output: Path | None) -> Iterator[Path]:
     if given == "-":
         for line in sys.stdin:
             if line.strip():
-                yield from _paths(line.strip())
+                yield from _paths(line.strip(), output)
     elif Path(given).is_dir():
-        yield from sorted(path for path in Path(given).rglob("*") if _is_structure(path))
+        found = sorted(path for path in Path(given).rglob("*") if _is_structure(path))
+        yield from (path for path in found if not _is_inside(path, output))
     elif not Path(given).exists() and _GLOB & set(given):
         matched = sorted(glob.glob(given, recursive=True))  # noqa: PTH207 (a pattern may be absolute)
         if not matched:
@@ -181,6 +194,10 @@ def _paths(given: str) -> Iterator[Path]:
         yield from (Path(path) for path in matched if not Path(path).is_dir())
     else:
         yield Path(given)
+
+
+def _is_inside(path: Path, folder: Path | None) -> bool:
+    return folder is not None and folder.resolve() in path.resolve().parents
 
 
 def _is_structure(path: Path) -> bool:

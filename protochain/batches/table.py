@@ -13,7 +13,7 @@ from filelock import FileLock, Timeout
 from protochain.batches.jobs import Job
 from protochain.batches.task import Row
 from protochain.errors import ProtochainError
-from protochain.structure.write import write_atomically
+from protochain.structure.write import check_writable, write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,6 +60,7 @@ class Tables:
     """
 
     def __init__(self, folder: Path, resume: bool) -> None:
+        check_writable(folder / "summary.csv")
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.summary, self.traces = folder / "summary.csv", folder / "traces.csv"
@@ -185,5 +186,7 @@ def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
         for cells in csv.reader(whole):
             if columns is None:
                 columns = cells
+                if "key" not in columns:
+                    raise ProtochainError(f"{path}: is not the table of a batch; give another folder")
             elif len(cells) == len(columns):
                 yield dict(zip(columns, cells, strict=True))

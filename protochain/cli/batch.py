@@ -83,7 +83,7 @@ def batch(
     # A list on standard input can be read once only.
     given = [line for each in inputs or () for line in (_lines() if each == "-" else [each])]
     if dry_run:
-        print_jobs(find_jobs(given, Settings(methods=chosen, **settings), manifest))
+        print_jobs(find_jobs(given, Settings(methods=chosen, **settings), manifest, output))
         raise typer.Exit(CONVERGED)
     with batch_progress() as watch:
         done = run(

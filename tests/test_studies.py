@@ -1,0 +1,70 @@
+"""The studies of ``protochain bench``, cut short: what they measure, and what they write."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.linalg import eigh
+
+import protochain as pc
+from protochain.analysis.studies import precision, stability, study
+from protochain.multibody import HingeKind, mass_matrix, pose, random_tree
+
+
+def test_precision_counts_what_it_took(tmp_path, monkeypatch):
+    monkeypatch.setattr(precision, "PEPTIDES", ("GAG", "AYA"))
+    monkeypatch.setattr(precision, "METHODS", ("kcm", "lbfgs", "cartesian"))
+    monkeypatch.setattr(precision, "_MOST", 200)
+    *ends, needed = precision.run(tmp_path)
+    traces = pd.read_csv(tmp_path / "traces.csv")
+    ends = pd.concat(ends)
+    assert ends["structure"].nunique() == 2 and len(ends) == 6
+    for row in needed.to_dict("records"):
+        alike = ["cartesian"] if row["method"] == "cartesian" else ["kcm", "lbfgs"]
+        own = []
+        for name, group in ends.groupby("structure"):
+            best = group[group["method"].isin(alike)]["energy_end_reference_kj_mol"].min()
+            limit = best + row["above_kj_mol_per_100_residues"] * 3 / 100
+            run = traces[(traces["structure"] == name) & (traces["method"] == row["method"])]
+            own.append(run.loc[run["energy_kj_mol"] <= limit, row["cost"]].min())
+        own = sorted(np.inf if np.isnan(value) else value for value in own)
+        assert [row["first_quartile"], row["third_quartile"]] == pytest.approx([own[1], own[1]], rel=1e-12)
+    lbfgs = needed[(needed["method"] == "lbfgs") & (needed["cost"] == "evaluations")]["median"]
+    assert np.isfinite(lbfgs).all() and lbfgs.is_monotonic_increasing
+    assert (tmp_path / "precision.png").stat().st_size > 20_000
+
+
+def test_stability_measures_backward_errors(tmp_path, monkeypatch):
+    monkeypatch.setattr(stability, "SIZES", (10, 30))
+    kept = ("mass ratio 1e+06", "last body 0 degrees off its axis", "100 beads, masses shared")
+    monkeypatch.setattr(stability, "CASES", {name: stability.CASES[name] for name in kept})
+    table, crossing, cases = stability.run(tmp_path)
+    assert len(table) == 6 and (table["backward_error_eps"] < 2.0).all() and (table["ms"] > 0).all()
+    assert crossing.iloc[0, 0] >= 2
+    cases = cases.set_index("case")
+    assert cases.loc[kept[1]].str.contains("lies on its hinge's axis").all()
+    assert cases.loc[kept[0]].str.endswith(" eps").all()
+    assert {"error_against_time.csv", "error_against_time.png", "extremes.csv"} == {
+        path.name for path in tmp_path.iterdir()
+    }
+    with pytest.raises(pc.ProtochainError, match="give no files"):
+        next(stability.run(tmp_path, [tmp_path / "x.pdb"]))
+
+
+def test_the_norm_and_the_error_are_those_of_the_dense_matrix():
+    tree = random_tree(12, 3, 0.0, HingeKind.FREE)
+    random = np.random.default_rng(0)
+    frames, tau = pose(tree, random.uniform(-3, 3, tree.n_q)), random.normal(size=tree.n_v)
+    mass = mass_matrix(tree, frames)
+    norm = eigh(mass, eigvals_only=True)[-1]
+    assert 0.9 * norm < stability.norm_of_mass(tree, frames) <= norm * (1 + 1e-12)
+    x = np.linalg.solve(mass, tau) * (1 + 1e-6)
+    expected = np.linalg.norm(mass @ x - tau) / (norm * np.linalg.norm(x) + np.linalg.norm(tau))
+    measured = stability.backward_error(tree, frames, x, tau) * np.finfo(float).eps
+    assert measured == pytest.approx(expected, rel=0.1)
+
+
+def test_a_study_that_is_not_there_is_named():
+    with pytest.raises(
+        pc.ProtochainError, match="there is no study 'speed'; choose from precision, stability"
+    ):
+        study("speed")
