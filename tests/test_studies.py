@@ -35,6 +35,7 @@ def test_precision_counts_what_it_took(tmp_path, monkeypatch):
 
 def test_stability_measures_backward_errors(tmp_path, monkeypatch):
     monkeypatch.setattr(stability, "SIZES", (10, 30))
+    monkeypatch.setattr(stability, "REPEATS", 5)
     kept = ("mass ratio 1e+06", "last body 0 degrees off its axis", "100 beads, masses shared")
     monkeypatch.setattr(stability, "CASES", {name: stability.CASES[name] for name in kept})
     table, crossing, cases = stability.run(tmp_path)

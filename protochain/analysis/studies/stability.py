@@ -33,6 +33,7 @@ from protochain.structure.write import write_atomically
 
 EPS = np.finfo(float).eps
 DENSE_UP_TO = 3000
+REPEATS = 200
 SIZES = (10, 30, 100, 300, 1000, 3000, 10_000, 100_000)
 
 
@@ -111,7 +112,7 @@ def crossover() -> int:
         rng = np.random.default_rng(n)
         frames, tau = pose(tree, rng.uniform(-3, 3, tree.n_q)), rng.normal(size=tree.n_v)
         taken: dict[str, list[float]] = {"articulated": [], "dense": []}
-        for _ in range(200):
+        for _ in range(REPEATS):
             for name, route in (("articulated", articulated), ("dense", dense)):
                 began = perf_counter()
                 route(tree, frames, tau)
