@@ -276,7 +276,7 @@ def test_a_batch_lists_its_work_does_it_and_says_how_it_ended(tmp_path):
     work = ("batch", "in", "-o", "out", "--methods", "lbfgs", "--workers", 1)
     done = protochain(*work, cwd=tmp_path)
     assert done.returncode == 3 and "lbfgs: 1 converged, 1 refused" in done.stdout
-    assert "b: refused: in/b.pdb" in done.stdout and (tmp_path / "out" / "a.lbfgs.pdb").exists()
+    assert f"b: refused: {tmp_path}/in/b.pdb" in done.stdout and (tmp_path / "out" / "a.lbfgs.pdb").exists()
     refused = protochain(*work, cwd=tmp_path)
     assert refused.returncode == 2 and "holds a batch; --resume" in refused.stderr
     again = protochain(*work, "--resume", "--json", cwd=tmp_path)

@@ -106,6 +106,7 @@ class Job:
     name : str
         Unlike all others of the batch: what its files are called.
     path : Path
+        Absolute.
     settings : Settings
         ``model`` is a number or empty.
     key : str
@@ -258,5 +259,6 @@ def _named_apart(found: list[_Found]) -> list[Job]:
         taken[name] += 1
         # The same content twice.
         name = name if taken[name] == 1 else f"{name}-{taken[name]}"
-        jobs.append(Job(name, each.path, each.settings, key))
+        # A worker may have been started in another folder.
+        jobs.append(Job(name, each.path.absolute(), each.settings, key))
     return jobs
