@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pandas as pd
+import psutil
 import pytest
 from conftest import ROOT, STRUCTURES, chain, energy, load
 
@@ -47,11 +48,19 @@ def folder(tmp_path_factory):
 def done(folder, tmp_path_factory):
     """All of it by two methods, in one worker."""
     output = tmp_path_factory.mktemp("batch")
-    seen = []
+    seen, listening = [], set()
+
+    def watch(progress):
+        seen.append(progress)
+        own = psutil.Process()
+        for process in (own, *own.children(recursive=True)):
+            sockets = process.net_connections("inet")
+            listening.update(each.laddr.ip for each in sockets if each.status == psutil.CONN_LISTEN)
+
     result = pc.batch(
-        folder, output, ("lbfgs", "kcm"), workers=1, model="all", max_evaluations=60, watch=seen.append
+        folder, output, ("lbfgs", "kcm"), workers=1, model="all", max_evaluations=60, watch=watch
     )
-    return result, seen
+    return result, seen, listening
 
 
 def test_inputs_are_found_in_order_and_once(folder, monkeypatch):
@@ -146,7 +155,7 @@ def test_each_structure_ends_as_it_does_alone(done):
 
 
 def test_what_fails_is_a_row_and_all_else_is_done(done):
-    result, seen = done
+    result, seen, _ = done
     table = result.table
     names = ["1l2y", "cut", "ala10", "two.1", "two.2"]
     assert table["structure"].tolist() == [name for name in names for _ in range(2)]
@@ -157,6 +166,10 @@ def test_what_fails_is_a_row_and_all_else_is_done(done):
     assert table[table["structure"] != "cut"]["output"].notna().all()
     assert [(p.done, p.total, p.skipped) for p in seen] == [(k, 5, 0) for k in range(1, 6)]
     assert seen[-1].failed == 1
+
+
+def test_nobody_outside_can_reach_the_workers(done):
+    assert done[2] and done[2] <= {"127.0.0.1", "::1"}
 
 
 def test_the_folder_holds_one_truth(done):
