@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib.metadata import version
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from distributed import as_completed
+from distributed import LocalCluster, as_completed
 from distributed.client import Client, Future
 
 from protochain.batches.cluster import connected
@@ -205,6 +206,9 @@ def _work(
             of[future.key] = job
             yield future
 
+    # A scheduler elsewhere may have Bokeh, which draws it; ours has what is installed here.
+    there = find_spec("bokeh") or not isinstance(client.cluster, LocalCluster)
+    dashboard = client.dashboard_link if there else ""
     window = _Window(client)
     running = as_completed(submit(window.size()), loop=client.loop)
     try:
@@ -219,7 +223,7 @@ def _work(
             if watch:
                 total = skipped + len(todo)
                 seconds = perf_counter() - began
-                watch(Progress(total, done, failed, skipped, seconds, client.dashboard_link or ""))
+                watch(Progress(total, done, failed, skipped, seconds, dashboard))
             if interrupts:
                 raise KeyboardInterrupt
             for further in submit(max(0, window.size() - len(of))):

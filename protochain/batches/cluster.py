@@ -6,7 +6,6 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
-from importlib.util import find_spec
 
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 from distributed.security import Security
@@ -40,7 +39,7 @@ def connected(workers: int | None, scheduler: str | None, threads: int) -> Itera
                 n_workers=count,
                 threads_per_worker=1,
                 host="127.0.0.1",
-                dashboard_address="127.0.0.1:0" if find_spec("bokeh") else None,
+                dashboard_address="127.0.0.1:0",  # Another batch may have the usual port.
                 memory_limit=0,  # The worker only passes on; its child is watched by the system.
                 silence_logs=logging.CRITICAL,
             ) as cluster,
