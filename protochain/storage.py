@@ -1,7 +1,9 @@
-"""Arrays and plain values in a file to go on from: nothing in it could run when it is read."""
+"""Files: written whole or not at all; checkpoints of arrays and plain values, in which nothing can run."""
 
 import json
-from collections.abc import Mapping
+import os
+import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -9,7 +11,43 @@ from zipfile import BadZipFile
 import numpy as np
 
 from protochain.errors import ProtochainError
-from protochain.structure.write import write_atomically
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a place where no file can be written.
+
+    Raises
+    ------
+    ProtochainError
+        Naming the path and the reason.
+    """
+    if path.is_dir():
+        raise ProtochainError(f"{path}: is a folder; give the name of a file")
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    if not folder.is_dir():
+        raise ProtochainError(f"{path}: {folder.name} is not a folder; give another name")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ProtochainError(f"{path}: cannot be written ({error.strerror}); give another name") from None
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Call ``write`` with a temporary name beside ``path``, then rename: never a half-written file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        # mkstemp makes private files; results get the permissions any new file would have.
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def write_arrays(

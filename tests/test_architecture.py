@@ -12,14 +12,13 @@ PACKAGE = ROOT / "protochain"
 MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
 
 LAYERS = [
-    {"units", "errors", "arrays", "residues", "interrupts", "markup"},
+    {"units", "errors", "arrays", "residues", "interrupts", "markup", "storage"},
     {"multibody", "structure", "energies"},
-    {"chain", "articulate", "storage"},
+    {"chain", "articulate", "contacts"},
     {"dynamics"},
     {"minimisers"},
     {"analysis"},
     {"batches"},
-    {"terminal"},
     {"cli"},
 ]
 OPENMM_BELONGS_IN = {"structure", "energies", "minimisers/openmm_reference.py"}

@@ -13,11 +13,12 @@ from conftest import ROOT, STRUCTURES, chain, energy, load
 
 import protochain as pc
 from protochain.batches import Settings, find_jobs
+from protochain.batches.jobs import Row, failure
 from protochain.batches.page import curves
 from protochain.batches.report import statistics, worst_first
 from protochain.batches.supervise import Child
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables
-from protochain.batches.task import Row, failure, run
+from protochain.batches.task import run
 
 CUT = "ATOM      1  N   ALA A   1      11.104   6.134  -6.504  1.00  0.00           N\n"
 EVIL = "<script>alert(1)</script>"

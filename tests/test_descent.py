@@ -12,8 +12,8 @@ from scipy.sparse.csgraph import shortest_path
 import protochain as pc
 from protochain import multibody
 from protochain.chain import pose, rigid_groups
+from protochain.contacts import joined, near_pairs, radii
 from protochain.minimisers import springs
-from protochain.minimisers.contacts import joined, near_pairs, radii
 from protochain.minimisers.fire import Fire
 from protochain.minimisers.kcm import KCM, by_largest, by_length, by_sign
 from protochain.minimisers.lbfgs import LBFGS

@@ -16,8 +16,8 @@ import protochain as pc
 from protochain.cli import app
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "analysis").rglob("*.md")])
-README, GUIDE = ROOT / "README.md", ROOT / "analysis" / "guide.md"
-MEASUREMENTS, THEORY = ROOT / "analysis" / "README.md", ROOT / "analysis" / "theory.md"
+README, GUIDE = ROOT / "README.md", ROOT / "analysis" / "docs" / "guide.md"
+MEASUREMENTS, THEORY = ROOT / "analysis" / "README.md", ROOT / "analysis" / "docs" / "theory.md"
 COMMANDS = typer.main.get_command(app).commands
 PUBLIC = {
     f"{module.__name__}.{name}": getattr(module, name)
@@ -173,7 +173,7 @@ def test_citation_is_of_this_version():
 
 def test_reference_holds_every_public_name(tmp_path):
     pytest.importorskip("pdoc")
-    spec = importlib.util.spec_from_file_location("reference", ROOT / "analysis" / "reference.py")
+    spec = importlib.util.spec_from_file_location("reference", ROOT / "analysis" / "docs" / "reference.py")
     reference = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(reference)
     reference.build(tmp_path)

@@ -10,8 +10,8 @@ from oracles import angle_triples, angles, bond_lengths
 
 import protochain as pc
 from protochain.cli import main
+from protochain.contacts import overlaps
 from protochain.minimisers import METHODS, Status
-from protochain.minimisers.contacts import overlaps
 from protochain.minimisers.kcm import KCM
 from protochain.minimisers.lbfgs import LBFGS, quasi_newton
 from protochain.minimisers.loop import Stop, run

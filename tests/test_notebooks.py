@@ -1,4 +1,4 @@
-"""The notebooks of analysis/: committed plain, built on public names, and run to their last assertion."""
+"""The notebooks: committed plain, built on public names, and run to their last assertion."""
 
 import ast
 import json
@@ -6,7 +6,7 @@ import json
 import pytest
 from conftest import ROOT
 
-FOLDER = ROOT / "analysis"
+FOLDER = ROOT / "analysis" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 PUBLIC = {"protochain", "protochain.multibody", "protochain.analysis"}
 LONGEST = 180

@@ -9,8 +9,8 @@ from oracles import angle_triples, angles, bond_lengths
 from test_descent import crowded
 
 import protochain as pc
+from protochain.contacts import OVERLAP, overlaps
 from protochain.minimisers import Status
-from protochain.minimisers.contacts import OVERLAP, overlaps
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import parting, walk

@@ -5,8 +5,8 @@ from conftest import PDB_ROUNDING_NM, STRUCTURES, load, shared
 
 import protochain as pc
 from protochain.chain import dihedral
+from protochain.storage import write_atomically
 from protochain.structure.read import read
-from protochain.structure.write import write_atomically
 from protochain.units import ANGSTROM_PER_NM
 
 OXYGEN_NM = 0.02

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from protochain.analysis.deviation import tm_score
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain
-from protochain.minimisers.contacts import overlaps
+from protochain.contacts import overlaps
 from protochain.structure import Structure, ca_rmsd
 from protochain.structure.superpose import motion
 from protochain.units import ANGSTROM_PER_NM

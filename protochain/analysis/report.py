@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.figure import Figure
 
 from protochain.analysis.viewer import scene, template
+from protochain.storage import write_atomically
 from protochain.structure import save
-from protochain.structure.write import write_atomically
 
 if TYPE_CHECKING:
     from protochain.analysis.comparison import Comparison

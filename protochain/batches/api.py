@@ -18,13 +18,12 @@ from distributed import LocalCluster, as_completed
 from distributed.client import Client, Future
 
 from protochain.batches.cluster import connected
-from protochain.batches.jobs import Job, Settings, find_jobs
+from protochain.batches.jobs import Job, Row, Settings, failure, find_jobs
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables, read_table
-from protochain.batches.task import Row, failure
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
-from protochain.structure.write import write_atomically
+from protochain.storage import write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -125,6 +125,33 @@ class Job:
 
 
 @dataclass(frozen=True)
+class Row:
+    """What one method made of one structure.
+
+    Parameters
+    ----------
+    record : dict
+        A line of ``summary.csv``.
+    trace : list of dict
+        Lines of ``traces.csv``, thinned.
+    """
+
+    record: dict[str, Any]
+    trace: list[dict[str, float]]
+
+
+def failure(job: Job, method: str, status: str, message: str, seconds: float = 0.0) -> Row:
+    """Return the row of a method that made nothing: why stands in ``status`` and ``message``."""
+    record = origin(job) | {"method": method, "status": status, "message": " ".join(message.split())}
+    return Row(record | {"seconds": seconds}, [])
+
+
+def origin(job: Job) -> dict[str, Any]:
+    """Columns that say which structure a row is of."""
+    return {"structure": job.name, "input": str(job.path), "model": job.settings.model, "key": job.key}
+
+
+@dataclass(frozen=True)
 class _Found:
     path: Path
     settings: Settings

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 from jinja2 import Template
 
-from protochain.batches.jobs import Job
-from protochain.batches.task import Row
-from protochain.structure.write import write_atomically
+from protochain.batches.jobs import Job, Row
+from protochain.storage import write_atomically
 
 WIDTH, HEIGHT = 640, 240
 """Of the drawing, in its own units."""

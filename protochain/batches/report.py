@@ -9,7 +9,7 @@ import numpy as np
 from protochain.analysis.plots import COLOURS, Figure, plain
 from protochain.analysis.report import data_url
 from protochain.analysis.viewer import template
-from protochain.structure.write import write_atomically
+from protochain.storage import write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,8 +14,7 @@ from time import perf_counter
 from typing import IO, Any
 
 from protochain.batches.child import DONE
-from protochain.batches.jobs import Job
-from protochain.batches.task import Row, failure
+from protochain.batches.jobs import Job, Row, failure
 
 _START = 600.0
 """s. For a child to import and, on a fresh installation, to compile; several may compile at once."""

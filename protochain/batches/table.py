@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 from filelock import FileLock, Timeout
 
-from protochain.batches.jobs import Job
-from protochain.batches.task import Row
+from protochain.batches.jobs import Job, Row
 from protochain.errors import ProtochainError
-from protochain.structure.write import check_writable, write_atomically
+from protochain.storage import check_writable, write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd

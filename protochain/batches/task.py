@@ -1,14 +1,14 @@
 """One job, done: its rows, its traces, its files."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from protochain.batches.jobs import Job
+from protochain.batches.jobs import Job, Row, failure, origin
+from protochain.batches.page import write_page
 from protochain.errors import ProtochainError
 
 if TYPE_CHECKING:
@@ -19,28 +19,6 @@ if TYPE_CHECKING:
 
 TRACE_POINTS = 50
 """Rows of a trace that are kept, evenly in the logarithm of their number, first and last among them."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """What one method made of one structure.
-
-    Parameters
-    ----------
-    record : dict
-        A line of ``summary.csv``.
-    trace : list of dict
-        Lines of ``traces.csv``, thinned.
-    """
-
-    record: dict[str, Any]
-    trace: list[dict[str, float]]
-
-
-def failure(job: Job, method: str, status: str, message: str, seconds: float = 0.0) -> Row:
-    """Return the row of a method that made nothing: why stands in ``status`` and ``message``."""
-    record = _origin(job) | {"method": method, "status": status, "message": " ".join(message.split())}
-    return Row(record | {"seconds": seconds}, [])
 
 
 def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
@@ -58,8 +36,6 @@ def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
     Row
         One a method, as it is done. What cannot be used is ``refused``; what should not happen is ``error``.
     """
-    from protochain.batches.page import write_page
-
     began = perf_counter()
     done: list[Row] = []
     try:
@@ -118,7 +94,7 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
         )
         ends[method] = solution
         reference = ends.get("openmm")
-        record = {key: flat(value) for key, value in solution.record().items()} | _origin(job)
+        record = {key: flat(value) for key, value in solution.record().items()} | origin(job)
         record |= {"method": method, "seconds_preparation": preparation}
         if solution.is_usable:
             output = folder / f"{job.name}.{method}{common_suffix([solution.structure])}"
@@ -128,10 +104,6 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
             apart = ca_rmsd(structure, solution.x, reference.x)
             record["ca_rmsd_to_openmm_angstrom"] = apart
         yield Row(record, _thin(solution.trace)), structure
-
-
-def _origin(job: Job) -> dict[str, Any]:
-    return {"structure": job.name, "input": str(job.path), "model": job.settings.model, "key": job.key}
 
 
 def _thin(trace: "pd.DataFrame") -> list[dict[str, float]]:

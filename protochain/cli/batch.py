@@ -25,7 +25,7 @@ from protochain.cli.options import (
     Strict,
     Tolerance,
 )
-from protochain.terminal import batch_progress, print_batch, print_jobs
+from protochain.cli.terminal import batch_progress, print_batch, print_jobs
 
 
 def batch(

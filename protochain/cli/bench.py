@@ -18,7 +18,7 @@ def bench(
 ) -> None:
     """Measure error against run time, and numerical stability in stiff and extreme cases."""
     from protochain.analysis.studies import STUDIES, study
-    from protochain.structure.write import check_writable
+    from protochain.storage import check_writable
 
     chosen = [study(each) for each in (STUDIES if name == "all" else (name,))]
     check_writable(output / "any.csv")

@@ -35,8 +35,8 @@ from protochain.cli.options import (
     prepare,
     reading,
 )  # fmt: skip
+from protochain.cli.terminal import print_table, progress
 from protochain.interrupts import held_interrupts
-from protochain.terminal import print_table, progress
 
 if TYPE_CHECKING:
     from protochain.minimisers.solution import Watcher
@@ -74,8 +74,8 @@ def compare(
     """Minimise one structure by several methods; write tables, plots, structures and report.html."""
     from protochain.analysis import compare as run
     from protochain.minimisers.api import check_settings
+    from protochain.storage import check_writable
     from protochain.structure import load
-    from protochain.structure.write import check_writable
 
     chosen = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))
     for method in chosen:

@@ -46,8 +46,8 @@ def info(
     began = perf_counter()
     from protochain.articulate import build_chain
     from protochain.chain import rigid_groups
+    from protochain.contacts import overlaps
     from protochain.energies import energy as build_energy
-    from protochain.minimisers.contacts import overlaps
     from protochain.structure import load
 
     imported = perf_counter()
@@ -100,8 +100,9 @@ def build(
     output: Annotated[Path, typer.Option("-o", "--output", help="PDB or mmCIF file.")],
 ) -> None:
     """Build an extended all-atom chain from a sequence."""
+    from protochain.storage import check_writable
     from protochain.structure import from_sequence, save
-    from protochain.structure.write import check_format, check_writable
+    from protochain.structure.write import check_format
 
     check_format(output)
     check_writable(output)

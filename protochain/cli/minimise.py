@@ -39,9 +39,9 @@ from protochain.cli.options import (
     prepare,
     reading,
 )  # fmt: skip
+from protochain.cli.terminal import print_distribution, print_table, progress
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
-from protochain.terminal import print_distribution, print_table, progress
 
 
 def minimise(
@@ -90,9 +90,10 @@ def minimise(
     from protochain.minimisers import minimise as run
     from protochain.minimisers.api import check_settings
     from protochain.minimisers.stages import read_hold
+    from protochain.storage import write_atomically
     from protochain.structure.read import model_numbers
     from protochain.structure.trajectory import TrajectoryFile, check_trajectory
-    from protochain.structure.write import check_fits, check_format, write_atomically
+    from protochain.structure.write import check_fits, check_format
 
     hold = read_hold(restrain, max_rmsd)
     check_settings(method, tolerance, max_evaluations, hold, bool(checkpoint or resume))

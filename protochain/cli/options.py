@@ -129,8 +129,8 @@ def prepare(
 ) -> tuple["Chain", "Energy", float]:
     """Load a file, build chain and energy; say on standard error what was changed and what overlaps."""
     from protochain.articulate import build_chain
+    from protochain.contacts import overlaps
     from protochain.energies import energy as build_energy
-    from protochain.minimisers.contacts import overlaps
     from protochain.structure import load
 
     began = perf_counter()
@@ -149,7 +149,7 @@ def prepare(
 
 def check_outputs(source: Path, outputs: list[Path], force: bool) -> None:
     """Refuse, before any work, outputs that would replace the input or one another or cannot be written."""
-    from protochain.structure.write import check_writable
+    from protochain.storage import check_writable
 
     for output, count in Counter(path.absolute() for path in outputs).items():
         if count > 1:

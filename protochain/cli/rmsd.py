@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from protochain.cli.options import CONVERGED, FAILED, UNCONVERGED, AsJson, check_outputs
-from protochain.terminal import print_deviations
+from protochain.cli.terminal import print_deviations
 
 
 def rmsd(
@@ -20,7 +20,7 @@ def rmsd(
 ) -> None:
     """Measure how far models are from a reference: RMSD, TM-score, and what was matched."""
     from protochain.analysis.deviation import rmsd_table
-    from protochain.structure.write import write_atomically
+    from protochain.storage import write_atomically
 
     if output:
         check_outputs(reference, [output], force=False)

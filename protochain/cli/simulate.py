@@ -32,8 +32,8 @@ from protochain.cli.options import (
     prepare,
     reading,
 )  # fmt: skip
+from protochain.cli.terminal import print_simulation, simulation_progress
 from protochain.interrupts import held_interrupts
-from protochain.terminal import print_simulation, simulation_progress
 
 _RELAXED = 10.0
 """kJ/mol/rad. Largest torque of the start: what is left warms up nothing."""

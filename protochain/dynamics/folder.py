@@ -16,10 +16,10 @@ from protochain.dynamics.thermostats import Bath
 from protochain.errors import ProtochainError, StructureError
 from protochain.multibody import Frames, Tree
 from protochain.multibody.articulated import Articulated
-from protochain.storage import read_arrays, write_arrays
+from protochain.storage import check_writable, read_arrays, write_arrays, write_atomically
 from protochain.structure import Structure
 from protochain.structure.trajectory import TrajectoryFile, check_trajectory
-from protochain.structure.write import check_fits, check_writable, write_atomically
+from protochain.structure.write import check_fits
 
 CHECKPOINT = "checkpoint.npz"
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.arrays import Floats
-from protochain.minimisers.contacts import near_pairs
+from protochain.contacts import near_pairs
 from protochain.minimisers.problem import Force
 from protochain.structure import Structure
 from protochain.structure.superpose import superpose

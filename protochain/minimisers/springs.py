@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, Pose
-from protochain.minimisers.contacts import joined, near_pairs
+from protochain.contacts import joined, near_pairs
 from protochain.multibody import pull_back, velocities
 from protochain.multibody.algebra import (
     add,

@@ -7,10 +7,10 @@ import numpy as np
 
 from protochain.arrays import Floats
 from protochain.chain import Chain
+from protochain.contacts import overlaps
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
 from protochain.minimisers.annealing import Annealing
-from protochain.minimisers.contacts import overlaps
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Ending, Method, Snapshot, Stop, run
 from protochain.minimisers.methods import IN_TORSIONS

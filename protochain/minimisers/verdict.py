@@ -6,8 +6,8 @@ from enum import StrEnum
 from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain, Pose
+from protochain.contacts import overlaps
 from protochain.energies.protocol import Energy
-from protochain.minimisers.contacts import overlaps
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import Cartesian, Torsions

@@ -13,32 +13,14 @@ from pdbfixer import PDBFixer
 
 from protochain import residues
 from protochain.errors import StructureError
-from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.templates import Template, rename, template_name
+from protochain.structure.draft import Draft, Member, atom
+from protochain.structure.templates import Template, base_template, rename
 
 _CARBOXYLATE = 1.25
 """Angstrom: C-O of ff14SB's carboxylate."""
 _NEIGHBOURHOOD = 15.0
 """Angstrom from backbone to backbone: as far as two side chains reach that could meet."""
 _RENAMED_SHOWN = 4
-
-
-def base_template(known: Mapping[str, Template], part: Part, i: int, state: str = "") -> Template | None:
-    """Template of a residue in its place, without its hydrogens' state unless one is given.
-
-    The first residue of a chain that is no ring is ``N...``, its last ``C...``, unless capped; first and last
-    nucleotides have the names of their ends.
-    """
-    member = part.members[i]
-    name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
-    ends = (i == 0, i == len(part.members) - 1)
-    if member.name in residues.NUCLEOTIDES:
-        return known.get(
-            member.name + {(True, True): "N", (True, False): "5", (False, True): "3"}.get(ends, "")
-        )
-    if part.obstacle or part.cyclic or member.is_cap or not any(ends):
-        return known.get(name)
-    return known.get(("N" if ends[0] else "C") + name)
 
 
 def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:

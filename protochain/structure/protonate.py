@@ -8,9 +8,8 @@ from scipy.spatial import KDTree
 
 from protochain import residues
 from protochain.errors import StructureError
-from protochain.structure.complete import base_template
 from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.templates import Template, rename
+from protochain.structure.templates import Template, base_template, rename
 
 _BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue belongs to none of them."""

@@ -14,6 +14,7 @@ from openmm import app
 
 from protochain.errors import StructureError
 from protochain.residues import CAPS, NUCLEOTIDES, STANDARD, STATE_PARENT
+from protochain.structure.draft import Part
 
 _DATA = Path(app.__file__).parent / "data"
 _FILES = ("protein.ff14SB.xml", "DNA.OL15.xml", "RNA.OL3.xml", "tip3p.xml")
@@ -185,6 +186,24 @@ def standard_name(name: str) -> tuple[str, str]:
 def template_name(residue: str) -> str:
     """Return what Amber calls a residue of the PDB."""
     return "NHE" if residue == "NH2" else residue
+
+
+def base_template(known: Mapping[str, Template], part: Part, i: int, state: str = "") -> Template | None:
+    """Template of a residue in its place, without its hydrogens' state unless one is given.
+
+    The first residue of a chain that is no ring is ``N...``, its last ``C...``, unless capped; first and last
+    nucleotides have the names of their ends.
+    """
+    member = part.members[i]
+    name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
+    ends = (i == 0, i == len(part.members) - 1)
+    if member.name in NUCLEOTIDES:
+        return known.get(
+            member.name + {(True, True): "N", (True, False): "5", (False, True): "3"}.get(ends, "")
+        )
+    if part.obstacle or part.cyclic or member.is_cap or not any(ends):
+        return known.get(name)
+    return known.get(("N" if ends[0] else "C") + name)
 
 
 def rename(atoms: list[gemmi.Atom], template: Template) -> list[str]:

@@ -10,8 +10,8 @@ from openmm import app
 
 from protochain.arrays import Floats
 from protochain.errors import StructureError
+from protochain.storage import check_writable
 from protochain.structure.model import Structure
-from protochain.structure.write import check_writable
 
 _DCD_COUNT = 8
 """Where a DCD file keeps its number of frames: four bytes, little-endian."""

@@ -1,14 +1,13 @@
 """A Structure -> a PDB or mmCIF file, written whole or not at all."""
 
-import os
-import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 import gemmi
 import numpy as np
 
 from protochain.errors import StructureError
+from protochain.storage import write_atomically
 from protochain.structure.model import Structure
 from protochain.units import ANGSTROM_PER_NM
 
@@ -92,43 +91,6 @@ def common_suffix(structures: Iterable[Structure]) -> str:
     except StructureError:
         return ".cif"
     return ".pdb"
-
-
-def check_writable(path: Path) -> None:
-    """Refuse a place where no file can be written.
-
-    Raises
-    ------
-    StructureError
-        Naming the path and the reason.
-    """
-    if path.is_dir():
-        raise StructureError(f"{path}: is a folder; give the name of a file")
-    folder = next(parent for parent in path.absolute().parents if parent.exists())
-    if not folder.is_dir():
-        raise StructureError(f"{path}: {folder.name} is not a folder; give another name")
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise StructureError(f"{path}: cannot be written ({error.strerror}); give another name") from None
-
-
-def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Call ``write`` with a temporary name beside ``path``, then rename: never a half-written file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        # mkstemp makes private files; results get the permissions any new file would have.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _gemmi_structure(structure: Structure) -> gemmi.Structure:

@@ -18,8 +18,8 @@ from protochain.articulate import build_chain
 from protochain.energies import energy
 from protochain.minimisers import minimise
 from protochain.minimisers.methods import IN_TORSIONS
+from protochain.storage import write_atomically
 from protochain.structure import Structure, from_sequence, load
-from protochain.structure.write import write_atomically
 
 METHODS = (
     "kcm", "kcm-adaptive", "kcm-metric", "kcm-stiffness", "newton", "lbfgs", "cartesian", "hybrid", "openmm",

@@ -29,7 +29,7 @@ from protochain.multibody import (
     rigid_bodies,
     solve_mass,
 )
-from protochain.structure.write import write_atomically
+from protochain.storage import write_atomically
 
 EPS = np.finfo(float).eps
 DENSE_UP_TO = 3000

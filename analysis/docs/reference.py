@@ -1,6 +1,6 @@
 """The reference of all public names, from their docstrings, as pages to read offline.
 
-    python analysis/reference.py [-o DIR]
+    python analysis/docs/reference.py [-o DIR]
 
 pdoc looks at what a module holds, and protochain imports its names when they are first used: here all of them
 are, before pdoc looks.
