@@ -8,9 +8,9 @@ from conftest import PDB_ROUNDING_NM, STRUCTURES, chain, energy, load
 from openmm import app, unit
 
 import protochain as pc
-from protochain.analysis.comparison import DEFAULT_METHODS
+from protochain.analysis.comparing import DEFAULT_METHODS
 from protochain.analysis.viewer import library
-from protochain.minimisers.methods import repeats_exactly
+from protochain.minimisers import RECIPES
 from protochain.structure.trajectory import TrajectoryFile
 
 
@@ -39,7 +39,7 @@ def test_the_folder_holds_what_the_interface_promises(folder):
     structures = {f"1l2y.{m}.pdb" for m in ("start", *DEFAULT_METHODS)}
     tables = {
         f"{stem}.csv"
-        for stem in ("summary", "traces", "quality", "displacement", "progress", "work", "spread")
+        for stem in ("summary", "traces", "quality", "displacement", "equal_cost", "work", "spread")
     }
     tables |= {"summary.json", "report.html"}
     pictures = {
@@ -272,18 +272,18 @@ def test_backbone_dihedrals_equal_those_of_the_chain_and_outliers_are_found():
     assert [int(s.residue_number[r]) for r in residues[ramachandran_outliers(bent)]] == [30]
 
 
-def test_ends_are_measured_against_a_native_structure():
+def test_ends_are_measured_against_another_structure():
     k = pc.compare(
         chain("1l2y.pdb"), ("lbfgs",), energy("1l2y.pdb"), max_evaluations=20,
-        native=STRUCTURES / "1l2y.pdb",
+        reference=STRUCTURES / "1l2y.pdb",
     )  # fmt: skip
-    assert k.quality.loc["start", "native_rmsd_angstrom"] == pytest.approx(0.0, abs=1e-6)
+    assert k.quality.loc["start", "reference_rmsd_angstrom"] == pytest.approx(0.0, abs=1e-6)
     end = k.quality.loc["lbfgs"]
-    assert end["native_rmsd_angstrom"] == pytest.approx(end["ca_rmsd_to_start_angstrom"], abs=1e-6)
+    assert end["reference_rmsd_angstrom"] == pytest.approx(end["ca_rmsd_to_start_angstrom"], abs=1e-6)
 
 
-def test_progress_is_the_lowest_energy_so_far(comparison, folder):
-    table = pd.read_csv(folder / "progress.csv")
+def test_equal_cost_is_the_lowest_energy_so_far(comparison, folder):
+    table = pd.read_csv(folder / "equal_cost.csv")
     traces = comparison.traces
     assert set(table["cost"]) == {"evaluations", "seconds"}
     for row in table.to_dict("records"):
@@ -326,10 +326,13 @@ def test_methods_that_do_not_repeat_are_run_again_and_their_spread_is_told():
 def test_which_methods_repeat_exactly():
     own = energy("ala10.pdb")
     one, two = (pc.energy(load("ala10.pdb"), engine="openmm", threads=n) for n in (1, 2))
-    assert all(repeats_exactly(method, own) for method in ("kcm", "md", "lbfgs", "hybrid"))
-    assert not any(repeats_exactly("openmm-md", e) or repeats_exactly("anneal", e) for e in (own, one, two))
-    assert repeats_exactly("openmm", one) and repeats_exactly("lbfgs", one)
-    assert not repeats_exactly("openmm", two) and not repeats_exactly("lbfgs", two)
+    assert all(RECIPES[method].repeats_exactly(own) for method in ("kcm", "md", "lbfgs", "hybrid"))
+    assert not any(
+        RECIPES["openmm-md"].repeats_exactly(e) or RECIPES["anneal"].repeats_exactly(e)
+        for e in (own, one, two)
+    )
+    assert RECIPES["openmm"].repeats_exactly(one) and RECIPES["lbfgs"].repeats_exactly(one)
+    assert not RECIPES["openmm"].repeats_exactly(two) and not RECIPES["lbfgs"].repeats_exactly(two)
 
 
 def test_a_comparison_with_one_seed_gives_the_same_numbers_again():

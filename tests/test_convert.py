@@ -81,8 +81,10 @@ def test_they_can_be_minimised_and_compared():
     held_by_mdtraj = pc.to_mdtraj(load("ala10.pdb"))
     r = pc.minimise(held_by_mdtraj, method="lbfgs", max_evaluations=5)
     assert r.end.energy < r.start.energy
-    k = pc.compare(pc.to_mdanalysis(load("ala10.pdb")), ("lbfgs",), max_evaluations=5, native=held_by_mdtraj)
-    assert k.quality.loc["start", "native_rmsd_angstrom"] < 1e-4
+    k = pc.compare(
+        pc.to_mdanalysis(load("ala10.pdb")), ("lbfgs",), max_evaluations=5, reference=held_by_mdtraj
+    )
+    assert k.quality.loc["start", "reference_rmsd_angstrom"] < 1e-4
 
 
 @pytest.mark.parametrize("wrong", [3, None, object(), {"a": 1}])

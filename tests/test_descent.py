@@ -13,14 +13,11 @@ import protochain as pc
 from protochain import multibody
 from protochain.chain import pose, rigid_groups
 from protochain.contacts import joined, near_pairs, radii
-from protochain.minimisers import springs
-from protochain.minimisers.fire import Fire
-from protochain.minimisers.kcm import KCM, by_largest, by_length, by_sign
-from protochain.minimisers.lbfgs import LBFGS
+from protochain.minimisers import KCM, LBFGS, RECIPES, Descent, Fire, Newton, StrongWolfe, springs
+from protochain.minimisers.kcm import by_largest, by_length, by_sign
 from protochain.minimisers.loop import Stop, run
-from protochain.minimisers.methods import IN_TORSIONS
 from protochain.minimisers.metrics import Euclidean, Mass, Stiffness
-from protochain.minimisers.newton import Newton, PseudoTransient, conjugate_gradients
+from protochain.minimisers.newton import PseudoTransient, conjugate_gradients
 from protochain.minimisers.problem import Problem
 from protochain.minimisers.restraints import Leash, SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian, Torsions
@@ -171,7 +168,7 @@ def test_a_fixed_angle_ends_in_a_cycle_as_large_as_it_and_the_step_rules_cure_it
     ends = {}
     for angle in (0.04, 0.005):
         c, problem = problem_of("1l2y.pdb", 1500)
-        ending, points = walked(problem, KCM(Fixed(angle)), c.q0)
+        ending, points = walked(problem, Descent(KCM(), Fixed(angle)), c.q0)
         assert ending.stop is Stop.BUDGET
         for before, after in pairwise(points[-50:]):
             assert np.abs(after.q - before.q).max() == pytest.approx(angle, rel=1e-9)
@@ -179,20 +176,20 @@ def test_a_fixed_angle_ends_in_a_cycle_as_large_as_it_and_the_step_rules_cure_it
     assert ends[0.04] > 1.5 * ends[0.005] > 200.0
     for rule in (AcceptReject(0.005), Armijo(0.005, window=5), Decaying(0.02, 20.0)):
         c, problem = problem_of("1l2y.pdb", 1500)
-        ending, points = walked(problem, KCM(rule), c.q0)
+        ending, points = walked(problem, Descent(KCM(), rule), c.q0)
         assert np.median([point.residual for point in points[-200:]]) < 0.5 * ends[0.005]
 
 
 def test_decaying_steps_shorten_as_they_say():
     c, problem = problem_of("ala10.pdb", 40)
-    _, points = walked(problem, KCM(Decaying(0.01, 10.0)), c.q0)
+    _, points = walked(problem, Descent(KCM(), Decaying(0.01, 10.0)), c.q0)
     turns = [np.abs(b.q - a.q).max() for a, b in pairwise(points)]
     assert turns == pytest.approx(0.01 / (1 + np.arange(len(turns)) / 10.0), rel=1e-9)
 
 
 def test_accept_reject_never_climbs_and_grows_by_its_factor():
     c, problem = problem_of("1l2y.pdb", 150)
-    _, points = walked(problem, KCM(AcceptReject(0.0005)), c.q0)
+    _, points = walked(problem, Descent(KCM(), AcceptReject(0.0005)), c.q0)
     assert all(b.energy < a.energy for a, b in pairwise(points))
     turns = np.array([np.abs(b.q - a.q).max() for a, b in pairwise(points)])
     exponents = np.log(turns[1:] / turns[:-1] / 1.2) / np.log(0.5)
@@ -201,7 +198,7 @@ def test_accept_reject_never_climbs_and_grows_by_its_factor():
 
 def test_armijo_looks_back_over_its_window():
     c, problem = problem_of("1l2y.pdb", 300)
-    _, points = walked(problem, KCM(Armijo(0.01, window=4)), c.q0)
+    _, points = walked(problem, Descent(KCM(), Armijo(0.01, window=4)), c.q0)
     values = [point.energy for point in points]
     assert all(value < max(values[max(0, k - 4) : k]) for k, value in enumerate(values) if k)
     assert any(b > a for a, b in pairwise(values))
@@ -217,7 +214,7 @@ def hessian_at(problem, at, h=1e-5):
 
 def test_conjugate_gradients_solve_with_the_hessian():
     c, problem = problem_of("ala10.pdb", 20000)
-    low = walked(problem, LBFGS(), c.q0, 0.1)[0].last.state.at
+    low = walked(problem, Descent(LBFGS(), StrongWolfe()), c.q0, 0.1)[0].last.state.at
     at = problem.evaluate(problem.move(low.q, 1e-3 * np.random.default_rng(0).normal(size=c.n_v)))
     hessian = hessian_at(problem, at)
     for shift in (0.0, 500.0):
@@ -234,14 +231,14 @@ def test_conjugate_gradients_stop_at_negative_curvature_and_still_descend():
     assert turn @ at.torque > 0
     # On a hill top every direction is of negative curvature: along the torque then.
     hill = Problem(Torsions(c), lambda x: tuple(-part for part in energy("1l2y.pdb")(x)), 1000)
-    top = walked(problem, Newton(), c.q0, 0.01)[0].last.state.at
+    top = walked(problem, Descent(Newton(), StrongWolfe()), c.q0, 0.01)[0].last.state.at
     shifted = hill.evaluate(hill.move(top.q, 1e-4 * np.ones(c.n_v)))
     assert np.array_equal(conjugate_gradients(hill, shifted, np.copy, 0.0, 0.1, 10), shifted.torque)
 
 
 def test_newton_converges_faster_and_faster():
     c, problem = problem_of("1l2y.pdb")
-    ending, points = walked(problem, Newton(), c.q0, 1e-3)
+    ending, points = walked(problem, Descent(Newton(), StrongWolfe()), c.q0, 1e-3)
     assert ending.stop is Stop.TOLERANCE
     residuals = [point.residual for point in points]
     assert residuals[-1] < 0.05 * residuals[-2] < residuals[-3]
@@ -274,9 +271,11 @@ def test_fire_moves_by_newtons_second_law_and_stops_when_it_climbs():
 
 def test_every_setting_descends_from_the_same_start():
     c, _ = problem_of("ala10.pdb")
-    for name, method in IN_TORSIONS.items():
+    for name, recipe in RECIPES.items():
+        if not recipe.keeps_geometry:
+            continue
         _, problem = problem_of("ala10.pdb", 300)
-        _, points = walked(problem, method, c.q0)
+        _, points = walked(problem, recipe.runs[0].method, c.q0)
         assert problem.best.energy < points[0].energy - 2.0, name
 
 
@@ -299,7 +298,7 @@ def scipy_evaluations(name):
 @pytest.mark.parametrize("name", ["1l2y.pdb", "1vii.pdb"])
 def test_the_stiffness_metric_halves_what_a_general_quasi_newton_method_needs(name):
     c, problem = problem_of(name)
-    assert walked(problem, LBFGS(), c.q0)[0].stop is Stop.TOLERANCE
+    assert walked(problem, Descent(LBFGS(), StrongWolfe()), c.q0)[0].stop is Stop.TOLERANCE
     assert 2 * problem.n_evaluations < scipy_evaluations(name)
 
 

@@ -11,14 +11,13 @@ from oracles import angle_triples, angles, bond_lengths
 import protochain as pc
 from protochain.cli import main
 from protochain.contacts import overlaps
-from protochain.minimisers import METHODS, Status
-from protochain.minimisers.kcm import KCM
-from protochain.minimisers.lbfgs import LBFGS, quasi_newton
+from protochain.minimisers import KCM, LBFGS, METHODS, Descent, Status, StrongWolfe
+from protochain.minimisers.lbfgs import quasi_newton
 from protochain.minimisers.loop import Stop, run
 from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.solution import TRACE_COLUMNS
-from protochain.minimisers.spaces import Torsions
-from protochain.minimisers.steps import Fixed, strong_wolfe
+from protochain.minimisers.spaces import Positions, Torsions
+from protochain.minimisers.steps import Fixed
 from protochain.minimisers.verdict import verdict
 
 MAIN = ("kcm", "lbfgs", "cartesian", "hybrid", "openmm")
@@ -115,7 +114,7 @@ def test_kcm_is_as_published():
     c, e = chain("1l2y.pdb"), energy("1l2y.pdb").reference
     problem = Problem(Torsions(c), e, 100)
     points = []
-    run(problem, KCM(Fixed(0.002)), c.q0, 1e-6, 1000, points.append)
+    run(problem, Descent(KCM(), Fixed(0.002)), c.q0, 1e-6, 1000, points.append)
     assert len(points) == problem.n_evaluations == 100
     for before, after in pairwise(points):
         turn = after.q - before.q
@@ -144,7 +143,7 @@ def test_a_line_search_meets_the_strong_wolfe_conditions():
     problem = Problem(Torsions(c), energy("1l2y.pdb").reference, 50)
     at = problem.evaluate(c.q0)
     direction = 1e-4 * at.torque / at.residual
-    length, found = strong_wolfe(problem, at, direction)
+    length, found, _ = StrongWolfe().step(problem, at, direction, None)
     slope = -at.torque @ direction
     assert found.energy <= at.energy + 1e-4 * length * slope
     assert abs(found.torque @ direction) <= 0.9 * abs(slope)
@@ -154,7 +153,14 @@ def test_a_line_search_meets_the_strong_wolfe_conditions():
 def test_lbfgs_never_accepts_a_higher_energy():
     c = chain("1ejg.pdb")
     points = []
-    run(Problem(Torsions(c), energy("1ejg.pdb"), 60), LBFGS(), c.q0, 1e-3, 1000, points.append)
+    run(
+        Problem(Torsions(c), energy("1ejg.pdb"), 60),
+        Descent(LBFGS(), StrongWolfe()),
+        c.q0,
+        1e-3,
+        1000,
+        points.append,
+    )
     values = [point.energy for point in points]
     assert len(values) > 40 and all(b < a for a, b in pairwise(values))
 
@@ -316,10 +322,10 @@ def test_a_line_search_goes_on_towards_a_wall():
         def evaluate(self, q):
             inside = q[0] < 1e-6
             energy, torque = (-q[0], 1.0) if inside else (1e9 * (q[0] + 1) ** 3, -3e9 * (q[0] + 1) ** 2)
-            return Evaluation(q, q, float(energy), np.array([torque]), abs(torque))
+            return Evaluation(Positions(q), float(energy), np.array([torque]), abs(torque))
 
     wall = Wall()
-    length, found = strong_wolfe(wall, wall.evaluate(np.zeros(1)), np.array([0.5]))
+    length, found, _ = StrongWolfe().step(wall, wall.evaluate(np.zeros(1)), np.array([0.5]), None)
     assert 0 < 0.5 * length < 1e-6 and found.energy < 0
 
 

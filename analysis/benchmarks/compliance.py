@@ -18,13 +18,18 @@ from scipy.optimize import minimize
 
 import protochain as pc
 from protochain.chain import pose, rigid_groups
-from protochain.minimisers.kcm import KCM
-from protochain.minimisers.loop import Stop, run
-from protochain.minimisers.methods import IN_TORSIONS
-from protochain.minimisers.problem import BudgetSpentError, Problem
-from protochain.minimisers.spaces import Torsions
-from protochain.minimisers.stages import parting, walk
-from protochain.minimisers.steps import Fixed
+from protochain.minimisers import (
+    KCM,
+    RECIPES,
+    BudgetSpentError,
+    Descent,
+    Fixed,
+    Problem,
+    Stop,
+    Torsions,
+    parted,
+    run,
+)  # fmt: skip
 
 SAMPLES = Path(__file__).parents[2] / "structures"
 NAMES = ("ala10", "1l2y", "1vii")
@@ -45,8 +50,7 @@ def random_starts(structure: pc.Structure, number: int) -> list[pc.Chain]:
             -np.pi, np.pi, sum(turns)
         )
         chain = pc.build_chain(structure.with_positions(pose(base, q).x), base.opened)
-        done = walk([parting(Torsions(chain))], chain, 500, None, lambda *_: None)
-        chains.append(pc.build_chain(structure.with_positions(done.x), base.opened))
+        chains.append(pc.build_chain(parted(chain).structure, base.opened))
     return chains
 
 
@@ -60,8 +64,8 @@ def enkephalin(output: Path) -> None:
     """Print where each setting ends, and draw where the fixed step does."""
     structure = pc.from_sequence("YGGFM")
     energy = pc.energy(structure)
-    settings = {f"kcm, {step:g} rad": KCM(Fixed(step)) for step in STEPS}
-    settings |= {name: method for name, method in IN_TORSIONS.items() if name != "kcm"}
+    settings = {f"kcm, {step:g} rad": Descent(KCM(), Fixed(step)) for step in STEPS}
+    settings |= {n: r.runs[0].method for n, r in RECIPES.items() if r.keeps_geometry and n != "kcm"}
     rows = []
     for k, chain in enumerate(random_starts(structure, STARTS)):
         for name, method in settings.items():
@@ -141,7 +145,7 @@ def evaluations() -> None:
         needs = [scipy_evaluations(problem_of(chain, energy, MOST), chain.q0) if plain else np.nan]
         for method in names:
             problem = problem_of(chain, energy, MOST)
-            end = run(problem, IN_TORSIONS[method], chain.q0, 1.0, MOST, lambda at: None)
+            end = run(problem, RECIPES[method].runs[0].method, chain.q0, 1.0, MOST, lambda at: None)
             needs.append(problem.n_evaluations if end.last.state.at.residual <= 1.0 else np.inf)
         shown = " | ".join(
             "-" if np.isnan(need) else f"{need:.0f}".replace("inf", f"> {MOST}") for need in needs

@@ -1,9 +1,9 @@
-"""The same prepared start, several methods, one judge."""
+"""A comparison of methods: solutions from one start, as tables and figures."""
 
 import json
 import platform
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
@@ -14,28 +14,21 @@ import numpy as np
 import pandas as pd
 
 from protochain.analysis.deviation import deviation
-from protochain.analysis.progress import at_equal_cost, work_to_reach
 from protochain.analysis.quality import displacement, quality, ramachandran
 from protochain.analysis.spread import spreads
-from protochain.articulate import as_chain
-from protochain.energies import Energy
-from protochain.energies import energy as build_energy
+from protochain.analysis.work import at_equal_cost, work_to_reach
 from protochain.errors import ProtochainError
-from protochain.interrupts import held_interrupts
-from protochain.minimisers import METHODS, Solution, Status, minimise
-from protochain.minimisers.api import check_settings
-from protochain.minimisers.methods import repeats_exactly
-from protochain.minimisers.solution import TRACE_COLUMNS, Watcher
-from protochain.structure import Structure, as_structure, ca_rmsd
+from protochain.minimisers import Solution
+from protochain.minimisers.record import SHOWN, flat
+from protochain.minimisers.solution import TRACE_COLUMNS
+from protochain.minimisers.verdict import judge_of
+from protochain.structure import Structure, ca_rmsd
 from protochain.structure.write import common_suffix
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from protochain.analysis.viewer import View
-
-DEFAULT_METHODS = ("kcm", "md", "lbfgs", "hybrid", "openmm")
-"""The two methods of the original comparison, the best in torsions, the best of all, and the reference."""
 
 _PACKAGES = (
     "protochain", "openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "mdtraj", "MDAnalysis", "tmtools",
@@ -45,20 +38,20 @@ _PACKAGES = (
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What several methods made of one structure.
+    """Minimisations of one structure by several methods.
 
     Parameters
     ----------
     structure : Structure
         The common start.
     solutions : tuple of Solution
-        One a method, all of one energy function: what tables, plots and files show.
+        One a method, all of one energy function: shown in tables, plots and files.
     origin : mapping
-        What the caller knows of the input (its path, the seconds its preparation took), for every record.
-    native : Structure, optional
-        What the ends are measured against besides: an experiment's structure, of a sequence that may differ.
+        Facts on the input (its path, the seconds its preparation took), added to every record.
+    reference : Structure, optional
+        Another structure to measure the ends against, as an experimental one; its sequence may differ.
     repeats : tuple of Solution
-        Further runs of the methods that do not repeat exactly, for ``spread``.
+        Further runs of the methods that do not repeat exactly.
 
     Raises
     ------
@@ -69,7 +62,7 @@ class Comparison:
     structure: Structure
     solutions: tuple[Solution, ...]
     origin: Mapping[str, Any] = field(default_factory=dict)
-    native: Structure | None = None
+    reference: Structure | None = None
     repeats: tuple[Solution, ...] = ()
 
     def __post_init__(self) -> None:
@@ -87,7 +80,7 @@ class Comparison:
         return pd.DataFrame([{key: flat(value) for key, value in row.items()} for row in self.records()])
 
     def records(self) -> list[dict[str, Any]]:
-        """Return the JSON record of each solution, with its origin and the name of its file."""
+        """JSON record of each solution, with its origin and the name of its file."""
         return [
             {**s.record(), **self.origin, "output": f"{self.structure.name}.{s.method}{self.suffix}"}
             for s in self.solutions
@@ -113,23 +106,23 @@ class Comparison:
     def quality(self) -> pd.DataFrame:
         """A row for the start and for every end: what :func:`protochain.analysis.quality.quality` measures.
 
-        With a native structure also ``native_rmsd_angstrom``, ``native_tm_score``, ``native_coverage``.
+        With a reference also ``reference_rmsd_angstrom``, ``reference_tm_score``, ``reference_coverage``.
         """
         rows = {}
         for name, end in self.ends().items():
             rows[name] = quality(end, self.structure, self.solutions[0].chain)
-            if self.native is not None:
-                off = deviation(self.native, end)
+            if self.reference is not None:
+                off = deviation(self.reference, end)
                 rows[name] |= {
-                    "native_rmsd_angstrom": off.rmsd,
-                    "native_tm_score": off.tm_score,
-                    "native_coverage": off.match.coverage,
+                    "reference_rmsd_angstrom": off.rmsd,
+                    "reference_tm_score": off.tm_score,
+                    "reference_coverage": off.match.coverage,
                 }
         return pd.DataFrame.from_dict(rows, orient="index").rename_axis("structure")
 
     @cached_property
     def displacements(self) -> pd.DataFrame:
-        """Angstrom each C-alpha went, all superposed on the start: a row a residue, a column a method."""
+        """Displacement of each C-alpha in angstrom, all superposed: a row a residue, a column a method."""
         alpha = self.structure.alpha_carbons
         residues = self.structure.atom_residue[alpha]
         table = pd.DataFrame(
@@ -146,13 +139,13 @@ class Comparison:
         return table
 
     @cached_property
-    def progress(self) -> pd.DataFrame:
+    def equal_cost(self) -> pd.DataFrame:
         """Lowest energy so far at equal evaluations and at equal seconds."""
         return at_equal_cost(self.traces)
 
     @cached_property
     def work(self) -> pd.DataFrame:
-        """Evaluations and seconds to come near the lowest end of all methods with the same freedoms."""
+        """Evaluations and seconds to within 100, 10 and 1 kJ/mol of the lowest end of the same freedoms."""
         lowest = {
             s.method: min(
                 other.end.energy
@@ -165,11 +158,11 @@ class Comparison:
 
     @cached_property
     def spread(self) -> pd.DataFrame:
-        """A row a method: how far its runs lie apart; one stands for all where they repeat exactly."""
+        """Spread of the runs of each method; a single run where they repeat exactly."""
         return spreads(self.solutions, self.repeats)
 
     def view(self) -> "View":
-        """Start and ends, superposed, to turn with the mouse in a notebook; no server is asked."""
+        """Interactive view of start and ends, superposed, for notebooks; no server is contacted."""
         from protochain.analysis.viewer import View
 
         return View(self.ends())
@@ -179,7 +172,7 @@ class Comparison:
         return {"start": self.structure} | {s.method: s.structure for s in self.solutions}
 
     def plot_energy(self) -> "Figure":
-        """Energy against evaluations and seconds; above the lowest of all where clashes make it large."""
+        """Energy against evaluations and seconds, logarithmic where clashes make it large."""
         from protochain.analysis.plots import plot_energy
 
         return plot_energy(self.traces, self.structure.name)
@@ -195,7 +188,7 @@ class Comparison:
         return plot_work_precision(self.traces, self.work, groups, self.structure.name)
 
     def plot_torque(self) -> "Figure":
-        """Largest torque against evaluations and seconds, of the methods that turn hinges."""
+        """Largest torque against evaluations and seconds, while hinges turn."""
         from protochain.analysis.plots import plot_torque
 
         return plot_torque(self.traces, self.structure.name)
@@ -207,20 +200,20 @@ class Comparison:
         return plot_rmsd(self.traces, self.rmsd, self.structure.name)
 
     def plot_displacement(self) -> "Figure":
-        """How far each C-alpha went, one line a method."""
+        """Displacement of each C-alpha, one line a method."""
         from protochain.analysis.plots import plot_displacement
 
         return plot_displacement(self.displacements, self.structure.name)
 
     def plot_ramachandran(self) -> "Figure":
-        """Phi and psi of every residue, before and after, over where residues usually have them."""
+        """Ramachandran plots of the start and of every end."""
         from protochain.analysis.plots import plot_ramachandran
 
         angles = {name: ramachandran(end)[1] for name, end in self.ends().items()}
         return plot_ramachandran(angles, self.structure.name)
 
     def summary(self) -> dict[str, Any]:
-        """Everything a reader needs to trust or repeat it: records, RMSDs, versions, command line."""
+        """Records, RMSDs, versions and command line: what it takes to check or repeat a comparison."""
         first = self.solutions[0]
         e = first.energy_function
         return {
@@ -228,7 +221,7 @@ class Comparison:
             **self.origin,
             "engine_reason": e.reason,
             "system_sha256": e.fingerprint,
-            "judge": "OpenMM's Reference platform, in double precision",
+            "judge": judge_of(e),
             "seed": first.seed,
             "threads": e.threads,
             "command": sys.argv,
@@ -248,7 +241,7 @@ class Comparison:
         Parameters
         ----------
         directory : path-like
-            Made if it is not there; files of earlier comparisons in it are replaced.
+            Created if needed; files of an earlier comparison there are replaced.
 
         Returns
         -------
@@ -268,109 +261,9 @@ class Comparison:
         return f"<Comparison of {', '.join(s.method for s in self.solutions)} on {self.structure.name}>"
 
     def _repr_html_(self) -> str:
-        return self.table[list(SHOWN)].to_html(index=False)
-
-
-SHOWN = {
-    "method": "method",
-    "status": "status",
-    "energy_start_kj_mol": "energy at start, kJ/mol",
-    "energy_end_reference_kj_mol": "energy at end, kJ/mol",
-    "max_torque_end_kj_mol_rad": "largest torque, kJ/mol/rad",
-    "rms_force_end_kj_mol_nm": "RMS force, kJ/mol/nm",
-    "ca_rmsd_angstrom": "C-alpha RMSD, angstrom",
-    "evaluations": "evaluations",
-    "seconds": "seconds",
-}
-"""Columns of the short table, and how a person reads them."""
-
-
-@held_interrupts()
-def compare(
-    structure: Any,
-    methods: Sequence[str] = DEFAULT_METHODS,
-    energy: Energy | None = None,
-    tolerance: float = 1.0,
-    max_evaluations: int = 5000,
-    seed: int = 0,
-    *,
-    native: Any = None,
-    repeats: int = 3,
-    watch: Callable[[str], Watcher] | None = None,
-) -> Comparison:
-    """Minimise one structure by several methods from the same prepared start.
-
-    Parameters
-    ----------
-    structure : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-    methods : sequence of str
-        As in :func:`protochain.minimise`.
-    energy : Energy, optional
-        ff14SB with OBC2 by default; one energy function serves all methods.
-    tolerance, max_evaluations, seed
-        As in :func:`protochain.minimise`.
-    native : Structure, path, or anything that :func:`protochain.as_structure` takes, optional
-        Measure the ends against it too.
-    repeats : int
-        Runs of each method that does not repeat exactly (it draws random numbers, or OpenMM sums on several
-        threads), with seeds that follow; the first is shown, all are in ``Comparison.spread``.
-    watch : callable, optional
-        Given a method's name, returns the watcher of its run.
-
-    Returns
-    -------
-    Comparison
-        Every end point judged by the OpenMM Reference platform in double precision. An interrupt ends
-        the run it meets and leaves out those after it.
-
-    Raises
-    ------
-    ProtochainError
-        If a method is unknown or the input cannot be used.
-    """
-    chosen = tuple(dict.fromkeys(methods))
-    if not chosen:
-        raise ProtochainError(f"no methods to compare; choose from {', '.join(METHODS)}")
-    if repeats < 1:
-        raise ProtochainError(f"repeats {repeats}: give at least 1")
-    for method in chosen:
-        check_settings(method, tolerance, max_evaluations)
-    chain = as_chain(structure)
-    known = None if native is None else as_structure(native)
-    if energy is None:
-        energy = build_energy(chain.structure)
-    plan = [
-        (method, k) for method in chosen for k in range(1 if repeats_exactly(method, energy) else repeats)
-    ]
-    solutions: dict[tuple[str, int], Solution] = {}
-    for method, k in plan:
-        watcher = watch(method) if watch else None
-        try:
-            solution = minimise(chain, energy, method, tolerance, max_evaluations, seed + k, watch=watcher)
-        except KeyboardInterrupt:
-            if not solutions:
-                raise
-            break
-        interrupted = solution.status is Status.INTERRUPTED
-        if not (interrupted and k):
-            solutions[method, k] = solution
-        if interrupted:
-            break
-    return Comparison(
-        chain.structure,
-        tuple(s for (_, k), s in solutions.items() if k == 0),
-        native=known,
-        repeats=tuple(s for (_, k), s in solutions.items() if k > 0),
-    )
-
-
-def flat(value: Any) -> Any:
-    """Return a value of a record as a cell of a table: lists and counts as text."""
-    if isinstance(value, dict):
-        return "; ".join(f"{count} {name}" for name, count in value.items())
-    return "; ".join(map(str, value)) if isinstance(value, list) else value
+        return self.table[[column.key for column in SHOWN]].to_html(index=False)
 
 
 def _as_json(table: pd.DataFrame, orient: Any) -> Any:
-    """Return a table as JSON has it, what is not a number as None."""
+    """Table as JSON values, with None for NaN."""
     return json.loads(table.to_json(orient=orient, double_precision=15))

@@ -1,4 +1,4 @@
-"""Pictures drawn from the tables: colour-blind-safe, told apart in grey by line style, with units."""
+"""Figures from the tables: colour-blind-safe, distinguishable in grey by line style, with units."""
 
 import io
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,13 +18,13 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 """Okabe and Ito's palette, dark ones first."""
 _DASHES = ("-", "--", "-.", ":")
 _LOG_FROM = 1e4
-"""kJ/mol: a fall larger than this (a clash relieved) would hide everything else on a linear axis."""
+"""kJ/mol. A larger fall, as of a clash relieved, would hide everything else on a linear axis."""
 _SAME = 0.1
 """kJ/mol above the lowest at which curves end on a logarithmic axis: less is the same minimum."""
 
 
 class Figure(PlainFigure):
-    """A figure that notebooks draw without pyplot, which would keep every figure for ever."""
+    """Figure that notebooks draw without pyplot, which would keep every figure in memory."""
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -44,8 +44,8 @@ def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        The best of each run so far as a line: what a method returns is its best. Evaluations and
-        seconds are logarithmic; the energy is too, above its lowest, where clashes make it span decades.
+        Lowest energy of each run so far. Evaluations and seconds are logarithmic, and so is the energy above
+        the lowest of all, where clashes make it span decades.
     """
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
@@ -75,8 +75,7 @@ def plot_work_precision(
     traces, work : pandas.DataFrame
         As ``Comparison.traces`` and ``Comparison.work``.
     groups : mapping of str to sequence of str
-        Methods that are measured against the same lowest end, by what they have in common: a row of panels
-        each.
+        Methods with the same freedoms, measured against the same lowest end: a row of panels each.
     title : str
 
     Returns
@@ -89,7 +88,7 @@ def plot_work_precision(
     lowest = traces["method"].map(work.set_index("method")["lowest_kj_mol"])
     best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
     styles = _styles(traces["method"].unique())
-    # What an engine of single precision sees may lie below the judge's lowest.
+    # Energies in single precision may lie below the judged lowest.
     traces = traces.assign(above=(best - lowest).clip(lower=_SAME))
     for axes, (name, methods) in zip(grid, groups.items(), strict=True):
         _draw_runs(axes, traces[traces["method"].isin(methods)], "above", styles)
@@ -105,17 +104,20 @@ def plot_torque(traces: pd.DataFrame, title: str) -> Figure:
     Parameters
     ----------
     traces : pandas.DataFrame
-        As ``Comparison.traces``; where all atoms move there are no torques, and nothing is drawn.
+        As ``Comparison.traces``.
     title : str
 
     Returns
     -------
     matplotlib.figure.Figure
-        Logarithmic in both.
+        Logarithmic in both. Torques are not recorded while all atoms move: the title names these methods.
     """
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     styles = _styles(traces["method"].unique())
-    traces = traces[traces["max_torque_kj_mol_rad"] > 0.0]
+    drawn = traces["max_torque_kj_mol_rad"] > 0.0
+    free = traces.loc[~drawn, "method"].unique()
+    note = f"\nnot recorded while all atoms move: {', '.join(free)}" if len(free) else ""
+    traces = traces[drawn]
     if traces.empty:
         figure.suptitle(f"{_plain_text(title)}: no method turns hinges only")
         return figure
@@ -123,7 +125,7 @@ def plot_torque(traces: pd.DataFrame, title: str) -> Figure:
     _draw_runs(axes, traces, "max_torque_kj_mol_rad", styles)
     axes[0].set_ylabel("largest torque, kJ/mol/rad")
     axes[0].set_yscale("log")
-    figure.suptitle(f"{_plain_text(title)}: largest torque on a hinge")
+    figure.suptitle(f"{_plain_text(title)}: largest torque on a hinge{note}")
     return figure
 
 
@@ -131,7 +133,7 @@ Styles = dict[str, dict[str, Any]]
 
 
 def _styles(methods: Iterable[str]) -> Styles:
-    """Colour and dashes of each method: the same in every picture of a comparison."""
+    """Colour and dashes of each method: the same in every figure of a comparison."""
     return {
         method: {"color": colour, "linestyle": dash, "label": method}
         for method, colour, dash in zip(methods, cycle(COLOURS), cycle(_DASHES))
@@ -142,7 +144,8 @@ def _draw_runs(axes: Sequence[Axes], traces: pd.DataFrame, value: str, styles: S
     """Draw a column of the traces against evaluations and against seconds, a line a method."""
     for method, run in traces.groupby("method", sort=False):
         for ax, cost in zip(axes, ("evaluations", "seconds"), strict=True):
-            ax.plot(run[cost], run[value], **styles[str(method)])
+            # A line of one point would not show.
+            ax.plot(run[cost], run[value], marker="o" if len(run) == 1 else "", **styles[str(method)])
     axes[0].set_xlabel("energy evaluations")
     axes[1].set_xlabel("seconds")
     axes[0].legend(frameon=False)
@@ -193,7 +196,7 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
 
 
 def plot_displacement(displacements: pd.DataFrame, title: str) -> Figure:
-    """How far each C-alpha went from the start.
+    """Displacement of each C-alpha from the start.
 
     Parameters
     ----------
@@ -225,7 +228,7 @@ def plot_displacement(displacements: pd.DataFrame, title: str) -> Figure:
 
 
 def plot_ramachandran(angles: dict[str, Floats], title: str) -> Figure:
-    """Phi and psi before and after.
+    """Ramachandran plots of the start and of every end.
 
     Parameters
     ----------
@@ -262,11 +265,11 @@ def plot_ramachandran(angles: dict[str, Floats], title: str) -> Figure:
 
 
 def plain(ax: Axes) -> None:
-    """Draw no more than two axes and a faint grid."""
+    """Draw two axes and a faint grid."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(True, which="major", alpha=0.25)
 
 
 def _plain_text(text: str) -> str:
-    """Keep a name from a file from being read as mathematics."""
+    """Escape dollar signs, which matplotlib reads as mathematics."""
     return text.replace("$", r"\$")

@@ -1,4 +1,4 @@
-"""What a structure is like, beside its energy: size, folds, outliers, overlaps, hydrogen bonds, geometry."""
+"""Quality of a structure: size, secondary structure, outliers, overlaps, hydrogen bonds, geometry."""
 
 from functools import cache
 from typing import Any

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.figure import Figure
 
 from protochain.analysis.viewer import scene, template
+from protochain.minimisers.record import SHOWN
 from protochain.storage import write_atomically
 from protochain.structure import save
 
@@ -23,7 +24,7 @@ def write_report(comparison: "Comparison", directory: Path) -> Path:
     name, suffix, summary = comparison.structure.name, comparison.suffix, comparison.summary()
     tables = {
         "summary": comparison.table,
-        "progress": comparison.progress,
+        "equal_cost": comparison.equal_cost,
         "work": comparison.work,
         "spread": comparison.spread,
         "displacement": comparison.displacements,
@@ -65,8 +66,6 @@ def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str,
     str
         HTML. Names from files are escaped.
     """
-    from protochain.analysis.comparison import SHOWN
-
     return template("report.html").render(
         structure=comparison.structure,
         solutions=comparison.solutions,
@@ -74,7 +73,7 @@ def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str,
         rows=comparison.table.to_dict("records"),
         rmsd=comparison.rmsd,
         quality=comparison.quality,
-        progress=comparison.progress,
+        equal_cost=comparison.equal_cost,
         work=comparison.work,
         spread=comparison.spread,
         figures={name: data_url(figure) for name, figure in figures.items()},
@@ -85,7 +84,7 @@ def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str,
 
 
 def data_url(figure: Figure) -> str:
-    """Return a picture as a page holds it."""
+    """Figure as a data URL for a page."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=150)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -1,4 +1,4 @@
-"""How far the runs of one method lie apart."""
+"""Spread of the runs of each method."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 
 from protochain.minimisers import Solution, Status
-from protochain.minimisers.methods import repeats_exactly
 from protochain.structure import ca_rmsd
 
 
@@ -17,7 +16,7 @@ def spread(runs: Sequence[Solution]) -> dict[str, object]:
     Parameters
     ----------
     runs : sequence of Solution
-        One stands for all where they repeat exactly.
+        A single one where they repeat exactly.
 
     Returns
     -------
@@ -31,7 +30,7 @@ def spread(runs: Sequence[Solution]) -> dict[str, object]:
     return {
         "method": first.method,
         "runs": len(runs),
-        "repeats_exactly": repeats_exactly(first.method, first.energy_function),
+        "repeats_exactly": first.recipe.repeats_exactly(first.energy_function),
         "converged": sum(s.status is Status.CONVERGED for s in runs),
         "energy_lowest_kj_mol": min(energies),
         "energy_median_kj_mol": float(np.median(energies)),
@@ -43,5 +42,5 @@ def spread(runs: Sequence[Solution]) -> dict[str, object]:
 
 
 def spreads(solutions: Sequence[Solution], repeats: Sequence[Solution]) -> pd.DataFrame:
-    """Return a row for each solution's method, with its further runs."""
+    """Spread of each method, from its solution and its further runs: a row a method."""
     return pd.DataFrame([spread([s, *(r for r in repeats if r.method == s.method)]) for s in solutions])

@@ -10,16 +10,17 @@ from jinja2 import Environment, PackageLoader, Template
 
 from protochain.analysis.plots import COLOURS
 from protochain.minimisers import Solution
+from protochain.minimisers.record import heading
 from protochain.structure import Structure
 from protochain.structure.superpose import motion
 from protochain.structure.write import as_text, common_suffix
 
 _ALL_ATOMS = 5000
-"""Of larger structures the page holds no hydrogens: it would grow by megabytes for what nobody can see."""
+"""Larger structures are shown without hydrogens, which would add megabytes to the page."""
 
 
 def scene(shown: Mapping[str, Structure]) -> dict[str, Any]:
-    """Return what the template of the viewer needs to show structures, superposed on the first."""
+    """Variables of the viewer's template: structures superposed on the first."""
     first = next(iter(shown.values()))
     suffix = common_suffix(shown.values())
     models = [
@@ -30,12 +31,14 @@ def scene(shown: Mapping[str, Structure]) -> dict[str, Any]:
 
 
 def template(name: str) -> Template:
-    """Return a page of the package, which escapes what it is given."""
-    return Environment(loader=PackageLoader("protochain.analysis"), autoescape=True).get_template(name)
+    """Page template of the package, with escaping."""
+    pages = Environment(loader=PackageLoader("protochain.analysis"), autoescape=True)
+    pages.filters["heading"] = heading
+    return pages.get_template(name)
 
 
 class View:
-    """A frame in a notebook that holds the viewer and all it needs; text, where no HTML is shown."""
+    """Interactive viewer in a notebook; plain text where no HTML is shown."""
 
     def __init__(self, shown: Mapping[str, Structure]) -> None:
         self.shown = shown
@@ -55,11 +58,12 @@ def view(shown: Structure | Solution) -> View:
     Parameters
     ----------
     shown : Structure or Solution
+        A solution shows its start and its end.
 
     Returns
     -------
     View
-        To turn with the mouse; no server is asked.
+        Drawn in notebooks; no server is contacted.
     """
     if isinstance(shown, Solution):
         return View({"start": shown.chain.structure, shown.method: shown.structure})

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from protochain.errors import ProtochainError
-from protochain.minimisers.api import check_settings
-from protochain.minimisers.stages import Hold
+from protochain.minimisers.api import Minimisation
+from protochain.minimisers.recipes import recipe_of
 from protochain.structure.prepare import PH, own_file
 from protochain.structure.read import model_numbers
 
@@ -70,7 +70,7 @@ class Settings:
         if not self.methods:
             raise ProtochainError("methods: give at least one")
         for method in self.methods:
-            check_settings(method, self.tolerance, self.max_evaluations, Hold(max_rmsd=self.max_rmsd))
+            Minimisation(recipe_of(method), self.tolerance, self.max_evaluations, max_rmsd=self.max_rmsd)
         if self.model not in ("", "all") and not self.model.lstrip("-").isdigit():
             raise ProtochainError(f"model {self.model!r}: give its number, or all")
 

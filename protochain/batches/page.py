@@ -26,7 +26,7 @@ def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[st
         One a method.
     repairs : sequence of str
     """
-    from protochain.analysis.comparison import SHOWN
+    from protochain.minimisers.record import SHOWN
 
     text = _template().render(
         job=job,

@@ -12,21 +12,17 @@ from filelock import FileLock, Timeout
 
 from protochain.batches.jobs import Job, Row
 from protochain.errors import ProtochainError
+from protochain.minimisers import record
 from protochain.storage import check_writable, write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd
 
 COLUMNS = (
-    "structure", "method", "status", "message", "energy_start_kj_mol", "energy_end_kj_mol",
-    "energy_end_reference_kj_mol", "max_torque_end_kj_mol_rad", "rms_force_end_kj_mol_nm", "ca_rmsd_angstrom",
-    "ca_rmsd_to_openmm_angstrom", "iterations", "evaluations", "seconds", "seconds_preparation", "input",
-    "model", "output", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges", "protochain", "engine",
-    "engine_reason", "forcefield", "solvent", "hinges", "tolerance", "tolerance_unit", "move",
-    "restraint_kj_mol_nm2", "max_rmsd_angstrom", "left_out", "constant_terms", "repairs", "seed", "threads",
-    "key",
+    *(column.key for column in record.COLUMNS), "ca_rmsd_to_openmm_angstrom", "seconds_preparation", "input",
+    "model", "output", "key",
 )  # fmt: skip
-"""Of ``summary.csv``: what is looked at first stands first. All keys of a record, and of its origin."""
+"""Of ``summary.csv``: those of a record, and those of a batch."""
 
 CIRCUMSTANCES = ("killed", "time-limit", "interrupted")
 """Ends that may be others next time: done again on resuming."""

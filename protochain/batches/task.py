@@ -63,10 +63,10 @@ def _rest(job: Job, done: list[Row], status: str, message: str, seconds: float) 
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure"]]:
-    from protochain.analysis.comparison import flat
     from protochain.articulate import build_chain
     from protochain.energies.shared import shared_energy
     from protochain.minimisers import minimise
+    from protochain.minimisers.record import flat
     from protochain.structure import ca_rmsd, load
     from protochain.structure.write import common_suffix
 

@@ -52,7 +52,9 @@ def compare(
         str, typer.Option(help="Methods, with commas between.")
     ] = "kcm,md,lbfgs,hybrid,openmm",
     repeats: Annotated[int, typer.Option(help="Runs of each method that does not repeat exactly.")] = 3,
-    native: Annotated[Path | None, typer.Option(help="Measure the ends against this structure too.")] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="Measure the ends against this structure too.")
+    ] = None,
     solvent: Solvent = "obc2",
     forcefield: Forcefield = "amber14",
     hinges: Hinges = "phi psi chi",
@@ -73,18 +75,19 @@ def compare(
 ) -> None:
     """Minimise one structure by several methods; write tables, plots, structures and report.html."""
     from protochain.analysis import compare as run
-    from protochain.minimisers.api import check_settings
+    from protochain.minimisers.api import Minimisation
+    from protochain.minimisers.recipes import recipe_of
     from protochain.storage import check_writable
     from protochain.structure import load
 
     chosen = tuple(dict.fromkeys(name.strip() for name in methods.split(",")))
     for method in chosen:
-        check_settings(method, tolerance, max_evaluations)
+        Minimisation(recipe_of(method), tolerance, max_evaluations)
     taken = reading(model, altloc, keep, disulfide, no_disulfide, ph, strict)
     output = output or Path(f"{named_after(source)[0]}-comparison")
     # A name with the method's added cannot be the input's own.
     check_writable(output / "report.html")
-    known = load(native) if native else None
+    known = load(reference) if reference else None
     chain, energy, preparation = prepare(
         source, taken, hinges, forcefield, solvent, engine, threads, trust_forcefield
     )
@@ -102,7 +105,7 @@ def compare(
             tolerance,
             max_evaluations,
             seed,
-            native=known,
+            reference=known,
             repeats=repeats,
             watch=watch,
         )

@@ -88,15 +88,15 @@ def minimise(
     """Minimise the energy of one structure."""
     from protochain.minimisers import explore
     from protochain.minimisers import minimise as run
-    from protochain.minimisers.api import check_settings
-    from protochain.minimisers.stages import read_hold
+    from protochain.minimisers.api import Minimisation
+    from protochain.minimisers.recipes import recipe_of
     from protochain.storage import write_atomically
     from protochain.structure.read import model_numbers
     from protochain.structure.trajectory import TrajectoryFile, check_trajectory
     from protochain.structure.write import check_fits, check_format
 
-    hold = read_hold(restrain, max_rmsd)
-    check_settings(method, tolerance, max_evaluations, hold, bool(checkpoint or resume))
+    limit = math.inf if max_rmsd is None else max_rmsd
+    Minimisation(recipe_of(method), tolerance, max_evaluations, seed, restrain, limit, checkpoint, resume)
     if starts > 1 and (checkpoint or resume or trajectory):
         raise ProtochainError("starts: a checkpoint or trajectory is of one run; give one start")
     if starts == 1 and hop is not None:
@@ -134,8 +134,8 @@ def minimise(
                     frames.append(x)
 
             settings: dict[str, Any] = {
-                "tolerance": tolerance, "max_evaluations": max_evaluations, "restraint": hold.restraint,
-                "max_rmsd": hold.max_rmsd, "watch": watch,
+                "tolerance": tolerance, "max_evaluations": max_evaluations, "restraint": restrain,
+                "max_rmsd": limit, "watch": watch,
             }  # fmt: skip
             if starts == 1:
                 solution = run(

@@ -16,19 +16,6 @@ if TYPE_CHECKING:
     from protochain.dynamics.simulate import Watcher as SimulationWatcher
     from protochain.minimisers.solution import Watcher
 
-_SHOWN = {
-    "method": "method",
-    "status": "status",
-    "energy_start_kj_mol": "start kJ/mol",
-    "energy_end_reference_kj_mol": "end kJ/mol",
-    "max_torque_end_kj_mol_rad": "torque kJ/mol /rad",
-    "rms_force_end_kj_mol_nm": "force kJ/mol /nm",
-    "ca_rmsd_angstrom": "RMSD angstrom",
-    "evaluations": "evals",
-    "seconds": "seconds",
-}
-"""Columns of the table on the terminal; 80 characters wide."""
-
 _SHOWN_FAILURES = 10
 """Structures without a result that are named; all are in the table and on the page."""
 
@@ -124,17 +111,20 @@ def print_table(records: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from protochain.minimisers.record import SHOWN
+
     rows = [
         [
-            f"{r[key]:.2f}" if isinstance(r[key], float) else str(r[key] if r[key] is not None else "-")
-            for key in _SHOWN
+            f"{r[c.key]:.2f}" if isinstance(r[c.key], float) else str("-" if r[c.key] is None else r[c.key])
+            for c in SHOWN
         ]
         for r in records
     ]
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    for heading, cells in zip(_SHOWN.values(), zip(*rows, strict=True), strict=True):
+    for column, cells in zip(SHOWN, zip(*rows, strict=True), strict=True):
         # Headings may wrap at blanks; numbers may not.
-        table.add_column(heading, min_width=max(map(len, cells)), justify="right")
+        words = f"{column.short or column.heading} {column.unit}".replace("/mol/", "/mol /").strip()
+        table.add_column(words, min_width=max(map(len, cells)), justify="right")
     for row in rows:
         table.add_row(*row)
     console = Console()

@@ -1,21 +1,27 @@
-"""One loop; directions times step rules; OpenMM's minimiser as the reference."""
+"""One loop for all minimisers; directions times step rules; OpenMM's minimiser as the reference."""
 
 from protochain.minimisers.api import minimise
-from protochain.minimisers.methods import DEFAULT_METHOD, METHODS
+from protochain.minimisers.descent import Descent, Direction
+from protochain.minimisers.fire import Fire
+from protochain.minimisers.kcm import KCM
+from protochain.minimisers.lbfgs import LBFGS
+from protochain.minimisers.loop import Method, Stop, run
+from protochain.minimisers.metrics import Euclidean, Mass, Preconditioner, Stiffness
+from protochain.minimisers.newton import Newton, PseudoTransient
+from protochain.minimisers.problem import BudgetSpentError, Evaluation, Problem
+from protochain.minimisers.recipes import DEFAULT_METHOD, METHODS, RECIPES, Recipe, Run, recipe_of
 from protochain.minimisers.solution import Solution
-from protochain.minimisers.starts import Starts, explore
+from protochain.minimisers.spaces import Cartesian, Torsions
+from protochain.minimisers.starts import Starts, explore, parted
+from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
 from protochain.minimisers.verdict import Judgement, Status
 
 minimize = minimise
 
 __all__ = [
-    "DEFAULT_METHOD",
-    "METHODS",
-    "Judgement",
-    "Solution",
-    "Starts",
-    "Status",
-    "explore",
-    "minimise",
-    "minimize",
-]
+    "DEFAULT_METHOD", "KCM", "LBFGS", "METHODS", "RECIPES", "AcceptReject", "Armijo", "BudgetSpentError",
+    "Cartesian", "Decaying", "Descent", "Direction", "Euclidean", "Evaluation", "Fire", "Fixed",
+    "Judgement", "Mass", "Method", "Newton", "Preconditioner", "Problem", "PseudoTransient", "Recipe",
+    "Run", "Solution", "Starts", "Status", "Stiffness", "Stop", "StrongWolfe", "Torsions", "explore",
+    "minimise", "minimize", "parted", "recipe_of", "run",
+]  # fmt: skip

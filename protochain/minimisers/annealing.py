@@ -1,4 +1,4 @@
-"""Constrained dynamics as a descent: the chain moves, and a thermostat takes its energy away."""
+"""Simulated annealing and damped dynamics: constrained dynamics with a falling temperature."""
 
 from dataclasses import dataclass
 
@@ -16,13 +16,13 @@ from protochain.multibody.articulated import Articulated, articulate, solve
 from protochain.units import MOLAR_GAS
 
 LONGEST_TURN = 0.1
-"""rad that a freedom may turn in one step: what overlaps push apart moves slower."""
+"""rad. Largest turn of a freedom in one step; overlaps would otherwise throw the chain apart."""
 _HALVINGS = 30
 
 
-@dataclass(frozen=True)
-class Cooling:
-    """Where the chain is, how it moves, and how many steps it has made."""
+@dataclass(frozen=True, eq=False)
+class AnnealingState:
+    """Current point and velocity, and the number of steps taken."""
 
     at: Evaluation
     velocity: Floats
@@ -31,20 +31,23 @@ class Cooling:
 
 @dataclass(frozen=True)
 class Annealing:
-    """Langevin dynamics of rigid bodies while the temperature falls to zero in equal parts.
+    """Langevin dynamics of rigid bodies while the temperature falls linearly to zero.
 
-    From rest at 0 K it is damped dynamics; Kirkpatrick, Gelatt, Vecchi, Science 220:671 (1983), for the rest.
+    Simulated annealing: Kirkpatrick, Gelatt, Vecchi, Science 220:671 (1983). At 0 K from rest it is damped
+    dynamics.
 
     Parameters
     ----------
     temperature : float, K
-        At the start.
+        Initial temperature.
     n_steps : int
-        The method ends after so many.
+        Number of time steps.
     friction : float, 1/ps
+        Of the thermostat.
     time_step : float, ps
-        Shorter while a freedom would turn by more than ``LONGEST_TURN``.
+        Shortened where a freedom would turn by more than ``LONGEST_TURN``.
     seed : int
+        Of the random forces and initial velocities.
     """
 
     temperature: float = 0.0
@@ -52,16 +55,21 @@ class Annealing:
     friction: float = 10.0
     time_step: float = 0.004
     seed: int = 0
+    states = (AnnealingState,)
 
-    def init(self, problem: Problem, at: Evaluation) -> Cooling:
-        """Begin at rest, or with velocities of the first temperature."""
+    def init(self, problem: Problem, at: Evaluation) -> AnnealingState:
+        """Start at rest, or with velocities of the initial temperature."""
         tree = _torsions(problem).chain.tree
         kt = MOLAR_GAS * self.temperature
         qd = multibody.sample_velocities(tree, multibody.pose(tree, at.q), kt, noise(self.seed, 0))
-        return Cooling(at, qd, 0)
+        return AnnealingState(at, qd, 0)
 
-    def step(self, problem: Problem, state: Cooling) -> Cooling | None:
-        """One time step, or None when all are done."""
+    def warm(self, problem: Problem, at: Evaluation) -> None:
+        """Take a step, to compile the kernels of dynamics."""
+        self.step(problem, self.init(problem, at))
+
+    def step(self, problem: Problem, state: AnnealingState) -> AnnealingState | None:
+        """State after one time step; None when all steps are taken."""
         if state.n_steps == self.n_steps:
             return None
         space = _torsions(problem)
@@ -89,10 +97,10 @@ class Annealing:
         warmth = MOLAR_GAS * self.temperature * (1.0 - done / self.n_steps)
         thermostat = Langevin(warmth, self.friction)
         phase, _ = thermostat.apply(system, phase, thermostat.init(phase), time_step, noise(self.seed, done))
-        return Cooling(seen[-1], phase.qd, done)
+        return AnnealingState(seen[-1], phase.qd, done)
 
     def _time_step(self, space: Torsions, phase: Phase) -> float:
-        """Shorter than usual where velocities or accelerations would turn something too far."""
+        """Time step, shortened where velocities or accelerations would turn a freedom too far."""
         fastest = float(np.max(np.abs(phase.qd / space.scale)))
         pushed = float(np.max(np.abs(solve(phase.factors, phase.torque) / space.scale)))
         shortest = min(

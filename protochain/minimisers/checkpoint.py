@@ -1,4 +1,4 @@
-"""A stopped run as a file to go on from: arrays and plain values, nothing that could run when it is read."""
+"""Checkpoints of stopped runs: arrays and plain values; reading one runs no code."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -8,31 +8,23 @@ from typing import Any
 import numpy as np
 
 from protochain.errors import ProtochainError
-from protochain.minimisers.annealing import Cooling
-from protochain.minimisers.fire import Moving
-from protochain.minimisers.kcm import Standing
-from protochain.minimisers.lbfgs import Memory
-from protochain.minimisers.loop import Snapshot, Standstill
+from protochain.minimisers.loop import Snapshot, Unstarted
 from protochain.minimisers.metrics import Preconditioner
-from protochain.minimisers.newton import Continuation, Position
-from protochain.minimisers.problem import Evaluation
+from protochain.minimisers.problem import Evaluation, Tally
 from protochain.minimisers.stages import Stage, Waypoint
 from protochain.storage import read_arrays, write_arrays
 
-_KINDS = (
-    Waypoint, Snapshot, Evaluation, Standstill, Standing, Memory, Position, Continuation, Moving, Cooling,
-)  # fmt: skip
-_VALUES = {kind.__name__: kind for kind in _KINDS}
-"""What a checkpoint may be made of."""
+_KINDS = (Waypoint, Snapshot, Tally, Unstarted)
+"""Classes of every checkpoint; the others are the states that the method names."""
 
 
 def save_checkpoint(path: Path, waypoint: Waypoint, settings: Mapping[str, Any]) -> None:
-    """Write a waypoint, and the settings that it belongs to.
+    """Write a waypoint, with the settings of its run.
 
     Parameters
     ----------
     path : Path
-        An .npz file, written under a temporary name and renamed.
+        An .npz file.
     waypoint : Waypoint
     settings : mapping
         Of plain values.
@@ -44,14 +36,14 @@ def save_checkpoint(path: Path, waypoint: Waypoint, settings: Mapping[str, Any])
 
 
 def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any]) -> Waypoint:
-    """Read a waypoint for a plan.
+    """Read a waypoint of a plan.
 
     Parameters
     ----------
     path : Path
     plan : list of Stage
     settings : mapping
-        Those of the run that is to go on.
+        Those of the run to be continued.
 
     Raises
     ------
@@ -68,7 +60,7 @@ def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any]) 
 
 
 def _plain(value: Any, arrays: dict[str, np.ndarray], known: dict[int, Any]) -> Any:
-    """Return what JSON can hold; arrays and repeated values are named."""
+    """Values that JSON can hold; arrays are stored apart, each once, and named."""
     if isinstance(value, np.ndarray):
         name = known.get(id(value), f"a{len(arrays)}")
         known[id(value)] = name
@@ -78,6 +70,10 @@ def _plain(value: Any, arrays: dict[str, np.ndarray], known: dict[int, Any]) -> 
         return [_plain(part, arrays, known) for part in value]
     if isinstance(value, Preconditioner):
         return {"made_at": _plain(value.made_at, arrays, known), "age": value.age}
+    if isinstance(value, Evaluation):
+        # The rest of the pose follows from q.
+        numbers = (value.pose.q, value.energy, value.torque, value.residual, value.restraint)
+        return {"evaluation": _plain(numbers, arrays, known)}
     if is_dataclass(value):
         kind = type(value).__name__
         parts = {field.name: _plain(getattr(value, field.name), arrays, known) for field in fields(value)}
@@ -86,7 +82,7 @@ def _plain(value: Any, arrays: dict[str, np.ndarray], known: dict[int, Any]) -> 
 
 
 def _value(tree: Any, arrays: Mapping[str, np.ndarray], stage: Stage) -> Any:
-    """Return what :func:`_plain` was given; metrics are made again, at the points they were made at."""
+    """Inverse of :func:`_plain`; metrics are computed again at the points they were computed at."""
     if isinstance(tree, list):
         return tuple(_value(part, arrays, stage) for part in tree)
     if not isinstance(tree, dict):
@@ -97,5 +93,9 @@ def _value(tree: Any, arrays: Mapping[str, np.ndarray], stage: Stage) -> Any:
         metric: Any = stage.method
         at = _value(tree["made_at"], arrays, stage)
         return Preconditioner(metric.metric, at, metric.metric.at(stage.space, at), tree["age"])
+    if "evaluation" in tree:
+        q, *rest = _value(tree["evaluation"], arrays, stage)
+        return Evaluation(stage.space.place(q), *rest)
+    kinds = {kind.__name__: kind for kind in (*_KINDS, *getattr(stage.method, "states", ()))}
     parts = {name: _value(part, arrays, stage) for name, part in tree["fields"].items()}
-    return _VALUES[tree["kind"]](**parts)
+    return kinds[tree["kind"]](**parts)

@@ -1,4 +1,4 @@
-"""The fast inertial relaxation engine, and the quench of velocities: minimisers that move."""
+"""FIRE, the fast inertial relaxation engine, and the quench of velocities."""
 
 from dataclasses import dataclass, field
 
@@ -9,9 +9,9 @@ from protochain.minimisers.metrics import Mass, Metric, Preconditioner
 from protochain.minimisers.problem import Evaluation, Problem
 
 
-@dataclass(frozen=True)
-class Moving:
-    """Where the method stands, how fast it moves, and its own settings' state."""
+@dataclass(frozen=True, eq=False)
+class FireState:
+    """Current point and velocity, with the adapted time step and mixing."""
 
     at: Evaluation
     preconditioner: Preconditioner
@@ -23,7 +23,7 @@ class Moving:
 
 @dataclass(frozen=True)
 class Fire:
-    """Let the chain move, turn its velocity towards the torques, and stop it when it climbs.
+    """Move with inertia, turn the velocity towards the torques, and stop when the energy rises.
 
     Bitzek, Koskinen, Gaehler, Moseler, Gumbsch, Phys. Rev. Lett. 97:170201 (2006), in a metric: accelerations
     are M^-1 tau. With all of the velocity turned (``mixing`` 1 that does not fade) it is the quench of
@@ -32,11 +32,13 @@ class Fire:
     Parameters
     ----------
     metric : Metric
+        Inertia.
     mixing : float
-        Part of the velocity turned towards the torques.
+        Share of the velocity turned towards the torques.
     fade : float
         Factor on the mixing at each step downhill.
     time_step, longest_time_step : float, ps
+        Initial and largest time step.
     """
 
     metric: Metric = field(default_factory=Mass)
@@ -44,14 +46,15 @@ class Fire:
     fade: float = 0.99
     time_step: float = 0.001
     longest_time_step: float = 0.02
+    states = (FireState,)
 
-    def init(self, problem: Problem, at: Evaluation) -> Moving:
-        """Stand still at the start."""
+    def init(self, problem: Problem, at: Evaluation) -> FireState:
+        """Start at rest."""
         first = Preconditioner.first(self.metric, problem.space, at)
-        return Moving(at, first, np.zeros_like(at.torque), self.time_step, self.mixing)
+        return FireState(at, first, np.zeros_like(at.torque), self.time_step, self.mixing)
 
-    def step(self, problem: Problem, state: Moving) -> Moving | None:
-        """Move for one time step."""
+    def step(self, problem: Problem, state: FireState) -> FireState | None:
+        """State after one time step."""
         at, v, dt, mixing, downhill = state.at, state.velocity, state.time_step, state.mixing, state.downhill
         push = state.preconditioner.solve(at.torque)
         if v @ at.torque > 0.0:
@@ -65,9 +68,9 @@ class Fire:
         turn = dt * v
         short = min(1.0, 0.1 * problem.space.longest / np.max(np.abs(turn)))
         if short < 1.0:
-            # A blow that would throw the chain apart: as far as a step may go, and slower.
+            # Overlaps push too hard: shorten the step to its limit, and slow down by as much.
             turn, v = short * turn, short * v
         found = problem.evaluate(problem.move(at.q, turn))
         if not found.is_finite:
             return None
-        return Moving(found, state.preconditioner.next(problem.space, found), v, dt, mixing, downhill)
+        return FireState(found, state.preconditioner.next(problem.space, found), v, dt, mixing, downhill)

@@ -1,35 +1,35 @@
-"""Limited-memory quasi-Newton."""
+"""Directions of the limited-memory quasi-Newton method, L-BFGS."""
 
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg.blas import daxpy, ddot
 
 from protochain.arrays import Floats
+from protochain.minimisers.descent import Direction
 from protochain.minimisers.metrics import Metric, Preconditioner, Solve, Stiffness
 from protochain.minimisers.problem import Evaluation, Problem
-from protochain.minimisers.steps import strong_wolfe
 
 _CURVATURE = 1e-10
-"""A pair with less curvature than this (relative) would make the metric singular: it is left out."""
+"""Relative. A pair with less curvature would make the estimate of the Hessian singular, and is left out."""
 
 Pairs = tuple[tuple[Floats, Floats, float], ...]
-"""Steps, the falls in torque along them, and the products of both, which are positive; oldest first."""
+"""Steps, the decreases of torque along them, and the (positive) products of both; oldest first."""
 
 
-@dataclass(frozen=True)
-class Memory:
-    """Where the method stands, its metric, and the last steps and torque changes, oldest first."""
+@dataclass(frozen=True, eq=False)
+class LBFGSState:
+    """The metric, and the last steps and torque changes, oldest first."""
 
-    at: Evaluation
     preconditioner: Preconditioner
     pairs: Pairs = ()
 
 
 @dataclass(frozen=True)
-class LBFGS:
-    """L-BFGS with a strong-Wolfe line search: Nocedal, Wright, *Numerical Optimization* (2006), 7.4-7.5.
+class LBFGS(Direction):
+    """L-BFGS: Nocedal, Wright, *Numerical Optimization* (2006), 7.4-7.5.
 
     The first estimate of the Hessian is a metric, scaled to the last pair: it may change from one iteration
     to the next. Free roots move on their rotation group: steps and torque changes of successive points are
@@ -38,36 +38,41 @@ class LBFGS:
     Parameters
     ----------
     metric : Metric
+        First estimate of the Hessian.
     memory : int
-        Pairs kept.
+        Number of pairs kept.
     """
 
     metric: Metric = field(default_factory=Stiffness)
     memory: int = 100
+    states = (LBFGSState,)
 
-    def init(self, problem: Problem, at: Evaluation) -> Memory:
-        """Start with an empty memory."""
-        return Memory(at, Preconditioner.first(self.metric, problem.space, at))
+    def init(self, problem: Problem, at: Evaluation) -> LBFGSState:
+        """Metric at the start, and no pairs."""
+        return LBFGSState(Preconditioner.first(self.metric, problem.space, at))
 
-    def step(self, problem: Problem, state: Memory) -> Memory | None:
-        """Search along the quasi-Newton direction; failing that, along the preconditioned torques."""
-        space = problem.space
+    def propose(
+        self, problem: Problem, at: Evaluation, state: LBFGSState
+    ) -> Iterator[tuple[Floats, LBFGSState]]:
+        """Yield the quasi-Newton direction, then the preconditioned torques without the pairs."""
         for pairs in (state.pairs, ()) if state.pairs else ((),):
-            direction = quasi_newton(state.at.torque, pairs, state.preconditioner.solve)
-            limit = space.longest if pairs else space.first
+            direction = quasi_newton(at.torque, pairs, state.preconditioner.solve)
+            limit = problem.space.longest if pairs else problem.space.first
             direction *= min(1.0, limit / np.max(np.abs(direction)))
-            found = strong_wolfe(problem, state.at, direction)
-            if found is not None:
-                length, at = found
-                recent = deque(pairs, maxlen=self.memory)
-                step, change = length * direction, state.at.torque - at.torque
-                # Torques of atoms on top of one another have no representable square: no pair then.
-                with np.errstate(over="ignore"):
-                    curvature = float(step @ change)
-                    if curvature > _CURVATURE * np.linalg.norm(step) * np.linalg.norm(change):
-                        recent.append((step, change, curvature))
-                return Memory(at, state.preconditioner.next(space, at), tuple(recent))
-        return None
+            yield direction, LBFGSState(state.preconditioner, pairs)
+
+    def update(
+        self, problem: Problem, state: LBFGSState, before: Evaluation, step: Floats, after: Evaluation
+    ) -> LBFGSState:
+        """Add a pair, and drop the oldest beyond the memory."""
+        recent = deque(state.pairs, maxlen=self.memory)
+        change = before.torque - after.torque
+        # Torques of atoms on top of one another have no representable square: no pair then.
+        with np.errstate(over="ignore"):
+            curvature = float(step @ change)
+            if curvature > _CURVATURE * np.linalg.norm(step) * np.linalg.norm(change):
+                recent.append((step, change, curvature))
+        return LBFGSState(state.preconditioner.next(problem.space, after), tuple(recent))
 
 
 def quasi_newton(torque: Floats, pairs: Pairs, solve: Solve = np.copy) -> Floats:
@@ -78,9 +83,9 @@ def quasi_newton(torque: Floats, pairs: Pairs, solve: Solve = np.copy) -> Floats
     torque : (n_v,) float
         Minus the gradient.
     pairs : tuple of ((n_v,) float, (n_v,) float, float)
-        Steps, the falls in torque along them, and the (positive) products of both; oldest first.
+        Steps, the decreases of torque along them, and the (positive) products of both; oldest first.
     solve : callable
-        With the first estimate of the Hessian, but for its scale.
+        Solver for the first estimate of the Hessian, up to its scale.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The one loop: it counts, records, checks and stops; methods only say what the next point is."""
+"""The one loop of all minimisers: methods propose the next point; the loop records, checks and stops."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -7,11 +7,11 @@ from typing import Any, Protocol
 
 from protochain.arrays import Floats
 from protochain.interrupts import held_interrupts
-from protochain.minimisers.problem import BudgetSpentError, Evaluation, Problem
+from protochain.minimisers.problem import BudgetSpentError, Evaluation, Problem, Tally
 
 
 class Stop(Enum):
-    """Why a loop ended, before anyone has judged the result."""
+    """Reason a loop ended, before the result is judged."""
 
     TOLERANCE = "the largest torque or RMS force fell below the tolerance"
     NO_DESCENT = "no step lowers the energy any further"
@@ -22,7 +22,7 @@ class Stop(Enum):
 
 
 class State(Protocol):
-    """A method's memory; the loop reads only where it is."""
+    """A method's state; the loop reads only its current point."""
 
     @property
     def at(self) -> Evaluation:
@@ -30,36 +30,37 @@ class State(Protocol):
 
 
 class Method(Protocol):
-    """A direction times a step rule."""
+    """A minimiser: a :class:`protochain.minimisers.Descent`, or any object with these two methods.
+
+    For checkpoints it names the classes of its state, frozen dataclasses, in ``states``.
+    """
 
     def init(self, problem: Problem, at: Evaluation) -> Any:
         """State at the start."""
 
     def step(self, problem: Problem, state: Any) -> Any | None:
-        """Return the next state, or None if no step lowers the energy."""
+        """State after one step; None if no step lowers the energy."""
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A run between two iterations: all that the rest of it depends on.
+    """A run between two iterations, with all that its continuation depends on.
 
     Parameters
     ----------
     state : State
         The method's.
     start : Evaluation
-        Where the run began.
-    best : Evaluation or None
-    improved_at, n_evaluations, n_iterations : int
+        First point of the run.
+    tally : Tally
+    n_iterations : int
     lists_at : (na, 3) float or None
-        Positions that the energy's neighbour lists were made at: the order of its sums hangs on them.
+        Positions at which the energy's neighbour lists were built: they set the order of its sums.
     """
 
     state: State
     start: Evaluation
-    best: Evaluation | None
-    improved_at: int
-    n_evaluations: int
+    tally: Tally
     n_iterations: int
     lists_at: Floats | None
 
@@ -72,7 +73,7 @@ class Ending:
     ----------
     stop : Stop
     last : Snapshot
-        After the last whole iteration; the problem remembers the lowest energy.
+        After the last complete iteration.
     """
 
     stop: Stop
@@ -88,7 +89,7 @@ def run(
     record: Callable[[Evaluation], None],
     resume: Snapshot | None = None,
 ) -> Ending:
-    """Step from q until the tolerance is met or nothing more can be done.
+    """Iterate from q until the tolerance is met, no step descends, or the run is stopped.
 
     Parameters
     ----------
@@ -100,14 +101,14 @@ def run(
     patience : int
         Stop after this many evaluations without a new lowest energy.
     record : callable
-        Called with each point the method accepts, the start included.
+        Called with each point the method accepts, including the start.
     resume : Snapshot, optional
-        Go on from there instead: the same steps follow as if there had been no stop.
+        Continue from there instead: the steps are those of an uninterrupted run.
 
     Returns
     -------
     Ending
-        Also on interruption (a signal, or KeyboardInterrupt) and on a spent budget: nothing is lost.
+        Also on interruption (a signal, or KeyboardInterrupt) and on a spent budget.
 
     Raises
     ------
@@ -116,14 +117,14 @@ def run(
     """
     if resume is None:
         at = problem.evaluate(q)
-        last = _snapshot(problem, Standstill(at), at, 0)
+        last = _snapshot(problem, Unstarted(at), at, 0)
     else:
         last = resume
-        problem.restore(last.best, last.improved_at, last.n_evaluations, last.lists_at)
+        problem.restore(last.tally, last.lists_at)
     try:
         with held_interrupts() as interrupts:
             record(last.state.at)
-            if isinstance(last.state, Standstill):
+            if isinstance(last.state, Unstarted):
                 last = replace(last, state=method.init(problem, last.state.at))
             while True:
                 at = last.state.at
@@ -131,7 +132,7 @@ def run(
                     return Ending(Stop.NON_FINITE, last)
                 if at.residual <= tolerance:
                     return Ending(Stop.TOLERANCE, last)
-                if problem.n_evaluations - problem.improved_at > patience:
+                if problem.n_evaluations - problem.tally.improved_at > patience:
                     return Ending(Stop.CIRCLING, last)
                 if interrupts:
                     return Ending(Stop.INTERRUPTED, last)
@@ -147,13 +148,11 @@ def run(
 
 
 @dataclass(frozen=True)
-class Standstill:
-    """The state before a method has made its own."""
+class Unstarted:
+    """State before the method has initialised its own."""
 
     at: Evaluation
 
 
 def _snapshot(problem: Problem, state: State, start: Evaluation, n_iterations: int) -> Snapshot:
-    return Snapshot(
-        state, start, problem.best, problem.improved_at, problem.n_evaluations, n_iterations, problem.lists_at
-    )
+    return Snapshot(state, start, problem.tally, n_iterations, problem.lists_at)

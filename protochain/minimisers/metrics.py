@@ -1,4 +1,4 @@
-"""What a step is measured in: a metric turns torques into a direction."""
+"""Metrics: positive definite matrices that turn torques into directions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,52 +13,52 @@ Solve = Callable[[Floats], Floats]
 
 
 class Metric(Protocol):
-    """A positive definite matrix that changes slowly with the place."""
+    """A positive definite matrix that varies slowly with the coordinates."""
 
     @property
-    def lasts(self) -> int:
-        """Iterations after which it is made anew."""
+    def refresh_every(self) -> int:
+        """Iterations after which the matrix is computed again."""
 
     def at(self, space: Space, at: Evaluation) -> Solve:
-        """Solve with the matrix as it is at a point."""
+        """Solver for the matrix at a point."""
 
 
 @dataclass(frozen=True)
 class Euclidean:
-    """Every freedom counts the same."""
+    """The identity."""
 
-    lasts: int = 1_000_000_000
+    refresh_every: int = 1_000_000_000
 
     def at(self, space: Space, at: Evaluation) -> Solve:
-        """Nothing to solve."""
+        """Solver that copies."""
         return np.copy
 
 
 @dataclass(frozen=True)
 class Mass:
-    """The mass matrix: descent in it is overdamped motion of the chain (M^-1 tau in O(n))."""
+    """The mass matrix; descent in it is overdamped motion of the chain (M^-1 tau in O(n))."""
 
-    lasts: int = 1
+    refresh_every: int = 1
 
     def at(self, space: Space, at: Evaluation) -> Solve:
-        """Solve with the mass matrix."""
+        """Solver for the mass matrix."""
         return space.inertia(at)
 
 
 @dataclass(frozen=True)
 class Stiffness:
-    """A model of the Hessian, made from contacts and bonds: see :mod:`protochain.minimisers.springs`."""
+    """A model of the Hessian from contacts and bonds: see :mod:`protochain.minimisers.springs`."""
 
-    lasts: int = 20
+    refresh_every: int = 20
 
     def at(self, space: Space, at: Evaluation) -> Solve:
-        """Solve with the model made at this point."""
+        """Solver for the model made at a point."""
         return space.stiffness(at)
 
 
 @dataclass(frozen=True, eq=False)
 class Preconditioner:
-    """A metric as it was at a point, and how many iterations it has served.
+    """A metric computed at a point, and the iterations it has been used for.
 
     Parameters
     ----------
@@ -75,11 +75,11 @@ class Preconditioner:
 
     @classmethod
     def first(cls, metric: Metric, space: Space, at: Evaluation) -> "Preconditioner":
-        """Make a metric at a point."""
+        """Compute a metric at a point."""
         return cls(metric, at, metric.at(space, at))
 
     def next(self, space: Space, at: Evaluation) -> "Preconditioner":
-        """Return the one for the next iteration: the same, or made anew when it is too old."""
-        if self.age + 1 >= self.metric.lasts:
+        """Preconditioner of the next iteration: the same one, or a new one every ``refresh_every``."""
+        if self.age + 1 >= self.metric.refresh_every:
             return self.first(self.metric, space, at)
         return replace(self, age=self.age + 1)

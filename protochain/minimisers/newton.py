@@ -1,69 +1,76 @@
-"""Truncated Newton and pseudo-transient continuation: conjugate gradients on Hessian-vector products."""
+"""Truncated Newton and pseudo-transient continuation, by conjugate gradients on Hessian-vector products."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from protochain.arrays import Floats
+from protochain.minimisers.descent import Direction
 from protochain.minimisers.metrics import Metric, Preconditioner, Solve, Stiffness
 from protochain.minimisers.problem import Evaluation, Problem
-from protochain.minimisers.steps import SMALLEST, strong_wolfe
+from protochain.minimisers.steps import SMALLEST
 
 _TURN = 1e-5
-"""rad or nm, of the largest freedom: the step of a difference of torques. What it neglects grows with it,
-what rounding adds shrinks."""
+"""rad or nm, of the largest freedom: step of the difference quotient of torques, between truncation and
+rounding."""
 
 
-@dataclass(frozen=True)
-class Position:
-    """Where the method stands, and its preconditioner."""
+@dataclass(frozen=True, eq=False)
+class NewtonState:
+    """The preconditioner at the current point."""
 
-    at: Evaluation
     preconditioner: Preconditioner
 
 
-@dataclass(frozen=True)
-class Continuation:
-    """Where the method stands, and its pseudo-time step."""
+@dataclass(frozen=True, eq=False)
+class PseudoTransientState:
+    """Current point and pseudo-time step."""
 
     at: Evaluation
     time_step: float
 
 
 @dataclass(frozen=True)
-class Newton:
+class Newton(Direction):
     """Truncated Newton: Dembo, Steihaug, Math. Program. 26:190 (1983).
 
-    Solves H d = tau by preconditioned conjugate gradients until the residual is small against the torque, or
-    a direction of negative curvature shows up; then a strong-Wolfe search along d. A product with H costs an
-    evaluation.
+    Solves H d = tau by preconditioned conjugate gradients until the residual is small relative to the torque,
+    or a direction of negative curvature is met. A product with H costs an evaluation.
 
     Parameters
     ----------
     metric : Metric
         The preconditioner.
-    most : int
-        Products for one step at most.
+    max_products : int
+        Products with H in one step at most.
     """
 
     metric: Metric = field(default_factory=Stiffness)
-    most: int = 30
+    max_products: int = 30
+    states = (NewtonState,)
 
-    def init(self, problem: Problem, at: Evaluation) -> Position:
-        """Stand at the start."""
-        return Position(at, Preconditioner.first(self.metric, problem.space, at))
+    def init(self, problem: Problem, at: Evaluation) -> NewtonState:
+        """Preconditioner at the start."""
+        return NewtonState(Preconditioner.first(self.metric, problem.space, at))
 
-    def step(self, problem: Problem, state: Position) -> Position | None:
-        """Search along the Newton direction; failing that, along the preconditioned torques."""
-        space, at, solve = problem.space, state.at, state.preconditioner.solve
-        enough = min(0.5, np.sqrt(at.residual / (at.residual + 1000.0)))
-        newton = conjugate_gradients(problem, at, solve, 0.0, enough, self.most)
+    def propose(
+        self, problem: Problem, at: Evaluation, state: NewtonState
+    ) -> Iterator[tuple[Floats, NewtonState]]:
+        """Yield the Newton direction, then the preconditioned torques."""
+        space, solve = problem.space, state.preconditioner.solve
+        rtol = min(0.5, np.sqrt(at.residual / (at.residual + 1000.0)))
+        newton = conjugate_gradients(problem, at, solve, 0.0, rtol, self.max_products)
         for direction, limit in ((newton, space.longest), (solve(at.torque), space.first)):
             direction = direction * min(1.0, limit / np.max(np.abs(direction)))
-            found = strong_wolfe(problem, at, direction) if direction @ at.torque > 0 else None
-            if found is not None:
-                return Position(found[1], state.preconditioner.next(space, found[1]))
-        return None
+            if direction @ at.torque > 0:
+                yield direction, state
+
+    def update(
+        self, problem: Problem, state: NewtonState, before: Evaluation, step: Floats, after: Evaluation
+    ) -> NewtonState:
+        """Preconditioner at the next point."""
+        return NewtonState(state.preconditioner.next(problem.space, after))
 
 
 @dataclass(frozen=True)
@@ -79,36 +86,37 @@ class PseudoTransient:
     ----------
     time_step : float, rad^2 mol/kJ
         First delta, for a largest torque of 1 kJ/mol/rad: it is divided by the largest torque.
-    most : int
-        Products with H for one step at most.
+    max_products : int
+        Products with H in one step at most.
     """
 
     time_step: float = 0.01
-    most: int = 30
+    max_products: int = 30
+    states = (PseudoTransientState,)
 
-    def init(self, problem: Problem, at: Evaluation) -> Continuation:
-        """Stand at the start with the first time step."""
-        return Continuation(at, self.time_step / max(1.0, at.residual))
+    def init(self, problem: Problem, at: Evaluation) -> PseudoTransientState:
+        """Start, with the initial time step."""
+        return PseudoTransientState(at, self.time_step / max(1.0, at.residual))
 
-    def step(self, problem: Problem, state: Continuation) -> Continuation | None:
+    def step(self, problem: Problem, state: PseudoTransientState) -> PseudoTransientState | None:
         """Take the longest step that lowers the energy."""
         space, at, delta = problem.space, state.at, state.time_step
         while True:
-            turn = conjugate_gradients(problem, at, np.copy, 1.0 / delta, 0.1, self.most)
+            turn = conjugate_gradients(problem, at, np.copy, 1.0 / delta, 0.1, self.max_products)
             size = np.max(np.abs(turn))
             if size < SMALLEST:
                 return None
             found = problem.evaluate(problem.move(at.q, turn * min(1.0, space.longest / size)))
             if found.is_finite and found.energy < at.energy:
                 grown = delta * np.linalg.norm(at.torque) / np.linalg.norm(found.torque)
-                return Continuation(found, float(grown))
+                return PseudoTransientState(found, float(grown))
             delta *= 0.25
 
 
 def conjugate_gradients(
-    problem: Problem, at: Evaluation, solve: Solve, shift: float, enough: float, most: int
+    problem: Problem, at: Evaluation, solve: Solve, shift: float, rtol: float, max_products: int
 ) -> Floats:
-    """Solve (shift + H) d = tau roughly, staying where the curvature is positive.
+    """Solve (shift + H) d = tau inexactly, in the subspace of positive curvature met so far.
 
     Parameters
     ----------
@@ -118,10 +126,10 @@ def conjugate_gradients(
     solve : callable
         The preconditioner.
     shift : float
-    enough : float
-        Residual to stop at, as part of the torque, both measured by the preconditioner.
-    most : int
-        Products at most.
+    rtol : float
+        Residual to stop at, relative to the torque, both in the norm of the preconditioner.
+    max_products : int
+        Products with H at most.
 
     Returns
     -------
@@ -132,8 +140,8 @@ def conjugate_gradients(
     left = at.torque.copy()
     z = solve(left)
     direction, size = z, left @ z
-    target = enough**2 * size
-    for n in range(most):
+    target = rtol**2 * size
+    for n in range(max_products):
         h = _TURN / np.max(np.abs(direction))
         moved = problem.evaluate(problem.move(at.q, h * direction))
         product = (at.torque - moved.torque) / h + shift * direction

@@ -1,26 +1,99 @@
 """OpenMM's own minimiser, as the reference: all atoms free, Cartesian L-BFGS."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import openmm
 
 from protochain.arrays import Floats
+from protochain.chain import Chain
 from protochain.energies import Energy, OpenMMEnergy
 from protochain.interrupts import held_interrupts
 from protochain.minimisers.loop import Stop
+from protochain.minimisers.recipes import SINGLE_PRECISION_ENDS, Recipe
+from protochain.minimisers.spaces import spaces
+from protochain.minimisers.stages import Outcome
+
+Record = Callable[[Floats, float, int], None]
+"""Called with positions, energy and evaluations so far after each iteration."""
+
+_SETTLED = 100.0
+"""kJ/mol/nm. RMS force at which OpenMM's dynamics can start: a strained start would be hot."""
+
+
+def minimise_by_openmm(
+    recipe: Recipe, chain: Chain, energy: Energy, tolerance: float, max_evaluations: int, seed: int,
+    record: Record,
+) -> Outcome:  # fmt: skip
+    """Minimise by OpenMM's own minimiser, after its dynamics if the recipe draws random numbers.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    chain : Chain
+    energy : Energy
+    tolerance : float, kJ/mol/nm
+    max_evaluations : int
+    seed : int
+    record : callable
+        Called with positions, energy and evaluations so far after each iteration.
+
+    Returns
+    -------
+    Outcome
+        As of the other methods. Where single precision ends, it continues on the Reference platform.
+    """
+    x = chain.structure.positions
+    n_iterations, n_evaluations, stop, settled = 0, 1, Stop.BUDGET, x
+    record(x, energy(x)[0], 1)
+
+    def outcome(x: Floats) -> Outcome:
+        atoms = spaces(chain)[1]
+        return Outcome(stop, atoms, atoms.start(x), n_iterations, n_evaluations)
+
+    def note(x: Floats, value: float, evaluations: int, before: int) -> None:
+        record(x, value, before + evaluations)
+
+    if recipe.draws_random:
+        settle = partial(local_energy_minimizer, tolerance=_SETTLED)
+        for part in (settle, partial(langevin_dynamics, seed=seed)):
+            left = max_evaluations - n_evaluations
+            if left < 1:
+                break
+            own = partial(note, before=n_evaluations)
+            stop, x, iterations, evaluations = part(energy, "CPU", x, max_evaluations=left, record=own)
+            n_iterations += iterations
+            n_evaluations += evaluations
+            settled = x if part is settle else settled
+            if stop is Stop.INTERRUPTED:
+                return outcome(settled)
+    for platform in ("CPU", "Reference"):
+        if n_evaluations >= max_evaluations:
+            stop = Stop.BUDGET
+            break
+        own = partial(note, before=n_evaluations)
+        stop, x, iterations, evaluations = local_energy_minimizer(
+            energy, platform, x, tolerance, max_evaluations - n_evaluations, own
+        )
+        n_iterations += iterations
+        n_evaluations += evaluations
+        _, forces = energy.reference(x)
+        rms_force = np.sqrt(np.mean(forces[chain.moving] ** 2))
+        if stop not in SINGLE_PRECISION_ENDS or rms_force <= tolerance:
+            break
+    # Dynamics without a complete minimisation after it leaves a hot structure.
+    return outcome(min(x, settled, key=lambda y: energy(y)[0]))
 
 
 class _Enough(Exception):
-    """Raised through OpenMM, which has no other way out of a line search."""
+    """Raised through OpenMM to leave a line search."""
 
 
 class _Reporter(openmm.MinimizationReporter):
-    """Records each iteration; stops at the budget or on an interrupt."""
+    """Record each iteration; stop at the budget or on an interrupt."""
 
-    def __init__(
-        self, record: Callable[[Floats, float, int], None], budget: int, interrupts: list[int]
-    ) -> None:
+    def __init__(self, record: Record, budget: int, interrupts: list[int]) -> None:
         super().__init__()
         self.record, self.budget, self.interrupts = record, budget, interrupts
         self.n_iterations = 0
@@ -30,7 +103,7 @@ class _Reporter(openmm.MinimizationReporter):
         self.best_x: Floats | None = None
 
     def count(self, state: openmm.State) -> tuple[float, Floats]:
-        """Count an evaluation of the forces (a PythonForce that exerts none)."""
+        """Count an evaluation of the forces, from a PythonForce that exerts none."""
         if self.n_evaluations >= self.budget:
             self.stop = Stop.BUDGET
         if self.interrupts:
@@ -58,9 +131,9 @@ def local_energy_minimizer(
     x: Floats,
     tolerance: float,
     max_evaluations: int,
-    record: Callable[[Floats, float, int], None],
+    record: Record,
 ) -> tuple[Stop, Floats, int, int]:
-    """Run ``openmm.LocalEnergyMinimizer``, watching it.
+    """Run ``openmm.LocalEnergyMinimizer``, recorded and with a budget.
 
     Parameters
     ----------
@@ -70,17 +143,17 @@ def local_energy_minimizer(
         ``CPU`` (single precision) or ``Reference`` (double).
     x : (na, 3) float, nm
     tolerance : float, kJ/mol/nm
-        RMS force at which it stops. It returns nothing, and in single precision it also stops, silently,
-        when its line search finds no lower energy.
+        RMS force at which it stops. In single precision it also stops, silently, when its line search finds
+        no lower energy.
     max_evaluations : int
-        Kept to the last: a line search is broken off.
+        A line search is broken off at the last one.
     record : callable
         Called with positions, energy and evaluations so far after each iteration.
 
     Returns
     -------
     Stop, (na, 3) float, int, int
-        Why it ended, the positions of lowest energy, iterations, evaluations of the forces.
+        Reason it ended, positions of lowest energy, iterations, evaluations of the forces.
     """
     with held_interrupts() as interrupts:
         reporter = _Reporter(record, max_evaluations, interrupts)
@@ -94,7 +167,7 @@ def langevin_dynamics(
     platform: str,
     x: Floats,
     max_evaluations: int,
-    record: Callable[[Floats, float, int], None],
+    record: Record,
     seed: int,
 ) -> tuple[Stop, Floats, int, int]:
     """Run OpenMM's constrained dynamics: 300 K, 2 fs, bonds to hydrogens at the force field's lengths.
@@ -112,7 +185,7 @@ def langevin_dynamics(
     Returns
     -------
     Stop, (na, 3) float, int, int
-        Why it ended, the last positions, steps, evaluations of the forces: one a step.
+        Reason it ended, last positions, steps, evaluations of the forces: one a step.
     """
     own = OpenMMEnergy(energy.system, platform, energy.threads)
     constrain_hydrogens(own.system)
@@ -144,11 +217,11 @@ def langevin_dynamics(
 
 _MD_STEPS, _MD_FRAME = 1000, 20
 _LIGHT = 1.5
-"""amu. What is lighter is a hydrogen."""
+"""amu. Lighter atoms are hydrogens."""
 
 
 def constrain_hydrogens(system: openmm.System) -> None:
-    """Hold the bonds of hydrogens at the lengths of their harmonic terms, as ``constraints=HBonds`` does."""
+    """Constrain bonds of hydrogens to the lengths of their harmonic terms, as ``constraints=HBonds`` does."""
     light = [system.getParticleMass(i)._value < _LIGHT for i in range(system.getNumParticles())]
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce):

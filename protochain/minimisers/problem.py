@@ -1,7 +1,7 @@
-"""What a minimiser sees: evaluate a point, move from it, and the count of what that cost."""
+"""The problem a minimiser solves: an energy over a space of freedoms, and a count of its evaluations."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -16,34 +16,55 @@ class BudgetSpentError(Exception):
     """The evaluations allowed are used up; the loop turns this into a status."""
 
 
+class Placement(Protocol):
+    """Coordinates and the positions they stand for: a :class:`protochain.chain.Pose`, or free atoms."""
+
+    @property
+    def q(self) -> Floats:
+        """(n_q,) float."""
+
+    @property
+    def x(self) -> Floats:
+        """(na, 3) float, nm."""
+
+
 @dataclass(frozen=True, eq=False)
 class Evaluation:
     """Energy and torques at one point.
 
     Parameters
     ----------
-    q : (n_q,) float
-    x : (na, 3) float, nm
+    pose : Placement
+        Kept, so that metrics made at this point need not compute it again.
     energy : float, kJ/mol
-        Of the force field and of what restrains the run.
+        Of the force field and of the restraint.
     torque : (n_v,) float
         -dE/d(freedom) in the space's own scale: kJ/mol/rad, or kJ/mol/nm for atoms that move freely.
     residual : float
-        What the tolerance is held against: the largest torque, or the RMS force.
+        Largest torque or RMS force, to be compared with the tolerance.
     restraint : float, kJ/mol
-        The part of the energy that only restrains.
+        The restraint's part of the energy.
     """
 
-    q: Floats
-    x: Floats
+    pose: Placement
     energy: float
     torque: Floats
     residual: float
     restraint: float = 0.0
 
     @property
+    def q(self) -> Floats:
+        """(n_q,) float: coordinates."""
+        return self.pose.q
+
+    @property
+    def x(self) -> Floats:
+        """(na, 3) float, nm: positions."""
+        return self.pose.x
+
+    @property
     def is_finite(self) -> bool:
-        """Whether energy and torques are all numbers."""
+        """Whether energy and torques are all finite."""
         return bool(np.isfinite(self.energy) and np.isfinite(self.torque).all())
 
 
@@ -51,29 +72,50 @@ class Space(Protocol):
     """Freedoms that a minimiser moves in."""
 
     longest: float
-    """Largest change of one freedom in a step that knows the curvature."""
+    """Largest change of one freedom in a step that uses curvature."""
     first: float
-    """Largest change of one freedom when nothing is known of the curvature."""
+    """Largest change of one freedom in a step without curvature."""
     unit: str
-    """Of the residual, with what it is."""
+    """Name and unit of the residual, as a format string."""
 
     def start(self, x: Floats) -> Floats:
         """Coordinates (n_q,) of positions (na, 3)."""
 
-    def place(self, q: Floats) -> tuple[Floats, Callable[[Floats], Floats]]:
-        """Positions (na, 3) in nm at q, and what turns forces (na, 3) there into torques (n_v,)."""
+    def place(self, q: Floats) -> Placement:
+        """Positions at coordinates q (n_q,)."""
+
+    def torque(self, at: Placement, forces: Floats) -> Floats:
+        """Torques (n_v,) of forces (na, 3) on the atoms at a placement."""
 
     def residual(self, torque: Floats) -> float:
-        """Return what the tolerance is held against."""
+        """Size of the torques, to be compared with the tolerance."""
 
     def move(self, q: Floats, step: Floats) -> Floats:
         """Coordinates after a step (n_v,)."""
 
     def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solve with a model of the Hessian made at a point: torques (n_v,) -> step (n_v,)."""
+        """Solver for a model of the Hessian made at a point: torques (n_v,) -> step (n_v,)."""
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solve with the mass matrix at a point: torques (n_v,) -> accelerations (n_v,)."""
+        """Solver for the mass matrix at a point: torques (n_v,) -> accelerations (n_v,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    """Evaluations counted so far, and the lowest energy among them.
+
+    Parameters
+    ----------
+    n_evaluations : int
+    best : Evaluation or None
+        Point of lowest energy among those allowed as an answer.
+    improved_at : int
+        Number of the evaluation that found it.
+    """
+
+    n_evaluations: int = 0
+    best: Evaluation | None = None
+    improved_at: int = 0
 
 
 @dataclass
@@ -84,12 +126,13 @@ class Problem:
     ----------
     space : Space
     energy : callable
-        May be replaced by its double-precision twin during a run.
+        Positions to energy and forces.
     max_evaluations : int
     restraint : callable, optional
         Added to the energy.
     allowed : callable, optional
-        Whether positions may be an answer; others are only passed through.
+        Whether positions are allowed as an answer; all may be passed through.
+    tally : Tally
     """
 
     space: Space
@@ -97,27 +140,39 @@ class Problem:
     max_evaluations: int
     restraint: Force | None = None
     allowed: Callable[[Floats], bool] | None = None
-    n_evaluations: int = 0
-    best: Evaluation | None = None
-    improved_at: int = 0
+    tally: Tally = field(default_factory=Tally)
+
+    @property
+    def n_evaluations(self) -> int:
+        """Evaluations so far."""
+        return self.tally.n_evaluations
+
+    @property
+    def best(self) -> Evaluation | None:
+        """Point of lowest energy among those allowed."""
+        return self.tally.best
 
     def evaluate(self, q: Floats) -> Evaluation:
-        """Energy and torques at q, remembering the lowest energy seen.
+        """Evaluate energy and torques at q, and count it.
 
         Raises
         ------
         BudgetSpentError
             If no evaluation is left.
         """
-        if self.n_evaluations >= self.max_evaluations:
+        n = self.n_evaluations + 1
+        if n > self.max_evaluations:
             raise BudgetSpentError
-        self.n_evaluations += 1
+        self.tally = replace(self.tally, n_evaluations=n)
         at = evaluate(self.space, self.energy, q, self.restraint)
         lower = at.is_finite and (self.best is None or at.energy < self.best.energy)
-        if lower and (self.allowed is None or self.allowed(at.x)):
-            self.best = at
-            self.improved_at = self.n_evaluations
+        if lower and self.allows(at.x):
+            self.tally = Tally(n, at, n)
         return at
+
+    def allows(self, x: Floats) -> bool:
+        """Whether positions (na, 3) are allowed as an answer."""
+        return self.allowed is None or self.allowed(x)
 
     def move(self, q: Floats, step: Floats) -> Floats:
         """Coordinates after a step (n_v,) in the space's scale."""
@@ -125,25 +180,23 @@ class Problem:
 
     @property
     def lists_at(self) -> Floats | None:
-        """Positions that the energy's neighbour lists were made at, if it has any."""
+        """Positions at which the energy's neighbour lists were built, if it keeps any."""
         return getattr(self.energy, "lists_at", None)
 
-    def restore(
-        self, best: Evaluation | None, improved_at: int, n_evaluations: int, lists_at: Floats | None
-    ) -> None:
-        """Be as at an earlier time."""
-        self.best, self.improved_at, self.n_evaluations = best, improved_at, n_evaluations
+    def restore(self, tally: Tally, lists_at: Floats | None) -> None:
+        """Set the counts and the neighbour lists to those of an earlier time."""
+        self.tally = tally
         if lists_at is not None and hasattr(self.energy, "list_at"):
             self.energy.list_at(lists_at)
 
 
 def evaluate(space: Space, energy: Force, q: Floats, restraint: Force | None = None) -> Evaluation:
     """Energy and torques at q, uncounted."""
-    x, pull_back = space.place(q)
-    value, forces = energy(x)
+    pose = space.place(q)
+    value, forces = energy(pose.x)
     held = 0.0
     if restraint is not None:
-        held, pull = restraint(x)
+        held, pull = restraint(pose.x)
         forces = forces + pull
-    torque = pull_back(forces)
-    return Evaluation(q, x, value + held, torque, space.residual(torque), held)
+    torque = space.torque(pose, forces)
+    return Evaluation(pose, value + held, torque, space.residual(torque), held)

@@ -1,25 +1,27 @@
-"""Energies that keep a run near its start or part atoms gently; never part of the result's."""
+"""Restraints: energies that keep a run near its start or part overlaps, and that no result contains."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from protochain.arrays import Floats
 from protochain.contacts import near_pairs
+from protochain.errors import ProtochainError
 from protochain.minimisers.problem import Force
 from protochain.structure import Structure
 from protochain.structure.superpose import superpose
 from protochain.units import ANGSTROM_PER_NM
 
 SOFT_SHARE = 0.7
-"""Of contact: soft repulsion parts atoms up to here, which is where hydrogen bonds are."""
+"""Of contact. Soft repulsion ends where hydrogen bonds begin."""
 
 SOFT_STIFFNESS = 1e4
-"""kJ/mol/nm^2: an overlap of an angstrom costs 50 kJ/mol, whatever the depth of the wall behind it."""
+"""kJ/mol/nm^2: an overlap of an angstrom costs 50 kJ/mol."""
 
 SOFT_TETHER = 10.0
-"""kJ/mol/nm^2 on each atom: of all ways to part atoms, take one that moves little."""
+"""kJ/mol/nm^2 on each atom, so that parting moves little."""
 
 _LEASH_START = 0.9
 _LEASH_ENERGY = 10.0
@@ -28,7 +30,7 @@ _LEASH_ENERGY = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Tethers:
-    """Springs from heavy atoms to where they start: E = k/2 sum |x - x0|^2.
+    """Springs from atoms to their initial positions: E = k/2 sum |x - x0|^2.
 
     Parameters
     ----------
@@ -53,7 +55,7 @@ class Tethers:
 
 @dataclass(frozen=True, eq=False)
 class Leash:
-    """A wall that rises before the C-alpha RMSD to the start, superposed, comes to its limit.
+    """Harmonic wall that begins at 0.9 of the limit of the C-alpha RMSD to the start, superposed.
 
     Parameters
     ----------
@@ -67,7 +69,7 @@ class Leash:
     def rmsd(self, x: Floats) -> tuple[float, Floats]:
         """RMSD in nm, and its gradient (n, 3) on the C-alpha atoms.
 
-        The best superposition is at a minimum, so that its own change counts for nothing.
+        At the best superposition the RMSD is stationary, so that its change adds nothing to the gradient.
         """
         alpha = self.structure.alpha_carbons
         away = x[alpha] - superpose(self.structure.positions[alpha], x[alpha])
@@ -91,7 +93,7 @@ class Leash:
 
 @dataclass(frozen=True, eq=False)
 class SoftRepulsion:
-    """What parts overlapping atoms without a wall: E = k/2 sum (r0 - r)^2 over unbonded pairs nearer than r0.
+    """Soft repulsion of overlapping atoms: E = k/2 sum (r0 - r)^2 over unbonded pairs nearer than r0.
 
     Parameters
     ----------
@@ -101,7 +103,7 @@ class SoftRepulsion:
     structure: Structure
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
-        """Energy and forces. Atoms at one point are not pushed: nothing says which way."""
+        """Energy and forces; none between atoms at one point, where the direction is undefined."""
         pairs, touch = near_pairs(self.structure, x, SOFT_SHARE)
         across = x[pairs[:, 0]] - x[pairs[:, 1]]
         distance = np.linalg.norm(across, axis=1)
@@ -115,7 +117,7 @@ class SoftRepulsion:
 
 @dataclass(frozen=True)
 class Sum:
-    """Several energies as one."""
+    """Sum of several energies."""
 
     parts: Sequence[Force]
 
@@ -123,3 +125,77 @@ class Sum:
         """Energy and forces."""
         energies, forces = zip(*(part(x) for part in self.parts), strict=True)
         return sum(energies), np.sum(forces, axis=0)
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Restraints of a minimisation to its start.
+
+    Parameters
+    ----------
+    strengths : tuple of float, kJ/mol/nm^2
+        Springs from the heavy atoms to their initial positions, one strength after the other.
+    max_rmsd : float, angstrom
+        C-alpha RMSD to the start that may not be exceeded.
+    term : callable, optional
+        Any other restraint: positions (na, 3) in nm to energy and forces.
+
+    Raises
+    ------
+    ProtochainError
+        If a number makes no sense.
+    """
+
+    strengths: tuple[float, ...] = ()
+    max_rmsd: float = np.inf
+    term: Force | None = None
+
+    def __post_init__(self) -> None:
+        if not all(0 <= strength < np.inf for strength in self.strengths):
+            raise ProtochainError(f"restraint {self.strengths}: give strengths in kJ/mol/nm^2, none below 0")
+        if not self.max_rmsd > 0:
+            raise ProtochainError(f"max-rmsd {self.max_rmsd:g}: give a number of angstrom above 0")
+
+    @classmethod
+    def of(cls, restraint: Any, max_rmsd: float = np.inf) -> "Hold":
+        """Read a strength, several, those with blanks between, or a callable.
+
+        Raises
+        ------
+        ProtochainError
+            If it is none of these.
+        """
+        if callable(restraint):
+            return cls((), max_rmsd, restraint)
+        try:
+            given = restraint.split() if isinstance(restraint, str) else np.atleast_1d(restraint)
+            strengths = tuple(float(strength) for strength in given)
+        except (TypeError, ValueError):
+            raise ProtochainError(
+                f"restrain {restraint!r}: give strengths in kJ/mol/nm^2, as '1000 100 0'"
+            ) from None
+        return cls(strengths, max_rmsd)
+
+    def restraints(self, structure: Structure) -> list[Force | None]:
+        """Energy of each restraint in turn; None where nothing is restrained."""
+        always: list[Force] = [] if self.term is None else [self.term]
+        if self.max_rmsd < np.inf:
+            always.append(Leash(structure, self.max_rmsd))
+        found: list[Force | None] = []
+        for strength in self.strengths or (0.0,):
+            parts = list(always)
+            if strength > 0.0:
+                parts.insert(0, Tethers.of_heavy_atoms(structure, strength))
+            found.append(Sum(parts) if parts else None)
+        return found
+
+    def record(self) -> list[float | str]:
+        """Strengths, and the name of another restraint."""
+        term = [] if self.term is None else [name_of(self.term)]
+        return [*self.strengths, *term]
+
+
+def name_of(value: Any) -> str:
+    """Qualified name of a function or class, or of an object's class."""
+    named = value if hasattr(value, "__qualname__") else type(value)
+    return f"{named.__module__}.{named.__qualname__}"

@@ -13,8 +13,9 @@ from protochain.arrays import Floats
 from protochain.chain import Chain
 from protochain.energies.protocol import Energy
 from protochain.markup import facts
-from protochain.minimisers.methods import IN_TORSIONS
-from protochain.minimisers.stages import Hold
+from protochain.minimisers.recipes import Recipe
+from protochain.minimisers.record import record
+from protochain.minimisers.restraints import Hold
 from protochain.minimisers.verdict import Judgement, Status
 from protochain.structure import Structure, save
 from protochain.structure.superpose import rmsd_angstrom
@@ -38,7 +39,7 @@ Watcher = Callable[[dict[str, float], Floats], None]
 
 @dataclass
 class Recorder:
-    """Collects one trace row an iteration; RMSDs are measured afterwards, off the clock."""
+    """Collect a trace row at each iteration; RMSDs are measured when the clock has stopped."""
 
     structure: Structure
     watch: Watcher | None = None
@@ -47,7 +48,7 @@ class Recorder:
     started: float = field(default_factory=perf_counter)
 
     def __call__(self, x: Floats, energy: float, max_torque: float, evaluations: int) -> None:
-        """Record a point; the largest torque is not a number where all atoms move."""
+        """Record a point; the largest torque is NaN where all atoms move."""
         row = {
             "iteration": len(self.rows),
             "evaluations": evaluations,
@@ -62,7 +63,7 @@ class Recorder:
 
     def trace(self) -> "pd.DataFrame":
         """Return the trace with ``TRACE_COLUMNS``."""
-        # Only here, when the run is over: it takes longer to import than a small protein to minimise.
+        # Imported when the run is over: it takes longer to import than a small protein to minimise.
         import pandas as pd
 
         start = self.structure.positions[self.structure.alpha_carbons]
@@ -75,40 +76,47 @@ class Recorder:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where a minimisation ended, and what the judge says of it.
+    """Result of a minimisation, judged in double precision.
 
     Parameters
     ----------
-    method : str
+    recipe : Recipe
+        The method.
     chain : Chain
         The chain at the start.
     energy_function : Energy
-        With all terms, whatever the positions.
+        With all terms.
     constant_terms : mapping of str to int
-        Terms and pairs that the run left out, by kind: constant in this chain.
+        Number of terms and pairs that the run left out, by kind: constant in this chain.
     q : (n_q,) float
-        Coordinates at the end (of the chain as it then is, for methods that move single atoms).
+        Coordinates at the end (of the chain cut anew there, for methods that move single atoms).
     x : (na, 3) float, nm
+        Positions at the end.
     energy : float, kJ/mol
-        As the engine of the run computes it; ``end.energy`` is the judge's.
+        By the engine of the run; ``end.energy`` is the judge's.
     status : Status
+        How the run ended, as judged.
     message : str
-        The status with the number that shows it.
+        The status with the residual.
     n_iterations, n_evaluations : int
+        Iterations, and energy evaluations, of the run.
     seconds : float
         Wall time of the run, without preparation or judging.
     trace : pandas.DataFrame
         A row an iteration: ``TRACE_COLUMNS``.
     start, end : Judgement
+        Energy and residuals in double precision.
     ca_rmsd_angstrom : float
         From start to end, superposed.
     tolerance : float
+        Residual at convergence.
     hold : Hold
-        What kept it near its start.
+        Restraints to the start.
     seed : int
+        Of random methods.
     """
 
-    method: str
+    recipe: Recipe
     chain: Chain
     energy_function: Energy
     constant_terms: Mapping[str, int]
@@ -134,13 +142,18 @@ class Solution:
         return self.chain.structure.with_positions(self.x)
 
     @property
+    def method(self) -> str:
+        """Name of the method."""
+        return self.recipe.name
+
+    @property
     def keeps_geometry(self) -> bool:
-        """Whether only hinges turned: bond lengths and angles (but for open ones) are the start's."""
-        return self.method in IN_TORSIONS
+        """Whether only hinges turned: bond lengths and angles (except opened ones) are those of the start."""
+        return self.recipe.keeps_geometry
 
     @property
     def is_usable(self) -> bool:
-        """Whether the end has a finite energy at all."""
+        """Whether the end has a finite energy."""
         return bool(np.isfinite(self.end.energy))
 
     def to_scipy(self) -> "OptimizeResult":
@@ -161,7 +174,7 @@ class Solution:
         return result
 
     def save(self, path: str | Path) -> None:
-        """Write the final structure, PDB or mmCIF by suffix, with where it came from.
+        """Write the final structure with its provenance, PDB or mmCIF by suffix.
 
         Raises
         ------
@@ -171,59 +184,19 @@ class Solution:
         save(self.structure, path, self.provenance())
 
     def provenance(self) -> Iterable[str]:
-        """Lines on how the structure was made."""
+        """Lines that say how the structure was made."""
         e = self.energy_function
         yield f"PROTOCHAIN {version('protochain')}, METHOD {self.method}, STATUS {self.status}"
         yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}, PDBFIXER {version('pdbfixer')}"
         yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
         yield f"ENERGY {self.end.energy:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.start.energy:.4f}"
         yield "ENERGIES BY THE OPENMM REFERENCE PLATFORM"
-        # Which of several conformations this is, the coordinates do not show.
+        # The coordinates alone do not show which of several conformations this is.
         yield from (line for line in self.chain.structure.repairs if "alternate location" in line)
 
     def record(self) -> dict[str, Any]:
-        """Return the flat record that JSON, CSV and report all show; what is not a number is None."""
-        chain, e, s = self.chain, self.energy_function, self.chain.structure
-        record: dict[str, Any] = {
-            "protochain": version("protochain"),
-            "structure": s.name,
-            "method": self.method,
-            "engine": e.engine,
-            "engine_reason": e.reason,
-            "forcefield": e.forcefield,
-            "solvent": e.solvent,
-            "hinges": chain.opened,
-            "n_chains": s.n_chains,
-            "n_residues": s.n_residues,
-            "n_atoms": s.n_atoms,
-            "n_bodies": chain.n_bodies,
-            "n_hinges": chain.n_hinges,
-            "energy_start_kj_mol": self.start.energy,
-            "energy_end_kj_mol": self.energy,
-            "energy_end_reference_kj_mol": self.end.energy,
-            "max_torque_end_kj_mol_rad": self.end.max_torque,
-            "rms_force_end_kj_mol_nm": self.end.rms_force,
-            "ca_rmsd_angstrom": self.ca_rmsd_angstrom,
-            "tolerance": self.tolerance,
-            "tolerance_unit": "kJ/mol/rad" if self.keeps_geometry else "kJ/mol/nm",
-            "move": chain.move,
-            "restraint_kj_mol_nm2": list(self.hold.restraint),
-            "max_rmsd_angstrom": self.hold.max_rmsd,
-            "iterations": self.n_iterations,
-            "evaluations": self.n_evaluations,
-            "seconds": self.seconds,
-            "status": str(self.status),
-            "message": self.message,
-            "left_out": dict(s.left_out),
-            "constant_terms": dict(self.constant_terms),
-            "repairs": list(s.repairs),
-            "seed": self.seed,
-            "threads": e.threads,
-        }
-        return {
-            key: None if isinstance(value, float) and not np.isfinite(value) else value
-            for key, value in record.items()
-        }
+        """Flat record that JSON, CSV and pages all show; None where a value is not finite."""
+        return record(self)
 
     def __repr__(self) -> str:
         return (

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,19 +10,19 @@ from scipy.linalg import cho_factor, cho_solve
 
 from protochain import multibody
 from protochain.arrays import Floats, Integers
-from protochain.chain import Chain, pose, pull_back, rigid_groups, solve_mass
+from protochain.chain import Chain, Pose, pose, pull_back, rigid_groups, solve_mass
 from protochain.minimisers import springs
-from protochain.minimisers.problem import Evaluation
+from protochain.minimisers.problem import Evaluation, Placement
 from protochain.multibody import HingeKind
 from protochain.structure.model import Structure
 
 ROOT_LEVER = 0.1
-"""nm moved by a free root for one radian: makes its forces and the hinges' torques one kind of number."""
+"""nm. Translation of a free root that counts like one radian, so that forces and torques compare."""
 
 
 @dataclass(frozen=True, eq=False)
 class Torsions:
-    """The coordinates of a chain; a free root moves by ``ROOT_LEVER`` for each unit.
+    """Hinge angles and free roots of a chain; a free root moves by ``ROOT_LEVER`` for each unit.
 
     Parameters
     ----------
@@ -48,21 +48,24 @@ class Torsions:
         return rigid_groups(self.chain)
 
     def start(self, x: Floats) -> Floats:
-        """Coordinates of the chain as it is.
+        """Coordinates of the chain's own positions.
 
         Raises
         ------
         ValueError
-            If x are other positions: a chain has no others that it could be at for sure.
+            If x are other positions: bond lengths and angles of others may not fit the chain.
         """
         if not np.array_equal(x, self.chain.structure.positions):
             raise ValueError("a chain starts at its own positions")
         return self.chain.q0
 
-    def place(self, q: Floats) -> tuple[Floats, Callable[[Floats], Floats]]:
-        """Positions (na, 3) in nm at q, and J^T f of forces there."""
-        at = pose(self.chain, q)
-        return at.x, lambda forces: self.scale * pull_back(self.chain, at, forces)
+    def place(self, q: Floats) -> Pose:
+        """Pose of the chain at q."""
+        return pose(self.chain, q)
+
+    def torque(self, at: Placement, forces: Floats) -> Floats:
+        """Scaled torques J^T f (n_v,) of forces (na, 3) at a pose."""
+        return np.asarray(self.scale * pull_back(self.chain, _pose(at), forces))
 
     def residual(self, torque: Floats) -> float:
         """Largest torque, kJ/mol/rad."""
@@ -73,22 +76,44 @@ class Torsions:
         return multibody.integrate(self.chain.tree, q, self.scale * step)
 
     def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solve with J^T C J of the contacts, by Cholesky's method."""
-        matrix = springs.torsion_stiffness(self.chain, self._groups, pose(self.chain, at.q))
+        """Solver for J^T C J of the contacts, by Cholesky's method."""
+        matrix = springs.torsion_stiffness(self.chain, self._groups, _pose(at.pose))
         matrix *= np.outer(self.scale, self.scale)
         matrix[np.diag_indices_from(matrix)] += springs.TORSION_FLOOR
         factor = cho_factor(matrix, lower=True, check_finite=False)
         return lambda torque: np.asarray(cho_solve(factor, torque, check_finite=False))
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solve with the mass matrix, by articulated bodies."""
-        posed = pose(self.chain, at.q)
+        """Solver for the mass matrix, by articulated bodies."""
+        posed = _pose(at.pose)
         return lambda torque: solve_mass(self.chain, posed, torque / self.scale) / self.scale
+
+
+def _pose(at: Placement) -> Pose:
+    assert isinstance(at, Pose)
+    return at
+
+
+@dataclass(frozen=True, eq=False)
+class Positions:
+    """Free atoms at one point.
+
+    Parameters
+    ----------
+    q : (3 na,) float, nm
+    """
+
+    q: Floats
+
+    @property
+    def x(self) -> Floats:
+        """(na, 3) float, nm."""
+        return self.q.reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Cartesian:
-    """All atoms free: q is x, row after row.
+    """All atoms free: q is x, flattened.
 
     Parameters
     ----------
@@ -111,9 +136,13 @@ class Cartesian:
         """Coordinates at x."""
         return x.flatten()
 
-    def place(self, q: Floats) -> tuple[Floats, Callable[[Floats], Floats]]:
-        """Positions (na, 3) in nm at q, and the forces on atoms that may move, row after row."""
-        return q.reshape(-1, 3), lambda forces: np.where(self.moving[:, None], forces, 0.0).ravel()
+    def place(self, q: Floats) -> Positions:
+        """Positions at q."""
+        return Positions(q)
+
+    def torque(self, at: Placement, forces: Floats) -> Floats:
+        """Forces (3 na,) on the atoms that may move, zero on the others."""
+        return np.where(self.moving[:, None], forces, 0.0).ravel()
 
     def residual(self, torque: Floats) -> float:
         """RMS force over the components that may move, kJ/mol/nm."""
@@ -126,10 +155,16 @@ class Cartesian:
         return np.asarray(q + step)
 
     def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solve with a sparse matrix of bonds, angles, dihedrals and contacts."""
+        """Solver for a sparse matrix of bonds, angles, dihedrals and contacts."""
         return springs.cartesian_solver(self.structure, self._springs, at.x, self.moving)
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Divide by the masses."""
+        """Solver for the diagonal mass matrix."""
         mass = np.repeat(self.structure.atom_mass, 3)
         return lambda torque: np.asarray(torque / mass)
+
+
+@lru_cache(maxsize=4)
+def spaces(chain: Chain) -> tuple[Torsions, Cartesian]:
+    """Both spaces of a chain: what they derive from it is computed once."""
+    return Torsions(chain), Cartesian(chain.structure, chain.moving)

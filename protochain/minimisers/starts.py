@@ -1,4 +1,4 @@
-"""Many starts of one protein, from perturbed dihedrals or from minimum to minimum: a distribution."""
+"""Many starts of one protein: from perturbed dihedrals, or by basin hopping."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.minimisers.api import minimise
-from protochain.minimisers.methods import DEFAULT_METHOD
+from protochain.minimisers.recipes import DEFAULT_METHOD
 from protochain.minimisers.solution import Solution
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import parting, walk
@@ -33,7 +33,7 @@ _PARTING = 500
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """What one method made of many starts.
+    """Minima of one method from many starts.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Starts:
     solutions : tuple of Solution
         The first of them from the unperturbed chain.
     accepted : tuple of bool
-        Whether the walk went on from there; all of them, for independent starts.
+        Whether basin hopping continued from there; always, for independent starts.
     """
 
     chain: Chain
@@ -55,7 +55,7 @@ class Starts:
         return min(self.solutions, key=lambda solution: solution.end.energy)
 
     def records(self) -> list[dict[str, Any]]:
-        """Return a record a start, as the JSON has it."""
+        """Record of each start, as in the JSON."""
         structure = self.chain.structure
         return [
             {
@@ -79,7 +79,7 @@ class Starts:
         return pd.DataFrame(self.records())
 
     def summary(self) -> dict[str, float]:
-        """Return quantiles of the energies at the end, and how many are as low as the lowest."""
+        """Quantiles of the final energies, and how many lie within 1 kJ/mol of the lowest."""
         energies = np.array([s.end.energy for s in self.solutions])
         low, first, middle, third, high = np.quantile(energies, [0.0, 0.25, 0.5, 0.75, 1.0])
         return {
@@ -93,7 +93,7 @@ class Starts:
         }
 
     def overall(self) -> dict[str, Any]:
-        """Return what the best solution's record becomes, from the common start, and all the others."""
+        """Entries that replace those of the best solution's record, and the records of all starts."""
         rows = self.records()
         best = self.solutions.index(self.best)
         return {
@@ -166,7 +166,7 @@ def explore(
         raise ProtochainError("starts: restrain and max-rmsd would hold to each start's own; give one start")
     solutions: list[Solution] = []
     accepted: list[bool] = []
-    here, lowest = chain, np.inf
+    here, present = chain, np.inf
     for k in range(n_starts):
         random = np.random.default_rng([seed, k])
         start = perturbed(here, spread, random) if k else chain
@@ -174,9 +174,9 @@ def explore(
         solutions.append(solution)
         accepted.append(True)
         if hop_temperature is not None:
-            accepted[-1] = _accept(solution.end.energy - lowest, hop_temperature, random)
+            accepted[-1] = _accept(solution.end.energy - present, hop_temperature, random)
             if accepted[-1]:
-                here, lowest = _chain_at(solution), solution.end.energy
+                here, present = _chain_at(solution), solution.end.energy
         if each:
             each(k, solution)
         if solution.status is Status.INTERRUPTED:
@@ -185,13 +185,28 @@ def explore(
 
 
 def perturbed(chain: Chain, spread: float, random: np.random.Generator) -> Chain:
-    """Turn every hinge by a normal deviate (standard deviation in rad), and part what then overlaps."""
+    """Turn every hinge by a normal deviate (standard deviation in rad), and part the overlaps."""
     q = chain.q0.copy()
     turns = np.array([not hinge.is_angle for hinge in chain.hinges])
     turning = chain.tree.q_start[chain.hinge_body[turns]]
     q[turning] += random.normal(scale=spread, size=len(turning))
-    moved = _moved(chain, q)
-    return _moved(moved, walk([parting(Torsions(moved))], moved, _PARTING, None, lambda *_: None).q)
+    return parted(_moved(chain, q))
+
+
+def parted(chain: Chain) -> Chain:
+    """Part overlapping atoms by soft repulsion in torsions.
+
+    Parameters
+    ----------
+    chain : Chain
+        As it may be at random dihedrals.
+
+    Returns
+    -------
+    Chain
+        The same bodies, moved.
+    """
+    return _moved(chain, walk([parting(Torsions(chain))], chain, _PARTING, None, lambda *_: None).q)
 
 
 def _moved(chain: Chain, q: np.ndarray) -> Chain:

@@ -1,4 +1,4 @@
-"""What a result is worth, measured apart from the run that made it: OpenMM's Reference platform."""
+"""Status of a result, from energy and forces recomputed on OpenMM's Reference platform."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,12 +10,12 @@ from protochain.contacts import overlaps
 from protochain.energies.protocol import Energy
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
-from protochain.minimisers.spaces import Cartesian, Torsions
+from protochain.minimisers.spaces import spaces
 from protochain.structure.model import Structure
 
 
 class Status(StrEnum):
-    """How a run ended, as the judge saw it."""
+    """How a run ended, as judged in double precision."""
 
     CONVERGED = "converged"
     STALLED = "stalled"
@@ -33,7 +33,7 @@ class Judgement:
     ----------
     energy : float, kJ/mol
     max_torque : float, kJ/mol/rad
-        Over the freedoms of the chain as it stands; a free root's force counts as its moment at 0.1 nm.
+        Over the freedoms of the chain; a free root's force counts as its moment at 0.1 nm.
     rms_force : float, kJ/mol/nm
         Over all Cartesian components of the atoms that may move, as OpenMM's minimiser counts it.
     """
@@ -44,12 +44,20 @@ class Judgement:
 
 
 def judge(chain: Chain, energy: Energy, at: Pose, restraint: Force | None = None) -> Judgement:
-    """Judge a pose of a chain on the Reference platform; restraints count for the residuals only."""
+    """Judge a pose of a chain on the Reference platform; a restraint counts in the residuals only."""
     value, forces = energy.reference(at.x)
-    held = forces + restraint(at.x)[1] if restraint else forces
-    torsions, cartesian = Torsions(chain), Cartesian(chain.structure, chain.moving)
-    torque, force = torsions.place(at.q)[1](held), cartesian.place(at.x.ravel())[1](held)
-    return Judgement(value, torsions.residual(torque), cartesian.residual(force))
+    total = forces + restraint(at.x)[1] if restraint else forces
+    torsions, atoms = spaces(chain)
+    torque, force = torsions.torque(at, total), atoms.torque(at, total)
+    return Judgement(value, torsions.residual(torque), atoms.residual(force))
+
+
+def judge_of(energy: Energy) -> str:
+    """Name the judge of results on an energy."""
+    return "the callable itself" if energy.engine == "custom" else _JUDGE
+
+
+_JUDGE = "OpenMM's Reference platform, in double precision"
 
 
 def rebuilt(chain: Chain, x: Floats) -> Chain:
@@ -60,7 +68,7 @@ def rebuilt(chain: Chain, x: Floats) -> Chain:
 def verdict(
     stop: Stop, met: bool, measured: str, structure: Structure, x: Floats, n_evaluations: int
 ) -> tuple[Status, str]:
-    """Put the reason a run ended and what the judge measured into a status and a sentence.
+    """Status and message, from the reason a run ended and the residual that the judge measured.
 
     Parameters
     ----------
@@ -69,7 +77,7 @@ def verdict(
     met : bool
         Whether the judge found the tolerance met.
     measured : str
-        The number that shows it.
+        The residual, as the message quotes it.
     structure : Structure
     x : (na, 3) float, nm
     n_evaluations : int
@@ -78,7 +86,7 @@ def verdict(
     -------
     Status, str
     """
-    # A minimum of atoms inside one another is one, but nobody's answer.
+    # A minimum in which atoms overlap is no usable result.
     overlap = overlaps(structure, x)
     if met and not overlap:
         return Status.CONVERGED, f"converged: {measured}"

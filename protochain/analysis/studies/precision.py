@@ -16,8 +16,7 @@ import pandas as pd
 from protochain.analysis.plots import COLOURS, Figure, plain
 from protochain.articulate import build_chain
 from protochain.energies import energy
-from protochain.minimisers import minimise
-from protochain.minimisers.methods import IN_TORSIONS
+from protochain.minimisers import RECIPES, minimise
 from protochain.storage import write_atomically
 from protochain.structure import Structure, from_sequence, load
 
@@ -122,7 +121,7 @@ def plot(traces: pd.DataFrame, ends: pd.DataFrame) -> Figure:
     for row, (name, in_torsions) in zip(
         axes, (("torsions only", True), ("all atoms free", False)), strict=True
     ):
-        methods = [m for m in traces["method"].unique() if (m in IN_TORSIONS) == in_torsions]
+        methods = [m for m in traces["method"].unique() if RECIPES[m].keeps_geometry == in_torsions]
         for ax, cost in zip(row, ("evaluations", "seconds"), strict=True):
             for method, colour, dash in zip(methods, cycle(COLOURS), cycle(("-", "--", "-.", ":"))):
                 own = traces[traces["method"] == method]
@@ -149,5 +148,6 @@ def _above(run: pd.DataFrame, ends: pd.DataFrame, cost: str, grid: np.ndarray) -
 def _best(ends: pd.DataFrame, method: str, structure: str) -> tuple[float, int]:
     """Lowest end of the methods with this one's freedoms, kJ/mol, and the number of residues."""
     own = ends[ends["structure"] == structure]
-    alike = own[own["method"].isin(IN_TORSIONS) == (method in IN_TORSIONS)]
+    same = [name for name, r in RECIPES.items() if r.keeps_geometry == RECIPES[method].keeps_geometry]
+    alike = own[own["method"].isin(same)]
     return float(alike["energy_end_reference_kj_mol"].min()), int(own["residues"].iloc[0])

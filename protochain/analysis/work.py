@@ -1,4 +1,4 @@
-"""Where each method was after the same work, and what it took to come near: evaluations, or seconds."""
+"""Energies at equal cost, and the cost of coming near the lowest end: in evaluations and in seconds."""
 
 from collections.abc import Mapping
 
@@ -18,7 +18,7 @@ def at_equal_cost(traces: pd.DataFrame) -> pd.DataFrame:
     -------
     pandas.DataFrame
         ``cost`` (evaluations or seconds), ``at``, and a column a method, kJ/mol: NaN before its first point,
-        and what it ended with after its last. Costs go by 1, 3, 10, 30 up to that of the longest run.
+        and its final value after its last. Costs go by 1, 3, 10, 30 up to that of the longest run.
     """
     parts = []
     for cost in ("evaluations", "seconds"):
@@ -33,18 +33,18 @@ def at_equal_cost(traces: pd.DataFrame) -> pd.DataFrame:
 
 
 WITHIN = (100.0, 10.0, 1.0)
-"""kJ/mol above the lowest end: near enough to look at, to compare, and to call it the same minimum."""
+"""kJ/mol above the lowest end; 1 counts as the same minimum."""
 
 
 def work_to_reach(traces: pd.DataFrame, lowest: Mapping[str, float]) -> pd.DataFrame:
-    """Count evaluations and seconds until every method was first this near.
+    """Evaluations and seconds until each method first came this near.
 
     Parameters
     ----------
     traces : pandas.DataFrame
         As ``Comparison.traces``.
     lowest : mapping of str to float, kJ/mol
-        For every method the energy that it is measured against.
+        Energy that each method is measured against.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def work_to_reach(traces: pd.DataFrame, lowest: Mapping[str, float]) -> pd.DataF
 
 
 def _grid(costs: pd.Series) -> np.ndarray:
-    """1, 3, 10, 30 ... that span the costs."""
+    """Values 1, 3, 10, 30 ... that span the costs."""
     positive = costs[costs > 0]
     if positive.empty:
         return np.zeros(0)

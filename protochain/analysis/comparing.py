@@ -1,0 +1,99 @@
+"""``compare``: several methods from one prepared start, judged alike."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from protochain.analysis.comparison import Comparison
+from protochain.articulate import as_chain
+from protochain.energies import energy as build_energy
+from protochain.energies.protocol import check_is_of
+from protochain.errors import ProtochainError
+from protochain.interrupts import held_interrupts
+from protochain.minimisers import METHODS, Solution, Status, recipe_of
+from protochain.minimisers.api import Minimisation, minimise_from
+from protochain.minimisers.solution import Watcher
+from protochain.minimisers.start import Start
+from protochain.structure import as_structure
+
+DEFAULT_METHODS = ("kcm", "md", "lbfgs", "hybrid", "openmm")
+"""The two methods of the original comparison, the best in torsions, the best of all, and the reference."""
+
+
+@held_interrupts()
+def compare(
+    structure: Any,
+    methods: Sequence[Any] = DEFAULT_METHODS,
+    energy: Any = None,
+    tolerance: float = 1.0,
+    max_evaluations: int = 5000,
+    seed: int = 0,
+    *,
+    reference: Any = None,
+    repeats: int = 3,
+    watch: Callable[[str], Watcher] | None = None,
+) -> Comparison:
+    """Minimise one structure by several methods from the same prepared start.
+
+    Parameters
+    ----------
+    structure : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
+        The common start.
+    methods : sequence of str, Recipe, or object with ``init`` and ``step``
+        As in :func:`protochain.minimise`.
+    energy : Energy or callable, optional
+        As in :func:`protochain.minimise`; one energy function serves all methods.
+    tolerance : float
+        As in :func:`protochain.minimise`.
+    max_evaluations : int
+        As in :func:`protochain.minimise`.
+    seed : int
+        As in :func:`protochain.minimise`.
+    reference : Structure, path, or anything that :func:`protochain.as_structure` takes, optional
+        Another structure to measure the ends against, as an experimental one.
+    repeats : int
+        Runs of each method that does not repeat exactly (it draws random numbers, or OpenMM sums on several
+        threads), with consecutive seeds; the first is shown, all are in ``Comparison.spread``.
+    watch : callable, optional
+        Given a method's name, returns the ``watch`` of its run.
+
+    Returns
+    -------
+    Comparison
+        Every end point judged by the OpenMM Reference platform in double precision. An interrupt ends
+        the run it meets and leaves out those after it.
+
+    Raises
+    ------
+    ProtochainError
+        If a method is unknown or the input cannot be used.
+    """
+    recipes = {recipe.name: recipe for recipe in map(recipe_of, methods)}
+    if not recipes:
+        raise ProtochainError(f"no methods to compare; choose from {', '.join(METHODS)}")
+    if repeats < 1:
+        raise ProtochainError(f"repeats {repeats}: give at least 1")
+    runs = [Minimisation(recipe, tolerance, max_evaluations, seed) for recipe in recipes.values()]
+    chain = as_chain(structure)
+    known = None if reference is None else as_structure(reference)
+    if energy is None:
+        energy = build_energy(chain.structure)
+    check_is_of(energy, chain.structure)
+    start = Start(chain, energy)
+    plan = [(run, k) for run in runs for k in range(1 if run.recipe.repeats_exactly(energy) else repeats)]
+    solutions: list[Solution] = []
+    further: list[Solution] = []
+    for run, k in plan:
+        watcher = watch(run.recipe.name) if watch else None
+        try:
+            solution = minimise_from(start, replace(run, seed=seed + k), watcher)
+        except KeyboardInterrupt:
+            if not solutions:
+                raise
+            break
+        interrupted = solution.status is Status.INTERRUPTED
+        if not (interrupted and k):
+            (further if k else solutions).append(solution)
+        if interrupted:
+            break
+    return Comparison(chain.structure, tuple(solutions), reference=known, repeats=tuple(further))

@@ -1,0 +1,237 @@
+"""Recipes: every method by name, as the stages it runs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any
+
+from protochain.chain import Chain
+from protochain.contacts import overlaps
+from protochain.energies.protocol import Energy
+from protochain.errors import ProtochainError
+from protochain.minimisers.annealing import Annealing
+from protochain.minimisers.descent import Descent
+from protochain.minimisers.fire import Fire
+from protochain.minimisers.kcm import KCM, by_length, by_sign
+from protochain.minimisers.lbfgs import LBFGS
+from protochain.minimisers.loop import Method, Stop
+from protochain.minimisers.metrics import Mass, Stiffness
+from protochain.minimisers.newton import Newton, PseudoTransient
+from protochain.minimisers.problem import Force, Space
+from protochain.minimisers.restraints import Hold
+from protochain.minimisers.spaces import spaces
+from protochain.minimisers.stages import PATIENCE, Answer, Stage, last, lowest, parting
+from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
+
+SINGLE_PRECISION_ENDS = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
+"""Endings that single precision may cause: by its noise, or by numbers beyond 1e38 where atoms overlap."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A stage of a recipe, for any chain and energy.
+
+    Parameters
+    ----------
+    method : Method
+    in_torsions : bool
+        Whether hinges turn; otherwise all atoms move.
+    tolerance : float, optional
+        That of the whole minimisation by default.
+    patience : int
+        As of :class:`Stage`.
+    answer : callable
+        As of :class:`Stage`.
+    continued : bool
+        Whether to continue on the energy's double-precision reference where single precision ends.
+    """
+
+    method: Method
+    in_torsions: bool = True
+    tolerance: float | None = None
+    patience: int = PATIENCE
+    answer: Answer = lowest
+    continued: bool = True
+
+    def stages(self, space: Space, energy: Energy, tolerance: float, restraint: Force | None) -> list[Stage]:
+        """Stage on an energy, and a second one on its reference if that is another engine."""
+        tolerance = tolerance if self.tolerance is None else self.tolerance
+        engines = [energy] if energy.is_exact or not self.continued else [energy, energy.reference]
+        return [
+            Stage(
+                space, self.method, engine, tolerance, restraint, patience=self.patience, answer=self.answer,
+                after=() if engine is energy else SINGLE_PRECISION_ENDS,
+            )
+            for engine in engines
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A method by name.
+
+    Parameters
+    ----------
+    name : str
+    runs : tuple of Run
+        One after the other, the last once for each restraint; none for methods of OpenMM.
+    parts_overlaps : bool
+        Whether overlapping atoms are parted first. KCM is left as published; atoms that all may move part by
+        themselves.
+    draws_random : bool
+        Whether its result depends on the seed.
+    by_openmm : bool
+        Whether OpenMM's own minimiser runs.
+    """
+
+    name: str
+    runs: tuple[Run, ...] = ()
+    parts_overlaps: bool = False
+    draws_random: bool = False
+    by_openmm: bool = False
+
+    @property
+    def keeps_geometry(self) -> bool:
+        """Whether only hinges turn: bond lengths and angles (except opened ones) stay those of the start."""
+        return not self.by_openmm and all(run.in_torsions for run in self.runs)
+
+    @property
+    def in_torsions(self) -> bool:
+        """Whether hinges turn in any of its runs."""
+        return any(run.in_torsions for run in self.runs)
+
+    @property
+    def states(self) -> tuple[type, ...]:
+        """Classes of the states that a checkpoint stores; none if a method names none."""
+        named = [getattr(run.method, "states", ()) for run in self.runs]
+        return tuple(state for states in named for state in states) if all(named) else ()
+
+    def repeats_exactly(self, energy: Energy) -> bool:
+        """Whether runs from one start end in the same bits.
+
+        OpenMM's CPU platform, which also runs OpenMM's methods, sums in no fixed order on several threads.
+        """
+        sums_in_order = energy.threads == 1 or (energy.engine != "openmm" and not self.by_openmm)
+        return not self.draws_random and sums_in_order
+
+    def plan(
+        self, chain: Chain, energy: Energy, reduced: Energy, tolerance: float, hold: Hold, seed: int
+    ) -> list[Stage]:
+        """Stages of this recipe for a chain.
+
+        Parameters
+        ----------
+        chain : Chain
+        energy, reduced : Energy
+            With all terms, and without those that are constant in the chain.
+        tolerance : float
+        hold : Hold
+        seed : int
+
+        Returns
+        -------
+        list of Stage
+        """
+        torsions, atoms = spaces(chain)
+        restraints = hold.restraints(chain.structure)
+        plan: list[Stage] = []
+        if self.parts_overlaps and overlaps(chain.structure, chain.structure.positions):
+            plan.append(parting(torsions))
+        for run in self.runs:
+            space, own = (torsions, reduced) if run.in_torsions else (atoms, energy)
+            # md and anneal draw random numbers.
+            method: Any = run.method
+            method = replace(method, seed=seed) if hasattr(method, "seed") else method
+            for restraint in restraints if run is self.runs[-1] else restraints[:1]:
+                plan += replace(run, method=method).stages(space, own, tolerance, restraint)
+        return plan
+
+
+_LBFGS = Descent(LBFGS(), StrongWolfe())
+_ALL_ATOMS = Run(Descent(LBFGS(Stiffness(refresh_every=40)), StrongWolfe()), in_torsions=False)
+"""Bonds and angles, most of the stiffness, change little, and computing the matrix costs some evaluations."""
+
+HYBRID_TORQUE = 300.0
+"""kJ/mol/rad. Tolerance in torsions before all atoms move: the strain left is in bonds and angles."""
+
+
+def _in_torsions(name: str, method: Method, parts_overlaps: bool = False) -> Recipe:
+    return Recipe(name, (Run(method),), parts_overlaps)
+
+
+def _dynamics(name: str, annealing: Annealing, draws_random: bool) -> Recipe:
+    """Dynamics, whose result is its last point, and then a minimum."""
+    moved = Run(annealing, tolerance=0.0, patience=annealing.n_steps, answer=last, continued=False)
+    return Recipe(name, (moved, Run(_LBFGS)), parts_overlaps=True, draws_random=draws_random)
+
+
+_TABLE = (
+    _in_torsions("kcm", Descent(KCM(), Fixed(0.0005))),
+    _in_torsions("kcm-2norm", Descent(KCM(norm=by_length), Fixed(0.002))),
+    _in_torsions("kcm-sign", Descent(KCM(norm=by_sign), Fixed(0.0001))),
+    _in_torsions("kcm-decaying", Descent(KCM(), Decaying(0.002, 200.0))),
+    _in_torsions("kcm-adaptive", Descent(KCM(), AcceptReject(0.0005))),
+    _in_torsions("kcm-armijo", Descent(KCM(), Armijo(0.0005, window=5))),
+    _in_torsions("kcm-transient", PseudoTransient()),
+    _in_torsions("kcm-metric", Descent(KCM(Mass()), AcceptReject(0.0005))),
+    _in_torsions("kcm-stiffness", Descent(KCM(Stiffness()), AcceptReject(0.0005))),
+    _in_torsions("fire", Fire()),
+    _in_torsions("quench", Fire(mixing=1.0, fade=1.0)),
+    _dynamics("md", Annealing(), draws_random=False),
+    _dynamics("anneal", Annealing(temperature=600.0, n_steps=2000), draws_random=True),
+    _in_torsions("newton", Descent(Newton(), StrongWolfe()), parts_overlaps=True),
+    _in_torsions("lbfgs", _LBFGS, parts_overlaps=True),
+    Recipe("cartesian", (_ALL_ATOMS,)),
+    Recipe("hybrid", (Run(_LBFGS, tolerance=HYBRID_TORQUE), _ALL_ATOMS), parts_overlaps=True),
+    Recipe("openmm", by_openmm=True),
+    Recipe("openmm-md", by_openmm=True, draws_random=True),
+)
+RECIPES: Mapping[str, Recipe] = MappingProxyType({recipe.name: recipe for recipe in _TABLE})
+"""``cartesian`` moves all atoms, ``hybrid`` turns hinges first, ``openmm`` is OpenMM's minimiser and
+``openmm-md`` its constrained dynamics between two minimisations; all others turn hinges."""
+
+METHODS = tuple(RECIPES)
+
+DEFAULT_METHOD = "hybrid"
+
+
+def recipe_of(method: Any) -> Recipe:
+    """Recipe of a method.
+
+    Parameters
+    ----------
+    method : str, Recipe, or Method
+        A name of ``METHODS``, the import path ``module:name`` of a method, or any object with ``init`` and
+        ``step`` (or a direction and a step rule in a :class:`Descent`), which minimises in torsions.
+
+    Returns
+    -------
+    Recipe
+        Named after the class of a method that is no name: of a descent, after that of its direction.
+
+    Raises
+    ------
+    ProtochainError
+        If there is no such method.
+    """
+    if isinstance(method, Recipe):
+        return method
+    if isinstance(method, str):
+        if method in RECIPES:
+            return RECIPES[method]
+        if ":" not in method:
+            raise ProtochainError(
+                f"method {method!r} is not known; choose from {', '.join(METHODS)}, or give module:name"
+            )
+        module, _, name = method.partition(":")
+        try:
+            found = getattr(import_module(module), name)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise ProtochainError(f"method {method!r} cannot be imported: {error}") from None
+        return recipe_of(found() if isinstance(found, type) else found)
+    if not (hasattr(method, "init") and hasattr(method, "step")):
+        raise ProtochainError(
+            f"method {method!r}: give a name, or an object with init and step, as Descent(direction, rule)"
+        )
+    return Recipe(type(method.direction if isinstance(method, Descent) else method).__name__, (Run(method),))

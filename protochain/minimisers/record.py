@@ -1,0 +1,117 @@
+"""Columns of a solution's record: the one table behind terminal, CSV, JSON and pages."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from protochain.minimisers.solution import Solution
+
+UNITS = {
+    "_kj_mol_rad": "kJ/mol/rad", "_kj_mol_nm2": "kJ/mol/nm^2", "_kj_mol_nm": "kJ/mol/nm", "_kj_mol": "kJ/mol",
+    "_angstrom": "angstrom", "_degrees": "degrees",
+}  # fmt: skip
+"""Endings of names that are units."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the record.
+
+    Parameters
+    ----------
+    key : str
+        Name in JSON and CSV, with its unit.
+    value : callable
+        Value of a solution.
+    heading : str
+        Heading in short tables, which leave out columns without one.
+    short : str
+        Heading where 80 characters must hold all columns.
+    """
+
+    key: str
+    value: "Callable[[Solution], Any]"
+    heading: str = ""
+    short: str = ""
+
+    @property
+    def unit(self) -> str:
+        """Unit, from the ending of the key."""
+        return next((unit for ending, unit in UNITS.items() if self.key.endswith(ending)), "")
+
+    @property
+    def title(self) -> str:
+        """Heading with its unit, for short tables."""
+        return f"{self.heading}, {self.unit}" if self.unit else self.heading
+
+
+def heading(name: str) -> str:
+    """Words of a column's name, its unit after a comma: ``energy_end_kj_mol`` is ``energy end, kJ/mol``."""
+    for ending, unit in UNITS.items():
+        if name.endswith(ending):
+            words = name.removesuffix(ending).replace("_", " ")
+            # A limit belongs to its unit: within 10 kJ/mol.
+            return f"{words} {unit}" if words[-1:].isdigit() else f"{words}, {unit}"
+    return name.replace("_", " ")
+
+
+COLUMNS = (
+    Column("structure", lambda s: s.chain.structure.name),
+    Column("method", lambda s: s.method, "method"),
+    Column("status", lambda s: str(s.status), "status"),
+    Column("message", lambda s: s.message),
+    Column("energy_start_kj_mol", lambda s: s.start.energy, "energy at start", "start"),
+    Column("energy_end_kj_mol", lambda s: s.energy),
+    Column("energy_end_reference_kj_mol", lambda s: s.end.energy, "energy at end", "end"),
+    Column("max_torque_end_kj_mol_rad", lambda s: s.end.max_torque, "largest torque", "torque"),
+    Column("rms_force_end_kj_mol_nm", lambda s: s.end.rms_force, "RMS force", "force"),
+    Column("ca_rmsd_angstrom", lambda s: s.ca_rmsd_angstrom, "C-alpha RMSD", "RMSD"),
+    Column("iterations", lambda s: s.n_iterations),
+    Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals"),
+    Column("seconds", lambda s: s.seconds, "seconds"),
+    Column("n_chains", lambda s: s.chain.structure.n_chains),
+    Column("n_residues", lambda s: s.chain.structure.n_residues),
+    Column("n_atoms", lambda s: s.chain.structure.n_atoms),
+    Column("n_bodies", lambda s: s.chain.n_bodies),
+    Column("n_hinges", lambda s: s.chain.n_hinges),
+    Column("protochain", lambda s: version("protochain")),
+    Column("engine", lambda s: s.energy_function.engine),
+    Column("engine_reason", lambda s: s.energy_function.reason),
+    Column("forcefield", lambda s: s.energy_function.forcefield),
+    Column("solvent", lambda s: s.energy_function.solvent),
+    Column("hinges", lambda s: s.chain.opened),
+    Column("tolerance", lambda s: s.tolerance),
+    Column("tolerance_unit", lambda s: "kJ/mol/rad" if s.keeps_geometry else "kJ/mol/nm"),
+    Column("move", lambda s: s.chain.move),
+    Column("restraint_kj_mol_nm2", lambda s: s.hold.record()),
+    Column("max_rmsd_angstrom", lambda s: s.hold.max_rmsd),
+    Column("left_out", lambda s: dict(s.chain.structure.left_out)),
+    Column("constant_terms", lambda s: dict(s.constant_terms)),
+    Column("repairs", lambda s: list(s.chain.structure.repairs)),
+    Column("seed", lambda s: s.seed),
+    Column("threads", lambda s: s.energy_function.threads),
+)
+"""What is looked at first stands first."""
+
+SHOWN = tuple(column for column in COLUMNS if column.heading)
+"""Columns of short tables."""
+
+
+def record(solution: "Solution") -> dict[str, Any]:
+    """Flat record of a solution; None where a value is not finite."""
+    values = {column.key: column.value(solution) for column in COLUMNS}
+    return {
+        key: None if isinstance(value, float) and not np.isfinite(value) else value
+        for key, value in values.items()
+    }
+
+
+def flat(value: Any) -> Any:
+    """Value of a record as a cell of a table: lists and counts as text."""
+    if isinstance(value, dict):
+        return "; ".join(f"{count} {name}" for name, count in value.items())
+    return "; ".join(map(str, value)) if isinstance(value, list) else value

@@ -1,0 +1,74 @@
+"""Common start of runs: one chain, one energy, judged and warmed up once for any number of methods."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from protochain.chain import Chain, Pose, pose, rigid_groups
+from protochain.energies.protocol import Energy
+from protochain.minimisers.problem import Evaluation, Problem, evaluate
+from protochain.minimisers.recipes import Recipe
+from protochain.minimisers.spaces import spaces
+from protochain.minimisers.verdict import Judgement, judge
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A chain and an energy, and all that does not depend on the method.
+
+    Parameters
+    ----------
+    chain : Chain
+    energy : Energy
+        With all terms.
+    """
+
+    chain: Chain
+    energy: Energy
+
+    @cached_property
+    def pose(self) -> Pose:
+        """Pose of the chain at its start."""
+        return pose(self.chain, self.chain.q0)
+
+    @cached_property
+    def judgement(self) -> Judgement:
+        """Energy and residuals of the start in double precision."""
+        return judge(self.chain, self.energy, self.pose)
+
+    @cached_property
+    def reduced(self) -> Energy:
+        """Energy without the terms that are constant in the chain."""
+        return self.energy.without_constants(rigid_groups(self.chain), self.pose.x)
+
+    def energy_of(self, recipe: Recipe) -> Energy:
+        """Energy that the first run of a method evaluates."""
+        return self.reduced if recipe.in_torsions else self.energy
+
+    def warm(self, recipe: Recipe) -> None:
+        """Compile kernels and create contexts before the clock starts."""
+        # The order of sums depends on the neighbour lists: those of the start, whatever was computed before.
+        self.energy.list_at(self.pose.x)
+        _ = self.judgement
+        if recipe.in_torsions:
+            _ = self._warm_in_torsions
+        if not recipe.keeps_geometry:
+            _ = self._warm_atoms
+        for run in recipe.runs:
+            if hasattr(run.method, "warm"):
+                run.method.warm(Problem(spaces(self.chain)[0], self.reduced, 1), self._warm_in_torsions)
+
+    @cached_property
+    def _warm_in_torsions(self) -> Evaluation:
+        torsions = spaces(self.chain)[0]
+        at = evaluate(torsions, self.reduced, torsions.move(self.chain.q0, np.zeros(self.chain.n_v)))
+        torsions.stiffness(at)(at.torque)
+        torsions.inertia(at)(at.torque)
+        # The second evaluation checks whether the neighbour lists still hold.
+        self.reduced(self.pose.x)
+        return at
+
+    @cached_property
+    def _warm_atoms(self) -> None:
+        self.energy(self.pose.x), self.energy(self.pose.x)
