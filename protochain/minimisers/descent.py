@@ -5,46 +5,46 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from protochain.arrays import Floats
-from protochain.minimisers.metrics import Metric
+from protochain.minimisers.metrics import Euclidean, Metric, Preconditioner, Solve
 from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.steps import Rule
 
 
 class Direction(Protocol):
-    """Search directions from torques, curvature and memory.
+    """Search directions from torques, curvature and memory. Only ``propose`` has to be defined.
 
-    A direction without memory need only define ``propose``.
+    The memory consists of numbers, arrays, and tuples of them; it is empty at the start.
     """
 
-    states: tuple[type, ...] = ()
-    """Classes of its state, frozen dataclasses that a checkpoint can store."""
+    metric: Metric = Euclidean()
+    """Metric of the preconditioner."""
 
-    def init(self, problem: Problem, at: Evaluation) -> Any:
-        """State at the start."""
-        return None
+    def propose(
+        self, problem: Problem, at: Evaluation, solve: Solve, memory: Any
+    ) -> Iterator[tuple[Floats, Any]]:
+        """Yield directions (n_v,), best first, each with the memory to keep if it is taken.
 
-    def propose(self, problem: Problem, at: Evaluation, state: Any) -> Iterator[tuple[Floats, Any]]:
-        """Yield directions (n_v,), best first, each with the state to keep if the step rule accepts it."""
+        ``solve`` applies the inverse of the metric.
+        """
 
-    def update(
-        self, problem: Problem, state: Any, before: Evaluation, step: Floats, after: Evaluation
-    ) -> Any:
-        """State after a step (n_v,) from one point to the next."""
-        return state
+    def update(self, memory: Any, before: Evaluation, step: Floats, after: Evaluation) -> Any:
+        """Memory after a step (n_v,) from one point to the next."""
+        return memory
 
 
 @dataclass(frozen=True, eq=False)
 class DescentState:
-    """Current point, with the states of the direction and of the step rule."""
+    """Current point and preconditioner, with the memories of the direction and of the step rule."""
 
     at: Evaluation
-    direction: Any
+    preconditioner: Preconditioner
+    memory: Any
     rule: Any
 
 
 @dataclass(frozen=True)
 class Descent:
-    """Step along the first proposed direction in which the step rule finds a next point.
+    """Step along the first direction proposed in which the step rule finds a next point.
 
     Parameters
     ----------
@@ -56,28 +56,25 @@ class Descent:
 
     direction: Direction
     rule: Rule
-
-    @property
-    def states(self) -> tuple[type, ...]:
-        """Classes of its state."""
-        return (DescentState, *self.direction.states)
+    states = (DescentState,)
 
     @property
     def metric(self) -> Metric:
-        """Metric of the direction's preconditioner."""
-        metric: Metric = self.direction.metric  # type: ignore[attr-defined]
-        return metric
+        """Metric of the preconditioner."""
+        return self.direction.metric
 
     def init(self, problem: Problem, at: Evaluation) -> DescentState:
         """State at the start."""
-        return DescentState(at, self.direction.init(problem, at), self.rule.init(at))
+        first = Preconditioner.first(self.metric, problem.space, at)
+        return DescentState(at, first, (), self.rule.init(at))
 
     def step(self, problem: Problem, state: DescentState) -> DescentState | None:
         """State after one step; None if no direction leads to a next point."""
-        for direction, kept in self.direction.propose(problem, state.at, state.direction):
-            found = self.rule.step(problem, state.at, direction, state.rule)
+        before, preconditioner = state.at, state.preconditioner
+        for direction, memory in self.direction.propose(problem, before, preconditioner.solve, state.memory):
+            found = self.rule.step(problem, before, direction, state.rule)
             if found is not None:
                 length, at, rule = found
-                kept = self.direction.update(problem, kept, state.at, length * direction, at)
-                return DescentState(at, kept, rule)
+                memory = self.direction.update(memory, before, length * direction, at)
+                return DescentState(at, preconditioner.next(problem.space, at), memory, rule)
         return None

@@ -7,7 +7,7 @@ import numpy as np
 
 from protochain.arrays import Floats
 from protochain.minimisers.descent import Direction
-from protochain.minimisers.metrics import Euclidean, Metric, Preconditioner
+from protochain.minimisers.metrics import Euclidean, Metric, Solve
 from protochain.minimisers.problem import Evaluation, Problem
 
 
@@ -24,13 +24,6 @@ def by_length(direction: Floats) -> Floats:
 def by_sign(direction: Floats) -> Floats:
     """Sign of each torque: every hinge turns by the same angle."""
     return np.sign(direction)
-
-
-@dataclass(frozen=True, eq=False)
-class KCMState:
-    """The metric at the current point."""
-
-    preconditioner: Preconditioner
 
 
 @dataclass(frozen=True)
@@ -54,18 +47,9 @@ class KCM(Direction):
 
     metric: Metric = field(default_factory=Euclidean)
     norm: Callable[[Floats], Floats] = by_largest
-    states = (KCMState,)
 
-    def init(self, problem: Problem, at: Evaluation) -> KCMState:
-        """Metric at the start."""
-        return KCMState(Preconditioner.first(self.metric, problem.space, at))
-
-    def propose(self, problem: Problem, at: Evaluation, state: KCMState) -> Iterator[tuple[Floats, KCMState]]:
+    def propose(
+        self, problem: Problem, at: Evaluation, solve: Solve, memory: None
+    ) -> Iterator[tuple[Floats, None]]:
         """Yield the torques, in the metric and the norm."""
-        yield self.norm(state.preconditioner.solve(at.torque)), state
-
-    def update(
-        self, problem: Problem, state: KCMState, before: Evaluation, step: Floats, after: Evaluation
-    ) -> KCMState:
-        """Metric at the next point."""
-        return KCMState(state.preconditioner.next(problem.space, after))
+        yield self.norm(solve(at.torque)), memory

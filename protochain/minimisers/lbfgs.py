@@ -9,7 +9,7 @@ from scipy.linalg.blas import daxpy, ddot
 
 from protochain.arrays import Floats
 from protochain.minimisers.descent import Direction
-from protochain.minimisers.metrics import Metric, Preconditioner, Solve, Stiffness
+from protochain.minimisers.metrics import Metric, Solve, Stiffness
 from protochain.minimisers.problem import Evaluation, Problem
 
 _CURVATURE = 1e-10
@@ -17,14 +17,6 @@ _CURVATURE = 1e-10
 
 Pairs = tuple[tuple[Floats, Floats, float], ...]
 """Steps, the decreases of torque along them, and the (positive) products of both; oldest first."""
-
-
-@dataclass(frozen=True, eq=False)
-class LBFGSState:
-    """The metric, and the last steps and torque changes, oldest first."""
-
-    preconditioner: Preconditioner
-    pairs: Pairs = ()
 
 
 @dataclass(frozen=True)
@@ -45,34 +37,27 @@ class LBFGS(Direction):
 
     metric: Metric = field(default_factory=Stiffness)
     memory: int = 100
-    states = (LBFGSState,)
-
-    def init(self, problem: Problem, at: Evaluation) -> LBFGSState:
-        """Metric at the start, and no pairs."""
-        return LBFGSState(Preconditioner.first(self.metric, problem.space, at))
 
     def propose(
-        self, problem: Problem, at: Evaluation, state: LBFGSState
-    ) -> Iterator[tuple[Floats, LBFGSState]]:
+        self, problem: Problem, at: Evaluation, solve: Solve, memory: Pairs
+    ) -> Iterator[tuple[Floats, Pairs]]:
         """Yield the quasi-Newton direction, then the preconditioned torques without the pairs."""
-        for pairs in (state.pairs, ()) if state.pairs else ((),):
-            direction = quasi_newton(at.torque, pairs, state.preconditioner.solve)
+        for pairs in (memory, ()) if memory else ((),):
+            direction = quasi_newton(at.torque, pairs, solve)
             limit = problem.space.longest if pairs else problem.space.first
             direction *= min(1.0, limit / np.max(np.abs(direction)))
-            yield direction, LBFGSState(state.preconditioner, pairs)
+            yield direction, pairs
 
-    def update(
-        self, problem: Problem, state: LBFGSState, before: Evaluation, step: Floats, after: Evaluation
-    ) -> LBFGSState:
-        """Add a pair, and drop the oldest beyond the memory."""
-        recent = deque(state.pairs, maxlen=self.memory)
+    def update(self, memory: Pairs, before: Evaluation, step: Floats, after: Evaluation) -> Pairs:
+        """Add a pair, and drop the oldest beyond the number kept."""
+        recent = deque(memory, maxlen=self.memory)
         change = before.torque - after.torque
         # Torques of atoms on top of one another have no representable square: no pair then.
         with np.errstate(over="ignore"):
             curvature = float(step @ change)
             if curvature > _CURVATURE * np.linalg.norm(step) * np.linalg.norm(change):
                 recent.append((step, change, curvature))
-        return LBFGSState(state.preconditioner.next(problem.space, after), tuple(recent))
+        return tuple(recent)
 
 
 def quasi_newton(torque: Floats, pairs: Pairs, solve: Solve = np.copy) -> Floats:

@@ -7,20 +7,13 @@ import numpy as np
 
 from protochain.arrays import Floats
 from protochain.minimisers.descent import Direction
-from protochain.minimisers.metrics import Metric, Preconditioner, Solve, Stiffness
+from protochain.minimisers.metrics import Metric, Solve, Stiffness
 from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.steps import SMALLEST
 
 _TURN = 1e-5
 """rad or nm, of the largest freedom: step of the difference quotient of torques, between truncation and
 rounding."""
-
-
-@dataclass(frozen=True, eq=False)
-class NewtonState:
-    """The preconditioner at the current point."""
-
-    preconditioner: Preconditioner
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,29 +41,18 @@ class Newton(Direction):
 
     metric: Metric = field(default_factory=Stiffness)
     max_products: int = 30
-    states = (NewtonState,)
-
-    def init(self, problem: Problem, at: Evaluation) -> NewtonState:
-        """Preconditioner at the start."""
-        return NewtonState(Preconditioner.first(self.metric, problem.space, at))
 
     def propose(
-        self, problem: Problem, at: Evaluation, state: NewtonState
-    ) -> Iterator[tuple[Floats, NewtonState]]:
+        self, problem: Problem, at: Evaluation, solve: Solve, memory: None
+    ) -> Iterator[tuple[Floats, None]]:
         """Yield the Newton direction, then the preconditioned torques."""
-        space, solve = problem.space, state.preconditioner.solve
+        space = problem.space
         rtol = min(0.5, np.sqrt(at.residual / (at.residual + 1000.0)))
         newton = conjugate_gradients(problem, at, solve, 0.0, rtol, self.max_products)
         for direction, limit in ((newton, space.longest), (solve(at.torque), space.first)):
             direction = direction * min(1.0, limit / np.max(np.abs(direction)))
             if direction @ at.torque > 0:
-                yield direction, state
-
-    def update(
-        self, problem: Problem, state: NewtonState, before: Evaluation, step: Floats, after: Evaluation
-    ) -> NewtonState:
-        """Preconditioner at the next point."""
-        return NewtonState(state.preconditioner.next(problem.space, after))
+                yield direction, memory
 
 
 @dataclass(frozen=True)
