@@ -96,11 +96,19 @@ def test_a_method_goes_by_its_import_path(tmp_path, monkeypatch):
     assert pc.minimise(c, e, "mymodule:Momentum", max_evaluations=10).method == "Momentum"
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
     done = pc.batch(
-        ROOT / "structures" / "ala10.pdb", tmp_path / "out", "mymodule:Momentum", workers=1, max_evaluations=10
+        ROOT / "structures" / "ala10.pdb",
+        tmp_path / "out",
+        "mymodule:Momentum",
+        workers=1,
+        max_evaluations=10,
     )
     assert done.table["status"].tolist() == ["budget"]
     assert (tmp_path / "out" / done.table["output"][0]).exists()
-    for path, word in (("mymodule:Nothing", "cannot be imported"), ("nomodule:x", "cannot be imported"), ("x", "not known")):
+    for path, word in (
+        ("mymodule:Nothing", "cannot be imported"),
+        ("nomodule:x", "cannot be imported"),
+        ("x", "not known"),
+    ):
         with pytest.raises(pc.ProtochainError, match=word):
             pc.minimise(c, e, path)
     sys.modules.pop("mymodule")

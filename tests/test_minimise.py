@@ -186,7 +186,7 @@ def test_the_budget_is_kept_to_the_last_evaluation():
 def test_a_fixed_step_that_is_too_long_stalls_and_returns_the_start():
     c, e = chain("1hel.pdb"), energy("1hel.pdb")
     problem = Problem(Torsions(c), e, 200)
-    ending = run(problem, KCM(Fixed(0.5)), c.q0, 1.0, 20, lambda at: None)
+    ending = run(problem, Descent(KCM(), Fixed(0.5)), c.q0, 1.0, 20, lambda at: None)
     assert ending.stop is Stop.CIRCLING
     assert problem.best.energy == pytest.approx(e(c.structure.positions)[0], rel=1e-6)
 

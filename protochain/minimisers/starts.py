@@ -14,6 +14,7 @@ from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.minimisers.api import minimise
 from protochain.minimisers.recipes import DEFAULT_METHOD
+from protochain.minimisers.restraints import Hold
 from protochain.minimisers.solution import Solution
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import parting, walk
@@ -162,7 +163,7 @@ def explore(
         raise ProtochainError(f"spread {spread:g}: give an angle above 0, in rad")
     if hop_temperature is not None and not 0 <= hop_temperature < np.inf:
         raise ProtochainError(f"temperature {hop_temperature:g}: give kelvin, not below 0")
-    if settings.get("restraint", ()) != () or settings.get("max_rmsd", np.inf) < np.inf:
+    if Hold.of(settings.get("restraint", ()), settings.get("max_rmsd", np.inf)) != Hold():
         raise ProtochainError("starts: restrain and max-rmsd would hold to each start's own; give one start")
     solutions: list[Solution] = []
     accepted: list[bool] = []
