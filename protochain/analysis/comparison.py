@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from protochain import defaults
 from protochain.analysis.deviation import deviation
 from protochain.analysis.progress import at_equal_cost, work_to_reach
 from protochain.analysis.quality import displacement, quality, ramachandran
@@ -33,9 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from protochain.analysis.viewer import View
-
-DEFAULT_METHODS = ("kcm", "md", "lbfgs", "hybrid", "openmm")
-"""The two methods of the original comparison, the best in torsions, the best of all, and the reference."""
 
 _PACKAGES = (
     "protochain", "openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "mdtraj", "MDAnalysis", "tmtools",
@@ -288,14 +286,14 @@ SHOWN = {
 @held_interrupts()
 def compare(
     structure: Any,
-    methods: Sequence[str] = DEFAULT_METHODS,
+    methods: Sequence[str] = defaults.COMPARED,
     energy: Energy | None = None,
-    tolerance: float = 1.0,
-    max_evaluations: int = 5000,
-    seed: int = 0,
+    tolerance: float = defaults.TOLERANCE,
+    max_evaluations: int = defaults.MAX_EVALUATIONS,
+    seed: int = defaults.SEED,
     *,
     native: Any = None,
-    repeats: int = 3,
+    repeats: int = defaults.REPEATS,
     watch: Callable[[str], Watcher] | None = None,
 ) -> Comparison:
     """Minimise one structure by several methods from the same prepared start.
@@ -306,7 +304,7 @@ def compare(
     methods : sequence of str
         As in :func:`protochain.minimise`.
     energy : Energy, optional
-        ff14SB with OBC2 by default; one energy function serves all methods.
+        One energy function for all methods; default: that of :func:`protochain.energy`.
     tolerance, max_evaluations, seed
         As in :func:`protochain.minimise`.
     native : Structure, path, or anything that :func:`protochain.as_structure` takes, optional

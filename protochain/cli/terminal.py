@@ -6,12 +6,11 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from pandas import DataFrame
 
-    from protochain.batches.api import Progress as BatchProgress
-    from protochain.batches.api import Watcher as BatchWatcher
+    from protochain.batches.api import BatchProgress
     from protochain.batches.jobs import Job
     from protochain.dynamics.simulate import Watcher as SimulationWatcher
     from protochain.minimisers.solution import Watcher
@@ -34,7 +33,7 @@ _SHOWN_FAILURES = 10
 
 
 @contextmanager
-def progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
+def run_progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
     """Show a bar with energy, torque and evaluations on standard error, if that is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -84,7 +83,7 @@ def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["
 
 
 @contextmanager
-def batch_progress() -> Iterator["BatchWatcher"]:
+def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
     """Show a bar with done, failed, structures a minute and the time left, if that is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from protochain import defaults
 from protochain.arrays import Floats, read_only
 from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose, rigid_groups
@@ -22,7 +23,7 @@ from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Stop
-from protochain.minimisers.methods import BY_OPENMM, DEFAULT_METHOD, IN_TORSIONS, METHODS
+from protochain.minimisers.methods import BY_OPENMM, IN_TORSIONS, METHODS
 from protochain.minimisers.openmm_reference import langevin_dynamics, local_energy_minimizer
 from protochain.minimisers.problem import Evaluation, Problem, Space, evaluate
 from protochain.minimisers.restraints import Leash
@@ -39,10 +40,10 @@ _SETTLED = 100.0
 def minimise(
     chain: Any,
     energy: Energy | None = None,
-    method: str = DEFAULT_METHOD,
-    tolerance: float = 1.0,
-    max_evaluations: int = 5000,
-    seed: int = 0,
+    method: str = defaults.METHOD,
+    tolerance: float = defaults.TOLERANCE,
+    max_evaluations: int = defaults.MAX_EVALUATIONS,
+    seed: int = defaults.SEED,
     *,
     restraint: float | Sequence[float] = (),
     max_rmsd: float = np.inf,
@@ -57,7 +58,7 @@ def minimise(
     chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
         A file is loaded, a structure cut into a chain with the default hinges.
     energy : Energy, optional
-        ff14SB with OBC2 by default.
+        Default: that of :func:`protochain.energy`.
     method : str
         ``hybrid`` (torsions, then all atoms), ``cartesian`` (all atoms), ``lbfgs`` or ``newton`` (torsions),
         ``kcm`` (kineto-static compliance, as published) and its kin ``kcm-adaptive``, ``kcm-metric`` ...,

@@ -40,8 +40,6 @@ minimiser, ``openmm-md`` its constrained dynamics between two minimisations."""
 
 BY_OPENMM = ("openmm", "openmm-md")
 
-DEFAULT_METHOD = "hybrid"
-
 RANDOM = ("anneal", "openmm-md")
 """Methods that draw from their seed."""
 
