@@ -17,17 +17,7 @@ ALL_MODELS = "all"
 
 
 class Prepared(NamedTuple):
-    """Structure, chain and energy of a run.
-
-    Parameters
-    ----------
-    structure : Structure
-        All-atom protein, with the repairs made to it.
-    chain : Chain
-        Its rigid bodies and hinges.
-    energy : Energy
-        Its potential energy.
-    """
+    """All-atom structure, its rigid bodies and hinges, and its potential energy."""
 
     structure: "Structure"
     chain: "Chain"

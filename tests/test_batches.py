@@ -93,7 +93,7 @@ def test_results_are_never_taken_for_inputs(folder, tmp_path):
     with pytest.raises(pc.ProtochainError, match="folder of their own"):
         pc.batch(tmp_path / "a.pdb", tmp_path)
     (tmp_path / "out" / "summary.csv").write_text("method,status\nlbfgs,converged\n")
-    with pytest.raises(pc.ProtochainError, match="not the table of a batch"):
+    with pytest.raises(pc.ProtochainError, match="not a table of a batch"):
         pc.batch(tmp_path / "a.pdb", tmp_path / "out", resume=True)
 
 

@@ -24,7 +24,9 @@ class EveryFrame(AnalysisBase):
         energy.
     method : str, optional
         As in :func:`protochain.minimise`; None only measures.
-    tolerance, max_evaluations
+    tolerance : float
+        As in :func:`protochain.minimise`.
+    max_evaluations : int
         As in :func:`protochain.minimise`.
     **settings
         Fields of :class:`protochain.Setup`: ``hinges``, ``forcefield``, ``solvent`` ...

@@ -34,7 +34,9 @@ class BatchSettings:
     ----------
     methods : tuple of str
         Run one after the other from the same start, as in :func:`protochain.minimise`.
-    tolerance, max_evaluations, max_rmsd, seed
+    tolerance, max_rmsd : float
+        As in :func:`protochain.minimise`.
+    max_evaluations, seed : int
         As in :func:`protochain.minimise`.
     setup : Setup
         How the structure is prepared; its ``threads`` are those of the batch.
@@ -47,8 +49,8 @@ class BatchSettings:
 
     methods: tuple[str, ...] = (defaults.METHOD,)
     tolerance: float = defaults.TOLERANCE
-    max_evaluations: int = defaults.MAX_EVALUATIONS
     max_rmsd: float = float("inf")
+    max_evaluations: int = defaults.MAX_EVALUATIONS
     seed: int = defaults.SEED
     setup: Setup = field(default_factory=Setup)
 

@@ -28,6 +28,7 @@ def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
     Parameters
     ----------
     job : Job
+        Structure and settings.
     folder : Path
         Folder for its files.
     threads : int

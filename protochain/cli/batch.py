@@ -67,7 +67,7 @@ def batch(
     from protochain.batches import batch as run
 
     limit = math.inf if max_rmsd is None else max_rmsd
-    settings = BatchSettings(words(methods), tolerance, max_evaluations, limit, seed, setup)
+    settings = BatchSettings(words(methods), tolerance, limit, max_evaluations, seed, setup)
     # Standard input can be read only once.
     given = [line for each in inputs or () for line in (_lines() if each == "-" else [each])]
     if dry_run:

@@ -1,4 +1,4 @@
-"""What the command line shows: a bar while it computes, a table when it is done."""
+"""Output of the command line: a bar while it computes, a table when it is done."""
 
 import sys
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ _SHOWN = {
 """Columns of the table on the terminal; 80 characters wide."""
 
 _SHOWN_FAILURES = 10
-"""Structures without a result that are named; all are in the table and on the page."""
+"""Structures without a result to list; the table and the page have all."""
 
 
 @contextmanager
@@ -106,7 +106,7 @@ def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
 
 
 def print_simulation(record: dict[str, Any]) -> None:
-    """Print in a few lines what a simulation was."""
+    """Print a short summary of a simulation."""
     kept = "" if record["accepted"] is None else f", {100 * record['accepted']:.0f} % of trajectories kept"
     print(
         f"{record['structure']}: {record['message']}, {record['ns_per_day']:.1f} ns/day\n"
@@ -119,7 +119,7 @@ def print_simulation(record: dict[str, Any]) -> None:
 
 
 def print_table(records: list[dict[str, Any]]) -> None:
-    """Print a row a record on standard output, and under the table how each ended."""
+    """Print a table with a row for each record, and below it their messages."""
     from rich.console import Console
     from rich.table import Table
 
@@ -143,14 +143,14 @@ def print_table(records: list[dict[str, Any]]) -> None:
 
 
 def print_jobs(jobs: "Sequence[Job]") -> None:
-    """Print a line a structure: its name, its methods, where it comes from."""
+    """Print a line for each structure: name, methods, path."""
     for job in jobs:
         print(f"{job.name}  {','.join(job.settings.methods)}  {job.path}")
     print(f"{len(jobs)} structures", file=sys.stderr)
 
 
 def print_batch(table: "DataFrame", report: str) -> None:
-    """Print how the runs of each method ended, and what failed."""
+    """Print the number of runs of each status for each method, and the failures."""
     from rich.console import Console
 
     console = Console()
@@ -171,7 +171,7 @@ def print_batch(table: "DataFrame", report: str) -> None:
 
 
 def print_distribution(summary: dict[str, float]) -> None:
-    """Print where many starts ended."""
+    """Print the distribution of final energies of many starts."""
     low, middle, high = (summary[f"energy_{name}_kj_mol"] for name in ("lowest", "median", "highest"))
     print(
         f"{summary['n_starts']} starts: lowest {low:.2f}, median {middle:.2f}, highest {high:.2f} kJ/mol; "
@@ -180,7 +180,7 @@ def print_distribution(summary: dict[str, float]) -> None:
 
 
 def print_deviations(rows: list[dict[str, Any]]) -> None:
-    """Print a row for each model measured, and a line for each that could not be."""
+    """Print a row for each model measured, and a line for each that cannot be."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
