@@ -123,6 +123,7 @@ def test_build_makes_a_file_that_loads(tmp_path):
         (["batch", "in.pdb", "--time-limit", "0"], ["time-limit"]),
         (["bench", "speed"], ["'speed'", "precision, stability"]),
         (["info", "empty.pdb"], ["empty.pdb", "no atoms"]),
+        (["info", "in.pdb", "--model", "all"], ["model all", "give its number"]),
         (["build", "AAZ", "-o", "a.pdb"], ["letter 3"]),
     ],
 )

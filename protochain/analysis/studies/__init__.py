@@ -19,7 +19,7 @@ def study(name: str) -> Any:
     Returns
     -------
     module
-        Imported only now, for it may be slow.
+        Imported on demand.
 
     Raises
     ------
