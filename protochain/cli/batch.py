@@ -32,14 +32,16 @@ Inputs = Annotated[
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")]
 Methods = Annotated[str, typer.Option(help="Methods, with commas between.")]
 Manifest = Annotated[
-    Path | None, typer.Option(help="CSV with a column path and any settings, one structure a line.")
+    Path | None, typer.Option(help="CSV with a column path and any settings, a structure in each line.")
 ]
 Workers = Annotated[int | None, typer.Option(help="Processes on this machine [default: all cores].")]
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 Threads = Annotated[int, typer.Option(help="Threads for each structure.")]
-TimeLimit = Annotated[float, typer.Option(help="Seconds for each structure; then it is given up.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on in the folder: skip what is finished.")]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="List the work and do nothing.")]
+TimeLimit = Annotated[float, typer.Option(help="Seconds after which a structure is given up.")]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Continue in the folder; skip structures that are finished.")
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
 
 
 @with_setup(without="disulfide no_disulfide trust_forcefield")
@@ -62,7 +64,7 @@ def batch(
     *,
     setup: Setup,
 ) -> None:
-    """Minimise many structures in many processes; one that fails is a row, and stops no other."""
+    """Minimise many structures in many processes; a failure is reported and stops no other structure."""
     from protochain.batches import BatchSettings, find_jobs
     from protochain.batches import batch as run
 

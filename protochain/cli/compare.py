@@ -43,7 +43,9 @@ def compare(
     repeats: Annotated[
         int, typer.Option(help="Runs of each method that does not repeat exactly.")
     ] = defaults.REPEATS,
-    native: Annotated[Path | None, typer.Option(help="Measure the ends against this structure too.")] = None,
+    native: Annotated[
+        Path | None, typer.Option(help="Compare the final structures with this one too.")
+    ] = None,
     tolerance: Tolerance = defaults.TOLERANCE,
     max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
     seed: Seed = defaults.SEED,

@@ -15,7 +15,7 @@ from protochain.setup import Setup
 
 @with_setup(without="engine move threads")
 def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
-    """Show what a file holds, what was changed to prepare it, and how it is cut into bodies."""
+    """Show the contents of a file, the repairs to its structure, and its rigid bodies and hinges."""
     began = perf_counter()
     for name in ("articulate", "energies"):
         # Loaded here, so that the other times are those of the work alone.

@@ -44,23 +44,29 @@ Method = Annotated[
     str, typer.Option(help="hybrid, cartesian, lbfgs, newton, kcm, openmm ...: an unknown one lists them.")
 ]
 Restrain = Annotated[
-    str, typer.Option(help="Springs to the start, kJ/mol/nm^2, one strength after the other: '1000 100 0'.")
+    str,
+    typer.Option(
+        help="Force constants of restraints to the start, kJ/mol/nm^2, one after the other: '1000 100 0'."
+    ),
 ]
 Starts = Annotated[
-    int, typer.Option(help="Minimise this often, from dihedrals perturbed at random; the best is written.")
+    int, typer.Option(help="Number of starts, from dihedrals perturbed at random; the best end is written.")
 ]
 _DEGREES = f"{math.degrees(defaults.SPREAD):.1f}"
 Spread = Annotated[
     float | None,
-    typer.Option(help=f"Degrees by which starts differ, standard deviation [default: {_DEGREES}]."),
+    typer.Option(help=f"Standard deviation of the perturbation, degrees [default: {_DEGREES}]."),
 ]
 Hop = Annotated[
-    float | None, typer.Option(help="Start from the minimum before; kept as Metropolis at this K.")
+    float | None,
+    typer.Option(help="Basin hopping: start from the last minimum accepted at this temperature, K."),
 ]
-Checkpoint = Annotated[Path | None, typer.Option(help="Write what it takes to go on, .npz.")]
-Resume = Annotated[Path | None, typer.Option(help="Go on from a checkpoint.")]
-Trace = Annotated[Path | None, typer.Option(help="CSV with a row an iteration.")]
-Trajectory = Annotated[Path | None, typer.Option(help="DCD or XTC with a frame an iteration.")]
+Checkpoint = Annotated[
+    Path | None, typer.Option(help="File for the state of the run, to continue from, .npz.")
+]
+Resume = Annotated[Path | None, typer.Option(help="Continue from a checkpoint.")]
+Trace = Annotated[Path | None, typer.Option(help="CSV with a row for each iteration.")]
+Trajectory = Annotated[Path | None, typer.Option(help="DCD or XTC with a frame for each iteration.")]
 Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
 
 
@@ -94,9 +100,9 @@ def minimise(
     hold = read_hold(restrain, max_rmsd)
     check_settings(method, tolerance, max_evaluations, hold, bool(checkpoint or resume))
     if starts > 1 and (checkpoint or resume or trajectory):
-        raise ProtochainError("starts: a checkpoint or trajectory is of one run; give one start")
+        raise ProtochainError("starts: a checkpoint or trajectory belongs to one run; give one start")
     if starts == 1 and hop is not None:
-        raise ProtochainError("hop: goes from minimum to minimum; give --starts 2 or more")
+        raise ProtochainError("hop: needs several minima; give --starts 2 or more")
     beside = [path for path in (trace, trajectory, checkpoint) if path]
     stem, suffix = named_after(source)
     output = output or Path(f"{stem}.{method}{suffix}")
@@ -140,7 +146,7 @@ def _runs(source: Path, output: Path, setup: Setup, is_single: bool) -> list[tup
         return [(setup, output)]
     if is_single or str(source) == "-":
         raise ProtochainError(
-            "model all: takes a file, and no trace, trajectory or checkpoint: they are of one model"
+            "model all: needs a file, and no trace, trajectory or checkpoint: these belong to one model"
         )
     return [
         (replace(setup, model=number), output.with_name(f"{output.stem}.{number}{output.suffix}"))

@@ -28,22 +28,25 @@ Input = Annotated[
     Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, gzipped or not; - is standard input.")
 ]
 MaxRmsd = Annotated[
-    float | None, typer.Option(help="C-alpha RMSD to the start that is not passed, angstrom.")
+    float | None, typer.Option(help="Largest C-alpha RMSD to the start that is allowed, angstrom.")
 ]
 Tolerance = Annotated[
     float,
     typer.Option(
-        help="At convergence: largest torque (kJ/mol/rad), or RMS force (kJ/mol/nm) where all atoms move."
+        help="Largest torque (kJ/mol/rad) at convergence, or RMS force (kJ/mol/nm) where all atoms move."
     ),
 ]
 MaxEvaluations = Annotated[int, typer.Option(help="Energy evaluations allowed for each method.")]
-Seed = Annotated[int, typer.Option(help="Seed of random methods; recorded.")]
+Seed = Annotated[int, typer.Option(help="Seed of methods that draw random numbers.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 
 _SETUP = {
-    "hinges": Annotated[str, typer.Option(help="Freedoms: any of phi psi omega chi rotors angles.")],
+    "hinges": Annotated[
+        str, typer.Option(help="Degrees of freedom: any of phi psi omega chi rotors angles.")
+    ],
     "move": Annotated[
-        str, typer.Option(help="What may move, as MDAnalysis selects: 'resid 5:20', 'not backbone'.")
+        str,
+        typer.Option(help="What may move, in MDAnalysis's selection language: 'resid 5:20', 'not backbone'."),
     ],
     "forcefield": Annotated[
         str,
@@ -53,7 +56,7 @@ _SETUP = {
     "engine": Annotated[str, typer.Option(help="auto, native or openmm.")],
     "threads": Annotated[int | None, typer.Option(help="Threads to compute on [default: all].")],
     "trust_forcefield": Annotated[
-        bool, typer.Option("--trust-forcefield", help="Let a force-field file run its scripts.")
+        bool, typer.Option("--trust-forcefield", help="Allow a force-field file to run its scripts.")
     ],
     "model": Annotated[
         str, typer.Option(help="Number of the model [default: the first]; minimise and batch also take all.")
@@ -62,16 +65,22 @@ _SETUP = {
         str, typer.Option(help="Alternate location to prefer [default: of highest occupancy].")
     ],
     "keep": Annotated[
-        str, typer.Option(help="Kept where it is: water, ions, nucleic, all, or names, with commas between.")
+        str,
+        typer.Option(
+            help="Fixed obstacles to keep: water, ions, nucleic, all, or residue names, with commas between."
+        ),
     ],
     "disulfide": Annotated[
         list[str] | None,
         typer.Option(
-            metavar="A:3-A:40", help="A disulfide bond, one an option [default: where sulphurs are near]."
+            metavar="A:3-A:40",
+            help="Disulfide bond; repeat for more [default: where sulphurs are near each other].",
         ),
     ],
     "no_disulfide": Annotated[bool, typer.Option("--no-disulfide", help="No disulfide bonds.")],
-    "ph": Annotated[float, typer.Option("--ph", help="Of protonation, where the file does not show it.")],
+    "ph": Annotated[
+        float, typer.Option("--ph", help="pH for residues whose protonation the file does not show.")
+    ],
     "strict": Annotated[bool, typer.Option("--strict", help="Refuse chain breaks and incomplete backbones.")],
 }
 """Options of a :class:`Setup`, in the order of the help."""
@@ -80,9 +89,9 @@ _DEFAULTS: dict[str, Any] = vars(Setup()) | {"keep": None, "no_disulfide": False
 
 
 def with_setup(without: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Replace a command's parameter ``setup`` by the options of a :class:`Setup`, but for some.
+    """Replace a command's last parameter, ``setup``, by the options of a :class:`Setup`.
 
-    The command's own options take precedence: ``batch`` has its own ``threads``.
+    Options named in ``without``, and those that the command has itself, are left out.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
@@ -111,7 +120,9 @@ def _setup(no_disulfide: bool = False, **chosen: Any) -> Setup:
     """Make a setup of options; those that are not given keep its defaults."""
     chosen = {name: value for name, value in chosen.items() if value not in (None, [])}
     if no_disulfide and "disulfide" in chosen:
-        raise ProtochainError("disulfide: asked for and refused at once; give one of the two options")
+        raise ProtochainError(
+            "disulfide: --disulfide and --no-disulfide exclude each other; give one of them"
+        )
     return Setup(**chosen | ({"disulfide": ()} if no_disulfide else {}))
 
 
@@ -150,7 +161,7 @@ def check_outputs(source: Path, outputs: list[Path], force: bool) -> None:
 
     for output, count in Counter(path.absolute() for path in outputs).items():
         if count > 1:
-            raise ProtochainError(f"{output}: named for two outputs; give each its own")
+            raise ProtochainError(f"{output}: is given for two outputs; give each its own")
     for output in outputs:
         if output.exists() and source.exists() and output.samefile(source) and not force:
             raise ProtochainError(f"{output}: is the input; give another name, or --force to replace it")

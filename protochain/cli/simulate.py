@@ -35,21 +35,27 @@ _RELAXED = 10.0
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-simulation].")
 ]
-Steps = Annotated[int, typer.Option(help="Time steps in all.")]
-TimeStep = Annotated[float, typer.Option(help="fs.")]
-Temperature = Annotated[float, typer.Option(help="K, of the thermostat and of the first velocities.")]
+Steps = Annotated[int, typer.Option(help="Total number of time steps.")]
+TimeStep = Annotated[float, typer.Option(help="Time step, fs.")]
+Temperature = Annotated[
+    float, typer.Option(help="Temperature of the thermostat and of the initial velocities, K.")
+]
 Thermostat = Annotated[str, typer.Option(help="langevin, nose-hoover, rescale, hmc or none.")]
-Friction = Annotated[float, typer.Option(help="How tightly the thermostat holds, 1/ps.")]
+Friction = Annotated[float, typer.Option(help="Coupling of the thermostat, 1/ps.")]
 Integrator = Annotated[str, typer.Option(help="leapfrog, lobatto, midpoint, rk4 or dormand-prince.")]
-Fixman = Annotated[bool, typer.Option("--fixman", help="Undo the bias of rigid bonds and angles.")]
+Fixman = Annotated[
+    bool, typer.Option("--fixman", help="Add Fixman's potential, against the bias of rigid bonds and angles.")
+]
 Loops = Annotated[str, typer.Option(help="Disulfides: open (force field) or closed (constraints).")]
-HydrogenMass = Annotated[float | None, typer.Option(help="amu, taken from what the hydrogens are bonded to.")]
-TrajectoryLength = Annotated[int, typer.Option(help="Steps a trajectory of hmc.")]
+HydrogenMass = Annotated[
+    float | None, typer.Option(help="Mass of hydrogens, taken from the atoms they are bonded to, amu.")
+]
+TrajectoryLength = Annotated[int, typer.Option(help="Steps in each trajectory of hmc.")]
 Every = Annotated[int, typer.Option(help="Steps between frames and rows of the log.")]
 Trajectory = Annotated[str, typer.Option(help="dcd or xtc.")]
 CheckpointEvery = Annotated[int, typer.Option(help="Rows between checkpoints.")]
-Relax = Annotated[bool, typer.Option(help="Turn hinges to a minimum first.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with the simulation in DIR.")]
+Relax = Annotated[bool, typer.Option(help="Minimise first, by turning hinges.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue the simulation in DIR.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the simulation in DIR.")]
 
 
