@@ -31,16 +31,12 @@ Inputs = Annotated[
 ]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")]
 Methods = Annotated[str, typer.Option(help="Methods, with commas between.")]
-Manifest = Annotated[
-    Path | None, typer.Option(help="CSV with a column path and any settings, a structure in each line.")
-]
+Manifest = Annotated[Path | None, typer.Option(help="CSV with a column path, and any settings as columns.")]
 Workers = Annotated[int | None, typer.Option(help="Processes on this machine [default: all cores].")]
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 Threads = Annotated[int, typer.Option(help="Threads for each structure.")]
 TimeLimit = Annotated[float, typer.Option(help="Seconds after which a structure is given up.")]
-Resume = Annotated[
-    bool, typer.Option("--resume", help="Continue in the folder; skip structures that are finished.")
-]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder; skip finished structures.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
 
 

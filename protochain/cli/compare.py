@@ -43,9 +43,7 @@ def compare(
     repeats: Annotated[
         int, typer.Option(help="Runs of each method that does not repeat exactly.")
     ] = defaults.REPEATS,
-    native: Annotated[
-        Path | None, typer.Option(help="Compare the final structures with this one too.")
-    ] = None,
+    native: Annotated[Path | None, typer.Option(help="Also compare the ends with this structure.")] = None,
     tolerance: Tolerance = defaults.TOLERANCE,
     max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
     seed: Seed = defaults.SEED,

@@ -44,26 +44,19 @@ Method = Annotated[
     str, typer.Option(help="hybrid, cartesian, lbfgs, newton, kcm, openmm ...: an unknown one lists them.")
 ]
 Restrain = Annotated[
-    str,
-    typer.Option(
-        help="Force constants of restraints to the start, kJ/mol/nm^2, one after the other: '1000 100 0'."
-    ),
+    str, typer.Option(help="Restraints to the start, kJ/mol/nm^2, one after the other: '1000 100 0'.")
 ]
 Starts = Annotated[
     int, typer.Option(help="Number of starts, from dihedrals perturbed at random; the best end is written.")
 ]
 _DEGREES = f"{math.degrees(defaults.SPREAD):.1f}"
 Spread = Annotated[
-    float | None,
-    typer.Option(help=f"Standard deviation of the perturbation, degrees [default: {_DEGREES}]."),
+    float | None, typer.Option(help=f"Standard deviation of a perturbation, degrees [default: {_DEGREES}].")
 ]
 Hop = Annotated[
-    float | None,
-    typer.Option(help="Basin hopping: start from the last minimum accepted at this temperature, K."),
+    float | None, typer.Option(help="Basin hopping: start from the last minimum accepted at this K.")
 ]
-Checkpoint = Annotated[
-    Path | None, typer.Option(help="File for the state of the run, to continue from, .npz.")
-]
+Checkpoint = Annotated[Path | None, typer.Option(help="File for the state at the end, .npz.")]
 Resume = Annotated[Path | None, typer.Option(help="Continue from a checkpoint.")]
 Trace = Annotated[Path | None, typer.Option(help="CSV with a row for each iteration.")]
 Trajectory = Annotated[Path | None, typer.Option(help="DCD or XTC with a frame for each iteration.")]

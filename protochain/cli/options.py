@@ -27,9 +27,7 @@ _SHOWN_OVERLAPS = 5
 Input = Annotated[
     Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, gzipped or not; - is standard input.")
 ]
-MaxRmsd = Annotated[
-    float | None, typer.Option(help="Largest C-alpha RMSD to the start that is allowed, angstrom.")
-]
+MaxRmsd = Annotated[float | None, typer.Option(help="Largest C-alpha RMSD to the start, angstrom.")]
 Tolerance = Annotated[
     float,
     typer.Option(
@@ -40,49 +38,32 @@ MaxEvaluations = Annotated[int, typer.Option(help="Energy evaluations allowed fo
 Seed = Annotated[int, typer.Option(help="Seed of methods that draw random numbers.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 
+
+def _option(kind: Any, text: str, *names: str, **more: Any) -> Any:
+    return Annotated[kind, typer.Option(*names, help=text, **more)]
+
+
 _SETUP = {
-    "hinges": Annotated[
-        str, typer.Option(help="Degrees of freedom: any of phi psi omega chi rotors angles.")
-    ],
-    "move": Annotated[
-        str,
-        typer.Option(help="What may move, in MDAnalysis's selection language: 'resid 5:20', 'not backbone'."),
-    ],
-    "forcefield": Annotated[
-        str,
-        typer.Option(help="amber14, amber19, amber99sb, amber99sbildn, charmm36, or an OpenMM XML file."),
-    ],
-    "solvent": Annotated[str, typer.Option(help="vacuum, obc2 or gbn2.")],
-    "engine": Annotated[str, typer.Option(help="auto, native or openmm.")],
-    "threads": Annotated[int | None, typer.Option(help="Threads to compute on [default: all].")],
-    "trust_forcefield": Annotated[
-        bool, typer.Option("--trust-forcefield", help="Allow a force-field file to run its scripts.")
-    ],
-    "model": Annotated[
-        str, typer.Option(help="Number of the model [default: the first]; minimise and batch also take all.")
-    ],
-    "altloc": Annotated[
-        str, typer.Option(help="Alternate location to prefer [default: of highest occupancy].")
-    ],
-    "keep": Annotated[
-        str,
-        typer.Option(
-            help="Fixed obstacles to keep: water, ions, nucleic, all, or residue names, with commas between."
-        ),
-    ],
-    "disulfide": Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="A:3-A:40",
-            help="Disulfide bond; repeat for more [default: where sulphurs are near each other].",
-        ),
-    ],
-    "no_disulfide": Annotated[bool, typer.Option("--no-disulfide", help="No disulfide bonds.")],
-    "ph": Annotated[
-        float, typer.Option("--ph", help="pH for residues whose protonation the file does not show.")
-    ],
-    "strict": Annotated[bool, typer.Option("--strict", help="Refuse chain breaks and incomplete backbones.")],
-}
+    "hinges": _option(str, "Degrees of freedom: any of phi psi omega chi rotors angles."),
+    "move": _option(str, "What may move, in MDAnalysis's selection language: 'resid 5:20', 'not backbone'."),
+    "forcefield": _option(
+        str, "amber14, amber19, amber99sb, amber99sbildn, charmm36, or an OpenMM XML file."
+    ),
+    "solvent": _option(str, "vacuum, obc2 or gbn2."),
+    "engine": _option(str, "auto, native or openmm."),
+    "threads": _option(int | None, "Threads to compute on [default: all]."),
+    "trust_forcefield": _option(bool, "Allow a force-field file to run its scripts.", "--trust-forcefield"),
+    "model": _option(str, "Number of the model [default: the first]; minimise and batch also take all."),
+    "altloc": _option(str, "Alternate location to prefer [default: of highest occupancy]."),
+    "keep": _option(str, "Fixed obstacles to keep: water, ions, nucleic, all, or residues, with commas."),
+    "disulfide": _option(
+        list[str] | None, "Disulfide bond; repeat for more [default: where sulphurs are near each other].",
+        metavar="A:3-A:40",
+    ),
+    "no_disulfide": _option(bool, "No disulfide bonds.", "--no-disulfide"),
+    "ph": _option(float, "pH for residues whose protonation the file does not show.", "--ph"),
+    "strict": _option(bool, "Refuse chain breaks and incomplete backbones.", "--strict"),
+}  # fmt: skip
 """Options of a :class:`Setup`, in the order of the help."""
 
 _DEFAULTS: dict[str, Any] = vars(Setup()) | {"keep": None, "no_disulfide": False}
@@ -98,10 +79,8 @@ def with_setup(without: str = "") -> Callable[[Callable[..., None]], Callable[..
         *own, _ = inspect.signature(command).parameters.values()
         taken = {*without.split(), *(parameter.name for parameter in own)}
         options = [
-            inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS[name], annotation=option
-            )
-            for name, option in _SETUP.items()
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS[name], annotation=kind)
+            for name, kind in _SETUP.items()
             if name not in taken
         ]
 
