@@ -103,7 +103,7 @@ def simulate(
     check_folder(output, trajectory, resume, force)
     chain, energy, preparation = prepare(source, setup)
     context.with_resource(held_interrupts())
-    # Closed loops hold in the file's structure, and no longer once hinges have turned.
+    # Turning hinges would open the loops, which must begin closed.
     q = _relaxed(source, chain, energy, seed) if relax and not resume and loops == "open" else chain.q0
     with simulation_progress(source.stem, steps, time_step / 1000.0) as watch:
         done = run(
