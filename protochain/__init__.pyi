@@ -24,6 +24,7 @@ from .minimisers import Status as Status
 from .minimisers import explore as explore
 from .minimisers import minimise as minimise
 from .minimisers import minimize as minimize
+from .setup import Setup as Setup
 from .structure import Structure as Structure
 from .structure import as_structure as as_structure
 from .structure import ca_rmsd as ca_rmsd

@@ -12,9 +12,9 @@ PACKAGE = ROOT / "protochain"
 MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
 
 LAYERS = [
-    {"units", "errors", "arrays", "residues", "interrupts", "markup", "storage"},
+    {"units", "errors", "arrays", "residues", "interrupts", "markup", "storage", "defaults"},
     {"multibody", "structure", "energies"},
-    {"chain", "articulate", "contacts"},
+    {"chain", "articulate", "contacts", "setup"},
     {"dynamics"},
     {"minimisers"},
     {"analysis"},

@@ -12,7 +12,7 @@ import pytest
 from conftest import ROOT, STRUCTURES, chain, energy, load
 
 import protochain as pc
-from protochain.batches import Settings, find_jobs
+from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.jobs import Row, failure
 from protochain.batches.page import curves
 from protochain.batches.report import statistics, worst_first
@@ -66,65 +66,71 @@ def done(folder, tmp_path_factory):
 
 def test_inputs_are_found_in_order_and_once(folder, monkeypatch):
     names = ["1l2y", "cut", "ala10", "two"]
-    assert [job.name for job in find_jobs([folder], Settings())] == names
-    assert [job.name for job in find_jobs([folder / "two.pdb", folder], Settings())] == ["two", *names[:3]]
-    assert [job.name for job in find_jobs([f"{folder}/**/*a*.pdb"], Settings())] == ["ala10"]
+    assert [job.name for job in find_jobs([folder], BatchSettings())] == names
+    assert [job.name for job in find_jobs([folder / "two.pdb", folder], BatchSettings())] == [
+        "two",
+        *names[:3],
+    ]
+    assert [job.name for job in find_jobs([f"{folder}/**/*a*.pdb"], BatchSettings())] == ["ala10"]
     listed = iter([f"{folder}/cut.pdb\n", "\n", f"{folder}/deep\n"])
     monkeypatch.setattr("sys.stdin", listed)
-    assert [job.name for job in find_jobs(["-"], Settings())] == ["cut", "ala10"]
-    models = find_jobs([folder / "two.pdb", folder / "cut.pdb"], Settings(model="all"))
-    assert [(job.name, job.settings.model) for job in models] == [("two.1", "1"), ("two.2", "2"), ("cut", "")]
+    assert [job.name for job in find_jobs(["-"], BatchSettings())] == ["cut", "ala10"]
+    models = find_jobs([folder / "two.pdb", folder / "cut.pdb"], BatchSettings(setup=pc.Setup(model="all")))
+    numbers = [(job.name, job.settings.setup.model) for job in models]
+    assert numbers == [("two.1", 1), ("two.2", 2), ("cut", None)]
     for nothing in ([], [folder / "deep" / "nothing*.pdb"]):
         with pytest.raises(pc.ProtochainError, match=r"no structures found|matches no file"):
-            find_jobs(nothing, Settings())
+            find_jobs(nothing, BatchSettings())
 
 
 def test_results_are_never_taken_for_inputs(folder, tmp_path):
     (tmp_path / "out").mkdir()
     for place in ("a.pdb", "out/a.lbfgs.pdb"):
         (tmp_path / place).write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
-    assert [job.name for job in find_jobs([tmp_path], Settings(), output=tmp_path / "out")] == ["a"]
+    assert [job.name for job in find_jobs([tmp_path], BatchSettings(), output=tmp_path / "out")] == ["a"]
     with pytest.raises(pc.ProtochainError, match="folder of their own"):
-        find_jobs([tmp_path / "out" / "a.lbfgs.pdb"], Settings(), output=tmp_path / "out")
+        find_jobs([tmp_path / "out" / "a.lbfgs.pdb"], BatchSettings(), output=tmp_path / "out")
     with pytest.raises(pc.ProtochainError, match="folder of their own"):
         pc.batch(tmp_path / "a.pdb", tmp_path)
     (tmp_path / "out" / "summary.csv").write_text("method,status\nlbfgs,converged\n")
-    with pytest.raises(pc.ProtochainError, match="not the table of a batch"):
+    with pytest.raises(pc.ProtochainError, match="not a table of a batch"):
         pc.batch(tmp_path / "a.pdb", tmp_path / "out", resume=True)
 
 
 def test_a_key_is_of_content_and_settings(folder, tmp_path):
-    (job,) = find_jobs([folder / "1l2y.pdb"], Settings())
+    (job,) = find_jobs([folder / "1l2y.pdb"], BatchSettings())
     copy = tmp_path / "1l2y.pdb"
     copy.write_bytes(job.path.read_bytes())
-    assert find_jobs([copy], Settings())[0].key == job.key
-    assert find_jobs([copy], Settings(seed=1))[0].key != job.key
+    assert find_jobs([copy], BatchSettings())[0].key == job.key
+    assert find_jobs([copy], BatchSettings(seed=1))[0].key != job.key
     copy.write_bytes(job.path.read_bytes() + b"REMARK\n")
-    assert find_jobs([copy], Settings())[0].key != job.key
-    both = find_jobs([job.path, copy, job.path.parent / "two.pdb"], Settings())
+    assert find_jobs([copy], BatchSettings())[0].key != job.key
+    both = find_jobs([job.path, copy, job.path.parent / "two.pdb"], BatchSettings())
     assert both[0].name == f"1l2y-{both[0].key[:8]}" and both[1].name == f"1l2y-{both[1].key[:8]}"
     copy.write_bytes(job.path.read_bytes())
-    assert len({job.name for job in find_jobs([job.path, copy], Settings())}) == 2
+    assert len({job.name for job in find_jobs([job.path, copy], BatchSettings())}) == 2
 
 
 def test_a_manifest_has_settings_of_its_own(folder, tmp_path):
     manifest = tmp_path / "work.csv"
     path = os.path.relpath(folder / "1l2y.pdb", tmp_path)
     manifest.write_text(f'path,methods,solvent,strict\n{path},"kcm, lbfgs",vacuum,yes\n{path},,,\n')
-    first, second = find_jobs([], Settings(seed=7), manifest)
-    assert first.settings == Settings(methods=("kcm", "lbfgs"), solvent="vacuum", strict=True, seed=7)
-    assert second.settings == Settings(seed=7) and first.key != second.key
+    first, second = find_jobs([], BatchSettings(seed=7), manifest)
+    setup = pc.Setup(solvent="vacuum", strict=True)
+    assert first.settings == BatchSettings(methods=("kcm", "lbfgs"), setup=setup, seed=7)
+    assert second.settings == BatchSettings(seed=7) and first.key != second.key
     assert first.path.samefile(folder / "1l2y.pdb")
     for text, said in (
         ("file\nx\n", "no column 'path'"),
         ("path,colour\nx,red\n", r"work.csv: line 2: no setting is called 'colour'"),
+        ("path,trust_forcefield\nx,yes\n", "no setting is called 'trust_forcefield'"),
         ("path,seed\nx,1\ny,many\n", "line 3: invalid literal"),
         ("path,strict\nx,maybe\n", "neither true nor false"),
         ("path\nx,1\n", "more cells than columns"),
     ):
         manifest.write_text(text)
         with pytest.raises(pc.ProtochainError, match=said):
-            find_jobs([], Settings(), manifest)
+            find_jobs([], BatchSettings(), manifest)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +142,7 @@ def test_a_manifest_has_settings_of_its_own(folder, tmp_path):
 )  # fmt: skip
 def test_settings_that_make_no_sense_are_refused(settings, said):
     with pytest.raises(pc.ProtochainError, match=said):
-        Settings(**settings)
+        BatchSettings().changed(**settings)
 
 
 def test_each_structure_ends_as_it_does_alone(done):
@@ -212,7 +218,7 @@ def test_resuming_skips_what_is_finished_and_redoes_what_is_not(folder, done, tm
 
 
 def test_tables_are_of_one_writer_and_drop_what_is_stale(folder, tmp_path):
-    one, two = find_jobs([folder / "1l2y.pdb", folder / "cut.pdb"], Settings(methods=("lbfgs", "kcm")))
+    one, two = find_jobs([folder / "1l2y.pdb", folder / "cut.pdb"], BatchSettings(methods=("lbfgs", "kcm")))
     tables = Tables(tmp_path, resume=False)
     with pytest.raises(pc.ProtochainError, match="another batch"):
         Tables(tmp_path, resume=True)
@@ -227,7 +233,7 @@ def test_tables_are_of_one_writer_and_drop_what_is_stale(folder, tmp_path):
     tables.close()
     resumed = Tables(tmp_path, resume=True)
     assert resumed.finished([one, two]) == {one.identity, two.identity}
-    (changed,) = find_jobs([folder / "1l2y.pdb"], Settings(methods=("lbfgs", "kcm"), seed=2))
+    (changed,) = find_jobs([folder / "1l2y.pdb"], BatchSettings(methods=("lbfgs", "kcm"), seed=2))
     assert resumed.finished([changed]) == set()
     # Of a structure that is not asked about nothing is lost.
     assert resumed.read()["structure"].tolist() == ["cut", "cut"]
@@ -239,8 +245,10 @@ def test_tables_are_of_one_writer_and_drop_what_is_stale(folder, tmp_path):
 
 
 def test_a_hang_a_death_and_an_odd_file_end_one_job_each(folder, tmp_path):
-    (long,) = find_jobs([STRUCTURES / "4pti.pdb"], Settings(methods=("lbfgs", "kcm"), max_evaluations=10**9))
-    (short,) = find_jobs([folder / "deep"], Settings(methods=("lbfgs",), max_evaluations=20))
+    (long,) = find_jobs(
+        [STRUCTURES / "4pti.pdb"], BatchSettings(methods=("lbfgs", "kcm"), max_evaluations=10**9)
+    )
+    (short,) = find_jobs([folder / "deep"], BatchSettings(methods=("lbfgs",), max_evaluations=20))
     child = Child(threads=1)
     rows = child.do(long, tmp_path, time_limit=6.0)
     assert [row.record["status"] for row in rows] == ["converged", "time-limit"]
@@ -256,7 +264,7 @@ def test_a_hang_a_death_and_an_odd_file_end_one_job_each(folder, tmp_path):
 
 
 def test_a_child_does_not_outlive_its_worker(folder, tmp_path):
-    (long,) = find_jobs([STRUCTURES / "1hel.pdb"], Settings(methods=("kcm",), max_evaluations=10**9))
+    (long,) = find_jobs([STRUCTURES / "1hel.pdb"], BatchSettings(methods=("kcm",), max_evaluations=10**9))
     child = Child(threads=1)
     child._send((long, tmp_path, 1))
     time.sleep(0.5)
@@ -266,7 +274,7 @@ def test_a_child_does_not_outlive_its_worker(folder, tmp_path):
 
 
 def test_a_bug_or_full_memory_is_a_row(folder, tmp_path, monkeypatch):
-    (job,) = find_jobs([folder / "deep"], Settings(methods=("lbfgs", "kcm")))
+    (job,) = find_jobs([folder / "deep"], BatchSettings(methods=("lbfgs", "kcm")))
     for error, status, said in (
         (MemoryError(), "killed", "out of memory"),
         (ZeroDivisionError("oh\nno"), "error", "ZeroDivisionError: oh no"),
@@ -282,7 +290,7 @@ def test_a_bug_or_full_memory_is_a_row(folder, tmp_path, monkeypatch):
 
 
 def test_ends_are_compared_with_openmms(folder, tmp_path):
-    (job,) = find_jobs([folder / "deep"], Settings(methods=("lbfgs", "openmm"), max_evaluations=300))
+    (job,) = find_jobs([folder / "deep"], BatchSettings(methods=("lbfgs", "openmm"), max_evaluations=300))
     rows = {row.record["method"]: row.record for row in run(job, tmp_path, 1)}
     ends = {name: pc.load(tmp_path / f"ala10.{name}.pdb") for name in rows}
     apart = pc.ca_rmsd(ends["lbfgs"], ends["lbfgs"].positions, ends["openmm"].positions)
@@ -293,7 +301,7 @@ def test_ends_are_compared_with_openmms(folder, tmp_path):
 def test_names_are_escaped_on_pages(tmp_path):
     path = tmp_path / f"{EVIL.replace('/', '|')}.pdb"
     path.write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
-    (job,) = find_jobs([path], Settings(methods=("lbfgs",), max_evaluations=3))
+    (job,) = find_jobs([path], BatchSettings(methods=("lbfgs",), max_evaluations=3))
     list(run(job, tmp_path, 1))
     (page,) = (tmp_path / "pages").iterdir()
     assert "<script>" not in page.read_text() and "&lt;script&gt;" in page.read_text()
@@ -335,6 +343,6 @@ def test_a_cluster_that_is_not_there_is_named(folder, tmp_path):
 
 @pytest.mark.parametrize("options", [{"workers": 0}, {"threads": 0}, {"time_limit": 0.0}, {"colour": "red"}])
 def test_options_that_make_no_sense_are_refused_before_any_work(options, folder, tmp_path):
-    with pytest.raises(pc.ProtochainError, match=r"numbers above 0|unexpected keyword"):
+    with pytest.raises(pc.ProtochainError, match=r"numbers above 0|no setting is called 'colour'"):
         pc.batch(folder, tmp_path / "new", **options)
     assert not (tmp_path / "new").exists() and ROOT.exists()

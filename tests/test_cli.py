@@ -123,6 +123,7 @@ def test_build_makes_a_file_that_loads(tmp_path):
         (["batch", "in.pdb", "--time-limit", "0"], ["time-limit"]),
         (["bench", "speed"], ["'speed'", "precision, stability"]),
         (["info", "empty.pdb"], ["empty.pdb", "no atoms"]),
+        (["info", "in.pdb", "--model", "all"], ["model all", "give its number"]),
         (["build", "AAZ", "-o", "a.pdb"], ["letter 3"]),
     ],
 )
@@ -239,7 +240,7 @@ def test_what_is_taken_of_a_file_can_be_said(tmp_path):
     assert n_atoms[1] == n_atoms[0] + 6 and n_atoms[3] == n_atoms[0] + 180 and n_atoms[4] > n_atoms[0]
     for wrong, why in (
         (("--disulfide", "5-55"), "A:3-A:40"),
-        (("--disulfide", "A:5-A:55", "--no-disulfide"), "refused at once"),
+        (("--disulfide", "A:5-A:55", "--no-disulfide"), "exclude each other"),
         (("--model", "one"), "give its number"),
         (("--model", "2"), "no model 2"),
         (("--ph", "15"), "pH 15"),

@@ -8,7 +8,7 @@ from conftest import PDB_ROUNDING_NM, STRUCTURES, chain, energy, load
 from openmm import app, unit
 
 import protochain as pc
-from protochain.analysis.comparing import DEFAULT_METHODS
+from protochain import defaults
 from protochain.analysis.viewer import library
 from protochain.minimisers import RECIPES
 from protochain.structure.trajectory import TrajectoryFile
@@ -27,7 +27,7 @@ def folder(comparison, tmp_path_factory):
 
 
 def test_every_method_is_judged_from_one_start(comparison):
-    assert [s.method for s in comparison.solutions] == list(DEFAULT_METHODS)
+    assert [s.method for s in comparison.solutions] == list(defaults.COMPARED)
     assert comparison.table["energy_start_kj_mol"].nunique() == 1
     judge = energy("1l2y.pdb").reference
     for s in comparison.solutions:
@@ -36,7 +36,7 @@ def test_every_method_is_judged_from_one_start(comparison):
 
 def test_the_folder_holds_what_the_interface_promises(folder):
     names = {path.name for path in folder.iterdir()}
-    structures = {f"1l2y.{m}.pdb" for m in ("start", *DEFAULT_METHODS)}
+    structures = {f"1l2y.{m}.pdb" for m in ("start", *defaults.COMPARED)}
     tables = {
         f"{stem}.csv"
         for stem in ("summary", "traces", "quality", "displacement", "equal_cost", "work", "spread")
@@ -111,7 +111,7 @@ def test_rmsd_is_symmetric_and_between_the_ends(comparison):
 
 
 @pytest.mark.parametrize("suffix", [".pdb", ".cif"])
-@pytest.mark.parametrize("method", DEFAULT_METHODS)
+@pytest.mark.parametrize("method", defaults.COMPARED)
 def test_openmm_alone_finds_the_reported_energy_in_the_written_file(comparison, method, suffix, tmp_path):
     s = next(s for s in comparison.solutions if s.method == method)
     path = tmp_path / f"out{suffix}"
@@ -287,7 +287,7 @@ def test_equal_cost_is_the_lowest_energy_so_far(comparison, folder):
     traces = comparison.traces
     assert set(table["cost"]) == {"evaluations", "seconds"}
     for row in table.to_dict("records"):
-        for method in DEFAULT_METHODS:
+        for method in defaults.COMPARED:
             run = traces[(traces["method"] == method) & (traces[row["cost"]] <= row["at"] * (1 + 1e-12))]
             if run.empty:
                 assert np.isnan(row[method])

@@ -1,12 +1,17 @@
 """The studies of ``protochain bench``, cut short: what they measure, and what they write."""
 
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.linalg import eigh
 
 import protochain as pc
+from protochain.analysis import studies
 from protochain.analysis.studies import precision, stability, study
+from protochain.cli import app
 from protochain.multibody import HingeKind, mass_matrix, pose, random_tree
 
 
@@ -69,3 +74,11 @@ def test_a_study_that_is_not_there_is_named():
         pc.ProtochainError, match="there is no study 'speed'; choose from precision, stability"
     ):
         study("speed")
+
+
+def test_a_study_is_a_module_and_its_name(tmp_path, monkeypatch, capsys):
+    mine = SimpleNamespace(run=lambda output, inputs: iter([pd.DataFrame({"measured": [len(inputs)]})]))
+    monkeypatch.setitem(sys.modules, "protochain.analysis.studies.mine", mine)
+    monkeypatch.setattr(studies, "STUDIES", (*studies.STUDIES, "mine"))
+    assert app(["bench", "mine", "a.pdb", "-o", str(tmp_path)], standalone_mode=False) == 0
+    assert capsys.readouterr().out.split()[:2] == ["measured", "1"]

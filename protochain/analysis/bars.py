@@ -11,26 +11,26 @@ _SHOWN = {
     "time_ps": "{:.2f} ps",
     "temperature_k": "{:.0f} K",
 }
-"""What a row may say, and how; it has no torque (not a number) where all atoms move."""
+"""Values shown beside the bar, where a row has them; the torque is nan where all atoms move."""
 
 
 def progress(title: str = "") -> Callable[[Mapping[str, float], Floats], None]:
-    """Return a watcher that shows a bar: ``minimise(..., watch=pc.progress("lbfgs"))``.
+    """Show a progress bar: ``minimise(..., watch=pc.progress("lbfgs"))``.
 
     Parameters
     ----------
     title : str
-        What to call it. As ``compare(..., watch=pc.progress)`` each run gets a bar under its method's name.
+        Name of the bar. With ``compare(..., watch=pc.progress)``, each run has a bar named after its method.
 
     Returns
     -------
     callable
-        For ``watch`` of :func:`protochain.minimise` and :func:`protochain.simulate`. The bar stops when
-        nothing holds the watcher any more.
+        Watcher for :func:`protochain.minimise` and :func:`protochain.simulate`. The bar closes when the
+        watcher is no longer referenced.
     """
     from tqdm.auto import tqdm
 
-    # How many evaluations a run takes nobody knows before.
+    # The number of evaluations is not known in advance.
     bar: Any = tqdm(desc=title, unit=" evaluations")
 
     def watch(row: Mapping[str, float], x: Floats) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from protochain import defaults
 from protochain.analysis.comparison import Comparison
 from protochain.articulate import as_chain
 from protochain.energies import energy as build_energy
@@ -16,21 +17,18 @@ from protochain.minimisers.solution import Watcher
 from protochain.minimisers.start import Start
 from protochain.structure import as_structure
 
-DEFAULT_METHODS = ("kcm", "md", "lbfgs", "hybrid", "openmm")
-"""The two methods of the original comparison, the best in torsions, the best of all, and the reference."""
-
 
 @held_interrupts()
 def compare(
     structure: Any,
-    methods: Sequence[Any] = DEFAULT_METHODS,
+    methods: Sequence[Any] = defaults.COMPARED,
     energy: Any = None,
-    tolerance: float = 1.0,
-    max_evaluations: int = 5000,
-    seed: int = 0,
+    tolerance: float = defaults.TOLERANCE,
+    max_evaluations: int = defaults.MAX_EVALUATIONS,
+    seed: int = defaults.SEED,
     *,
     reference: Any = None,
-    repeats: int = 3,
+    repeats: int = defaults.REPEATS,
     watch: Callable[[str], Watcher] | None = None,
 ) -> Comparison:
     """Minimise one structure by several methods from the same prepared start.

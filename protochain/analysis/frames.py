@@ -1,17 +1,17 @@
-"""Every frame of a trajectory, minimised or measured, the way MDAnalysis analyses trajectories."""
+"""Minimise or measure every frame of a trajectory, as an analysis of MDAnalysis."""
 
 from typing import Any
 
 import pandas as pd
 from MDAnalysis.analysis.base import AnalysisBase
 
-from protochain.articulate import build_chain
+from protochain import defaults
 from protochain.chain import pose
 from protochain.energies.shared import shared_energy
 from protochain.errors import ProtochainError
 from protochain.minimisers import minimise
 from protochain.minimisers.verdict import Judgement, judge
-from protochain.structure import as_structure
+from protochain.setup import Setup
 
 
 class EveryFrame(AnalysisBase):
@@ -20,47 +20,41 @@ class EveryFrame(AnalysisBase):
     Parameters
     ----------
     atoms : MDAnalysis.Universe or AtomGroup
-        Each frame is prepared as a file would be; frames whose atoms are the same share one energy.
+        Atoms of the protein. Each frame is prepared as a file would be; frames with the same atoms share one
+        energy.
     method : str, optional
         As in :func:`protochain.minimise`; None only measures.
-    hinges : str
-        As in :func:`protochain.build_chain`.
-    forcefield, solvent : str
-        As in :func:`protochain.energy`.
-    tolerance, max_evaluations
+    tolerance : float
+        As in :func:`protochain.minimise`.
+    max_evaluations : int
         As in :func:`protochain.minimise`.
     **settings
-        Of the preparation, as of :func:`protochain.load`.
+        Fields of :class:`protochain.Setup`: ``hinges``, ``forcefield``, ``solvent`` ...
 
     Attributes
     ----------
     results.table : pandas.DataFrame
         A row a frame: ``frame``, ``time_ps``, ``energy_start_kj_mol``, ``max_torque_start_kj_mol_rad``,
         ``rms_force_start_kj_mol_nm``; of a minimised one also ``energy_end_kj_mol``, ``ca_rmsd_angstrom``,
-        ``evaluations``, ``seconds``, ``status`` and ``message``. Energies are the judge's. Of a frame that
-        cannot be used there is the message alone, which says why.
+        ``evaluations``, ``seconds``, ``status`` and ``message``. Energies are those of OpenMM's Reference
+        platform. A frame that cannot be used has only the ``message``, which gives the reason.
     results.structures : list of Structure
-        The end of each frame; None where a frame cannot be used.
+        Final structure of each frame; None where a frame cannot be used.
     """
 
     def __init__(
         self,
         atoms: Any,
-        method: str | None = "lbfgs",
+        method: str | None = defaults.FRAME_METHOD,
         *,
-        hinges: str = "phi psi chi",
-        forcefield: str = "amber14",
-        solvent: str = "obc2",
-        tolerance: float = 1.0,
-        max_evaluations: int = 5000,
+        tolerance: float = defaults.TOLERANCE,
+        max_evaluations: int = defaults.MAX_EVALUATIONS,
         **settings: Any,
     ) -> None:
         self.atoms = atoms.atoms
         super().__init__(self.atoms.universe.trajectory)
-        self.method, self.hinges = method, hinges
-        self.energy_settings = {"forcefield": forcefield, "solvent": solvent}
+        self.method, self.setup = method, Setup(**settings)
         self.budget: dict[str, Any] = {"tolerance": tolerance, "max_evaluations": max_evaluations}
-        self.settings = settings
 
     def _prepare(self) -> None:
         self._rows: list[dict[str, Any]] = []
@@ -70,8 +64,8 @@ class EveryFrame(AnalysisBase):
         row: dict[str, Any] = {"frame": self._ts.frame, "time_ps": self._ts.time}
         end = None
         try:
-            start = as_structure(self.atoms, f"frame {self._ts.frame}", **self.settings)
-            chain, energy = build_chain(start, self.hinges), shared_energy(start, **self.energy_settings)
+            name = f"frame {self._ts.frame}"
+            start, chain, energy = self.setup.prepare(self.atoms, name, shared_energy)
             if self.method is None:
                 row |= _measured(judge(chain, energy, pose(chain, chain.q0)))
                 end = start

@@ -1,6 +1,7 @@
 """Many structures, on one machine or on a cluster, by Dask."""
 
-from protochain.batches.api import Batch, batch
-from protochain.batches.jobs import Job, Settings, find_jobs
+from protochain.batches.api import Batch, BatchProgress, batch
+from protochain.batches.cluster import Processes
+from protochain.batches.jobs import BatchSettings, Job, find_jobs
 
-__all__ = ["Batch", "Job", "Settings", "batch", "find_jobs"]
+__all__ = ["Batch", "BatchProgress", "BatchSettings", "Job", "Processes", "batch", "find_jobs"]

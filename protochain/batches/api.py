@@ -5,7 +5,7 @@ import platform
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 from distributed import LocalCluster, as_completed
 from distributed.client import Client, Future
 
-from protochain.batches.cluster import connected
-from protochain.batches.jobs import Job, Row, Settings, failure, find_jobs
+from protochain import defaults
+from protochain.batches.cluster import Processes, connected
+from protochain.batches.jobs import BatchSettings, Job, Row, failure, find_jobs
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables, read_table
-from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.storage import write_atomically
 
@@ -29,20 +29,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _AHEAD = 4
-"""Jobs that wait at the scheduler for each thread of the cluster: enough that none is idle, and no more."""
+"""Jobs waiting at the scheduler for each thread of the cluster: enough to keep all threads busy."""
 
 _RECOUNT = 5.0
 """s between counts of the cluster's threads: it may grow."""
 
 
 @dataclass(frozen=True)
-class Progress:
-    """How far a batch is.
+class BatchProgress:
+    """Progress of a batch, counted in structures.
 
     Parameters
     ----------
     total, done, failed, skipped : int
-        Structures: of the whole batch, done now, of these without any usable result, done before.
+        All; minimised in this call; of these without any usable result; finished by an earlier call.
     seconds : float
         Since the first was submitted.
     dashboard : str
@@ -57,18 +57,16 @@ class Progress:
     dashboard: str
 
 
-Watcher = Callable[[Progress], None]
-
-
 @dataclass(frozen=True)
 class Batch:
-    """What a batch left in its folder.
+    """Results of a batch, read from its folder.
 
     Parameters
     ----------
     folder : Path
+        Folder of the batch.
     interrupted : bool
-        Whether it ended before all was done.
+        Whether it was stopped before all structures were done.
     """
 
     folder: Path
@@ -81,21 +79,21 @@ class Batch:
 
     @cached_property
     def traces(self) -> "pd.DataFrame":
-        """``traces.csv``: some fifty points of every run."""
+        """``traces.csv``: up to fifty points of every run."""
         return read_table(self.folder / "traces.csv")
 
     @property
     def report(self) -> Path:
-        """The page of the whole set."""
+        """Path of the page that summarises all structures."""
         return self.folder / "report.html"
 
     def counts(self) -> dict[str, int]:
-        """Return how many rows ended how."""
+        """Return the number of rows of each status."""
         return {str(status): int(n) for status, n in self.table["status"].value_counts().items()}
 
     def __repr__(self) -> str:
-        said = ", ".join(f"{n} {status}" for status, n in self.counts().items())
-        return f"<Batch in {self.folder}: {said}>"
+        counts = ", ".join(f"{n} {status}" for status, n in self.counts().items())
+        return f"<Batch in {self.folder}: {counts}>"
 
     def _repr_html_(self) -> str:
         return self.table.iloc[:, :12].to_html(index=False, max_rows=20)
@@ -104,15 +102,11 @@ class Batch:
 def batch(
     inputs: str | Path | Iterable[str | Path],
     output: str | Path,
-    methods: str | Sequence[str] = ("hybrid",),
+    methods: str | Sequence[str] = (defaults.METHOD,),
     *,
     manifest: str | Path | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    threads: int = 1,
-    time_limit: float = 3600.0,
     resume: bool = False,
-    watch: Watcher | None = None,
+    watch: Callable[[BatchProgress], None] | None = None,
     **settings: Any,
 ) -> Batch:
     """Minimise many structures in worker processes; write tables, structures and pages.
@@ -125,46 +119,38 @@ def batch(
         Folder for ``summary.csv``, ``traces.csv``, structures and pages, to which rows are appended as they
         arrive; at the end also ``summary.parquet``, ``summary.json``, plots and ``report.html``.
     methods : str or sequence of str
-        As of :func:`protochain.minimise`. With ``openmm`` among them, C-alpha RMSDs to its end are reported.
+        As in :func:`protochain.minimise`. With ``openmm`` among them, C-alpha RMSDs to its end are reported.
     manifest : path-like, optional
-        CSV with a column ``path`` and any of the settings.
-    workers : int, optional
-        Processes on this machine; all cores by default.
-    scheduler : str, optional
-        Address of a Dask cluster to use instead. Its workers must see the same files under the same paths.
-    threads : int
-        Threads for each structure. One is best: many structures use the cores better than many threads.
-    time_limit : float, s
-        For each structure; what takes longer is killed and reported.
+        CSV with a column ``path`` and columns named after settings, which apply to that structure.
     resume : bool
-        Go on in a folder: structures whose content and settings are those of finished rows are skipped.
+        Continue in a folder: skip structures that are finished, with the same content and settings.
     watch : callable, optional
-        Called with a :class:`Progress` after each structure.
+        Called with a :class:`protochain.batches.BatchProgress` after each structure.
     **settings
-        Any others of :class:`protochain.batches.Settings`: ``solvent="gbn2"``, ``model="all"`` ...
+        Fields of :class:`protochain.batches.BatchSettings` (``max_evaluations``, ``seed`` ...), of
+        :class:`protochain.Setup` (``solvent="gbn2"``, ``model="all"`` ...), and of
+        :class:`protochain.batches.Processes` (``workers``, ``scheduler``, ``threads``, ``time_limit``).
 
     Returns
     -------
     Batch
-        What fails is a row with a status and a message; nothing of it stops the others.
+        Tables and pages. A structure that fails is a row with a status and a message, and stops no other.
 
     Raises
     ------
     ProtochainError
-        If there is nothing to do, a setting makes no sense, or the folder or cluster cannot be used.
+        If there is nothing to do, a setting is unknown or makes no sense, or the folder or cluster cannot be
+        used.
 
     Notes
     -----
-    A script that calls this must do so under ``if __name__ == "__main__":``, as all that start processes.
+    A script must call it under ``if __name__ == "__main__":``, as any function that starts processes.
     """
     given = [inputs] if isinstance(inputs, str | Path) else list(inputs)
     chosen = (methods,) if isinstance(methods, str) else tuple(methods)
-    if not time_limit > 0 or threads < 1 or (workers is not None and workers < 1):
-        raise ProtochainError("time-limit, threads and workers: give numbers above 0")
-    try:
-        common = Settings(methods=chosen, **settings)
-    except TypeError as error:
-        raise ProtochainError(f"settings: {error}") from error
+    names = [field.name for field in fields(Processes) if field.name in settings]
+    processes = Processes(**{name: settings.pop(name) for name in names})
+    common = BatchSettings(chosen).changed(**settings)
     folder = Path(output)
     jobs = find_jobs(given, common, Path(manifest) if manifest else None, folder)
     tables = Tables(folder, resume)
@@ -173,8 +159,8 @@ def batch(
         todo = [job for job in jobs if job.identity not in done]
         interrupted = False
         if todo:
-            with connected(workers, scheduler, threads) as client:
-                interrupted = _work(client, todo, tables, threads, time_limit, len(done), watch)
+            with connected(processes) as client:
+                interrupted = _work(client, todo, tables, processes, len(done), watch)
         with held_interrupts():
             tables.sort(jobs)
             _finish(folder, jobs)
@@ -187,12 +173,11 @@ def _work(
     client: Client,
     todo: Sequence[Job],
     tables: Tables,
-    threads: int,
-    time_limit: float,
+    processes: Processes,
     skipped: int,
-    watch: Watcher | None,
+    watch: Callable[[BatchProgress], None] | None,
 ) -> bool:
-    """Have the jobs done; append their rows as they arrive. Return whether it ended before all were."""
+    """Run the jobs and append their rows as they arrive. Return whether it was interrupted."""
     began = perf_counter()
     folder = tables.folder.absolute()
     waiting = iter(todo)
@@ -201,19 +186,21 @@ def _work(
 
     def submit(count: int) -> Iterator[Future]:
         for job in islice(waiting, count):
-            future = client.submit(supervise, job, folder, threads, time_limit, pure=False)
+            future = client.submit(
+                supervise, job, folder, processes.threads, processes.time_limit, pure=False
+            )
             of[future.key] = job
             yield future
 
-    # A scheduler elsewhere may have Bokeh, which draws it; ours has what is installed here.
-    there = find_spec("bokeh") or not isinstance(client.cluster, LocalCluster)
-    dashboard = client.dashboard_link if there else ""
+    # Bokeh draws the dashboard. Only of a scheduler on this machine is it known whether it has it.
+    drawn = find_spec("bokeh") or not isinstance(client.cluster, LocalCluster)
+    dashboard = client.dashboard_link if drawn else ""
     window = _Window(client)
     running = as_completed(submit(window.size()), loop=client.loop)
     try:
         for future in running:
             if future.status not in ("finished", "error"):
-                return True  # The scheduler is gone.
+                return True  # The connection to the scheduler is lost.
             with held_interrupts() as interrupts:
                 rows = _rows(future, of.pop(future.key))
                 tables.append(rows)
@@ -222,7 +209,7 @@ def _work(
             if watch:
                 total = skipped + len(todo)
                 seconds = perf_counter() - began
-                watch(Progress(total, done, failed, skipped, seconds, dashboard))
+                watch(BatchProgress(total, done, failed, skipped, seconds, dashboard))
             if interrupts:
                 raise KeyboardInterrupt
             for further in submit(max(0, window.size() - len(of))):
@@ -234,7 +221,7 @@ def _work(
 
 
 class _Window:
-    """How many jobs to have at the scheduler: the client's memory does not grow with the batch."""
+    """Number of jobs to have at the scheduler, so that memory does not grow with the batch."""
 
     def __init__(self, client: Client) -> None:
         self.client, self.counted, self.threads = client, -_RECOUNT, 0
@@ -246,16 +233,16 @@ class _Window:
 
 
 def _rows(future: Future, job: Job) -> list[Row]:
-    """Return the rows of a job, or what Dask says of it."""
+    """Return the rows of a job, or rows with the error that Dask reports."""
     if future.status == "finished":
         rows: list[Row] = future.result()
         return rows
-    message = f"no worker finished it: {future.exception()}"
+    message = f"no worker finished this structure: {future.exception()}"
     return [failure(job, method, "killed", message) for method in job.settings.methods]
 
 
 def _finish(folder: Path, jobs: Sequence[Job]) -> None:
-    """Write what is made from the whole table."""
+    """Write the summaries and pages of the whole table."""
     from protochain.batches.report import write_report
 
     table = read_table(folder / "summary.csv")
@@ -278,7 +265,7 @@ def _finish(folder: Path, jobs: Sequence[Job]) -> None:
         "command": sys.argv,
         "python": platform.python_version(),
         "versions": {name: version(name) for name in packages},
-        "settings": asdict(jobs[0].settings),
+        "settings": jobs[0].settings.record(),
     }
     text = json.dumps(summary, indent=2, default=str)
     write_atomically(folder / "summary.json", lambda to: to.write_text(text, encoding="utf-8"))

@@ -1,7 +1,7 @@
-"""The process that minimises: ``python -m protochain.batches.child``, started and fed by a worker.
+"""The process that minimises: ``python -m protochain.batches.child``, started by a worker.
 
-It may hang, be killed, or run out of memory; the worker only reads its pipe. Jobs come in on standard input,
-rows go out on standard output, pickled.
+It may hang, be killed, or run out of memory without harm to the worker. It reads pickled jobs from standard
+input and writes pickled rows to standard output.
 """
 
 import os
@@ -17,12 +17,12 @@ READY, DONE = "ready", "done"
 
 
 def main() -> None:
-    """Work until the worker closes the pipe."""
+    """Run jobs until the worker closes the pipe."""
     results = os.fdopen(os.dup(1), "wb")
-    # What libraries print must not get between the rows.
+    # Output of libraries must not mix with the rows.
     os.dup2(2, 1)
     with suppress(OSError):
-        # If memory ends, this process is to go, and not the worker or somebody else's.
+        # When memory runs out, the system is to kill this process, and not the worker.
         Path("/proc/self/oom_score_adj").write_text("500")
     jobs: queue.Queue[Any] = queue.Queue()
     threading.Thread(target=_read, args=(sys.stdin.buffer, jobs), daemon=True).start()
@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def _read(source: BinaryIO, jobs: "queue.Queue[Any]") -> None:
-    """Pass on what comes; without a worker nobody waits for the result."""
+    """Pass jobs on as they arrive; end when the worker has gone."""
     while True:
         try:
             jobs.put(pickle.load(source))
@@ -53,7 +53,7 @@ def _send(target: BinaryIO, message: Any) -> None:
 
 
 def _warm_up() -> None:
-    """Compile the kernels on a fresh installation, off the clock of the first structure."""
+    """Compile the kernels on a new installation, before the first structure is timed."""
     from protochain.articulate import build_chain
     from protochain.energies import energy
     from protochain.minimisers import minimise

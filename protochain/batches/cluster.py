@@ -1,46 +1,71 @@
-"""A Dask client: of a cluster of our own on this machine, or of one that is there."""
+"""A Dask client: of a cluster started on this machine, or of one that is running already."""
 
 import logging
 import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from importlib.metadata import version
 
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 from distributed.security import Security
 
+from protochain import defaults
 from protochain.errors import ProtochainError
 
 
-@contextmanager
-def connected(workers: int | None, scheduler: str | None, threads: int) -> Iterator[Client]:
-    """Give a client, and close what was started for it.
+@dataclass(frozen=True)
+class Processes:
+    """Where the structures of a batch are minimised, and what each may use.
 
     Parameters
     ----------
     workers : int, optional
         Processes on this machine; by default as many as its cores allow.
     scheduler : str, optional
-        Address of a cluster that is there. For ``tls://`` certificates are those of Dask's own settings
-        (``distributed.comm.tls``).
+        Address of a Dask cluster to use instead. Its workers must see the same files under the same paths.
+        For ``tls://`` the certificates are those of Dask's own settings (``distributed.comm.tls``).
     threads : int
-        That each worker may use.
+        Threads for each structure. One is best: many structures use the cores better than many threads.
+    time_limit : float, s
+        Time for each structure, after which it is given up and reported.
+
+    Raises
+    ------
+    ProtochainError
+        If a number is not above 0.
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+    threads: int = defaults.BATCH_THREADS
+    time_limit: float = defaults.TIME_LIMIT
+
+    def __post_init__(self) -> None:
+        if not self.time_limit > 0 or self.threads < 1 or (self.workers is not None and self.workers < 1):
+            raise ProtochainError("time-limit, threads and workers: give numbers above 0")
+
+
+@contextmanager
+def connected(processes: Processes) -> Iterator[Client]:
+    """Connect to a cluster, or start one on this machine; close afterwards what was started.
 
     Raises
     ------
     ProtochainError
         If the cluster does not answer, or runs another version of protochain.
     """
+    scheduler = processes.scheduler
     if scheduler is None:
-        count = workers or max(1, (os.cpu_count() or 1) // threads)
+        count = processes.workers or max(1, (os.cpu_count() or 1) // processes.threads)
         with (
             LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
                 host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",  # Another batch may have the usual port.
-                memory_limit=0,  # The worker only passes on; its child is watched by the system.
+                dashboard_address="127.0.0.1:0",  # The usual port may be another batch's.
+                memory_limit=0,  # Memory is used by the worker's child, which the system limits.
                 silence_logs=logging.CRITICAL,
             ) as cluster,
             Client(cluster) as client,
@@ -59,15 +84,15 @@ def connected(workers: int | None, scheduler: str | None, threads: int) -> Itera
 
 
 class _CalmWorker(WorkerPlugin):
-    """Leaves Ctrl-C, which all processes of a terminal get, to the client, who ends the workers."""
+    """Ignore Ctrl-C, which all processes of a terminal receive: the client ends the workers."""
 
     def setup(self, worker: Worker) -> None:
-        with suppress(ValueError):  # Not in a main thread, where no signal arrives.
+        with suppress(ValueError):  # Only a main thread receives signals.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _check_versions(client: Client, scheduler: str) -> None:
-    """Refuse workers that would compute something else."""
+    """Refuse workers with another version of protochain."""
     own = version("protochain")
     for worker, theirs in client.run(_version).items():
         if theirs != own:

@@ -1,4 +1,4 @@
-"""What a batch has to do: inputs found, named apart, and hashed with their settings."""
+"""Jobs of a batch: inputs found, given unique names, and hashed with their settings."""
 
 import csv
 import glob
@@ -6,42 +6,40 @@ import hashlib
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from protochain import defaults
 from protochain.errors import ProtochainError
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.recipes import recipe_of
-from protochain.structure.prepare import PH, own_file
+from protochain.setup import ALL_MODELS, Setup, words
+from protochain.structure.prepare import own_file
 from protochain.structure.read import model_numbers
 
 SUFFIXES = (".pdb", ".ent", ".cif", ".mmcif")
-"""What a folder is searched for, each also with .gz."""
+"""Suffixes searched for in a folder, each also with .gz."""
 
 _GLOB = frozenset("*?[")
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How a structure is minimised; a manifest's columns are these names.
+class BatchSettings:
+    """How each structure of a batch is prepared and minimised.
 
     Parameters
     ----------
     methods : tuple of str
-        As of :func:`protochain.minimise`, one after the other from the same start.
-    forcefield, solvent, engine
-        As of :func:`protochain.energy`.
-    hinges, move
-        As of :func:`protochain.build_chain`.
-    tolerance, max_evaluations, max_rmsd, seed
-        As of :func:`protochain.minimise`.
-    model : str
-        A model's number, ``all``, or empty for the first.
-    altloc, keep, ph, strict
-        As of :func:`protochain.load`; ``keep`` with commas between.
+        Run one after the other from the same start, as in :func:`protochain.minimise`.
+    tolerance, max_rmsd : float
+        As in :func:`protochain.minimise`.
+    max_evaluations, seed : int
+        As in :func:`protochain.minimise`.
+    setup : Setup
+        How the structure is prepared; its ``threads`` are those of the batch.
 
     Raises
     ------
@@ -49,21 +47,12 @@ class Settings:
         If a setting makes no sense.
     """
 
-    methods: tuple[str, ...] = ("hybrid",)
-    forcefield: str = "amber14"
-    solvent: str = "obc2"
-    engine: str = "auto"
-    hinges: str = "phi psi chi"
-    move: str = "all"
-    tolerance: float = 1.0
-    max_evaluations: int = 5000
+    methods: tuple[str, ...] = (defaults.METHOD,)
+    tolerance: float = defaults.TOLERANCE
     max_rmsd: float = float("inf")
-    seed: int = 0
-    model: str = ""
-    altloc: str = ""
-    keep: str = ""
-    ph: float = PH
-    strict: bool = False
+    max_evaluations: int = defaults.MAX_EVALUATIONS
+    seed: int = defaults.SEED
+    setup: Setup = field(default_factory=Setup)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "methods", tuple(dict.fromkeys(self.methods)))
@@ -71,62 +60,83 @@ class Settings:
             raise ProtochainError("methods: give at least one")
         for method in self.methods:
             Minimisation(recipe_of(method), self.tolerance, self.max_evaluations, max_rmsd=self.max_rmsd)
-        if self.model not in ("", "all") and not self.model.lstrip("-").isdigit():
-            raise ProtochainError(f"model {self.model!r}: give its number, or all")
 
-    def overridden(self, row: Mapping[str, str]) -> "Settings":
-        """Return these with what a row of a manifest says, empty cells aside."""
-        kinds = {each.name: type(getattr(self, each.name)) for each in fields(self)}
-        unknown = [name for name in row if name not in kinds]
-        if unknown:
-            raise ProtochainError(f"no setting is called {unknown[0]!r}; choose from {', '.join(kinds)}")
+    def changed(self, **settings: Any) -> "BatchSettings":
+        """Return these settings with some replaced, given by the names of their fields or of the setup's."""
+        _refuse_unknown(settings, (*_OWN, *_OF_SETUP))
+        setup = {name: settings.pop(name) for name in _OF_SETUP if name in settings}
+        return replace(self, **{"setup": replace(settings.pop("setup", self.setup), **setup)}, **settings)
+
+    def read(self, row: Mapping[str, str]) -> "BatchSettings":
+        """Return these settings with the filled cells of a manifest's row in their place."""
+        _refuse_unknown(row, tuple(_IN_MANIFEST))
+        cells = {name: text.strip() for name, text in row.items() if text.strip()}
+        if ":" in cells.get("methods", ""):
+            raise ProtochainError("methods: an import path runs code; give it as an option of the batch")
         try:
-            changed = {name: _read(kinds[name], text.strip()) for name, text in row.items() if text.strip()}
+            return self.changed(**{name: _IN_MANIFEST[name](text) for name, text in cells.items()})
         except ValueError as error:
             raise ProtochainError(str(error)) from error
-        return replace(self, **changed)
+
+    def record(self) -> dict[str, Any]:
+        """Return plain values by name; ``threads`` change no setting, and each row records them."""
+        values = asdict(self) | asdict(self.setup)
+        return {name: value for name, value in values.items() if name not in ("setup", "threads")}
 
 
-def _read(kind: type, text: str) -> Any:
-    if kind is bool:
-        if text.lower() not in ("true", "false", "yes", "no", "1", "0"):
-            raise ValueError(f"{text!r} is neither true nor false")
-        return text.lower() in ("true", "yes", "1")
-    if kind is tuple:
-        return tuple(word.strip() for word in text.split(",") if word.strip())
-    return kind(text)
+def _refuse_unknown(given: Iterable[str], known: Sequence[str]) -> None:
+    unknown = next((name for name in given if name not in known), None)
+    if unknown is not None:
+        raise ProtochainError(f"no setting is called {unknown!r}; choose from {', '.join(known)}")
+
+
+def _truth(text: str) -> bool:
+    if text.lower() not in ("true", "false", "yes", "no", "1", "0"):
+        raise ValueError(f"{text!r} is neither true nor false")
+    return text.lower() in ("true", "yes", "1")
+
+
+_OWN, _OF_SETUP = (tuple(each.name for each in fields(kind)) for kind in (BatchSettings, Setup))
+_READERS: Mapping[type, Callable[[str], Any]] = {bool: _truth, int: int, float: float, tuple: words}
+_IN_MANIFEST = {
+    each.name: _READERS.get(type(each.default), str)
+    for each in (*fields(BatchSettings), *fields(Setup))
+    # A list of structures may not decide that the code in a force-field file is run.
+    if each.name not in ("setup", "threads", "trust_forcefield")
+}
+"""Columns of a manifest beside ``path``, and how the text of a cell is read."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One structure to minimise.
+    """Structure to minimise, with its settings.
 
     Parameters
     ----------
     name : str
-        Unlike all others of the batch: what its files are called.
+        Unique in the batch; its files are named after it.
     path : Path
         Absolute.
-    settings : Settings
-        ``model`` is a number or empty.
+    settings : BatchSettings
+        The setup's model is a number, or None for the first.
     key : str
         SHA-256 of the file's content, the settings, and the version of protochain.
     """
 
     name: str
     path: Path
-    settings: Settings
+    settings: BatchSettings
     key: str
 
     @property
     def identity(self) -> tuple[str, str]:
-        """What makes its rows its own: a changed file or setting makes others."""
+        """Name and key: rows of an earlier file or other settings have another."""
         return self.name, self.key
 
 
 @dataclass(frozen=True)
 class Row:
-    """What one method made of one structure.
+    """Result of one method for one structure.
 
     Parameters
     ----------
@@ -141,31 +151,38 @@ class Row:
 
 
 def failure(job: Job, method: str, status: str, message: str, seconds: float = 0.0) -> Row:
-    """Return the row of a method that made nothing: why stands in ``status`` and ``message``."""
+    """Return the row of a method without a result; ``status`` and ``message`` give the reason."""
     record = origin(job) | {"method": method, "status": status, "message": " ".join(message.split())}
     return Row(record | {"seconds": seconds}, [])
 
 
 def origin(job: Job) -> dict[str, Any]:
-    """Columns that say which structure a row is of."""
-    return {"structure": job.name, "input": str(job.path), "model": job.settings.model, "key": job.key}
+    """Return the columns that identify the structure of a row."""
+    model = job.settings.setup.model
+    return {
+        "structure": job.name,
+        "input": str(job.path),
+        "model": "" if model is None else model,
+        "key": job.key,
+    }
 
 
 @dataclass(frozen=True)
 class _Found:
     path: Path
-    settings: Settings
+    settings: BatchSettings
     content: str = field(default="", compare=False)
 
     @property
     def stem(self) -> str:
         inner = Path(self.path.stem) if self.path.suffix.lower() == ".gz" else self.path
-        return inner.stem + (f".{self.settings.model}" if self.settings.model else "")
+        model = self.settings.setup.model
+        return inner.stem + ("" if model is None else f".{model}")
 
 
 def find_jobs(
     inputs: Iterable[str | Path],
-    settings: Settings,
+    settings: BatchSettings,
     manifest: Path | None = None,
     output: Path | None = None,
 ) -> list[Job]:
@@ -175,17 +192,17 @@ def find_jobs(
     ----------
     inputs : iterable of str or path-like
         Files, folders (all structures below them), patterns, or ``-`` for a list on standard input.
-    settings : Settings
-        Of all; ``model="all"`` makes a job of each model.
+    settings : BatchSettings
+        Of all jobs; with the model ``all``, each model of a file is a job.
     manifest : Path, optional
         CSV with a column ``path`` and any of the settings; paths are relative to its folder.
     output : Path, optional
-        Where results will go: folders are not searched there, and nothing in it may be an input.
+        Folder for the results: it is not searched, and no input may lie in it.
 
     Returns
     -------
     list of Job
-        In the order given, each once. A file that is missing or cannot be read is a job too, which fails.
+        In the order given, without duplicates. A file that is missing or cannot be read is a job that fails.
 
     Raises
     ------
@@ -233,7 +250,7 @@ def _is_structure(path: Path) -> bool:
     return inner.suffix.lower() in SUFFIXES and path.is_file()
 
 
-def _from_manifest(manifest: Path, settings: Settings) -> list[_Found]:
+def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
     with manifest.open(newline="", encoding="utf-8-sig") as file:
         reader = csv.DictReader(file, restkey="", restval="")
         if "path" not in (reader.fieldnames or ()):
@@ -243,7 +260,7 @@ def _from_manifest(manifest: Path, settings: Settings) -> list[_Found]:
             try:
                 if "" in row:
                     raise ProtochainError("more cells than columns")
-                own = settings.overridden({k: v for k, v in row.items() if k != "path"})
+                own = settings.read({k: v for k, v in row.items() if k != "path"})
             except ProtochainError as error:
                 raise ProtochainError(f"{manifest}: line {reader.line_num}: {error}") from error
             found.append(_Found(manifest.parent / row["path"].strip(), own))
@@ -251,14 +268,14 @@ def _from_manifest(manifest: Path, settings: Settings) -> list[_Found]:
 
 
 def _models(found: _Found) -> list[_Found]:
-    if found.settings.model != "all":
+    if found.settings.setup.model != ALL_MODELS:
         return [found]
     try:
         numbers: Sequence[int] = model_numbers(found.path)
     except (ProtochainError, OSError):
-        numbers = ()  # It fails when its turn comes.
-    models = [str(number) for number in numbers] if len(numbers) > 1 else [""]
-    return [replace(found, settings=replace(found.settings, model=model)) for model in models]
+        numbers = ()  # The job fails, with the reason, when it is run.
+    models = numbers if len(numbers) > 1 else [None]
+    return [replace(found, settings=found.settings.changed(model=model)) for model in models]
 
 
 def _hash(path: Path) -> str:
@@ -270,13 +287,13 @@ def _hash(path: Path) -> str:
 
 
 def _key(found: _Found) -> str:
-    own = own_file(found.settings.forcefield)
-    said = [version("protochain"), found.content, asdict(found.settings), _hash(own) if own else ""]
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+    own = own_file(found.settings.setup.forcefield)
+    parts = [version("protochain"), found.content, found.settings.record(), _hash(own) if own else ""]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
 def _named_apart(found: list[_Found]) -> list[Job]:
-    """Name jobs after their files; those that share a name get their key's beginning too."""
+    """Name jobs after their files; where names coincide, add the first digits of the key."""
     stems = Counter(each.stem for each in found)
     taken: Counter[str] = Counter()
     jobs = []
@@ -284,7 +301,7 @@ def _named_apart(found: list[_Found]) -> list[Job]:
         key = _key(each)
         name = each.stem if stems[each.stem] == 1 else f"{each.stem}-{key[:8]}"
         taken[name] += 1
-        # The same content twice.
+        # Files of equal name and content have equal keys.
         name = name if taken[name] == 1 else f"{name}-{taken[name]}"
         # A worker may have been started in another folder.
         jobs.append(Job(name, each.path.absolute(), each.settings, key))

@@ -1,4 +1,4 @@
-"""The page of one structure: verdicts, a curve, what was changed. Small, for there may be thousands."""
+"""Page of one structure: results, energy curves, repairs. Small, as there may be thousands."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -11,7 +11,7 @@ from protochain.batches.jobs import Job, Row
 from protochain.storage import write_atomically
 
 WIDTH, HEIGHT = 640, 240
-"""Of the drawing, in its own units."""
+"""Size of the drawing, in units of the SVG."""
 
 
 def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[str]) -> None:
@@ -20,11 +20,13 @@ def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[st
     Parameters
     ----------
     folder : Path
-        Of the batch.
+        Folder of the batch.
     job : Job
+        Its structure.
     rows : sequence of Row
         One a method.
     repairs : sequence of str
+        Changes made to prepare it.
     """
     from protochain.minimisers.record import SHOWN
 
@@ -43,7 +45,12 @@ def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[st
 
 
 def curves(rows: Sequence[Row]) -> dict[str, object]:
-    """Lowest energy so far against evaluations, as points of an SVG.
+    """Lowest energy so far against the logarithm of evaluations, as points of an SVG.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        One a method.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The page of a whole batch: how it ended, distributions, the worst cases first."""
+"""Page of a whole batch: counts of statuses, distributions, and rows with the worst first."""
 
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 WORST = 200
-"""Rows on the page; all are in the table."""
+"""Rows shown on the page; the table has all."""
 
 USABLE = "energy_end_reference_kj_mol"
 
@@ -26,6 +26,7 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
     Parameters
     ----------
     folder : Path
+        Folder of the batch.
     table : pandas.DataFrame
         As ``Batch.table``.
     summary : dict
@@ -55,7 +56,7 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
 
 
 def statistics(table: "pd.DataFrame") -> "pd.DataFrame":
-    """Quartiles of what distributions show.
+    """Return the quartiles of the quantities whose distributions are drawn.
 
     Parameters
     ----------
@@ -65,8 +66,8 @@ def statistics(table: "pd.DataFrame") -> "pd.DataFrame":
     Returns
     -------
     pandas.DataFrame
-        A row a method and quantity, which carries its unit: ``first_quartile``, ``median``,
-        ``third_quartile``, ``highest`` of the rows with a result.
+        A row for each method and quantity (its name ends in the unit): ``first_quartile``, ``median``,
+        ``third_quartile``, ``highest`` over the rows with a result.
     """
     import pandas as pd
 
@@ -90,7 +91,7 @@ def statistics(table: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
-    """Sort rows: without a result, then not converged, and among these what went farthest from its start.
+    """Sort rows: those without a result, those not converged, the others; in each, largest RMSD first.
 
     Parameters
     ----------
@@ -100,6 +101,7 @@ def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
     Returns
     -------
     pandas.DataFrame
+        The same rows.
     """
     rank = np.where(table[USABLE].isna(), 0, np.where(table["status"] != "converged", 1, 2))
     return (
@@ -110,19 +112,19 @@ def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str) -> Figure:
-    """Share of the structures up to each value, a line a method.
+    """Plot the cumulative distribution of a quantity, a line for each method.
 
     Parameters
     ----------
     values, methods : pandas.Series
-        Of the same rows; what is not a number is left out.
+        Of the same rows; missing values are left out.
     label : str
-        With its unit.
+        Name of the quantity, with its unit.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Cumulative, so that no width of bins is to be chosen and outliers are seen.
+        Cumulative, so that no bin width is chosen and outliers are seen.
     """
     figure = Figure(figsize=(5.2, 3.6), layout="constrained")
     ax = figure.subplots()
@@ -133,7 +135,7 @@ def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str) -> 
             style = ("-", "--", "-.", ":")[k % 4]
             ax.step(there, share, where="post", color=COLOURS[k % 7], linestyle=style, label=str(method))
     ax.set_xlabel(label)
-    ax.set_ylabel("structures up to there, %")
+    ax.set_ylabel("structures up to this value, %")
     ax.set_ylim(0, 101)
     plain(ax)
     if ax.lines:

@@ -1,4 +1,4 @@
-"""What a Dask worker does with a job: it has a child process do it, and outlives the child."""
+"""Dask workers: each runs its jobs in a child process, whose end it survives and reports."""
 
 import os
 import pickle
@@ -17,7 +17,7 @@ from protochain.batches.child import DONE
 from protochain.batches.jobs import Job, Row, failure
 
 _START = 600.0
-"""s. For a child to import and, on a fresh installation, to compile; several may compile at once."""
+"""s. Time for a child to import and, on a new installation, to compile; several may compile at once."""
 
 _PINNED = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENMM_CPU_THREADS",
@@ -25,7 +25,7 @@ _PINNED = (
 
 
 class ChildError(Exception):
-    """The child died or was late; ``status`` and text say which."""
+    """Raised when a child ended or exceeded its time; ``status`` and text say which."""
 
     def __init__(self, status: str, message: str) -> None:
         super().__init__(message)
@@ -33,37 +33,37 @@ class ChildError(Exception):
 
 
 class Child:
-    """A process that does one job after the other.
+    """A process that runs one job after the other.
 
     Parameters
     ----------
     threads : int
-        That its libraries may use.
+        Threads for its libraries.
     """
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
-        # Not a pipe: nobody reads it until the child is dead.
-        self.said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as the child)
+        # A pipe that is read only when the child has ended might fill.
+        self.said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the child)
         self.process = subprocess.Popen(
             [sys.executable, "-m", "protochain.batches.child"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self.said,
-            start_new_session=True,  # Ctrl-C is the client's business.
+            start_new_session=True,  # Ctrl-C is handled by the client.
             env=os.environ | dict.fromkeys(_PINNED, str(threads)),
         )
         self.messages: queue.Queue[Any] = queue.Queue()
         self.listener = threading.Thread(target=self._listen, daemon=True)
         self.listener.start()
         try:
-            self._next(perf_counter() + _START, "the process that was to work on it did not start")
+            self._next(perf_counter() + _START, "the process that minimises did not start in time")
         except ChildError:
             self.kill()
             raise
 
     def do(self, job: Job, folder: Path, time_limit: float) -> list[Row]:
-        """Have a job done; return a row for every method, whatever happens to the child."""
+        """Run a job in the child; return a row for every method, even if the child ends before."""
         rows: list[Row] = []
         began = perf_counter()
         try:
@@ -82,17 +82,17 @@ class Child:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it can be given a job."""
+        """Whether the process is running."""
         return self.process.poll() is None
 
     def kill(self) -> None:
-        """End it, if it has not ended, and let go of its pipes."""
+        """End the process, if it is running, and close its pipes."""
         self.process.kill()
         self.process.wait()
         self.listener.join()
         for pipe in (self.process.stdin, self.process.stdout, self.said):
             assert pipe
-            with suppress(OSError):  # What was not sent yet cannot be.
+            with suppress(OSError):  # Data that was not sent remains in the buffer.
                 pipe.close()
 
     def _send(self, message: Any) -> None:
@@ -126,32 +126,34 @@ class Child:
         self.said.seek(0, os.SEEK_SET)
         lines = self.said.read()[-2000:].decode(errors="replace").strip().splitlines()
         if status >= 0:
-            return f"the process that worked on it ended with status {status}: {lines[-1] if lines else ''}"
+            return f"the process that minimised it ended with status {status}: {lines[-1] if lines else ''}"
         name = signal.Signals(-status).name
         why = ", as when memory runs out" if name == "SIGKILL" else ""
-        return f"the process that worked on it was ended by {name}{why}"
+        return f"the process that minimised it was ended by {name}{why}"
 
 
 _here = threading.local()
-"""A child for each thread of a worker."""
+"""The child of each thread of a worker."""
 
 
 def supervise(job: Job, folder: Path, threads: int, time_limit: float) -> list[Row]:
-    """Do a job in this thread's child, started where there is none alive; return a row for every method.
+    """Run a job in this thread's child, started where none is running.
 
     Parameters
     ----------
     job : Job
+        Structure and settings.
     folder : Path
-        Where its files go.
+        Folder of the batch.
     threads : int
-        For the child.
+        Threads for the child.
     time_limit : float, s
-        After which the child is killed. Starting one does not count.
+        Time after which the child is killed; starting it does not count.
 
     Returns
     -------
     list of Row
+        A row for every method.
     """
     child: Child | None = getattr(_here, "child", None)
     try:

@@ -1,4 +1,4 @@
-"""The tables of a batch, appended to as results arrive, whole again after any death."""
+"""Tables of a batch: rows are appended as results arrive, and incomplete ones discarded on resuming."""
 
 import csv
 import io
@@ -22,10 +22,10 @@ COLUMNS = (
     *(column.key for column in record.COLUMNS), "ca_rmsd_to_openmm_angstrom", "seconds_preparation", "input",
     "model", "output", "key",
 )  # fmt: skip
-"""Of ``summary.csv``: those of a record, and those of a batch."""
+"""Columns of ``summary.csv``: those of a record, and those of a batch."""
 
 CIRCUMSTANCES = ("killed", "time-limit", "interrupted")
-"""Ends that may be others next time: done again on resuming."""
+"""Statuses that may differ next time: such runs are repeated on resuming."""
 
 TRACE_COLUMNS = (
     "structure", "method", "iteration", "evaluations", "seconds", "energy_kj_mol", "max_torque_kj_mol_rad",
@@ -39,19 +39,19 @@ class Tables:
     Parameters
     ----------
     folder : Path
-        Made if it is not there.
+        Created if it does not exist.
     resume : bool
-        Go on with what is in it; else it may not hold a batch.
+        Continue the batch in it; otherwise it may not hold one.
 
     Raises
     ------
     ProtochainError
-        If it holds a batch and is not to be resumed, or another process is writing to it.
+        If it holds a batch that is not to be resumed, or another process is writing to it.
 
     Notes
     -----
-    All rows of a structure are appended by one call of the system, its traces before them: a process that is
-    killed leaves them all or none. A machine that loses power may leave a part, which is cut off on resuming.
+    All rows of a structure are appended by one system call, after its traces: a process that is killed has
+    written all of them or none. A loss of power may leave an incomplete row, which is discarded on resuming.
     """
 
     def __init__(self, folder: Path, resume: bool) -> None:
@@ -63,24 +63,27 @@ class Tables:
         try:
             self.lock.acquire(timeout=0)
         except Timeout:
-            raise ProtochainError(f"{folder}: another batch is writing there; give another folder") from None
+            raise ProtochainError(
+                f"{folder}: another batch is writing to this folder; give another"
+            ) from None
         if self.summary.exists() and not resume:
             self.lock.release()
             raise ProtochainError(
-                f"{self.summary}: holds a batch; --resume goes on with it, or give another folder"
+                f"{self.summary}: holds a batch; --resume continues it, or give another folder"
             )
 
     def finished(self, jobs: Sequence[Job]) -> set[tuple[str, str]]:
-        """Drop what is not whole, or of these structures as they were before; return what is done.
+        """Discard incomplete rows and rows of superseded inputs; return the jobs that are finished.
 
         Parameters
         ----------
         jobs : sequence of Job
+            All jobs of the batch.
 
         Returns
         -------
         set of (str, str)
-            Identities of jobs that have all their rows, none of them cut short from outside.
+            Identities of the jobs with a row for each method, none of them killed or interrupted.
         """
         of = {job.name: job for job in jobs}
         groups = defaultdict(list)
@@ -103,7 +106,7 @@ class Tables:
         return done
 
     def append(self, rows: Iterable[Row]) -> None:
-        """Add all rows of a structure."""
+        """Append all rows of a structure."""
         rows = list(rows)
         own = {name: rows[0].record[name] for name in ("structure", "key")}
         traces = [own | {"method": row.record["method"]} | point for row in rows for point in row.trace]
@@ -111,7 +114,7 @@ class Tables:
         _append(self.summary, _lines(COLUMNS, [row.record for row in rows]))
 
     def sort(self, jobs: Sequence[Job]) -> None:
-        """Put the rows into the order of the jobs and their methods, and not that in which they arrived."""
+        """Sort the rows by job and method: they were appended as they arrived."""
         order = {
             (*job.identity, method): (k, m)
             for k, job in enumerate(jobs)
@@ -124,16 +127,16 @@ class Tables:
             _replace(path, columns, rows)
 
     def read(self) -> "pd.DataFrame":
-        """Return ``summary.csv``, with empty cells for what a failure has not."""
+        """Return ``summary.csv``; values that a failure lacks are missing."""
         return read_table(self.summary)
 
     def close(self) -> None:
-        """Let others write."""
+        """Release the lock."""
         self.lock.release()
 
 
 def read_table(path: Path) -> "pd.DataFrame":
-    """Read a table of a batch; names that look like numbers stay names."""
+    """Read a table of a batch; names that look like numbers remain text."""
     import pandas as pd
 
     text = (
@@ -172,7 +175,7 @@ def _replace(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, obj
 
 
 def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
-    """Rows of a table, without a last line that was cut off."""
+    """Rows of a table, without an incomplete last line."""
     if not path.exists():
         return
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
@@ -182,6 +185,6 @@ def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
             if columns is None:
                 columns = cells
                 if "key" not in columns:
-                    raise ProtochainError(f"{path}: is not the table of a batch; give another folder")
+                    raise ProtochainError(f"{path}: is not a table of a batch; give another folder")
             elif len(cells) == len(columns):
                 yield dict(zip(columns, cells, strict=True))

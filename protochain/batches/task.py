@@ -1,6 +1,7 @@
-"""One job, done: its rows, its traces, its files."""
+"""One job of a batch: run all methods, yield rows and traces, write files."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from protochain.structure import Structure
 
 TRACE_POINTS = 50
-"""Rows of a trace that are kept, evenly in the logarithm of their number, first and last among them."""
+"""Rows kept of a trace: the first, the last, and others spaced evenly in the logarithm of their index."""
 
 
 def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
@@ -27,14 +28,16 @@ def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
     Parameters
     ----------
     job : Job
+        Structure and settings.
     folder : Path
-        Where its files go.
+        Folder for its files.
     threads : int
+        Threads for the energy.
 
     Yields
     ------
     Row
-        One a method, as it is done. What cannot be used is ``refused``; what should not happen is ``error``.
+        One a method, as it is done. Input that cannot be used is ``refused``; a bug is an ``error``.
     """
     began = perf_counter()
     done: list[Row] = []
@@ -51,7 +54,7 @@ def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
     except OSError as error:
         why = f"{error.filename or job.path}: {error.strerror or error}"
         yield from _rest(job, done, "refused", why, perf_counter() - began)
-    except Exception as error:  # Whatever it is, the other structures are not to suffer for it.
+    except Exception as error:  # A bug met by one structure must not stop the others.
         yield from _rest(job, done, "error", f"{type(error).__name__}: {error}", perf_counter() - began)
 
 
@@ -63,31 +66,19 @@ def _rest(job: Job, done: list[Row], status: str, message: str, seconds: float) 
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure"]]:
-    from protochain.articulate import build_chain
     from protochain.energies.shared import shared_energy
     from protochain.minimisers import minimise
     from protochain.minimisers.record import flat
-    from protochain.structure import ca_rmsd, load
+    from protochain.structure import ca_rmsd
     from protochain.structure.write import common_suffix
 
     s = job.settings
     began = perf_counter()
-    structure = load(
-        job.path,
-        model=int(s.model) if s.model else None,
-        altloc=s.altloc,
-        keep=tuple(word.strip() for word in s.keep.split(",") if word.strip()),
-        ph=s.ph,
-        strict=s.strict,
-        forcefield=s.forcefield,
-    )
-    chain = build_chain(structure, s.hinges, move=s.move)
-    energy = shared_energy(
-        structure, forcefield=s.forcefield, solvent=s.solvent, engine=s.engine, threads=threads
-    )
+    setup = replace(s.setup, threads=threads)
+    structure, chain, energy = setup.prepare(job.path, build_energy=shared_energy)
     preparation = perf_counter() - began
     ends: dict[str, Solution] = {}
-    # OpenMM's end first: the others are measured against it.
+    # OpenMM first: RMSDs to its end are reported for the others.
     for method in sorted(s.methods, key=lambda method: method != "openmm"):
         solution = minimise(
             chain, energy, method, s.tolerance, s.max_evaluations, s.seed, max_rmsd=s.max_rmsd
@@ -97,7 +88,7 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
         record = {key: flat(value) for key, value in solution.record().items()} | origin(job)
         record |= {"method": method, "seconds_preparation": preparation}
         if solution.is_usable:
-            output = folder / f"{job.name}.{method}{common_suffix([solution.structure])}"
+            output = folder / f"{job.name}.{solution.method}{common_suffix([solution.structure])}"
             solution.save(output)
             record["output"] = output.name
         if reference and method != "openmm":

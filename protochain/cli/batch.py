@@ -1,105 +1,94 @@
 """``protochain batch``."""
 
+import math
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from protochain import defaults
 from protochain.cli.options import (
     CONVERGED,
     FAILED,
-    PH,
     UNCONVERGED,
-    Altloc,
     AsJson,
-    Engine,
-    Forcefield,
-    Hinges,
-    Keep,
     MaxEvaluations,
     MaxRmsd,
-    Move,
     Seed,
-    Solvent,
-    Strict,
     Tolerance,
+    with_setup,
 )
 from protochain.cli.terminal import batch_progress, print_batch, print_jobs
+from protochain.setup import Setup, words
+
+if TYPE_CHECKING:
+    from protochain.batches import Batch
+
+Inputs = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="IN...", help="Files, folders, patterns; - lists them on standard input."),
+]
+Output = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")]
+Methods = Annotated[str, typer.Option(help="Methods, with commas between.")]
+Manifest = Annotated[Path | None, typer.Option(help="CSV with a column path, and any settings as columns.")]
+Workers = Annotated[int | None, typer.Option(help="Processes on this machine [default: all cores].")]
+Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
+Threads = Annotated[int, typer.Option(help="Threads for each structure.")]
+TimeLimit = Annotated[float, typer.Option(help="Seconds after which a structure is given up.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder; skip finished structures.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
 
 
+@with_setup(without="disulfide no_disulfide trust_forcefield")
 def batch(
-    inputs: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="IN...", help="Files, folders, patterns; - lists them on standard input."),
-    ] = None,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")
-    ] = Path("batch"),
-    methods: Annotated[str, typer.Option(help="Methods, with commas between.")] = "hybrid",
-    manifest: Annotated[
-        Path | None, typer.Option(help="CSV with a column path and any settings, one structure a line.")
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine [default: all cores].")
-    ] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")] = None,
-    threads: Annotated[int, typer.Option(help="Threads for each structure.")] = 1,
-    time_limit: Annotated[
-        float, typer.Option(help="Seconds for each structure; then it is given up.")
-    ] = 3600.0,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on in the folder: skip what is finished.")
-    ] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the work and do nothing.")] = False,
-    solvent: Solvent = "obc2",
-    forcefield: Forcefield = "amber14",
-    hinges: Hinges = "phi psi chi",
-    engine: Engine = "auto",
-    move: Move = "all",
-    tolerance: Tolerance = 1.0,
-    max_evaluations: MaxEvaluations = 5000,
+    inputs: Inputs = None,
+    output: Output = Path("batch"),
+    methods: Methods = defaults.METHOD,
+    manifest: Manifest = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    threads: Threads = defaults.BATCH_THREADS,
+    time_limit: TimeLimit = defaults.TIME_LIMIT,
+    resume: Resume = False,
+    dry_run: DryRun = False,
+    tolerance: Tolerance = defaults.TOLERANCE,
+    max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
     max_rmsd: MaxRmsd = None,
-    seed: Seed = 0,
-    model: Annotated[str, typer.Option(help="Number of the model [default: the first], or all.")] = "",
-    altloc: Altloc = "",
-    keep: Keep = "",
-    ph: PH = 7.0,
-    strict: Strict = False,
+    seed: Seed = defaults.SEED,
     as_json: AsJson = False,
+    *,
+    setup: Setup,
 ) -> None:
-    """Minimise many structures in many processes; failures are rows, and nothing stops the rest."""
-    from protochain.batches import Settings, find_jobs
+    """Minimise many structures in many processes; a failure is reported and stops no other structure."""
+    from protochain.batches import BatchSettings, find_jobs
     from protochain.batches import batch as run
 
-    chosen = tuple(name.strip() for name in methods.split(",") if name.strip())
-    settings: dict[str, Any] = {
-        "solvent": solvent, "forcefield": forcefield, "hinges": hinges, "engine": engine, "move": move,
-        "tolerance": tolerance, "max_evaluations": max_evaluations, "seed": seed, "model": model,
-        "altloc": altloc, "keep": keep, "ph": ph, "strict": strict,
-    }  # fmt: skip
-    if max_rmsd is not None:
-        settings["max_rmsd"] = max_rmsd
-    # A list on standard input can be read once only.
+    limit = math.inf if max_rmsd is None else max_rmsd
+    settings = BatchSettings(words(methods), tolerance, limit, max_evaluations, seed, setup)
+    # Standard input can be read only once.
     given = [line for each in inputs or () for line in (_lines() if each == "-" else [each])]
     if dry_run:
-        print_jobs(find_jobs(given, Settings(methods=chosen, **settings), manifest, output))
+        print_jobs(find_jobs(given, settings, manifest, output))
         raise typer.Exit(CONVERGED)
     with batch_progress() as watch:
         done = run(
-            given, output, chosen, manifest=manifest, workers=workers, scheduler=scheduler, threads=threads,
-            time_limit=time_limit, resume=resume, watch=watch, **settings,
+            given, output, manifest=manifest, resume=resume, watch=watch, workers=workers,
+            scheduler=scheduler, threads=threads, time_limit=time_limit, **vars(settings),
         )  # fmt: skip
     if as_json:
         print((output / "summary.json").read_text())
     else:
         print_batch(done.table, str(done.report))
     if done.interrupted:
-        print("protochain: interrupted; --resume goes on with the rest", file=sys.stderr)
-    counts = done.counts()
-    usable = bool(done.table["output"].notna().any())
-    complete = set(counts) == {"converged"} and not done.interrupted
-    raise typer.Exit(CONVERGED if complete else UNCONVERGED if usable else FAILED)
+        print("protochain: interrupted; --resume does the rest", file=sys.stderr)
+    raise typer.Exit(_status(done))
+
+
+def _status(done: "Batch") -> int:
+    if set(done.counts()) == {"converged"} and not done.interrupted:
+        return CONVERGED
+    return UNCONVERGED if done.table["output"].notna().any() else FAILED
 
 
 def _lines() -> list[str]:

@@ -9,7 +9,9 @@ from protochain.cli.options import CONVERGED
 
 
 def bench(
-    name: Annotated[str, typer.Argument(metavar="[NAME]", help="precision, stability or all.")] = "all",
+    name: Annotated[
+        str, typer.Argument(metavar="[NAME]", help="A study, or all; an unknown name lists them.")
+    ] = "all",
     inputs: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[IN...]", help="Structures for precision [default: peptides]."),

@@ -2,61 +2,33 @@
 
 import json
 from collections import Counter
+from importlib import import_module
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
 
 import typer
 
-from protochain.cli.options import (
-    PH,
-    Altloc,
-    AsJson,
-    Disulfide,
-    Forcefield,
-    Hinges,
-    Input,
-    Keep,
-    Model,
-    NoDisulfide,
-    Solvent,
-    Strict,
-    Trust,
-    reading,
-)
+from protochain.cli.options import AsJson, Input, with_setup
+from protochain.setup import Setup
 
 
-def info(
-    source: Input,
-    hinges: Hinges = "phi psi chi",
-    solvent: Solvent = "obc2",
-    forcefield: Forcefield = "amber14",
-    as_json: AsJson = False,
-    model: Model = "",
-    altloc: Altloc = "",
-    keep: Keep = "",
-    disulfide: Disulfide = None,
-    no_disulfide: NoDisulfide = False,
-    ph: PH = 7.0,
-    strict: Strict = False,
-    trust_forcefield: Trust = False,
-) -> None:
-    """Show what a file holds, what was changed to prepare it, and how it is cut into bodies."""
-    taken = reading(model, altloc, keep, disulfide, no_disulfide, ph, strict)
+@with_setup(without="engine move threads")
+def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
+    """Show the contents of a file, the repairs to its structure, and its rigid bodies and hinges."""
     began = perf_counter()
-    from protochain.articulate import build_chain
+    for name in ("articulate", "energies"):
+        # Loaded here, so that the other times are those of the work alone.
+        import_module(f"protochain.{name}")
     from protochain.chain import rigid_groups
     from protochain.contacts import overlaps
-    from protochain.energies import energy as build_energy
-    from protochain.structure import load
 
     imported = perf_counter()
-    structure = load(source, forcefield=forcefield, **taken)
+    structure = setup.load(source)
     loaded = perf_counter()
-    chain = build_chain(structure, hinges)
+    chain = setup.chain(structure)
     built = perf_counter()
-    whole = build_energy(structure, forcefield, solvent, trust_forcefield=trust_forcefield)
-    energy = whole.without_constants(rigid_groups(chain), structure.positions)
+    energy = setup.energy(structure).without_constants(rigid_groups(chain), structure.positions)
     facts: dict[str, Any] = {
         "input": str(source),
         "n_chains": structure.n_chains,

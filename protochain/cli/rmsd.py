@@ -12,13 +12,17 @@ from protochain.cli.terminal import print_deviations
 
 def rmsd(
     reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="PDB or mmCIF file.")],
-    models: Annotated[list[Path], typer.Argument(metavar="IN...", help="Files, all models of each.")],
-    align: Annotated[str, typer.Option(help="Superposed on these, as MDAnalysis selects.")] = "name CA",
-    measure: Annotated[str | None, typer.Option(help="RMSD of these [default: those superposed on].")] = None,
+    models: Annotated[list[Path], typer.Argument(metavar="IN...", help="Files, with all their models.")],
+    align: Annotated[
+        str, typer.Option(help="Atoms to superpose, in MDAnalysis's selection language.")
+    ] = "name CA",
+    measure: Annotated[
+        str | None, typer.Option(help="Atoms for the RMSD [default: those superposed].")
+    ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure how far models are from a reference: RMSD, TM-score, and what was matched."""
+    """Measure deviations of models from a reference: RMSD, TM-score and matched residues."""
     from protochain.analysis.deviation import rmsd_table
     from protochain.storage import write_atomically
 

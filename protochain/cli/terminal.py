@@ -1,4 +1,4 @@
-"""What the command line shows: a bar while it computes, a table when it is done."""
+"""Output of the command line: a bar while it computes, a table when it is done."""
 
 import sys
 from collections.abc import Iterator
@@ -6,22 +6,21 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from pandas import DataFrame
 
-    from protochain.batches.api import Progress as BatchProgress
-    from protochain.batches.api import Watcher as BatchWatcher
+    from protochain.batches.api import BatchProgress
     from protochain.batches.jobs import Job
     from protochain.dynamics.simulate import Watcher as SimulationWatcher
     from protochain.minimisers.solution import Watcher
 
 _SHOWN_FAILURES = 10
-"""Structures without a result that are named; all are in the table and on the page."""
+"""Structures without a result to list; the table and the page have all."""
 
 
 @contextmanager
-def progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
+def run_progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
     """Show a bar with energy, torque and evaluations on standard error, if that is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -71,7 +70,7 @@ def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["
 
 
 @contextmanager
-def batch_progress() -> Iterator["BatchWatcher"]:
+def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
     """Show a bar with done, failed, structures a minute and the time left, if that is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -94,7 +93,7 @@ def batch_progress() -> Iterator["BatchWatcher"]:
 
 
 def print_simulation(record: dict[str, Any]) -> None:
-    """Print in a few lines what a simulation was."""
+    """Print a short summary of a simulation."""
     kept = "" if record["accepted"] is None else f", {100 * record['accepted']:.0f} % of trajectories kept"
     print(
         f"{record['structure']}: {record['message']}, {record['ns_per_day']:.1f} ns/day\n"
@@ -107,7 +106,7 @@ def print_simulation(record: dict[str, Any]) -> None:
 
 
 def print_table(records: list[dict[str, Any]]) -> None:
-    """Print a row a record on standard output, and under the table how each ended."""
+    """Print a table with a row for each record, and below it their messages."""
     from rich.console import Console
     from rich.table import Table
 
@@ -134,14 +133,14 @@ def print_table(records: list[dict[str, Any]]) -> None:
 
 
 def print_jobs(jobs: "Sequence[Job]") -> None:
-    """Print a line a structure: its name, its methods, where it comes from."""
+    """Print a line for each structure: name, methods, path."""
     for job in jobs:
         print(f"{job.name}  {','.join(job.settings.methods)}  {job.path}")
     print(f"{len(jobs)} structures", file=sys.stderr)
 
 
 def print_batch(table: "DataFrame", report: str) -> None:
-    """Print how the runs of each method ended, and what failed."""
+    """Print the number of runs of each status for each method, and the failures."""
     from rich.console import Console
 
     console = Console()
@@ -162,7 +161,7 @@ def print_batch(table: "DataFrame", report: str) -> None:
 
 
 def print_distribution(summary: dict[str, float]) -> None:
-    """Print where many starts ended."""
+    """Print the distribution of final energies of many starts."""
     low, middle, high = (summary[f"energy_{name}_kj_mol"] for name in ("lowest", "median", "highest"))
     print(
         f"{summary['n_starts']} starts: lowest {low:.2f}, median {middle:.2f}, highest {high:.2f} kJ/mol; "
@@ -171,7 +170,7 @@ def print_distribution(summary: dict[str, float]) -> None:
 
 
 def print_deviations(rows: list[dict[str, Any]]) -> None:
-    """Print a row for each model measured, and a line for each that could not be."""
+    """Print a row for each model measured, and a line for each that cannot be."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table

@@ -9,7 +9,7 @@ from protochain.minimisers.loop import Method, Stop, run
 from protochain.minimisers.metrics import Euclidean, Mass, Preconditioner, Stiffness
 from protochain.minimisers.newton import Newton, PseudoTransient
 from protochain.minimisers.problem import BudgetSpentError, Evaluation, Problem
-from protochain.minimisers.recipes import DEFAULT_METHOD, METHODS, RECIPES, Recipe, Run, recipe_of
+from protochain.minimisers.recipes import METHODS, RECIPES, Recipe, Run, recipe_of
 from protochain.minimisers.solution import Solution
 from protochain.minimisers.spaces import Cartesian, Torsions
 from protochain.minimisers.starts import Starts, explore, parted
@@ -19,7 +19,7 @@ from protochain.minimisers.verdict import Judgement, Status
 minimize = minimise
 
 __all__ = [
-    "DEFAULT_METHOD", "KCM", "LBFGS", "METHODS", "RECIPES", "AcceptReject", "Armijo", "BudgetSpentError",
+    "KCM", "LBFGS", "METHODS", "RECIPES", "AcceptReject", "Armijo", "BudgetSpentError",
     "Cartesian", "Decaying", "Descent", "Direction", "Euclidean", "Evaluation", "Fire", "Fixed",
     "Judgement", "Mass", "Method", "Newton", "Preconditioner", "Problem", "PseudoTransient", "Recipe",
     "Run", "Solution", "Starts", "Status", "Stiffness", "Stop", "StrongWolfe", "Torsions", "explore",

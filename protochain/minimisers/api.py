@@ -9,6 +9,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from protochain import defaults
 from protochain.arrays import read_only
 from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose
@@ -19,7 +20,7 @@ from protochain.interrupts import held_interrupts
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.openmm_reference import minimise_by_openmm
 from protochain.minimisers.problem import Evaluation, Space
-from protochain.minimisers.recipes import DEFAULT_METHOD, Recipe, recipe_of
+from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.solution import Recorder, Solution, Watcher
 from protochain.minimisers.spaces import Torsions
@@ -41,10 +42,10 @@ class Options(TypedDict, total=False):
 def minimise(
     chain: Any,
     energy: Any = None,
-    method: Any = DEFAULT_METHOD,
-    tolerance: float = 1.0,
-    max_evaluations: int = 5000,
-    seed: int = 0,
+    method: Any = defaults.METHOD,
+    tolerance: float = defaults.TOLERANCE,
+    max_evaluations: int = defaults.MAX_EVALUATIONS,
+    seed: int = defaults.SEED,
     *,
     watch: Watcher | None = None,
     **options: Unpack[Options],
@@ -119,9 +120,9 @@ class Minimisation:
     """
 
     recipe: Recipe
-    tolerance: float = 1.0
-    max_evaluations: int = 5000
-    seed: int = 0
+    tolerance: float = defaults.TOLERANCE
+    max_evaluations: int = defaults.MAX_EVALUATIONS
+    seed: int = defaults.SEED
     restraint: Any = ()
     max_rmsd: float = np.inf
     checkpoint: str | Path | None = None

@@ -193,8 +193,6 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType({recipe.name: recipe for recipe
 
 METHODS = tuple(RECIPES)
 
-DEFAULT_METHOD = "hybrid"
-
 
 def recipe_of(method: Any) -> Recipe:
     """Recipe of a method.

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from protochain import defaults
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose
-from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.minimisers.api import minimise
-from protochain.minimisers.recipes import DEFAULT_METHOD
 from protochain.minimisers.restraints import Hold
 from protochain.minimisers.solution import Solution
 from protochain.minimisers.spaces import Torsions
@@ -24,9 +23,6 @@ from protochain.units import MOLAR_GAS
 
 if TYPE_CHECKING:
     import pandas as pd
-
-SPREAD = 0.2
-"""rad, standard deviation of a perturbed dihedral."""
 
 _PARTING = 500
 """Evaluations of soft repulsion, at most, before a start."""
@@ -115,12 +111,12 @@ class Starts:
 @held_interrupts()
 def explore(
     chain: Chain,
-    energy: Energy,
-    method: str = DEFAULT_METHOD,
-    n_starts: int = 10,
+    energy: Any,
+    method: Any = defaults.METHOD,
+    n_starts: int = defaults.N_STARTS,
     *,
-    seed: int = 0,
-    spread: float = SPREAD,
+    seed: int = defaults.SEED,
+    spread: float = defaults.SPREAD,
     hop_temperature: float | None = None,
     each: Callable[[int, Solution], None] | None = None,
     **settings: Any,

@@ -1,4 +1,4 @@
-"""Studies that any machine can repeat: ``protochain bench NAME``."""
+"""Studies to repeat on any machine: ``protochain bench NAME``. A new one is a module, and its name here."""
 
 from importlib import import_module
 from typing import Any
@@ -9,12 +9,17 @@ STUDIES = ("precision", "stability")
 
 
 def study(name: str) -> Any:
-    """Return the module of a study, whose ``run(output, inputs)`` gives its tables one after the other.
+    """Return the module of a study, whose ``run(output, inputs)`` yields its tables.
 
     Parameters
     ----------
     name : str
         One of ``STUDIES``.
+
+    Returns
+    -------
+    module
+        Imported on demand.
 
     Raises
     ------

@@ -64,7 +64,7 @@ def run(output: Path, inputs: Sequence[Path] = ()) -> Iterator[pd.DataFrame]:
 
 
 def measure(structure: Structure) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Run all methods on a structure, phi psi chi, in ff14SB and OBC2; return traces and ends."""
+    """Run all methods on a structure, with the default hinges and energy; return traces and ends."""
     chain, own = build_chain(structure), energy(structure)
     traces, ends = [], []
     for method in METHODS:

@@ -1,0 +1,36 @@
+"""Default of every setting. Signatures, commands and their documentation refer to these values."""
+
+FORCEFIELD = "amber14"
+SOLVENT = "obc2"
+ENGINE = "auto"
+
+HINGES = "phi psi chi"
+ROOT = "auto"
+MOVE = "all"
+PH = 7.0
+
+METHOD = "hybrid"
+FRAME_METHOD = "lbfgs"  # keeps the bond lengths and angles of the dynamics that made the frames
+COMPARED = ("kcm", "md", "lbfgs", "hybrid", "openmm")
+"""The two methods of the original comparison, the best in torsions, the best of all, and the reference."""
+REPEATS = 3
+TOLERANCE = 1.0  # kJ/mol/rad of the largest torque, or kJ/mol/nm of the RMS force
+MAX_EVALUATIONS = 5000
+SEED = 0
+N_STARTS = 10
+SPREAD = 0.2  # rad, standard deviation of a perturbed dihedral
+
+TEMPERATURE = 300.0  # K
+TIME_STEP = 0.005  # ps
+N_STEPS = 10_000
+THERMOSTAT = "langevin"
+FRICTION = 1.0  # 1/ps
+INTEGRATOR = "leapfrog"
+LOOPS = "open"
+TRAJECTORY_LENGTH = 10
+EVERY = 100
+TRAJECTORY = "dcd"
+CHECKPOINT_EVERY = 10
+
+BATCH_THREADS = 1
+TIME_LIMIT = 3600.0  # s
