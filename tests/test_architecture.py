@@ -14,7 +14,7 @@ MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
 LAYERS = [
     {"units", "errors", "arrays", "residues", "interrupts", "markup", "storage"},
     {"multibody", "structure", "energies"},
-    {"chain", "articulate", "contacts"},
+    {"chain", "hinges", "articulate", "contacts"},
     {"dynamics"},
     {"minimisers"},
     {"analysis"},

@@ -17,7 +17,7 @@ import pandas as pd
 from scipy.optimize import minimize
 
 import protochain as pc
-from protochain.chain import pose, rigid_groups
+from protochain.chain import pose
 from protochain.minimisers.kcm import KCM
 from protochain.minimisers.loop import Stop, run
 from protochain.minimisers.methods import IN_TORSIONS
@@ -53,7 +53,7 @@ def random_starts(structure: pc.Structure, number: int) -> list[pc.Chain]:
 def problem_of(chain: pc.Chain, energy, budget: int) -> Problem:
     """Return a chain's energy with what is constant left out."""
     at = pose(chain, chain.q0).x
-    return Problem(Torsions(chain), energy.without_constants(rigid_groups(chain), at), budget)
+    return Problem(Torsions(chain), energy.without_constants(chain.rigid_groups, at), budget)
 
 
 def enkephalin(output: Path) -> None:

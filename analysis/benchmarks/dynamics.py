@@ -19,7 +19,6 @@ import pandas as pd
 from openmm import app, unit
 
 import protochain as pc
-from protochain.chain import rigid_groups
 from protochain.dynamics import Course, Isolated, Langevin, Leapfrog, Moment, System, chain_potential
 from protochain.dynamics.loop import advance
 from protochain.dynamics.thermostats import Thermostat
@@ -130,7 +129,7 @@ def median_seconds(function: Callable[[], object], n: int, repeats: int = 7) -> 
 def one_step(chain: pc.Chain, energy) -> tuple[float, float, float, float]:
     """Seconds of the energy, of what moves with torques, and of the rest of a step: Langevin's, isolated."""
     x = chain.structure.positions
-    system = System(chain.tree, chain_potential(chain, energy.without_constants(rigid_groups(chain), x)))
+    system = System(chain.tree, chain_potential(chain, energy.without_constants(chain.rigid_groups, x)))
     at = system.at(chain.q0, np.zeros(chain.n_v))
     qd = sample_velocities(chain.tree, at.factors.frames, 300 * MOLAR_GAS, np.random.default_rng(0))
     at = system.moving(at, qd)

@@ -45,7 +45,6 @@ def info(
     taken = reading(model, altloc, keep, disulfide, no_disulfide, ph, strict)
     began = perf_counter()
     from protochain.articulate import build_chain
-    from protochain.chain import rigid_groups
     from protochain.contacts import overlaps
     from protochain.energies import energy as build_energy
     from protochain.structure import load
@@ -56,7 +55,7 @@ def info(
     chain = build_chain(structure, hinges)
     built = perf_counter()
     whole = build_energy(structure, forcefield, solvent, trust_forcefield=trust_forcefield)
-    energy = whole.without_constants(rigid_groups(chain), structure.positions)
+    energy = whole.without_constants(chain.rigid_groups, structure.positions)
     facts: dict[str, Any] = {
         "input": str(source),
         "n_chains": structure.n_chains,

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from protochain.arrays import Floats, floats
 from protochain.articulate import as_chain, build_chain
-from protochain.chain import Chain, place_atoms, rigid_groups
+from protochain.chain import Chain, place_atoms
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.fixman import fixman
 from protochain.dynamics.folder import Folder, check_folder
@@ -191,7 +191,7 @@ def _scene(chain: Chain, energy: Energy, q: Floats | None, settings: Settings) -
     root = "free" if chain.root == "auto" else chain.root
     mass = settings.hydrogen_mass if settings.hydrogen_mass is not None else chain.hydrogen_mass
     made = build_chain(chain.structure, chain.opened, root, move=chain.move, hydrogen_mass=mass)
-    moving = energy.without_constants(rigid_groups(made), made.structure.positions)
+    moving = energy.without_constants(made.rigid_groups, made.structure.positions)
     parts = [chain_potential(made, moving)]
     if settings.fixman:
         parts.append(fixman(settings.thermal_energy))

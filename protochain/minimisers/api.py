@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from protochain.arrays import Floats, read_only
 from protochain.articulate import as_chain
-from protochain.chain import Chain, Pose, pose, rigid_groups
+from protochain.chain import Chain, Pose, pose
 from protochain.energies.factory import energy as build_energy
 from protochain.energies.protocol import Energy, check_is_of
 from protochain.errors import ProtochainError
@@ -156,7 +156,7 @@ def _minimise(run: _Run, checkpoint: Path | None, resume: Path | None, watch: Wa
     in_torsions = method in IN_TORSIONS
     moving = energy
     if in_torsions or method == "hybrid":
-        moving = energy.without_constants(rigid_groups(chain), first.x)
+        moving = energy.without_constants(chain.rigid_groups, first.x)
     # Neighbour lists of the start, whatever was computed before: they set the order of sums.
     energy.list_at(first.x)
     # Judging first, and solving with each metric once, also make contexts and compile kernels, off the clock.

@@ -10,7 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from protochain import multibody
 from protochain.arrays import Floats, Integers
-from protochain.chain import Chain, pose, pull_back, rigid_groups, solve_mass
+from protochain.chain import Chain, pose, pull_back, solve_mass
 from protochain.minimisers import springs
 from protochain.minimisers.problem import Evaluation
 from protochain.multibody import HingeKind
@@ -45,7 +45,7 @@ class Torsions:
 
     @cached_property
     def _groups(self) -> Integers:
-        return rigid_groups(self.chain)
+        return self.chain.rigid_groups
 
     def start(self, x: Floats) -> Floats:
         """Coordinates of the chain as it is.
