@@ -19,7 +19,7 @@ import pandas as pd
 from openmm import app, unit
 
 import protochain as pc
-from protochain.dynamics import Course, Isolated, Langevin, Leapfrog, Moment, System, chain_potential
+from protochain.dynamics import Isolated, Langevin, Leapfrog, Propagator, State, System, chain_potential
 from protochain.dynamics.loop import advance
 from protochain.dynamics.thermostats import Thermostat
 from protochain.energies.factory import DATA, FORCE_FIELDS, SOLVENTS
@@ -132,13 +132,13 @@ def one_step(chain: pc.Chain, energy) -> tuple[float, float, float, float]:
     system = System(chain.tree, chain_potential(chain, energy.without_constants(chain.rigid_groups, x)))
     at = system.at(chain.q0, np.zeros(chain.n_v))
     qd = sample_velocities(chain.tree, at.factors.frames, 300 * MOLAR_GAS, np.random.default_rng(0))
-    at = system.moving(at, qd)
+    at = system.with_velocities(at, qd)
     still = System(chain.tree, lambda q, f: (at.potential, at.torque))
 
     def step(thermostat: Thermostat) -> Callable[[], object]:
-        course = Course(still, Leapfrog(), thermostat, 0.004, 300 * MOLAR_GAS, 0, False)
-        now = Moment(0, at, thermostat.init(at))
-        return lambda: advance(course, now)
+        propagator = Propagator(still, Leapfrog(), thermostat, 0.004, 300 * MOLAR_GAS, 0, False)
+        now = State(0, at, thermostat.init(at))
+        return lambda: advance(propagator, now)
 
     return (
         median_seconds(lambda: energy(x), 10),

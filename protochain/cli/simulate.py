@@ -93,7 +93,7 @@ def simulate(
     """Simulate one structure as rigid bodies; write trajectory, log, checkpoints and the last frame."""
     from protochain.dynamics import simulate as run
     from protochain.dynamics.folder import check_folder
-    from protochain.dynamics.settings import Settings
+    from protochain.dynamics.settings import SimulationSettings
     from protochain.minimisers import minimise
 
     settings: dict[str, Any] = {
@@ -101,7 +101,7 @@ def simulate(
         "friction": friction, "integrator": integrator, "fixman": fixman, "loops": loops,
         "hydrogen_mass": hydrogen_mass, "trajectory_length": trajectory_length, "every": every, "seed": seed,
     }  # fmt: skip
-    Settings(**settings).check(steps, checkpoint_every)
+    SimulationSettings(**settings).check(steps, checkpoint_every)
     taken = reading(model, altloc, keep, disulfide, no_disulfide, ph, strict)
     output = output or Path(f"{named_after(source)[0]}-simulation")
     check_folder(output, trajectory, resume, force)

@@ -10,10 +10,10 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
+    from protochain.arrays import Watcher as SimulationWatcher
     from protochain.batches.api import Progress as BatchProgress
     from protochain.batches.api import Watcher as BatchWatcher
     from protochain.batches.jobs import Job
-    from protochain.dynamics.simulate import Watcher as SimulationWatcher
     from protochain.minimisers.solution import Watcher
 
 _SHOWN = {
