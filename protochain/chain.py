@@ -168,10 +168,8 @@ def pull_back(chain: Chain, pose: Pose, f: Floats) -> Floats:
 
     Parameters
     ----------
-    chain : Chain
-        Chain of rigid bodies.
-    pose : Pose
-        Pose at which the forces act.
+    chain, pose : Chain, Pose
+        Chain of rigid bodies, and its pose at q.
     f : (na, 3) float, kJ/mol/nm
         Forces on the atoms, minus the gradient of an energy.
 
@@ -191,10 +189,8 @@ def mass_matrix(chain: Chain, pose: Pose) -> Floats:
 
     Parameters
     ----------
-    chain : Chain
-        Chain of rigid bodies.
-    pose : Pose
-        Pose at q.
+    chain, pose : Chain, Pose
+        Chain of rigid bodies, and its pose at q.
 
     Returns
     -------
@@ -205,14 +201,12 @@ def mass_matrix(chain: Chain, pose: Pose) -> Floats:
 
 
 def solve_mass(chain: Chain, pose: Pose, tau: Floats, method: multibody.Method = "articulated") -> Floats:
-    """M^-1 tau in O(n), without forming M.
+    """Solve M x = tau in O(n), without forming M.
 
     Parameters
     ----------
-    chain : Chain
-        Chain of rigid bodies.
-    pose : Pose
-        Pose at q.
+    chain, pose : Chain, Pose
+        Chain of rigid bodies, and its pose at q.
     tau : (n_v,) float, kJ/mol/rad
         Torques.
     method : str
@@ -231,10 +225,8 @@ def log_det_mass(chain: Chain, pose: Pose, method: multibody.Method = "articulat
 
     Parameters
     ----------
-    chain : Chain
-        Chain of rigid bodies.
-    pose : Pose
-        Pose at q.
+    chain, pose : Chain, Pose
+        Chain of rigid bodies, and its pose at q.
     method : str
         ``articulated`` or ``fixman``; see :func:`protochain.multibody.log_det_mass`.
 
