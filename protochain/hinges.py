@@ -89,13 +89,9 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
             a, b, c, d = (atom_at(r, name) for name in names)
             if kind in kinds and a is not None and b is not None and c is not None and d is not None:
                 yield Hinge(
-                    str(structure.residue_chain[r]),
-                    str(residue_name),
-                    str(structure.residue_number[r]),
-                    str(structure.residue_insertion_code[r]),
-                    label,
-                    (a, b, c, d),
-                )
+                    str(structure.residue_chain[r]), str(residue_name), str(structure.residue_number[r]),
+                    str(structure.residue_insertion_code[r]), label, (a, b, c, d),
+                )  # fmt: skip
 
 
 def turning_hinges(

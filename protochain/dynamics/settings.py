@@ -5,19 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from protochain.dynamics import lobatto
+from protochain.dynamics import lobatto, thermostats
 from protochain.dynamics.leapfrog import Leapfrog
 from protochain.dynamics.midpoint import ImplicitMidpoint
 from protochain.dynamics.runge_kutta import DormandPrince, RungeKutta4
 from protochain.dynamics.system import Integrator
-from protochain.dynamics.thermostats import (
-    HybridMonteCarlo,
-    Isolated,
-    Langevin,
-    NoseHoover,
-    Rescaling,
-    Thermostat,
-)  # fmt: skip
 from protochain.errors import ProtochainError
 from protochain.units import MOLAR_GAS
 
@@ -28,12 +20,12 @@ INTEGRATORS: dict[str, Integrator] = {
     "rk4": RungeKutta4(),
     "dormand-prince": DormandPrince(),
 }
-THERMOSTATS: dict[str, type[Thermostat]] = {
-    "none": Isolated,
-    "langevin": Langevin,
-    "nose-hoover": NoseHoover,
-    "rescale": Rescaling,
-    "hmc": HybridMonteCarlo,
+THERMOSTATS: dict[str, type[thermostats.Thermostat]] = {
+    "none": thermostats.Isolated,
+    "langevin": thermostats.Langevin,
+    "nose-hoover": thermostats.NoseHoover,
+    "rescale": thermostats.Rescaling,
+    "hmc": thermostats.HybridMonteCarlo,
 }
 
 
@@ -109,7 +101,7 @@ class SimulationSettings:
             raise ProtochainError("loops closed: Fixman's potential is not available there; leave out one")
 
 
-def build_thermostat(settings: SimulationSettings, freedoms: int) -> Thermostat:
+def build_thermostat(settings: SimulationSettings, freedoms: int) -> thermostats.Thermostat:
     """Thermostat of the settings for this number of degrees of freedom; it takes its fields by name."""
     kind: Any = THERMOSTATS[settings.thermostat]
     given = settings.record() | {"thermal_energy": settings.thermal_energy, "freedoms": freedoms}
