@@ -1,5 +1,6 @@
-"""The two array types everything is made of, and how a value keeps them from changing."""
+"""Array types shared by all modules, and read-only copies and views of arrays."""
 
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,30 +11,33 @@ from protochain.errors import ProtochainError
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+Watcher = Callable[[Mapping[str, float], Floats], None]
+"""Callback of a run: receives each row of its log, and the positions (na, 3) the row belongs to."""
+
 
 def read_only(array: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
-    """Return a contiguous copy that cannot be written to."""
+    """Return a contiguous read-only copy."""
     frozen: NDArray[Any] = np.array(array, dtype=dtype, order="C")
     frozen.flags.writeable = False
     return frozen
 
 
 def frozen(array: Floats) -> Floats:
-    """Return the same array, which nobody else holds, made unwritable."""
+    """Make an array without other owners read-only, and return it."""
     array.flags.writeable = False
     return array
 
 
 def floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
-    """Return contiguous float64 values of one shape, as a view that cannot be written to.
+    """Return a contiguous read-only float64 view of values that have the given shape.
 
-    Kernels trust what they are given; and numba, which compiles writable and read-only arrays apart, may take
-    either code for either, whichever it met first: rounding would depend on what was computed before.
+    Kernels do not check shapes. And numba compiles writable and read-only arrays separately, but may call
+    either code for either, whichever was compiled first: rounding would depend on earlier calls.
 
     Raises
     ------
     ProtochainError
-        Naming the array and both shapes.
+        If the shape is another; the message names the array and both shapes.
     """
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.shape != shape:

@@ -8,7 +8,7 @@ from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from protochain.arrays import Floats, Integers
-from protochain.chain import Chain, rigid_groups
+from protochain.chain import Chain
 from protochain.structure.model import Structure
 from protochain.units import ANGSTROM_PER_NM
 
@@ -113,7 +113,7 @@ def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> lis
     pairs, touch = near_pairs(structure, x, OVERLAP)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
     share = distance / touch
-    groups = rigid_groups(chain) if chain is not None else None
+    groups = chain.rigid_groups if chain is not None else None
     found = []
     for k in np.argsort(share, kind="stable"):
         i, j = (int(atom) for atom in pairs[k])

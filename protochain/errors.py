@@ -1,15 +1,15 @@
-"""Misuse and bad input, as exceptions whose text is one line a user can act on.
+"""Exceptions for misuse and bad input, each with a message of one line that says what to do.
 
-How a run ended is not an error: that is :class:`protochain.minimisers.Status`.
+The outcome of a run is no exception but a :class:`protochain.minimisers.Status`.
 """
 
 
 class ProtochainError(ValueError):
-    """Bad input: one line naming the file, the place and the mend."""
+    """Bad input: one line that names the file, the place and the remedy."""
 
 
 class StructureError(ProtochainError):
-    """A structure file that cannot be used as it is."""
+    """A structure file that cannot be read or prepared."""
 
 
 class ForceFieldError(ProtochainError):
@@ -17,8 +17,8 @@ class ForceFieldError(ProtochainError):
 
 
 class ChainError(ProtochainError):
-    """A structure that cannot be modelled as rigid bodies joined by the hinges asked for."""
+    """A structure that cannot be modelled as rigid bodies joined by the requested hinges."""
 
 
 class MechanicsError(ProtochainError):
-    """A mechanism that no rigid bodies can have, or a pose at which its equations have no answer."""
+    """An unphysical mechanism, or a pose at which its equations of motion are singular."""

@@ -1,4 +1,4 @@
-"""Signals noted while something that must not be broken off goes on."""
+"""Deferral of SIGINT and SIGTERM while a run must not be interrupted."""
 
 import signal
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class _Noted(list[int]):
-    """A signal handler that appends the signal's number to itself."""
+    """Signal handler that records the numbers of the signals it receives."""
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         self.append(number)
@@ -18,9 +18,9 @@ class _Noted(list[int]):
 
 @contextmanager
 def held_interrupts() -> Iterator[list[int]]:
-    """Collect SIGINT and SIGTERM in a list, where they would raise KeyboardInterrupt.
+    """Collect SIGINT and SIGTERM in a list instead of raising KeyboardInterrupt.
 
-    Within another hold the list is that hold's own: what has been noted there stays noted.
+    A nested call yields the list of the outer one, with the signals already received.
     """
     handlers = {number: signal.getsignal(number) for number in _SIGNALS}
     outer = next((handler for handler in handlers.values() if isinstance(handler, _Noted)), None)

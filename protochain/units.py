@@ -1,6 +1,6 @@
-"""Units: nm, ps, amu, kJ/mol, rad and kelvin inside; other units only where numbers enter or leave.
+"""Units: nm, ps, amu, kJ/mol, rad and kelvin inside; other units only at input and output.
 
-In these units kJ/mol = amu nm^2/ps^2, so mechanics carries no conversion constants.
+In these units kJ/mol = amu nm^2/ps^2, so mechanics needs no conversion constants.
 """
 
 ANGSTROM_PER_NM = 10.0

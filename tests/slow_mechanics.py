@@ -1,4 +1,4 @@
-"""Slow, clear statements of the mechanics of trees, in dense algebra: the truth for the fast sweeps."""
+"""Mechanics of trees in dense algebra, slow and readable: the reference for the fast sweeps."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ N_TREES = 100
 
 
 def any_tree(seed: int) -> Tree:
-    """Return one of a hundred: serial and branched, up to 200 hinges of every kind, some forests."""
+    """Return one of a hundred trees: serial and branched, up to 200 hinges of every kind, some forests."""
     rng = np.random.default_rng(seed)
     n = int(rng.choice([2, 3, 10, 30, 60, 120, 201]))
     root = rng.choice([HingeKind.FIXED, HingeKind.FREE, HingeKind.REVOLUTE, HingeKind.PRISMATIC])
@@ -23,7 +23,7 @@ def any_tree(seed: int) -> Tree:
 
 
 def forest(tree: Tree) -> Tree:
-    """The same with the body in the middle set free in the world."""
+    """Return the tree with its middle body turned into a free root."""
     middle = tree.n_bodies // 2
     parent, kind, placement = tree.parent.copy(), tree.kind.copy(), tree.placement.copy()
     parent[middle], kind[middle], placement[middle] = -1, HingeKind.FREE, np.eye(3)
@@ -61,7 +61,7 @@ def slow_frames(tree: Tree, q: np.ndarray) -> Frames:
 
 
 def outboard(tree: Tree, body: int) -> list[int]:
-    """The body and everything that hangs on it."""
+    """The body and all bodies outward of it."""
     found = [body]
     for b in range(body + 1, tree.n_bodies):
         if tree.parent[b] in found:

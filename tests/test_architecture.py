@@ -14,7 +14,7 @@ MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
 LAYERS = [
     {"units", "errors", "arrays", "residues", "interrupts", "markup", "storage", "defaults"},
     {"multibody", "structure", "energies"},
-    {"chain", "articulate", "contacts", "setup"},
+    {"chain", "hinges", "articulate", "contacts", "setup"},
     {"dynamics"},
     {"minimisers"},
     {"analysis"},

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import shortest_path
 
 import protochain as pc
 from protochain import multibody
-from protochain.chain import pose, rigid_groups
+from protochain.chain import pose
 from protochain.contacts import joined, near_pairs, radii
 from protochain.minimisers import KCM, LBFGS, RECIPES, Descent, Fire, Newton, StrongWolfe, springs
 from protochain.minimisers.kcm import by_largest, by_length, by_sign
@@ -26,7 +26,7 @@ from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed
 
 def problem_of(name, budget=5000, hinges="phi psi chi"):
     c = chain(name, hinges)
-    moving = energy(name).without_constants(rigid_groups(c), pose(c, c.q0).x)
+    moving = energy(name).without_constants(c.rigid_groups, pose(c, c.q0).x)
     return c, Problem(Torsions(c), moving, budget)
 
 
@@ -89,7 +89,7 @@ def test_stiffness_in_torsions_is_that_of_the_springs_between_atoms(name, hinges
     moves = twists[:, 3:] + np.cross(twists[:, :3], arms[:, :, None], axis=1)
     jacobian = moves.reshape(3 * s.n_atoms, c.n_v)
     expected = jacobian.T @ dense @ jacobian
-    found = springs.torsion_stiffness(c, rigid_groups(c), at)
+    found = springs.torsion_stiffness(c, at)
     assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
     assert np.linalg.eigvalsh(found).min() > -1e-9 * np.abs(expected).max()
 
@@ -120,7 +120,7 @@ def test_metrics_solve_with_their_matrices(hinges):
     scaled = np.outer(space.scale, space.scale)
     mass = scaled * pc.mass_matrix(c, posed)
     assert mass @ Mass().at(space, at)(torque) == pytest.approx(torque, abs=1e-8)
-    stiff = scaled * springs.torsion_stiffness(c, rigid_groups(c), posed)
+    stiff = scaled * springs.torsion_stiffness(c, posed)
     stiff += springs.TORSION_FLOOR * np.eye(c.n_v)
     assert stiff @ Stiffness().at(space, at)(torque) == pytest.approx(torque, abs=1e-8)
     assert np.array_equal(Euclidean().at(space, at)(torque), torque)

@@ -268,7 +268,7 @@ def test_rows_that_depend_on_one_another_are_refused(method):
     tree, frames, rng = at(34)
     rows = some_rows(tree, frames, rng, 1)
     twice = Rows(np.concatenate([rows.body] * 2), np.concatenate([rows.wrench] * 2))
-    with pytest.raises(MechanicsError, match="depend on one another"):
+    with pytest.raises(MechanicsError, match="linearly dependent"):
         solve_closed(tree, frames, np.ones(tree.n_v), twice, method)
 
 
@@ -326,7 +326,7 @@ def test_a_pose_without_inertia_against_a_hinge_is_refused():
         np.stack([np.eye(3), sideways]), mass, com, inertia,
     )  # fmt: skip
     assert np.isfinite(solve_mass(tree, pose(tree, np.array([0.3, 0.5])), np.ones(2))).all()
-    with pytest.raises(MechanicsError, match="body 0: nothing resists its hinge at this pose"):
+    with pytest.raises(MechanicsError, match="body 0: its hinge has no inertia at this pose"):
         solve_mass(tree, pose(tree, np.array([0.3, 0.0])), np.ones(2))
 
 

@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from scipy.spatial.distance import pdist
 
 import protochain as pc
-from protochain.chain import pose, pull_back, rigid_groups
+from protochain.chain import pose, pull_back
 from protochain.energies import NativeEnergy, OpenMMEnergy, UnsupportedForceError
 from protochain.energies.native import born, neighbours, series
 from protochain.energies.native.layout import W
@@ -207,7 +207,7 @@ def test_positions_that_are_not_numbers_are_an_infinite_energy():
 def test_leaving_out_constants_changes_nothing(name, solvent, hinges):
     c = chain(name, hinges)
     whole = pc.energy(c.structure, "amber19", solvent, engine="native")
-    less = whole.without_constants(rigid_groups(c), pose(c, c.q0).x)
+    less = whole.without_constants(c.rigid_groups, pose(c, c.q0).x)
     assert less.left_out["bonds"] == whole.system.getForce(0).getNumBonds() - len(c.loops)
     assert less.left_out["torsions"] > 0
     rng = np.random.default_rng(4)
@@ -226,7 +226,7 @@ def test_more_hinges_leave_less_out():
     for hinges in ("phi psi", "phi psi chi", "phi psi chi omega rotors"):
         c = chain("1l2y.pdb", hinges)
         less = pc.energy(c.structure, engine="native").without_constants(
-            rigid_groups(c), c.structure.positions
+            c.rigid_groups, c.structure.positions
         )
         counts.append(less.left_out)
         assert f"{less.left_out['torsions']} torsions" in less.reason
@@ -236,7 +236,7 @@ def test_more_hinges_leave_less_out():
 
 def test_rigid_groups_are_rigid():
     c = chain("1l2y.pdb", "phi psi chi omega rotors")
-    groups = rigid_groups(c)
+    groups = c.rigid_groups
     rng = np.random.default_rng(5)
     q = c.q0.copy()
     q[c.tree.q_start[c.hinge_body]] += rng.normal(size=c.n_hinges)

@@ -86,7 +86,7 @@ def test_every_thermostat_conserves_what_it_counts(thermostat, small):
 @pytest.mark.parametrize("thermostat", ["none", "nose-hoover", "rescale"])
 def test_nothing_moves_as_one(thermostat, small):
     m = simulate(*small, n_steps=250, thermostat=thermostat, every=50)
-    linear, angular = multibody.momentum(m.chain.tree, m.now.at.factors.frames, m.qd)
+    linear, angular = multibody.momentum(m.chain.tree, m.state.at.factors.frames, m.qd)
     assert np.abs(linear).max() < 1e-8 and np.abs(angular).max() < 1e-8
 
 
@@ -186,7 +186,7 @@ def test_closed_loops_stay_closed_and_open_ones_are_left_to_the_force_field(name
     closure = closure_of(closed.chain)
     rates = (
         multibody.row_matrix(
-            closed.chain.tree, closed.now.at.factors.frames, closure.rows(closed.now.at.factors.frames)
+            closed.chain.tree, closed.state.at.factors.frames, closure.rows(closed.state.at.factors.frames)
         )
         @ closed.qd
     )
@@ -201,7 +201,7 @@ def test_closed_loops_stay_closed_and_open_ones_are_left_to_the_force_field(name
         for t in (h, -h)
     )
     rows = multibody.row_matrix(
-        closed.chain.tree, closed.now.at.factors.frames, closure.rows(closed.now.at.factors.frames)
+        closed.chain.tree, closed.state.at.factors.frames, closure.rows(closed.state.at.factors.frames)
     )
     assert np.allclose((there - back) / (2 * h), rows @ (closed.qd + 1.0), atol=1e-6)
 
@@ -213,7 +213,7 @@ def test_a_constrained_run_returns_when_time_turns():
     system = System(c.tree, lambda q, f: (0.0, np.zeros(c.n_v)), closure)
     rng = np.random.default_rng(0)
     start = system.at(c.q0, np.zeros(c.n_v))
-    start = system.moving(start, multibody.sample_velocities(c.tree, start.factors.frames, 2.5, rng))
+    start = system.with_velocities(start, multibody.sample_velocities(c.tree, start.factors.frames, 2.5, rng))
     at = start
     for _ in range(20):
         at = Leapfrog().step(system, at, 0.002)

@@ -17,7 +17,6 @@ import pandas as pd
 from scipy.optimize import minimize
 
 import protochain as pc
-from protochain.chain import pose, rigid_groups
 from protochain.minimisers import (
     KCM,
     RECIPES,
@@ -49,15 +48,15 @@ def random_starts(structure: pc.Structure, number: int) -> list[pc.Chain]:
         q[base.tree.q_start[base.hinge_body[turns]]] = np.random.default_rng(k).uniform(
             -np.pi, np.pi, sum(turns)
         )
-        chain = pc.build_chain(structure.with_positions(pose(base, q).x), base.opened)
+        chain = pc.build_chain(structure.with_positions(pc.pose(base, q).x), base.opened)
         chains.append(pc.build_chain(parted(chain).structure, base.opened))
     return chains
 
 
 def problem_of(chain: pc.Chain, energy, budget: int) -> Problem:
     """Return a chain's energy with what is constant left out."""
-    at = pose(chain, chain.q0).x
-    return Problem(Torsions(chain), energy.without_constants(rigid_groups(chain), at), budget)
+    at = pc.pose(chain, chain.q0).x
+    return Problem(Torsions(chain), energy.without_constants(chain.rigid_groups, at), budget)
 
 
 def enkephalin(output: Path) -> None:

@@ -19,8 +19,7 @@ import pandas as pd
 from openmm import app, unit
 
 import protochain as pc
-from protochain.chain import rigid_groups
-from protochain.dynamics import Course, Isolated, Langevin, Leapfrog, Moment, System, chain_potential
+from protochain.dynamics import Isolated, Langevin, Leapfrog, Propagator, State, System, chain_potential
 from protochain.dynamics.loop import advance
 from protochain.dynamics.thermostats import Thermostat
 from protochain.energies.factory import DATA, FORCE_FIELDS, SOLVENTS
@@ -130,16 +129,16 @@ def median_seconds(function: Callable[[], object], n: int, repeats: int = 7) -> 
 def one_step(chain: pc.Chain, energy) -> tuple[float, float, float, float]:
     """Seconds of the energy, of what moves with torques, and of the rest of a step: Langevin's, isolated."""
     x = chain.structure.positions
-    system = System(chain.tree, chain_potential(chain, energy.without_constants(rigid_groups(chain), x)))
+    system = System(chain.tree, chain_potential(chain, energy.without_constants(chain.rigid_groups, x)))
     at = system.at(chain.q0, np.zeros(chain.n_v))
     qd = sample_velocities(chain.tree, at.factors.frames, 300 * MOLAR_GAS, np.random.default_rng(0))
-    at = system.moving(at, qd)
+    at = system.with_velocities(at, qd)
     still = System(chain.tree, lambda q, f: (at.potential, at.torque))
 
     def step(thermostat: Thermostat) -> Callable[[], object]:
-        course = Course(still, Leapfrog(), thermostat, 0.004, 300 * MOLAR_GAS, 0, False)
-        now = Moment(0, at, thermostat.init(at))
-        return lambda: advance(course, now)
+        propagator = Propagator(still, Leapfrog(), thermostat, 0.004, 300 * MOLAR_GAS, 0, False)
+        now = State(0, at, thermostat.init(at))
+        return lambda: advance(propagator, now)
 
     return (
         median_seconds(lambda: energy(x), 10),

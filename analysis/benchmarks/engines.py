@@ -21,7 +21,6 @@ import openmm
 from openmm import app, unit
 
 import protochain as pc
-from protochain.chain import rigid_groups
 from protochain.energies import Energy, NativeEnergy, OpenMMEnergy
 
 SAMPLES = Path(__file__).parents[2] / "structures"
@@ -151,7 +150,7 @@ def left_out(paths: list[Path], threads: int) -> None:
             for hinges in ("phi psi", "phi psi chi", "phi psi chi omega rotors"):
                 c = pc.build_chain(s, hinges)
                 x = pc.pose(c, c.q0).x
-                less: Energy = whole.without_constants(rigid_groups(c), x)
+                less: Energy = whole.without_constants(c.rigid_groups, x)
                 _, f = whole(x)
                 ms = medians(
                     {"all": partial(whole, x), "moving": partial(less, x), "sweeps": partial(torques, c, f)},

@@ -6,6 +6,7 @@ from typing import Any
 
 from protochain import defaults
 from protochain.analysis.comparison import Comparison
+from protochain.arrays import Watcher
 from protochain.articulate import as_chain
 from protochain.energies import energy as build_energy
 from protochain.energies.protocol import check_is_of
@@ -13,7 +14,6 @@ from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Solution, Status, recipe_of
 from protochain.minimisers.api import Minimisation, minimise_from
-from protochain.minimisers.solution import Watcher
 from protochain.minimisers.start import Start
 from protochain.structure import as_structure
 

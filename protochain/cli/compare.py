@@ -29,7 +29,7 @@ from protochain.interrupts import held_interrupts
 from protochain.setup import Setup, words
 
 if TYPE_CHECKING:
-    from protochain.minimisers.solution import Watcher
+    from protochain.arrays import Watcher
 
 
 @with_setup(without="move")

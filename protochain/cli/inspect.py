@@ -20,7 +20,6 @@ def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
     for name in ("articulate", "energies"):
         # Loaded here, so that the other times are those of the work alone.
         import_module(f"protochain.{name}")
-    from protochain.chain import rigid_groups
     from protochain.contacts import overlaps
 
     imported = perf_counter()
@@ -28,7 +27,7 @@ def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
     loaded = perf_counter()
     chain = setup.chain(structure)
     built = perf_counter()
-    energy = setup.energy(structure).without_constants(rigid_groups(chain), structure.positions)
+    energy = setup.energy(structure).without_constants(chain.rigid_groups, structure.positions)
     facts: dict[str, Any] = {
         "input": str(source),
         "n_chains": structure.n_chains,

@@ -91,14 +91,14 @@ def simulate(
     """
     from protochain.dynamics import simulate as run
     from protochain.dynamics.folder import check_folder
-    from protochain.dynamics.settings import Settings
+    from protochain.dynamics.settings import SimulationSettings
 
     settings: dict[str, Any] = {
         "temperature": temperature, "time_step": time_step / 1000.0, "thermostat": thermostat,
         "friction": friction, "integrator": integrator, "fixman": fixman, "loops": loops,
         "hydrogen_mass": hydrogen_mass, "trajectory_length": trajectory_length, "every": every, "seed": seed,
     }  # fmt: skip
-    Settings(**settings).check(steps, checkpoint_every)
+    SimulationSettings(**settings).check(steps, checkpoint_every)
     output = output or Path(f"{named_after(source)[0]}-simulation")
     check_folder(output, trajectory, resume, force)
     chain, energy, preparation = prepare(source, setup)

@@ -10,10 +10,9 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
+    from protochain.arrays import Watcher
     from protochain.batches.api import BatchProgress
     from protochain.batches.jobs import Job
-    from protochain.dynamics.simulate import Watcher as SimulationWatcher
-    from protochain.minimisers.solution import Watcher
 
 _SHOWN_FAILURES = 10
 """Structures without a result to list; the table and the page have all."""
@@ -35,7 +34,7 @@ def run_progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(method, total=max_evaluations, now="")
 
-        def watch(row: dict[str, float], x: Any) -> None:
+        def watch(row: "Mapping[str, float]", x: Any) -> None:
             torque = row["max_torque_kj_mol_rad"]
             size = "" if torque != torque else f", torque {torque:.3g} kJ/mol/rad"
             now = f"{row['evaluations']:.0f} evaluations, {row['energy_kj_mol']:.2f} kJ/mol{size}"
@@ -45,7 +44,7 @@ def run_progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
 
 
 @contextmanager
-def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["SimulationWatcher"]:
+def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["Watcher"]:
     """Show a bar with time, temperature, nanoseconds a day and the time left, if that is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

@@ -1,11 +1,11 @@
 """Constrained molecular dynamics of chains: integrators, thermostats, Fixman's potential, Monte Carlo."""
 
 from protochain.dynamics.closure import Closure, closure_of
+from protochain.dynamics.com_motion import remove_com_motion
 from protochain.dynamics.fixman import fixman
 from protochain.dynamics.leapfrog import Leapfrog
-from protochain.dynamics.loop import Course, Ending, Moment, initial, run
+from protochain.dynamics.loop import Ending, Propagator, State, initial, run
 from protochain.dynamics.midpoint import ImplicitMidpoint
-from protochain.dynamics.overall import without_drift
 from protochain.dynamics.runge_kutta import DormandPrince, RungeKutta4
 from protochain.dynamics.simulate import simulate
 from protochain.dynamics.simulation import Simulation
@@ -13,8 +13,8 @@ from protochain.dynamics.system import Phase, StepTooLargeError, System, chain_p
 from protochain.dynamics.thermostats import HybridMonteCarlo, Isolated, Langevin, NoseHoover, Rescaling
 
 __all__ = [
-    "Closure", "Course", "DormandPrince", "Ending", "HybridMonteCarlo", "ImplicitMidpoint", "Isolated",
-    "Langevin", "Leapfrog", "Moment", "NoseHoover", "Phase", "Rescaling", "RungeKutta4",
-    "Simulation", "StepTooLargeError", "System", "chain_potential", "closure_of", "fixman", "initial", "run",
-    "simulate", "total", "without_drift",
+    "Closure", "DormandPrince", "Ending", "HybridMonteCarlo", "ImplicitMidpoint", "Isolated", "Langevin",
+    "Leapfrog", "NoseHoover", "Phase", "Propagator", "Rescaling", "RungeKutta4", "Simulation", "State",
+    "StepTooLargeError", "System", "chain_potential", "closure_of", "fixman", "initial",
+    "remove_com_motion", "run", "simulate", "total",
 ]  # fmt: skip

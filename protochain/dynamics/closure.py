@@ -1,4 +1,4 @@
-"""Loops held closed: distances between atoms of two bodies that do not change."""
+"""Loop closure by constraints: constant distances between atoms of two bodies."""
 
 from dataclasses import dataclass
 
@@ -7,28 +7,30 @@ from scipy.linalg import cho_factor, cho_solve
 
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, pose
-from protochain.dynamics.system import Flight, Flown, Phase, StepTooLargeError
+from protochain.dynamics.system import Drift, Drifted, Phase, StepTooLargeError
 from protochain.errors import ChainError
 from protochain.multibody import Frames, Rows, Tree, operational_inverse, row_matrix, solve_closed
 from protochain.multibody.articulated import Articulated
 
 CLOSED_NM = 1e-12
-"""What a distance may be off after a step: some hundred roundings of coordinates of a nanometre."""
+"""Largest error of a distance after a step: some hundred times the rounding error of coordinates."""
 _ITERATIONS = 50
 
 
 @dataclass(frozen=True, eq=False)
 class Closure:
-    """Distances that are kept.
+    """Distance constraints that close loops.
 
     Parameters
     ----------
     tree : Tree
+        Rigid bodies.
     body : (m, 2) int
         Bodies of the two ends of each distance.
     local : (m, 2, 3) float, nm
-        The ends in the frames of their bodies.
+        Positions of the ends in the frames of their bodies.
     length : (m,) float, nm
+        Constant values of the distances.
     """
 
     tree: Tree
@@ -37,17 +39,17 @@ class Closure:
     length: Floats
 
     def ends(self, frames: Frames) -> Floats:
-        """(m, 2, 3) float, nm: where the ends are."""
+        """(m, 2, 3) float, nm: positions of the ends."""
         turned = np.einsum("meij,mej->mei", frames.rotation[self.body], self.local)
         return np.asarray(turned + frames.origin[self.body])
 
     def errors(self, frames: Frames) -> Floats:
-        """(m,) float, nm: distances less what they ought to be."""
+        """(m,) float, nm: deviations of the distances from their constant values."""
         first, second = self.ends(frames).swapaxes(0, 1)
         return np.asarray(np.linalg.norm(second - first, axis=1) - self.length)
 
     def rows(self, frames: Frames) -> Rows:
-        """Rates of the distances, as rows on the twists of the bodies."""
+        """Time derivatives of the distances, as constraint rows on the twists of the bodies."""
         ends = self.ends(frames)
         along = ends[:, 1] - ends[:, 0]
         along /= np.linalg.norm(along, axis=1)[:, None]
@@ -55,42 +57,45 @@ class Closure:
         arm = ends - frames.origin[self.body]
         return Rows(self.body, np.concatenate([np.cross(arm, force), force], axis=2))
 
-    def kept(self, factors: Articulated, p: Floats) -> Floats:
-        """Velocities (n_v,) of momenta p (n_v,), less those that would change the distances."""
+    def project_velocities(self, factors: Articulated, p: Floats) -> Floats:
+        """Velocities (n_v,) of momenta p (n_v,), projected onto those that keep the distances."""
         return solve_closed(self.tree, factors.frames, p, self.rows(factors.frames))
 
-    def fly(self, flight: Flight, at: Phase, p: Floats, time_step: float) -> Flown:
-        """Fly with impulses at the start that keep the distances to the end.
+    def drift(self, drift: Drift, at: Phase, p: Floats, time_step: float) -> Drifted:
+        """Drift with constraint impulses at the start, such that the distances are kept at the end.
 
         Raises
         ------
         StepTooLargeError
-            If no impulses are found.
+            If the iteration for the impulses does not converge.
 
         Notes
         -----
         RATTLE for a general Hamiltonian: Jay, SIAM J. Numer. Anal. 33:368 (1996). Newton's method with
-        G M^-1 G^T of where the step begins.
+        G M^-1 G^T at the start of the step.
         """
         rows = self.rows(at.factors.frames)
         g = row_matrix(self.tree, at.factors.frames, rows)
         inverse = cho_factor(operational_inverse(self.tree, at.factors.frames, rows))
         impulse = np.zeros(len(g))
         for _ in range(_ITERATIONS):
-            q, end, factors = flight(at, p - g.T @ impulse, time_step)
+            q, end, factors = drift(at, p - g.T @ impulse, time_step)
             error = self.errors(factors.frames)
             if np.max(np.abs(error)) < CLOSED_NM:
                 return q, end, factors
             impulse += cho_solve(inverse, error) / time_step
-        raise StepTooLargeError(f"no impulses keep the loops closed in {1000 * abs(time_step):g} fs")
+        raise StepTooLargeError(
+            f"no impulses keep the loops closed over a step of {1000 * abs(time_step):g} fs"
+        )
 
 
 def closure_of(chain: Chain) -> Closure:
-    """Bond and bond angles of each loop of a chain, at the lengths they have at q0.
+    """Constrain the bond and the bond angles at each loop of a chain to their values at q0.
 
     Parameters
     ----------
     chain : Chain
+        Chain with disulfides or other cross-links.
 
     Returns
     -------
@@ -103,7 +108,7 @@ def closure_of(chain: Chain) -> Closure:
         If there is no loop.
     """
     if not len(chain.loops):
-        raise ChainError(f"{chain.structure.name}: has no loop to hold closed")
+        raise ChainError(f"{chain.structure.name}: no loop to close; use loops open")
     s = chain.structure
     heavy = s.atom_element != "H"
 

@@ -1,13 +1,12 @@
-"""Newton's method for the velocities of the leapfrog's flight, in O(n).
+"""Newton's method for the velocities of the leapfrog's drift, in O(n).
 
-The flight's velocities satisfy p(q + k qd, qd) - k g(q + k qd, qd) = p0, with k half its time and g the
-gradient of the kinetic energy. The momentum of hinge i is h . Pi, with h its twist and Pi the momentum of all
-that it carries, and g is (V x h) . Pi: sums over what hangs outside of local terms, so that the derivative
-factorises by one inward sweep, as the mass matrix does by articulated bodies. But the twists that collect
-momenta, h - k V x h, are not those that spread velocities, h + k V x h; and a hinge that moves feels Pi. The
-articulated inertia is not symmetric. To first order in k the derivative is M plus an antisymmetric matrix: it
-has an inverse however long the chain. A plain fixed point, which M alone would make, does not attract in open
-chains of a hundred residues.
+They satisfy p(q + k qd, qd) - k g(q + k qd, qd) = p0, with k half the time step and g the gradient of the
+kinetic energy. The momentum of a hinge is h . Pi, with h its twist and Pi the momentum of all bodies beyond
+it, and g is (V x h) . Pi: sums of local terms over these bodies, so that the derivative is factorised by one
+inward sweep, as the mass matrix is by articulated bodies. But momenta are collected with h - k V x h and
+velocities propagated with h + k V x h, and Pi acts on a moving hinge: the articulated inertia is not
+symmetric. To first order in k the derivative is M plus an antisymmetric matrix, invertible however long the
+chain. A fixed-point iteration with M alone diverges in open chains of a hundred residues.
 """
 
 import numpy as np
@@ -37,10 +36,10 @@ def correct(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, twists: Floats, momenta: Floats,
     h: float, x: Floats,
 ) -> None:  # fmt: skip
-    """Overwrite what the momenta lack in ``x`` (n_v,) by the velocities to add; h is half the time of flight.
+    """Overwrite the residual of the momenta, ``x`` (n_v,), by a Newton step; h is half the time step.
 
-    Frames, ``twists`` (nb, 6) of the bodies and ``momenta`` (nb, 6) of all that they carry are those
-    half-way.
+    Frames, ``twists`` (nb, 6) of the bodies and ``momenta`` (nb, 6) of each body with all beyond it belong to
+    the midpoint.
     """
     n = len(bodies)
     inertia, load = np.zeros((n, 6, 6)), np.zeros((n, 6))
@@ -110,11 +109,11 @@ def _hinge_twists(
     turn, slide = scale(bodies[b, TURN], axis), scale(bodies[b, SLIDE], axis)
     omega, u = pair(twists, b)
     angular, linear = pair(momenta, b)
-    spin, drift = cross(omega, turn), add(cross(omega, slide), cross(u, turn))
+    spin, shift = cross(omega, turn), add(cross(omega, slide), cross(u, turn))
     moment, force = add(cross(turn, angular), cross(slide, linear)), cross(turn, linear)
     for i in range(3):
-        left[i], left[3 + i] = turn[i] - h * spin[i], slide[i] - h * drift[i]
-        right[i], right[3 + i] = turn[i] + h * spin[i], slide[i] + h * drift[i]
+        left[i], left[3 + i] = turn[i] - h * spin[i], slide[i] - h * shift[i]
+        right[i], right[3 + i] = turn[i] + h * spin[i], slide[i] + h * shift[i]
         feel[i], feel[3 + i] = moment[i], force[i]
 
 
@@ -122,10 +121,10 @@ def _hinge_twists(
 def _solve_root(
     p: Floats, z: Floats, twists: Floats, momenta: Floats, b: int, h: float, x: Floats
 ) -> None:  # fmt: skip
-    """Overwrite what a free root's momenta lack by the velocities to add: a dense matrix of six rows.
+    """Overwrite the residual of a free root's momenta by a Newton step in its velocities: a dense 6x6 system.
 
-    They are those about where the step began, h u before its middle; and what turns the root turns all
-    momenta.
+    These momenta are about the origin at the start of the step, h u before the midpoint, and rotate with the
+    root.
     """
     a, r = np.empty((6, 6)), np.empty(6)
     omega, u = pair(twists, b)
@@ -136,19 +135,19 @@ def _solve_root(
     for j in range(6):
         turn, slide = freedom(ZERO, 0.0, 0.0, 6, j)
         spin = add(turn, scale(h, cross(omega, turn)))
-        drift = add(slide, scale(h, cross(u, turn)))
+        shift = add(slide, scale(h, cross(u, turn)))
         moment, force = add(cross(turn, angular), cross(slide, linear)), cross(turn, linear)
         for i in range(3):
             a[i, j], a[3 + i, j] = h * moment[i], h * force[i]
         for i in range(6):
             for k in range(3):
-                a[i, j] += p[i, k] * spin[k] + p[i, 3 + k] * drift[k]
+                a[i, j] += p[i, k] * spin[k] + p[i, 3 + k] * shift[k]
     x[:] = np.linalg.solve(a, r)
 
 
 @kernel
 def _add_rigid(p: Floats, rotation: Floats, bodies: Floats, b: int) -> None:
-    """Add a body's own inertia about its origin to a 6x6 matrix."""
+    """Add the spatial inertia of body b about its origin to a 6x6 matrix."""
     mass, (x, y, z), s = rigid_inertia(matrix(rotation, b), bodies, b)
     p[0, 0] += s[0]
     p[0, 1] += s[1]
@@ -168,7 +167,7 @@ def _add_rigid(p: Floats, rotation: Floats, bodies: Floats, b: int) -> None:
 
 @kernel
 def _hand_inward(p: Floats, z: Floats, arm: Vector, onto: Floats, load: Floats) -> None:
-    """Add to the parent's matrix and load what the child's are about its origin: X^T p X and X^T z."""
+    """Add the child's matrix and load about the parent's origin, X^T p X and X^T z, to the parent's."""
     for i in range(6):
         # Columns: a twist (omega, u) of the parent is (omega, u + omega x arm) here.
         shifted = cross(arm, (p[i, 3], p[i, 4], p[i, 5]))

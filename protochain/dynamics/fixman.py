@@ -1,4 +1,4 @@
-"""The Fixman potential: what makes rigid bonds and angles sample torsions as stiff springs would."""
+"""Fixman's potential: with it rigid bonds and angles sample torsions as stiff springs would."""
 
 from protochain.arrays import Floats
 from protochain.dynamics.system import Potential
@@ -8,23 +8,24 @@ from protochain.multibody.operational import gradient_of_log_det
 
 
 def fixman(thermal_energy: float) -> Potential:
-    """Fixman's potential at kT = ``thermal_energy``, kJ/mol.
+    """Build Fixman's potential for a temperature.
 
     Parameters
     ----------
     thermal_energy : float, kJ/mol
+        Value of kT.
 
     Returns
     -------
     callable
-        U = (kT/2) ln det M, added to the force field; without it torsions are sampled with a density too
-        large by sqrt(det M).
+        Potential (kT/2) ln det M, to be added to the force field; without it the density of sampled torsions
+        has an additional factor sqrt(det M).
 
     Notes
     -----
     Fixman, PNAS 71:3050 (1974); its torque by Jain, Kandel, Wagner, Larsen, Vaidehi, J. Chem. Phys.
-    139:244103 (2013). O(n). Hinges that open bond angles would need -kT ln sin(angle) each besides, which is
-    not added: angles hardly leave their minima.
+    139:244103 (2013). O(n). Each hinge that opens a bond angle would need -kT ln sin(angle) in addition; this
+    is omitted, since angles hardly leave their minima.
     """
 
     def potential(q: Floats, factors: Articulated) -> tuple[float, Floats]:

@@ -1,21 +1,21 @@
-"""The leapfrog of a tree: push, free flight, push; reversible, symplectic, one energy a step.
+"""Kick-drift-kick leapfrog of a tree: reversible, symplectic, one energy evaluation a step.
 
-Kinetic energies that depend on q do not separate, so the plain leapfrog (velocity Verlet) would be neither.
-Here the flight without potential is one step of the midpoint rule: its discrete Lagrangian is h L(exp(xi/2)
-q, xi/h), with xi the displacement of the step and L the kinetic energy (Marsden, West, Acta Numerica 10:357,
-2001, sections 1.3 and 2.6). Free roots follow the exponential map, so the momenta of an isolated chain are
-kept to rounding. The step is implicit in velocities only, for which Newton's method solves in O(n), without
-the energy.
+The kinetic energy depends on q, so the Hamiltonian is not separable and plain leapfrog (velocity Verlet)
+would be neither. Here the drift is one step of the midpoint rule without potential: its discrete Lagrangian
+is h L(exp(xi/2) q, xi/h), with xi the displacement of the step and L the kinetic energy (Marsden, West, Acta
+Numerica 10:357, 2001, sections 1.3 and 2.6). Free roots follow the exponential map, so an isolated chain
+conserves momentum to rounding. The step is implicit in the velocities only, which Newton's method finds in
+O(n), without the energy.
 """
 
 from dataclasses import dataclass, field
-from typing import NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from protochain.arrays import Floats, Integers, frozen
 from protochain.dynamics.correction import correct
-from protochain.dynamics.system import Flight, Flown, Integrator, Phase, StepTooLargeError, System
+from protochain.dynamics.system import Drift, Drifted, Integrator, Phase, StepTooLargeError, System
 from protochain.multibody import Frames
 from protochain.multibody.algebra import add, cross, kernel, put_at, scale, subtract, vector_at
 from protochain.multibody.articulated import Articulated, factorise, put_rigid, solve
@@ -26,70 +26,71 @@ from protochain.multibody.tree import Tree, V
 
 _ITERATIONS = 40
 _SETTLED = 1e-13
-"""Error of a velocity, relative to the largest, at which a solution is found."""
+"""Tolerance of Newton's method: error of a velocity relative to the largest."""
 _NOISE = 1e-9
-"""Below this a change that no longer shrinks is rounding."""
+"""Below this a change that no longer decreases is rounding error."""
 
 
 @dataclass(frozen=True)
 class Leapfrog(Integrator):
-    """Push, flight, push: of order two, with one evaluation of the potential.
+    """Kick-drift-kick leapfrog: order two, one evaluation of the potential a step.
 
     Parameters
     ----------
-    flight : callable
-        By the midpoint rule, unless another is given.
+    drift : callable
+        Motion without potential, by default one step of the midpoint rule.
     """
 
-    flight: Flight = field(default_factory=lambda: fly)
+    reversible: ClassVar[bool] = True
+    drift: Drift = field(default_factory=lambda: drift)
 
     def step(self, system: System, at: Phase, time_step: float) -> Phase:
-        """One step.
+        """Kick for half a step, drift for a step, kick for half a step.
 
         Raises
         ------
         StepTooLargeError
-            If the velocities of the flight cannot be found.
+            If Newton's method for the velocities of the drift does not converge.
         """
-        pushed = at.p + 0.5 * time_step * at.torque
-        if system.closure is None:
-            return system.arrived(*self.flight(at, pushed, time_step), time_step)
-        there = system.arrived(*system.closure.fly(self.flight, at, pushed, time_step), time_step)
-        return system.moving(there, there.qd)
+        kicked = at.p + 0.5 * time_step * at.torque
+        if system.constraint is None:
+            return system.kick(*self.drift(at, kicked, time_step), time_step)
+        there = system.kick(*system.constraint.drift(self.drift, at, kicked, time_step), time_step)
+        return system.with_velocities(there, there.qd)
 
 
-def fly(at: Phase, p: Floats, time_step: float) -> Flown:
+def drift(at: Phase, p: Floats, time_step: float) -> Drifted:
     """Move for one time step without a potential, by the midpoint rule.
 
     Parameters
     ----------
     at : Phase
-        Where it begins.
+        Phase at the start.
     p : (n_v,) float
-        Momenta it begins with.
+        Momenta at the start.
     time_step : float, ps
 
     Returns
     -------
     (n_q,) float, (n_v,) float, Articulated
-        Coordinates, momenta, and the factors of M after it.
+        Coordinates, momenta and factors of M at the end.
 
     Raises
     ------
     StepTooLargeError
-        If the velocities are not found.
+        If Newton's method for the velocities does not converge.
     """
-    tree, there = at.factors.tree, Landing.on(at)
+    tree, there = at.factors.tree, Workspace.like(at)
     q, p = at.q.copy(), p.copy()
     try:
-        failed = _fly(tree.links, tree.bodies, time_step, q, solve(at.factors, p), p, *there)
+        failed = _drift(tree.links, tree.bodies, time_step, q, solve(at.factors, p), p, *there)
     except np.linalg.LinAlgError:
         failed = True
     return q, p, there.factors(tree, failed, time_step)
 
 
-class Landing(NamedTuple):
-    """Room for frames and factors where a flight ends: as :class:`Articulated` has them."""
+class Workspace(NamedTuple):
+    """Arrays for the frames and factors at the end of a drift, as in :class:`Articulated`."""
 
     rotation: Floats
     origin: Floats
@@ -99,8 +100,8 @@ class Landing(NamedTuple):
     root: Floats
 
     @classmethod
-    def on(cls, at: Phase) -> Self:
-        """Make room for a flight that begins there."""
+    def like(cls, at: Phase) -> Self:
+        """Allocate arrays for a drift that starts there."""
         n = at.factors.tree.n_bodies
         roots = np.empty_like(at.factors.root)
         return cls(
@@ -108,12 +109,12 @@ class Landing(NamedTuple):
         )
 
     def factors(self, tree: Tree, failed: bool, time_step: float) -> Articulated:
-        """Return what was written, unless the flight failed.
+        """Return the frames and factors of a drift that has succeeded.
 
         Raises
         ------
         StepTooLargeError
-            If it did. M was not singular where it began: what is singular is what an iteration ran off to.
+            If it has failed: M is singular, if at all, only where a diverging iteration has led.
         """
         if failed:
             raise StepTooLargeError(
@@ -124,11 +125,11 @@ class Landing(NamedTuple):
 
 
 @kernel
-def _fly(
+def _drift(
     links: Integers, bodies: Floats, time_step: float, q: Floats, qd: Floats, p: Floats, rotation: Floats,
     origin: Floats, packed: Floats, gain: Floats, pivot: Floats, root: Floats,
 ) -> bool:  # fmt: skip
-    """Overwrite q and p; write frames and factors at the new q; return whether no velocities were found."""
+    """Overwrite q and p; write frames and factors at the new q; return whether Newton's method failed."""
     n, n_v = len(bodies), len(qd)
     twists, carried = np.empty((n, 6)), np.empty((n, 6))
     mu, gradient, lack, middle = np.empty(n_v), np.empty(n_v), np.empty(n_v), np.empty(len(q))
@@ -140,12 +141,12 @@ def _fly(
         move_along(links, lack, middle)
         outward_frames(links, bodies, middle, rotation, origin)
         put_momenta(links, bodies, rotation, origin, qd, twists, carried, mu, gradient)
-        put_end(links, time_step, qd, mu, gradient, lack)
+        put_end_momenta(links, time_step, qd, mu, gradient, lack)
         for k in range(n_v):
             lack[k] = p[k] - lack[k]
         correct(links, bodies, rotation, origin, twists, carried, 0.5 * time_step, lack)
-        change = _add_on(lack, qd)
-        # What the next change would be, if they go on to shrink as they do.
+        change = _add_step(lack, qd)
+        # Estimate of the next change, if convergence continues at this rate.
         left = change * change / before if change < before < np.inf else change
         if left < _SETTLED or (change < _NOISE and change >= 0.5 * before):
             found = True
@@ -155,7 +156,7 @@ def _fly(
         before = change
     if not found:
         return True
-    _push_by_inertia(links, time_step, qd, gradient, p)
+    _advance_momenta(links, time_step, qd, gradient, p)
     for k in range(n_v):
         lack[k] = time_step * qd[k]
     move_along(links, lack, q)
@@ -166,26 +167,26 @@ def _fly(
 
 
 @kernel
-def put_end(links: Integers, h: float, qd: Floats, mu: Floats, push: Floats, p: Floats) -> None:
-    """Write the momenta at the start of a step h whose velocities, half-way, have momenta mu under a push.
+def put_end_momenta(links: Integers, h: float, qd: Floats, mu: Floats, force: Floats, p: Floats) -> None:
+    """Write the momenta at the start of a step h, from the momenta mu and the force at its midpoint.
 
     With a negative h, those at its end.
     """
     for k in range(len(p)):
-        p[k] = mu[k] - 0.5 * h * push[k]
+        p[k] = mu[k] - 0.5 * h * force[k]
     for b in range(len(links) - 1):
         k = links[b, V]
         if links[b + 1, V] - k == 6:
             xi = scale(h, vector_at(qd, k))
-            pushed = tangent(scale(0.5, xi), scale(0.5 * h, vector_at(push, k)))
-            put_at(tangent_inverse(xi, subtract(vector_at(mu, k), pushed)), p, k)
+            change = tangent(scale(0.5, xi), scale(0.5 * h, vector_at(force, k)))
+            put_at(tangent_inverse(xi, subtract(vector_at(mu, k), change)), p, k)
 
 
 @kernel
-def _push_by_inertia(links: Integers, h: float, qd: Floats, gradient: Floats, p: Floats) -> None:
-    """Overwrite momenta by those after a flight of time h.
+def _advance_momenta(links: Integers, h: float, qd: Floats, gradient: Floats, p: Floats) -> None:
+    """Overwrite momenta by those after a drift of time h.
 
-    A free root's are those of all that hangs on it: what they are about the world's origin does not change.
+    A free root's momenta are those of its whole tree, which about the world's origin do not change.
     """
     for b in range(len(links) - 1):
         k = links[b, V]
@@ -198,12 +199,12 @@ def _push_by_inertia(links: Integers, h: float, qd: Floats, gradient: Floats, p:
 
 
 @kernel
-def _add_on(step: Floats, x: Floats) -> float:
-    """Add a step; return its largest entry relative to that of x, NaN if there is one."""
+def _add_step(step: Floats, x: Floats) -> float:
+    """Add a step to x; return its largest entry relative to the largest of x, NaN if any entry is NaN."""
     change, size = 0.0, 0.0
     for k in range(len(x)):
         x[k] += step[k]
-        # Sums, not comparisons, so that what is not a number shows.
+        # A sum, not a comparison, so that NaN propagates.
         change = max(change, abs(step[k])) + 0.0 * step[k]
         size = max(size, abs(x[k]))
     return change / size if size > 0.0 else 0.0

@@ -1,20 +1,20 @@
-"""The generalised leapfrog in canonical coordinates: the Lobatto IIIA-B pair of order two.
+"""Generalised leapfrog in canonical coordinates: the Lobatto IIIA-B pair of order two.
 
 Hairer, Lubich, Wanner, *Geometric Numerical Integration* (2006), VI.3, equation 3.4; free roots follow the
-exponential map (Bou-Rabee, Marsden, Found. Comput. Math. 9:197, 2009), which keeps the momenta of an isolated
-chain to rounding. Its halves are implicit in velocities and in positions only: fixed points of O(n) sweeps,
-without the energy.
+exponential map (Bou-Rabee, Marsden, Found. Comput. Math. 9:197, 2009), which conserves the momentum of an
+isolated chain to rounding. One half step is implicit in the velocities, the other in the positions: both are
+solved by fixed-point iteration of O(n) sweeps, without the energy.
 
-Its inner velocities solve M(q) v = p for a q and a p half a step apart. In long, open chains that puts them
-far from any velocity of the motion: errors of the energy are large, and at some length no solution is found.
-:mod:`protochain.dynamics.leapfrog` takes both half-way, and is what to use.
+The stage velocities solve M(q) v = p with q and p half a step apart. In long, open chains they are far from
+any velocity of the motion: energy errors are large, and beyond some length the iteration diverges.
+:mod:`protochain.dynamics.leapfrog` takes both at the midpoint and is the default.
 """
 
 import numpy as np
 
 from protochain.arrays import Floats, Integers
-from protochain.dynamics.leapfrog import Landing
-from protochain.dynamics.system import Flown, Phase
+from protochain.dynamics.leapfrog import Workspace
+from protochain.dynamics.system import Drifted, Phase
 from protochain.multibody.algebra import kernel, put_at, scale, vector_at
 from protochain.multibody.articulated import factorise, inward_loads, outward_rates, put_rigid
 from protochain.multibody.hamilton import put_momenta
@@ -24,16 +24,16 @@ from protochain.multibody.tree import V
 
 _ITERATIONS = 60
 _SETTLED = 1e-12
-"""Change of a velocity, relative to the largest, at which a fixed point is found."""
+"""Tolerance of the fixed-point iterations: change of a velocity relative to the largest."""
 _NOISE = 1e-10
-"""Below this a change that no longer shrinks is rounding."""
+"""Below this a change that no longer decreases is rounding error."""
 
 
-def fly(at: Phase, p: Floats, time_step: float) -> Flown:
-    """Move for one time step without a potential: as :func:`protochain.dynamics.leapfrog.fly`."""
-    tree, there = at.factors.tree, Landing.on(at)
+def drift(at: Phase, p: Floats, time_step: float) -> Drifted:
+    """Drift by the Lobatto pair; parameters as for :func:`protochain.dynamics.leapfrog.drift`."""
+    tree, there = at.factors.tree, Workspace.like(at)
     q, qd, end, old = at.q.copy(), at.qd.copy(), np.empty_like(p), at.factors
-    failed = _leap(
+    failed = _drift(
         tree.links, tree.bodies, old.frames.rotation, old.frames.origin, old.gain, old.pivot, old.root,
         p, 0.5 * time_step, q, qd, end, *there,
     )  # fmt: skip
@@ -41,15 +41,12 @@ def fly(at: Phase, p: Floats, time_step: float) -> Flown:
 
 
 @kernel
-def _leap(
+def _drift(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
-    root: Floats, pushed: Floats, h: float, q: Floats, qd: Floats, p: Floats, new_rotation: Floats,
+    root: Floats, kicked: Floats, h: float, q: Floats, qd: Floats, p: Floats, new_rotation: Floats,
     new_origin: Floats, packed: Floats, new_gain: Floats, new_pivot: Floats, new_root: Floats,
 ) -> bool:  # fmt: skip
-    """Half a step from q, known, and half a step to the new q, unknown; h is half the time step.
-
-    Returns whether it failed.
-    """
+    """Half a step explicit in q and half a step implicit in q, of h each; return whether it failed."""
     n, n_v = len(bodies), len(qd)
     twists, carried = np.empty((n, 6)), np.empty((n, 6))
     gradient, half, rates = np.empty(n_v), np.empty(n_v), np.empty(n_v)
@@ -57,7 +54,7 @@ def _leap(
     for _ in range(_ITERATIONS):
         put_momenta(links, bodies, rotation, origin, qd, twists, carried, p, gradient)
         for k in range(n_v):
-            half[k] = pushed[k] + h * gradient[k]
+            half[k] = kicked[k] + h * gradient[k]
             rates[k] = half[k]
         _turn_roots(links, h, qd, rates)
         _solve(links, bodies, rotation, origin, gain, pivot, root, carried, rates)
@@ -119,10 +116,10 @@ def _solve(
 
 @kernel
 def _replace(old: Floats, new: Floats) -> float:
-    """Copy new into old; return the largest change relative to the largest value, NaN if there is one."""
+    """Copy new into old; return the largest change relative to the largest value, NaN if any is NaN."""
     change, size = 0.0, 0.0
     for k in range(len(old)):
-        # Sums, not comparisons, so that what is not a number shows.
+        # A sum, not a comparison, so that NaN propagates.
         change = max(change, abs(new[k] - old[k])) + 0.0 * new[k]
         size = max(size, abs(new[k]))
         old[k] = new[k]
@@ -131,7 +128,7 @@ def _replace(old: Floats, new: Floats) -> float:
 
 @kernel
 def _turn_roots(links: Integers, h: float, qd: Floats, p: Floats) -> None:
-    """Angular momentum of free roots at either end of half a step -> M's, dexp of the turn."""
+    """Apply dexp of the rotation over half a step to the angular momenta of free roots."""
     for b in range(len(links) - 1):
         k = links[b, V]
         if links[b + 1, V] - k == 6:
@@ -140,7 +137,7 @@ def _turn_roots(links: Integers, h: float, qd: Floats, p: Floats) -> None:
 
 @kernel
 def _carry_roots(links: Integers, h: float, qd: Floats, p: Floats) -> None:
-    """Carry the angular momentum of free roots along the turn of half a step."""
+    """Rotate the angular momenta of free roots by the rotation over half a step."""
     for b in range(len(links) - 1):
         k = links[b, V]
         if links[b + 1, V] - k == 6:

@@ -1,4 +1,4 @@
-"""The one loop of dynamics: it steps, watches the energy, and reports; all else is done by its parts."""
+"""Main loop of dynamics: advances the state, checks the energy and reports."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -7,22 +7,22 @@ from enum import StrEnum
 import numpy as np
 
 from protochain.arrays import Floats
-from protochain.dynamics.overall import without_drift
+from protochain.dynamics.com_motion import remove_com_motion
 from protochain.dynamics.system import Integrator, Phase, StepTooLargeError, System
 from protochain.dynamics.thermostats import Bath, Thermostat
 from protochain.errors import MechanicsError
 from protochain.interrupts import held_interrupts
 from protochain.multibody import sample_velocities
 
-DRIFT_STEPS = 100
-"""Steps after which what rounding gave to the motion of everything as one is taken away."""
+COM_REMOVAL_STEPS = 100
+"""Steps between removals of the centre-of-mass motion that rounding builds up."""
 BREACH = 0.2
-"""Change of the conserved energy in one step, in parts of the thermal and kinetic energy, that no step within
-its limit of stability makes: there it is some thousandths."""
+"""Largest change of the total energy in one step, relative to thermal plus kinetic energy; stable time steps
+change it by some thousandths."""
 
 
 class Ending(StrEnum):
-    """How a simulation ended."""
+    """Outcome of a simulation."""
 
     COMPLETED = "completed"
     INTERRUPTED = "interrupted"
@@ -30,14 +30,17 @@ class Ending(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
-    """All that the rest of a simulation depends on.
+class State:
+    """Complete state of a simulation, from which it can be continued.
 
     Parameters
     ----------
     step : int
+        Number of steps since the start.
     at : Phase
+        Point in phase space.
     bath : Bath
+        State of the thermostat.
     """
 
     step: int
@@ -46,25 +49,30 @@ class Moment:
 
     @property
     def conserved(self) -> float:
-        """Energy of the system and of what its thermostat has of it, kJ/mol."""
+        """Conserved quantity: total energy plus the energy given to the heat bath, kJ/mol."""
         return self.at.total + self.bath.energy
 
 
 @dataclass(frozen=True)
-class Course:
-    """How to step.
+class Propagator:
+    """System, integrator and thermostat, with the numbers that define a step.
 
     Parameters
     ----------
     system : System
+        Rigid bodies in a potential.
     integrator : Integrator
+        Integrator of the equations of motion.
     thermostat : Thermostat
+        Thermostat, applied after each step of the integrator.
     time_step : float, ps
+        Length of a step.
     thermal_energy : float, kJ/mol
-        kT of the thermostat, or of the first velocities.
+        Value of kT for the thermostat and the initial velocities.
     seed : int
-    stays : bool
-        Whether the motion of everything as one is kept at zero.
+        Seed of all random numbers.
+    removes_com_motion : bool
+        Whether centre-of-mass translation and rotation are removed.
     """
 
     system: System
@@ -73,94 +81,109 @@ class Course:
     time_step: float
     thermal_energy: float
     seed: int
-    stays: bool
+    removes_com_motion: bool
 
 
 def noise(seed: int, step: int) -> np.random.Generator:
-    """Random numbers of one step, which depend on nothing but the seed and its number: so runs can go on."""
+    """Random generator of one step, which depends only on the seed and the step: so runs can be resumed."""
     return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, step]))
 
 
-def advance(course: Course, now: Moment) -> Moment:
-    """Return the moment one time step later.
+def advance(propagator: Propagator, state: State) -> State:
+    """Return the state one time step later.
 
     Raises
     ------
     StepTooLargeError
-        If the step has no solution, or its energy cannot be right.
+        If the step has no solution, or changes the energy too much.
     """
-    step = now.step + 1
+    step = state.step + 1
     try:
-        at = _step(course, now.at)
+        at = _step(propagator, state.at)
     except StepTooLargeError:
-        if not course.thermostat.undoes:
+        if not propagator.thermostat.metropolis:
             raise
-        at = replace(now.at, potential=np.inf)
-    rng = noise(course.seed, step)
-    at, bath = course.thermostat.apply(course.system, at, now.bath, course.time_step, rng)
-    if course.stays and step % DRIFT_STEPS == 0:
-        at = course.system.moving(at, without_drift(course.system.tree, at.factors.frames, at.qd))
-    return Moment(step, at, bath)
+        at = replace(state.at, potential=np.inf)
+    system, rng = propagator.system, noise(propagator.seed, step)
+    at, bath = propagator.thermostat.apply(system, at, state.bath, propagator.time_step, rng)
+    if propagator.removes_com_motion and step % COM_REMOVAL_STEPS == 0:
+        at = system.with_velocities(at, remove_com_motion(system.tree, at.factors.frames, at.qd))
+    return State(step, at, bath)
 
 
-def _step(course: Course, before: Phase) -> Phase:
-    """Return the phase one time step later, if its energy can be right."""
+def _step(propagator: Propagator, before: Phase) -> Phase:
+    """Return the phase one time step later, if the energy change is within bounds."""
     if not np.isfinite(before.potential):
         raise StepTooLargeError("the energy is not a number")
     try:
-        at = course.integrator.step(course.system, before, course.time_step)
+        at = propagator.integrator.step(propagator.system, before, propagator.time_step)
     except MechanicsError as error:
         raise StepTooLargeError(str(error)) from None
     if not at.is_finite:
         raise StepTooLargeError("the energy or a torque is not a number")
     jump = abs(at.total - before.total)
-    thermal = 0.5 * len(at.qd) * course.thermal_energy
-    if jump > BREACH * (thermal + before.kinetic) + course.thermal_energy + 1.0:
+    thermal = 0.5 * len(at.qd) * propagator.thermal_energy
+    if jump > BREACH * (thermal + before.kinetic) + propagator.thermal_energy + 1.0:
         raise StepTooLargeError(f"the energy changed by {jump:.3g} kJ/mol in one step")
     return at
 
 
 def run(
-    course: Course, start: Moment, n_steps: int, every: int, report: Callable[[Moment], None]
-) -> tuple[Moment, Ending, str]:
-    """Step until ``n_steps`` are done.
+    propagator: Propagator, start: State, n_steps: int, every: int, report: Callable[[State], None]
+) -> tuple[State, Ending, str]:
+    """Advance a simulation to step ``n_steps``.
 
     Parameters
     ----------
-    course : Course
-    start : Moment
+    propagator : Propagator
+        System, integrator and thermostat.
+    start : State
+        State to continue from.
     n_steps : int
-        Counted from the simulation's own start.
+        Number of the last step, counted from the start of the simulation.
     every : int
         Steps between reports.
     report : callable
-        Called at every multiple of ``every``.
+        Called with the state at every multiple of ``every``.
 
     Returns
     -------
-    Moment, Ending, str
-        The last moment that is sound, how it ended, and why it ended early.
+    State, Ending, str
+        Last valid state, outcome, and the reason if the run has become unstable.
     """
-    now = start
+    state = start
     with held_interrupts() as interrupts:
-        while now.step < n_steps:
+        while state.step < n_steps:
             if interrupts:
-                return now, Ending.INTERRUPTED, ""
+                return state, Ending.INTERRUPTED, ""
             try:
-                now = advance(course, now)
+                state = advance(propagator, state)
             except StepTooLargeError as error:
-                return now, Ending.UNSTABLE, str(error)
-            if now.step % every == 0:
-                report(now)
-    return now, Ending.COMPLETED, ""
+                return state, Ending.UNSTABLE, str(error)
+            if state.step % every == 0:
+                report(state)
+    return state, Ending.COMPLETED, ""
 
 
-def initial(course: Course, q: Floats) -> Moment:
-    """Begin at q with velocities drawn at the temperature."""
-    system = course.system
+def initial(propagator: Propagator, q: Floats) -> State:
+    """Draw velocities at the temperature for a simulation that starts at q.
+
+    Parameters
+    ----------
+    propagator : Propagator
+        System, integrator and thermostat.
+    q : (n_q,) float
+        Coordinates.
+
+    Returns
+    -------
+    State
+        State at step 0.
+    """
+    system, kt = propagator.system, propagator.thermal_energy
     at = system.at(q, np.zeros(system.tree.n_v))
-    qd = sample_velocities(system.tree, at.factors.frames, course.thermal_energy, noise(course.seed, 0))
-    if course.stays:
-        qd = without_drift(system.tree, at.factors.frames, qd)
-    at = system.moving(at, qd)
-    return Moment(0, at, course.thermostat.init(at))
+    qd = sample_velocities(system.tree, at.factors.frames, kt, noise(propagator.seed, 0))
+    if propagator.removes_com_motion:
+        qd = remove_com_motion(system.tree, at.factors.frames, qd)
+    at = system.with_velocities(at, qd)
+    return State(0, at, propagator.thermostat.init(at))

@@ -1,7 +1,7 @@
-"""The implicit midpoint rule on the coordinates of a tree: stable where springs are stiff."""
+"""Implicit midpoint rule in the coordinates of a tree: stable for stiff springs."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.optimize import NoConvergence, newton_krylov
@@ -9,7 +9,7 @@ from scipy.sparse.linalg import LinearOperator
 
 from protochain import multibody
 from protochain.arrays import Floats
-from protochain.dynamics.leapfrog import put_end
+from protochain.dynamics.leapfrog import put_end_momenta
 from protochain.dynamics.system import Integrator, Phase, StepTooLargeError, System
 from protochain.multibody.articulated import solve
 from protochain.multibody.hamilton import momenta
@@ -17,23 +17,25 @@ from protochain.multibody.hamilton import momenta
 
 @dataclass(frozen=True)
 class ImplicitMidpoint(Integrator):
-    """Reversible and symplectic, of order two, with the potential taken half-way.
+    """Implicit midpoint rule: reversible and symplectic, of order two, with the potential at the midpoint.
 
     The discrete Lagrangian is h L(exp(xi/2) q, xi/h) with xi the displacement of the step, so that momenta
-    are conserved as by the leapfrog (Marsden, West, Acta Numerica 10:357, 2001, section 2.6). Newton's method
-    with Krylov subspaces (scipy's ``newton_krylov``) finds the displacement: some tens of evaluations of the
+    are conserved as by the leapfrog (Marsden, West, Acta Numerica 10:357, 2001, section 2.6). Newton-Krylov
+    iteration (scipy's ``newton_krylov``) finds the displacement, with some tens of evaluations of the
     potential a step.
 
     Parameters
     ----------
     tolerance : float
-        Of the equation for the velocities, relative to the largest.
+        Error of the equation for the velocities, relative to the largest velocity.
     """
+
+    reversible: ClassVar[bool] = True
 
     tolerance: float = 1e-10
 
     def step(self, system: System, at: Phase, time_step: float) -> Phase:
-        """One step.
+        """Advance by one time step.
 
         Raises
         ------
@@ -48,7 +50,7 @@ class ImplicitMidpoint(Integrator):
             factors, p = system.factors(q), np.empty(tree.n_v)
             _, torque = system.potential(q, factors)
             mu, gradient = momenta(tree, factors.frames, qd)
-            put_end(tree.links, sign * h, qd, mu, torque + gradient, p)
+            put_end_momenta(tree.links, sign * h, qd, mu, torque + gradient, p)
             return p
 
         size = max(1.0, float(np.max(np.abs(at.qd))))
@@ -69,4 +71,4 @@ class ImplicitMidpoint(Integrator):
                 f"Newton's method finds no velocities for a time step of {1000 * abs(h):g} fs"
             ) from None
         q = multibody.integrate(tree, at.q, h * qd)
-        return system.arrived(q, end(qd, -1.0), system.factors(q), 0.0)
+        return system.kick(q, end(qd, -1.0), system.factors(q), 0.0)

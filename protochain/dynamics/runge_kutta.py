@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta methods for trees: references of high order, not for long runs (energy drifts)."""
+"""Explicit Runge-Kutta methods for trees: high-order references, not for long runs (the energy drifts)."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from protochain.multibody.rotations import displacement_rates
 
 @dataclass(frozen=True)
 class Tableau:
-    """Butcher's table of an explicit method.
+    """Butcher tableau of an explicit method.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ class Tableau:
         Strictly lower triangle.
     b : (s,) of float
     error : (s,) of float
-        b less the weights of the embedded method.
+        Weights b minus those of the embedded method.
     """
 
     a: tuple[tuple[float, ...], ...]
@@ -60,50 +60,52 @@ DORMAND_PRINCE = Tableau(
 
 @dataclass(frozen=True)
 class RungeKutta4(Integrator):
-    """The classical method; free roots follow the exponential map.
+    """Classical Runge-Kutta method of order four; free roots follow the exponential map.
 
-    Munthe-Kaas, BIT 38:92 (1998): the displacement of a root from where the step began is integrated, so that
-    quaternions stay of unit length.
+    Munthe-Kaas, BIT 38:92 (1998): the displacement of a root within the step is integrated, so that
+    quaternions keep unit length.
     """
 
     def step(self, system: System, at: Phase, time_step: float) -> Phase:
-        """One step, with four evaluations of the potential."""
+        """Advance by one time step, with four evaluations of the potential."""
         q, qd, _ = _advance(CLASSICAL, system, at, time_step)
         return system.at(q, qd)
 
 
 @dataclass(frozen=True)
 class DormandPrince(Integrator):
-    """Steps of order five as long as an estimate of their error allows.
+    """Runge-Kutta method of order five with adaptive substeps.
 
     Parameters
     ----------
     tolerance : float
-        Of the error of a coordinate (rad, nm) and of a velocity, relative to 1 + the largest velocity.
+        Error of a coordinate (rad, nm) or a velocity, relative to 1 + the largest velocity.
     """
 
     tolerance: float = 1e-8
 
     def step(self, system: System, at: Phase, time_step: float) -> Phase:
-        """Advance by the time step in as many parts as it takes: the last one ends there.
+        """Advance by one time step, in as many substeps as the tolerance requires.
 
         Raises
         ------
         StepTooLargeError
-            If a part would have to be shorter than rounding allows.
+            If a substep would have to be shorter than rounding allows.
         """
         done, part = 0.0, time_step
         while abs(time_step - done) > 1e-12 * abs(time_step):
             part = part if abs(part) < abs(time_step - done) else time_step - done
             if abs(part) < 1e-9 * abs(time_step):
-                raise StepTooLargeError(f"no part of a time step of {1000 * abs(time_step):g} fs is accurate")
+                raise StepTooLargeError(
+                    f"no substep of a time step of {1000 * abs(time_step):g} fs is accurate"
+                )
             try:
                 q, qd, error = _advance(DORMAND_PRINCE, system, at, part)
                 size = np.max(error / (1.0 + np.max(np.abs(at.qd)))) / self.tolerance
             except MechanicsError:
-                # A stage that has run off to where nothing is a number.
+                # A stage has diverged to NaN.
                 size = np.nan
-            # Hairer, Norsett, Wanner (1993), II.4: 0.9 of what the estimate asks for, within bounds.
+            # Hairer, Norsett, Wanner (1993), II.4: 0.9 of the estimated substep, within bounds.
             factor = min(5.0, max(0.2, 0.9 * size**-0.2)) if np.isfinite(size) and size > 0.0 else 0.2
             if size <= 1.0:
                 done += part
@@ -118,14 +120,14 @@ def _advance(tableau: Tableau, system: System, at: Phase, h: float) -> tuple[Flo
     """Coordinates and velocities after one step, and an estimate of the error of each freedom."""
     tree = system.tree
     a, b, wrong = (h * np.array(weights) for weights in (tableau.a, tableau.b, tableau.error))
-    slopes, pushes = np.zeros((len(b), tree.n_v)), np.zeros((len(b), tree.n_v))
+    slopes, accelerations = np.zeros((len(b), tree.n_v)), np.zeros((len(b), tree.n_v))
     for i, row in enumerate(a):
-        move, qd = row @ slopes, at.qd + row @ pushes
+        move, qd = row @ slopes, at.qd + row @ accelerations
         q, torque = at.q, at.torque
         if i:
             q = multibody.integrate(tree, at.q, move)
             _, torque = system.potential(q, system.factors(q))
         slopes[i] = displacement_rates(tree, move, qd)
-        pushes[i] = multibody.forward_dynamics(tree, q, qd, torque)
-    error = np.maximum(np.abs(wrong @ slopes), np.abs(wrong @ pushes))
-    return multibody.integrate(tree, at.q, b @ slopes), at.qd + b @ pushes, error
+        accelerations[i] = multibody.forward_dynamics(tree, q, qd, torque)
+    error = np.maximum(np.abs(wrong @ slopes), np.abs(wrong @ accelerations))
+    return multibody.integrate(tree, at.q, b @ slopes), at.qd + b @ accelerations, error

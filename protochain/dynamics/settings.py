@@ -1,39 +1,37 @@
-"""The numbers and names of a simulation, what they may be, and the parts they stand for."""
+"""Settings of a simulation: their checks, and the integrators and thermostats by name."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from protochain.dynamics import lobatto
+from protochain.dynamics import lobatto, thermostats
 from protochain.dynamics.leapfrog import Leapfrog
 from protochain.dynamics.midpoint import ImplicitMidpoint
 from protochain.dynamics.runge_kutta import DormandPrince, RungeKutta4
 from protochain.dynamics.system import Integrator
-from protochain.dynamics.thermostats import (
-    HybridMonteCarlo,
-    Isolated,
-    Langevin,
-    NoseHoover,
-    Rescaling,
-    Thermostat,
-)  # fmt: skip
 from protochain.errors import ProtochainError
 from protochain.units import MOLAR_GAS
 
 INTEGRATORS: dict[str, Integrator] = {
     "leapfrog": Leapfrog(),
-    "lobatto": Leapfrog(lobatto.fly),
+    "lobatto": Leapfrog(lobatto.drift),
     "midpoint": ImplicitMidpoint(),
     "rk4": RungeKutta4(),
     "dormand-prince": DormandPrince(),
 }
-THERMOSTATS = ("none", "langevin", "nose-hoover", "rescale", "hmc")
+THERMOSTATS: dict[str, type[thermostats.Thermostat]] = {
+    "none": thermostats.Isolated,
+    "langevin": thermostats.Langevin,
+    "nose-hoover": thermostats.NoseHoover,
+    "rescale": thermostats.Rescaling,
+    "hmc": thermostats.HybridMonteCarlo,
+}
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How to simulate: as :func:`protochain.simulate` takes it."""
+class SimulationSettings:
+    """Settings that define a simulation; for their meaning see :func:`protochain.simulate`."""
 
     temperature: float
     time_step: float
@@ -49,24 +47,24 @@ class Settings:
 
     @property
     def thermal_energy(self) -> float:
-        """Return kT, kJ/mol."""
+        """Value of kT, kJ/mol."""
         return MOLAR_GAS * self.temperature
 
     def record(self) -> dict[str, Any]:
-        """Return plain values by name."""
+        """Return the settings as plain values by name."""
         return asdict(self)
 
     def check(self, n_steps: int, checkpoint_every: int) -> None:
-        """Refuse what makes no sense, before any work is done.
+        """Check the settings before any work is done.
 
         Raises
         ------
         ProtochainError
-            Naming the setting and the mend.
+            If a setting is unknown, out of range or incompatible with another; the message says what to do.
         """
         for name, value, known in (
             ("thermostat", self.thermostat, THERMOSTATS),
-            ("integrator", self.integrator, tuple(INTEGRATORS)),
+            ("integrator", self.integrator, INTEGRATORS),
             ("loops", self.loops, ("open", "closed")),
         ):
             if value not in known:
@@ -87,33 +85,24 @@ class Settings:
             raise ProtochainError(f"seed {self.seed}: give 0 or more")
         if self.thermostat == "nose-hoover" and not (self.temperature > 0.0 and self.friction > 0.0):
             raise ProtochainError("nose-hoover: needs a temperature and a friction above 0; choose langevin")
-        if self.thermostat == "hmc" and self.integrator not in ("leapfrog", "lobatto", "midpoint"):
-            raise ProtochainError(f"hmc: {self.integrator} is not reversible; choose leapfrog or midpoint")
-        if self.thermostat == "hmc" and self.every % self.trajectory_length:
-            raise ProtochainError(
-                f"every {self.every}: give a multiple of the trajectory length, {self.trajectory_length}; "
-                "between its ends a trajectory is no sample"
-            )
+        if THERMOSTATS[self.thermostat].metropolis:
+            if not INTEGRATORS[self.integrator].reversible:
+                raise ProtochainError(
+                    f"{self.thermostat}: {self.integrator} is not reversible; choose leapfrog or midpoint"
+                )
+            if self.every % self.trajectory_length:
+                raise ProtochainError(
+                    f"every {self.every}: give a multiple of the trajectory length, "
+                    f"{self.trajectory_length}: only the end of a trajectory is a valid sample"
+                )
         if self.loops == "closed" and self.integrator != "leapfrog":
-            raise ProtochainError("loops closed: only the leapfrog holds constraints; choose it")
+            raise ProtochainError("loops closed: only the leapfrog supports constraints; choose it")
         if self.loops == "closed" and self.fixman:
-            raise ProtochainError("loops closed: Fixman's potential is not known there; leave out one")
+            raise ProtochainError("loops closed: Fixman's potential is not available there; leave out one")
 
 
-def integrator(settings: Settings) -> Integrator:
-    """Return the integrator of a name."""
-    return INTEGRATORS[settings.integrator]
-
-
-def thermostat(settings: Settings, freedoms: int) -> Thermostat:
-    """Return the thermostat of a name, for as many freedoms as can move."""
-    kt, friction = settings.thermal_energy, settings.friction
-    if settings.thermostat == "none":
-        return Isolated()
-    if settings.thermostat == "langevin":
-        return Langevin(kt, friction)
-    if settings.thermostat == "rescale":
-        return Rescaling(kt, freedoms, friction)
-    if settings.thermostat == "nose-hoover":
-        return NoseHoover(kt, freedoms, friction)
-    return HybridMonteCarlo(kt, settings.trajectory_length)
+def build_thermostat(settings: SimulationSettings, freedoms: int) -> thermostats.Thermostat:
+    """Thermostat of the settings for this number of degrees of freedom; it takes its fields by name."""
+    kind: Any = THERMOSTATS[settings.thermostat]
+    given = settings.record() | {"thermal_energy": settings.thermal_energy, "freedoms": freedoms}
+    return kind(**{field.name: given[field.name] for field in fields(kind)})

@@ -1,7 +1,6 @@
-"""``simulate``: constrained dynamics of a chain, from names and numbers to files and a result."""
+"""``simulate``: constrained dynamics of a chain, from settings to output files and a result."""
 
 import hashlib
-from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +10,16 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain.arrays import Floats, floats
+from protochain.arrays import Floats, Watcher, floats
 from protochain.articulate import as_chain, build_chain
-from protochain.chain import Chain, place_atoms, rigid_groups
+from protochain.chain import Chain, place_atoms
 from protochain.dynamics.closure import Closure, closure_of
+from protochain.dynamics.com_motion import has_free_roots
 from protochain.dynamics.fixman import fixman
 from protochain.dynamics.folder import Folder, check_folder
-from protochain.dynamics.loop import Course, Ending, Moment, advance, initial, run
-from protochain.dynamics.overall import can_drift
-from protochain.dynamics.settings import Settings, integrator, thermostat
+from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
+from protochain.dynamics.loop import run as propagate
+from protochain.dynamics.settings import INTEGRATORS, THERMOSTATS, SimulationSettings, build_thermostat
 from protochain.dynamics.simulation import Simulation
 from protochain.dynamics.system import StepTooLargeError, System, chain_potential, total
 from protochain.energies.factory import energy as build_energy
@@ -29,9 +29,6 @@ from protochain.interrupts import held_interrupts
 from protochain.multibody import HingeKind, articulated
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.units import MOLAR_GAS
-
-Watcher = Callable[[Mapping[str, float], Floats], None]
-"""Called with each row of the log and the positions it is about."""
 
 
 def simulate(
@@ -63,61 +60,63 @@ def simulate(
     Parameters
     ----------
     chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        A file is loaded, a structure cut into a chain with the default hinges. A root that ``auto`` fixed is
-        freed.
+        Chain to simulate. Files are loaded, structures divided into rigid bodies with the default hinges. A
+        root that ``auto`` has fixed is freed.
     energy : Energy, optional
-        ff14SB with OBC2 by default.
+        Force field; ff14SB with OBC2 by default.
     q : (n_q,) float, optional
-        Where to begin, in the coordinates of the chain as it is given; its input pose by default. Begin from
-        a minimum: a strained start is hot.
+        Initial coordinates of the given chain; by default those of its input pose. Minimise them first: a
+        strained start is hot.
     temperature : float, K
-        Of the thermostat, and of the first velocities.
+        Temperature of the thermostat and of the initial velocities.
     time_step : float, ps
+        Time step.
     n_steps : int
-        In all: a run that is resumed goes on up to this many.
+        Number of steps in all, including those before a resumed run.
     thermostat : str
         ``langevin``, ``nose-hoover``, ``rescale``, ``hmc`` (hybrid Monte Carlo) or ``none``.
     seed : int
-        The same seed gives the same trajectory.
+        Seed of all random numbers: the same seed gives the same trajectory.
     friction : float, 1/ps
-        How tightly the thermostat holds.
+        Friction coefficient of the thermostat, or its relaxation rate.
     integrator : str
         ``leapfrog`` (reversible, one energy a step), ``lobatto`` (as good for short chains), ``midpoint``
         (implicit, for stiff springs), ``rk4`` or ``dormand-prince`` (references).
     fixman : bool
-        Add Fixman's potential, which undoes the bias of rigid bonds and angles.
+        Add Fixman's potential, which corrects the bias of rigid bonds and angles.
     loops : str
-        Disulfides and other bonds at which the tree was cut: ``open`` leaves them to the force field,
-        ``closed`` keeps their length and angles by constraints.
+        Disulfides and other bonds at which loops were cut: ``open`` leaves them to the force field,
+        ``closed`` keeps their lengths and angles by constraints.
     hydrogen_mass : float, optional, amu
-        As in :func:`protochain.build_chain`.
+        Mass of every hydrogen, as in :func:`protochain.build_chain`.
     trajectory_length : int
-        Steps a trajectory of hybrid Monte Carlo.
+        Number of steps of a trajectory of hybrid Monte Carlo.
     every : int
-        Steps between rows of the log and frames.
+        Steps between frames, and between rows of the log.
     output : path-like, optional
         Folder for the trajectory, ``log.csv``, ``last.pdb``, ``checkpoint.npz`` and ``summary.json``.
     trajectory : str
-        ``dcd`` or ``xtc``.
+        Format of the trajectory, ``dcd`` or ``xtc``.
     checkpoint_every : int
-        Rows between checkpoints.
+        Rows of the log between checkpoints.
     resume : bool
-        Go on with the simulation in the folder: as if it had not been stopped, bit for bit.
+        Continue the simulation in the folder, bit for bit as if it had not been stopped.
     force : bool
-        Replace a simulation that is in the folder.
+        Replace the simulation in the folder.
     watch : callable, optional
-        Called with every row and its positions.
+        Called with every row of the log and its positions.
 
     Returns
     -------
     Simulation
+        Final state, log and outcome.
 
     Raises
     ------
     ProtochainError
-        If a name is unknown, a number makes no sense, or the input or the folder cannot be used.
+        If a setting is unknown or out of range, or the input or the folder cannot be used.
     """
-    settings = Settings(
+    settings = SimulationSettings(
         temperature, time_step, thermostat, friction, integrator, fixman, loops, hydrogen_mass,
         trajectory_length, every, seed,
     )  # fmt: skip
@@ -130,28 +129,28 @@ def simulate(
     if energy is None:
         energy = build_energy(chain.structure)
     check_is_of(energy, chain.structure)
-    scene = _scene(chain, energy, q, settings)
-    folder = Folder(Path(output), trajectory, scene.identity) if output is not None else None
+    run = _prepare(chain, energy, q, settings)
+    folder = Folder(Path(output), trajectory, run.identity) if output is not None else None
     with threadpool_limits(1, "blas"):
-        return _simulate(scene, folder, resume, n_steps, checkpoint_every, watch)
+        return _simulate(run, folder, resume, n_steps, checkpoint_every, watch)
 
 
 @dataclass(frozen=True, eq=False)
-class _Scene:
-    """What is simulated, and how."""
+class _Run:
+    """Chain, energy (whole, and without terms that rigid bodies keep constant), start and propagator."""
 
     chain: Chain
     energy: Energy
-    moving: Energy
+    varying: Energy
     q: Floats
-    settings: Settings
-    course: Course
+    settings: SimulationSettings
+    propagator: Propagator
     closure: Closure | None
     freedoms: int
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What a checkpoint belongs to."""
+        """Settings and input that a run must share to resume from the checkpoint."""
         return {
             **self.settings.record(),
             "hinges": self.chain.opened,
@@ -162,19 +161,19 @@ class _Scene:
             "start": hashlib.sha256(self.chain.structure.positions.tobytes()).hexdigest(),
         }
 
-    def row(self, now: Moment, start: Floats) -> tuple[dict[str, float], Floats]:
-        """Row of the log, and positions."""
-        s, at = self.settings, now.at
+    def row(self, state: State, start: Floats) -> tuple[dict[str, float], Floats]:
+        """Row of the log and positions; RMSDs are relative to positions ``start``."""
+        s, at = self.settings, state.at
         x = place_atoms(self.chain, at.factors.frames)
         bias = 0.5 * s.thermal_energy * articulated.log_det(at.factors) if s.fixman else 0.0
         alpha = self.chain.structure.alpha_carbons
         row = {
-            "step": now.step,
-            "time_ps": now.step * s.time_step,
+            "step": state.step,
+            "time_ps": state.step * s.time_step,
             "kinetic_kj_mol": at.kinetic,
             "potential_kj_mol": at.potential - bias,
             "total_kj_mol": at.total - bias,
-            "conserved_kj_mol": now.conserved,
+            "conserved_kj_mol": state.conserved,
             "temperature_k": 2.0 * at.kinetic / (self.freedoms * MOLAR_GAS),
             "ca_rmsd_angstrom": rmsd_angstrom(x[alpha], start[alpha]),
         }
@@ -185,31 +184,31 @@ class _Scene:
         return row, x
 
 
-def _scene(chain: Chain, energy: Energy, q: Floats | None, settings: Settings) -> _Scene:
-    """Free the root, make hydrogens heavy, and put the parts together."""
+def _prepare(chain: Chain, energy: Energy, q: Floats | None, settings: SimulationSettings) -> _Run:
+    """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator."""
     given = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
     root = "free" if chain.root == "auto" else chain.root
     mass = settings.hydrogen_mass if settings.hydrogen_mass is not None else chain.hydrogen_mass
     made = build_chain(chain.structure, chain.opened, root, move=chain.move, hydrogen_mass=mass)
-    moving = energy.without_constants(rigid_groups(made), made.structure.positions)
-    parts = [chain_potential(made, moving)]
+    varying = energy.without_constants(made.rigid_groups, made.structure.positions)
+    parts = [chain_potential(made, varying)]
     if settings.fixman:
         parts.append(fixman(settings.thermal_energy))
     closure = closure_of(made) if settings.loops == "closed" else None
     system = System(made.tree, parts[0] if len(parts) == 1 else total(parts), closure)
-    stays = can_drift(made.tree) and settings.thermostat in ("none", "nose-hoover", "rescale")
-    freedoms = made.n_v - (6 if stays else 0) - (0 if closure is None else len(closure.length))
-    course = Course(
-        system, integrator(settings), thermostat(settings, freedoms), settings.time_step,
-        settings.thermal_energy, settings.seed, stays,
+    freedoms = made.n_v - (0 if closure is None else len(closure.length))
+    removes = has_free_roots(made.tree) and THERMOSTATS[settings.thermostat].conserves_momentum
+    freedoms -= 6 if removes else 0
+    propagator = Propagator(
+        system, INTEGRATORS[settings.integrator], build_thermostat(settings, freedoms), settings.time_step,
+        settings.thermal_energy, settings.seed, removes,
     )  # fmt: skip
-    return _Scene(
-        made, energy, moving, _carried_over(chain, made, given), settings, course, closure, freedoms
-    )
+    start = _transferred(chain, made, given)
+    return _Run(made, energy, varying, start, settings, propagator, closure, freedoms)
 
 
-def _carried_over(chain: Chain, made: Chain, q: Floats) -> Floats:
-    """Coordinates of a chain in one with the same bodies, whose roots may have been freed."""
+def _transferred(chain: Chain, made: Chain, q: Floats) -> Floats:
+    """Coordinates q of a chain for one with the same bodies, whose roots may have been freed."""
     start = made.q0.copy()
     old, new = chain.tree.q_start, made.tree.q_start
     start[new[made.hinge_body]] = q[old[chain.hinge_body]]
@@ -220,58 +219,43 @@ def _carried_over(chain: Chain, made: Chain, q: Floats) -> Floats:
 
 @held_interrupts()
 def _simulate(
-    scene: _Scene,
-    folder: Folder | None,
-    resume: bool,
-    n_steps: int,
-    checkpoint_every: int,
-    watch: Watcher | None,
+    run: _Run, folder: Folder | None, resume: bool, n_steps: int, checkpoint_every: int, watch: Watcher | None
 ) -> Simulation:
-    course, every = scene.course, scene.settings.every
-    structure = scene.chain.structure
-    rows: list[dict[str, float]] = []
-    interval = every * scene.settings.time_step
+    """Run a simulation from its start or checkpoint, and write its files."""
+    every, structure = run.settings.every, run.chain.structure
+    start, origin, rows = _start(run, folder, resume)
 
-    def report(now: Moment) -> None:
-        row, x = scene.row(now, origin)
+    def report(state: State) -> None:
+        row, x = run.row(state, origin)
         rows.append(row)
         if folder:
             folder.append(row, x)
-            if now.step and now.step % (every * checkpoint_every) == 0:
-                folder.store(now, scene.moving.lists_at)
+            if state.step and state.step % (every * checkpoint_every) == 0:
+                folder.store(state, run.varying.lists_at)
         if watch:
             watch(row, x)
 
-    if folder and resume:
-        start, rows[:], lists_at = folder.reopen(scene.chain.tree, structure, interval)
-        origin = folder.start
-        if len(lists_at):
-            scene.moving.list_at(lists_at)
-    else:
-        start = initial(course, scene.q)
-        origin = place_atoms(scene.chain, start.at.factors.frames)
-        if folder:
-            folder.open(structure, origin, interval, list(scene.row(start, origin)[0]))
+    if not resume:
         report(start)
     with suppress(StepTooLargeError):
-        # Kernels are compiled, or loaded, off the clock.
-        advance(course, start)
+        # Compile or load the kernels before the clock starts.
+        advance(run.propagator, start)
     began = perf_counter()
-    now, ending, why = run(course, start, n_steps, every, report)
+    state, ending, why = propagate(run.propagator, start, n_steps, every, report)
     seconds = perf_counter() - began
     if folder:
-        folder.store(now, scene.moving.lists_at)
+        folder.store(state, run.varying.lists_at)
         folder.close(ending is not Ending.UNSTABLE)
     result = Simulation(
-        chain=scene.chain,
-        energy_function=scene.energy,
-        settings=scene.settings,
-        freedoms=scene.freedoms,
-        now=now,
+        chain=run.chain,
+        energy_function=run.energy,
+        settings=run.settings,
+        freedoms=run.freedoms,
+        state=state,
         ending=ending,
-        message=_message(ending, why, now, scene.settings),
+        message=_message(ending, why, state, run.settings),
         rows=tuple(rows),
-        n_steps=now.step - start.step,
+        n_steps=state.step - start.step,
         seconds=seconds,
     )
     if folder:
@@ -281,11 +265,26 @@ def _simulate(
     return result
 
 
-def _message(ending: Ending, why: str, now: Moment, settings: Settings) -> str:
-    done = f"{now.step} steps, {now.step * settings.time_step:g} ps"
+def _start(run: _Run, folder: Folder | None, resume: bool) -> tuple[State, Floats, list[dict[str, float]]]:
+    """First state, positions (na, 3) at step 0, and rows logged so far; create or reopen the files."""
+    interval = run.settings.every * run.settings.time_step
+    if folder and resume:
+        state, rows, lists_at = folder.reopen(run.chain.tree, run.chain.structure, interval)
+        if len(lists_at):
+            run.varying.list_at(lists_at)
+        return state, folder.start, rows
+    state = initial(run.propagator, run.q)
+    origin = place_atoms(run.chain, state.at.factors.frames)
+    if folder:
+        folder.open(run.chain.structure, origin, interval, list(run.row(state, origin)[0]))
+    return state, origin, []
+
+
+def _message(ending: Ending, why: str, state: State, settings: SimulationSettings) -> str:
+    done = f"{state.step} steps, {state.step * settings.time_step:g} ps"
     if ending is Ending.UNSTABLE:
         return (
-            f"unstable after {done}: {why}; take a time step below {1000 * settings.time_step:g} fs, "
-            "heavier hydrogens, or begin from a minimum"
+            f"unstable after {done}: {why}; take a time step below {1000 * settings.time_step:g} fs or "
+            "heavier hydrogens, or minimise first"
         )
     return f"{ending}: {done}"

@@ -1,4 +1,4 @@
-"""The result of a simulation: a value that can be saved, tabled and written as JSON."""
+"""Result of a simulation."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,8 +10,8 @@ import numpy as np
 
 from protochain.arrays import Floats
 from protochain.chain import Chain, place_atoms
-from protochain.dynamics.loop import Ending, Moment
-from protochain.dynamics.settings import Settings
+from protochain.dynamics.loop import Ending, State
+from protochain.dynamics.settings import THERMOSTATS, SimulationSettings
 from protochain.energies.protocol import Energy
 from protochain.structure import Structure, save
 
@@ -21,34 +21,38 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """Where a simulation ended, and what it was on the way.
+    """Result of a simulation: final state, log and outcome.
 
     Parameters
     ----------
     chain : Chain
-        As it was simulated: with a free root, and heavy hydrogens if they were asked for.
+        Chain as simulated: with a free root, and with repartitioned hydrogen masses if requested.
     energy_function : Energy
-    settings : Settings
+        Force field.
+    settings : SimulationSettings
+        Settings of the simulation.
     freedoms : int
-        Velocities that share the kinetic energy: less the six of everything as one where they are kept at
-        zero, and less constraints.
-    now : Moment
-        The last sound moment.
+        Number of degrees of freedom, without constraints and without the centre-of-mass motion if that is
+        removed.
+    state : State
+        Last valid state.
     ending : Ending
+        Outcome.
     message : str
+        Outcome in one line.
     rows : tuple of dict
-        The log.
+        Rows of the log.
     n_steps : int
-        Done by this call.
+        Number of steps done by this call.
     seconds : float
         Wall time of these steps.
     """
 
     chain: Chain
     energy_function: Energy
-    settings: Settings
+    settings: SimulationSettings
     freedoms: int
-    now: Moment
+    state: State
     ending: Ending
     message: str
     rows: tuple[dict[str, float], ...]
@@ -57,44 +61,44 @@ class Simulation:
 
     @property
     def q(self) -> Floats:
-        """(n_q,) float: coordinates at the end."""
-        return self.now.at.q
+        """(n_q,) float: final coordinates."""
+        return self.state.at.q
 
     @property
     def qd(self) -> Floats:
-        """(n_v,) float, rad/ps and nm/ps: velocities at the end."""
-        return self.now.at.qd
+        """(n_v,) float, rad/ps and nm/ps: final velocities."""
+        return self.state.at.qd
 
     @property
     def x(self) -> Floats:
-        """(na, 3) float, nm: positions at the end."""
-        return place_atoms(self.chain, self.now.at.factors.frames)
+        """(na, 3) float, nm: final positions."""
+        return place_atoms(self.chain, self.state.at.factors.frames)
 
     @property
     def structure(self) -> Structure:
-        """The structure at the end."""
+        """Final structure."""
         return self.chain.structure.with_positions(self.x)
 
     @property
     def is_sound(self) -> bool:
-        """Whether the run kept its energy to the end."""
+        """Whether the run remained stable to the end."""
         return self.ending is not Ending.UNSTABLE
 
     @cached_property
     def trace(self) -> "pd.DataFrame":
-        """The log: a row every so many steps, the first at the start."""
+        """Log of the simulation; the first row is the start."""
         import pandas as pd
 
         return pd.DataFrame(self.rows)
 
     @property
     def ns_per_day(self) -> float:
-        """Simulated nanoseconds a day of wall time."""
+        """Simulated nanoseconds per day of wall time."""
         return 86.4 * self.n_steps * self.settings.time_step / self.seconds if self.seconds else 0.0
 
     @property
     def drift(self) -> float:
-        """Slope of the conserved energy by least squares, kJ/mol/ps for 100 atoms."""
+        """Drift of the conserved energy: slope by least squares, kJ/mol/ps per 100 atoms."""
         t, conserved = (
             np.array([row[name] for row in self.rows]) for name in ("time_ps", "conserved_kj_mol")
         )
@@ -102,14 +106,14 @@ class Simulation:
 
     @property
     def accepted(self) -> float | None:
-        """Share of hybrid Monte Carlo's trajectories that were kept."""
-        if self.settings.thermostat != "hmc":
+        """Fraction of accepted trajectories of hybrid Monte Carlo."""
+        if not THERMOSTATS[self.settings.thermostat].metropolis:
             return None
-        _, kept, tried = self.now.bath.memory[:3]
-        return float(kept / tried) if tried else 0.0
+        _, accepted, tried = self.state.bath.memory[:3]
+        return float(accepted / tried) if tried else 0.0
 
     def save(self, path: str | Path) -> None:
-        """Write the final structure, PDB or mmCIF by suffix, with where it came from."""
+        """Write the final structure with its provenance; the suffix selects PDB or mmCIF."""
         s, e = self.settings, self.energy_function
         save(self.structure, path, [
             f"PROTOCHAIN {version('protochain')}, CONSTRAINED DYNAMICS, {self.message.upper()}",
@@ -118,7 +122,7 @@ class Simulation:
         ])  # fmt: skip
 
     def record(self) -> dict[str, Any]:
-        """Return the flat record that JSON shows."""
+        """Return the simulation as flat values for JSON."""
         chain, e, s = self.chain, self.energy_function, self.chain.structure
         warm = [row["temperature_k"] for row in self.rows[len(self.rows) // 2 :]]
         settings = self.settings.record()
@@ -143,8 +147,8 @@ class Simulation:
             "hydrogen_mass_amu": settings.pop("hydrogen_mass"),
             "every_steps": settings.pop("every"),
             **settings,
-            "steps": self.now.step,
-            "time_ps": self.now.step * self.settings.time_step,
+            "steps": self.state.step,
+            "time_ps": self.state.step * self.settings.time_step,
             "mean_temperature_second_half_k": float(np.mean(warm)),
             "potential_end_kj_mol": self.rows[-1]["potential_kj_mol"],
             "conserved_drift_kj_mol_ps_per_100_atoms": self.drift,

@@ -1,8 +1,8 @@
-"""What an integrator sees: a tree, what acts on it, and where it is and how it moves."""
+"""Mechanical system and phase space, as integrators see them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -16,28 +16,31 @@ from protochain.multibody.articulated import Articulated, articulate, solve
 from protochain.multibody.hamilton import momenta
 
 Potential = Callable[[Floats, Articulated], tuple[float, Floats]]
-"""Coordinates (n_q,) and the factors of M there -> energy in kJ/mol and torques (n_v,)."""
+"""Coordinates (n_q,) and factors of M there -> energy in kJ/mol and torques (n_v,)."""
 
 
 class StepTooLargeError(ProtochainError):
-    """The equations of a time step have no solution that could be found."""
+    """A time step so large that no solution of its equations is found, or the energy jumps."""
 
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """A point of phase space: a value, from which every integrator can go on.
+    """Point in phase space, from which any integrator can continue.
 
     Parameters
     ----------
     q : (n_q,) float
+        Coordinates.
     qd : (n_v,) float, rad/ps and nm/ps
+        Velocities.
     p : (n_v,) float
         Canonical momenta M qd.
     potential : float, kJ/mol
+        Potential energy.
     torque : (n_v,) float, kJ/mol/rad and kJ/mol/nm
         Minus the gradient of the potential.
     factors : Articulated
-        Of the mass matrix at q, with the frames of the bodies.
+        Factors of the mass matrix at q, with the frames of the bodies.
     """
 
     q: Floats
@@ -54,68 +57,73 @@ class Phase:
 
     @property
     def total(self) -> float:
-        """Kinetic and potential energy, kJ/mol."""
+        """Total energy, kJ/mol."""
         return self.kinetic + self.potential
 
     @property
     def is_finite(self) -> bool:
-        """Whether energy, torques and velocities are all numbers."""
+        """Whether energy, torques and velocities are all finite."""
         return bool(
             np.isfinite(self.potential) and np.isfinite(self.torque).all() and np.isfinite(self.qd).all()
         )
 
 
 class Constraint(Protocol):
-    """What may not change."""
+    """Holonomic constraint on the coordinates."""
 
-    def kept(self, factors: Articulated, p: Floats) -> Floats:
-        """Velocities (n_v,) of momenta p, less those that are not allowed."""
+    def project_velocities(self, factors: Articulated, p: Floats) -> Floats:
+        """Velocities (n_v,) of momenta p (n_v,), projected onto those that satisfy the constraint."""
 
-    def fly(self, flight: "Flight", at: Phase, p: Floats, time_step: float) -> "Flown":
-        """Fly with impulses that keep what is to be kept."""
+    def drift(self, drift: "Drift", at: Phase, p: Floats, time_step: float) -> "Drifted":
+        """Drift with constraint impulses, such that the constraint holds at the end."""
 
 
-Flown = tuple[Floats, Floats, Articulated]
-"""Coordinates (n_q,), momenta (n_v,) and factors of M where a flight ends."""
-Flight = Callable[[Phase, Floats, float], Flown]
-"""Where it begins, the momenta (n_v,) it begins with, its time in ps: motion without a potential."""
+Drifted = tuple[Floats, Floats, Articulated]
+"""Coordinates (n_q,), momenta (n_v,) and factors of M at the end of a drift."""
+Drift = Callable[[Phase, Floats, float], Drifted]
+"""Motion without potential: phase at the start, momenta (n_v,) there, time step in ps -> its end."""
 
 
 class Integrator(Protocol):
-    """Equations of motion, a time step at a time."""
+    """Integrator of the equations of motion."""
+
+    reversible: ClassVar[bool] = False
+    """Whether steps are time-reversible and preserve phase-space volume."""
 
     def init(self, system: "System", q: Floats, qd: Floats) -> Phase:
-        """Return the phase at q (n_q,), moving with qd (n_v,)."""
+        """Return the phase at q (n_q,) with velocities qd (n_v,)."""
         return system.at(q, qd)
 
     def step(self, system: "System", at: Phase, time_step: float) -> Phase:
-        """Return the phase one time step (ps) later; a negative step goes back."""
+        """Return the phase one time step (ps) later; a negative step runs backwards."""
 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """A forest of rigid bodies in a potential.
+    """Forest of rigid bodies in a potential.
 
     Parameters
     ----------
     tree : Tree
+        Rigid bodies.
     potential : callable
-    closure : Constraint, optional
-        What the leapfrog keeps; other integrators do not look.
+        Energy and torques at q.
+    constraint : Constraint, optional
+        Constraint for the leapfrog; other integrators ignore it.
     """
 
     tree: Tree
     potential: Potential
-    closure: Constraint | None = None
+    constraint: Constraint | None = None
 
     def at(self, q: Floats, qd: Floats) -> Phase:
-        """Return the phase at q (n_q,), moving with qd (n_v,)."""
+        """Return the phase at q (n_q,) with velocities qd (n_v,)."""
         factors = self.factors(q)
         potential, torque = self.potential(q, factors)
         return Phase(q, qd, momenta(self.tree, factors.frames, qd)[0], potential, torque, factors)
 
-    def arrived(self, q: Floats, p: Floats, factors: Articulated, time_step: float) -> Phase:
-        """Return the phase at q (n_q,) with momenta p (n_v,), after half a time step's push there."""
+    def kick(self, q: Floats, p: Floats, factors: Articulated, time_step: float) -> Phase:
+        """Return the phase at q (n_q,), its momenta p (n_v,) kicked by the torques there for half a step."""
         potential, torque = self.potential(q, factors)
         p = p + 0.5 * time_step * torque
         return Phase(q, solve(factors, p), p, potential, torque, factors)
@@ -124,17 +132,30 @@ class System:
         """Frames of the bodies and factors of M at q (n_q,)."""
         return articulate(self.tree, multibody.pose(self.tree, q))
 
-    def moving(self, at: Phase, qd: Floats) -> Phase:
-        """Return the same place with other velocities, less what the constraints do not allow."""
+    def with_velocities(self, at: Phase, qd: Floats) -> Phase:
+        """Return the phase with other velocities, projected onto the constraint."""
         p, _ = momenta(self.tree, at.factors.frames, qd)
-        if self.closure is not None:
-            qd = self.closure.kept(at.factors, p)
+        if self.constraint is not None:
+            qd = self.constraint.project_velocities(at.factors, p)
             p, _ = momenta(self.tree, at.factors.frames, qd)
         return replace(at, qd=qd, p=p)
 
 
 def chain_potential(chain: Chain, energy: Energy) -> Potential:
-    """Potential of a chain in a force field."""
+    """Potential of a chain in a force field.
+
+    Parameters
+    ----------
+    chain : Chain
+        Chain of rigid bodies.
+    energy : Energy
+        Force field in Cartesian coordinates.
+
+    Returns
+    -------
+    callable
+        Energy and torques at q.
+    """
 
     def potential(q: Floats, factors: Articulated) -> tuple[float, Floats]:
         x = place_atoms(chain, factors.frames)
@@ -145,7 +166,18 @@ def chain_potential(chain: Chain, energy: Energy) -> Potential:
 
 
 def total(parts: list[Potential]) -> Potential:
-    """Sum of potentials."""
+    """Sum of potentials.
+
+    Parameters
+    ----------
+    parts : list of callable
+        Potentials.
+
+    Returns
+    -------
+    callable
+        Their sum.
+    """
 
     def potential(q: Floats, factors: Articulated) -> tuple[float, Floats]:
         each = [part(q, factors) for part in parts]

@@ -1,4 +1,4 @@
-"""Thermostats: applied after each step of an integrator, each keeps the canonical distribution exactly."""
+"""Thermostats: applied after each step of an integrator, each leaves the canonical distribution invariant."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
@@ -12,14 +12,14 @@ from protochain.multibody.articulated import sample
 
 @dataclass(frozen=True, eq=False)
 class Bath:
-    """What a thermostat remembers.
+    """Heat bath: state of a thermostat.
 
     Parameters
     ----------
     energy : float, kJ/mol
-        What the system has given to it: with the total energy, the conserved quantity.
+        Energy received from the system: with the total energy, the conserved quantity.
     memory : (k,) float
-        The thermostat's own.
+        Variables of the thermostat.
     """
 
     energy: float
@@ -27,27 +27,33 @@ class Bath:
 
 
 class Thermostat(Protocol):
-    """Exchanges energy with a system.
+    """Exchange of energy with a heat bath.
 
-    ``freedoms`` is how many velocities share the kinetic energy, ``thermal_energy`` kT in kJ/mol.
+    The fields of a thermostat are settings of the simulation, ``thermal_energy`` (kT in kJ/mol) and
+    ``freedoms``, the number of degrees of freedom.
     """
 
-    undoes: ClassVar[bool] = False
-    """Whether it takes back a step that has failed, which has an infinite potential then."""
+    conserves_momentum: ClassVar[bool] = False
+    """Whether it conserves zero total momentum, so that centre-of-mass motion can be removed."""
+    metropolis: ClassVar[bool] = False
+    """Whether it accepts or rejects trajectories, which needs a reversible integrator; a failed step then has
+    an infinite potential and is rejected."""
 
     def init(self, at: Phase) -> Bath:
-        """Return the bath at the start: where nothing has been taken, and nothing is remembered."""
+        """Return the bath at the start of a simulation."""
         return Bath(0.0, np.empty(0))
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
     ) -> tuple[Phase, Bath]:
-        """Act for one time step; rng is this step's own."""
+        """Act for one time step, with the random generator of this step."""
 
 
 @dataclass(frozen=True)
 class Isolated(Thermostat):
     """No thermostat: constant energy."""
+
+    conserves_momentum: ClassVar[bool] = True
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
@@ -58,15 +64,15 @@ class Isolated(Thermostat):
 
 @dataclass(frozen=True)
 class Langevin(Thermostat):
-    """Friction and noise in the mass metric: qd -> c qd + sqrt(1 - c^2) of a thermal velocity.
+    """Langevin thermostat in the mass metric: qd -> c qd + sqrt(1 - c^2) times a thermal velocity.
 
-    The exact solution of dp = -friction p dt + sqrt(2 friction kT) M^1/2 dW at constant q, in turn with the
+    Exact solution of dp = -friction p dt + sqrt(2 friction kT) M^1/2 dW at constant q, alternating with the
     leapfrog (as in Leimkuhler, Matthews, *Molecular Dynamics*, 2015, chapter 7). At 0 K it only damps.
 
     Parameters
     ----------
-    thermal_energy : float, kJ/mol
-    friction : float, 1/ps
+    thermal_energy, friction : float, kJ/mol and 1/ps
+        Value of kT, and friction coefficient.
     """
 
     thermal_energy: float
@@ -75,25 +81,28 @@ class Langevin(Thermostat):
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
     ) -> tuple[Phase, Bath]:
-        """Damp, and kick at random."""
+        """Apply friction and noise."""
         keep = np.exp(-self.friction * abs(time_step))
         noise = np.sqrt((1.0 - keep * keep) * self.thermal_energy) * rng.standard_normal(system.tree.n_v)
-        after = system.moving(at, keep * at.qd + sample(at.factors, noise))
+        after = system.with_velocities(at, keep * at.qd + sample(at.factors, noise))
         return after, Bath(bath.energy + at.kinetic - after.kinetic, bath.memory)
 
 
 @dataclass(frozen=True)
 class Rescaling(Thermostat):
-    """All velocities by one factor, drawn so that the kinetic energy is canonical.
+    """Stochastic velocity rescaling: one random factor that makes the kinetic energy canonical.
 
     Bussi, Donadio, Parrinello, J. Chem. Phys. 126:014101 (2007), equation A7.
 
     Parameters
     ----------
-    thermal_energy : float, kJ/mol
-    freedoms : int
+    thermal_energy, freedoms : float, kJ/mol, and int
+        Value of kT, and number of degrees of freedom.
     friction : float, 1/ps
+        Relaxation rate of the velocities.
     """
+
+    conserves_momentum: ClassVar[bool] = True
 
     thermal_energy: float
     freedoms: int
@@ -112,7 +121,7 @@ class Rescaling(Thermostat):
             + (1.0 - keep) * share * (one * one + others)
             + 2.0 * one * np.sqrt(keep * (1.0 - keep) * share * at.kinetic)
         )
-        after = system.moving(at, np.sqrt(wanted / at.kinetic) * at.qd)
+        after = system.with_velocities(at, np.sqrt(wanted / at.kinetic) * at.qd)
         return after, Bath(bath.energy + at.kinetic - after.kinetic, bath.memory)
 
 
@@ -123,18 +132,20 @@ _YOSHIDA = (_OUTER, 1.0 - 2.0 * _OUTER, _OUTER)
 
 @dataclass(frozen=True)
 class NoseHoover(Thermostat):
-    """A chain of three friction coefficients with inertia: deterministic, and time-reversible.
+    """Nose-Hoover chain of three thermostats: deterministic and time-reversible.
 
     Martyna, Tuckerman, Tobias, Klein, Mol. Phys. 87:1117 (1996), with Yoshida's weights of order four. The
-    bath's memory holds the coefficients (1/ps) and then their integrals.
+    bath's memory holds the friction coefficients (1/ps), then their integrals.
 
     Parameters
     ----------
-    thermal_energy : float, kJ/mol
-    freedoms : int
+    thermal_energy, freedoms : float, kJ/mol, and int
+        Value of kT, and number of degrees of freedom.
     friction : float, 1/ps
-        Frequency of the chain: inertias are kT / friction^2.
+        Frequency of the chain: thermostat masses are kT / friction^2.
     """
+
+    conserves_momentum: ClassVar[bool] = True
 
     thermal_energy: float
     freedoms: int
@@ -147,30 +158,30 @@ class NoseHoover(Thermostat):
         return each
 
     def init(self, at: Phase) -> Bath:
-        """Begin without friction."""
+        """Return a bath with friction coefficients of zero."""
         return Bath(0.0, np.zeros(2 * _CHAIN))
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
     ) -> tuple[Phase, Bath]:
-        """Let the chain act on the velocities, and they on it."""
+        """Advance the chain and scale the velocities."""
         xi, eta, inertia = bath.memory[:_CHAIN].copy(), bath.memory[_CHAIN:].copy(), self._inertia
         twice, scale = 2.0 * at.kinetic, 1.0
         for weight in _YOSHIDA:
             h = 0.5 * weight * time_step
             for i in reversed(range(_CHAIN)):
-                self._kick(xi, inertia, i, twice, h)
+                self._advance(xi, inertia, i, twice, h)
             factor = np.exp(-2.0 * h * xi[0])
             scale, twice = scale * factor, twice * factor * factor
             eta += 2.0 * h * xi
             for i in range(_CHAIN):
-                self._kick(xi, inertia, i, twice, h)
+                self._advance(xi, inertia, i, twice, h)
         shares = np.array([self.freedoms, *[1] * (_CHAIN - 1)])
         energy = 0.5 * inertia @ xi**2 + self.thermal_energy * shares @ eta
-        return system.moving(at, scale * at.qd), Bath(float(energy), read_only([*xi, *eta]))
+        return system.with_velocities(at, scale * at.qd), Bath(float(energy), read_only([*xi, *eta]))
 
-    def _kick(self, xi: Floats, inertia: Floats, i: int, twice: float, h: float) -> None:
-        """Change the i-th coefficient for h, by what drives it and by the friction of the next."""
+    def _advance(self, xi: Floats, inertia: Floats, i: int, twice: float, h: float) -> None:
+        """Advance the i-th friction coefficient by h: driven by its force, damped by the next one."""
         drive = twice if i == 0 else inertia[i - 1] * xi[i - 1] ** 2
         force = (drive - (self.freedoms if i == 0 else 1) * self.thermal_energy) / inertia[i]
         brake = np.exp(-0.5 * h * xi[i + 1]) if i + 1 < _CHAIN else 1.0
@@ -179,43 +190,44 @@ class NoseHoover(Thermostat):
 
 @dataclass(frozen=True)
 class HybridMonteCarlo(Thermostat):
-    """Trajectories of some steps from thermal velocities, kept or undone by Metropolis' rule.
+    """Hybrid Monte Carlo: short trajectories from thermal velocities, accepted by Metropolis' criterion.
 
     Duane, Kennedy, Pendleton, Roweth, Phys. Lett. B 195:216 (1987). With a reversible, volume-preserving
     integrator the distribution is exact at any time step; with Fixman's potential it is that of the force
-    field in torsions. A trajectory with a step that fails is undone. The memory holds steps since the last
-    test, trajectories kept and tried, the total energy and q where the present one began.
+    field in torsions. A trajectory with a failed step is rejected. The memory holds the steps since the last
+    test, the numbers of accepted and tried trajectories, and the total energy and q at the last start.
 
     Parameters
     ----------
     thermal_energy : float, kJ/mol
-    length : int
-        Steps a trajectory.
+        Value of kT.
+    trajectory_length : int
+        Number of steps of a trajectory.
     """
 
     thermal_energy: float
-    length: int = 10
-    undoes: ClassVar[bool] = True
+    trajectory_length: int = 10
+    metropolis: ClassVar[bool] = True
 
     def init(self, at: Phase) -> Bath:
-        """Begin a trajectory."""
+        """Return a bath at the start of a trajectory."""
         return Bath(0.0, read_only([0.0, 0.0, 0.0, at.total, *at.q]))
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
     ) -> tuple[Phase, Bath]:
-        """Count a step; at the end of a trajectory keep or undo it, and draw new velocities."""
-        steps, kept, tried, began = bath.memory[:4]
-        if steps + 1 < self.length:
+        """Count a step; at the end of a trajectory accept or reject it and draw new velocities."""
+        steps, accepted, tried, began = bath.memory[:4]
+        if steps + 1 < self.trajectory_length:
             return at, Bath(bath.energy, read_only([steps + 1, *bath.memory[1:]]))
-        climbed = at.total - began
-        keep = climbed <= 0.0 or (
-            self.thermal_energy > 0.0 and rng.random() < np.exp(-climbed / self.thermal_energy)
+        rise = at.total - began
+        accept = rise <= 0.0 or (
+            self.thermal_energy > 0.0 and rng.random() < np.exp(-rise / self.thermal_energy)
         )
-        before = at.total if keep else began
-        if not keep:
+        before = at.total if accept else began
+        if not accept:
             at = system.at(bath.memory[4:], np.zeros(system.tree.n_v))
         noise = np.sqrt(self.thermal_energy) * rng.standard_normal(system.tree.n_v)
-        at = system.moving(at, sample(at.factors, noise))
+        at = system.with_velocities(at, sample(at.factors, noise))
         energy = bath.energy + before - at.total
-        return at, Bath(energy, read_only([0.0, kept + keep, tried + 1, at.total, *at.q]))
+        return at, Bath(energy, read_only([0.0, accepted + accept, tried + 1, at.total, *at.q]))

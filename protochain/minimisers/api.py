@@ -10,7 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from protochain import defaults
-from protochain.arrays import read_only
+from protochain.arrays import Watcher, read_only
 from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose
 from protochain.energies.factory import energy as build_energy
@@ -22,7 +22,7 @@ from protochain.minimisers.openmm_reference import minimise_by_openmm
 from protochain.minimisers.problem import Evaluation, Space
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
-from protochain.minimisers.solution import Recorder, Solution, Watcher
+from protochain.minimisers.solution import Recorder, Solution
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import Outcome, walk
 from protochain.minimisers.start import Start

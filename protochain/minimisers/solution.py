@@ -1,6 +1,6 @@
 """The result of a minimisation: a value that can be saved, tabled and written as JSON."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.arrays import Floats, Watcher
 from protochain.chain import Chain
 from protochain.energies.protocol import Energy
 from protochain.markup import facts
@@ -32,9 +32,6 @@ TRACE_COLUMNS = (
     "max_torque_kj_mol_rad",
     "ca_rmsd_angstrom",
 )
-
-Watcher = Callable[[dict[str, float], Floats], None]
-"""Called with each trace row (without RMSD) and the positions it is about."""
 
 
 @dataclass

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from protochain import multibody
-from protochain.arrays import Floats, Integers
-from protochain.chain import Chain, Pose, pose, pull_back, rigid_groups, solve_mass
+from protochain.arrays import Floats
+from protochain.chain import Chain, Pose, pose, pull_back, solve_mass
 from protochain.minimisers import springs
 from protochain.minimisers.problem import Evaluation, Placement
 from protochain.multibody import HingeKind
@@ -43,10 +43,6 @@ class Torsions:
             scale[start + 3 : start + 6] = ROOT_LEVER
         return scale
 
-    @cached_property
-    def _groups(self) -> Integers:
-        return rigid_groups(self.chain)
-
     def start(self, x: Floats) -> Floats:
         """Coordinates of the chain's own positions.
 
@@ -77,7 +73,7 @@ class Torsions:
 
     def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for J^T C J of the contacts, by Cholesky's method."""
-        matrix = springs.torsion_stiffness(self.chain, self._groups, _pose(at.pose))
+        matrix = springs.torsion_stiffness(self.chain, _pose(at.pose))
         matrix *= np.outer(self.scale, self.scale)
         matrix[np.diag_indices_from(matrix)] += springs.TORSION_FLOOR
         factor = cho_factor(matrix, lower=True, check_finite=False)

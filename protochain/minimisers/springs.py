@@ -87,14 +87,12 @@ def covalent(structure: Structure) -> Springs:
     return Springs(pairs, np.select(near, [BOND, ANGLE], DIHEDRAL))
 
 
-def torsion_stiffness(chain: Chain, groups: Integers, at: Pose) -> Floats:
+def torsion_stiffness(chain: Chain, at: Pose) -> Floats:
     """K = J^T C J of the contacts of a chain.
 
     Parameters
     ----------
     chain : Chain
-    groups : (na, k) int
-        Of :func:`protochain.chain.rigid_groups`: springs within one keep their length.
     at : Pose
 
     Returns
@@ -104,6 +102,8 @@ def torsion_stiffness(chain: Chain, groups: Integers, at: Pose) -> Floats:
         inward sweep. O(n_v (bodies + springs)).
     """
     near = contacts(chain.structure, at.x, 2)
+    # Springs within a rigid group keep their length.
+    groups = chain.rigid_groups
     apart = np.ones(len(near.pairs), dtype=bool)
     for a in range(groups.shape[1]):
         for b in range(groups.shape[1]):

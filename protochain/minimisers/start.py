@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from protochain.chain import Chain, Pose, pose, rigid_groups
+from protochain.chain import Chain, Pose, pose
 from protochain.energies.protocol import Energy
 from protochain.minimisers.problem import Evaluation, Problem, evaluate
 from protochain.minimisers.recipes import Recipe
@@ -40,7 +40,7 @@ class Start:
     @cached_property
     def reduced(self) -> Energy:
         """Energy without the terms that are constant in the chain."""
-        return self.energy.without_constants(rigid_groups(self.chain), self.pose.x)
+        return self.energy.without_constants(self.chain.rigid_groups, self.pose.x)
 
     def energy_of(self, recipe: Recipe) -> Energy:
         """Energy that the first run of a method evaluates."""

@@ -1,4 +1,4 @@
-"""O(n) mechanics of trees of rigid bodies. Knows nothing of proteins or energies."""
+"""O(n) mechanics of trees of rigid bodies, independent of proteins and energies."""
 
 from protochain.multibody.composite import mass_matrix
 from protochain.multibody.forward import forward_dynamics

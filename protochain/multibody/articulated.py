@@ -1,4 +1,4 @@
-"""M^-1 in O(n) by articulated bodies: hinges are eliminated one by one, from the leaves to the root.
+"""M^-1 in O(n) by articulated bodies: hinges are eliminated one by one from the leaves to the root.
 
 Featherstone (1983); Jain, Vaidehi, Rodriguez, J. Comput. Phys. 106:258 (1993), whose factors are
 M = [1 + H phi K] D [1 + H phi K]^T and M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K].
@@ -42,24 +42,24 @@ from protochain.multibody.small import cholesky, dense_inertia, solve_lower, sol
 from protochain.multibody.tree import PARENT, SLIDE, TURN, HingeKind, Q, Tree, V
 
 ROUND_OFF = 1e-15
-"""A pivot below this share of the articulated inertia it was taken from is rounding, not inertia."""
+"""A pivot below this fraction of the trace of its articulated inertia is rounding error."""
 
 
 @dataclass(frozen=True, eq=False)
 class Articulated:
-    """The factors of M at one pose.
+    """Factors of M at one pose.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     inertia : (nb, 21) float
-        Articulated-body inertia P = [[I, C], [C^T, M]] of each body about its origin along world axes, its
-        hinge still locked: upper triangle of I, C row by row, upper triangle of M.
+        Articulated-body inertia P = [[I, C], [C^T, M]] of each body about its origin along world axes, with
+        its own hinge locked: upper triangle of I, C row by row, upper triangle of M.
     gain : (nb, 6) float
-        P h / D, with h the hinge's twist, about the parent's origin (of a root: its own).
+        Gain G = P h / D, with h the hinge's twist, about the parent's origin (of a root: its own).
     pivot : (nb,) float
-        D = h^T P h; 1 where there is no hinge.
+        Pivot D = h^T P h; 1 where there is no hinge.
     root : (n_free, 6, 6) float
         Cholesky factors of P of the free roots.
     """
@@ -77,17 +77,18 @@ def articulate(tree: Tree, frames: Frames) -> Articulated:
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
 
     Returns
     -------
     Articulated
+        Factors of M.
 
     Raises
     ------
     MechanicsError
-        If something that a hinge moves has no inertia against it: M is singular.
+        If M is singular: a hinge has no inertia.
 
     Notes
     -----
@@ -106,14 +107,14 @@ def articulate(tree: Tree, frames: Frames) -> Articulated:
 
 
 def solve(factors: Articulated, tau: Floats, loads: Floats | None = None) -> Floats:
-    """M^-1 (tau - J^T loads), by one inward and one outward sweep.
+    """Solve M x = tau - J^T loads by one inward and one outward sweep.
 
     Parameters
     ----------
     factors : Articulated
     tau : (n_v,) float
     loads : (nb, 6) float, optional
-        What tau has to carry besides accelerating: moments about the bodies' origins, forces.
+        Loads that act against tau: moments about the bodies' origins, forces.
 
     Returns
     -------
@@ -132,12 +133,12 @@ def solve(factors: Articulated, tau: Floats, loads: Floats | None = None) -> Flo
 
 
 def solve_at_once(tree: Tree, frames: Frames, tau: Floats) -> Floats:
-    """M^-1 tau for one tau: :func:`articulate` and :func:`solve` in one call.
+    """Solve M x = tau for one tau: :func:`articulate` and :func:`solve` in one call.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     tau : (n_v,) float
 
     Returns
@@ -155,7 +156,7 @@ def solve_at_once(tree: Tree, frames: Frames, tau: Floats) -> Floats:
 
 
 def log_det(factors: Articulated) -> float:
-    """Ln det M = sum of ln D, and of ln det P of free roots.
+    """Logarithm of det M: sum of ln D over hinges and of ln det P over free roots.
 
     Parameters
     ----------
@@ -164,7 +165,7 @@ def log_det(factors: Articulated) -> float:
     Returns
     -------
     float
-        Of M in amu nm^2 (amu for slides).
+        Value of ln det M, with M in amu nm^2 (amu for slides).
     """
     roots = np.diagonal(factors.root, axis1=1, axis2=2)
     return float(np.sum(np.log(factors.pivot)) + 2.0 * np.sum(np.log(roots)))
@@ -184,9 +185,8 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
 
     Notes
     -----
-    The outward half of a solution, for D^-1/2 noise: a hinge's rate is its noise less what the motion of its
-    parent already gives.
-    Jain, Vaidehi, Rodriguez (1993), equation 27. O(n).
+    Outward sweep of a solution, for D^-1/2 noise: the rate of a hinge is its noise minus the gain times the
+    motion of its parent. Jain, Vaidehi, Rodriguez (1993), equation 27. O(n).
     """
     tree, frames = factors.tree, factors.frames
     x = floats(noise, (tree.n_v,), "noise").copy()
@@ -202,16 +202,16 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
 
 
 def refuse_singular(failed: int) -> None:
-    """Raise MechanicsError for the body that a sweep returned, if it returned one."""
+    """Raise MechanicsError if a sweep returned a body rather than -1."""
     if failed >= 0:
         raise MechanicsError(
-            f"body {failed}: nothing resists its hinge at this pose, so accelerations have no value"
+            f"body {failed}: its hinge has no inertia at this pose, so accelerations are undefined"
         )
 
 
 @kernel
 def put_rigid(rotation: Floats, bodies: Floats, packed: Floats) -> None:
-    """Write the spatial inertia of each body by itself, which :func:`factorise` starts from."""
+    """Write the spatial inertia of each rigid body, from which :func:`factorise` starts."""
     for b in range(len(bodies)):
         put_inertia(add_rigid(MASSLESS, rigid_inertia(matrix(rotation, b), bodies, b)), packed, b)
 
@@ -221,11 +221,16 @@ def factorise(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, packed: Floats, gain: Floats,
     pivot: Floats, root: Floats, wrench: Floats, x: Floats,
 ) -> int:  # fmt: skip
-    """Return the first body whose hinge has no pivot, or -1. ``packed`` holds rigid inertias and becomes P.
+    """Factorise M; return the first body whose hinge has no pivot, or -1. ``packed`` holds I_b and becomes P.
 
-    One right-hand side is carried inward on the way, as :func:`inward_loads` does: the processor has the
-    time for it while it waits for the factors. Inertia and gain are taken to the parent's origin at once,
-    while the pivot is still being found, and what the next body needs stays in registers.
+    From the leaves inward, with h_b the twist of hinge b and X_c what moves twists from b to its child c::
+
+        P_b = I_b + sum over children c of X_c^T P_c+ X_c
+        D_b = h_b^T P_b h_b,    G_b = P_b h_b / D_b,    P_b+ = P_b - G_b D_b G_b^T
+
+    ``slow_articulated_inverse`` in tests/slow_mechanics.py states the same in 6x6 matrices. One right-hand
+    side is carried inward as in :func:`inward_loads`, while the processor waits for the factors. Inertia and
+    gain are shifted to the parent's origin before the pivot is known, and stay in registers for the parent.
     """
     carried, moment_below, force_below = MASSLESS, ZERO, ZERO
     for b in range(len(bodies) - 1, -1, -1):
@@ -280,7 +285,7 @@ def inward_loads(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
     wrench: Floats, x: Floats,
 ) -> None:  # fmt: skip
-    """Overwrite tau in ``x`` by what :func:`outward_rates` starts from; accumulate in ``wrench``."""
+    """Overwrite tau in ``x`` by the input of :func:`outward_rates`; accumulate loads in ``wrench``."""
     for b in range(len(bodies) - 1, -1, -1):
         p, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k
@@ -312,7 +317,7 @@ def outward_rates(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, root: Floats,
     motion: Floats, x: Floats,
 ) -> None:  # fmt: skip
-    """Overwrite ``x``, carried inward and divided by pivots, by the solution; write the bodies' motion."""
+    """Overwrite ``x``, from :func:`inward_loads`, by the solution; write the motion of the bodies."""
     omega, u = ZERO, ZERO
     for b in range(len(bodies)):
         p, k = links[b, PARENT], links[b, V]

@@ -1,4 +1,4 @@
-"""The mass matrix by composite rigid bodies: dense, the oracle of the O(n) routes."""
+"""Dense mass matrix by composite rigid bodies: reference for the O(n) methods."""
 
 import numpy as np
 
@@ -30,13 +30,13 @@ def mass_matrix(tree: Tree, frames: Frames) -> Floats:
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
 
     Returns
     -------
     (n_v, n_v) float, amu nm^2
-        A slide counts amu, a turn and a slide together amu nm.
+        Mass matrix; entries between two slides are in amu, between a turn and a slide in amu nm.
 
     Notes
     -----

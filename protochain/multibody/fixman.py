@@ -1,13 +1,13 @@
-"""M^-1 in O(n) by Fixman's method: what hinges lock is eliminated, from the leaves to the root.
+"""M^-1 in O(n) by Fixman's method: constraints of hinges are eliminated from the leaves to the root.
 
 Fixman, PNAS 71:3050 (1974), for rigid bodies as Lee, Wang, Chirikjian, Robotica 25:739 (2007). Each hinge's
-relative twist y = E V is split into one soft row (what the hinge does) and five hard ones (what it locks).
+relative twist y = E V is split into one soft row (the free direction) and five hard rows (the locked ones).
 With W = M0^-1 the bodies' inverse inertias, A = E_s W E_s^T, B = E_s W E_h^T and H = E_h W E_h^T:
 
     M^-1 = A - B H^-1 B^T,    ln det M = sum of ln det M_b + ln det H.
 
-Two hinges couple in H only through a body they share. Eliminating a hinge therefore changes nothing but its
-parent body's W, whatever the number of its siblings: zero fill, O(n).
+Two hinges couple in H only through a common body. Eliminating a hinge therefore changes only its parent
+body's W, whatever the number of its siblings: no fill-in, O(n).
 """
 
 from dataclasses import dataclass
@@ -37,20 +37,20 @@ from protochain.multibody.tree import NO_INERTIA, PARENT, SLIDE, TURN, Tree, V
 
 @dataclass(frozen=True, eq=False)
 class Eliminated:
-    """The factors of H at one pose.
+    """Factors of H at one pose.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     inverse_inertia : (nb, 6, 6) float
-        W of each body about its origin, world axes: wrench -> twist.
+        Inverse inertia W of each body about its origin, world axes: wrench -> twist.
     factor : (nb, 6, 6) float
-        Cholesky factor of each hinge's block of H when its turn comes.
+        Cholesky factor of each hinge's block of H at its elimination.
     gain : (nb, 6, 6) float
-        That block's inverse times the block that couples the hinge to its parent body.
+        Inverse of that block times the block that couples the hinge to its parent body.
     n_hard : (nb,) int
-        Number of directions each hinge locks.
+        Number of directions locked by each hinge.
     """
 
     tree: Tree
@@ -66,12 +66,13 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
 
     Returns
     -------
     Eliminated
+        Factors of H.
 
     Raises
     ------
@@ -103,7 +104,7 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
 
 
 def respond(factors: Eliminated, wrench: Floats) -> Floats:
-    """Twists that impulses on the bodies give when the hinges push back: (W - W E_h^T H^-1 E_h W) wrench.
+    """Twists due to impulses on the bodies and reactions of the hinges: (W - W E_h^T H^-1 E_h W) wrench.
 
     Parameters
     ----------
@@ -126,7 +127,7 @@ def respond(factors: Eliminated, wrench: Floats) -> Floats:
 
 
 def solve(factors: Eliminated, tau: Floats) -> Floats:
-    """M^-1 tau = (A - B H^-1 B^T) tau.
+    """Solve M x = tau by x = (A - B H^-1 B^T) tau.
 
     Parameters
     ----------
@@ -139,9 +140,9 @@ def solve(factors: Eliminated, tau: Floats) -> Floats:
 
     Notes
     -----
-    A tau is what bodies without hinges would do, often far more than what is left when the hinges have been
-    heard: digits cancel. One step of iterative refinement with M x from Newton-Euler brings them back
-    (Higham, *Accuracy and Stability of Numerical Algorithms*, 2002, theorem 12.3).
+    A tau is the response of unconnected bodies, often far larger than that of the chain, so that digits
+    cancel. One step of iterative refinement with M x from Newton-Euler recovers them (Higham, *Accuracy and
+    Stability of Numerical Algorithms*, 2002, theorem 12.3).
     """
     tree, frames = factors.tree, factors.frames
     tau = floats(tau, (tree.n_v,), "tau")
@@ -160,12 +161,12 @@ def _solve_once(factors: Eliminated, tau: Floats) -> Floats:
 
 
 def soft_rates(tree: Tree, frames: Frames, twists: Floats) -> Floats:
-    """Hinge rates of bodies that move as twists say: E_s V.
+    """Hinge rates E_s V of bodies that move with these twists.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     twists : (nb, 6) float
 
     Returns
@@ -181,7 +182,7 @@ def soft_rates(tree: Tree, frames: Frames, twists: Floats) -> Floats:
 
 
 def log_det(factors: Eliminated) -> float:
-    """Ln det M = sum of ln det M_b + ln det H.
+    """Logarithm of det M: sum of ln det M_b plus ln det H.
 
     Parameters
     ----------
@@ -190,7 +191,7 @@ def log_det(factors: Eliminated) -> float:
     Returns
     -------
     float
-        Of M in amu nm^2 (amu for slides).
+        Value of ln det M, with M in amu nm^2 (amu for slides).
     """
     tree = factors.tree
     bodies = 3.0 * np.sum(np.log(tree.mass)) + np.sum(np.linalg.slogdet(tree.inertia)[1])
@@ -214,10 +215,10 @@ def _inverse_inertias(tree: Tree, frames: Frames) -> Floats:
 
 @kernel
 def _hard_rows(rotation: Floats, bodies: Floats, b: int, n_hard: int, rows: Floats) -> None:
-    """Write an orthogonal basis of what the hinge locks, such that with its soft row it has determinant one.
+    """Write an orthogonal basis of the hinge's locked directions, of determinant one with its soft row.
 
-    Soft is turning about z, or sliding along z if the hinge does not turn. A screw locks sliding beyond its
-    pitch.
+    The soft row is rotation about z, or translation along z if the hinge does not turn. A screw locks
+    translation other than by its pitch.
     """
     rows[:] = 0.0
     for i in range(3):
@@ -237,7 +238,7 @@ def _hard_rows(rotation: Floats, bodies: Floats, b: int, n_hard: int, rows: Floa
 
 @kernel
 def _carry(arm: Vector, inverse: Floats, out: Floats) -> None:
-    """Rows of a parent's W as felt at a child's origin: X W, X = [[1, 0], [-[arm]x, 1]]."""
+    """Move a parent's W to a child's origin: X W, X = [[1, 0], [-[arm]x, 1]]."""
     for j in range(6):
         x, y, z = cross(arm, (inverse[0, j], inverse[1, j], inverse[2, j]))
         out[0, j], out[1, j], out[2, j] = inverse[0, j], inverse[1, j], inverse[2, j]
@@ -289,7 +290,7 @@ def _respond(
     links: Integers, n_hard: Integers, bodies: Floats, rotation: Floats, origin: Floats, inverse: Floats,
     factor: Floats, gain: Floats, impulse: Floats, twists: Floats,
 ) -> None:  # fmt: skip
-    """Overwrite ``impulse`` by what the bodies receive in all, hinges included."""
+    """Write the twists due to ``impulse`` and the reactions of the hinges."""
     n = len(bodies)
     rows, reaction, later = np.empty((6, 6)), np.zeros((n, 6)), np.zeros((n, 6))
     for b in range(n):
@@ -313,16 +314,16 @@ def _respond(
         solve_lower(factor[b], m, reaction[b])
         solve_upper(factor[b], m, reaction[b])
     for b in range(n):
-        # Reactions found so far act on the parent after this hinge was eliminated: take their share back.
+        # Reactions found so far act on the parent after this hinge's elimination: subtract their share.
         p, m = links[b, PARENT], n_hard[b]
         _hard_rows(rotation, bodies, b, m, rows)
         locked = -reaction[b, :m]
         if p >= 0:
             locked += gain[b, :m] @ later[p]
-        push = rows[:m].T @ locked
-        later[b] += push
+        load = rows[:m].T @ locked
+        later[b] += load
         if p >= 0:
-            moment, force = (push[0], push[1], push[2]), (push[3], push[4], push[5])
+            moment, force = (load[0], load[1], load[2]), (load[3], load[4], load[5])
             x, y, z = cross(lever(origin, b, p), force)
             later[p, 0] -= moment[0] + x
             later[p, 1] -= moment[1] + y
@@ -338,7 +339,7 @@ def _push_soft(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, tau: Floats,
     wrench: Floats,
 ) -> None:  # fmt: skip
-    """Add E_s^T tau: what each hinge's torque does to its body, and the opposite to the parent."""
+    """Add E_s^T tau: the torque of each hinge on its body, and the opposite on the parent."""
     for b in range(len(bodies)):
         p, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k

@@ -1,4 +1,4 @@
-"""Accelerations from coordinates, velocities and loads: one outward, one inward, one outward sweep. O(n)."""
+"""Forward dynamics by three sweeps: outward, inward, outward. O(n)."""
 
 import numpy as np
 
@@ -34,20 +34,21 @@ from protochain.multibody.trigonometry import cosines_and_sines
 
 
 def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Floats | None = None) -> Floats:
-    """Accelerations that the torques tau and external loads give: M qdd + c(q, qd) = tau + J^T wrench.
+    """Solve M qdd + c(q, qd) = tau + J^T wrench for the accelerations qdd.
 
     Parameters
     ----------
-    tree : Tree
-    q : (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
-    qd : (n_v,) float, rad/ps (nm/ps for slides)
-    tau : (n_v,) float, kJ/mol
+    tree, q : Tree and (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
+        Rigid bodies and their coordinates.
+    qd, tau : (n_v,) float, rad/ps (nm/ps for slides) and kJ/mol
+        Velocities and torques.
     wrench : (nb, 6) float, optional, kJ/mol/rad and kJ/mol/nm
         Moment on each body about its origin, force; world axes.
 
     Returns
     -------
     (n_v,) float, rad/ps^2 (nm/ps^2 for slides)
+        Accelerations.
 
     Raises
     ------
@@ -56,8 +57,8 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
 
     Notes
     -----
-    The loads that velocities need at qdd = 0 (Newton-Euler) are taken off, and articulated bodies solve
-    for the rest: Featherstone (2008), table 7.1. O(n).
+    The Newton-Euler loads at qdd = 0 are subtracted, and articulated bodies solve for the accelerations:
+    Featherstone (2008), table 7.1. O(n).
     """
     if wrench is None:
         loads = np.zeros((tree.n_bodies, 6))

@@ -1,4 +1,4 @@
-"""Canonical momenta p = M qd, and what they feel: the gradient of the kinetic energy. O(n)."""
+"""Canonical momenta p = M qd and the gradient of the kinetic energy. O(n)."""
 
 import numpy as np
 
@@ -24,23 +24,25 @@ def momenta(tree: Tree, frames: Frames, qd: Floats) -> tuple[Floats, Floats]:
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     qd : (n_v,) float, rad/ps and nm/ps
+        Velocities.
 
     Returns
     -------
     (n_v,) float
-        p = M qd. A free root's is the angular momentum of all it carries about its origin, then the linear
-        momentum; world axes.
-    (n_v,) float, kJ/mol for each unit of q
-        d(qd^T M(q) qd / 2)/dq at constant qd; for a free root, along a turn about world axes and a move.
+        Momenta p = M qd. A free root has the angular momentum of its whole tree about its origin, then the
+        linear momentum; world axes.
+    (n_v,) float, kJ/mol per unit of q
+        Gradient d(qd^T M(q) qd / 2)/dq at constant qd; of a free root along rotations about world axes and
+        translations.
 
     Notes
     -----
-    With V the twist of a body, h that of its hinge and Pi the momentum of all that hangs on it, about its
-    origin: p = h . Pi, and the gradient is (V x h) . Pi, since to turn what hangs on a hinge is to turn the
-    twist of its parent back. Lagrange's equations are then dp/dt = tau + gradient. O(n).
+    With V the twist of a body, h that of its hinge and Pi the momentum of the body and all beyond it, about
+    its origin: p = h . Pi, and the gradient is (V x h) . Pi, since rotating the bodies beyond a hinge is
+    equivalent to rotating its parent's twist back. Lagrange's equations are dp/dt = tau + gradient. O(n).
     """
     p, gradient = np.empty(tree.n_v), np.empty(tree.n_v)
     put_momenta(
@@ -55,7 +57,7 @@ def put_momenta(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, qd: Floats, twists: Floats,
     carried: Floats, p: Floats, gradient: Floats,
 ) -> None:  # fmt: skip
-    """Write momenta and gradient; ``twists`` and ``carried`` are (nb, 6) of room."""
+    """Write momenta and gradient; ``twists`` and ``carried`` are workspaces (nb, 6)."""
     outward_twists(links, bodies, rotation, origin, qd, twists)
     body_momenta(bodies, rotation, twists, carried)
     for b in range(len(bodies) - 1, -1, -1):

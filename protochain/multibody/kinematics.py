@@ -1,4 +1,4 @@
-"""Where the bodies are, how they move, what loads on them do at the hinges: one sweep each, O(n)."""
+"""Frames, twists and generalised torques of rigid bodies, each by one O(n) sweep."""
 
 from dataclasses import dataclass
 
@@ -38,9 +38,9 @@ class Frames:
     Parameters
     ----------
     rotation : (nb, 3, 3) float
-        Columns are the body's axes in the world; the third is the hinge's.
+        Axes of the bodies in the world, as columns; the third is the hinge axis.
     origin : (nb, 3) float, nm
-        The body frame's origin, which lies on its hinge axis.
+        Origins of the body frames, which lie on the hinge axes.
     """
 
     rotation: Floats
@@ -48,7 +48,7 @@ class Frames:
 
 
 WORLD: tuple[Matrix, Vector] = (IDENTITY, ZERO)
-"""What a root is seated in."""
+"""Parent frame of roots."""
 
 
 def pose(tree: Tree, q: Floats) -> Frames:
@@ -56,12 +56,13 @@ def pose(tree: Tree, q: Floats) -> Frames:
 
     Parameters
     ----------
-    tree : Tree
-    q : (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
+    tree, q : Tree and (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
+        Rigid bodies and their coordinates.
 
     Returns
     -------
     Frames
+        World frames of the bodies.
 
     Notes
     -----
@@ -74,13 +75,14 @@ def pose(tree: Tree, q: Floats) -> Frames:
 
 
 def velocities(tree: Tree, frames: Frames, qd: Floats) -> Floats:
-    """Twists of the bodies, V = J qd, by one outward sweep.
+    """Compute the twists of the bodies, V = J qd, by one outward sweep.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     qd : (n_v,) float, rad/ps or nm/ps
+        Velocities.
 
     Returns
     -------
@@ -103,13 +105,13 @@ def jacobian(tree: Tree, frames: Frames) -> Floats:
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
 
     Returns
     -------
     (nb, 6, n_v) float
-        A column for each freedom. O(n^2): for tests and small studies.
+        Columns are the degrees of freedom. O(n^2): for tests and small studies.
     """
     return np.stack([velocities(tree, frames, unit) for unit in np.eye(tree.n_v)], axis=2)
 
@@ -119,15 +121,15 @@ def pull_back(tree: Tree, frames: Frames, wrench: Floats) -> Floats:
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     wrench : (nb, 6) float, kJ/mol/rad and kJ/mol/nm
         Moment on each body about its frame's origin, then force; world axes.
 
     Returns
     -------
     (n_v,) float
-        kJ/mol for each unit of q; a free root has (moment, force) about its frame's origin, world axes.
+        Torques, kJ/mol per unit of q; a free root has (moment, force) about its frame's origin, world axes.
 
     Notes
     -----
@@ -143,19 +145,19 @@ def pull_back(tree: Tree, frames: Frames, wrench: Floats) -> Floats:
 
 
 def integrate(tree: Tree, q: Floats, qd: Floats) -> Floats:
-    """Move from q along qd for unit time, keeping quaternions of unit length.
+    """Advance q along constant velocities qd for unit time, with quaternions of unit length.
 
     Parameters
     ----------
-    tree : Tree
-    q : (n_q,) float
+    tree, q : Tree and (n_q,) float
+        Rigid bodies and their coordinates.
     qd : (n_v,) float
-        Hinge rates; a free root turns about the world-frame vector omega and moves by u.
+        Hinge rates; a free root rotates by the world-frame vector omega and moves by u.
 
     Returns
     -------
     (n_q,) float
-        For a free root exp(omega) times its rotation, so d/dt along the path is (omega, u) throughout.
+        New coordinates; a free root is rotated by exp(omega), so that its twist is (omega, u) throughout.
     """
     moved = floats(q, (tree.n_q,), "q").copy()
     move_along(tree.links, floats(qd, (tree.n_v,), "qd"), moved)
@@ -194,7 +196,7 @@ def seat(bodies: Floats, b: int, above: Matrix, at: Vector) -> tuple[Matrix, Vec
 def turned_by_hinge(
     seat: Matrix, at: Vector, turn: float, slide: float, q: float, cosine: float, sine: float
 ) -> tuple[Matrix, Vector]:
-    """Frame of a body whose hinge is at q, from its seat."""
+    """Frame of a body with its hinge at q, from the frame at q = 0."""
     c, s = (cosine, sine) if turn != 0.0 else (1.0, 0.0)
     x, y, z = (seat[0], seat[3], seat[6]), (seat[1], seat[4], seat[7]), (seat[2], seat[5], seat[8])
     x, y = add(scale(c, x), scale(s, y)), subtract(scale(c, y), scale(s, x))
@@ -204,7 +206,7 @@ def turned_by_hinge(
 
 @kernel
 def moved_freely(at: Vector, q: Floats, k: int) -> tuple[Matrix, Vector]:
-    """Frame of a free root from its seat: turned by the quaternion w + ix + jy + kz, whatever its length."""
+    """Frame of a free root: rotation by the quaternion w + ix + jy + kz, which need not have unit length."""
     w, x, y, z = q[k], q[k + 1], q[k + 2], q[k + 3]
     s = 2.0 / (w * w + x * x + y * y + z * z)
     turn = (
@@ -240,7 +242,7 @@ def outward_twists(
 def _inward_loads(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, wrench: Floats, tau: Floats
 ) -> None:
-    """Accumulate loads in ``wrench``, which it overwrites."""
+    """Write tau; accumulate loads inward in ``wrench``."""
     for b in range(len(bodies) - 1, -1, -1):
         p, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k
@@ -258,7 +260,7 @@ def _inward_loads(
 
 @kernel
 def move_along(links: Integers, qd: Floats, q: Floats) -> None:
-    """Overwrite q."""
+    """Overwrite q by :func:`integrate`."""
     for b in range(len(links) - 1):
         k, m = links[b, Q], links[b, V]
         n_q = links[b + 1, Q] - k

@@ -1,4 +1,4 @@
-"""Closed loops: what is left of M^-1 when m constraint rows have to hold as well."""
+"""Closed loops: the inverse of M projected onto m constraint rows."""
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
@@ -15,30 +15,32 @@ from protochain.multibody.tree import Tree
 def solve_closed(
     tree: Tree, frames: Frames, tau: Floats, rows: Rows, method: Method = "articulated"
 ) -> Floats:
-    """Accelerations from rest that the torques tau give when the rows hold: G x = 0.
+    """Solve for the accelerations from rest under torques tau and constraints G x = 0.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     tau : (n_v,) float, kJ/mol
+        Torques.
     rows : Rows
+        Constraint rows.
     method : str
-        As in :func:`solve_mass`.
+        Method as in :func:`solve_mass`.
 
     Returns
     -------
     (n_v,) float
-        (M^-1 - M^-1 G^T (G M^-1 G^T)^-1 G M^-1) tau, the projected inverse.
+        Accelerations (M^-1 - M^-1 G^T (G M^-1 G^T)^-1 G M^-1) tau.
 
     Raises
     ------
     MechanicsError
-        If M is singular or the rows depend on one another.
+        If M is singular or the rows are linearly dependent.
 
     Notes
     -----
-    With Fixman's method the rows are appended to the hard ones: one more block of H, eliminated last
+    In Fixman's method the rows are appended to the hard rows: one more block of H, eliminated last
     (Fixman 1974; Lee, Wang, Chirikjian 2007). O(m n + m^3).
     """
     g = row_matrix(tree, frames, rows)
@@ -61,19 +63,21 @@ def solve_closed(
 
 
 def log_det_closed(tree: Tree, frames: Frames, rows: Rows, method: Method = "articulated") -> float:
-    """Ln det (G M^-1 G^T): what closing loops adds to the metric's determinant.
+    """Logarithm of det(G M^-1 G^T), the contribution of loop closure to the metric determinant.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     rows : Rows
+        Constraint rows.
     method : str
-        ``fixman`` takes it from the block that the appended rows leave in H: ln det H_x - ln det H.
+        Method as in :func:`solve_mass`; ``fixman`` obtains it from the appended block of H.
 
     Returns
     -------
     float
+        Value of ln det(G M^-1 G^T).
 
     Raises
     ------
@@ -94,11 +98,11 @@ def _factor(inverse: Floats) -> tuple[Floats, bool]:
     size = np.sqrt(np.maximum(np.diagonal(inverse), 0.0))
     try:
         factor, lower = cho_factor(inverse)
-        # A row that the others already hold leaves a pivot of rounding only.
+        # A row that depends on the others leaves a pivot of rounding error only.
         if np.any(np.diagonal(factor) <= 1e-7 * size):
             raise LinAlgError
     except LinAlgError:
         raise MechanicsError(
-            "the constraint rows depend on one another; leave the redundant ones out"
+            "the constraint rows are linearly dependent; leave the redundant ones out"
         ) from None
     return factor, lower

@@ -1,4 +1,4 @@
-"""M^-1, ln det M and velocities at a temperature, by either of two O(n) routes."""
+"""M^-1, ln det M and thermal velocities in O(n), M^-1 and ln det M by either of two methods."""
 
 from typing import Literal
 
@@ -11,23 +11,25 @@ from protochain.multibody.kinematics import Frames
 from protochain.multibody.tree import Tree
 
 Method = Literal["articulated", "fixman"]
-"""How to solve: by articulated bodies (Featherstone), or by Fixman's method."""
+"""Method of solution: articulated bodies (Featherstone), or Fixman's method."""
 
 
 def solve_mass(tree: Tree, frames: Frames, tau: Floats, method: Method = "articulated") -> Floats:
-    """M^-1 tau in O(n), without forming M.
+    """Solve M x = tau in O(n), without forming M.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     tau : (n_v,) float, kJ/mol
+        Torques.
     method : str
-        ``articulated`` eliminates the hinges' freedoms, ``fixman`` the directions they lock.
+        Method: ``articulated`` eliminates the freedoms of the hinges, ``fixman`` the directions they lock.
 
     Returns
     -------
     (n_v,) float, rad/ps^2 (nm/ps^2 for slides)
+        Accelerations from rest.
 
     Raises
     ------
@@ -40,19 +42,19 @@ def solve_mass(tree: Tree, frames: Frames, tau: Floats, method: Method = "articu
 
 
 def log_det_mass(tree: Tree, frames: Frames, method: Method = "articulated") -> float:
-    """Ln det M in O(n), without forming M.
+    """Logarithm of det M in O(n), without forming M.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     method : str
-        As in :func:`solve_mass`.
+        Method as in :func:`solve_mass`.
 
     Returns
     -------
     float
-        Of M in amu nm^2 (amu for slides).
+        Value of ln det M, with M in amu nm^2 (amu for slides).
 
     Raises
     ------
@@ -65,19 +67,21 @@ def log_det_mass(tree: Tree, frames: Frames, method: Method = "articulated") -> 
 
 
 def sample_velocities(tree: Tree, frames: Frames, thermal_energy: float, rng: np.random.Generator) -> Floats:
-    """Velocities at thermal equilibrium: normal, with covariance kT M^-1.
+    """Draw velocities at thermal equilibrium: normal, with covariance kT M^-1.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     thermal_energy : float, kJ/mol
-        kT.
+        Value of kT.
     rng : numpy.random.Generator
+        Source of random numbers.
 
     Returns
     -------
     (n_v,) float, rad/ps (nm/ps for slides)
+        Velocities.
 
     Raises
     ------
@@ -89,12 +93,12 @@ def sample_velocities(tree: Tree, frames: Frames, thermal_energy: float, rng: np
 
 
 def checked(method: str) -> str:
-    """Return the method, if it is one.
+    """Return the method if it is known.
 
     Raises
     ------
     MechanicsError
-        Naming it and the choice there is.
+        If it is not; the message names the methods.
     """
     if method not in ("articulated", "fixman"):
         raise MechanicsError(f"method {method!r} is not known; choose articulated or fixman")

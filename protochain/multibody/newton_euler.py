@@ -1,4 +1,4 @@
-"""Loads that a motion needs, by Newton's and Euler's laws: inverse dynamics, M x, momentum, energy. O(n)."""
+"""Newton-Euler equations: inverse dynamics, M x, momentum and kinetic energy. O(n)."""
 
 import numpy as np
 
@@ -31,20 +31,21 @@ AT_REST: Motion = (ZERO, ZERO, ZERO)
 
 
 def inverse_dynamics(tree: Tree, q: Floats, qd: Floats, qdd: Floats, wrench: Floats | None = None) -> Floats:
-    """Torques that give the accelerations qdd: tau = M qdd + c(q, qd) - J^T wrench.
+    """Inverse dynamics: tau = M qdd + c(q, qd) - J^T wrench for accelerations qdd.
 
     Parameters
     ----------
-    tree : Tree
-    q : (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
+    tree, q : Tree and (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
+        Rigid bodies and their coordinates.
     qd, qdd : (n_v,) float, rad/ps and rad/ps^2 (nm for slides)
-        A free root's are (omega, u) and their time derivatives, world axes.
+        Velocities and accelerations; a free root has (omega, u) and its time derivative, world axes.
     wrench : (nb, 6) float, optional, kJ/mol/rad and kJ/mol/nm
         External loads: moment about the body's origin, force; world axes.
 
     Returns
     -------
     (n_v,) float, kJ/mol
+        Torques.
 
     Notes
     -----
@@ -58,36 +59,37 @@ def inverse_dynamics(tree: Tree, q: Floats, qd: Floats, qdd: Floats, wrench: Flo
 
 
 def multiply_mass(tree: Tree, frames: Frames, x: Floats) -> Floats:
-    """M x without forming M: the torques that give x as acceleration from rest.
+    """Product M x without forming M: the torques for accelerations x from rest.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     x : (n_v,) float
+        Vector to multiply.
 
     Returns
     -------
     (n_v,) float
-        In amu nm^2 times the unit of x. O(n).
+        Product, in amu nm^2 times the unit of x. O(n).
     """
     return pull_back(tree, frames, inertial_loads(tree, frames, np.zeros(tree.n_v), x))
 
 
 def inertial_loads(tree: Tree, frames: Frames, qd: Floats, qdd: Floats | None = None) -> Floats:
-    """Load on each body that makes it move as qd and qdd say.
+    """Inertial load on each body that moves with qd and qdd.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     qd, qdd : (n_v,) float
-        Without qdd, the loads that velocities alone need.
+        Velocities and accelerations, by default zero.
 
     Returns
     -------
     (nb, 6) float, kJ/mol/rad and kJ/mol/nm
-        Moment about the body's origin and force, world axes. O(n).
+        Moments about the origins of the bodies and forces, world axes. O(n).
 
     Notes
     -----
@@ -108,13 +110,15 @@ def kinetic_energy(tree: Tree, frames: Frames, qd: Floats) -> float:
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     qd : (n_v,) float, rad/ps and nm/ps
+        Velocities.
 
     Returns
     -------
     float, kJ/mol
+        Kinetic energy.
     """
     twists = velocities(tree, frames, qd)
     return 0.5 * float(np.vdot(twists, _momenta(tree, frames, twists)))
@@ -125,13 +129,15 @@ def momentum(tree: Tree, frames: Frames, qd: Floats) -> tuple[Floats, Floats]:
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     qd : (n_v,) float, rad/ps and nm/ps
+        Velocities.
 
     Returns
     -------
     (3,) float, amu nm/ps; (3,) float, amu nm^2/ps
+        Linear and angular momentum.
     """
     each = _momenta(tree, frames, velocities(tree, frames, qd))
     linear = each[:, 3:].sum(axis=0)
@@ -144,12 +150,13 @@ def centre_of_mass(tree: Tree, frames: Frames) -> Floats:
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
 
     Returns
     -------
     (3,) float, nm
+        World coordinates.
     """
     each = frames.origin + np.einsum("bij,bj->bi", frames.rotation, tree.com)
     return np.asarray(tree.mass @ each / tree.mass.sum())
@@ -164,7 +171,7 @@ def _momenta(tree: Tree, frames: Frames, twists: Floats) -> Floats:
 
 @kernel
 def body_momenta(bodies: Floats, rotation: Floats, twists: Floats, momenta: Floats) -> None:
-    """Write the momentum of each body: about its origin, and linear."""
+    """Write the angular momentum of each body about its origin, and its linear momentum."""
     for b in range(len(bodies)):
         mass, first, second = rigid_inertia(matrix(rotation, b), bodies, b)
         omega, u = pair(twists, b)
@@ -195,16 +202,16 @@ def _outward_loads(
 
 @kernel
 def carried_along(motion: Motion, arm: Vector) -> Motion:
-    """Motion of a place that a body carries, from that of the body's origin."""
+    """Motion of a point of a body, from that of the body's origin."""
     omega, alpha, a = motion
     return omega, alpha, add(a, add(cross(alpha, arm), cross(omega, cross(omega, arm))))
 
 
 @kernel
 def moved_by_hinge(motion: Motion, axis: Vector, turn: float, slide: float, qd: float, qdd: float) -> Motion:
-    """Motion of a body whose hinge moves, from that of its seat."""
+    """Motion of a body whose hinge moves, from that with the hinge at rest."""
     omega, alpha, a = motion
-    # The axis is carried round by the seat.
+    # The axis rotates with the parent.
     rate = cross(omega, scale(qd, axis))
     alpha = add(alpha, scale(turn, add(scale(qdd, axis), rate)))
     a = add(a, scale(slide, add(scale(qdd, axis), scale(2.0, rate))))
@@ -213,7 +220,7 @@ def moved_by_hinge(motion: Motion, axis: Vector, turn: float, slide: float, qd: 
 
 @kernel
 def load(rigid: tuple[float, Vector, Symmetric], motion: Motion) -> tuple[Vector, Vector]:
-    """Moment about its origin, and force, that make a body move like that."""
+    """Moment about its origin and force that give a body this motion."""
     mass, first, second = rigid
     omega, alpha, a = motion
     centripetal = cross(omega, cross(omega, first))
@@ -224,7 +231,7 @@ def load(rigid: tuple[float, Vector, Symmetric], motion: Motion) -> tuple[Vector
 
 @kernel
 def motion_of(motions: Floats, b: int) -> Motion:
-    """Read what :func:`put_motion` wrote."""
+    """Read the motion of body b."""
     return vector(motions, b, 0), vector(motions, b, 3), vector(motions, b, 6)
 
 

@@ -1,4 +1,4 @@
-"""M^-1 as the bodies feel it: inverse inertia at a body, between bodies, and the gradient of ln det M. O(n).
+"""Operational-space inverse inertias of bodies and constraints, and the gradient of ln det M. O(n).
 
 The operational-space inverse inertia of body b, Y_b = J_b M^-1 J_b^T, follows from its parent's by one
 outward sweep: Y_b = psi^T Y_p psi + h h^T / D. Rodriguez, Jain, Kreutz-Delgado, J. Guidance 15:1321 (1992);
@@ -20,14 +20,14 @@ from protochain.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Constraint rows on the twists of pairs of bodies: g V = sum over its two bodies of wrench . twist.
+    """Constraint rows on the twists of pairs of bodies: g V is the sum of wrench . twist over both.
 
     Parameters
     ----------
     body : (m, 2) int
-        The bodies each row concerns; -1 for the world.
+        Bodies of each row; -1 for the world.
     wrench : (m, 2, 6) float
-        Weights of (omega, u) of each body's origin, world axes; ignored for the world.
+        Weights of (omega, u) of the origin of each body, world axes; ignored for the world.
     """
 
     body: Integers
@@ -38,23 +38,27 @@ class Rows:
         object.__setattr__(self, "wrench", read_only(self.wrench))
         m = len(self.body)
         if self.body.shape != (m, 2) or self.wrench.shape != (m, 2, 6):
-            raise MechanicsError(f"rows have shapes {self.body.shape} and {self.wrench.shape}")
+            raise MechanicsError(
+                f"rows have shapes {self.body.shape} and {self.wrench.shape}, not (m, 2) and (m, 2, 6)"
+            )
 
 
 def point_rows(frames: Frames, bodies: tuple[int, int], points: Floats) -> Rows:
-    """Three rows: velocity of a point of the second body relative to a point of the first.
+    """Constraint rows for the velocity of a point of the second body relative to one of the first.
 
     Parameters
     ----------
     frames : Frames
+        World frames of the bodies.
     bodies : tuple of 2 int
-        -1 for the world.
+        Bodies; -1 for the world.
     points : (2, 3) float, nm
-        In the world.
+        World positions of the two points.
 
     Returns
     -------
     Rows
+        Three rows, along the world axes.
     """
     wrench = np.zeros((3, 2, 6))
     for side, sign in ((0, -1.0), (1, 1.0)):
@@ -66,18 +70,19 @@ def point_rows(frames: Frames, bodies: tuple[int, int], points: Floats) -> Rows:
 
 
 def row_matrix(tree: Tree, frames: Frames, rows: Rows) -> Floats:
-    """G: the rows as functions of qd.
+    """Matrix G of the rows as functions of qd.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     rows : Rows
+        Constraint rows.
 
     Returns
     -------
     (m, n_v) float
-        O(m n).
+        Row matrix. O(m n).
     """
     return np.array([pull_back(tree, frames, load) for load in row_loads(tree, rows)]).reshape(-1, tree.n_v)
 
@@ -97,17 +102,17 @@ def row_loads(tree: Tree, rows: Rows) -> Floats:
 
 
 def log_det_gradient(tree: Tree, frames: Frames) -> Floats:
-    """Gradient of ln det M along q: minus 2/kT times the Fixman torque.
+    """Gradient of ln det M along q: minus 2/kT times Fixman's torque.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
 
     Returns
     -------
     (n_v,) float
-        Zero for free roots: ln det M does not change when everything moves as one.
+        Gradient; zero for free roots, whose motion leaves ln det M unchanged.
 
     Raises
     ------
@@ -117,14 +122,14 @@ def log_det_gradient(tree: Tree, frames: Frames) -> Floats:
     Notes
     -----
     Jain, Kandel, Wagner, Larsen, Vaidehi, J. Chem. Phys. 139:244103 (2013), for hinges of any kind: moving
-    all that hangs on hinge k along its twist h changes its articulated inertia P+ by -(P+ crm(h) + its
+    all bodies beyond hinge k along its twist h changes their articulated inertia P+ by -(P+ crm(h) + its
     transpose), and ln det M by the trace of that change with the parent's Y about the hinge. O(n).
     """
     return gradient_of_log_det(articulate(tree, frames))
 
 
 def gradient_of_log_det(factors: Articulated) -> Floats:
-    """As :func:`log_det_gradient`, from factors that are known."""
+    """Gradient of ln det M, as :func:`log_det_gradient`, from known factors."""
     tree, frames = factors.tree, factors.frames
     gradient = np.zeros(tree.n_v)
     _outward_gradient(
@@ -135,17 +140,19 @@ def gradient_of_log_det(factors: Articulated) -> Floats:
 
 
 def operational_inverse(tree: Tree, frames: Frames, rows: Rows) -> Floats:
-    """G M^-1 G^T, the inverse inertia that m constraint rows feel.
+    """Operational-space inverse inertia G M^-1 G^T of m constraint rows.
 
     Parameters
     ----------
-    tree : Tree
-    frames : Frames
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
     rows : Rows
+        Constraint rows.
 
     Returns
     -------
     (m, m) float, 1/(amu nm^2) for rows that are turns, 1/amu for displacements
+        Inverse inertia.
 
     Raises
     ------
@@ -154,10 +161,10 @@ def operational_inverse(tree: Tree, frames: Frames, rows: Rows) -> Floats:
 
     Notes
     -----
-    Only the rows' bodies, the places where their paths to the root meet, and the roots matter. One sweep
-    finds, for each body, the operator that carries a load to the next of these inward; loads are then
-    carried from one to the next, and two of them meet in the Y of the innermost body that both reach. O(n +
-    m^2) for rows that share few bodies, after Wensing, Featherstone, Orin, ICRA (2012) and Jain (2011),
+    Nodes are the rows' bodies, the bodies where their paths to the root meet, and the roots. One sweep
+    finds, for each body, the operator that transmits a load to the next node inward; loads are transmitted
+    from node to node, and two of them combine by Y of the outermost body that both reach. O(n + m^2) for
+    rows that share few bodies, after Wensing, Featherstone, Orin, ICRA (2012) and Jain (2011),
     section 10.4.
     """
     factors = articulate(tree, frames)
@@ -188,7 +195,7 @@ def _inverse_of_root(factor: Floats, out: Floats) -> None:
 
 @kernel
 def _carried_out(arm: Vector, y: Floats, out: Floats) -> None:
-    """X Y X^T: an inverse inertia of the parent about its child's origin, X = [[1, 0], [-[arm]x, 1]]."""
+    """X Y X^T: inverse inertia of the parent about its child's origin, X = [[1, 0], [-[arm]x, 1]]."""
     half = np.empty((6, 6))
     for j in range(6):
         first = (y[0, j], y[1, j], y[2, j])
@@ -238,7 +245,7 @@ def _outward_gradient(
         elif n_v == 1:
             axis, turn, slide = hinge_axis(rotation, b), bodies[b, TURN], bodies[b, SLIDE]
             if p >= 0:
-                # P+ = P - G D G^T: what is left of P once the hinge is free.
+                # P+ = P - G D G^T: articulated inertia beyond the free hinge.
                 dense_inertia(packed[b], plus)
                 for i in range(6):
                     for j in range(6):
@@ -271,8 +278,7 @@ def _operational(
     n, m = len(bodies), len(row_body)
     node = _nodes(links, row_body)
     n_nodes = node.max() + 1
-    # For each body on the way from a row's body to its root: Y, and the load it passes to the next node
-    # inward.
+    # For each body between a row's body and its root: Y, and the operator to the next node inward.
     inverse, operator, following = np.zeros((n, 6, 6)), np.zeros((n, 6, 6)), np.full(n, -1)
     for b in range(n):
         if node[b] == -2:
@@ -297,7 +303,7 @@ def _operational(
     for b in range(n):
         if node[b] >= 0:
             body[node[b]] = b
-    # Innermost common node: of two nodes the later cannot lie inward of the earlier, so it steps inward.
+    # Nearest common node: of two nodes the later cannot lie inward of the earlier, so it steps inward.
     meeting = np.full((n_nodes, n_nodes), -1)
     for i in range(n_nodes):
         inward = following[body[i]]
@@ -324,7 +330,7 @@ def _operational(
 
 @kernel
 def _nodes(links: Integers, row_body: Integers) -> Integers:
-    """(nb,) int: a number where rows act or their paths meet, -1 between such bodies, -2 elsewhere."""
+    """(nb,) int: number of each node, where rows act or paths meet; -1 between nodes, -2 elsewhere."""
     n = len(links) - 1
     node, paths = np.full(n, -2), np.zeros(n, dtype=np.int64)
     for i in range(len(row_body)):
@@ -349,7 +355,7 @@ def _pass_inward(
     arm: Vector, axis: Vector, turn: float, slide: float,
     gain: Floats, operator: Floats,
 ) -> None:  # fmt: skip
-    """X^T (1 - G h^T): load on a body -> load on its parent when the hinge gives way."""
+    """X^T (1 - G h^T): load on a body -> load transmitted to its parent through the hinge."""
     for j in range(6):
         give = turn * axis[j] if j < 3 else slide * axis[j - 3]
         for i in range(6):

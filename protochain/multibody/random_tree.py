@@ -1,4 +1,4 @@
-"""Trees to try things on."""
+"""Random trees for tests and measurements."""
 
 from collections.abc import Sequence
 
@@ -15,24 +15,25 @@ def random_tree(
     root: HingeKind = HingeKind.FREE,
     kinds: Sequence[HingeKind] = (HingeKind.REVOLUTE,),
 ) -> Tree:
-    """Make a tree of n bodies of random shape, joined by random hinges.
+    """Build a tree of n bodies of random shape, joined by random hinges.
 
     Parameters
     ----------
     n : int
         Number of bodies.
     seed : int or numpy.random.Generator
+        Seed or source of random numbers.
     branching : float
-        Share of the bodies that hang on any earlier body rather than on the last one: 0 is a serial chain.
+        Fraction of the bodies whose parent is any earlier body, not the last one: 0 gives a serial chain.
     root : HingeKind
-        How the first body hangs in the world.
+        Hinge between the first body and the world.
     kinds : sequence of HingeKind
-        The other bodies' hinges are drawn from these.
+        Kinds that the other hinges are drawn from.
 
     Returns
     -------
     Tree
-        Lengths are of order 0.1 nm and masses of order 10 amu, as in a protein.
+        Tree with lengths of order 0.1 nm and masses of order 10 amu, as in a protein.
     """
     rng = np.random.default_rng(seed)
     last = np.arange(-1, n - 1)
@@ -41,7 +42,7 @@ def random_tree(
     kind[0] = root
     placement = Rotation.random(n, rng=rng).as_matrix()
     placement[0] = np.eye(3)
-    # Moments of inertia of masses at random points are those of a body.
+    # Point masses at random positions give inertias that a rigid body can have.
     points = rng.normal(scale=0.1, size=(n, 6, 3))
     mass = rng.uniform(1.0, 3.0, size=(n, 6))
     com = np.einsum("bk,bki->bi", mass, points) / mass.sum(axis=1)[:, None]

@@ -1,4 +1,4 @@
-"""The exponential map of rotations and its tangent, as kernels that have no singularity at zero.
+"""Exponential map of rotations and its tangent, as kernels without a singularity at zero.
 
 With K = [xi]x and t = |xi|: exp = 1 + a K + b K^2, dexp = 1 + b K + c K^2, dexp^-1 = 1 - K/2 + d K^2; where
 a = sin t / t, b = (1 - cos t) / t^2, c = (t - sin t) / t^3, d = (1 - t/2 cot t/2) / t^2. Iserles,
@@ -12,24 +12,24 @@ from protochain.multibody.algebra import Vector, add, cross, dot, kernel, put_at
 from protochain.multibody.tree import Tree, V
 
 _SMALL = 0.1
-"""rad. Below it the quotients lose digits, and five terms of their series are exact to rounding."""
+"""rad. Below it the quotients lose digits, while five terms of their series are exact to rounding."""
 
 
 def displacement_rates(tree: Tree, step: Floats, qd: Floats) -> Floats:
-    """Rates of a displacement from a fixed q, while what is displaced moves with qd.
+    """Time derivative of a displacement from a fixed q, for velocities qd at its end.
 
     Parameters
     ----------
     tree : Tree
     step : (n_v,) float
-        As :func:`protochain.multibody.integrate` takes it, turning a free root by less than 2 pi.
+        Displacement, as for :func:`protochain.multibody.integrate`, rotating a free root by less than 2 pi.
     qd : (n_v,) float, rad/ps and nm/ps
         Velocities at ``integrate(tree, q, step)``.
 
     Returns
     -------
     (n_v,) float
-        qd, but dexp^-1 of a free root's angular velocity: what Munthe-Kaas methods integrate.
+        Rates qd, with dexp^-1 applied to the angular velocities of free roots, as in Munthe-Kaas methods.
     """
     rates = floats(qd, (tree.n_v,), "qd").copy()
     _put_rates(tree.links, floats(step, (tree.n_v,), "step"), rates)
@@ -82,7 +82,7 @@ def tangent_inverse(xi: Vector, x: Vector) -> Vector:
 
 @kernel
 def _mapped(xi: Vector, x: Vector, first: float, second: float) -> Vector:
-    """X + first K x + second K^2 x."""
+    """Sum x + first K x + second K^2 x."""
     y = cross(xi, x)
     return add(x, add(scale(first, y), scale(second, cross(xi, y))))
 

@@ -13,7 +13,7 @@ def cholesky(a: Floats, n: int) -> bool:
         whole = a[j, j]
         for k in range(j):
             a[j, j] -= a[j, k] * a[j, k]
-        # What is left after cancellation of all digits is rounding, not a pivot.
+        # A pivot whose digits have all cancelled is rounding error.
         if not a[j, j] > 1e-15 * whole:
             return False
         a[j, j] = np.sqrt(a[j, j])

@@ -1,4 +1,4 @@
-"""What a mechanism is: a forest of rigid bodies, each joined to its parent by one hinge."""
+"""Mechanism: a forest of rigid bodies, each joined to its parent by one hinge."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -12,13 +12,13 @@ from protochain.errors import MechanicsError
 PARENT, Q, V = range(3)
 """Columns of :attr:`Tree.links`."""
 OFFSET, AXES, MASS, FIRST_MOMENT, SECOND_MOMENTS, TURN, SLIDE = 0, 3, 12, 13, 16, 22, 23
-"""Where these begin in a row of :attr:`Tree.bodies`. One array: a call pays for each that it is given."""
+"""First columns of these in :attr:`Tree.bodies`. One array, since a call pays for every array argument."""
 NO_INERTIA = 1e-12
-"""Moment about an axis, relative to the sum of all moments, below which rounding cannot tell it from zero."""
+"""Moment of inertia about an axis, relative to the sum of all three, that is zero up to rounding."""
 
 
 class HingeKind(IntEnum):
-    """How a body moves relative to its parent (a root's parent is the world)."""
+    """Kind of motion of a body relative to its parent (of a root: the world)."""
 
     FIXED = 0
     REVOLUTE = 1
@@ -29,12 +29,12 @@ class HingeKind(IntEnum):
 
 N_Q = {kind: {HingeKind.FIXED: 0, HingeKind.FREE: 7}.get(kind, 1) for kind in HingeKind}
 N_V = {kind: {HingeKind.FIXED: 0, HingeKind.FREE: 6}.get(kind, 1) for kind in HingeKind}
-"""Coordinates and freedoms of each kind. FREE: quaternion (w, x, y, z), then position; (omega, u)."""
+"""Numbers of coordinates and velocities of each kind. FREE: quaternion (w, x, y, z), position; (omega, u)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """A forest of rigid bodies in which every parent comes before its children.
+    """Forest of rigid bodies in which every parent comes before its children.
 
     The frame of body ``b`` relative to its parent is a translation by ``offset[b]``, a rotation by
     ``placement[b]``, and then the hinge, along the z axis of the frame: REVOLUTE turns by q, PRISMATIC
@@ -46,24 +46,23 @@ class Tree:
     parent : (nb,) int
         Parent of each body, ``-1`` for a root; ``parent[b] < b``.
     kind : (nb,) int
-        :class:`HingeKind` of the hinge that carries each body.
+        Kind of the hinge between each body and its parent, a :class:`HingeKind`.
     offset : (nb, 3) float, nm
         Origin of the body's frame in the parent's frame at q = 0.
     placement : (nb, 3, 3) float
         Rotation of the body's frame in the parent's frame at q = 0.
-    mass : (nb,) float, amu
-    com : (nb, 3) float, nm
-        Centre of mass in the body's frame.
+    mass, com : (nb,) float, amu, and (nb, 3) float, nm
+        Mass, and centre of mass in the body's frame.
     inertia : (nb, 3, 3) float, amu nm^2
         Inertia tensor about the centre of mass, along the body's axes.
     pitch : (nb,) float, nm/rad, optional
-        Used by SCREW hinges only.
+        Translation per radian of SCREW hinges.
 
     Raises
     ------
     MechanicsError
-        If a parent does not come before its child, an array does not fit or holds what no rigid body
-        can have, or a hinge carries nothing that would resist it.
+        If a parent does not come before its child, an array has a wrong shape or unphysical values, or a
+        hinge has no inertia.
     """
 
     parent: Integers
@@ -88,7 +87,7 @@ class Tree:
             if array.shape != shape:
                 raise MechanicsError(f"{name} of a tree of {n} bodies has shape {array.shape}, not {shape}")
             if not np.all(np.isfinite(array)):
-                raise MechanicsError(f"body {_first(~np.isfinite(array))}: its {name} is not a number")
+                raise MechanicsError(f"body {_first(~np.isfinite(array))}: its {name} is not finite")
             object.__setattr__(self, name, array)
         _check_topology(self)
         _check_geometry(self)
@@ -135,13 +134,13 @@ class Tree:
 
     @cached_property
     def links(self) -> Integers:
-        """(nb + 1, 3) int: parent, q_start, v_start, which is what the sweeps read."""
+        """(nb + 1, 3) int: parent, q_start, v_start, as read by the sweeps."""
         parent = np.append(self.parent, len(self.parent) - 1)
         return read_only(np.column_stack([parent, self.q_start, self.v_start]), np.int64)
 
     @cached_property
     def bodies(self) -> Floats:
-        """(nb, 24) float: offset, columns of placement, rigid, twist, which is what the sweeps read."""
+        """(nb, 24) float: offset, columns of placement, rigid, twist, as read by the sweeps."""
         axes = self.placement.swapaxes(1, 2).reshape(self.n_bodies, 9)
         return read_only(np.column_stack([self.offset, axes, self.rigid, self.twist]))
 
@@ -166,13 +165,14 @@ def rigid_bodies(point_body: Integers, point: Floats, mass: Floats, n: int) -> t
     point : (k, 3) float, nm
         Positions in the frames of the bodies.
     mass : (k,) float, amu
+        Masses of the points.
     n : int
         Number of bodies.
 
     Returns
     -------
     (n,) float; (n, 3) float; (n, 3, 3) float
-        As :class:`Tree` takes them.
+        Parameters ``mass``, ``com`` and ``inertia`` of :class:`Tree`.
     """
     total, first, second = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
     np.add.at(total, point_body, mass)
@@ -232,22 +232,22 @@ def _check_inertia(tree: Tree) -> None:
         np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)) > 1e-9 * size[:, None, None], axis=(1, 2)
     )
     moments = np.linalg.eigvalsh(tree.inertia)
-    # A moment exceeds the sum of the other two for no arrangement of masses.
+    # No distribution of mass has a moment that exceeds the sum of the other two.
     wrong = skew | (moments[:, 2] - moments[:, 1] - moments[:, 0] > 1e-9 * size) | (moments[:, 2] < 0)
     if np.any(wrong):
         raise MechanicsError(f"body {_first(wrong)}: its inertia is not that of any rigid body")
     phantom = _turns_nothing(tree)
     if np.any(phantom):
         raise MechanicsError(
-            f"body {_first(phantom)}: all it carries lies on its hinge's axis, so nothing resists "
-            "turning it; make the hinge FIXED"
+            f"body {_first(phantom)}: all mass beyond its hinge lies on the hinge's axis, so it has no "
+            "inertia; make the hinge FIXED"
         )
 
 
 def _turns_nothing(tree: Tree) -> np.ndarray:
-    """(nb,) bool: hinges that turn only what lies on their own axis, at every q.
+    """(nb,) bool: phantom hinges, which turn only mass on their own axis, at every q.
 
-    A child keeps its parent a phantom only if all of it lies on the parent's axis too.
+    A parent with a child is one only if all mass of the child lies on the parent's axis, too.
     """
     axial = tree.rigid[:, 9]
     total = tree.rigid[:, 4] + tree.rigid[:, 7] + tree.rigid[:, 9]

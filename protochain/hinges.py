@@ -1,0 +1,143 @@
+"""Hinges of a structure: its rotatable bonds, and the rigid groups of atoms that they join."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from protochain import residues
+from protochain.arrays import Floats, Integers
+from protochain.structure.model import Structure
+
+HINGES = ("phi", "psi", "omega", "chi", "rotors", "angles")
+"""Kinds of hinge that can be opened."""
+
+ON_AXIS = np.deg2rad(5.0)
+"""A hinge is closed if all atoms beyond it lie this near its axis: threshold of cctbx's scitbx/rigid_body."""
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """Dihedral or bond angle that is a degree of freedom.
+
+    Parameters
+    ----------
+    chain, residue_name, residue_number, insertion_code : str
+        Residue of the dihedral, as in the file.
+    kind : str
+        ``phi``, ``psi``, ``omega``, ``chi1`` ... ``chi5`` or ``rotor``; ``angle N`` or ``angle CA``.
+    atoms : tuple of int
+        Four of a dihedral about the bond atoms[1]-atoms[2], or three of a bond angle at atoms[1].
+    """
+
+    chain: str
+    residue_name: str
+    residue_number: str
+    insertion_code: str
+    kind: str
+    atoms: tuple[int, ...]
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether it is a bond angle rather than a dihedral."""
+        return len(self.atoms) == 3
+
+    @property
+    def on_axis(self) -> tuple[int, ...]:
+        """Atoms on the hinge axis."""
+        return self.atoms[1:2] if self.is_angle else self.atoms[1:3]
+
+    def __str__(self) -> str:
+        number = f"{self.residue_number}{self.insertion_code}"
+        return f"{self.kind} of {self.residue_name} {number} chain {self.chain}"
+
+
+def cross_links(structure: Structure) -> np.ndarray:
+    """(nbonds,) bool: bonds between residues other than the peptide bond to the next residue."""
+    first, second = structure.bonds.T
+    r1, r2 = structure.atom_residue[first], structure.atom_residue[second]
+    peptide = (r2 == r1 + 1) & (structure.atom_name[first] == "C") & (structure.atom_name[second] == "N")
+    return (r1 != r2) & ~peptide
+
+
+def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
+    """Yield the dihedrals of these kinds whose four atoms are present, in residue order."""
+    index = [dict[str, int]() for _ in range(structure.n_residues)]
+    for atom, (name, residue) in enumerate(zip(structure.atom_name, structure.atom_residue, strict=True)):
+        index[residue][str(name)] = atom
+    chain_index = structure.residue_chain_index
+
+    def atom_at(residue: int, name: str) -> int | None:
+        other = residue + {"+": 1, "-": -1}.get(name[-1], 0)
+        if not 0 <= other < structure.n_residues or chain_index[other] != chain_index[residue]:
+            return None
+        return index[other].get(name.rstrip("+-"))
+
+    for r, residue_name in enumerate(structure.residue_name):
+        table: list[tuple[str, str, tuple[str, ...]]] = [("phi", "phi", residues.PHI)]
+        terminal = atom_at(r, "N+") is None
+        table.append(("psi", "psi", residues.PSI_TERMINAL if terminal else residues.PSI))
+        table.append(("omega", "omega", residues.OMEGA))
+        chis = residues.CHI.get(str(residue_name), ())
+        table += [("chi", f"chi{i}", names) for i, names in enumerate(chis, 1)]
+        rotors = (*residues.ROTORS.get(str(residue_name), ()), residues.ROTOR_N_TERMINAL)
+        table += [("rotors", "rotor", names) for names in rotors]
+        for kind, label, names in table:
+            a, b, c, d = (atom_at(r, name) for name in names)
+            if kind in kinds and a is not None and b is not None and c is not None and d is not None:
+                yield Hinge(
+                    str(structure.residue_chain[r]), str(residue_name), str(structure.residue_number[r]),
+                    str(structure.residue_insertion_code[r]), label, (a, b, c, d),
+                )  # fmt: skip
+
+
+def turning_hinges(
+    structure: Structure, bonds: Integers, hinges: list[Hinge]
+) -> tuple[list[Hinge], Integers]:
+    """Hinges that join two rigid groups and turn some inertia, and the rigid group of each atom.
+
+    A hinge with nothing beyond it but atoms near its own axis has no inertia (a phantom hinge): it is closed,
+    and the remaining hinges are tested again.
+    """
+    while True:
+        group = _without_hinges(structure.n_atoms, bonds, hinges)
+        hinges = [hinge for hinge in hinges if group[hinge.atoms[1]] != group[hinge.atoms[2]]]
+        touching = Counter(int(group[atom]) for hinge in hinges for atom in hinge.atoms[1:3])
+        real = [
+            hinge
+            for hinge in hinges
+            if not any(
+                touching[int(group[end])] == 1 and _on_axis(structure.positions, group, start, end)
+                for start, end in (hinge.atoms[1:3], hinge.atoms[2:0:-1])
+            )
+        ]
+        if len(real) == len(hinges):
+            return hinges, group
+        hinges = real
+
+
+def components(n_atoms: int, bonds: Integers) -> Integers:
+    """(na,) int: connected component of each atom in the graph of these bonds."""
+    graph = coo_array((np.ones(len(bonds), dtype=np.int8), bonds.T), shape=(n_atoms, n_atoms))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def _without_hinges(n_atoms: int, bonds: Integers, hinges: list[Hinge]) -> Integers:
+    """(na,) int: connected component of each atom once the bonds of the hinges are removed.
+
+    Both ends of a ring bond (proline's phi) stay in one component: such a hinge does not turn.
+    """
+    turning = {frozenset(hinge.atoms[1:3]) for hinge in hinges}
+    rigid = np.array([frozenset(bond) not in turning for bond in bonds.tolist()], dtype=bool)
+    return components(n_atoms, bonds[rigid])
+
+
+def _on_axis(x: Floats, group: Integers, start: int, end: int) -> bool:
+    """Whether all atoms of the group of ``end`` lie within ON_AXIS of the axis, seen from that atom."""
+    axis = (x[end] - x[start]) / np.linalg.norm(x[end] - x[start])
+    arms = x[group == group[end]] - x[end]
+    across = np.linalg.norm(np.cross(arms, axis), axis=1)
+    return bool(np.all(across <= np.sin(ON_AXIS) * np.linalg.norm(arms, axis=1)))
