@@ -57,7 +57,7 @@ class Stage:
     answer : callable
         Chooses the result, from which the next stage starts.
     after : tuple of Stop
-        Run only if the stage before ended so; always, if empty.
+        Endings of the stage before after which this one runs; empty for always.
     """
 
     space: Space
@@ -149,7 +149,7 @@ def walk(
     max_evaluations : int
         For all of them together.
     allowed : callable, optional
-        Whether positions are allowed as an answer.
+        Whether positions are allowed as the result.
     record : callable
         Called with each point accepted, its space, and the evaluations so far.
     resume : Waypoint, optional
