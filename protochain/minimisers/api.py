@@ -63,7 +63,7 @@ def minimise(
         ``kcm`` (kineto-static compliance, as published) with variants ``kcm-adaptive``, ``kcm-metric`` ...,
         ``fire``, ``quench``, ``md`` (damped constrained dynamics) and ``anneal`` (from 600 K), both ending in
         a minimum by ``lbfgs``, ``openmm`` (LocalEnergyMinimizer), or ``openmm-md`` (OpenMM's dynamics at
-        300 K with hydrogens' bonds constrained, between two minimisations). A method of one's own: see
+        300 K, bonds to hydrogen constrained, between two minimisations). For methods of your own see
         :func:`protochain.minimisers.recipe_of`.
     tolerance : float
         Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force (kJ/mol/nm), as

@@ -81,13 +81,13 @@ class Preconditioner:
     Parameters
     ----------
     metric : Metric
-        The metric.
+        Computes the matrix.
     made_at : Evaluation
-        Point at which it was computed.
+        Point of the computation.
     solve : callable
-        Solver for its matrix.
+        Solver for the matrix.
     age : int
-        Iterations since then.
+        Iterations since.
     """
 
     metric: Metric

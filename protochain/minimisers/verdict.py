@@ -36,7 +36,7 @@ class Judgement:
     max_torque : float, kJ/mol/rad
         Over the freedoms of the chain; the force on a free root counts as its moment at 0.1 nm.
     rms_force : float, kJ/mol/nm
-        Over all Cartesian components of the atoms that may move, as OpenMM's minimiser counts it.
+        Over all Cartesian components of the atoms that may move, as in OpenMM's minimiser.
     """
 
     energy: float
