@@ -86,7 +86,7 @@ def test_the_page_stands_alone(folder):
     assert "href=" not in own and own.count("src=") == own.count('src="data:image/png;base64,') == 6
     assert page.count("data:image/png;base64,") == 6
     # kcm, md and lbfgs turn hinges; hybrid and openmm move every atom.
-    assert page.count("all other angles stay as they came") == 3
+    assert page.count("all other angles are kept") == 3
     assert page.count("lengths and angles relax") == 2
 
 

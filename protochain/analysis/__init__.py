@@ -1,4 +1,4 @@
-"""Comparison of methods: numbers first, pictures from the numbers."""
+"""Comparison of methods: tables, and figures drawn from them."""
 
 from protochain.analysis.comparing import compare
 from protochain.analysis.comparison import Comparison

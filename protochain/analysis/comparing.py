@@ -1,4 +1,4 @@
-"""``compare``: several methods from one prepared start, judged alike."""
+"""``compare``: several methods from one prepared start, judged by the same rules."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -41,25 +41,21 @@ def compare(
         As in :func:`protochain.minimise`.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`; one energy function serves all methods.
-    tolerance : float
-        As in :func:`protochain.minimise`.
-    max_evaluations : int
-        As in :func:`protochain.minimise`.
-    seed : int
+    tolerance, max_evaluations, seed : float, int, int
         As in :func:`protochain.minimise`.
     reference : Structure, path, or anything that :func:`protochain.as_structure` takes, optional
-        Another structure to measure the ends against, as an experimental one.
+        Structure to measure the ends against, for example an experimental one.
     repeats : int
         Runs of each method that does not repeat exactly (it draws random numbers, or OpenMM sums on several
-        threads), with consecutive seeds; the first is shown, all are in ``Comparison.spread``.
+        threads), with consecutive seeds. The first is shown; ``Comparison.spread`` covers all.
     watch : callable, optional
         Given a method's name, returns the ``watch`` of its run.
 
     Returns
     -------
     Comparison
-        Every end point judged by the OpenMM Reference platform in double precision. An interrupt ends
-        the run it meets and leaves out those after it.
+        Every end judged by the OpenMM Reference platform in double precision. An interrupt ends the current
+        run and leaves out the rest.
 
     Raises
     ------

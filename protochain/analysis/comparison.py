@@ -1,4 +1,4 @@
-"""A comparison of methods: solutions from one start, as tables and figures."""
+"""Comparison of methods: solutions from one start, as tables and figures."""
 
 import json
 import platform
@@ -45,11 +45,11 @@ class Comparison:
     structure : Structure
         The common start.
     solutions : tuple of Solution
-        One a method, all of one energy function: shown in tables, plots and files.
+        One per method, all of one energy function: shown in tables, plots and files.
     origin : mapping
-        Facts on the input (its path, the seconds its preparation took), added to every record.
+        Facts about the input (path, seconds of preparation), added to every record.
     reference : Structure, optional
-        Another structure to measure the ends against, as an experimental one; its sequence may differ.
+        Structure to measure the ends against, for example an experimental one; its sequence may differ.
     repeats : tuple of Solution
         Further runs of the methods that do not repeat exactly.
 
@@ -69,14 +69,14 @@ class Comparison:
         runs = self.solutions + self.repeats
         if len({s.energy_function.fingerprint for s in runs}) > 1:
             raise ProtochainError(
-                "solutions of different energy functions cannot be compared; run them with one"
+                "solutions of different energy functions cannot be compared; use one for all"
             )
         if any(s.chain.structure is not self.structure for s in runs):
-            raise ProtochainError("solutions of different starts cannot be compared; run them from one")
+            raise ProtochainError("solutions of different starts cannot be compared; use one for all")
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """A row a method: the columns of the JSON record, lists and counts as text."""
+        """One row per method: the columns of the JSON record, lists and counts as text."""
         return pd.DataFrame([{key: flat(value) for key, value in row.items()} for row in self.records()])
 
     def records(self) -> list[dict[str, Any]]:
@@ -104,7 +104,7 @@ class Comparison:
 
     @cached_property
     def quality(self) -> pd.DataFrame:
-        """A row for the start and for every end: what :func:`protochain.analysis.quality.quality` measures.
+        """Measures of :func:`protochain.analysis.quality.quality`: one row for the start and for each end.
 
         With a reference also ``reference_rmsd_angstrom``, ``reference_tm_score``, ``reference_coverage``.
         """
@@ -122,7 +122,7 @@ class Comparison:
 
     @cached_property
     def displacements(self) -> pd.DataFrame:
-        """Displacement of each C-alpha in angstrom, all superposed: a row a residue, a column a method."""
+        """Displacement of each C-alpha in angstrom, superposed: rows are residues, columns methods."""
         alpha = self.structure.alpha_carbons
         residues = self.structure.atom_residue[alpha]
         table = pd.DataFrame(
@@ -145,7 +145,7 @@ class Comparison:
 
     @cached_property
     def work(self) -> pd.DataFrame:
-        """Evaluations and seconds to within 100, 10 and 1 kJ/mol of the lowest end of the same freedoms."""
+        """Cost to come within 100, 10 and 1 kJ/mol of the lowest end with the same degrees of freedom."""
         lowest = {
             s.method: min(
                 other.end.energy
@@ -158,7 +158,7 @@ class Comparison:
 
     @cached_property
     def spread(self) -> pd.DataFrame:
-        """Spread of the runs of each method; a single run where they repeat exactly."""
+        """Spread of the runs of each method; a method that repeats exactly has one run."""
         return spreads(self.solutions, self.repeats)
 
     def view(self) -> "View":
@@ -178,7 +178,7 @@ class Comparison:
         return plot_energy(self.traces, self.structure.name)
 
     def plot_work_precision(self) -> "Figure":
-        """Energy above the lowest end of the same freedoms, against evaluations and seconds."""
+        """Energy above the lowest end with the same degrees of freedom, against evaluations and seconds."""
         from protochain.analysis.plots import plot_work_precision
 
         groups = {
@@ -188,7 +188,7 @@ class Comparison:
         return plot_work_precision(self.traces, self.work, groups, self.structure.name)
 
     def plot_torque(self) -> "Figure":
-        """Largest torque against evaluations and seconds, while hinges turn."""
+        """Largest torque against evaluations and seconds, of runs in torsions."""
         from protochain.analysis.plots import plot_torque
 
         return plot_torque(self.traces, self.structure.name)
@@ -200,7 +200,7 @@ class Comparison:
         return plot_rmsd(self.traces, self.rmsd, self.structure.name)
 
     def plot_displacement(self) -> "Figure":
-        """Displacement of each C-alpha, one line a method."""
+        """Displacement of each C-alpha, one line per method."""
         from protochain.analysis.plots import plot_displacement
 
         return plot_displacement(self.displacements, self.structure.name)
@@ -213,7 +213,7 @@ class Comparison:
         return plot_ramachandran(angles, self.structure.name)
 
     def summary(self) -> dict[str, Any]:
-        """Records, RMSDs, versions and command line: what it takes to check or repeat a comparison."""
+        """Records, RMSDs, versions and command line, to check or repeat the comparison."""
         first = self.solutions[0]
         e = first.energy_function
         return {
@@ -246,7 +246,7 @@ class Comparison:
         Returns
         -------
         Path
-            The page.
+            Path of the page.
         """
         from protochain.analysis.report import write_report
 
@@ -254,7 +254,7 @@ class Comparison:
 
     @cached_property
     def suffix(self) -> str:
-        """PDB where it can hold all structures, else mmCIF."""
+        """File suffix: PDB if it can hold all structures, otherwise mmCIF."""
         return common_suffix(self.ends().values())
 
     def __repr__(self) -> str:

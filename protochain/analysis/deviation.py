@@ -1,4 +1,4 @@
-"""How far one structure is from another: which atoms are matched, superposed on what, measured on what."""
+"""Deviation of one structure from another: residue matching, superposition, RMSD and TM-score."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -20,23 +20,23 @@ from protochain.structure.superpose import motion
 from protochain.units import ANGSTROM_PER_NM
 
 ALPHA = "name CA"
-"""Selection of the C-alpha atoms, in the language of MDAnalysis."""
+"""Selection of the C-alpha atoms, in MDAnalysis syntax."""
 
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """Residues of one structure that stand for residues of another.
+    """Corresponding residues of two structures.
 
     Parameters
     ----------
     reference, model : (n,) int
-        Residues, pair by pair, in the order of the reference.
+        Indices of paired residues, in the order of the reference.
     how : str
-        ``numbers``, where chains, numbers and names are the same; ``sequence``, where they were aligned.
+        ``numbers`` if chains, numbers and names agree; ``sequence`` if sequences were aligned.
     identity : float
-        Part of the pairs that have one name.
+        Fraction of pairs with the same residue name.
     coverage : float
-        Part of the reference's amino acids that are matched.
+        Fraction of the reference's amino acids that are matched.
     """
 
     reference: Integers
@@ -48,19 +48,19 @@ class Match:
 
 @dataclass(frozen=True)
 class Deviation:
-    """What was measured, angstrom.
+    """Deviation of a model from a reference, in angstrom.
 
     Parameters
     ----------
     rmsd : float
-        Of the measured atoms, after superposition of the aligned ones.
+        Of the measured atoms, after superposition on the aligned ones.
     rmsd_unsuperposed : float
-        Of the same atoms, as the files have them.
+        Of the same atoms, without superposition.
     tm_score : float
         Of the C-alphas, normalised by the reference's length, with tmtools' own alignment (Zhang, Skolnick,
         Nucleic Acids Res. 33:2302, 2005); NaN below three residues.
     n_aligned, n_measured : int
-        Atoms.
+        Numbers of atoms.
     match : Match
     """
 
@@ -72,7 +72,7 @@ class Deviation:
     match: Match
 
     def record(self) -> dict[str, Any]:
-        """Return a flat row, with units in the names."""
+        """Flat row, with units in the names."""
         return {
             "rmsd_angstrom": self.rmsd,
             "rmsd_unsuperposed_angstrom": self.rmsd_unsuperposed,
@@ -87,9 +87,9 @@ class Deviation:
 
 
 def match(reference: Structure, model: Structure) -> Match:
-    """Pair residues: by chain, number and name where all those agree, else by sequence alignment.
+    """Pair residues by chain, number and name if all agree, otherwise by sequence alignment.
 
-    Alignments are gemmi's, global, with BLOSUM62. Chains are paired so that the sum of scores is largest.
+    Alignments are global, by gemmi with BLOSUM62. Chains are paired for the largest sum of scores.
 
     Parameters
     ----------
@@ -113,22 +113,22 @@ def match(reference: Structure, model: Structure) -> Match:
     amino = [r for r in range(reference.n_residues) if str(reference.residue_name[r]) in STANDARD]
     pairs = [(r, s) for r, s in pairs if str(reference.residue_name[r]) in STANDARD]
     if not pairs:
-        raise ProtochainError(f"{model.name}: has no residue in common with {reference.name}")
+        raise ProtochainError(f"{model.name}: no residue matches {reference.name}")
     first, second = np.array(pairs, dtype=np.int64).T
     same = reference.residue_name[first] == model.residue_name[second]
     return Match(first, second, how, float(same.mean()), len(pairs) / len(amino))
 
 
 def deviation(reference: Structure, model: Structure, align: str = ALPHA, measure: str = ALPHA) -> Deviation:
-    """Measure how far a model is from a reference.
+    """Measure the deviation of a model from a reference.
 
     Parameters
     ----------
     reference, model : Structure
-        Of sequences that need not be equal.
+        Their sequences may differ.
     align, measure : str
-        Selections of the reference's atoms: on which the model is superposed, and of which the RMSD is taken.
-        Atoms are matched by name within matched residues.
+        Selections of the reference's atoms: those superposed, and those whose RMSD is measured. Atoms are
+        matched by name within matched residues.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def tm_score(reference: Structure, model: Structure) -> float:
 def rmsd_table(
     reference: str | Path, models: Sequence[str | Path], align: str = ALPHA, measure: str = ALPHA
 ) -> pd.DataFrame:
-    """Measure many files against one: a row for every model of every file, failures included.
+    """Measure many files against one: one row per model of each file, failures included.
 
     Parameters
     ----------
@@ -178,8 +178,8 @@ def rmsd_table(
     Returns
     -------
     pandas.DataFrame
-        ``reference``, ``file``, ``model``, the columns of :meth:`Deviation.record`, and ``message``, which
-        says why where nothing could be measured.
+        ``reference``, ``file``, ``model``, the columns of :meth:`Deviation.record`, and ``message``, the
+        reason if nothing could be measured.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def _names(s: Structure) -> list[tuple[str, ...]]:
 
 
 def _aligned(reference: Structure, model: Structure) -> Iterator[tuple[int, int]]:
-    """Pairs of residues whose chains' sequences were aligned."""
+    """Pairs of residues from sequence alignments of paired chains."""
     ours, theirs = _by_chain(reference), _by_chain(model)
     results = [[_align(a, b, reference, model) for b in theirs] for a in ours]
     scores = np.array([[score for score, _ in row] for row in results])
@@ -230,7 +230,7 @@ def _aligned(reference: Structure, model: Structure) -> Iterator[tuple[int, int]
 
 
 def _by_chain(s: Structure) -> list[list[int]]:
-    """Amino acids of each chain id: the parts of a broken chain are one sequence."""
+    """Amino acids of each chain id; a broken chain is one sequence."""
     found: dict[str, list[int]] = {}
     for r in range(s.n_residues):
         if str(s.residue_name[r]) in STANDARD:
@@ -279,7 +279,7 @@ def _atoms(reference: Structure, model: Structure, found: Match, selection: str)
         if (key := (counterpart.get(int(reference.atom_residue[k]), -1), str(reference.atom_name[k]))) in at
     ]
     if not pairs:
-        raise ProtochainError(f"{model.name}: has no atom of {selection!r} in common with {reference.name}")
+        raise ProtochainError(f"{model.name}: no atom of {selection!r} matches {reference.name}")
     first, second = np.array(pairs, dtype=np.int64).T
     return first, second
 

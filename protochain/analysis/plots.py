@@ -1,4 +1,4 @@
-"""Figures from the tables: colour-blind-safe, distinguishable in grey by line style, with units."""
+"""Figures of a comparison: safe for colour-blind readers, and readable in grey by line style."""
 
 import io
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,16 +15,16 @@ from protochain.analysis.quality import ramachandran_reference
 from protochain.arrays import Floats
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's palette, dark ones first."""
+"""Okabe and Ito's palette, dark colours first."""
 _DASHES = ("-", "--", "-.", ":")
 _LOG_FROM = 1e4
-"""kJ/mol. A larger fall, as of a clash relieved, would hide everything else on a linear axis."""
+"""kJ/mol. A larger drop, as from a relieved clash, would hide all else on a linear axis."""
 _SAME = 0.1
-"""kJ/mol above the lowest at which curves end on a logarithmic axis: less is the same minimum."""
+"""kJ/mol above the lowest, where curves end on a logarithmic axis: less is the same minimum."""
 
 
 class Figure(PlainFigure):
-    """Figure that notebooks draw without pyplot, which would keep every figure in memory."""
+    """Figure that notebooks show without pyplot, which would keep every figure in memory."""
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -44,15 +44,15 @@ def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Lowest energy of each run so far. Evaluations and seconds are logarithmic, and so is the energy above
-        the lowest of all, where clashes make it span decades.
+        Lowest energy so far of each run. Evaluations and seconds are logarithmic; if clashes make energies
+        span decades, so is the energy above the lowest of all.
     """
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
     styles = _styles(traces["method"].unique())
     traces = traces[np.isfinite(traces["energy_kj_mol"])]
     if traces.empty:
-        figure.suptitle(f"{_plain_text(title)}: no energy is a number")
+        figure.suptitle(f"{_plain_text(title)}: no finite energy")
         return figure
     best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
     logarithmic = best.iloc[0] - best.min() > _LOG_FROM
@@ -61,21 +61,21 @@ def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
     _draw_runs(axes, traces.assign(shown=best), "shown", styles)
     axes[0].set_ylabel("energy above the lowest, kJ/mol" if logarithmic else "energy, kJ/mol")
     axes[0].set_yscale("log" if logarithmic else "linear")
-    figure.suptitle(f"{_plain_text(title)}: energy of the best structure so far")
+    figure.suptitle(f"{_plain_text(title)}: lowest energy so far")
     return figure
 
 
 def plot_work_precision(
     traces: pd.DataFrame, work: pd.DataFrame, groups: Mapping[str, Sequence[str]], title: str
 ) -> Figure:
-    """Error against work: energy above the lowest end, against evaluations and against seconds.
+    """Energy above the lowest end against evaluations and against seconds (work-precision diagram).
 
     Parameters
     ----------
     traces, work : pandas.DataFrame
         As ``Comparison.traces`` and ``Comparison.work``.
     groups : mapping of str to sequence of str
-        Methods with the same freedoms, measured against the same lowest end: a row of panels each.
+        Methods with the same degrees of freedom, and so the same lowest end: one row of panels each.
     title : str
 
     Returns
@@ -88,13 +88,13 @@ def plot_work_precision(
     lowest = traces["method"].map(work.set_index("method")["lowest_kj_mol"])
     best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
     styles = _styles(traces["method"].unique())
-    # Energies in single precision may lie below the judged lowest.
+    # Single-precision energies may lie below the lowest judged one.
     traces = traces.assign(above=(best - lowest).clip(lower=_SAME))
     for axes, (name, methods) in zip(grid, groups.items(), strict=True):
         _draw_runs(axes, traces[traces["method"].isin(methods)], "above", styles)
         axes[0].set_ylabel(f"{name}:\nenergy above the lowest end, kJ/mol")
         axes[0].set_yscale("log")
-    figure.suptitle(f"{_plain_text(title)}: error against work")
+    figure.suptitle(f"{_plain_text(title)}: energy above the lowest end against cost")
     return figure
 
 
@@ -110,7 +110,7 @@ def plot_torque(traces: pd.DataFrame, title: str) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        Logarithmic in both. Torques are not recorded while all atoms move: the title names these methods.
+        Logarithmic in both. Torques are not recorded while all atoms move; the title names those methods.
     """
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     styles = _styles(traces["method"].unique())
@@ -119,7 +119,7 @@ def plot_torque(traces: pd.DataFrame, title: str) -> Figure:
     note = f"\nnot recorded while all atoms move: {', '.join(free)}" if len(free) else ""
     traces = traces[drawn]
     if traces.empty:
-        figure.suptitle(f"{_plain_text(title)}: no method turns hinges only")
+        figure.suptitle(f"{_plain_text(title)}: no run in torsions")
         return figure
     axes = figure.subplots(1, 2, sharey=True)
     _draw_runs(axes, traces, "max_torque_kj_mol_rad", styles)
@@ -133,7 +133,7 @@ Styles = dict[str, dict[str, Any]]
 
 
 def _styles(methods: Iterable[str]) -> Styles:
-    """Colour and dashes of each method: the same in every figure of a comparison."""
+    """Colour and line style of each method, the same in every figure of a comparison."""
     return {
         method: {"color": colour, "linestyle": dash, "label": method}
         for method, colour, dash in zip(methods, cycle(COLOURS), cycle(_DASHES))
@@ -141,10 +141,10 @@ def _styles(methods: Iterable[str]) -> Styles:
 
 
 def _draw_runs(axes: Sequence[Axes], traces: pd.DataFrame, value: str, styles: Styles) -> None:
-    """Draw a column of the traces against evaluations and against seconds, a line a method."""
+    """Draw a column of the traces against evaluations and against seconds, one line per method."""
     for method, run in traces.groupby("method", sort=False):
         for ax, cost in zip(axes, ("evaluations", "seconds"), strict=True):
-            # A line of one point would not show.
+            # A line through one point would be invisible.
             ax.plot(run[cost], run[value], marker="o" if len(run) == 1 else "", **styles[str(method)])
     axes[0].set_xlabel("energy evaluations")
     axes[1].set_xlabel("seconds")
@@ -155,7 +155,7 @@ def _draw_runs(axes: Sequence[Axes], traces: pd.DataFrame, value: str, styles: S
 
 
 def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
-    """C-alpha RMSD to the start along each run, and between all end points.
+    """C-alpha RMSD to the start along each run, and between all ends.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
         for j in ticks:
             shade = "white" if values[i, j] > 0.6 * values.max() else "black"
             right.text(j, i, f"{values[i, j]:.2f}", ha="center", va="center", color=shade)
-    right.set_title("between end points", fontsize="medium")
+    right.set_title("between ends", fontsize="medium")
     figure.colorbar(image, ax=right, label="C-alpha RMSD, angstrom")
     figure.suptitle(f"{_plain_text(title)}: C-alpha RMSD after superposition")
     return figure
@@ -207,7 +207,7 @@ def plot_displacement(displacements: pd.DataFrame, title: str) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        A line a method; chains follow one another, with a rule between.
+        One line per method; vertical lines separate the chains.
     """
     figure = Figure(figsize=(10, 3.8), layout="constrained")
     ax = figure.subplots()
@@ -233,13 +233,13 @@ def plot_ramachandran(angles: dict[str, Floats], title: str) -> Figure:
     Parameters
     ----------
     angles : dict of str to (n, 2) float
-        Degrees, by the name of the start or method; the start comes first.
+        Phi and psi in degrees, by ``start`` and method; the start first.
     title : str
 
     Returns
     -------
     matplotlib.figure.Figure
-        A panel each, over the regions of MDAnalysis' reference: usual, and rare.
+        One panel each, over the allowed and marginally allowed regions of MDAnalysis' reference.
     """
     columns = min(3, len(angles))
     rows = -(-len(angles) // columns)
@@ -260,12 +260,12 @@ def plot_ramachandran(angles: dict[str, Floats], title: str) -> Figure:
             ax.tick_params(labelbottom=True)
     for ax in axes[:, 0]:
         ax.set_ylabel("psi, degrees")
-    figure.suptitle(f"{_plain_text(title)}: backbone dihedrals; grey: usual (dark) and rare (light)")
+    figure.suptitle(f"{_plain_text(title)}: phi and psi; dark grey allowed, light grey marginally allowed")
     return figure
 
 
 def plain(ax: Axes) -> None:
-    """Draw two axes and a faint grid."""
+    """Keep the left and bottom axes only, with a faint grid."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(True, which="major", alpha=0.25)
 

@@ -16,26 +16,26 @@ from protochain.structure.superpose import motion
 from protochain.units import ANGSTROM_PER_NM
 
 _RARE = 1.0
-"""Below this count of MDAnalysis' reference a pair of phi and psi is an outlier: "marginally allowed" ends
-there in its Ramachandran plot (after Lovell et al., Proteins 50:437, 2003)."""
+"""Count in MDAnalysis' reference below which phi and psi are an outlier: the limit of "marginally allowed" in
+its Ramachandran plot (after Lovell et al., Proteins 50:437, 2003)."""
 _CELL = 4.0
-"""Degrees, of that reference."""
+"""Degrees, grid spacing of that reference."""
 
 
 def quality(structure: Structure, start: Structure, chain: Chain | None = None) -> dict[str, Any]:
-    """Measure an end point against a start.
+    """Measure an end structure, alone and against the start.
 
     Parameters
     ----------
     structure, start : Structure
         With the same atoms.
     chain : Chain, optional
-        Whose hinges say what can part an overlap.
+        Chain of the start.
 
     Returns
     -------
     dict
-        A flat row, with units in the names.
+        Flat row, with units in the names.
     """
     lengths = _bond_lengths(structure) - _bond_lengths(start)
     angles = _bond_angles(structure) - _bond_angles(start)
@@ -54,7 +54,7 @@ def quality(structure: Structure, start: Structure, chain: Chain | None = None) 
 
 
 def displacement(structure: Structure, start: Structure) -> Floats:
-    """(nca,) float, angstrom: how far each C-alpha went, all superposed."""
+    """Displacement (nca,) of each C-alpha in angstrom, superposed on all of them."""
     alpha = structure.alpha_carbons
     x, reference = structure.positions[alpha], start.positions[alpha]
     turn, shift = motion(x, reference)
@@ -62,24 +62,24 @@ def displacement(structure: Structure, start: Structure) -> Floats:
 
 
 def radius_of_gyration(structure: Structure) -> float:
-    """Angstrom, of all atoms about their centre of mass (mdtraj takes the centre of the positions)."""
+    """Mass-weighted radius of gyration of all atoms in angstrom (mdtraj centres without masses)."""
     share = structure.atom_mass / structure.atom_mass.sum()
     arms = structure.positions - share @ structure.positions
     return float(ANGSTROM_PER_NM * np.sqrt(share @ np.sum(arms**2, axis=1)))
 
 
 def dssp(structure: Structure) -> NDArray[np.str_]:
-    """(nr,) str: H, E or C of each residue, NA of what is none: mdtraj's DSSP (Kabsch, Sander 1983)."""
+    """Secondary structure (nr,), H, E, C, or NA outside proteins: mdtraj's DSSP (Kabsch, Sander 1983)."""
     return np.asarray(mdtraj.compute_dssp(_trajectory(structure), simplified=True)[0])
 
 
 def hydrogen_bonds(structure: Structure) -> int:
-    """Count of hydrogen bonds by mdtraj's Baker-Hubbard criterion (120 degrees, 2.5 angstrom)."""
+    """Number of hydrogen bonds by mdtraj's Baker-Hubbard criterion (120 degrees, 2.5 angstrom)."""
     return len(mdtraj.baker_hubbard(_trajectory(structure), freq=0.0, periodic=False))
 
 
 def ramachandran(structure: Structure) -> tuple[Integers, Floats]:
-    """Residues that have both phi and psi, and these angles in degrees.
+    """Residues with both phi and psi, and these angles in degrees.
 
     Returns
     -------
@@ -99,7 +99,7 @@ def ramachandran(structure: Structure) -> tuple[Integers, Floats]:
 
 
 def ramachandran_outliers(structure: Structure) -> NDArray[np.bool_]:
-    """(n,) bool: whether phi and psi of each residue are where almost no residue has them; glycine never."""
+    """Whether each pair (n,) of phi and psi is a Ramachandran outlier; glycine never is."""
     residues, angles = ramachandran(structure)
     if not len(residues):
         return np.zeros(0, dtype=bool)
@@ -110,7 +110,7 @@ def ramachandran_outliers(structure: Structure) -> NDArray[np.bool_]:
 
 @cache
 def ramachandran_reference() -> Floats:
-    """(90, 90) float: counts at psi (rows) and phi (columns) from -180 degrees in steps of 4."""
+    """Counts (90, 90) at psi (rows) and phi (columns) from -180 degrees in steps of 4."""
     from MDAnalysis.analysis.data.filenames import Rama_ref
 
     return np.asarray(np.load(Rama_ref), dtype=float)
@@ -134,7 +134,7 @@ def _bond_angles(structure: Structure) -> Floats:
 
 
 def _triples(structure: Structure) -> Integers:
-    """(n, 3) int: atoms of every bond angle, the middle one in the middle."""
+    """Atoms (n, 3) of every bond angle, its vertex in the middle."""
     neighbours: list[list[int]] = [[] for _ in range(structure.n_atoms)]
     for first, second in structure.bonds.tolist():
         neighbours[first].append(second)

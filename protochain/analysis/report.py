@@ -1,4 +1,4 @@
-"""A comparison as files: tables, plots, structures, and one self-contained page."""
+"""Files of a comparison: tables, plots, structures, and one self-contained page."""
 
 import base64
 import io
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def write_report(comparison: "Comparison", directory: Path) -> Path:
-    """Write what :meth:`Comparison.report` promises; return the page."""
+    """Write the files of :meth:`Comparison.report`; return the path of the page."""
     name, suffix, summary = comparison.structure.name, comparison.suffix, comparison.summary()
     tables = {
         "summary": comparison.table,

@@ -11,18 +11,18 @@ from protochain.structure import ca_rmsd
 
 
 def spread(runs: Sequence[Solution]) -> dict[str, object]:
-    """Measure runs of one method from one start.
+    """Measure the spread of the runs of one method from one start.
 
     Parameters
     ----------
     runs : sequence of Solution
-        A single one where they repeat exactly.
+        A single one if the method repeats exactly.
 
     Returns
     -------
     dict
-        ``method``, ``runs``, ``repeats_exactly``, ``converged`` (how many), the lowest, median and highest
-        energy, the largest C-alpha RMSD between any two ends (superposed), median evaluations and seconds.
+        ``method``, ``runs``, ``repeats_exactly``, ``converged`` (how many), lowest, median and highest
+        energy, largest C-alpha RMSD between any two ends (superposed), median evaluations and seconds.
     """
     first = runs[0]
     energies = [s.end.energy for s in runs]
@@ -42,5 +42,5 @@ def spread(runs: Sequence[Solution]) -> dict[str, object]:
 
 
 def spreads(solutions: Sequence[Solution], repeats: Sequence[Solution]) -> pd.DataFrame:
-    """Spread of each method, from its solution and its further runs: a row a method."""
+    """Spread of each method, from its solution and its further runs: one row per method."""
     return pd.DataFrame([spread([s, *(r for r in repeats if r.method == s.method)]) for s in solutions])

@@ -1,4 +1,4 @@
-"""Structures for the interactive viewer of a report: superposed, as text that 3Dmol.js reads."""
+"""Interactive viewer of reports and notebooks: superposed structures, drawn by 3Dmol.js."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -20,7 +20,7 @@ _ALL_ATOMS = 5000
 
 
 def scene(shown: Mapping[str, Structure]) -> dict[str, Any]:
-    """Variables of the viewer's template: structures superposed on the first."""
+    """Variables of the viewer's template, with all structures superposed on the first."""
     first = next(iter(shown.values()))
     suffix = common_suffix(shown.values())
     models = [
@@ -31,14 +31,14 @@ def scene(shown: Mapping[str, Structure]) -> dict[str, Any]:
 
 
 def template(name: str) -> Template:
-    """Page template of the package, with escaping."""
+    """Page template of the package, which escapes HTML."""
     pages = Environment(loader=PackageLoader("protochain.analysis"), autoescape=True)
     pages.filters["heading"] = heading
     return pages.get_template(name)
 
 
 class View:
-    """Interactive viewer in a notebook; plain text where no HTML is shown."""
+    """Interactive viewer in a notebook; plain text elsewhere."""
 
     def __init__(self, shown: Mapping[str, Structure]) -> None:
         self.shown = shown
@@ -49,7 +49,7 @@ class View:
         return f'<iframe {frame} srcdoc="{escape(page)}"></iframe>'
 
     def __repr__(self) -> str:
-        return f"<View of {', '.join(self.shown)}: drawn in notebooks>"
+        return f"<View of {', '.join(self.shown)}: shown in notebooks>"
 
 
 def view(shown: Structure | Solution) -> View:
@@ -63,7 +63,7 @@ def view(shown: Structure | Solution) -> View:
     Returns
     -------
     View
-        Drawn in notebooks; no server is contacted.
+        Shown in notebooks; no server is contacted.
     """
     if isinstance(shown, Solution):
         return View({"start": shown.chain.structure, shown.method: shown.structure})
@@ -71,7 +71,7 @@ def view(shown: Structure | Solution) -> View:
 
 
 def superposed(structure: Structure, start: Structure) -> Structure:
-    """Move a structure rigidly onto another with the same atoms, C-alphas on C-alphas."""
+    """Superpose a structure on another with the same atoms, by the C-alphas."""
     alpha = start.alpha_carbons
     turn, shift = motion(structure.positions[alpha], start.positions[alpha])
     return structure.with_positions(structure.positions @ turn.T + shift)
@@ -83,5 +83,5 @@ def _text(structure: Structure, suffix: str) -> str:
 
 @cache
 def library() -> str:
-    """Source of 3Dmol.js (Rego, Koes, Bioinformatics 31:1322, 2015), under its BSD licence, beside it."""
+    """Source of 3Dmol.js (Rego, Koes, Bioinformatics 31:1322, 2015); its BSD licence is beside it."""
     return (files("protochain.analysis") / "static" / "3Dmol-min.js").read_text(encoding="utf-8")

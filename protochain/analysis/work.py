@@ -1,4 +1,4 @@
-"""Energies at equal cost, and the cost of coming near the lowest end: in evaluations and in seconds."""
+"""Energies at equal cost, and the cost to approach the lowest end: in evaluations and in seconds."""
 
 from collections.abc import Mapping
 
@@ -7,7 +7,7 @@ import pandas as pd
 
 
 def at_equal_cost(traces: pd.DataFrame) -> pd.DataFrame:
-    """Lowest energy so far of every method at the same evaluations and at the same seconds.
+    """Lowest energy so far of each method at equal evaluations and at equal seconds.
 
     Parameters
     ----------
@@ -17,8 +17,8 @@ def at_equal_cost(traces: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        ``cost`` (evaluations or seconds), ``at``, and a column a method, kJ/mol: NaN before its first point,
-        and its final value after its last. Costs go by 1, 3, 10, 30 up to that of the longest run.
+        ``cost`` (evaluations or seconds), ``at``, and one column per method, kJ/mol: NaN before its first
+        point, the final value after its last. Costs are 1, 3, 10, 30 ... up to that of the longest run.
     """
     parts = []
     for cost in ("evaluations", "seconds"):
@@ -37,20 +37,20 @@ WITHIN = (100.0, 10.0, 1.0)
 
 
 def work_to_reach(traces: pd.DataFrame, lowest: Mapping[str, float]) -> pd.DataFrame:
-    """Evaluations and seconds until each method first came this near.
+    """Evaluations and seconds until each method first came within ``WITHIN`` of the lowest end.
 
     Parameters
     ----------
     traces : pandas.DataFrame
         As ``Comparison.traces``.
     lowest : mapping of str to float, kJ/mol
-        Energy that each method is measured against.
+        Energy against which each method is measured.
 
     Returns
     -------
     pandas.DataFrame
-        A row a method: ``method``, ``lowest_kj_mol``, and for each cost and each of ``WITHIN`` a column like
-        ``evaluations_within_10_kj_mol``; NaN where it never came that near.
+        One row per method: ``method``, ``lowest_kj_mol``, and for each cost and each of ``WITHIN`` a column
+        like ``evaluations_within_10_kj_mol``; NaN if never reached.
     """
     rows = []
     for method, run in traces.groupby("method", sort=False):

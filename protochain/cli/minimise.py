@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -183,7 +183,7 @@ def _once(
         show = stack.enter_context(run_progress(settings["method"], settings["max_evaluations"]))
         frames = stack.enter_context(TrajectoryFile(trajectory, chain.structure)) if trajectory else None
 
-        def watch(row: dict[str, float], x: Any) -> None:
+        def watch(row: Mapping[str, float], x: Any) -> None:
             show(row, x)
             if frames:
                 frames.append(x)

@@ -58,13 +58,13 @@ def minimise(
         A file is loaded, a structure cut into a chain with the default hinges.
     energy : Energy or callable, optional
         Default: that of :func:`protochain.energy`. A callable takes positions (na, 3) in nm to energy in
-        kJ/mol and forces (na, 3) in kJ/mol/nm, and is its own judge.
+        kJ/mol and forces (na, 3) in kJ/mol/nm, and judges the result too.
     method : str, Recipe, or object with ``init`` and ``step``
         ``hybrid`` (torsions, then all atoms), ``cartesian`` (all atoms), ``lbfgs`` or ``newton`` (torsions),
-        ``kcm`` (kineto-static compliance, as published) and its kin ``kcm-adaptive``, ``kcm-metric`` ...,
+        ``kcm`` (kineto-static compliance, as published) with variants ``kcm-adaptive``, ``kcm-metric`` ...,
         ``fire``, ``quench``, ``md`` (damped constrained dynamics) and ``anneal`` (from 600 K), both ending in
         a minimum by ``lbfgs``, ``openmm`` (LocalEnergyMinimizer), or ``openmm-md`` (OpenMM's dynamics at
-        300 K with hydrogens' bonds constrained, between two minimisations). A method of one's own: see
+        300 K, bonds to hydrogen constrained, between two minimisations). For methods of your own see
         :func:`protochain.minimisers.recipe_of`.
     tolerance : float
         Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force (kJ/mol/nm), as
@@ -77,9 +77,9 @@ def minimise(
         Called with every trace row and its positions, to show progress or write a trajectory.
     **options
         ``restraint`` : float, sequence of float (kJ/mol/nm^2), or callable. Springs from the heavy atoms to
-        their initial positions: one strength after the other, each until it converges; 0 as the last releases
+        their initial positions: one strength after the other, each until it converges; a final 0 releases
         them. A callable takes positions to energy and forces, as ``energy`` does.
-        ``max_rmsd`` : float, angstrom. C-alpha RMSD to the start, superposed, that is not exceeded.
+        ``max_rmsd`` : float, angstrom. Upper limit of the C-alpha RMSD to the start, superposed.
         ``checkpoint`` : path-like. File (.npz) to write when the run ends, for ``resume``.
         ``resume`` : path-like. Continue from a checkpoint of a run with the same settings; evaluations count
         on, and the steps are those of an uninterrupted run, bit for bit.
@@ -139,7 +139,7 @@ class Minimisation:
             )
         if (self.checkpoint or self.resume) and not self.recipe.states:
             raise ProtochainError(
-                f"method {self.recipe.name!r} keeps no state to go on from; choose another, or no checkpoint"
+                f"method {self.recipe.name!r} keeps no state to resume from; choose another, or no checkpoint"
             )
 
     @property
@@ -168,8 +168,7 @@ class Minimisation:
 @held_interrupts()
 def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None) -> Solution:
     """Minimise from a start that other runs may share."""
-    # One thread of linear algebra: its sums must not depend on the machine, nor its threads spin beside the
-    # energy's.
+    # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with threadpool_limits(1, "blas"):
         start.warm(run.recipe)
         record = Recorder(start.chain.structure, watch)

@@ -56,11 +56,11 @@ def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any]) 
         waypoint: Waypoint = _value(tree, arrays, stage)
         return waypoint
     except (KeyError, IndexError, TypeError, AttributeError) as error:
-        raise ProtochainError(f"{path}: a damaged checkpoint ({type(error).__name__}: {error})") from None
+        raise ProtochainError(f"{path}: damaged checkpoint ({type(error).__name__}: {error})") from None
 
 
 def _plain(value: Any, arrays: dict[str, np.ndarray], known: dict[int, Any]) -> Any:
-    """Values that JSON can hold; arrays are stored apart, each once, and named."""
+    """Convert to values that JSON can hold; arrays are stored apart by name, each once."""
     if isinstance(value, np.ndarray):
         name = known.get(id(value), f"a{len(arrays)}")
         known[id(value)] = name

@@ -1,4 +1,4 @@
-"""FIRE, the fast inertial relaxation engine, and the quench of velocities."""
+"""FIRE, the fast inertial relaxation engine, and velocity quenching."""
 
 from dataclasses import dataclass, field
 
@@ -26,8 +26,8 @@ class Fire:
     """Move with inertia, turn the velocity towards the torques, and stop when the energy rises.
 
     Bitzek, Koskinen, Gaehler, Moseler, Gumbsch, Phys. Rev. Lett. 97:170201 (2006), in a metric: accelerations
-    are M^-1 tau. With all of the velocity turned (``mixing`` 1 that does not fade) it is the quench of
-    Jonsson, Mills, Jacobsen (1998): what damped dynamics of the chain is built of.
+    are M^-1 tau. With all of the velocity turned (``mixing`` 1 and ``fade`` 1) it is the velocity quench of
+    Jonsson, Mills, Jacobsen (1998).
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Fire:
         turn = dt * v
         short = min(1.0, 0.1 * problem.space.longest / np.max(np.abs(turn)))
         if short < 1.0:
-            # Overlaps push too hard: shorten the step to its limit, and slow down by as much.
+            # Forces between overlapping atoms are too large: limit the step, and scale the velocity alike.
             turn, v = short * turn, short * v
         found = problem.evaluate(problem.move(at.q, turn))
         if not found.is_finite:

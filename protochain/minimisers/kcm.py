@@ -40,9 +40,9 @@ class KCM(Direction):
     Parameters
     ----------
     metric : Metric
-        P.
+        Metric P.
     norm : callable
-        f.
+        Norm f.
     """
 
     metric: Metric = field(default_factory=Euclidean)

@@ -52,7 +52,7 @@ class LBFGS(Direction):
         """Add a pair, and drop the oldest beyond the number kept."""
         recent = deque(memory, maxlen=self.memory)
         change = before.torque - after.torque
-        # Torques of atoms on top of one another have no representable square: no pair then.
+        # The squared torques of coinciding atoms may overflow: no pair then.
         with np.errstate(over="ignore"):
             curvature = float(step @ change)
             if curvature > _CURVATURE * np.linalg.norm(step) * np.linalg.norm(change):

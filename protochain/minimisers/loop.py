@@ -94,8 +94,11 @@ def run(
     Parameters
     ----------
     problem : Problem
+        Counts the evaluations.
     method : Method
+        Proposes the points.
     q : (n_q,) float
+        First point.
     tolerance : float
         Stop when the residual is no larger.
     patience : int

@@ -1,4 +1,4 @@
-"""Metrics: positive definite matrices that turn torques into directions."""
+"""Metrics: positive definite matrices whose inverses turn torques into search directions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ class Metric(Protocol):
 
     @property
     def refresh_every(self) -> int:
-        """Iterations after which the matrix is computed again."""
+        """Iterations between two computations of the matrix."""
 
     def at(self, space: Space, at: Evaluation) -> Solve:
         """Solver for the matrix at a point."""
@@ -25,18 +25,30 @@ class Metric(Protocol):
 
 @dataclass(frozen=True)
 class Euclidean:
-    """The identity."""
+    """The identity.
+
+    Parameters
+    ----------
+    refresh_every : int
+        Iterations between two computations of the matrix.
+    """
 
     refresh_every: int = 1_000_000_000
 
     def at(self, space: Space, at: Evaluation) -> Solve:
-        """Solver that copies."""
+        """Solver for the identity: a copy."""
         return np.copy
 
 
 @dataclass(frozen=True)
 class Mass:
-    """The mass matrix; descent in it is overdamped motion of the chain (M^-1 tau in O(n))."""
+    """The mass matrix; descent in it is overdamped motion of the chain (M^-1 tau in O(n)).
+
+    Parameters
+    ----------
+    refresh_every : int
+        Iterations between two computations of the matrix.
+    """
 
     refresh_every: int = 1
 
@@ -47,7 +59,13 @@ class Mass:
 
 @dataclass(frozen=True)
 class Stiffness:
-    """A model of the Hessian from contacts and bonds: see :mod:`protochain.minimisers.springs`."""
+    """A model of the Hessian from contacts and bonds: see :mod:`protochain.minimisers.springs`.
+
+    Parameters
+    ----------
+    refresh_every : int
+        Iterations between two computations of the matrix.
+    """
 
     refresh_every: int = 20
 
@@ -58,14 +76,18 @@ class Stiffness:
 
 @dataclass(frozen=True, eq=False)
 class Preconditioner:
-    """A metric computed at a point, and the iterations it has been used for.
+    """A metric computed at one point, and used for some iterations.
 
     Parameters
     ----------
     metric : Metric
+        Computes the matrix.
     made_at : Evaluation
+        Point of the computation.
     solve : callable
+        Solver for the matrix.
     age : int
+        Iterations since.
     """
 
     metric: Metric

@@ -19,7 +19,7 @@ Record = Callable[[Floats, float, int], None]
 """Called with positions, energy and evaluations so far after each iteration."""
 
 _SETTLED = 100.0
-"""kJ/mol/nm. RMS force at which OpenMM's dynamics can start: a strained start would be hot."""
+"""kJ/mol/nm. RMS force below which OpenMM's dynamics start: remaining strain would turn into heat."""
 
 
 def minimise_by_openmm(
@@ -28,21 +28,8 @@ def minimise_by_openmm(
 ) -> Outcome:  # fmt: skip
     """Minimise by OpenMM's own minimiser, after its dynamics if the recipe draws random numbers.
 
-    Parameters
-    ----------
-    recipe : Recipe
-    chain : Chain
-    energy : Energy
-    tolerance : float, kJ/mol/nm
-    max_evaluations : int
-    seed : int
-    record : callable
-        Called with positions, energy and evaluations so far after each iteration.
-
-    Returns
-    -------
-    Outcome
-        As of the other methods. Where single precision ends, it continues on the Reference platform.
+    Continued on the Reference platform where single precision fails. Of several structures (minimised before
+    the dynamics, and at the end) the one of lowest energy is the result.
     """
     x = chain.structure.positions
     n_iterations, n_evaluations, stop, settled = 0, 1, Stop.BUDGET, x
@@ -82,12 +69,12 @@ def minimise_by_openmm(
         rms_force = np.sqrt(np.mean(forces[chain.moving] ** 2))
         if stop not in SINGLE_PRECISION_ENDS or rms_force <= tolerance:
             break
-    # Dynamics without a complete minimisation after it leaves a hot structure.
+    # Dynamics not followed by a complete minimisation leaves a hot structure.
     return outcome(min(x, settled, key=lambda y: energy(y)[0]))
 
 
 class _Enough(Exception):
-    """Raised through OpenMM to leave a line search."""
+    """Raised through OpenMM to break off a line search."""
 
 
 class _Reporter(openmm.MinimizationReporter):
@@ -103,7 +90,7 @@ class _Reporter(openmm.MinimizationReporter):
         self.best_x: Floats | None = None
 
     def count(self, state: openmm.State) -> tuple[float, Floats]:
-        """Count an evaluation of the forces, from a PythonForce that exerts none."""
+        """Count an evaluation of the forces, as a PythonForce that exerts none itself."""
         if self.n_evaluations >= self.budget:
             self.stop = Stop.BUDGET
         if self.interrupts:
@@ -172,20 +159,8 @@ def langevin_dynamics(
 ) -> tuple[Stop, Floats, int, int]:
     """Run OpenMM's constrained dynamics: 300 K, 2 fs, bonds to hydrogens at the force field's lengths.
 
-    Parameters
-    ----------
-    energy : Energy
-    platform : str
-    x : (na, 3) float, nm
-    max_evaluations : int
-    record : callable
-        As in :func:`local_energy_minimizer`.
-    seed : int
-
-    Returns
-    -------
-    Stop, (na, 3) float, int, int
-        Reason it ended, last positions, steps, evaluations of the forces: one a step.
+    Takes and returns what :func:`local_energy_minimizer` does, but ends at its last positions; each step is
+    one iteration and one evaluation of the forces.
     """
     own = OpenMMEnergy(energy.system, platform, energy.threads)
     constrain_hydrogens(own.system)
@@ -217,11 +192,11 @@ def langevin_dynamics(
 
 _MD_STEPS, _MD_FRAME = 1000, 20
 _LIGHT = 1.5
-"""amu. Lighter atoms are hydrogens."""
+"""amu. Atoms lighter than this are hydrogens."""
 
 
 def constrain_hydrogens(system: openmm.System) -> None:
-    """Constrain bonds of hydrogens to the lengths of their harmonic terms, as ``constraints=HBonds`` does."""
+    """Constrain bonds to hydrogen to their equilibrium lengths, as ``constraints=HBonds`` does."""
     light = [system.getParticleMass(i)._value < _LIGHT for i in range(system.getNumParticles())]
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce):

@@ -35,15 +35,15 @@ class Evaluation:
     Parameters
     ----------
     pose : Placement
-        Kept, so that metrics made at this point need not compute it again.
+        Kept for the metrics computed at this point.
     energy : float, kJ/mol
-        Of the force field and of the restraint.
+        Of force field and restraint together.
     torque : (n_v,) float
         -dE/d(freedom) in the space's own scale: kJ/mol/rad, or kJ/mol/nm for atoms that move freely.
     residual : float
         Largest torque or RMS force, to be compared with the tolerance.
     restraint : float, kJ/mol
-        The restraint's part of the energy.
+        Energy of the restraint alone.
     """
 
     pose: Placement
@@ -108,7 +108,7 @@ class Tally:
     ----------
     n_evaluations : int
     best : Evaluation or None
-        Point of lowest energy among those allowed as an answer.
+        Point of lowest energy among those allowed as the result.
     improved_at : int
         Number of the evaluation that found it.
     """
@@ -125,14 +125,17 @@ class Problem:
     Parameters
     ----------
     space : Space
+        Freedoms to minimise in.
     energy : callable
         Positions to energy and forces.
     max_evaluations : int
+        Evaluations allowed.
     restraint : callable, optional
         Added to the energy.
     allowed : callable, optional
-        Whether positions are allowed as an answer; all may be passed through.
+        Whether positions may be the result; a run may pass through any.
     tally : Tally
+        Evaluations so far.
     """
 
     space: Space
@@ -171,7 +174,7 @@ class Problem:
         return at
 
     def allows(self, x: Floats) -> bool:
-        """Whether positions (na, 3) are allowed as an answer."""
+        """Whether positions (na, 3) are allowed as the result."""
         return self.allowed is None or self.allowed(x)
 
     def move(self, q: Floats, step: Floats) -> Floats:
@@ -184,7 +187,7 @@ class Problem:
         return getattr(self.energy, "lists_at", None)
 
     def restore(self, tally: Tally, lists_at: Floats | None) -> None:
-        """Set the counts and the neighbour lists to those of an earlier time."""
+        """Restore earlier counts, and rebuild the neighbour lists at earlier positions."""
         self.tally = tally
         if lists_at is not None and hasattr(self.energy, "list_at"):
             self.energy.list_at(lists_at)
@@ -194,9 +197,9 @@ def evaluate(space: Space, energy: Force, q: Floats, restraint: Force | None = N
     """Energy and torques at q, uncounted."""
     pose = space.place(q)
     value, forces = energy(pose.x)
-    held = 0.0
+    penalty = 0.0
     if restraint is not None:
-        held, pull = restraint(pose.x)
+        penalty, pull = restraint(pose.x)
         forces = forces + pull
     torque = space.torque(pose, forces)
-    return Evaluation(pose, value + held, torque, space.residual(torque), held)
+    return Evaluation(pose, value + penalty, torque, space.residual(torque), penalty)

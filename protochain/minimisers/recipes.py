@@ -35,6 +35,7 @@ class Run:
     Parameters
     ----------
     method : Method
+        As the loop runs it.
     in_torsions : bool
         Whether hinges turn; otherwise all atoms move.
     tolerance : float, optional
@@ -69,16 +70,17 @@ class Run:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A method by name.
+    """A named method, as the stages it runs.
 
     Parameters
     ----------
     name : str
+        A method of ``METHODS``, or one of the user's own.
     runs : tuple of Run
         One after the other, the last once for each restraint; none for methods of OpenMM.
     parts_overlaps : bool
-        Whether overlapping atoms are parted first. KCM is left as published; atoms that all may move part by
-        themselves.
+        Whether overlapping atoms are separated first. KCM is left as published; with all atoms free they
+        separate by themselves.
     draws_random : bool
         Whether its result depends on the seed.
     by_openmm : bool
@@ -108,7 +110,7 @@ class Recipe:
         return tuple(state for states in named for state in states) if all(named) else ()
 
     def repeats_exactly(self, energy: Energy) -> bool:
-        """Whether runs from one start end in the same bits.
+        """Whether runs from one start are equal bit for bit.
 
         OpenMM's CPU platform, which also runs OpenMM's methods, sums in no fixed order on several threads.
         """
@@ -118,21 +120,7 @@ class Recipe:
     def plan(
         self, chain: Chain, energy: Energy, reduced: Energy, tolerance: float, hold: Hold, seed: int
     ) -> list[Stage]:
-        """Stages of this recipe for a chain.
-
-        Parameters
-        ----------
-        chain : Chain
-        energy, reduced : Energy
-            With all terms, and without those that are constant in the chain.
-        tolerance : float
-        hold : Hold
-        seed : int
-
-        Returns
-        -------
-        list of Stage
-        """
+        """Stages of this recipe; ``reduced`` is the energy without terms that are constant in the chain."""
         torsions, atoms = spaces(chain)
         restraints = hold.restraints(chain.structure)
         plan: list[Stage] = []
@@ -150,7 +138,7 @@ class Recipe:
 
 _LBFGS = Descent(LBFGS(), StrongWolfe())
 _ALL_ATOMS = Run(Descent(LBFGS(Stiffness(refresh_every=40)), StrongWolfe()), in_torsions=False)
-"""Bonds and angles, most of the stiffness, change little, and computing the matrix costs some evaluations."""
+"""Refreshed less often: bonds and angles, most of the stiffness, change little, and the matrix is costly."""
 
 HYBRID_TORQUE = 300.0
 """kJ/mol/rad. Tolerance in torsions before all atoms move: the strain left is in bonds and angles."""
@@ -161,7 +149,7 @@ def _in_torsions(name: str, method: Method, parts_overlaps: bool = False) -> Rec
 
 
 def _dynamics(name: str, annealing: Annealing, draws_random: bool) -> Recipe:
-    """Dynamics, whose result is its last point, and then a minimum."""
+    """Dynamics, then minimisation from its last point."""
     moved = Run(annealing, tolerance=0.0, patience=annealing.n_steps, answer=last, continued=False)
     return Recipe(name, (moved, Run(_LBFGS)), parts_overlaps=True, draws_random=draws_random)
 
@@ -206,7 +194,7 @@ def recipe_of(method: Any) -> Recipe:
     Returns
     -------
     Recipe
-        Named after the class of a method that is no name: of a descent, after that of its direction.
+        An object is named after its class, a descent after the class of its direction.
 
     Raises
     ------

@@ -16,6 +16,8 @@ UNITS = {
 }  # fmt: skip
 """Endings of names that are units."""
 
+_SPELLED = {"ca": "C-alpha", "rmsd": "RMSD", "rms": "RMS", "tm": "TM", "ramachandran": "Ramachandran"}
+
 
 @dataclass(frozen=True)
 class Column:
@@ -50,13 +52,11 @@ class Column:
 
 
 def heading(name: str) -> str:
-    """Words of a column's name, its unit after a comma: ``energy_end_kj_mol`` is ``energy end, kJ/mol``."""
-    for ending, unit in UNITS.items():
-        if name.endswith(ending):
-            words = name.removesuffix(ending).replace("_", " ")
-            # A limit belongs to its unit: within 10 kJ/mol.
-            return f"{words} {unit}" if words[-1:].isdigit() else f"{words}, {unit}"
-    return name.replace("_", " ")
+    """Heading from a column's name: ``energy_end_kj_mol`` is ``energy end, kJ/mol``."""
+    ending = next((ending for ending in UNITS if name.endswith(ending)), "")
+    words = " ".join(_SPELLED.get(word, word) for word in name.removesuffix(ending).split("_"))
+    # No comma after a number: within 10 kJ/mol.
+    return words + (" " if words[-1].isdigit() else ", ") + UNITS[ending] if ending else words
 
 
 COLUMNS = (
@@ -95,7 +95,7 @@ COLUMNS = (
     Column("seed", lambda s: s.seed),
     Column("threads", lambda s: s.energy_function.threads),
 )
-"""What is looked at first stands first."""
+"""In the order in which a reader looks at them."""
 
 SHOWN = tuple(column for column in COLUMNS if column.heading)
 """Columns of short tables."""

@@ -1,4 +1,4 @@
-"""Restraints: energies that keep a run near its start or part overlaps, and that no result contains."""
+"""Restraints: energies that hold a run near its start or separate overlaps; no result contains them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from protochain.structure.superpose import superpose
 from protochain.units import ANGSTROM_PER_NM
 
 SOFT_SHARE = 0.7
-"""Of contact. Soft repulsion ends where hydrogen bonds begin."""
+"""Range of soft repulsion, as a share of the contact distance; hydrogen bonds are longer."""
 
 SOFT_STIFFNESS = 1e4
 """kJ/mol/nm^2: an overlap of an angstrom costs 50 kJ/mol."""
 
 SOFT_TETHER = 10.0
-"""kJ/mol/nm^2 on each atom, so that parting moves little."""
+"""kJ/mol/nm^2 on each atom, so that separating overlaps moves little else."""
 
 _LEASH_START = 0.9
 _LEASH_ENERGY = 10.0
@@ -158,7 +158,7 @@ class Hold:
 
     @classmethod
     def of(cls, restraint: Any, max_rmsd: float = np.inf) -> "Hold":
-        """Read a strength, several, those with blanks between, or a callable.
+        """Read one strength, several, a string of them, or a callable.
 
         Raises
         ------
@@ -172,7 +172,7 @@ class Hold:
             strengths = tuple(float(strength) for strength in given)
         except (TypeError, ValueError):
             raise ProtochainError(
-                f"restrain {restraint!r}: give strengths in kJ/mol/nm^2, as '1000 100 0'"
+                f"restraint {restraint!r}: give strengths in kJ/mol/nm^2, as '1000 100 0'"
             ) from None
         return cls(strengths, max_rmsd)
 
@@ -190,7 +190,7 @@ class Hold:
         return found
 
     def record(self) -> list[float | str]:
-        """Strengths, and the name of another restraint."""
+        """Strengths, and the name of any other restraint."""
         term = [] if self.term is None else [name_of(self.term)]
         return [*self.strengths, *term]
 

@@ -1,4 +1,4 @@
-"""The result of a minimisation: a value that can be saved, tabled and written as JSON."""
+"""Result of a minimisation: final structure, trace, and a record for tables and JSON."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -36,7 +36,7 @@ TRACE_COLUMNS = (
 
 @dataclass
 class Recorder:
-    """Collect a trace row at each iteration; RMSDs are measured when the clock has stopped."""
+    """Collect a trace row at each iteration; RMSDs are computed after the clock has stopped."""
 
     structure: Structure
     watch: Watcher | None = None
@@ -59,8 +59,8 @@ class Recorder:
             self.watch(row, x)
 
     def trace(self) -> "pd.DataFrame":
-        """Return the trace with ``TRACE_COLUMNS``."""
-        # Imported when the run is over: it takes longer to import than a small protein to minimise.
+        """Trace, with the columns ``TRACE_COLUMNS``."""
+        # Imported after the run: the import takes longer than minimising a small protein.
         import pandas as pd
 
         start = self.structure.positions[self.structure.alpha_carbons]
@@ -80,13 +80,13 @@ class Solution:
     recipe : Recipe
         The method.
     chain : Chain
-        The chain at the start.
+        Chain at the start.
     energy_function : Energy
         With all terms.
     constant_terms : mapping of str to int
-        Number of terms and pairs that the run left out, by kind: constant in this chain.
+        Numbers, by kind, of terms and pairs left out of the run because they are constant in this chain.
     q : (n_q,) float
-        Coordinates at the end (of the chain cut anew there, for methods that move single atoms).
+        Coordinates at the end; those of the chain rebuilt there if all atoms moved.
     x : (na, 3) float, nm
         Positions at the end.
     energy : float, kJ/mol
@@ -94,17 +94,17 @@ class Solution:
     status : Status
         How the run ended, as judged.
     message : str
-        The status with the residual.
+        Status and residual in words.
     n_iterations, n_evaluations : int
         Iterations, and energy evaluations, of the run.
     seconds : float
-        Wall time of the run, without preparation or judging.
+        Wall time of the run, without preparation and judgement.
     trace : pandas.DataFrame
-        A row an iteration: ``TRACE_COLUMNS``.
+        One row per iteration, with columns ``TRACE_COLUMNS``.
     start, end : Judgement
         Energy and residuals in double precision.
     ca_rmsd_angstrom : float
-        From start to end, superposed.
+        Between start and end, after superposition.
     tolerance : float
         Residual at convergence.
     hold : Hold
@@ -135,7 +135,7 @@ class Solution:
 
     @property
     def structure(self) -> Structure:
-        """The structure at the end."""
+        """Structure at the end."""
         return self.chain.structure.with_positions(self.x)
 
     @property
@@ -154,7 +154,7 @@ class Solution:
         return bool(np.isfinite(self.end.energy))
 
     def to_scipy(self) -> "OptimizeResult":
-        """Return what scipy's minimisers return: ``x`` is q, ``fun`` the judge's energy in kJ/mol."""
+        """Convert to scipy's result: ``x`` is q, ``fun`` the judge's energy in kJ/mol."""
         from scipy.optimize import OptimizeResult
 
         result: Any = OptimizeResult()
@@ -171,28 +171,28 @@ class Solution:
         return result
 
     def save(self, path: str | Path) -> None:
-        """Write the final structure with its provenance, PDB or mmCIF by suffix.
+        """Write the final structure with its provenance, as PDB or mmCIF by suffix.
 
         Raises
         ------
         StructureError
-            If the suffix or the structure does not fit a format.
+            If the suffix is unknown, or the format cannot hold the structure.
         """
         save(self.structure, path, self.provenance())
 
     def provenance(self) -> Iterable[str]:
-        """Lines that say how the structure was made."""
+        """Provenance of the structure, as remarks for its file."""
         e = self.energy_function
         yield f"PROTOCHAIN {version('protochain')}, METHOD {self.method}, STATUS {self.status}"
         yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}, PDBFIXER {version('pdbfixer')}"
         yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
         yield f"ENERGY {self.end.energy:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.start.energy:.4f}"
         yield "ENERGIES BY THE OPENMM REFERENCE PLATFORM"
-        # The coordinates alone do not show which of several conformations this is.
+        # Coordinates alone do not tell which alternate location was kept.
         yield from (line for line in self.chain.structure.repairs if "alternate location" in line)
 
     def record(self) -> dict[str, Any]:
-        """Flat record that JSON, CSV and pages all show; None where a value is not finite."""
+        """Flat record behind JSON, CSV and pages; None where a value is not finite."""
         return record(self)
 
     def __repr__(self) -> str:

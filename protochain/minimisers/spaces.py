@@ -27,6 +27,7 @@ class Torsions:
     Parameters
     ----------
     chain : Chain
+        Its structure is the start.
     """
 
     chain: Chain
@@ -49,7 +50,7 @@ class Torsions:
         Raises
         ------
         ValueError
-            If x are other positions: bond lengths and angles of others may not fit the chain.
+            If x differs from them: its bond lengths and angles may not fit the chain.
         """
         if not np.array_equal(x, self.chain.structure.positions):
             raise ValueError("a chain starts at its own positions")
@@ -72,7 +73,7 @@ class Torsions:
         return multibody.integrate(self.chain.tree, q, self.scale * step)
 
     def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solver for J^T C J of the contacts, by Cholesky's method."""
+        """Solver for J^T C J of the contacts, by Cholesky factorisation."""
         matrix = springs.torsion_stiffness(self.chain, _pose(at.pose))
         matrix *= np.outer(self.scale, self.scale)
         matrix[np.diag_indices_from(matrix)] += springs.TORSION_FLOOR
@@ -80,7 +81,7 @@ class Torsions:
         return lambda torque: np.asarray(cho_solve(factor, torque, check_finite=False))
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solver for the mass matrix, by articulated bodies."""
+        """Solver for the mass matrix, by the articulated-body algorithm."""
         posed = _pose(at.pose)
         return lambda torque: solve_mass(self.chain, posed, torque / self.scale) / self.scale
 
@@ -114,6 +115,7 @@ class Cartesian:
     Parameters
     ----------
     structure : Structure
+        Its bonds and masses are used.
     moving : (na,) bool
         Atoms that may move.
     """
@@ -142,7 +144,7 @@ class Cartesian:
 
     def residual(self, torque: Floats) -> float:
         """RMS force over the components that may move, kJ/mol/nm."""
-        # Forces of atoms on top of one another may have no representable square.
+        # The squared forces of coinciding atoms may overflow.
         with np.errstate(over="ignore"):
             return float(np.sqrt(torque @ torque / (3 * max(1, self.moving.sum()))))
 
@@ -162,5 +164,5 @@ class Cartesian:
 
 @lru_cache(maxsize=4)
 def spaces(chain: Chain) -> tuple[Torsions, Cartesian]:
-    """Both spaces of a chain: what they derive from it is computed once."""
+    """Both spaces of a chain, cached with all that is derived from it."""
     return Torsions(chain), Cartesian(chain.structure, chain.moving)

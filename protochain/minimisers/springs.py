@@ -1,12 +1,11 @@
-"""A model of the Hessian from geometry alone: springs between atoms, with what bonds join held hard.
+"""Model of the Hessian from geometry alone: springs between nearby atoms, stiffest along bonds.
 
-What makes minimisation slow is that some freedoms are a million times stiffer than others: bonds against
-dihedrals, and, in dihedrals, one that presses two atoms together against one that swings a loop. Springs
-along the lines between atoms, stiff where these touch, tell which are which well enough to precondition with,
-whatever the force field: Packwood, Kermode, Mones, Bernstein, Woolley, Gould, Ortner, Csanyi, J. Chem. Phys.
-144:164109 (2016), where the stiffness falls exponentially with distance; with bonds and angles as further
-springs, Mones, Ortner, Csanyi, Sci. Rep. 8:13991 (2018). In dihedrals K = J^T C J, as in torsional elastic
-networks (Mendez, Bastolla, Phys. Rev. Lett. 104:228103, 2010).
+Minimisation is slow because some freedoms are a million times stiffer than others: bonds than dihedrals and,
+among dihedrals, those that press two atoms together than those that swing a loop. Springs between atoms
+reproduce this well enough for a preconditioner, whatever the force field: Packwood, Kermode, Mones,
+Bernstein, Woolley, Gould, Ortner, Csanyi, J. Chem. Phys. 144:164109 (2016), with stiffness falling
+exponentially; with bonds and angles as further springs, Mones, Ortner, Csanyi, Sci. Rep. 8:13991 (2018). In
+torsions K = J^T C J, as in torsional elastic networks (Mendez, Bastolla, Phys. Rev. Lett. 104:228103, 2010).
 """
 
 from collections.abc import Callable
@@ -35,23 +34,22 @@ from protochain.multibody.algebra import (
 from protochain.structure.model import Structure
 
 DEPTH = 0.4
-"""kJ/mol, of a contact: Lennard-Jones wells of protein atoms are 0.06 to 1 deep. At its bottom such a well
-has a curvature of 72 depths by the square of its distance."""
+"""kJ/mol, well depth of a contact: Lennard-Jones wells of protein atoms are 0.06 to 1 deep. The curvature at
+the minimum is 72 times the depth divided by the square of the distance."""
 
 DECAY = 14.0
-"""How fast stiffness falls with the distance, in units of contact: the logarithmic slope of a 12-6 curvature
-there."""
+"""Decay rate of the stiffness, per contact distance: the logarithmic slope of a 12-6 curvature at contact."""
 
 REACH = 1.3
-"""In units of contact. Springs longer than this have 2 % of the stiffness at contact."""
+"""Longest spring, in contact distances; its stiffness is 2 % of that at contact."""
 
 TORSION_FLOOR = 150.0
-"""kJ/mol/rad^2, added for every freedom: what dihedral terms and long-range forces come to. Between 60 and
-400 it matters little."""
+"""kJ/mol/rad^2, added for every freedom, for dihedral terms and long-range forces. Values between 60 and 400
+perform alike."""
 
 BOND, ANGLE, DIHEDRAL = 2.5e5, 4.0e4, 2.0e3
 """kJ/mol/nm^2, of springs between atoms one, two and three bonds apart: ff14SB's bonds have 1.5e5 to 5e5, and
-an angle's 300 to 700 kJ/mol/rad^2 act at some 0.1 nm."""
+an angle's 300 to 700 kJ/mol/rad^2 act at a lever of about 0.1 nm."""
 
 CARTESIAN_FLOOR = 8.0e3
 """kJ/mol/nm^2, added for every atom."""
@@ -59,7 +57,7 @@ CARTESIAN_FLOOR = 8.0e3
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """Springs between pairs of atoms, along the line between them.
+    """Harmonic springs along the lines between pairs of atoms.
 
     Parameters
     ----------
@@ -72,14 +70,14 @@ class Springs:
 
 
 def contacts(structure: Structure, x: Floats, bonds: int) -> Springs:
-    """Springs between atoms near one another, joined by more bonds than given."""
+    """Springs between nearby atoms that are more than this many bonds apart."""
     pairs, touch = near_pairs(structure, x, REACH, bonds)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
     return Springs(pairs, 72.0 * DEPTH / touch**2 * np.exp(-DECAY * (distance / touch - 1.0)))
 
 
 def covalent(structure: Structure) -> Springs:
-    """Springs between atoms that bonds join."""
+    """Springs for bonds, angles and dihedrals: between atoms up to three bonds apart."""
     pairs = joined(structure, 3)
     n = structure.n_atoms
     keys = pairs @ [n, 1]
@@ -88,7 +86,7 @@ def covalent(structure: Structure) -> Springs:
 
 
 def torsion_stiffness(chain: Chain, at: Pose) -> Floats:
-    """K = J^T C J of the contacts of a chain.
+    """Stiffness K = J^T C J of the contacts of a chain, in its torsions.
 
     Parameters
     ----------
@@ -98,8 +96,8 @@ def torsion_stiffness(chain: Chain, at: Pose) -> Floats:
     Returns
     -------
     (n_v, n_v) float, kJ/mol/rad^2
-        Column k is what the springs answer to a unit turn of freedom k: one outward sweep, the loads, one
-        inward sweep. O(n_v (bodies + springs)).
+        Column k is the response of the springs to a unit turn of freedom k: one outward sweep, the spring
+        forces, one inward sweep. O(n_v (bodies + springs)).
     """
     near = contacts(chain.structure, at.x, 2)
     # Springs within a rigid group keep their length.
@@ -127,22 +125,22 @@ def torsion_stiffness(chain: Chain, at: Pose) -> Floats:
 def cartesian_solver(
     structure: Structure, bonded: Springs, x: Floats, moving: NDArray[np.bool_]
 ) -> Callable[[Floats], Floats]:
-    """Solve with the stiffness of bonds, angles, dihedrals and contacts, all atoms free.
+    """Solver for the sparse stiffness of bonds, angles, dihedrals and contacts, in Cartesian coordinates.
 
     Parameters
     ----------
     structure : Structure
     bonded : Springs
-        Of :func:`covalent`.
+        From :func:`covalent`.
     x : (na, 3) float, nm
     moving : (na,) bool
-        The others stay.
+        Atoms that may move.
 
     Returns
     -------
     callable
-        (3 na,) float, kJ/mol/nm -> (3 na,) float, nm. Of the contacts only what each does to its own atoms is
-        kept: so the matrix is as sparse as the bonds and its factors are too.
+        (3 na,) float, kJ/mol/nm -> (3 na,) float, nm. Contacts enter by their diagonal blocks only, so that
+        the matrix and its factors stay as sparse as the bonds.
     """
     near = contacts(structure, x, 3)
     matrix = _sparse(structure.n_atoms, bonded, x, True) + _sparse(structure.n_atoms, near, x, False)
@@ -162,7 +160,7 @@ def cartesian_solver(
 
 
 def _sparse(n_atoms: int, springs: Springs, x: Floats, coupled: bool) -> csc_array:
-    """(3 na, 3 na) sparse: stiffness of springs; without their coupling, its diagonal blocks."""
+    """Sparse stiffness (3 na, 3 na) of springs; uncoupled, only its diagonal blocks."""
     i, j = springs.pairs.T
     along = _directions(x, springs.pairs)
     block = springs.stiffness[:, None, None] * along[:, :, None] * along[:, None, :]
@@ -179,7 +177,7 @@ def _sparse(n_atoms: int, springs: Springs, x: Floats, coupled: bool) -> csc_arr
 
 
 def _directions(x: Floats, pairs: Integers) -> Floats:
-    """(n, 3) float: unit vectors from second to first; any for atoms at one point."""
+    """Unit vectors (n, 3) from second to first atom; zero for atoms at one point."""
     across = x[pairs[:, 0]] - x[pairs[:, 1]]
     length = np.linalg.norm(across, axis=1, keepdims=True)
     return np.divide(across, length, out=np.zeros_like(across), where=length > 0)
@@ -190,7 +188,7 @@ def _spring_loads(
     atom_body: Integers, arms: Floats, x: Floats, pairs: Integers, stiffness: Floats, twists: Floats,
     wrench: Floats,
 ) -> None:  # fmt: skip
-    """Load the bodies against springs that the twists stretch, which are those of one freedom's unit turn."""
+    """Add the wrenches of the springs stretched by the twists of a unit turn of one freedom."""
     moves = np.zeros(len(twists), dtype=np.bool_)
     for b in range(len(twists)):
         for k in range(6):
@@ -198,7 +196,7 @@ def _spring_loads(
     for n in range(len(pairs)):
         i, j = pairs[n, 0], pairs[n, 1]
         a, b = atom_body[i], atom_body[j]
-        # What moves together keeps its distance, and few springs are between what moves and what does not.
+        # Springs within the moving or within the resting part keep their length; most springs do.
         if moves[a] == moves[b]:
             continue
         omega_a, u_a = pair(twists, a)

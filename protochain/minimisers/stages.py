@@ -20,7 +20,7 @@ PATIENCE = 500
 
 
 def last(problem: Problem, ending: Ending, q: Floats) -> Floats:
-    """Final point if the run came to its own end there, finite and allowed; otherwise as :func:`lowest`."""
+    """Final point if the run ended by itself, finite and allowed; otherwise as :func:`lowest`."""
     end = ending.last.state.at
     sound = ending.stop is Stop.NO_DESCENT and end.is_finite and problem.allows(end.x)
     return end.q if sound else lowest(problem, ending, q)
@@ -57,7 +57,7 @@ class Stage:
     answer : callable
         Chooses the result, from which the next stage starts.
     after : tuple of Stop
-        Run only if the stage before ended so; always, if empty.
+        Endings of the stage before after which this one runs; empty for always.
     """
 
     space: Space
@@ -72,7 +72,7 @@ class Stage:
 
 
 def parting(space: Torsions) -> Stage:
-    """Part overlapping atoms by soft repulsion in torsions, before the force field is evaluated."""
+    """Stage that separates overlapping atoms by soft repulsion in torsions, without the force field."""
     structure = space.chain.structure
     tethers = Tethers(structure.positions, np.full(structure.n_atoms, SOFT_TETHER))
     gentle = Sum([SoftRepulsion(structure), tethers])
@@ -149,7 +149,7 @@ def walk(
     max_evaluations : int
         For all of them together.
     allowed : callable, optional
-        Whether positions are allowed as an answer.
+        Whether positions are allowed as the result.
     record : callable
         Called with each point accepted, its space, and the evaluations so far.
     resume : Waypoint, optional

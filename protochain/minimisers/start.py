@@ -15,7 +15,7 @@ from protochain.minimisers.verdict import Judgement, judge
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A chain and an energy, and all that does not depend on the method.
+    """A chain and its energy, with all that follows from them for any method.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class Start:
 
     def warm(self, recipe: Recipe) -> None:
         """Compile kernels and create contexts before the clock starts."""
-        # The order of sums depends on the neighbour lists: those of the start, whatever was computed before.
+        # The order of sums depends on the neighbour lists: build those of the start.
         self.energy.list_at(self.pose.x)
         _ = self.judgement
         if recipe.in_torsions:

@@ -1,4 +1,4 @@
-"""Many starts of one protein: from perturbed dihedrals, or by basin hopping."""
+"""Minimisation of one protein from many starts: perturbed dihedrals, or basin hopping."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _PARTING = 500
-"""Evaluations of soft repulsion, at most, before a start."""
+"""Largest number of evaluations of soft repulsion before a start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,9 @@ class Starts:
     chain : Chain
         Unperturbed.
     solutions : tuple of Solution
-        The first of them from the unperturbed chain.
+        One for each start, the first from the unperturbed chain.
     accepted : tuple of bool
-        Whether basin hopping continued from there; always, for independent starts.
+        Whether basin hopping continued from there; always true for independent starts.
     """
 
     chain: Chain
@@ -48,11 +48,11 @@ class Starts:
 
     @cached_property
     def best(self) -> Solution:
-        """The solution of lowest energy; of equal ones the first."""
+        """Solution of lowest energy; the first of equal ones."""
         return min(self.solutions, key=lambda solution: solution.end.energy)
 
     def records(self) -> list[dict[str, Any]]:
-        """Record of each start, as in the JSON."""
+        """Record of each start, as written to JSON."""
         structure = self.chain.structure
         return [
             {
@@ -70,7 +70,7 @@ class Starts:
 
     @cached_property
     def table(self) -> "pd.DataFrame":
-        """A row a start."""
+        """One row per start."""
         import pandas as pd
 
         return pd.DataFrame(self.records())
@@ -90,7 +90,7 @@ class Starts:
         }
 
     def overall(self) -> dict[str, Any]:
-        """Entries that replace those of the best solution's record, and the records of all starts."""
+        """Entries over all starts, to replace those of the best solution's record."""
         rows = self.records()
         best = self.solutions.index(self.best)
         return {
@@ -126,41 +126,44 @@ def explore(
     Parameters
     ----------
     chain : Chain
+        The first start; the others are perturbed.
     energy : Energy
+        Energy function of all starts.
     method : str
+        As in :func:`protochain.minimise`.
     n_starts : int
-        The first is the chain as it is.
+        Number of starts.
     seed : int
-        Start k draws from a stream of its own, (seed, k).
+        Start k draws from its own random stream, (seed, k).
     spread : float, rad
-        Standard deviation of the change of every hinge.
+        Standard deviation of the perturbation of every hinge.
     hop_temperature : float, K, optional
-        With it, each start is the minimum before it, perturbed, and a minimum is kept with the probability of
-        Metropolis at this temperature: basin hopping (Wales, Doye, J. Phys. Chem. A 101:5111, 1997).
+        Basin hopping (Wales, Doye, J. Phys. Chem. A 101:5111, 1997): each start is the last accepted minimum,
+        perturbed, and a minimum is accepted by the Metropolis criterion at this temperature.
     each : callable, optional
         Called with the number and solution of each start.
     **settings
-        As in :func:`protochain.minimise`, but for ``restraint`` and ``max_rmsd``: they would hold a run near
-        its own perturbed start.
+        As in :func:`protochain.minimise`, except ``restraint`` and ``max_rmsd``, which would refer to each
+        perturbed start.
 
     Returns
     -------
     Starts
-        An interrupt ends the start it meets and leaves out those after it.
+        An interrupt ends the current start and leaves out the rest.
 
     Raises
     ------
     ProtochainError
-        If a setting makes no sense.
+        If a setting is invalid.
     """
     if n_starts < 1:
         raise ProtochainError(f"starts {n_starts}: give at least 1")
     if not 0 < spread < np.inf:
         raise ProtochainError(f"spread {spread:g}: give an angle above 0, in rad")
     if hop_temperature is not None and not 0 <= hop_temperature < np.inf:
-        raise ProtochainError(f"temperature {hop_temperature:g}: give kelvin, not below 0")
+        raise ProtochainError(f"temperature {hop_temperature:g}: give a temperature in K, not below 0")
     if Hold.of(settings.get("restraint", ()), settings.get("max_rmsd", np.inf)) != Hold():
-        raise ProtochainError("starts: restrain and max-rmsd would hold to each start's own; give one start")
+        raise ProtochainError("restrain and max-rmsd refer to each start's own structure; use one start")
     solutions: list[Solution] = []
     accepted: list[bool] = []
     here, present = chain, np.inf
@@ -182,7 +185,7 @@ def explore(
 
 
 def perturbed(chain: Chain, spread: float, random: np.random.Generator) -> Chain:
-    """Turn every hinge by a normal deviate (standard deviation in rad), and part the overlaps."""
+    """Turn every hinge by a normal deviate (standard deviation in rad), then separate overlapping atoms."""
     q = chain.q0.copy()
     turns = np.array([not hinge.is_angle for hinge in chain.hinges])
     turning = chain.tree.q_start[chain.hinge_body[turns]]
@@ -191,12 +194,12 @@ def perturbed(chain: Chain, spread: float, random: np.random.Generator) -> Chain
 
 
 def parted(chain: Chain) -> Chain:
-    """Part overlapping atoms by soft repulsion in torsions.
+    """Separate overlapping atoms by soft repulsion in torsions.
 
     Parameters
     ----------
     chain : Chain
-        As it may be at random dihedrals.
+        With any dihedrals, random ones for example.
 
     Returns
     -------
@@ -212,7 +215,7 @@ def _moved(chain: Chain, q: np.ndarray) -> Chain:
 
 
 def _chain_at(solution: Solution) -> Chain:
-    """Return the chain of a solution: the same bodies if they still fit, else cut anew."""
+    """Chain at the end of a solution: the same bodies if they still fit, otherwise rebuilt."""
     chain = solution.chain
     if len(solution.q) == chain.n_q and np.allclose(pose(chain, solution.q).x, solution.x, atol=1e-9):
         return _moved(chain, solution.q)

@@ -57,6 +57,7 @@ class Decaying:
     Parameters
     ----------
     length : float, rad
+        Initial step length.
     half : float
         Number of steps after which the length has halved.
     """
@@ -152,7 +153,7 @@ class Armijo:
 class StrongWolfe:
     """Search for a step length that meets the strong Wolfe conditions.
 
-    Nocedal, Wright, *Numerical Optimization* (2006), algorithms 3.5 and 3.6, as scipy has them.
+    Nocedal, Wright, *Numerical Optimization* (2006), algorithms 3.5 and 3.6, as implemented in scipy.
     """
 
     def init(self, at: Evaluation) -> None:
@@ -180,7 +181,7 @@ class StrongWolfe:
             return min((found.energy for found in tried.values() if found.is_finite), default=np.inf)
 
         with warnings.catch_warnings():
-            # Failure is in the return value.
+            # A failed search returns None.
             warnings.simplefilter("ignore")
             length = line_search(
                 height,

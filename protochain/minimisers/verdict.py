@@ -32,10 +32,11 @@ class Judgement:
     Parameters
     ----------
     energy : float, kJ/mol
+        Of the force field alone.
     max_torque : float, kJ/mol/rad
-        Over the freedoms of the chain; a free root's force counts as its moment at 0.1 nm.
+        Over the freedoms of the chain; the force on a free root counts as its moment at 0.1 nm.
     rms_force : float, kJ/mol/nm
-        Over all Cartesian components of the atoms that may move, as OpenMM's minimiser counts it.
+        Over all Cartesian components of the atoms that may move, as in OpenMM's minimiser.
     """
 
     energy: float
@@ -61,7 +62,7 @@ _JUDGE = "OpenMM's Reference platform, in double precision"
 
 
 def rebuilt(chain: Chain, x: Floats) -> Chain:
-    """Build a chain with the same hinges on other positions, whose bond lengths and angles may differ."""
+    """Rebuild a chain at other positions, whose bond lengths and angles may differ."""
     return build_chain(chain.structure.with_positions(x), chain.opened, chain.root, move=chain.move)
 
 
@@ -73,11 +74,11 @@ def verdict(
     Parameters
     ----------
     stop : Stop
-        Why the run ended.
+        Reason the run ended.
     met : bool
         Whether the judge found the tolerance met.
     measured : str
-        The residual, as the message quotes it.
+        Residual, as the message quotes it.
     structure : Structure
     x : (na, 3) float, nm
     n_evaluations : int
@@ -86,7 +87,7 @@ def verdict(
     -------
     Status, str
     """
-    # A minimum in which atoms overlap is no usable result.
+    # A minimum with overlapping atoms is no usable result.
     overlap = overlaps(structure, x)
     if met and not overlap:
         return Status.CONVERGED, f"converged: {measured}"

@@ -1,8 +1,8 @@
-"""Error against run time: what each method makes of many structures, by evaluations and by seconds.
+"""Energy error of each method against its cost on many structures, in evaluations and in seconds.
 
-For every structure the lowest end of all methods with the same freedoms is the best known: torsion methods
-keep bond lengths and angles, the others do not. Energies are those of the run's own engine: in double
-precision, but for OpenMM's.
+The best known energy of a structure is the lowest end of all methods with the same degrees of freedom, since
+torsion methods keep bond lengths and angles. Energies are those of the run's own engine, in double precision
+except OpenMM's.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,12 +24,12 @@ METHODS = (
     "kcm", "kcm-adaptive", "kcm-metric", "kcm-stiffness", "newton", "lbfgs", "cartesian", "hybrid", "openmm",
 )  # fmt: skip
 PEPTIDES = ("YGGFM", "AAAAAAAAAA", "NLYIQWLKDGGPSSGRPPPS")
-"""Met-enkephalin, decaalanine and Trp-cage, from extended chains, where no files are given."""
+"""Met-enkephalin, decaalanine and Trp-cage, as extended chains, for use without files."""
 ABOVE = (100.0, 10.0, 1.0)
 """kJ/mol per 100 residues above the best known."""
 _WORK, _LEAST, _MOST = 2e6, 200, 1000
-"""Evaluations times atoms, and evaluations at least and at most: the steady methods need no more, and the
-others would creep for hours on a large protein. OpenMM has twice as many."""
+"""Evaluations times atoms, and limits of the evaluations: fast methods need no more, and slow ones would take
+hours on a large protein. OpenMM is allowed twice as many."""
 
 
 def run(output: Path, inputs: Sequence[Path] = ()) -> Iterator[pd.DataFrame]:
@@ -45,7 +45,7 @@ def run(output: Path, inputs: Sequence[Path] = ()) -> Iterator[pd.DataFrame]:
     Yields
     ------
     pandas.DataFrame
-        The ends of each structure when it is done, and at last the table.
+        Ends of each structure when it is done, and finally the table.
     """
     traces, ends = [], []
     for structure in (load(path) for path in inputs) if inputs else map(from_sequence, PEPTIDES):
@@ -87,17 +87,17 @@ def measure(structure: Structure) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def work(traces: pd.DataFrame, ends: pd.DataFrame) -> pd.DataFrame:
-    """Count evaluations and seconds until each method was near the best known.
+    """Evaluations and seconds until each method came near the best known energy.
 
     Parameters
     ----------
     traces, ends : pandas.DataFrame
-        As of :func:`measure`, of one or many structures.
+        As from :func:`measure`, of one or many structures.
 
     Returns
     -------
     pandas.DataFrame
-        A row a method, cost and nearness: ``median`` with quartiles over the structures, infinite for never.
+        One row per method, cost and threshold: median and quartiles over the structures, infinite if never.
     """
     rows = []
     for (method, structure), trace in traces.groupby(["method", "structure"], sort=False):
@@ -109,13 +109,13 @@ def work(traces: pd.DataFrame, ends: pd.DataFrame) -> pd.DataFrame:
                 rows.append({"method": method, "cost": cost, "above": above, "needed": needed})
     groups = pd.DataFrame(rows).groupby(["method", "cost", "above"], sort=False)["needed"]
     levels = {"first_quartile": 0.25, "median": 0.5, "third_quartile": 0.75}
-    # Between a number and never there is nothing to interpolate.
+    # No interpolation between a number and infinity.
     table = pd.DataFrame({name: groups.quantile(at, interpolation="higher") for name, at in levels.items()})
     return table.reset_index().rename(columns={"above": "above_kj_mol_per_100_residues"})
 
 
 def plot(traces: pd.DataFrame, ends: pd.DataFrame) -> Figure:
-    """Draw the median energy above the best known against evaluations and seconds."""
+    """Median energy above the best known, against evaluations and seconds."""
     figure = Figure(figsize=(11, 8), layout="constrained")
     axes = figure.subplots(2, 2, sharey=True)
     for row, (name, in_torsions) in zip(
@@ -146,7 +146,7 @@ def _above(run: pd.DataFrame, ends: pd.DataFrame, cost: str, grid: np.ndarray) -
 
 
 def _best(ends: pd.DataFrame, method: str, structure: str) -> tuple[float, int]:
-    """Lowest end of the methods with this one's freedoms, kJ/mol, and the number of residues."""
+    """Lowest end (kJ/mol) of methods with the same degrees of freedom, and the number of residues."""
     own = ends[ends["structure"] == structure]
     same = [name for name, r in RECIPES.items() if r.keeps_geometry == RECIPES[method].keeps_geometry]
     alike = own[own["method"].isin(same)]

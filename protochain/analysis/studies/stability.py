@@ -1,8 +1,7 @@
-"""Error against run time of M^-1 tau by three routes, and what each makes of stiff and extreme cases.
+"""Error and run time of M^-1 tau by three algorithms, and their accuracy in stiff and extreme cases.
 
-The error is the backward error
-|M x - tau| / (|M| |x| + |tau|) in units of the machine's precision, M x by Newton-Euler and the norm of M by
-ten steps of the power method: O(n), so that no dense matrix is needed to judge long chains.
+The error is the backward error |M x - tau| / (|M| |x| + |tau|) in units of machine precision, with M x by
+Newton-Euler and |M| by ten steps of the power method: O(n), so that long chains need no dense matrix.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -38,17 +37,17 @@ SIZES = (10, 30, 100, 300, 1000, 3000, 10_000, 100_000)
 
 
 def dense(tree: Tree, frames: Frames, tau: np.ndarray) -> np.ndarray:
-    """M by composite bodies, then Cholesky: O(n^3)."""
+    """Composite-rigid-body algorithm, then Cholesky: O(n^3)."""
     return cho_solve(cho_factor(mass_matrix(tree, frames)), tau)
 
 
 def articulated(tree: Tree, frames: Frames, tau: np.ndarray) -> np.ndarray:
-    """O(n)."""
+    """Articulated-body algorithm: O(n)."""
     return solve_mass(tree, frames, tau)
 
 
 def fixman(tree: Tree, frames: Frames, tau: np.ndarray) -> np.ndarray:
-    """O(n), one step of refinement included."""
+    """Fixman's method with one step of refinement: O(n)."""
     return solve_mass(tree, frames, tau, "fixman")
 
 
@@ -61,7 +60,7 @@ STYLES = {"dense Cholesky": ("#D55E00", "o"), "articulated": ("#0072B2", "s"), "
 
 
 def norm_of_mass(tree: Tree, frames: Frames) -> float:
-    """Largest eigenvalue of M, from below."""
+    """Largest eigenvalue of M, approached from below by the power method."""
     x = np.random.default_rng(1).normal(size=tree.n_v)
     for _ in range(10):
         x = multiply_mass(tree, frames, x / np.linalg.norm(x))
@@ -69,13 +68,13 @@ def norm_of_mass(tree: Tree, frames: Frames) -> float:
 
 
 def backward_error(tree: Tree, frames: Frames, x: np.ndarray, tau: np.ndarray) -> float:
-    """Return the backward error of x as M^-1 tau, in units of the machine's precision."""
+    """Backward error of x as M^-1 tau, in units of machine precision."""
     residual = np.linalg.norm(multiply_mass(tree, frames, x) - tau)
     return float(residual / (norm_of_mass(tree, frames) * np.linalg.norm(x) + np.linalg.norm(tau)) / EPS)
 
 
 def error_against_time() -> pd.DataFrame:
-    """Measure each size and route: random serial chains, free in space."""
+    """Errors and times of all routes on random serial chains with a free root, by size."""
     rows = []
     for n in SIZES:
         tree = random_tree(n, n, 0.0, HingeKind.FREE)
@@ -105,7 +104,7 @@ def error_against_time() -> pd.DataFrame:
 
 
 def crossover() -> int:
-    """Smallest number of bodies from which articulated bodies are always quicker than the dense matrix."""
+    """Number of bodies from which the articulated-body algorithm is always faster than the dense matrix."""
     slower = 0
     for n in range(2, 61, 2):
         tree = random_tree(n, n, 0.0, HingeKind.REVOLUTE)
@@ -123,10 +122,10 @@ def crossover() -> int:
 
 
 def beads(n: int, shared: bool, angle: float = 70.0) -> Tree:
-    """Make a chain of equal beads with all torsions open: each beyond the third is a body of its own.
+    """Chain of equal beads with free torsions: each bead beyond the third is a body of its own.
 
-    With ``shared`` the mass of a bead on the axes of neighbouring hinges counts a third in each of the three
-    bodies in which it is at rest, and every body is full.
+    With ``shared``, a bead on the axes of neighbouring hinges gives a third of its mass to each of the three
+    bodies in which it is at rest, so that every rotational inertia has full rank.
     """
     turn = np.deg2rad(180.0 - angle)
     parent, kind = np.arange(-1, n - 3), np.full(n - 2, HingeKind.REVOLUTE)
@@ -151,7 +150,7 @@ def beads(n: int, shared: bool, angle: float = 70.0) -> Tree:
 
 
 def nearly_collinear(degrees: float) -> Tree:
-    """Make a chain of thirty whose last body lies within so many degrees of its hinge's axis."""
+    """Chain of thirty bodies, the last at this angle from its hinge's axis."""
     tree = random_tree(30, 4, 0.0, HingeKind.FREE)
     away = np.deg2rad(degrees)
     points = np.array([[0.0, 0.0, 0.05], [0.1 * np.sin(away), 0.0, 0.1 * np.cos(away)]])
@@ -162,7 +161,7 @@ def nearly_collinear(degrees: float) -> Tree:
 
 
 def mass_ratio(ratio: float) -> Tree:
-    """Make a branched tree of a hundred with every other body heavier or lighter by a factor."""
+    """Branched tree of a hundred bodies, every other one heavier or lighter by a factor."""
     tree = random_tree(100, 6, 0.3, HingeKind.FREE)
     factor = np.where(np.arange(100) % 2, ratio, 1.0)
     return replace(tree, mass=tree.mass * factor, inertia=tree.inertia * factor[:, None, None])
@@ -184,7 +183,7 @@ CASES: dict[str, Callable[[], Tree]] = {
 
 
 def extremes() -> pd.DataFrame:
-    """Measure each case: the backward error of each route, or what it says."""
+    """Backward error of each route in each case, or its error message."""
     rows: list[dict[str, object]] = []
     for case, build in CASES.items():
         row: dict[str, object] = {"case": case}
@@ -209,7 +208,7 @@ def extremes() -> pd.DataFrame:
 
 
 def plot(table: pd.DataFrame) -> Figure:
-    """Time and error against the number of bodies."""
+    """Run time and error against the number of bodies."""
     figure = Figure(figsize=(10, 4), layout="constrained")
     for ax, column, label in zip(
         figure.subplots(1, 2), ("ms", "backward_error_eps"), ("ms", "backward error, eps"), strict=True
@@ -226,14 +225,14 @@ def plot(table: pd.DataFrame) -> Figure:
 
 
 def run(output: Path, inputs: Sequence[Path] = ()) -> Iterator[pd.DataFrame]:
-    """Measure both; write ``error_against_time.csv`` with its plot, and ``extremes.csv``.
+    """Run both parts; write ``error_against_time.csv`` with its plot, and ``extremes.csv``.
 
     Parameters
     ----------
     output : Path
         Folder.
     inputs : sequence of Path
-        None: chains are random.
+        Must be empty: the chains are random.
 
     Yields
     ------
@@ -241,7 +240,7 @@ def run(output: Path, inputs: Sequence[Path] = ()) -> Iterator[pd.DataFrame]:
         Each table, when it is written.
     """
     if inputs:
-        raise ProtochainError("stability: makes its own chains; give no files")
+        raise ProtochainError("stability: builds its own chains; give no files")
     table = error_against_time()
     write_atomically(output / "error_against_time.csv", lambda to: table.to_csv(to, index=False))
     write_atomically(output / "error_against_time.png", partial(plot(table).savefig, dpi=150))
