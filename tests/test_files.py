@@ -2,7 +2,9 @@
 
 import gzip
 import io
+import itertools
 import os
+import string
 import subprocess
 import sys
 from pathlib import Path
@@ -11,11 +13,13 @@ import gemmi
 import numpy as np
 import pytest
 from conftest import MORE_STRUCTURES, ROOT, STRUCTURES, load, shared
+from pdbfixer.pdbfixer import substitutions
 
 import protochain as pc
 from protochain import residues
 from protochain.structure.files import parse
 from protochain.structure.read import model_numbers
+from protochain.structure.write import as_text
 
 FILES = sorted(
     str(path.relative_to(MORE_STRUCTURES))
@@ -287,6 +291,44 @@ def test_modified_residues_become_their_parents_and_d_stays_d(tmp_path):
     assert "M3L of chain W: taken as LYS, its standard parent, CM1, CM2, CM3 left out" in "".join(
         pc.load(shared("1kyo_m3l.pdb")).repairs
     )
+
+
+AMINO_ACIDS = {
+    name
+    for letters in itertools.product(string.ascii_uppercase + string.digits, repeat=3)
+    if gemmi.find_tabulated_residue(name := "".join(letters)).is_amino_acid()
+}
+
+
+@pytest.mark.parametrize("extra_atom", [False, True])
+def test_every_amino_acid_becomes_its_parent_or_is_refused_by_name(extra_atom, tmp_path):
+    """D forms, tautomers and modified residues, at both ends of a chain and within it."""
+    parents = {letter: name for name, letter in residues.STANDARD.items()}
+    refused = set()
+    for name in AMINO_ACIDS | set(substitutions):
+        letter = gemmi.find_tabulated_residue(name).one_letter_code.upper()
+        parent = substitutions.get(name) or parents.get(letter, "ALA")
+        code = residues.STANDARD[parent]
+        lines = []
+        text = as_text(pc.from_sequence(f"{code}A{code}A{code}"), ".pdb", hydrogens=not extra_atom)
+        for line in text.splitlines(keepends=True):
+            if line.startswith("ATOM") and line[22:26] in ("   1", "   3", "   5"):
+                line = f"{line[:17]}{name}{line[20:]}"
+                if extra_atom and line[12:16] == " CA ":
+                    lines.append(f"{line[:12]} CQ {line[16:30]}{float(line[30:38]) + 1.4:8.3f}{line[38:]}")
+            lines.append(line)
+        path = written(tmp_path, "".join(lines))
+        try:
+            s = pc.load(path)
+        except pc.ProtochainError as error:
+            assert f"{path}: residue " in str(error) and "\n" not in str(error)
+            refused.add(name)
+        else:
+            assert s.residue_name.tolist() == [parent, "ALA", parent, "ALA", parent]
+    # Those without a parent; hydroxyproline, which ff14SB has; and what has an atom too many.
+    unknown = {name for name in AMINO_ACIDS if gemmi.find_tabulated_residue(name).one_letter_code in "XBZUO "}
+    standard = {*residues.STANDARD, *residues.STATE_PARENT} if extra_atom else set()
+    assert refused == unknown | {"HYP"} | (standard & (AMINO_ACIDS | set(substitutions)))
 
 
 def test_a_crosslink_that_no_force_field_has_is_named(tmp_path):

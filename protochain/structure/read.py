@@ -206,8 +206,9 @@ class _Reader:
             self._say(f"{sum(unseen)} atoms of occupancy 0 kept, in {places[0]}{more}")
 
     def _is_protein(self, name: str) -> bool:
-        standard = standard_name(name.strip().upper())[0]
-        return standard in residues.STANDARD or standard in residues.CAPS or bool(_parent(standard))
+        name = name.strip().upper()
+        standard = standard_name(name)[0]
+        return standard in residues.STANDARD or standard in residues.CAPS or bool(_parent(name))
 
     def _member(self, residue: gemmi.Residue) -> Member | None:
         """Return the residue under its standard name, or None where it is no part of the protein."""
@@ -218,17 +219,21 @@ class _Reader:
                 atom.element = _element(atom)
         atoms = [atom for atom in residue if atom.element != gemmi.Element("D")]
         self.draft.left_out["deuterium atoms"] += len(residue) - len(atoms)
+        backbone = {*residues.BACKBONE} <= {atom.name for atom in atoms}
+        if backbone and name in residues.NUCLEOTIDES:
+            # DCY: D-cysteine in the archive, deoxycytidine in OpenMM's table of names.
+            name = given.strip().upper()
         member = Member(
             name, str(residue.seqid.num), residue.seqid.icode.strip(), self.chain_id, atoms, state
         )
-        backbone = {"N", "CA", "C"} <= {atom.name for atom in atoms}
         if name in residues.STANDARD or name in residues.CAPS:
             if state:
                 self._say(f"{self._describe(residue)}: taken as {name}, its protonation as its name says")
             if member.is_cap:
                 rename(member.atoms, self.known[template_name(name)])
             return member
-        if backbone and name in self.known and name not in residues.NUCLEOTIDES:
+        # DGN: D-glutamine in the archive, a nucleoside in Amber's files.
+        if backbone and name in self.known and {*residues.BACKBONE} <= self.known[name].element.keys():
             return member
         parent = _parent(name)
         if backbone and parent:
@@ -251,7 +256,8 @@ class _Reader:
 
     def _convert(self, member: Member, parent: str, where: str) -> None:
         """Turn a modified residue into its standard parent."""
-        named = self.known[parent]
+        # HIP has the atoms of every state of histidine.
+        named = self.known["HIP" if parent == "HIS" else parent]
         own = {*named.element, *named.synonyms, "OXT", "H1", "H2", "H3", "H"}
         for name in set(named.heavy) - {atom.name for atom in member.atoms}:
             # Selenium, or a sulphur under another name, stands for the parent's one sulphur.
