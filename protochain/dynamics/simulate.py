@@ -22,8 +22,8 @@ from protochain.dynamics.overall import can_drift
 from protochain.dynamics.settings import Settings, integrator, thermostat
 from protochain.dynamics.simulation import Simulation
 from protochain.dynamics.system import StepTooLargeError, System, chain_potential, total
-from protochain.energies.factory import energy as build_energy
-from protochain.energies.protocol import Energy, check_is_of
+from protochain.energies import Energy, as_energy
+from protochain.energies.custom import EnergyFunction
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.multibody import HingeKind, articulated
@@ -36,7 +36,7 @@ Watcher = Callable[[Mapping[str, float], Floats], None]
 
 def simulate(
     chain: Any,
-    energy: Energy | None = None,
+    energy: Energy | EnergyFunction | None = None,
     q: Floats | None = None,
     temperature: float = 300.0,
     time_step: float = 0.005,
@@ -65,8 +65,8 @@ def simulate(
     chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
         A file is loaded, a structure cut into a chain with the default hinges. A root that ``auto`` fixed is
         freed.
-    energy : Energy, optional
-        ff14SB with OBC2 by default.
+    energy : Energy or callable, optional
+        Positions (na, 3) in nm -> energy in kJ/mol and forces in kJ/mol/nm; ff14SB with OBC2 by default.
     q : (n_q,) float, optional
         Where to begin, in the coordinates of the chain as it is given; its input pose by default. Begin from
         a minimum: a strained start is hot.
@@ -127,9 +127,7 @@ def simulate(
     elif resume:
         raise ProtochainError("resume: give the folder of the simulation as output")
     chain = as_chain(chain)
-    if energy is None:
-        energy = build_energy(chain.structure)
-    check_is_of(energy, chain.structure)
+    energy = as_energy(energy, chain.structure)
     scene = _scene(chain, energy, q, settings)
     folder = Folder(Path(output), trajectory, scene.identity) if output is not None else None
     with threadpool_limits(1, "blas"):

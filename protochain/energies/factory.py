@@ -9,6 +9,7 @@ import openmm
 from openmm import app, unit
 
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
+from protochain.energies.native.implicit import COULOMB, COULOMB_CUSTOM, OBC_OFFSET
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 from protochain.errors import ForceFieldError
@@ -40,14 +41,6 @@ _BESIDE = {
 """Waters, ions and nucleic acids, for what is kept beside the protein."""
 
 ENGINES = ("auto", "native", "openmm")
-
-_OBC_OFFSET = 0.009
-"""nm. The OBC radius offset that the implicit files subtract from each radius and GBSAOBCForce adds."""
-
-_COULOMB_GBSAOBC = 138.93545764438198
-_COULOMB_CUSTOM = 138.935485
-"""kJ nm/mol/e^2. GBSAOBCForce and the CustomGBForce of the implicit files round 1/(4 pi epsilon0)
-differently: scaling the charges by the root of the ratio makes the two energies equal."""
 
 
 def energy(
@@ -96,70 +89,87 @@ def energy(
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
     if threads is not None and threads < 1:
         raise ForceFieldError(f"threads {threads}: give at least 1")
-    if system is not None:
-        if system.getNumParticles() != structure.n_atoms:
-            raise ForceFieldError(
-                f"the System has {system.getNumParticles()} particles but {structure.name} has "
-                f"{structure.n_atoms} atoms; build it from structure.topology"
-            )
-        return _by_engine(
-            engine, OpenMMEnergy(system, threads=threads, note="the System given by the caller")
+    if system is None:
+        system = build_system(structure, forcefield, solvent, trust_forcefield)
+        note = _use_gbsa_obc(system) if solvent == "obc2" else "no cutoff"
+        by_openmm = OpenMMEnergy(system, "CPU", threads, forcefield, solvent, note, structure.fingerprint)
+    elif system.getNumParticles() == structure.n_atoms:
+        by_openmm = OpenMMEnergy(system, threads=threads, note="the System given by the caller")
+    else:
+        raise ForceFieldError(
+            f"the System has {system.getNumParticles()} particles but {structure.name} has "
+            f"{structure.n_atoms} atoms; build it from structure.topology"
         )
+    return _by_engine(engine, by_openmm)
+
+
+def build_system(
+    structure: Structure, forcefield: str = "amber14", solvent: str = "obc2", trust_forcefield: bool = False
+) -> openmm.System:
+    """Build the OpenMM System of a structure as the files of the force field define it.
+
+    Parameters
+    ----------
+    structure, forcefield, solvent, trust_forcefield
+        As of :func:`energy`.
+
+    Returns
+    -------
+    openmm.System
+        Without a cutoff; obstacles have no mass, so that OpenMM does not move them.
+
+    Raises
+    ------
+    ForceFieldError
+        As :func:`energy`.
+    """
     if solvent not in SOLVENTS:
         raise ForceFieldError(f"solvent {solvent!r} is not known; choose from {', '.join(SOLVENTS)}")
-    own = _own_file(forcefield)
-    if own is None:
+    bundled = _bundled_file(forcefield)
+    if bundled is None:
         _check_file(Path(forcefield), trust_forcefield)
-    files = [own or str(Path(forcefield).resolve())]
+    files = [bundled or str(Path(forcefield).resolve())]
     if structure.obstacle.any():
         files += [str(DATA / name) for name in _BESIDE.get(forcefield, ()) if (DATA / name).exists()]
     if SOLVENTS[solvent] is not None:
         files.append(str(DATA / str(SOLVENTS[solvent])))
     try:
-        # A user's file may change between calls, and one that is trusted may raise anything.
-        force_field = _own_force_field(*files) if own else app.ForceField(*files)
-        built = force_field.createSystem(structure.topology, nonbondedMethod=app.NoCutoff, rigidWater=False)
+        # A user's file may change between calls, and a trusted one may raise anything.
+        force_field = _bundled_force_field(*files) if bundled else app.ForceField(*files)
+        system = force_field.createSystem(structure.topology, nonbondedMethod=app.NoCutoff, rigidWater=False)
     except Exception as error:
         reason = " ".join(f"{error}".split()) or type(error).__name__
         raise ForceFieldError(
             f"{structure.name}: force field {forcefield!r} with solvent {solvent!r} does not fit: {reason}"
         ) from None
     for atom in np.flatnonzero(structure.obstacle).tolist():
-        # OpenMM moves nothing that has no mass.
-        built.setParticleMass(atom, 0.0)
-    note = "no cutoff"
-    if solvent == "obc2":
-        note = _use_gbsa_obc(built)
-    twin = OpenMMEnergy(built, "CPU", threads, forcefield, solvent, note, structure.fingerprint)
-    return _by_engine(engine, twin)
+        system.setParticleMass(atom, 0.0)
+    return system
 
 
-def _by_engine(engine: str, twin: OpenMMEnergy) -> Energy:
-    """Return the energy by the engine asked for."""
+def _by_engine(engine: str, by_openmm: OpenMMEnergy) -> Energy:
+    """Choose the engine; ``auto`` falls back on OpenMM and notes why."""
     if engine == "openmm":
-        return twin
+        return by_openmm
     try:
-        return NativeEnergy(twin, twin.threads)
+        return NativeEnergy(by_openmm, by_openmm.threads)
     except UnsupportedForceError as error:
         if engine == "native":
             raise
-        note = f"{twin.note}; not by the native engine: {error}"
-        return OpenMMEnergy(
-            twin.system, twin.platform, twin.threads, twin.forcefield, twin.solvent, note.removeprefix("; "),
-            twin.atoms,
-        )  # fmt: skip
+        by_openmm.note = f"{by_openmm.note}; not by the native engine: {error}".removeprefix("; ")
+        return by_openmm
 
 
 @cache
-def _own_force_field(*files: str) -> app.ForceField:
+def _bundled_force_field(*files: str) -> app.ForceField:
     return app.ForceField(*files)
 
 
-def _own_file(name: str) -> str | None:
+def _bundled_file(name: str) -> str | None:
     """Whole path of a file that comes with OpenMM, unless the user has one of that name."""
-    inside = (DATA / FORCE_FIELDS.get(name, name)).resolve()
-    ours = name in FORCE_FIELDS or (inside.is_relative_to(DATA.resolve()) and not Path(name).exists())
-    return str(inside) if ours and inside.is_file() else None
+    path = (DATA / FORCE_FIELDS.get(name, name)).resolve()
+    bundled = name in FORCE_FIELDS or (path.is_relative_to(DATA.resolve()) and not Path(name).exists())
+    return str(path) if bundled and path.is_file() else None
 
 
 def _check_file(path: Path, trusted: bool) -> None:
@@ -200,7 +210,8 @@ def _use_gbsa_obc(system: openmm.System) -> str:
     names = [custom.getPerParticleParameterName(i) for i in range(custom.getNumPerParticleParameters())]
     if names != ["charge", "or", "sr"] or custom.getNumExclusions() or custom.getNumFunctions():
         return "OBC2 as a CustomGBForce, which this force field changes from the standard one"
-    charge_scale = np.sqrt(_COULOMB_CUSTOM / _COULOMB_GBSAOBC)
+    # The two forces round 1/(4 pi epsilon0) differently; scaled charges make their energies equal.
+    charge_scale = np.sqrt(COULOMB_CUSTOM / COULOMB)
     force = openmm.GBSAOBCForce()
     force.setNonbondedMethod(openmm.GBSAOBCForce.NoCutoff)
     force.setSolventDielectric(78.5)
@@ -208,7 +219,7 @@ def _use_gbsa_obc(system: openmm.System) -> str:
     for i in range(custom.getNumParticles()):
         charge, reduced_radius, scaled_radius = custom.getParticleParameters(i)
         scale = scaled_radius / reduced_radius
-        force.addParticle(charge * charge_scale, (reduced_radius + _OBC_OFFSET) * unit.nanometer, scale)
+        force.addParticle(charge * charge_scale, (reduced_radius + OBC_OFFSET) * unit.nanometer, scale)
     system.removeForce(places[0])
     system.addForce(force)
     return "no cutoff; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml"

@@ -1,19 +1,20 @@
 """What every energy offers."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from protochain.arrays import Floats, Integers
 from protochain.errors import ProtochainError
 from protochain.structure.model import Structure
 
 
+@runtime_checkable
 class Energy(Protocol):
     """A potential energy of atom positions, whichever engine computes it."""
 
     @property
     def engine(self) -> str:
-        """Engine that computes it: ``native`` or ``openmm``."""
+        """Engine that computes it: ``native``, ``openmm`` or ``custom``."""
 
     @property
     def reason(self) -> str:

@@ -10,14 +10,16 @@ from protochain.arrays import Floats, Integers
 from protochain.energies.native.neck import REACH
 from protochain.energies.native.reading import UnsupportedForceError, bare, plain
 
-_COULOMB_GBSAOBC = 138.93545764438198
-_COULOMB_CUSTOM = 138.935485
-"""kJ nm/mol/e^2, as the two forces round them."""
+COULOMB = 138.93545764438198
+"""kJ nm/mol/e^2, 1/(4 pi epsilon0), as OpenMM's NonbondedForce and GBSAOBCForce round it."""
+COULOMB_CUSTOM = 138.935485
+"""The same as the implicit-solvent files round it."""
 _PROBE = 0.14
 """nm. Radius of water."""
 _AREA_CUSTOM = 28.3919551
 """kJ/mol/nm^2, 4 pi times the surface tension, as the implicit files round it."""
-_GBSAOBC_OFFSET = 0.009
+OBC_OFFSET = 0.009
+"""nm. Offset of the dielectric radii: GBSAOBCForce subtracts it, the files have it subtracted already."""
 _OBC2 = (1.0, 0.8, 4.85)
 """alpha, beta, gamma: Onufriev, Bashford, Case, Proteins 55:383 (2004), table 1."""
 
@@ -80,9 +82,9 @@ def from_gbsa_obc(force: openmm.GBSAOBCForce) -> Solvent:
     charge, radius, scale = np.array([[plain(v) for v in row] for row in values]).T
     polar = _polar(force.getSoluteDielectric(), force.getSolventDielectric())
     area = 4.0 * np.pi * plain(force.getSurfaceAreaEnergy())
-    offset_radius = radius - _GBSAOBC_OFFSET
+    offset_radius = radius - OBC_OFFSET
     return Solvent(
-        charge * np.sqrt(_COULOMB_GBSAOBC * polar), offset_radius, offset_radius * scale, radius,
+        charge * np.sqrt(COULOMB * polar), offset_radius, offset_radius * scale, radius,
         np.tile(_OBC2, (len(radius), 1)), area * (radius + _PROBE) ** 2 * radius**6, True, None,
         plain(force.getCutoffDistance()) if cut else np.inf,
     )  # fmt: skip
@@ -142,7 +144,7 @@ def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
     if area is not None:
         surface = _AREA_CUSTOM * (of["or"] + area + _PROBE) ** 2 * (of["or"] + area) ** 6
     return Solvent(
-        of["charge"] * np.sqrt(_COULOMB_CUSTOM * polar), of["or"], of["sr"], radius, bend, surface, False,
+        of["charge"] * np.sqrt(COULOMB_CUSTOM * polar), of["or"], of["sr"], radius, bend, surface, False,
         _necks(bare(values[0][1]), of, force), cutoff,
     )  # fmt: skip
 

@@ -8,12 +8,9 @@ import numpy as np
 import openmm
 
 from protochain.arrays import Floats, Integers
-from protochain.energies.native.implicit import Solvent, from_custom_gb, from_gbsa_obc
+from protochain.energies.native.implicit import COULOMB, Solvent, from_custom_gb, from_gbsa_obc
 from protochain.energies.native.maps import spline_coefficients
 from protochain.energies.native.reading import UnsupportedForceError, bare, one_cutoff, plain
-
-COULOMB = 138.93545764438198
-"""kJ nm/mol/e^2, as OpenMM's NonbondedForce has it."""
 
 
 @dataclass(frozen=True, eq=False)
