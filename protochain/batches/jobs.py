@@ -15,11 +15,9 @@ from typing import Any
 from protochain.errors import ProtochainError
 from protochain.minimisers.api import check_settings
 from protochain.minimisers.stages import Hold
+from protochain.structure.files import SUFFIXES
 from protochain.structure.prepare import PH, own_file
 from protochain.structure.read import model_numbers
-
-SUFFIXES = (".pdb", ".ent", ".cif", ".mmcif")
-"""What a folder is searched for, each also with .gz."""
 
 _GLOB = frozenset("*?[")
 

@@ -17,6 +17,8 @@ MAX_MEGABYTES = 512
 MAX_ATOMS = 250_000
 """Of a model. Preparation takes some ten kilobytes an atom, and energies without a cutoff take the square."""
 STANDARD_INPUT = Path("-")
+SUFFIXES = {".pdb": "PDB", ".ent": "PDB", ".cif": "mmCIF", ".mmcif": "mmCIF"}
+"""Format that the end of a name stands for. It decides how a file is written, not how it is read."""
 
 _COORDINATE_COLUMNS = 54
 _RECORDS = ("ATOM", "HETATM", "ANISOU", "SIGATM", "SIGUIJ")

@@ -8,11 +8,10 @@ import numpy as np
 
 from protochain.errors import StructureError
 from protochain.storage import write_atomically
+from protochain.structure.files import SUFFIXES
 from protochain.structure.model import Structure
 from protochain.units import ANGSTROM_PER_NM
 
-_PDB = (".pdb", ".ent")
-_MMCIF = (".cif", ".mmcif")
 _REMARK_WIDTH = 68
 _PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999
 """Angstrom: what eight columns with three decimals hold."""
@@ -47,7 +46,7 @@ def as_text(structure: Structure, suffix: str, remarks: Iterable[str] = (), *, h
     out = _gemmi_structure(structure)
     if not hydrogens:
         out.remove_hydrogens()
-    return (_pdb if suffix.lower() in _PDB else _mmcif)(out, remarks)
+    return _WRITERS[SUFFIXES[suffix.lower()]](out, remarks)
 
 
 def check_format(path: Path) -> None:
@@ -58,7 +57,7 @@ def check_format(path: Path) -> None:
     StructureError
         Naming the suffix.
     """
-    if path.suffix.lower() not in _PDB + _MMCIF:
+    if SUFFIXES.get(path.suffix.lower()) not in _WRITERS:
         raise StructureError(f"{path}: unknown suffix {path.suffix!r}; end the name in .pdb or .cif")
 
 
@@ -70,7 +69,7 @@ def check_fits(structure: Structure, path: Path) -> None:
     StructureError
         Naming the chain or the atom.
     """
-    if path.suffix.lower() not in _PDB:
+    if SUFFIXES[path.suffix.lower()] != "PDB":
         return
     long = [str(chain_id) for chain_id in structure.residue_chain if len(chain_id) > 1]
     if long:
@@ -157,3 +156,6 @@ def _pdb(out: gemmi.Structure, remarks: Iterable[str]) -> str:
         for i in range(0, max(len(text), 1), _REMARK_WIDTH)
     ]
     return "".join(f"{line}\n" for line in lines) + out.make_pdb_string(options)
+
+
+_WRITERS = {"PDB": _pdb, "mmCIF": _mmcif}
