@@ -16,7 +16,7 @@ from protochain.errors import ProtochainError
 from protochain.minimisers.api import check_settings
 from protochain.minimisers.stages import Hold
 from protochain.structure.files import SUFFIXES
-from protochain.structure.prepare import PH, own_file
+from protochain.structure.prepare import PH, user_file
 from protochain.structure.read import model_numbers
 
 _GLOB = frozenset("*?[")
@@ -268,7 +268,7 @@ def _hash(path: Path) -> str:
 
 
 def _key(found: _Found) -> str:
-    own = own_file(found.settings.forcefield)
+    own = user_file(found.settings.forcefield)
     said = [version("protochain"), found.content, asdict(found.settings), _hash(own) if own else ""]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
