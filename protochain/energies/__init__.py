@@ -1,4 +1,4 @@
-"""Cartesian positions -> (energy, forces). Knows nothing of chains."""
+"""Potential energies and forces of Cartesian positions; independent of chains."""
 
 from protochain.energies.custom import CustomEnergy, as_energy
 from protochain.energies.factory import build_system, energy

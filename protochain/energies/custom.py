@@ -1,4 +1,4 @@
-"""Energies given as Python callables."""
+"""Energies that users give as Python callables."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -19,7 +19,7 @@ EnergyFunction = Callable[[Floats], tuple[float, ArrayLike]]
 
 
 class CustomEnergy:
-    """A Python callable as an energy: no other engine can check it, so that it is its own reference.
+    """Energy by a Python callable. No other engine can check it: it is its own reference.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Names a user types -> an OpenMM System -> an Energy."""
+"""Energies built from names of force field, solvent and engine."""
 
 import xml.etree.ElementTree as ElementTree
 from functools import cache
@@ -16,8 +16,8 @@ from protochain.errors import ForceFieldError
 from protochain.structure.model import Structure
 
 DATA = Path(app.__file__).parent / "data"
-"""OpenMM's own files. Named by whole path: OpenMM looks for a bare name in the working directory first,
-where anyone may have put a file that runs code."""
+"""Files bundled with OpenMM, named by full path: OpenMM looks for a bare name in the working directory first,
+where a file of that name could run code."""
 
 FORCE_FIELDS = {
     "amber14": "amber14/protein.ff14SB.xml",
@@ -26,10 +26,10 @@ FORCE_FIELDS = {
     "amber99sbildn": "amber99sbildn.xml",
     "charmm36": "charmm36.xml",
 }
-"""Short names of force fields that come with OpenMM; any other name is a file."""
+"""Short names of force fields bundled with OpenMM; any other name is a file."""
 
 SOLVENTS = {"vacuum": None, "obc2": "implicit/obc2.xml", "gbn2": "implicit/gbn2.xml"}
-"""Solvent models, and the OpenMM file that adds each."""
+"""Solvent models and their OpenMM files."""
 
 _BESIDE = {
     "amber14": ("amber14/tip3p.xml", "amber14/DNA.OL15.xml", "amber14/RNA.OL3.xml"),
@@ -38,7 +38,7 @@ _BESIDE = {
     "amber99sbildn": ("tip3p.xml",),
     "charmm36": ("charmm36/water.xml",),
 }
-"""Waters, ions and nucleic acids, for what is kept beside the protein."""
+"""Parameters of waters, ions and nucleic acids, used where such molecules are kept beside the protein."""
 
 ENGINES = ("auto", "native", "openmm")
 
@@ -58,32 +58,34 @@ def energy(
     Parameters
     ----------
     structure : Structure
+        Structure whose energy to build.
     forcefield : str
         ``amber14`` (ff14SB), ``amber19`` (ff19SB), ``amber99sb``, ``amber99sbildn``, ``charmm36``, the
-        name of an XML file that comes with OpenMM, or the path of one.
+        name of an XML file bundled with OpenMM, or the path of an XML file.
     solvent : str
         ``vacuum``, ``obc2`` (Onufriev, Bashford, Case, Proteins 55:383, 2004) or ``gbn2`` (Nguyen, Roe,
-        Simmerling, J. Chem. Theory Comput. 9:2020, 2013), no cutoff.
+        Simmerling, J. Chem. Theory Comput. 9:2020, 2013), without a cutoff.
     engine : str
-        ``native`` (kernels of our own, double precision), ``openmm`` (its CPU platform), or ``auto``: native
-        where it can represent every force, and else openmm, with the reason.
+        ``native`` (compiled kernels, double precision), ``openmm`` (CPU platform, single precision), or
+        ``auto``: native if it supports every force, otherwise openmm; ``reason`` of the energy says why.
     system : openmm.System, optional
-        Use this System as it is instead of building one.
+        System to use instead of building one.
     threads : int, optional
-        Threads to compute on; all of them by default.
+        Number of threads; all by default.
     trust_forcefield : bool
-        Allow a force-field file to run the Python scripts and open the files it names.
+        Allow a force-field file to run its Python scripts and to include other files.
 
     Returns
     -------
     Energy
+        Callable from positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm.
 
     Raises
     ------
     ForceFieldError
         If a name is unknown, the file would run code, or a residue has no parameters.
     UnsupportedForceError
-        If ``native`` is asked for and cannot represent a force exactly; its text names the force.
+        If the engine is ``native`` and has no exact kernel for a force, which is named.
     """
     if engine not in ENGINES:
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
@@ -94,7 +96,7 @@ def energy(
         note = _use_gbsa_obc(system) if solvent == "obc2" else "no cutoff"
         by_openmm = OpenMMEnergy(system, "CPU", threads, forcefield, solvent, note, structure.fingerprint)
     elif system.getNumParticles() == structure.n_atoms:
-        by_openmm = OpenMMEnergy(system, threads=threads, note="the System given by the caller")
+        by_openmm = OpenMMEnergy(system, threads=threads, note="System given by the caller")
     else:
         raise ForceFieldError(
             f"the System has {system.getNumParticles()} particles but {structure.name} has "
@@ -166,14 +168,14 @@ def _bundled_force_field(*files: str) -> app.ForceField:
 
 
 def _bundled_file(name: str) -> str | None:
-    """Whole path of a file that comes with OpenMM, unless the user has one of that name."""
+    """Full path of a file bundled with OpenMM; None for a user's file."""
     path = (DATA / FORCE_FIELDS.get(name, name)).resolve()
     bundled = name in FORCE_FIELDS or (path.is_relative_to(DATA.resolve()) and not Path(name).exists())
     return str(path) if bundled and path.is_file() else None
 
 
 def _check_file(path: Path, trusted: bool) -> None:
-    """OpenMM runs the scripts in a force-field file and opens its includes: refuse both unless trusted."""
+    """Refuse a force-field file with scripts, which OpenMM would run, or includes, unless it is trusted."""
     try:
         root = ElementTree.parse(path).getroot()
     except OSError:
@@ -186,30 +188,29 @@ def _check_file(path: Path, trusted: bool) -> None:
     )
     if active and not trusted:
         raise ForceFieldError(
-            f"{path}: has <{active[0]}>, which runs code or opens files; read it, then allow it with "
+            f"{path}: has <{active[0]}>, which runs code or opens files; if you trust it, allow that with "
             "--trust-forcefield (trust_forcefield=True)"
         )
 
 
 def _use_gbsa_obc(system: openmm.System) -> str:
-    """Put OpenMM's own OBC2 kernel in place of an equal CustomGBForce, where the two are the same.
+    """Replace the CustomGBForce of ``implicit/obc2.xml`` by GBSAOBCForce.
 
-    The energies are equal (to 1e-8; asserted in the tests); on the CPU platform the kernel is several
-    times faster. A CustomGBForce with other parameters, exclusions or tables than ``implicit/obc2.xml``
-    gives it is left alone.
+    The energies are equal (to 1e-8; asserted in the tests); on OpenMM's CPU platform GBSAOBCForce is several
+    times faster. A CustomGBForce with other parameters, exclusions or tables is left unchanged.
 
     Returns
     -------
     str
-        What was done.
+        Note on the change.
     """
     places = [i for i, force in enumerate(system.getForces()) if isinstance(force, openmm.CustomGBForce)]
     if len(places) != 1:
-        return "OBC2 as the force field builds it"
+        return "OBC2 as the force field defines it"
     custom = system.getForce(places[0])
     names = [custom.getPerParticleParameterName(i) for i in range(custom.getNumPerParticleParameters())]
     if names != ["charge", "or", "sr"] or custom.getNumExclusions() or custom.getNumFunctions():
-        return "OBC2 as a CustomGBForce, which this force field changes from the standard one"
+        return "OBC2 as the CustomGBForce that this force field modifies"
     # The two forces round 1/(4 pi epsilon0) differently; scaled charges make their energies equal.
     charge_scale = np.sqrt(COULOMB_CUSTOM / COULOMB)
     force = openmm.GBSAOBCForce()

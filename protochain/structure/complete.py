@@ -78,7 +78,7 @@ def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> None
 
 def _terminal_oxygen(draft: Draft, member: Member) -> gemmi.Atom:
     """Build the second oxygen of a carboxylate, in the plane of CA, C and O."""
-    c, alpha, o = (np.array(own.pos.tolist()) for name in ("C", "CA", "O") if (own := member.atom(name)))
+    c, alpha, o = (np.array(a.pos.tolist()) for name in ("C", "CA", "O") if (a := member.atom(name)))
     arms = np.array([alpha - c, o - c])
     away = -(arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)).sum(axis=0)
     length = np.linalg.norm(away)
@@ -101,7 +101,7 @@ def _rebuild(draft: Draft, lacking: list[tuple[Member, list[str]]]) -> None:
     for member, missing in lacking:
         built = _built(_around(proteins, member), member)
         draft.repairs.append(f"{member}: missing {', '.join(missing)} added")
-        b_iso = float(np.mean([own.b_iso for own in member.atoms]))
+        b_iso = float(np.mean([a.b_iso for a in member.atoms]))
         for name in missing:
             if name not in built:
                 raise StructureError(
@@ -141,9 +141,9 @@ def _as_mmcif(members: list[Member]) -> io.StringIO:
         residue = gemmi.Residue()
         residue.name, residue.seqid = member.name, gemmi.SeqId(str(i))
         residue.entity_type = gemmi.EntityType.Polymer
-        for own in member.atoms:
-            if not own.is_hydrogen():
-                residue.add_atom(own)
+        for a in member.atoms:
+            if not a.is_hydrogen():
+                residue.add_atom(a)
         chain.add_residue(residue)
     model.add_chain(chain)
     structure.add_model(model)

@@ -141,11 +141,11 @@ def _from_openmm(topology: app.Topology, positions: Any) -> gemmi.Structure:
     for chain in topology.chains():
         made = gemmi.Chain(chain.id or " ")
         for residue in chain.residues():
-            own = [
+            atoms = [
                 atom(each.name, each.element.symbol if each.element else "X", x[each.index].tolist())
                 for each in residue.atoms()
             ]
-            made.add_residue(_residue(residue.name, str(residue.id), residue.insertionCode.strip(), own))
+            made.add_residue(_residue(residue.name, str(residue.id), residue.insertionCode.strip(), atoms))
         model.add_chain(made)
     return _structure(model)
 
@@ -157,7 +157,7 @@ def _from_mdanalysis(group: Any) -> gemmi.Structure:
     for residue in group.residues:
         mine = group[group.resindices == residue.resindex]
         chain_id = str(mine[0].chainID if has["chainIDs"] and mine[0].chainID else residue.segid)
-        own = [
+        atoms = [
             atom(
                 str(each.name),
                 str(each.element)
@@ -170,7 +170,7 @@ def _from_mdanalysis(group: Any) -> gemmi.Structure:
         ]
         code = str(residue.icode).strip() if has["icodes"] else ""
         made = chains.setdefault(chain_id, gemmi.Chain(chain_id or " "))
-        made.add_residue(_residue(str(residue.resname), str(residue.resid), code, own))
+        made.add_residue(_residue(str(residue.resname), str(residue.resid), code, atoms))
     for made in chains.values():
         model.add_chain(made)
     return _structure(model)

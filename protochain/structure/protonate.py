@@ -117,19 +117,19 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
     before = {a.name for a in member.atoms if a.is_hydrogen()}
     rename(member.atoms, template)
     heavy = [a for a in member.atoms if not a.is_hydrogen()]
-    own: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
+    bonded: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
     strange = 0
     for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
         nearest = min(heavy, key=lambda a: a.pos.dist(hydrogen.pos))
         if nearest.pos.dist(hydrogen.pos) <= _BONDED:
-            own[nearest.name].append(hydrogen)
+            bonded[nearest.name].append(hydrogen)
         else:
             strange += 1
     expected = template.hydrogens
     member.atoms = []
     for parent in heavy:
         names = list(expected.get(parent.name, []))
-        given = own[parent.name]
+        given = bonded[parent.name]
         named = {a.name: a for a in given if a.name in names}
         others = [a for a in given if a.name not in names]
         for name in names:

@@ -257,15 +257,15 @@ class _Reader:
         """Convert a modified residue to its standard parent."""
         # HIP has the atoms of every state of histidine.
         named = self.known["HIP" if parent == "HIS" else parent]
-        own = {*named.element, *named.synonyms, "OXT", "H1", "H2", "H3", "H"}
+        expected = {*named.element, *named.synonyms, "OXT", "H1", "H2", "H3", "H"}
         for name in set(named.heavy) - {atom.name for atom in member.atoms}:
             # Selenium, or a sulphur of another name, becomes the parent's sulphur.
-            chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in own]
+            chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in expected]
             if named.element[name] == "S" and len(chalcogens) == 1:
                 chalcogens[0].name, chalcogens[0].element = name, gemmi.Element("S")
-        strange = [atom.name for atom in member.atoms if atom.name not in own and not atom.is_hydrogen()]
+        strange = [atom.name for atom in member.atoms if atom.name not in expected and not atom.is_hydrogen()]
         member.atoms = [
-            atom for atom in member.atoms if atom.name in own and not (strange and atom.is_hydrogen())
+            atom for atom in member.atoms if atom.name in expected and not (strange and atom.is_hydrogen())
         ]
         given, member.name = member.name, parent
         if given == "MSE":

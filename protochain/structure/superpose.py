@@ -25,12 +25,12 @@ def superpose(x: Floats, reference: Floats) -> Floats:
 
 def motion(x: Floats, reference: Floats) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and translation (3,) that superpose points onto a reference."""
-    centre, own = reference.mean(axis=0), x.mean(axis=0)
+    centre, own_centre = reference.mean(axis=0), x.mean(axis=0)
     # Not scipy's align_vectors, which warns that one or two points fix no rotation; their RMSD is unique.
-    u, _, vt = np.linalg.svd((reference - centre).T @ (x - own))
+    u, _, vt = np.linalg.svd((reference - centre).T @ (x - own_centre))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     turn = np.asarray(u @ flip @ vt)
-    return turn, centre - turn @ own
+    return turn, centre - turn @ own_centre
 
 
 def rmsd(x: Floats, reference: Floats) -> float:

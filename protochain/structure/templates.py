@@ -104,11 +104,11 @@ def _template(node: ElementTree.Element, elements: Mapping[str | None, str]) -> 
     atoms = [atom for atom in node.iterfind("Atom") if elements.get(atom.get("type"), "")]
     order = [atom.get("name", "") for atom in atoms]
     primary, others = _names(standard_name(name)[0])
-    called = {own: _called(own, primary) for own in order}
+    called = {given: _called(given, primary) for given in order}
     synonyms: dict[str, str] = {}
-    for own in order:
-        for other in (own, primary.get(own, own), *others.get(primary.get(own, own), ())):
-            synonyms.setdefault(other, called[own])
+    for given in order:
+        for other in (given, primary.get(given, given), *others.get(primary.get(given, given), ())):
+            synonyms.setdefault(other, called[given])
     bonds = []
     for bond in node.iterfind("Bond"):
         ends = [bond.get(f"atomName{i}") for i in (1, 2)]
@@ -118,16 +118,16 @@ def _template(node: ElementTree.Element, elements: Mapping[str | None, str]) -> 
             bonds.append((called[str(ends[0])], called[str(ends[1])]))
     return Template(
         name,
-        {called[own]: elements[atom.get("type")] for own, atom in zip(order, atoms, strict=True)},
-        {called[own]: float(atom.get("charge", 0.0)) for own, atom in zip(order, atoms, strict=True)},
+        {called[given]: elements[atom.get("type")] for given, atom in zip(order, atoms, strict=True)},
+        {called[given]: float(atom.get("charge", 0.0)) for given, atom in zip(order, atoms, strict=True)},
         tuple(bonds),
-        {other: own for other, own in synonyms.items() if other not in set(called.values())},
+        {other: pdb_name for other, pdb_name in synonyms.items() if other not in set(called.values())},
     )
 
 
-def _called(own: str, primary: Mapping[str, str]) -> str:
+def _called(given: str, primary: Mapping[str, str]) -> str:
     """PDB name of an atom; the first hydrogen of a charged N terminus is H1."""
-    return own if own == "H1" and primary.get(own) == "H" else primary.get(own, own)
+    return given if given == "H1" and primary.get(given) == "H" else primary.get(given, given)
 
 
 @cache
@@ -150,9 +150,9 @@ def _alternatives() -> dict[str, tuple[str, dict[str, list[str]]]]:
 def _names(residue: str) -> tuple[dict[str, str], dict[str, list[str]]]:
     """PDB name of every alternative name, and alternatives of every PDB name, in a residue."""
     table = _alternatives()
-    kind, own = table.get(residue, ("Protein", {}))
-    others = {**table.get(kind, ("", {}))[1], **own}
-    others = {name: [each for each in given if each not in own] for name, given in others.items()}
+    kind, names = table.get(residue, ("Protein", {}))
+    others = {**table.get(kind, ("", {}))[1], **names}
+    others = {name: [each for each in given if each not in names] for name, given in others.items()}
     if residue == "ILE":
         others.setdefault("CD1", []).append("CD")
     return {other: name for name, given in others.items() for other in given}, others

@@ -1,4 +1,4 @@
-"""Generalised-Born parameters from GBSAOBCForce, or from the CustomGBForces of OpenMM's implicit files."""
+"""Generalised-Born parameters read from GBSAOBCForce or the CustomGBForce of OpenMM's implicit files."""
 
 import re
 from dataclasses import dataclass
@@ -26,15 +26,16 @@ _OBC2 = (1.0, 0.8, 4.85)
 
 @dataclass(frozen=True, eq=False)
 class Necks:
-    """Tables of GBn and GBn2.
+    """Neck tables of GBn and GBn2.
 
     Parameters
     ----------
     kind : (na,) int
         Row of each atom in the tables.
     height, place : (kinds, kinds) float
-        Of the peak on atom i beside atom j; height in 1/nm, place in nm.
+        Height (1/nm) and position (nm) of the neck's peak for atom i beside atom j.
     reach : (kinds, kinds) float, nm
+        Distance at which a neck ends.
     """
 
     kind: Integers
@@ -45,19 +46,19 @@ class Necks:
 
 @dataclass(frozen=True, eq=False)
 class Solvent:
-    """Parameters of each atom.
+    """Generalised-Born parameters of each atom.
 
     Parameters
     ----------
     charge : (na,) float
-        Times the root of Coulomb's constant and of the difference of inverse dielectrics.
+        Charge times the root of Coulomb's constant and of the difference of inverse dielectrics.
     offset_radius, scaled_radius, radius : (na,) float, nm
     bend : (na, 3) float
         alpha, beta, gamma; zero for HCT.
     surface : (na,) float, kJ/mol nm^6
         c of the surface energy c / B^6.
     engulfs : bool
-        Whether a sphere that holds a whole atom counts in full, as in GBSAOBCForce.
+        Whether a sphere that contains a whole atom counts in full, as in GBSAOBCForce.
     necks : Necks or None
     cutoff : float, nm
     """
@@ -74,7 +75,7 @@ class Solvent:
 
 
 def from_gbsa_obc(force: openmm.GBSAOBCForce) -> Solvent:
-    """OBC2 as OpenMM's own force has it."""
+    """Read OBC2 from GBSAOBCForce."""
     if force.getNonbondedMethod() == force.CutoffPeriodic:
         raise UnsupportedForceError("GBSAOBCForce with a periodic cutoff")
     cut = force.getNonbondedMethod() != force.NoCutoff
@@ -91,7 +92,7 @@ def from_gbsa_obc(force: openmm.GBSAOBCForce) -> Solvent:
 
 
 def _polar(inside: float, outside: float) -> float:
-    """Difference of inverse dielectrics; charges are scaled by its root."""
+    """Difference of the inverse dielectrics inside and outside."""
     if inside > outside:
         raise UnsupportedForceError(f"generalised Born of dielectric {inside:g} inside, {outside:g} outside")
     return 1.0 / inside - 1.0 / outside
@@ -124,7 +125,7 @@ _F = ";f=sqrt(r^2+B1*B2*exp(-r^2/(4*B1*B2)))"
 
 
 def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
-    """HCT, OBC1, OBC2, GBn or GBn2, recognised by the very expressions of OpenMM's implicit files."""
+    """Read HCT, OBC1, OBC2, GBn or GBn2, recognised by the exact expressions of OpenMM's implicit files."""
     if force.getNonbondedMethod() == force.CutoffPeriodic:
         raise UnsupportedForceError("CustomGBForce with a periodic cutoff")
     cutoff = np.inf if force.getNonbondedMethod() == force.NoCutoff else plain(force.getCutoffDistance())
