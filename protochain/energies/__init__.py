@@ -7,12 +7,6 @@ from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 
 __all__ = [
-    "CustomEnergy",
-    "Energy",
-    "NativeEnergy",
-    "OpenMMEnergy",
-    "UnsupportedForceError",
-    "as_energy",
-    "build_system",
-    "energy",
-]
+    "CustomEnergy", "Energy", "NativeEnergy", "OpenMMEnergy", "UnsupportedForceError", "as_energy",
+    "build_system", "energy",
+]  # fmt: skip

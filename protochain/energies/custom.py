@@ -37,19 +37,10 @@ class CustomEnergy:
     lists_at: Floats | None = None
 
     def __init__(self, function: EnergyFunction) -> None:
-        self.function = function
+        self.function, self.reference = function, self
         named = function if hasattr(function, "__qualname__") else type(function)
         self.name = f"{named.__module__}.{named.__qualname__}"
-
-    @property
-    def reference(self) -> "CustomEnergy":
-        """The callable itself."""
-        return self
-
-    @property
-    def fingerprint(self) -> str:
-        """SHA-256 of the callable's module and name, or of its type's."""
-        return hashlib.sha256(self.name.encode()).hexdigest()
+        self.fingerprint = hashlib.sha256(self.name.encode()).hexdigest()
 
     def without_constants(self, groups: Integers, x: Floats) -> "CustomEnergy":
         """Return itself: its terms are not known."""
@@ -89,8 +80,7 @@ def as_energy(given: Energy | EnergyFunction | None, structure: Structure) -> En
     Parameters
     ----------
     given : Energy, callable or None
-        An energy of this structure; or a callable, positions (na, 3) in nm -> energy in kJ/mol and forces
-        (na, 3) in kJ/mol/nm; or None for the default force field.
+        Energy of this structure, callable as of :class:`CustomEnergy`, or None for the default force field.
     structure : Structure
         Structure whose energy it is.
 

@@ -112,8 +112,12 @@ def build_system(
 
     Parameters
     ----------
-    structure, forcefield, solvent, trust_forcefield
-        As of :func:`energy`.
+    structure : Structure
+        Structure whose System to build.
+    forcefield, solvent : str
+        As for :func:`energy`.
+    trust_forcefield : bool
+        As for :func:`energy`.
 
     Returns
     -------
@@ -123,7 +127,7 @@ def build_system(
     Raises
     ------
     ForceFieldError
-        As :func:`energy`.
+        As for :func:`energy`.
     """
     if solvent not in SOLVENTS:
         raise ForceFieldError(f"solvent {solvent!r} is not known; choose from {', '.join(SOLVENTS)}")

@@ -57,7 +57,7 @@ def load(
     disulfide : sequence of pairs of str, optional
         Exactly these disulfide bonds, as ``[("A:3", "A:40")]``; by default, between sulphurs that are close.
     ph : float
-        pH that sets the protonation where neither hydrogens nor residue names in the file do.
+        Sets the protonation of residues whose hydrogens or names in the file do not show it.
     strict : bool
         Refuse chain breaks and incomplete backbones.
     forcefield : path-like, optional

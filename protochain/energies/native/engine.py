@@ -46,6 +46,7 @@ class NativeEnergy:
     """
 
     engine = "native"
+    is_exact = True
 
     def __init__(self, by_openmm: OpenMMEnergy, threads: int) -> None:
         terms = compile_system(by_openmm.system)
@@ -57,17 +58,14 @@ class NativeEnergy:
 
     def _set(self, by_openmm: OpenMMEnergy, threads: int, layout: Layout) -> None:
         self.by_openmm = by_openmm
+        self.system, self.atoms = by_openmm.system, by_openmm.atoms
+        self.forcefield, self.solvent = by_openmm.forcefield, by_openmm.solvent
         self.threads = min(threads, MOST_THREADS)
         self.left_out: Mapping[str, int] = MappingProxyType({})
         self._layout = layout
         self._lists: Lists | None = None
         self._all: tuple[Layout, Lists, Lists, Floats] | None = None
         """If terms are left out: layout of all terms, its lists and the lists here, and their positions."""
-
-    @property
-    def atoms(self) -> str:
-        """Fingerprint of the structure it was built for; empty if the caller gave the System."""
-        return self.by_openmm.atoms
 
     @property
     def reason(self) -> str:
@@ -80,29 +78,9 @@ class NativeEnergy:
         return f"{text}; {self.by_openmm.note}" if self.by_openmm.note else text
 
     @property
-    def system(self) -> Any:
-        """OpenMM System that it evaluates."""
-        return self.by_openmm.system
-
-    @property
-    def forcefield(self) -> str:
-        """Name of the force field."""
-        return self.by_openmm.forcefield
-
-    @property
-    def solvent(self) -> str:
-        """Name of the solvent model."""
-        return self.by_openmm.solvent
-
-    @property
     def reference(self) -> OpenMMEnergy:
         """The same energy on OpenMM's Reference platform."""
         return self.by_openmm.reference
-
-    @property
-    def is_exact(self) -> bool:
-        """True: it computes in double precision."""
-        return True
 
     @property
     def fingerprint(self) -> str:
@@ -126,15 +104,17 @@ class NativeEnergy:
         return sum(parts.values()) + self._constant, forces
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
-        """Energies by kind, without the constant of terms left out, and forces.
+        """Evaluate energies by kind, without the constant of terms left out, and forces.
 
         Parameters
         ----------
         x : (na, 3) float, nm
+            Positions.
 
         Returns
         -------
-        dict of str to float, kJ/mol; (na, 3) float, kJ/mol/nm
+        dict of str to float, (na, 3) float
+            Energies in kJ/mol, forces in kJ/mol/nm.
         """
         x = floats(x, (self._layout.terms.n_atoms, 3), "x")
         if not np.isfinite(x).all():
