@@ -1,4 +1,4 @@
-"""Atoms near one another that no bonds join: where they touch, where they overlap, and what can part them."""
+"""Contacts and steric overlaps of nonbonded atoms."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,7 +13,7 @@ from protochain.structure.model import Structure
 from protochain.units import ANGSTROM_PER_NM
 
 OVERLAP = 0.5
-"""Unbonded atoms closer than this part of the sum of their van der Waals radii overlap. Hydrogen bonds
+"""Nonbonded atoms closer than this fraction of the sum of their van der Waals radii overlap. Hydrogen bonds
 stay above 0.6."""
 
 _VAN_DER_WAALS = {"H": 0.110, "C": 0.170, "N": 0.155, "O": 0.152, "S": 0.180}
@@ -22,17 +22,17 @@ _VAN_DER_WAALS = {"H": 0.110, "C": 0.170, "N": 0.155, "O": 0.152, "S": 0.180}
 
 @dataclass(frozen=True)
 class Overlap:
-    """Two unbonded atoms that are too close.
+    """Two nonbonded atoms that overlap.
 
     Parameters
     ----------
     first, second : str
-        The atoms, as a person would name them.
+        Descriptions of the atoms.
     distance_angstrom : float
     share : float
-        Of the distance at which they touch.
+        Distance as a fraction of the sum of the van der Waals radii.
     remedy : str
-        What can part them.
+        Methods that can separate them.
     """
 
     first: str
@@ -54,21 +54,21 @@ def radii(structure: Structure) -> Floats:
 
 
 def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) -> tuple[Integers, Floats]:
-    """Pairs of atoms nearer than a part of the distance at which they touch.
+    """Find pairs of atoms closer than a fraction of the sum of their van der Waals radii.
 
     Parameters
     ----------
     structure : Structure
     x : (na, 3) float, nm
     share : float
-        Of the sum of both van der Waals radii.
+        The fraction.
     bonds : int
-        Pairs joined by no more bonds than this are left out.
+        Pairs separated by at most this many bonds are left out.
 
     Returns
     -------
     (n, 2) int, (n,) float
-        The pairs, in a fixed order, and at which distance in nm they would touch.
+        The pairs, sorted, and the sums of their radii in nm.
     """
     radius = radii(structure)
     pairs = cKDTree(x).query_pairs(2 * share * radius.max(), output_type="ndarray")
@@ -83,7 +83,7 @@ def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) ->
 
 @lru_cache(maxsize=16)
 def joined(structure: Structure, bonds: int) -> Integers:
-    """(n, 2) int: pairs of atoms joined by no more bonds than this, the smaller index first."""
+    """(n, 2) int: pairs of atoms separated by at most this many bonds, the smaller index first."""
     n = structure.n_atoms
     i, j = structure.bonds.T
     step = coo_array((np.ones(2 * len(i), dtype=np.int64), (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
@@ -97,14 +97,14 @@ def joined(structure: Structure, bonds: int) -> Integers:
 
 
 def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> list[Overlap]:
-    """Name the unbonded pairs of atoms that overlap, the worst first.
+    """List the nonbonded pairs of atoms that overlap, the worst first.
 
     Parameters
     ----------
     structure : Structure
     x : (na, 3) float, nm
     chain : Chain, optional
-        With it, the remedy says whether turning its hinges can part them.
+        Chain whose rigid bodies decide whether torsions can separate the atoms.
 
     Returns
     -------

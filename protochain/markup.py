@@ -1,22 +1,16 @@
-"""How values show themselves in a notebook."""
+"""HTML of values in notebooks."""
 
 from collections.abc import Mapping
 from html import escape
 
 
 def facts(title: str, rows: Mapping[str, object]) -> str:
-    """Return a small HTML table.
+    """Return a small HTML table of names and values, escaped.
 
     Parameters
     ----------
     title : str
     rows : mapping of str to object
-        What to say and its value.
-
-    Returns
-    -------
-    str
-        Names from files are escaped.
     """
     cells = "".join(
         f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows.items()

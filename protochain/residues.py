@@ -1,4 +1,4 @@
-"""Chemistry as tables: which residues are known, and which four atoms measure each dihedral.
+"""Tables of chemistry: known residues, and the four atoms that define each dihedral.
 
 Dihedrals follow IUPAC-IUB (Biochemistry 9:3471, 1970). A trailing ``+`` or ``-`` on an atom name means
 the next or the previous residue of the chain.
@@ -12,30 +12,30 @@ STANDARD = {
 """The 20 standard amino acids and their one-letter codes."""
 
 CAPS = frozenset({"ACE", "NME", "NH2"})
-"""Terminal caps that the force fields know."""
+"""Terminal caps with force-field parameters."""
 
 NUCLEOTIDES = frozenset({"A", "C", "G", "U", "DA", "DC", "DG", "DT"})
-"""Of RNA and DNA."""
+"""Residue names of RNA and DNA."""
 
 STATE_PARENT = {
     "HID": ("HIS", "HID"), "HIE": ("HIS", "HIE"), "HIP": ("HIS", "HIP"), "HSD": ("HIS", "HID"),
     "HSE": ("HIS", "HIE"), "HSP": ("HIS", "HIP"), "CYX": ("CYS", ""), "CYM": ("CYS", "CYM"),
     "ASH": ("ASP", "ASH"), "GLH": ("GLU", "GLH"), "LYN": ("LYS", "LYN"),
 }  # fmt: skip
-"""Residues named by their protonation, as Amber and CHARMM spell it: the standard residue, and the state."""
+"""Standard residue and protonation state of the names that Amber and CHARMM give to states."""
 
 PKA = {"ASP": (4.4, "ASH"), "GLU": (4.4, "GLH"), "HIS": (6.5, "HIP")}
-"""Below this pH the other state is taken; values of OpenMM's ``hydrogens.xml``."""
+"""pKa, and the state at or below it; values of OpenMM's ``hydrogens.xml``."""
 PKA_BASE = {"CYS": (8.5, "CYM"), "LYS": (10.0, "LYN")}
-"""Above it."""
+"""pKa, and the state above it."""
 
 BACKBONE = ("N", "CA", "C")
-"""Atoms without which a residue cannot be rebuilt."""
+"""Atoms required to rebuild a residue."""
 
 PHI = ("C-", "N", "CA", "C")
 PSI = ("N", "CA", "C", "N+")
 PSI_TERMINAL = ("N", "CA", "C", "O")
-"""At the end of a chain the carboxylate turns about the same bond; its first oxygen measures it."""
+"""psi of the last residue, defined by the first oxygen of its carboxylate."""
 OMEGA = ("CA", "C", "N+", "CA+")
 
 _CG = ("N", "CA", "CB", "CG")
@@ -75,12 +75,12 @@ ROTORS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
     "TYR": (("CE1", "CZ", "OH", "HH"),),
     "VAL": (("CA", "CB", "CG1", "HG11"), ("CA", "CB", "CG2", "HG21")),
 }
-"""Methyl, hydroxyl, thiol and amine rotors, where the hydrogen that measures them is present."""
+"""Methyl, hydroxyl, thiol and amine rotors, each defined by a hydrogen that must be present."""
 
 ROTOR_N_TERMINAL = ("C", "CA", "N", "H1")
 """The charged amine at the start of a chain."""
 
 
 def describe(number: str, name: str, chain_id: str) -> str:
-    """Name a residue as a person would: ``residue 17 GLU of chain A``."""
+    """Describe a residue: ``residue 17 GLU of chain A``."""
     return f"residue {number} {name} of chain {chain_id or '(blank)'}"

@@ -1,4 +1,4 @@
-"""Files: written whole or not at all; checkpoints of arrays and plain values, in which nothing can run."""
+"""Atomic writing of files, and checkpoints of arrays and plain values that cannot execute code."""
 
 import json
 import os
@@ -14,7 +14,7 @@ from protochain.errors import ProtochainError
 
 
 def check_writable(path: Path) -> None:
-    """Refuse a place where no file can be written.
+    """Refuse a path to which no file can be written.
 
     Raises
     ------
@@ -34,14 +34,14 @@ def check_writable(path: Path) -> None:
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Call ``write`` with a temporary name beside ``path``, then rename: never a half-written file."""
+    """Call ``write`` with a temporary path beside ``path``, then rename it: no file is ever half written."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
     os.close(handle)
     temporary = Path(name)
     try:
         write(temporary)
-        # mkstemp makes private files; results get the permissions any new file would have.
+        # mkstemp makes private files; results get the usual permissions of a new file.
         mask = os.umask(0)
         os.umask(mask)
         temporary.chmod(0o666 & ~mask)
@@ -53,7 +53,7 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 def write_arrays(
     path: Path, arrays: Mapping[str, np.ndarray], values: Any, settings: Mapping[str, Any]
 ) -> None:
-    """Write arrays, values that JSON can hold, and the settings they belong to.
+    """Write a checkpoint: arrays, values that JSON can represent, and the settings of the run.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def write_arrays(
 
 
 def read_arrays(path: Path, settings: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], Any]:
-    """Read what :func:`write_arrays` wrote, for a run with the same settings.
+    """Read a checkpoint that :func:`write_arrays` wrote for a run with the same settings.
 
     Raises
     ------
@@ -84,14 +84,14 @@ def read_arrays(path: Path, settings: Mapping[str, Any]) -> tuple[dict[str, np.n
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = dict(file)
         text = json.loads(str(arrays.pop("text")))
-        theirs, values = text["settings"], text["values"]
+        written, values = text["settings"], text["values"]
     except FileNotFoundError:
         raise ProtochainError(f"{path}: not found; give the checkpoint of an earlier run") from None
     except (OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile) as error:
         raise ProtochainError(f"{path}: not a checkpoint ({error})") from None
     for name, value in settings.items():
-        if theirs.get(name) != value:
+        if written.get(name) != value:
             raise ProtochainError(
-                f"{path}: is of a run with {name} {theirs.get(name)!r}, not {value!r}; repeat its settings"
+                f"{path}: is of a run with {name} {written.get(name)!r}, not {value!r}; repeat its settings"
             )
     return arrays, values

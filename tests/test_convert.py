@@ -97,5 +97,5 @@ def test_positions_that_do_not_fit_are_refused():
     s = load("ala10.pdb")
     with pytest.raises(pc.ProtochainError, match="3 positions do not fit a topology of 103 atoms"):
         pc.as_structure((s.topology, s.positions[:3]))
-    with pytest.raises(pc.ProtochainError, match="not a number or too far out"):
+    with pytest.raises(pc.ProtochainError, match="not a number or beyond 100000 angstrom"):
         pc.as_structure((s.topology, np.full((103, 3), np.nan)))

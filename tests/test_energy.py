@@ -1,4 +1,5 @@
 import csv
+from functools import partial
 
 import numpy as np
 import openmm
@@ -7,7 +8,7 @@ from conftest import MORE_STRUCTURES, SAME_KERNEL, STRUCTURES, energy, load
 from openmm import app
 
 import protochain as pc
-from protochain.energies import factory
+from protochain.energies import as_energy, factory
 from protochain.structure.templates import _amber
 
 
@@ -154,7 +155,7 @@ def test_a_file_in_the_working_directory_never_stands_in_for_openmms_own(tmp_pat
         (tmp_path / name).parent.mkdir()
         (tmp_path / name).write_text(trap)
     monkeypatch.chdir(tmp_path)
-    factory._own_force_field.cache_clear()
+    factory._bundled_force_field.cache_clear()
     _amber.cache_clear()
     fresh = pc.energy(pc.load(STRUCTURES / "ala10.pdb"))
     assert fresh.fingerprint == energy("ala10.pdb").fingerprint
@@ -194,3 +195,64 @@ def test_the_samples_are_the_files_the_manifest_describes():
     for name, row in rows.items():
         assert hashlib.sha256((STRUCTURES / name).read_bytes()).hexdigest() == row["sha256"]
         assert row["licence"] and row["source"]
+
+
+def harmonic(x):
+    """Every atom on a spring to the origin, 10 kJ/mol/nm^2, as an external code may return it."""
+    return np.float32(5.0 * np.sum(x**2)), (-10.0 * x).tolist()
+
+
+def test_a_callable_is_an_energy_that_judges_itself():
+    s = load("ala10.pdb")
+    e = as_energy(harmonic, s)
+    value, forces = e(s.positions)
+    assert type(value) is float and value == np.float32(5.0 * np.sum(s.positions**2))
+    assert forces.dtype == np.float64 and forces.flags.c_contiguous
+    assert np.array_equal(forces, -10.0 * s.positions)
+    assert e.reference is e and e.is_exact and e.without_constants(np.zeros((1, 1), int), forces) is e
+    assert e.fingerprint == as_energy(harmonic, s).fingerprint != as_energy(partial(harmonic), s).fingerprint
+    assert (e.engine, e.threads, e.atoms, e.system, dict(e.left_out)) == ("custom", 1, "", None, {})
+    e.list_at(s.positions)
+    assert e.lists_at is None and "judged by itself" in e.reason
+
+
+def test_a_callable_cannot_change_the_positions_or_forces_of_a_run():
+    kept = np.zeros((2, 3))
+
+    def careless(x):
+        x += 1.0
+        kept[:] = x
+        return 0.0, kept
+
+    e, x = as_energy(careless, load("ala10.pdb")), np.zeros((2, 3))
+    _, forces = e(x)
+    e(x + 5.0)
+    assert not x.any() and np.array_equal(forces, np.ones((2, 3)))
+
+
+@pytest.mark.parametrize(
+    "returned",
+    [(1.0, np.zeros(30)), (1.0, "forces"), 3.0, (1.0,), (np.zeros(2), np.zeros((1, 3))), (1, 2, 3)],
+)
+def test_a_callable_that_returns_something_else_is_refused(returned):
+    e = as_energy(lambda x: returned, load("ala10.pdb"))
+    with pytest.raises(
+        pc.ProtochainError, match=r"energy .*<lambda>: .*return \(energy, forces\)"
+    ) as refused:
+        e(np.zeros((1, 3)))
+    assert "\n" not in str(refused.value)
+
+
+def test_an_energy_is_built_kept_or_refused():
+    s = load("ala10.pdb")
+    assert as_energy(None, s).fingerprint == energy("ala10.pdb").fingerprint
+    assert as_energy(energy("ala10.pdb"), s) is energy("ala10.pdb")
+    with pytest.raises(pc.ProtochainError, match="built for other atoms"):
+        as_energy(energy("1l2y.pdb"), s)
+    with pytest.raises(pc.ProtochainError, match="energy 'amber14': give"):
+        as_energy("amber14", s)
+
+
+def test_a_simulation_takes_a_callable():
+    run = pc.simulate(load("ala10.pdb"), harmonic, n_steps=20, every=20, temperature=10.0)
+    assert run.record()["engine"] == "custom" and np.isfinite(run.x).all()

@@ -129,7 +129,7 @@ def test_selections_that_cannot_be_are_refused():
     s = load("1l2y.pdb")
     for selection, word in (
         ("rezid 5", "cannot be read"),
-        ("resid 300", "names no atom"),
+        ("resid 300", "selects no atom"),
         ("name OXT", "no bond"),
     ):
         with pytest.raises(pc.ProtochainError, match=word):

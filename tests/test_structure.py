@@ -176,7 +176,7 @@ def test_a_broken_chain_becomes_two_under_one_id(tmp_path):
 
 def test_selenomethionine_and_gaps_in_real_entries():
     s = pc.load(shared("1a8o_mse.pdb"))
-    assert sum("selenomethionine taken as MET" in line for line in s.repairs) == 4
+    assert sum("selenomethionine converted to MET" in line for line in s.repairs) == 4
     assert "Se" not in set(s.atom_element)
 
 
@@ -230,10 +230,10 @@ def test_a_file_of_ours_that_was_cut_is_refused(tmp_path):
 def test_a_file_without_an_end_is_taken_with_a_warning(tmp_path):
     text = (STRUCTURES / "ala10.pdb").read_text()
     atoms = [line for line in text.splitlines(True) if line.startswith("ATOM")]
-    assert not any("stops" in line for line in pc.load(written(tmp_path, "".join(atoms))).repairs)
+    assert not any("ends at" in line for line in pc.load(written(tmp_path, "".join(atoms))).repairs)
     cut = [line for line in atoms if int(line[22:26]) <= 8]
     said = pc.load(written(tmp_path, "".join(cut))).repairs[0]
-    assert "stops at residue 8 ALA of chain A" in said and "cut short" in said
+    assert "ends at residue 8 ALA of chain A" in said and "complete" in said
 
 
 def test_a_position_too_far_out_for_the_columns_is_refused(tmp_path):
@@ -273,15 +273,13 @@ def test_a_residue_without_its_backbone_is_left_out_and_said_or_refused(tmp_path
     with pytest.raises(pc.ProtochainError, match="residue 18 GLU of chain A: atom C missing"):
         pc.load(path, strict=True)
     s = pc.load(path)
-    assert "residue 18 GLU of chain A: left out, for its backbone atom C is missing" in s.repairs
+    assert "residue 18 GLU of chain A: left out: its backbone atom C is missing" in s.repairs
     assert s.n_residues == 75 and s.n_chains == 2
 
 
 def test_an_unknown_residue_is_named(tmp_path):
     text = "".join(lines_of("1ubq.pdb")).replace("GLU A  18", "XYZ A  18")
-    with pytest.raises(
-        pc.ProtochainError, match="residue 18 XYZ of chain A is not an amino acid that is known"
-    ):
+    with pytest.raises(pc.ProtochainError, match="residue 18 XYZ of chain A is an unknown amino acid"):
         pc.load(written(tmp_path, text))
 
 

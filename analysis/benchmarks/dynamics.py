@@ -16,13 +16,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 import openmm
 import pandas as pd
-from openmm import app, unit
+from openmm import unit
 
 import protochain as pc
 from protochain.dynamics import Isolated, Langevin, Leapfrog, Propagator, State, System, chain_potential
 from protochain.dynamics.loop import advance
 from protochain.dynamics.thermostats import Thermostat
-from protochain.energies.factory import DATA, FORCE_FIELDS, SOLVENTS
+from protochain.energies import build_system
 from protochain.minimisers.openmm_reference import constrain_hydrogens
 from protochain.multibody import sample_velocities
 from protochain.units import MOLAR_GAS
@@ -173,12 +173,6 @@ def cost() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def as_published(structure: pc.Structure, solvent: str) -> openmm.System:
-    """Make the System that OpenMM's own files give."""
-    files = [str(DATA / FORCE_FIELDS["amber14"]), str(DATA / str(SOLVENTS[solvent]))]
-    return app.ForceField(*files).createSystem(structure.topology, nonbondedMethod=app.NoCutoff)
-
-
 def openmm_ns_per_day(system: openmm.System, x: np.ndarray, seconds: float) -> float:
     """OpenMM on its CPU platform: Langevin middle, 2 fs, bonds of hydrogens constrained."""
     constrain_hydrogens(system)
@@ -209,7 +203,7 @@ def speed() -> pd.DataFrame:
                 "structure": path.stem.split("_")[0],
                 "residues": chain.structure.n_residues,
                 "solvent": solvent,
-                "OpenMM 2 fs": openmm_ns_per_day(as_published(chain.structure, solvent), x, 20.0),
+                "OpenMM 2 fs": openmm_ns_per_day(build_system(chain.structure, "amber14", solvent), x, 20.0),
                 "GBSAOBC 2 fs": np.nan,
             }
             if solvent == "obc2":

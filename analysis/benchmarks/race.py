@@ -15,10 +15,9 @@ from time import perf_counter
 import numpy as np
 import openmm
 import pandas as pd
-from openmm import app
 
 import protochain as pc
-from protochain.energies.factory import DATA, FORCE_FIELDS, SOLVENTS
+from protochain.energies import build_system
 
 SAMPLES = Path(__file__).parents[2] / "structures"
 DEFAULT = ("1l2y", "1ejg", "1vii", "3i40", "4pti", "1ubq")
@@ -28,9 +27,7 @@ THREADS = 2
 
 def openmm_ends(structure: pc.Structure, solvent: str, energy) -> list[tuple[float, float]]:
     """Energy at the end and seconds of LocalEnergyMinimizer, for each tolerance."""
-    files = [FORCE_FIELDS["amber14"]] + ([SOLVENTS[solvent]] if SOLVENTS[solvent] else [])
-    force_field = app.ForceField(*(str(DATA / file) for file in files))
-    system = force_field.createSystem(structure.topology, nonbondedMethod=app.NoCutoff)
+    system = build_system(structure, "amber14", solvent)
     ends = []
     for tolerance in TOLERANCES:
         platform = openmm.Platform.getPlatform("CPU")

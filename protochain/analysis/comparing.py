@@ -8,8 +8,7 @@ from protochain import defaults
 from protochain.analysis.comparison import Comparison
 from protochain.arrays import Watcher
 from protochain.articulate import as_chain
-from protochain.energies import energy as build_energy
-from protochain.energies.protocol import check_is_of
+from protochain.energies import as_energy
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Solution, Status, recipe_of
@@ -70,9 +69,7 @@ def compare(
     runs = [Minimisation(recipe, tolerance, max_evaluations, seed) for recipe in recipes.values()]
     chain = as_chain(structure)
     known = None if reference is None else as_structure(reference)
-    if energy is None:
-        energy = build_energy(chain.structure)
-    check_is_of(energy, chain.structure)
+    energy = as_energy(energy, chain.structure)
     start = Start(chain, energy)
     plan = [(run, k) for run in runs for k in range(1 if run.recipe.repeats_exactly(energy) else repeats)]
     solutions: list[Solution] = []

@@ -17,11 +17,9 @@ from protochain.errors import ProtochainError
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.recipes import recipe_of
 from protochain.setup import ALL_MODELS, Setup, words
-from protochain.structure.prepare import own_file
+from protochain.structure.files import SUFFIXES
+from protochain.structure.prepare import user_file
 from protochain.structure.read import model_numbers
-
-SUFFIXES = (".pdb", ".ent", ".cif", ".mmcif")
-"""Suffixes searched for in a folder, each also with .gz."""
 
 _GLOB = frozenset("*?[")
 
@@ -287,7 +285,7 @@ def _hash(path: Path) -> str:
 
 
 def _key(found: _Found) -> str:
-    own = own_file(found.settings.setup.forcefield)
+    own = user_file(found.settings.setup.forcefield)
     parts = [version("protochain"), found.content, found.settings.record(), _hash(own) if own else ""]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 

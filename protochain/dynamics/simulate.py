@@ -22,8 +22,8 @@ from protochain.dynamics.loop import run as propagate
 from protochain.dynamics.settings import INTEGRATORS, THERMOSTATS, SimulationSettings, build_thermostat
 from protochain.dynamics.simulation import Simulation
 from protochain.dynamics.system import StepTooLargeError, System, chain_potential, total
-from protochain.energies.factory import energy as build_energy
-from protochain.energies.protocol import Energy, check_is_of
+from protochain.energies import Energy, as_energy
+from protochain.energies.custom import EnergyFunction
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.multibody import HingeKind, articulated
@@ -33,7 +33,7 @@ from protochain.units import MOLAR_GAS
 
 def simulate(
     chain: Any,
-    energy: Energy | None = None,
+    energy: Energy | EnergyFunction | None = None,
     q: Floats | None = None,
     temperature: float = 300.0,
     time_step: float = 0.005,
@@ -62,8 +62,8 @@ def simulate(
     chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
         Chain to simulate. Files are loaded, structures divided into rigid bodies with the default hinges. A
         root that ``auto`` has fixed is freed.
-    energy : Energy, optional
-        Force field; ff14SB with OBC2 by default.
+    energy : Energy or callable, optional
+        As in :func:`protochain.minimise`.
     q : (n_q,) float, optional
         Initial coordinates of the given chain; by default those of its input pose. Minimise them first: a
         strained start is hot.
@@ -126,9 +126,7 @@ def simulate(
     elif resume:
         raise ProtochainError("resume: give the folder of the simulation as output")
     chain = as_chain(chain)
-    if energy is None:
-        energy = build_energy(chain.structure)
-    check_is_of(energy, chain.structure)
+    energy = as_energy(energy, chain.structure)
     run = _prepare(chain, energy, q, settings)
     folder = Folder(Path(output), trajectory, run.identity) if output is not None else None
     with threadpool_limits(1, "blas"):

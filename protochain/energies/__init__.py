@@ -1,8 +1,12 @@
-"""Cartesian positions -> (energy, forces). Knows nothing of chains."""
+"""Potential energies and forces of Cartesian positions; independent of chains."""
 
-from protochain.energies.factory import energy
+from protochain.energies.custom import CustomEnergy, as_energy
+from protochain.energies.factory import build_system, energy
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 
-__all__ = ["Energy", "NativeEnergy", "OpenMMEnergy", "UnsupportedForceError", "energy"]
+__all__ = [
+    "CustomEnergy", "Energy", "NativeEnergy", "OpenMMEnergy", "UnsupportedForceError", "as_energy",
+    "build_system", "energy",
+]  # fmt: skip

@@ -1,4 +1,4 @@
-"""An energy as a Calculator of the Atomic Simulation Environment, ASE."""
+"""Energies as calculators of the Atomic Simulation Environment, ASE."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from protochain.energies.protocol import Energy
 
 
 class EnergyCalculator(Calculator):
-    """Energies in eV and forces in eV/angstrom (Larsen et al., J. Phys.: Condens. Matter 29:273002, 2017)."""
+    """ASE calculator, in eV and eV/angstrom (Larsen et al., J. Phys.: Condens. Matter 29:273002, 2017)."""
 
     implemented_properties: list[str] = ["energy", "forces"]  # noqa: RUF012
 
@@ -24,7 +24,7 @@ class EnergyCalculator(Calculator):
         properties: Any = ("energy",),
         system_changes: Any = tuple(all_changes),
     ) -> None:
-        """Compute both, whatever is asked for."""
+        """Compute energy and forces, whichever are asked for."""
         super().calculate(atoms, properties, system_changes)
         assert self.atoms is not None
         value, forces = self.energy(self.atoms.positions / nm)

@@ -1,4 +1,4 @@
-"""Energies for other libraries."""
+"""Conversion of energies for other libraries."""
 
 from typing import TYPE_CHECKING
 
@@ -11,18 +11,19 @@ if TYPE_CHECKING:
 
 
 def to_ase(structure: Structure, energy: Energy) -> "Atoms":
-    """Return ASE's Atoms with this energy as their calculator.
+    """Convert a structure and its energy to ASE Atoms with a calculator.
 
     Parameters
     ----------
     structure : Structure
+        Structure to convert.
     energy : Energy
-        Of this structure's atoms.
+        Energy of this structure.
 
     Returns
     -------
     ase.Atoms
-        In angstrom and eV; ASE's optimisers and dynamics work on it.
+        In angstrom and eV, for ASE's optimisers and dynamics.
 
     Raises
     ------

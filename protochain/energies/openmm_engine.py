@@ -15,20 +15,20 @@ from protochain.arrays import Floats, Integers, floats
 
 
 class OpenMMEnergy:
-    """An OpenMM System on one platform.
+    """Energy of an OpenMM System on one platform.
 
     Parameters
     ----------
     system : openmm.System
-        Copied, so that later changes by the caller do not reach a running minimisation.
+        Copied, so that later changes by the caller do not affect a run.
     platform : str
         ``CPU`` (single precision, fast) or ``Reference`` (double precision).
     threads : int or None
         Threads of the CPU platform; None for all.
     forcefield, solvent, note : str
-        What to report: names, and a remark on how the System was built.
+        Names for reports, and a note on how the System was built.
     atoms : str
-        ``Structure.fingerprint`` of what it was built for; empty if the System was given.
+        ``Structure.fingerprint`` of the structure; empty if the caller gave the System.
     """
 
     engine = "openmm"
@@ -55,7 +55,7 @@ class OpenMMEnergy:
 
     @property
     def reason(self) -> str:
-        """Which platform runs and what was done to the System, in a sentence."""
+        """Platform, precision, threads, and the note on the System."""
         precision = "double" if self.platform == "Reference" else "single"
         text = f"OpenMM {self.platform} platform, {precision} precision, {self.threads} threads"
         return f"{text}; {self.note}" if self.note else text
@@ -66,11 +66,11 @@ class OpenMMEnergy:
         return self.platform == "Reference"
 
     def without_constants(self, groups: Integers, x: Floats) -> "OpenMMEnergy":
-        """Return itself: OpenMM computes all terms, constant or not."""
+        """Return itself: OpenMM computes all terms, also constant ones."""
         return self
 
     def list_at(self, x: Floats) -> None:
-        """Do nothing: OpenMM's lists are its own."""
+        """Do nothing: OpenMM manages its neighbour lists itself."""
 
     @cached_property
     def reference(self) -> "OpenMMEnergy":
@@ -83,13 +83,13 @@ class OpenMMEnergy:
 
     @cached_property
     def fingerprint(self) -> str:
-        """SHA-256 of the System: two energies with one fingerprint are the same function."""
+        """SHA-256 of the System: energies with equal fingerprints are the same function."""
         return hashlib.sha256(openmm.XmlSerializer.serialize(self.system).encode()).hexdigest()
 
     def make_context(
         self, system: openmm.System, integrator: openmm.Integrator | None = None
     ) -> openmm.Context:
-        """Make a Context for a System on this platform with these threads."""
+        """Create a Context for a System on this platform with these threads."""
         platform = openmm.Platform.getPlatform(self.platform)
         properties = {"Threads": str(self.threads)} if self.platform == "CPU" else {}
         return openmm.Context(system, integrator or openmm.VerletIntegrator(0.001), platform, properties)
@@ -104,14 +104,14 @@ class OpenMMEnergy:
         Raises
         ------
         ProtochainError
-            If x does not fit the System.
+            If the shape of x does not fit the System.
         OpenMMException
-            If OpenMM fails for another reason than a number it cannot represent.
+            If OpenMM fails for another reason than NaN.
 
         Notes
         -----
-        What OpenMM refuses to evaluate (positions or forces that are not numbers) is an infinite energy
-        with forces that are not numbers: the caller's loop decides what that means.
+        Where OpenMM refuses NaN in positions or forces, the energy is infinite and the forces are NaN; the
+        calling loop handles that.
         """
         x = floats(x, (self.system.getNumParticles(), 3), "x")
         try:

@@ -1,31 +1,32 @@
-"""What every energy offers."""
+"""Interface of all energies."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from protochain.arrays import Floats, Integers
 from protochain.errors import ProtochainError
 from protochain.structure.model import Structure
 
 
+@runtime_checkable
 class Energy(Protocol):
-    """A potential energy of atom positions, whichever engine computes it."""
+    """Potential energy of atom positions, by any engine."""
 
     @property
     def engine(self) -> str:
-        """Engine that computes it: ``native`` or ``openmm``."""
+        """Name of the engine: ``native``, ``openmm`` or ``custom``."""
 
     @property
     def reason(self) -> str:
-        """Which kernels run, and why, in a sentence."""
+        """Kernels, precision and threads in use, and the reason for them."""
 
     @property
     def system(self) -> Any:
-        """The OpenMM System it evaluates."""
+        """OpenMM System that it evaluates; None for a custom energy."""
 
     @property
     def atoms(self) -> str:
-        """Fingerprint of the structure it was built for; empty if its System was given."""
+        """Fingerprint of the structure it was built for; empty if a System or callable was given."""
 
     @property
     def forcefield(self) -> str:
@@ -37,45 +38,45 @@ class Energy(Protocol):
 
     @property
     def threads(self) -> int:
-        """Threads it computes on."""
+        """Number of threads."""
 
     @property
     def is_exact(self) -> bool:
-        """Whether it computes in double precision, so that nothing is gained by going on elsewhere."""
+        """Whether it computes in double precision, so that the reference would gain nothing."""
 
     @property
     def left_out(self) -> Mapping[str, int]:
-        """Terms and pairs that are constant and left out, by kind."""
+        """Numbers of constant terms and pairs that are left out, by kind."""
 
     def without_constants(self, groups: Integers, x: Floats) -> "Energy":
-        """Leave out what keeps its value while groups of atoms (na, k) stay rigid as they are at x."""
+        """Leave out terms that are constant while groups of atoms (na, k) stay rigid as they are at x."""
 
     @property
     def reference(self) -> "Energy":
-        """The same energy on OpenMM's Reference platform: double precision, the judge of every result."""
+        """Energy that judges every result: the same on OpenMM's Reference platform, in double precision."""
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of the System."""
+        """SHA-256 of the System, or of the name of a callable."""
 
     @property
     def lists_at(self) -> Floats | None:
-        """Positions (na, 3) in nm that its neighbour lists were made at, if it keeps any of its own."""
+        """Positions (na, 3) in nm at which its neighbour lists were built; None without such lists."""
 
     def list_at(self, x: Floats) -> None:
-        """Make its neighbour lists as they are at positions x (na, 3), as after computing there first."""
+        """Build its neighbour lists at positions x (na, 3) in nm."""
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
 
 
 def check_is_of(energy: Energy, structure: Structure) -> None:
-    """Refuse an energy that was built for another molecule, whose atoms may be as many.
+    """Refuse an energy that was built for another structure, even one with as many atoms.
 
     Raises
     ------
     ProtochainError
-        Naming the mend.
+        Naming the structure.
     """
     if energy.atoms and energy.atoms != structure.fingerprint:
         raise ProtochainError(

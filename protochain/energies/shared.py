@@ -1,4 +1,4 @@
-"""One energy for many structures with the same atoms: decoys, models, frames."""
+"""Energies shared by structures with the same atoms: decoys, models, frames."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -11,25 +11,24 @@ from protochain.structure.model import Structure
 
 @dataclass(frozen=True)
 class _Atoms:
-    """A structure as an energy sees it: two with the same atoms and bonds are equal."""
+    """Key of a cached energy: equal for structures with the same atoms and bonds."""
 
     fingerprint: str
     structure: Structure = field(compare=False)
 
 
 def shared_energy(structure: Structure, **settings: Any) -> Energy:
-    """Build an energy, or give the one that was built for the same atoms with the same settings.
+    """Build an energy, or reuse one built in this process for the same atoms with the same settings.
 
     Parameters
     ----------
     structure : Structure
     **settings
-        As of :func:`protochain.energy`.
+        Options of :func:`protochain.energy`.
 
     Returns
     -------
     Energy
-        Of a few kept in this process.
     """
     return _built(_Atoms(structure.fingerprint, structure), tuple(sorted(settings.items())))
 

@@ -13,8 +13,7 @@ from protochain import defaults
 from protochain.arrays import Watcher, read_only
 from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose
-from protochain.energies.factory import energy as build_energy
-from protochain.energies.protocol import check_is_of
+from protochain.energies import as_energy
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
@@ -103,10 +102,7 @@ def minimise(
     """
     run = Minimisation(recipe_of(method), tolerance, max_evaluations, seed, **options)
     chain = as_chain(chain)
-    if energy is None:
-        energy = build_energy(chain.structure)
-    check_is_of(energy, chain.structure)
-    return minimise_from(Start(chain, energy), run, watch)
+    return minimise_from(Start(chain, as_energy(energy, chain.structure)), run, watch)
 
 
 @dataclass(frozen=True)
@@ -196,6 +192,10 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
 
 
 def _by_openmm(start: Start, run: Minimisation, record: Recorder) -> Outcome:
+    if start.energy.system is None:
+        raise ProtochainError(
+            f"method {run.recipe.name!r} needs an OpenMM System, and a callable has none; choose another"
+        )
     return minimise_by_openmm(
         run.recipe, start.chain, start.energy, run.tolerance, run.max_evaluations, run.seed,
         lambda x, energy, n_evaluations: record(x, energy, np.nan, n_evaluations),

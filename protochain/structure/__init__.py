@@ -1,4 +1,4 @@
-"""A file or a sequence -> Structure, and back to a file."""
+"""Read, build, prepare, convert and write protein structures."""
 
 from protochain.structure.build import from_sequence
 from protochain.structure.convert import as_structure, to_mdanalysis, to_mdtraj

@@ -1,4 +1,4 @@
-"""Bonds between residues that are not neighbours in a chain: disulfides, and what no force field knows."""
+"""Disulfide bonds, and cross-links that the force fields do not cover."""
 
 from collections.abc import Sequence
 
@@ -8,9 +8,9 @@ from protochain.errors import StructureError
 from protochain.structure.draft import Draft, Member
 
 DISULFIDE = 3.0
-"""Angstrom: sulphurs nearer than this are bonded, as OpenMM has it (a disulfide bond is 2.05)."""
+"""Angstrom: sulphurs nearer than this are bonded, as in OpenMM (a disulfide bond is 2.05)."""
 _CROSSLINK = 1.7
-"""Angstrom: a side-chain nitrogen nearer than this to a side-chain carbonyl is an amide's (1.33)."""
+"""Angstrom: a side-chain amine nearer than this to a side-chain carboxyl is bonded to it (1.33)."""
 _AMINES = (("LYS", "NZ"), ("ORN", "NE"), ("DAB", "ND"))
 _CARBOXYLS = (("ASP", "CG"), ("GLU", "CD"))
 
@@ -18,19 +18,19 @@ Bridge = tuple[Member, Member]
 
 
 def disulfides(draft: Draft, asked: Sequence[tuple[str, str]] | None = None) -> list[Bridge]:
-    """Pairs of cysteines that are bonded.
+    """Find the disulfide bonds.
 
     Parameters
     ----------
     draft : Draft
-        What is found and not stated in the file is said in its repairs.
+        Its repairs receive every bond that the file does not state.
     asked : sequence of pairs of str, optional
-        ``("A:3", "A:40")``: these and no others. By default, those whose sulphurs lie near each other.
+        Exactly these bonds, as ``("A:3", "A:40")``; by default, between sulphurs that are close.
 
     Raises
     ------
     StructureError
-        If a cysteine that is asked for is not there, or is asked for twice.
+        If a requested cysteine does not exist or occurs twice.
     """
     cysteines = [member for part in draft.parts for member in part.members if member.name == "CYS"]
     if asked is not None:
@@ -52,8 +52,8 @@ def disulfides(draft: Draft, asked: Sequence[tuple[str, str]] | None = None) -> 
     for first, second in [(at[a], at[b]) for a, b in draft.stated if a in at and b in at]:
         if {id(first), id(second)} not in taken:
             draft.repairs.append(
-                f"the file's disulfide bond between {first} and {second} is {_apart(first, second):.1f} "
-                "angstrom long: not taken; ask for it if it is meant"
+                f"disulfide bond of the file between {first} and {second} ignored: it is "
+                f"{_apart(first, second):.1f} angstrom long; request it as disulfide if it is real"
             )
     return sorted(found, key=lambda pair: cysteines.index(pair[0]))
 
@@ -73,12 +73,12 @@ def _asked(draft: Draft, cysteines: list[Member], asked: Sequence[tuple[str, str
                 raise StructureError(f"{draft.source}: disulfide {pair[0]}-{pair[1]}: {name} is bonded twice")
             taken.add(name)
         found.append((at[pair[0]], at[pair[1]]))
-        draft.repairs.append(f"disulfide bond between {found[-1][0]} and {found[-1][1]}, as asked for")
+        draft.repairs.append(f"disulfide bond between {found[-1][0]} and {found[-1][1]}, as requested")
     return found
 
 
 def refuse_crosslinks(draft: Draft) -> None:
-    """Refuse side chains joined by amide bonds: no force field of proteins has their residues.
+    """Refuse side chains joined by amide bonds, for which the force fields have no parameters.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def refuse_crosslinks(draft: Draft) -> None:
         for j in near.query_ball_point(atom.pos.tolist(), _CROSSLINK):
             raise StructureError(
                 f"{draft.source}: {member} and {carboxyls[j][0]} are joined by an amide bond "
-                f"({atom.name}-{carboxyls[j][1].name}), which no force field here has; mend the file"
+                f"({atom.name}-{carboxyls[j][1].name}), which the force fields lack; remove that bond"
             )
 
 

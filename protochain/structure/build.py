@@ -1,4 +1,4 @@
-"""A sequence -> an extended all-atom chain with standard geometry."""
+"""Extended all-atom chains of standard geometry, built from sequences."""
 
 from protochain import residues
 from protochain.errors import StructureError
@@ -7,7 +7,7 @@ from protochain.structure.model import Structure
 from protochain.structure.prepare import prepare
 
 PROLINE_PHI = -70.0
-"""Degrees. Proline's ring fixes phi near here; the extended -120 would tear the ring from the backbone."""
+"""Degrees. Proline's ring holds phi near this value; at the extended -120 the ring would not close."""
 
 
 def from_sequence(sequence: str) -> Structure:
@@ -16,21 +16,21 @@ def from_sequence(sequence: str) -> Structure:
     Parameters
     ----------
     sequence : str
-        One-letter codes of the 20 standard amino acids, in either case; blanks are ignored.
+        One-letter codes of the 20 standard amino acids, upper or lower case; blanks are ignored.
 
     Returns
     -------
     Structure
-        Chain A, residues from 1: phi -120 (proline -70), psi 140, omega 180 degrees, bond lengths and
-        angles as PeptideBuilder has them (Tien, Sydykova, Meyer, Wilke, PeerJ 1:e80, 2013), charged
-        termini, hydrogens at pH 7.
+        Chain A, numbered from 1: phi -120 (proline -70), psi 140, omega 180 degrees, bond lengths and
+        angles of PeptideBuilder (Tien, Sydykova, Meyer, Wilke, PeerJ 1:e80, 2013), charged termini,
+        hydrogens at pH 7.
 
     Raises
     ------
     StructureError
         If a letter is not one of the 20, or there are fewer than two.
     """
-    # Only here: it brings Biopython with it, which every start of the program would wait for.
+    # Imported here: it imports Biopython, which would slow every start of the program.
     import PeptideBuilder
 
     letters = "".join(sequence.split()).upper()
@@ -43,7 +43,7 @@ def from_sequence(sequence: str) -> Structure:
                 f"sequence: letter {place} is {letter!r}; use the 20 codes {''.join(sorted(names))}"
             )
     if len(letters) < 2:
-        raise StructureError("sequence: give at least 2 residues; no force field knows one that is both ends")
+        raise StructureError("sequence: give at least 2 residues; force fields lack free amino acids")
     geometries = [PeptideBuilder.Geometry.geometry(letter) for letter in letters]
     for letter, geometry in zip(letters, geometries, strict=True):
         if letter == "P":

@@ -1,4 +1,4 @@
-"""Every residue its template, and every atom of it: heavy atoms that a file lacks are added."""
+"""Assign templates and add missing heavy atoms."""
 
 import io
 import random
@@ -19,19 +19,19 @@ from protochain.structure.templates import Template, base_template, rename
 _CARBOXYLATE = 1.25
 """Angstrom: C-O of ff14SB's carboxylate."""
 _NEIGHBOURHOOD = 15.0
-"""Angstrom from backbone to backbone: as far as two side chains reach that could meet."""
+"""Angstrom between backbones: no further apart, two side chains can touch."""
 _RENAMED_SHOWN = 4
 
 
 def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
-    """Give every atom its PDB name, drop what does not belong, and add heavy atoms that are missing.
+    """Rename atoms to their PDB names and add missing heavy atoms.
 
-    Terminal oxygens by geometry, all others by PDBFixer.
+    Terminal oxygens are placed by geometry, all others by PDBFixer.
 
     Raises
     ------
     StructureError
-        If a residue has an atom that no template has, or none can rebuild what it lacks.
+        If a residue has no template, has an atom that its template lacks, or cannot be completed.
     """
     renamed: list[str] = []
     open_ended: list[Member] = []
@@ -40,10 +40,12 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
         for i, member in enumerate(part.members):
             template = base_template(known, part, i)
             if template is None:
-                where = "at the end of a chain " if not part.obstacle else ""
-                raise StructureError(f"{draft.source}: {member}: {where}no force field knows it; remove it")
+                where = "" if part.obstacle else " at the end of a chain"
+                raise StructureError(
+                    f"{draft.source}: {member}: the force field has no parameters for it{where}; remove it"
+                )
             renamed += [f"{change} of {member}" for change in rename(member.atoms, template)]
-            _drop_strange(draft, member, template)
+            _check_heavy_atoms(draft, member, template)
             missing = [name for name in template.heavy if not member.atom(name)]
             if "OXT" in missing:
                 missing.remove("OXT")
@@ -59,36 +61,36 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
         member.atoms.append(_terminal_oxygen(draft, member))
 
 
-def _drop_strange(draft: Draft, member: Member, template: Template) -> None:
-    """Drop a terminal oxygen within a chain; refuse other heavy atoms that the residue does not have."""
+def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> None:
+    """Remove a terminal oxygen within a chain; refuse other heavy atoms that the template lacks."""
     strange = [
         a for a in member.atoms if not a.is_hydrogen() and a.name not in template.element and a.name != "OXT"
     ]
     if strange:
         raise StructureError(
-            f"{draft.source}: {member}: its atom {strange[0].name} is not one of a {member.name}; "
-            "mend or remove it"
+            f"{draft.source}: {member}: atom {strange[0].name} does not belong to {member.name}; "
+            "rename or remove it"
         )
     if "OXT" not in template.element and member.atom("OXT"):
-        draft.repairs.append(f"{member}: OXT left out, for the chain goes on")
+        draft.repairs.append(f"{member}: OXT left out: the chain continues")
         member.atoms = [a for a in member.atoms if a.name != "OXT"]
 
 
 def _terminal_oxygen(draft: Draft, member: Member) -> gemmi.Atom:
-    """Return the second oxygen of a carboxylate, in the plane of the first."""
-    c, alpha, o = (np.array(own.pos.tolist()) for name in ("C", "CA", "O") if (own := member.atom(name)))
+    """Build the second oxygen of a carboxylate, in the plane of CA, C and O."""
+    c, alpha, o = (np.array(a.pos.tolist()) for name in ("C", "CA", "O") if (a := member.atom(name)))
     arms = np.array([alpha - c, o - c])
     away = -(arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)).sum(axis=0)
     length = np.linalg.norm(away)
     if not 1e-3 < length < 1.999:
-        raise StructureError(f"{draft.source}: {member}: CA, C and O lie in a line; mend their coordinates")
+        raise StructureError(f"{draft.source}: {member}: CA, C and O are collinear; correct the coordinates")
     return atom("OXT", "O", (c + _CARBOXYLATE * away / length).tolist(), member.atoms[0].b_iso)
 
 
 def _rebuild(draft: Draft, lacking: list[tuple[Member, list[str]]]) -> None:
-    """Build what residues lack, one after the other, each among its neighbours.
+    """Build missing heavy atoms residue by residue, each among its neighbours.
 
-    PDBFixer relaxes what it adds against all it is given: all at once would take the square of the time.
+    PDBFixer relaxes new atoms against all it is given: the whole protein at once takes quadratic time.
     """
     for member, missing in lacking:
         if member.name not in residues.STANDARD:
@@ -99,25 +101,25 @@ def _rebuild(draft: Draft, lacking: list[tuple[Member, list[str]]]) -> None:
     for member, missing in lacking:
         built = _built(_around(proteins, member), member)
         draft.repairs.append(f"{member}: missing {', '.join(missing)} added")
-        b_iso = float(np.mean([own.b_iso for own in member.atoms]))
+        b_iso = float(np.mean([a.b_iso for a in member.atoms]))
         for name in missing:
             if name not in built:
                 raise StructureError(
-                    f"{draft.source}: {member}: atom {name} missing, and it cannot be built; mend the file"
+                    f"{draft.source}: {member}: atom {name} is missing and cannot be built; add it there"
                 )
             element, x = built[name]
             member.atoms.append(atom(name, element, x, b_iso))
 
 
 def _around(proteins: list[Member], member: Member) -> list[Member]:
-    """Residues whose first atom is near its own, itself among them."""
+    """Residues whose first atoms are near that of a residue, which is included."""
     centres = np.array([m.atoms[0].pos.tolist() for m in proteins])
     near = np.linalg.norm(centres - member.atoms[0].pos.tolist(), axis=1) < _NEIGHBOURHOOD
     return [m for m, is_near in zip(proteins, near, strict=True) if is_near]
 
 
 def _built(neighbours: list[Member], member: Member) -> dict[str, tuple[str, list[float]]]:
-    """Element and position, in angstrom, of each atom of a residue that PDBFixer has completed."""
+    """Element and position (angstrom) of each atom of a residue as PDBFixer completes it."""
     fixer = PDBFixer(pdbxfile=_as_mmcif(neighbours), platform=openmm.Platform.getPlatform("Reference"))
     place = str(neighbours.index(member) + 1)
     fixer.missingResidues = {}
@@ -132,16 +134,16 @@ def _built(neighbours: list[Member], member: Member) -> dict[str, tuple[str, lis
 
 
 def _as_mmcif(members: list[Member]) -> io.StringIO:
-    """Write heavy atoms, each residue under its place in the list."""
+    """Write heavy atoms as mmCIF, residues numbered by their place in the list."""
     structure = gemmi.Structure()
     model, chain = gemmi.Model(1), gemmi.Chain("A")
     for i, member in enumerate(members, 1):
         residue = gemmi.Residue()
         residue.name, residue.seqid = member.name, gemmi.SeqId(str(i))
         residue.entity_type = gemmi.EntityType.Polymer
-        for own in member.atoms:
-            if not own.is_hydrogen():
-                residue.add_atom(own)
+        for a in member.atoms:
+            if not a.is_hydrogen():
+                residue.add_atom(a)
         chain.add_residue(residue)
     model.add_chain(chain)
     structure.add_model(model)
@@ -152,7 +154,7 @@ def _as_mmcif(members: list[Member]) -> io.StringIO:
 
 @contextmanager
 def _seeded() -> Iterator[None]:
-    """Run with the global generator that PDBFixer may draw from at a fixed state, then put it back."""
+    """Seed Python's global random generator, which PDBFixer may use, and restore its state afterwards."""
     state = random.getstate()
     random.seed(1)
     try:

@@ -1,4 +1,4 @@
-"""One conformation of each residue of a gemmi chain: alternates chosen."""
+"""Choice among alternate locations: one conformation of each residue."""
 
 from dataclasses import dataclass
 
@@ -8,19 +8,19 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Conformation:
-    """What was chosen, and what was not.
+    """Chosen conformation of a residue.
 
     Parameters
     ----------
     residue : gemmi.Residue
-        With no alternate locations left.
+        Without alternate locations.
     altloc : str
     occupancy : float
-        Mean of the chosen location.
+        Mean over the atoms of the chosen location.
     others : list of str
         Alternates left out: ``SER B``.
     repeated : list of str
-        Names of atoms that were given more than once.
+        Names of atoms that occurred more than once.
     """
 
     residue: gemmi.Residue
@@ -31,7 +31,7 @@ class Conformation:
 
 
 def same_place(chain: gemmi.Chain) -> list[list[gemmi.Residue]]:
-    """Group copies of the residues that share a number: alternatives for one place (microheterogeneity)."""
+    """Group copies of residues that share a number, the alternatives of microheterogeneity."""
     groups: list[list[gemmi.Residue]] = []
     for residue in map(gemmi.Residue.clone, chain):
         if groups and groups[-1][0].seqid == residue.seqid and residue[0].has_altloc():
@@ -42,7 +42,7 @@ def same_place(chain: gemmi.Chain) -> list[list[gemmi.Residue]]:
 
 
 def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:
-    """Choose the alternate of highest occupancy (the first of equals), or the one asked for."""
+    """Choose the alternate that is asked for, or that of highest occupancy (the first of equals)."""
     weights: dict[tuple[int, str], list[float]] = {}
     for i, residue in enumerate(group):
         for atom in residue:
@@ -52,13 +52,13 @@ def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:
     best, altloc = max(wanted or weights, key=lambda place: float(np.mean(weights[place])), default=(0, ""))
     chosen = group[best]
     _complete_backbone(chosen, group)
-    # An atom that only another location has is still part of it; of two with one name, the first.
+    # Atoms that only another location has are kept; of two with one name, the first.
     ranked = sorted(range(len(chosen)), key=lambda i: chosen[i].altloc not in (altloc, "\0"))
     kept: dict[str, int] = {}
     for i in ranked:
         kept.setdefault(chosen[i].name, i)
     repeated = sorted({chosen[i].name for i in set(ranked) - set(kept.values())})
-    # Not so a hydrogen: its parent is elsewhere there.
+    # Hydrogens of another location are dropped: their parent atom lies elsewhere there.
     of_others = [i for i in ranked if chosen[i].is_hydrogen() and chosen[i].altloc not in (altloc, "\0")]
     for i in sorted({*(set(ranked) - set(kept.values())), *of_others}, reverse=True):
         del chosen[i]
@@ -70,7 +70,7 @@ def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:
 
 
 def _complete_backbone(chosen: gemmi.Residue, group: list[gemmi.Residue]) -> None:
-    """Add what alternatives share, and a file gives with one of them only."""
+    """Add shared backbone atoms that the file gives with one of the alternatives only."""
     for residue in group:
         present = {atom.name for atom in chosen}
         for atom in residue:

@@ -1,4 +1,4 @@
-"""From and to what other libraries hold: gemmi, OpenMM, mdtraj, MDAnalysis."""
+"""Conversion from and to objects of other libraries: gemmi, OpenMM, mdtraj, MDAnalysis."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,7 +13,7 @@ from protochain.errors import StructureError
 from protochain.structure.draft import Draft, atom
 from protochain.structure.files import check
 from protochain.structure.model import Structure
-from protochain.structure.prepare import PH, load, own_file, prepare
+from protochain.structure.prepare import PH, load, prepare, user_file
 from protochain.structure.protonate import check_ph
 from protochain.structure.read import Reading, read_structure
 from protochain.units import ANGSTROM_PER_NM
@@ -24,27 +24,27 @@ if TYPE_CHECKING:
 
 
 def as_structure(source: Any, name: str = "structure", **settings: Any) -> Structure:
-    """Prepare a protein from a file, or from what another library has made of one.
+    """Prepare a protein from a file or from an object of another library.
 
     Parameters
     ----------
     source : Structure, path-like, or an object of another library
-        A gemmi Structure, an mdtraj Trajectory, an MDAnalysis Universe or AtomGroup, or a pair of an OpenMM
-        Topology and its positions. Of a trajectory the first frame is taken, of a Universe the current one. A
-        Structure stays as it is.
+        A gemmi Structure, an mdtraj Trajectory (first frame), an MDAnalysis Universe or AtomGroup (current
+        frame), or a pair of an OpenMM Topology and its positions. A Structure is returned unchanged.
     name : str
-        Short name, where there is no file.
+        Short name for a source that is no file.
     **settings
-        As of :func:`protochain.load`.
+        Options of :func:`protochain.load`.
 
     Returns
     -------
     Structure
+        Complete, all-atom protein.
 
     Raises
     ------
     StructureError
-        If nothing is known about such a source, or it cannot be used.
+        If the type of the source is unknown, or it cannot be used.
     """
     if isinstance(source, Structure):
         return source
@@ -53,26 +53,28 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     made = _as_gemmi(source)
     made.merge_chain_parts()
     check(made, name)
-    own, ph = own_file(settings.pop("forcefield", None)), settings.pop("ph", PH)
+    forcefield, ph = user_file(settings.pop("forcefield", None)), settings.pop("ph", PH)
     disulfide = settings.pop("disulfide", None)
     settings["keep"] = tuple(settings.get("keep", ()))
     check_ph(ph)
-    draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=own))
-    return prepare(draft, disulfide, ph, own)
+    draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=forcefield))
+    return prepare(draft, disulfide, ph, forcefield)
 
 
 def to_mdtraj(structure: Structure, frames: Floats | None = None) -> "mdtraj.Trajectory":
-    """Return a structure as a trajectory.
+    """Convert a structure to an mdtraj trajectory.
 
     Parameters
     ----------
     structure : Structure
+        Structure that gives the topology.
     frames : (n, na, 3) float, nm, optional
-        Its own positions as the only frame by default.
+        Positions of each frame; by default one frame, the structure's.
 
     Returns
     -------
     mdtraj.Trajectory
+        In nm and single precision.
     """
     import mdtraj
 
@@ -82,15 +84,17 @@ def to_mdtraj(structure: Structure, frames: Floats | None = None) -> "mdtraj.Tra
 
 
 def to_mdanalysis(structure: Structure) -> "MDAnalysis.Universe":
-    """Return a structure as a Universe of one frame, in memory.
+    """Convert a structure to an MDAnalysis Universe of one frame, in memory.
 
     Parameters
     ----------
     structure : Structure
+        Structure to convert.
 
     Returns
     -------
     MDAnalysis.Universe
+        In angstrom.
     """
     import MDAnalysis
 
@@ -116,7 +120,7 @@ def _as_gemmi(source: Any) -> gemmi.Structure:
         return source.clone()
     if isinstance(source, tuple | list) and len(source) == 2 and isinstance(source[0], app.Topology):
         return _from_openmm(*source)
-    # By what they have, and not by their type: to ask for that, their libraries would have to be imported.
+    # Recognised by attributes: a test of the type would have to import the library.
     if hasattr(source, "xyz") and hasattr(source, "topology"):
         return _from_openmm(source.topology.to_openmm(), np.asarray(source.xyz[0], dtype=float))
     if hasattr(source, "atoms") and hasattr(source.atoms, "residues"):
@@ -137,11 +141,11 @@ def _from_openmm(topology: app.Topology, positions: Any) -> gemmi.Structure:
     for chain in topology.chains():
         made = gemmi.Chain(chain.id or " ")
         for residue in chain.residues():
-            own = [
+            atoms = [
                 atom(each.name, each.element.symbol if each.element else "X", x[each.index].tolist())
                 for each in residue.atoms()
             ]
-            made.add_residue(_residue(residue.name, str(residue.id), residue.insertionCode.strip(), own))
+            made.add_residue(_residue(residue.name, str(residue.id), residue.insertionCode.strip(), atoms))
         model.add_chain(made)
     return _structure(model)
 
@@ -153,7 +157,7 @@ def _from_mdanalysis(group: Any) -> gemmi.Structure:
     for residue in group.residues:
         mine = group[group.resindices == residue.resindex]
         chain_id = str(mine[0].chainID if has["chainIDs"] and mine[0].chainID else residue.segid)
-        own = [
+        atoms = [
             atom(
                 str(each.name),
                 str(each.element)
@@ -166,7 +170,7 @@ def _from_mdanalysis(group: Any) -> gemmi.Structure:
         ]
         code = str(residue.icode).strip() if has["icodes"] else ""
         made = chains.setdefault(chain_id, gemmi.Chain(chain_id or " "))
-        made.add_residue(_residue(str(residue.resname), str(residue.resid), code, own))
+        made.add_residue(_residue(str(residue.resname), str(residue.resid), code, atoms))
     for made in chains.values():
         model.add_chain(made)
     return _structure(model)

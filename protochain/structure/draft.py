@@ -1,4 +1,4 @@
-"""A file's molecules on their way to becoming a Structure."""
+"""Molecules of a file while they are prepared."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ import gemmi
 from protochain import residues
 
 Address = tuple[str, str, str]
-"""Chain id, number with insertion code, atom name: as the file has them."""
+"""Chain id, number with insertion code, and atom name in the file."""
 
 
 @dataclass(eq=False)
@@ -21,7 +21,7 @@ class Member:
     atoms : list of gemmi.Atom
         Positions in angstrom.
     state : str
-        Protonation state that the file's name for it says, if it says any.
+        Protonation state that its name in the file implies; empty if none.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Member:
 
     @property
     def is_cap(self) -> bool:
-        """Whether it is no amino acid of its own."""
+        """Whether it is a terminal cap."""
         return self.name in residues.CAPS
 
     @property
@@ -51,16 +51,16 @@ class Member:
 
 @dataclass(eq=False)
 class Part:
-    """Residues bonded in a row, or one molecule that is kept where it is.
+    """Unbroken chain, or a molecule kept as a fixed obstacle.
 
     Parameters
     ----------
     chain_id : str
     members : list of Member
     obstacle : bool
-        Kept, but it does not move.
+        Whether it is held fixed.
     cyclic : bool
-        Its last residue is bonded to its first.
+        Whether the last residue is bonded to the first.
     """
 
     chain_id: str
@@ -71,17 +71,19 @@ class Part:
 
 @dataclass(eq=False)
 class Draft:
-    """What is known of a file so far.
+    """Molecules of a file, completed step by step.
 
     Parameters
     ----------
     name, source : str
-        Short name, and how messages name the file.
+        Short name, and the name of the file in messages.
     parts : list of Part
     stated : list of pairs of Address
         Bonds between residues that the file states.
     repairs : list of str
+        Changes made so far.
     left_out : Counter
+        Molecules and atoms left out, by kind.
     """
 
     name: str

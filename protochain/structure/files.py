@@ -1,4 +1,4 @@
-"""Bytes -> the text of a structure file -> gemmi's reading of it; what is cut or garbled is refused."""
+"""Formats of structure files, and their parsing by gemmi; truncated or garbled files are refused."""
 
 import gzip
 import io
@@ -13,19 +13,21 @@ import gemmi
 from protochain.errors import StructureError
 
 MAX_MEGABYTES = 512
-"""Of text, after decompression: the largest files of the archive are smaller."""
+"""Largest text, after decompression; the largest files of the PDB are smaller."""
 MAX_ATOMS = 250_000
-"""Of a model. Preparation takes some ten kilobytes an atom, and energies without a cutoff take the square."""
+"""Largest model: preparation takes some ten kilobytes an atom, energies without a cutoff quadratic time."""
 STANDARD_INPUT = Path("-")
+SUFFIXES = {".pdb": "PDB", ".ent": "PDB", ".cif": "mmCIF", ".mmcif": "mmCIF"}
+"""Format by suffix. It decides how a file is written; reading goes by the content."""
 
 _COORDINATE_COLUMNS = 54
 _RECORDS = ("ATOM", "HETATM", "ANISOU", "SIGATM", "SIGUIJ")
 _FARTHEST = 1e5
-"""Angstrom. What is further from the origin is no coordinate."""
+"""Angstrom. Larger coordinates are refused."""
 
 
 def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
-    """Read a PDB or mmCIF file, gzipped or not, by its content.
+    """Parse a PDB or mmCIF file, gzipped or not; the content decides the format.
 
     Parameters
     ----------
@@ -35,12 +37,12 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
     Returns
     -------
     gemmi.Structure, list of str, bool
-        What is in it, what had to be overlooked, and whether it says where it ends.
+        Its contents, the oddities corrected on the way, and whether the file marks its end.
 
     Raises
     ------
     StructureError
-        If it cannot be read, is too large, is cut short, or holds what is not a number.
+        If it cannot be read, is too large, is cut short, or has coordinates that are not numbers.
     """
     source = "standard input" if path == STANDARD_INPUT else str(path)
     text = _text(path, source)
@@ -52,14 +54,14 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
             structure = gemmi.make_structure_from_block(block)
         else:
             _refuse_cut_pdb(text, source)
-            text = _normalised(text, source, overlooked)
+            text = _corrected(text, source, overlooked)
             ends = any(line.startswith("END") for line in text.splitlines())
             structure = gemmi.read_pdb_string(text)
     except StructureError:
         raise
     except (RuntimeError, ValueError, IndexError) as error:
         reason = " ".join(str(error).replace("string:", "line ").split())
-        raise StructureError(f"{source}: cannot be read: {reason}; mend or download the file again") from None
+        raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
     structure.merge_chain_parts()
     check(structure, source)
     return structure, overlooked, ends
@@ -69,7 +71,7 @@ def _text(path: Path, source: str) -> str:
     try:
         data = sys.stdin.buffer.read(_BYTES + 1) if path == STANDARD_INPUT else _bytes(path)
     except OSError as error:
-        raise StructureError(f"{source}: cannot be read ({error.strerror}); check the name") from None
+        raise StructureError(f"{source}: cannot be read ({error.strerror}); check the path") from None
     if data[:2] == b"\x1f\x8b":
         try:
             with gzip.open(io.BytesIO(data)) as file:
@@ -77,9 +79,9 @@ def _text(path: Path, source: str) -> str:
         except (OSError, EOFError, zlib.error) as error:
             raise StructureError(f"{source}: not a whole gzip file ({error}); download it again") from None
     if len(data) > _BYTES:
-        raise StructureError(f"{source}: larger than {MAX_MEGABYTES} megabytes; give a part of it")
+        raise StructureError(f"{source}: larger than {MAX_MEGABYTES} megabytes; give fewer models or chains")
     if b"\0" in data:
-        raise StructureError(f"{source}: is a binary file; give PDB or mmCIF as text")
+        raise StructureError(f"{source}: is a binary file; give PDB or mmCIF text")
     text = data.decode("utf-8-sig", errors="replace")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -93,7 +95,7 @@ def _bytes(path: Path) -> bytes:
 
 
 def _is_cif(text: str) -> bool:
-    """By the first line that is no comment, of whatever a file is called."""
+    """Whether the first line that is no comment opens a data block, whatever the file's name."""
     for line in text.splitlines():
         words = line.split(maxsplit=1)
         if words and not words[0].startswith("#"):
@@ -109,7 +111,7 @@ def _block_with_atoms(document: gemmi.cif.Document, source: str) -> gemmi.cif.Bl
 
 
 def _refuse_cut_cif(text: str, source: str) -> bool:
-    """Archive files end every category with '#': one whose last line is a row was cut."""
+    """Refuse a file of the PDB archive that ends in a row of data: there, every category ends with '#'."""
     lines = text.rstrip().splitlines() or [""]
     if lines[-1].strip() != "#" and any(line.strip() == "#" for line in lines):
         raise StructureError(f"{source}: line {len(lines)}: the file is cut short; download it again")
@@ -117,7 +119,7 @@ def _refuse_cut_cif(text: str, source: str) -> bool:
 
 
 def _refuse_cut_pdb(text: str, source: str) -> None:
-    """Refuse a file that ends within an atom record, or within the atoms of a file that has a header."""
+    """Refuse a file that ends within an atom record, or after one where a header promises more."""
     lines = text.rstrip("\n").splitlines() or [""]
     last, before = lines[-1], lines[-2] if len(lines) > 1 else ""
     in_record_name = bool(last) and any(record.startswith(last) for record in _RECORDS)
@@ -128,14 +130,14 @@ def _refuse_cut_pdb(text: str, source: str) -> None:
     if len(last) < _COORDINATE_COLUMNS or shorter or has_header:
         raise StructureError(
             f"{source}: line {len(lines)}: the file is cut short; download it again, "
-            "or add a line END if this is all"
+            "or add an END record if it is complete"
         )
 
 
-def _normalised(text: str, source: str, overlooked: list[str]) -> str:
-    """Check the columns that are used, and put right those whose meaning is clear.
+def _corrected(text: str, source: str, overlooked: list[str]) -> str:
+    """Check the columns of a PDB file that are used, and correct those whose meaning is clear.
 
-    gemmi reads what is not a number as 0, and the characters after column 72 of old files as elements.
+    gemmi reads anything that is not a number as 0, and entry names after column 72 of old files as elements.
     """
     lines = text.split("\n")
     in_model, unended, lower = False, 0, 0
@@ -150,7 +152,7 @@ def _normalised(text: str, source: str, overlooked: list[str]) -> str:
         elif record.startswith("ENDMDL"):
             in_model = False
         if record.startswith(("ANISOU", "SIGATM", "SIGUIJ")):
-            # Not used, and so no reason to refuse a file in which they are out of order.
+            # Unused records: their order is no reason to refuse a file.
             lines[i] = ""
         if not record.startswith(("ATOM", "HETATM")):
             continue
@@ -170,17 +172,17 @@ def _normalised(text: str, source: str, overlooked: list[str]) -> str:
         overlooked.append(f"{lower} atom records in lower case read as upper case")
     if strange:
         overlooked.append(
-            f"columns 77-78 of {len(strange)} atom records hold no element (line {strange[0]}, ...): "
-            "told from the atom names"
+            f"columns 77-78 of {len(strange)} atom records, from line {strange[0]} on, hold no element: "
+            "elements derived from atom names"
         )
     if unended:
-        overlooked.append(f"{unended} models without an ENDMDL line: each ends where the next begins")
+        overlooked.append(f"{unended} models without an ENDMDL record end where the next begins")
     return "\n".join(lines)
 
 
 _CHARGE = re.compile(r"(\d?[+-]|[+-]\d)?")
 _UPPER = ((0, 6), (12, 16), (17, 20))
-"""Columns of record, atom and residue name. Chain ids, locations and insertion codes may be lower case."""
+"""Columns of record, atom and residue names; chain ids, altlocs and insertion codes may be lower case."""
 
 
 def _refuse_odd_numbers(line: str, number: int, source: str) -> None:
@@ -193,12 +195,12 @@ def _refuse_odd_numbers(line: str, number: int, source: str) -> None:
         if not isfinite(value):
             raise StructureError(
                 f"{source}: line {number}: {axis} is {given.strip()!r}, not a number; "
-                f"mend columns {start + 1}-{start + 8}"
+                f"correct columns {start + 1}-{start + 8}"
             )
     given = line[22:26]
     if not given.strip().lstrip("-").isdigit() and not _is_hybrid36(given):
         raise StructureError(
-            f"{source}: line {number}: the residue number is {given.strip()!r}; mend columns 23-26"
+            f"{source}: line {number}: the residue number is {given.strip()!r}; correct columns 23-26"
         )
 
 
@@ -207,19 +209,19 @@ def _is_hybrid36(given: str) -> bool:
 
 
 def check(structure: gemmi.Structure, source: str) -> None:
-    """Refuse what has no atoms or too many, or positions that are none.
+    """Refuse a structure with no atoms, too many, or invalid coordinates.
 
     Raises
     ------
     StructureError
+        Naming the atom or the limit.
     """
     if len(structure) == 0 or structure[0].count_atom_sites() == 0:
         raise StructureError(f"{source}: no atoms found; give a PDB or mmCIF file with coordinates")
     for model in structure:
         if model.count_atom_sites() > MAX_ATOMS:
             raise StructureError(
-                f"{source}: {model.count_atom_sites()} atoms are more than the {MAX_ATOMS} that are taken; "
-                "give fewer chains"
+                f"{source}: {model.count_atom_sites()} atoms are more than {MAX_ATOMS}; give fewer chains"
             )
         for place in model.all():
             x = place.atom.pos.tolist()
@@ -229,5 +231,5 @@ def check(structure: gemmi.Structure, source: str) -> None:
                 )
                 raise StructureError(
                     f"{source}: the position of {where} {place.chain.name or '(blank)'} "
-                    "is not a number or too far out; mend it"
+                    f"is not a number or beyond {_FARTHEST:g} angstrom; correct it"
                 )

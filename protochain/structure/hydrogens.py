@@ -1,9 +1,9 @@
-"""Which hydrogens, and where: protonation states at a pH, and positions from geometry alone.
+"""Placement of hydrogens by geometry.
 
 OpenMM's Modeller places hydrogens at random and minimises; here the same atoms give the same positions. Bond
-lengths are ff14SB's, angles those of the parent's hybridisation, methyl and amine hydrogens staggered.
-Hydroxyls and thiols turn, one after the other, to where a Coulomb energy with a dielectric of 4 r/angstrom
-(Gelin, Karplus, Biochemistry 18:1256, 1979) and a repulsion are lowest.
+lengths are ff14SB's, angles follow the hybridisation of the parent, methyl and amine hydrogens are staggered.
+Hydroxyls and thiols are rotated, one after the other, to the minimum of a Coulomb energy with a dielectric of
+4 r/angstrom (Gelin, Karplus, Biochemistry 18:1256, 1979) and a repulsion.
 """
 
 import numpy as np
@@ -12,20 +12,20 @@ from scipy.spatial import KDTree
 from protochain.arrays import Floats, Integers
 
 _LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336}
-"""nm, to hydrogen."""
+"""nm: bond lengths to hydrogen."""
 _TETRAHEDRAL, _TRIGONAL = np.deg2rad(109.5), np.deg2rad(120.0)
 _BENT = {"O": float(np.deg2rad(108.5)), "S": float(np.deg2rad(96.0))}
 _WATER = float(np.deg2rad(104.52))
 _STAGGERED = np.deg2rad([180.0, 300.0, 60.0])
 _TURNS = np.deg2rad(np.arange(0.0, 360.0, 10.0))
 _REACH = 0.6
-"""nm. What is further away does not turn a hydroxyl."""
+"""nm. Cutoff of the energy that orients a hydroxyl."""
 _COULOMB = 138.935 / 40.0
 """kJ/mol nm^2/e^2, with a dielectric of 4 r/angstrom."""
 _CORE = 0.2
-"""nm. Where the repulsion of a hydrogen is 1 kJ/mol."""
+"""nm. Distance at which the repulsion of a hydrogen is 1 kJ/mol."""
 _DECIMALS = 6
-"""Of nm, to which positions are rounded: libraries of sines differ in the last bit."""
+"""Decimals (nm) of the positions: sine and cosine differ in the last bit between libraries."""
 
 
 def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Integers) -> Floats:
@@ -34,7 +34,7 @@ def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Intege
     Parameters
     ----------
     x : (na, 3) float, nm
-        NaN for the hydrogens that are to be placed.
+        NaN for hydrogens to place.
     element : list of str
     charge : (na,) float, e
     bonds : (nbonds, 2) int
@@ -47,7 +47,7 @@ def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Intege
 
 
 class _Placing:
-    """Positions so far, and who is bonded to whom."""
+    """Positions placed so far, and the bonded neighbours of each atom."""
 
     def __init__(self, x: Floats, element: list[str], charge: Floats, bonds: Integers) -> None:
         self.x, self.element, self.charge = np.array(x), element, charge
@@ -59,7 +59,7 @@ class _Placing:
             self.neighbours[second].append(first)
 
     def placed(self) -> Floats:
-        """Place what has one place to be, then what can turn."""
+        """Place hydrogens whose position is determined, then those that rotate."""
         parents = dict.fromkeys(self.neighbours[h][0] for h in np.flatnonzero(self.missing).tolist())
         turning = []
         for parent in parents:
@@ -99,7 +99,7 @@ class _Placing:
         )
 
     def _directions(self, parent: int, n: int) -> Floats | None:
-        """Return unit vectors (n, 3) to the hydrogens, or None where something must choose."""
+        """Return unit vectors (n, 3) to the hydrogens, or None where they rotate freely."""
         known, planar = self._known(parent), self._is_planar(parent)
         to = np.array([_unit(self.x[k] - self.x[parent]) for k in known])
         if len(known) == 3:
@@ -118,7 +118,7 @@ class _Placing:
         return None
 
     def _around(self, parent: int, angle: float, turns: Floats) -> Floats:
-        """Directions (n, 3) at an angle to the parent's one known bond, by dihedral to what is behind it."""
+        """Directions (n, 3) by the angle to the parent's one known bond and the dihedral about it."""
         (near,) = self._known(parent)[:1]
         axis = _unit(self.x[near] - self.x[parent])
         behind = [k for k in self.neighbours[near] if k != parent and not self.missing[k]]
@@ -131,7 +131,7 @@ class _Placing:
         return np.asarray(np.cos(angle) * axis + np.sin(angle) * aside)
 
     def _turn(self, parent: int, hydrogen: int) -> None:
-        """Put a hydrogen that can turn where its energy is lowest."""
+        """Rotate a hydrogen to its lowest energy."""
         if self._known(parent):
             is_water = all(self.element[k] == "H" for k in self.neighbours[parent])
             angle = _WATER if is_water else _BENT.get(self.element[parent], float(_TETRAHEDRAL))
@@ -147,7 +147,7 @@ class _Placing:
         self._put(parent, [hydrogen], choices[[int(np.argmin(np.round(energy, 6)))]])
 
     def _near(self, parent: int) -> Integers:
-        """Placed atoms in reach, but for the parent and what is bonded to it."""
+        """Placed atoms within reach, without the parent and its neighbours."""
         close = self.still[sorted(self.tree.query_ball_point(self.x[parent], _REACH))]
         away = np.linalg.norm(self.x[self.turned] - self.x[parent], axis=1)
         found = np.concatenate([close, np.array(self.turned, dtype=np.int64)[away < _REACH]])
@@ -160,12 +160,12 @@ def _unit(v: Floats) -> Floats:
 
 
 def _least(axis: Floats) -> Floats:
-    """Return the unit vector along the coordinate axis that lies least along the given one."""
+    """Return the unit vector of the coordinate axis most nearly perpendicular to an axis."""
     return np.asarray(np.eye(3)[int(np.argmin(np.abs(axis)))])
 
 
 def _sphere(n: int) -> Floats:
-    """Directions (n, 3) spread evenly: a spiral of golden angles."""
+    """Directions (n, 3) spread evenly over the sphere, on a golden-angle spiral."""
     z = 1.0 - (2.0 * np.arange(n) + 1.0) / n
     turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(n)
     across = np.sqrt(1.0 - z**2)

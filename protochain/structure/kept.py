@@ -1,4 +1,4 @@
-"""What is kept beside the protein, as obstacles that do not move."""
+"""Waters, ions and other molecules kept beside the protein as fixed obstacles."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,7 +12,7 @@ _PHOSPHATE = ("P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
 
 
 def is_wanted(member: Member, keep: Sequence[str], known: Mapping[str, Template]) -> bool:
-    """Whether a residue that is no protein is asked for, by its name or by its kind, and known."""
+    """Whether a non-protein residue is to be kept, by name or kind, and has a template."""
     kinds = {
         "water": member.name == "HOH",
         "ions": len(member.atoms) == 1 and member.name != "HOH",
@@ -24,7 +24,7 @@ def is_wanted(member: Member, keep: Sequence[str], known: Mapping[str, Template]
 
 
 def obstacles(draft: Draft, chain_id: str, members: Sequence[Member]) -> list[Part]:
-    """Molecules: nucleotides bonded in a row are one, every other residue is one of its own."""
+    """Group residues into molecules: bonded nucleotides form a strand, all others stand alone."""
     parts: list[Part] = []
     for member in members:
         if parts and _is_bonded(parts[-1].members[-1], member):
@@ -36,7 +36,7 @@ def obstacles(draft: Draft, chain_id: str, members: Sequence[Member]) -> list[Pa
         gone = [atom.name for atom in first.atoms if atom.name in _PHOSPHATE]
         if first.name in residues.NUCLEOTIDES and gone:
             first.atoms = [atom for atom in first.atoms if atom.name not in gone]
-            draft.repairs.append(f"{first}: its 5' phosphate left out, for no force field here has it")
+            draft.repairs.append(f"{first}: 5' phosphate left out: the force fields do not have it")
     return parts
 
 

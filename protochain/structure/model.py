@@ -1,4 +1,4 @@
-"""The prepared, all-atom protein every other part of the library works on."""
+"""Structure: a prepared, all-atom protein, on which the rest of the library works."""
 
 import hashlib
 from collections.abc import Mapping
@@ -25,16 +25,17 @@ class Structure:
     name : str
         Short name, from the file's name or the sequence.
     topology : openmm.app.Topology
-        Chains, residues, atoms and bonds; chain ids, numbers and insertion codes are the file's own.
+        Chains, residues, atoms and bonds; chain ids, numbers and insertion codes are those of the file.
     positions : (na, 3) float, nm
+        Positions of the atoms.
     repairs : tuple of str
         Every change made to the file's contents, one line each.
     left_out : mapping of str to int
-        What the file holds that the structure does not, counted by kind.
+        Numbers of molecules and atoms of the file that were left out, by kind.
     b_factor : (na,) float, angstrom^2
-        As the file has them; an added atom has its neighbour's.
+        B factors of the file; an added atom has its neighbour's.
     obstacle : (na,) bool
-        Atoms kept where they are: waters, ions and what else is not the protein.
+        Atoms held fixed: waters, ions and other molecules beside the protein.
 
     Raises
     ------
@@ -82,7 +83,7 @@ class Structure:
 
     @cached_property
     def atom_name(self) -> NDArray[np.str_]:
-        """(na,) str."""
+        """(na,) str: atom names."""
         return np.array([atom.name for atom in self.topology.atoms()])
 
     @cached_property
@@ -102,12 +103,12 @@ class Structure:
 
     @cached_property
     def residue_name(self) -> NDArray[np.str_]:
-        """(nr,) str."""
+        """(nr,) str: residue names."""
         return np.array([residue.name for residue in self.topology.residues()])
 
     @cached_property
     def residue_number(self) -> NDArray[np.str_]:
-        """(nr,) str: numbers as in the file."""
+        """(nr,) str: residue numbers of the file."""
         return np.array([residue.id for residue in self.topology.residues()])
 
     @cached_property
@@ -117,7 +118,7 @@ class Structure:
 
     @cached_property
     def residue_chain(self) -> NDArray[np.str_]:
-        """(nr,) str: chain ids as in the file; the parts of a broken chain share one."""
+        """(nr,) str: chain ids of the file; the parts of a broken chain share one."""
         return np.array([residue.chain.id for residue in self.topology.residues()])
 
     @cached_property
@@ -138,7 +139,7 @@ class Structure:
 
     @cached_property
     def fingerprint(self) -> str:
-        """SHA-256 of what an energy sees besides positions: atoms, residues, bonds, obstacles."""
+        """SHA-256 of all that determines the energy function: atoms, residues, bonds, obstacles."""
         seen = hashlib.sha256()
         for values in (
             self.atom_name, self.atom_element, self.atom_residue, self.residue_name,
@@ -148,16 +149,16 @@ class Structure:
         return seen.hexdigest()
 
     def describe_residue(self, residue: int) -> str:
-        """Name a residue as a person would: ``residue 17 GLU of chain A``."""
+        """Describe a residue: ``residue 17 GLU of chain A``."""
         number = f"{self.residue_number[residue]}{self.residue_insertion_code[residue]}"
         return describe(number, str(self.residue_name[residue]), str(self.residue_chain[residue]))
 
     def describe(self, atom: int) -> str:
-        """Name an atom as a person would: ``atom CG of residue 17 GLU of chain A``."""
+        """Describe an atom: ``atom CG of residue 17 GLU of chain A``."""
         return f"atom {self.atom_name[atom]} of {self.describe_residue(int(self.atom_residue[atom]))}"
 
     def with_positions(self, x: Floats) -> "Structure":
-        """Return the same structure with atoms at x (na, 3), nm."""
+        """Return the same structure with positions x (na, 3), nm."""
         return replace(self, positions=x)
 
     def __repr__(self) -> str:

@@ -1,7 +1,7 @@
-"""A file -> a Structure: heavy atoms completed, bonds between residues found, hydrogens placed.
+"""Preparation of a structure: heavy atoms completed, bonds between residues found, hydrogens placed.
 
-Everything is placed by geometry, or seeded and on the Reference platform: the same file gives the same
-coordinates, bit for bit.
+Atoms are placed by geometry, or by PDBFixer with a seed on the Reference platform: the same file gives the
+same coordinates, bit for bit.
 """
 
 from collections.abc import Sequence
@@ -38,49 +38,49 @@ def load(
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
-    Waters, ligands and other alternate locations are left out; chains are split where they break, and
-    head-to-tail rings closed; modified residues become their parents; missing heavy atoms are added by
-    PDBFixer, disulfides found from geometry, and missing hydrogens placed by geometry. The same file gives
-    the same bits.
+    Waters, ligands and other alternate locations are left out; chains are split at breaks, head-to-tail
+    cyclic peptides closed; modified residues become their standard parents; missing heavy atoms are added by
+    PDBFixer, disulfides found by distance, missing hydrogens placed by geometry. The same file gives the
+    same coordinates, bit for bit.
 
     Parameters
     ----------
     path : path-like
-        PDB or mmCIF by its content, gzipped or not; ``-`` is standard input.
+        PDB or mmCIF, gzipped or not; ``-`` is standard input. The content decides the format.
     model : int, optional
-        Number of the model, as the file has it; the first by default.
+        Number of the model in the file; the first by default.
     altloc : str
-        Alternate location to prefer; by default, and where it is absent, the one of highest occupancy.
+        Preferred alternate location; by default, and where it is absent, the one of highest occupancy.
     keep : sequence of str
-        What to keep besides, as obstacles that do not move: ``water``, ``ions``, ``nucleic``, ``all`` that
-        the force field knows, or names of residues.
+        Molecules to keep as fixed obstacles: ``water``, ``ions``, ``nucleic``, ``all`` that have force-field
+        parameters, or residue names.
     disulfide : sequence of pairs of str, optional
-        ``[("A:3", "A:40")]``: these and no others; by default, cysteines whose sulphurs are near.
+        Exactly these disulfide bonds, as ``[("A:3", "A:40")]``; by default, between sulphurs that are close.
     ph : float
-        Of the protonation of residues whose hydrogens or names do not show it.
+        Sets the protonation of residues whose hydrogens or names in the file do not show it.
     strict : bool
         Refuse chain breaks and incomplete backbones.
     forcefield : path-like, optional
-        A force-field file whose residues are taken as they are.
+        Force-field file whose residues are kept unmodified.
 
     Returns
     -------
     Structure
-        Every change is a line in ``repairs``.
+        Prepared protein; ``repairs`` lists every change.
 
     Raises
     ------
     StructureError
-        One line naming the file, the place and the mend.
+        If the file cannot be used: one line naming the file, the place and the remedy.
     """
     check_ph(ph)
-    own = own_file(forcefield)
-    reading = Reading(model, altloc, tuple(keep), strict, own)
-    return prepare(read(path, reading), disulfide, ph, own)
+    residues = user_file(forcefield)
+    reading = Reading(model, altloc, tuple(keep), strict, residues)
+    return prepare(read(path, reading), disulfide, ph, residues)
 
 
-def own_file(forcefield: str | Path | None) -> Path | None:
-    """Path of a force field that is a file of the user's, and not the name of one that comes with OpenMM."""
+def user_file(forcefield: str | Path | None) -> Path | None:
+    """Path of a force field that is a user's file; None for the name of a bundled one."""
     return Path(forcefield) if forcefield is not None and Path(forcefield).is_file() else None
 
 
@@ -95,7 +95,7 @@ def prepare(
     Raises
     ------
     StructureError
-        If a residue's atoms fit no known residue.
+        If a residue fits no template.
     """
     known = templates(forcefield)
     add_heavy_atoms(draft, known)
@@ -124,7 +124,7 @@ def prepare(
 
 
 def _bonds(draft: Draft, done: list[tuple[Member, Template]], bridges: list[Bridge]) -> Integers:
-    """(nbonds, 2) int: within residues by their templates, between them by where they are."""
+    """(nbonds, 2) int: bonds of the templates, of the chain, and disulfides."""
     at: dict[int, dict[str, int]] = {}
     n = 0
     pairs: list[tuple[int, int]] = []
@@ -158,7 +158,7 @@ def _topology(parts: list[Part], bonds: Integers) -> app.Topology:
 
 
 def _refuse_coincident(draft: Draft, done: list[tuple[Member, Template]], x: Floats, bonds: Integers) -> None:
-    """Refuse bonds of no length: no direction can be told from them."""
+    """Refuse bonded atoms in one place: their bond has no direction."""
     lengths = np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1)
     if not len(lengths) or lengths.min() > _SHORTEST:
         return
@@ -166,9 +166,9 @@ def _refuse_coincident(draft: Draft, done: list[tuple[Member, Template]], x: Flo
     owners = [(member, atom.name) for member, _ in done for atom in member.atoms]
     a, b = owners[first], owners[second]
     raise StructureError(
-        f"{draft.source}: {a[0]}: atoms {a[1]} and {b[1]} are in the same place; mend their coordinates"
+        f"{draft.source}: {a[0]}: atoms {a[1]} and {b[1]} coincide; correct their coordinates"
     )
 
 
 _SHORTEST = 0.02
-"""nm. No bond is a fifth of the shortest."""
+"""nm. A fifth of the shortest bond."""

@@ -1,4 +1,4 @@
-"""Protonation states at a pH, and the hydrogens that each residue has then."""
+"""Protonation states, and the hydrogens of each residue."""
 
 from collections.abc import Mapping
 
@@ -12,9 +12,9 @@ from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.templates import Template, base_template, rename
 
 _BONDED = 1.5
-"""Angstrom: a hydrogen further than this from every heavy atom of its residue belongs to none of them."""
+"""Angstrom: a hydrogen further than this from every heavy atom of its residue is dropped."""
 _HYDROGEN_BOND = 3.5
-"""Angstrom, donor to acceptor, as OpenMM's Modeller has it."""
+"""Angstrom, donor to acceptor, as in OpenMM's Modeller."""
 _STRAIGHT = np.cos(np.deg2rad(50.0))
 _UNPLACED = [float("nan")] * 3
 
@@ -22,9 +22,9 @@ _UNPLACED = [float("nan")] * 3
 def protonate(
     draft: Draft, known: Mapping[str, Template], bridged: set[int], ph: float
 ) -> list[tuple[Member, Template]]:
-    """Choose states and give every residue its hydrogens; those that the file lacks have no position yet.
+    """Choose protonation states and add missing hydrogens, whose positions stay NaN.
 
-    A state that the file shows, by a residue's name or its hydrogens, stands; others follow from the pH.
+    States shown by residue names or hydrogens in the file are kept; others follow from the pH.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def protonate(
     Returns
     -------
     list of (Member, Template)
-        In order; atoms of a member are its heavy atoms, each followed by its hydrogens.
+        In order of the draft; each heavy atom of a member is followed by its hydrogens.
     """
     acceptors = _Acceptors(draft)
     done = []
@@ -52,7 +52,7 @@ def protonate(
             added += sum(a.is_hydrogen() for a in member.atoms) - now
             done.append((member, template))
     if renamed:
-        draft.repairs.append(f"{renamed} hydrogens of names that are not known named by their parents")
+        draft.repairs.append(f"{renamed} hydrogens with unknown names renamed after their parent atoms")
     if added:
         draft.repairs.append(f"{added} hydrogens added at pH {ph:g} ({present} were in the file)")
     return done
@@ -76,14 +76,14 @@ def _template(
     usual = base_template(known, part, i)
     assert usual is not None
     if template is None:
-        draft.repairs.append(f"{member}: no force field has {state} at the end of a chain: taken as usual")
+        draft.repairs.append(f"{member}: kept in its usual state: the force field has no terminal {state}")
     elif state and not shown:
         draft.repairs.append(f"{member} taken as {state}")
     return template or usual
 
 
 def _shown(member: Member) -> str:
-    """State that a residue's name or hydrogens in the file show."""
+    """Protonation state that the residue's name or hydrogens in the file show."""
     if member.state:
         return member.state
     names = {a.name for a in member.atoms}
@@ -99,7 +99,7 @@ def _shown(member: Member) -> str:
 
 
 def _at_ph(member: Member, ph: float) -> str:
-    """State at a pH where it is not the usual one."""
+    """Protonation state at a pH; empty for the usual one."""
     acid, base = residues.PKA.get(member.name), residues.PKA_BASE.get(member.name)
     if acid and ph <= acid[0]:
         return acid[1]
@@ -107,29 +107,29 @@ def _at_ph(member: Member, ph: float) -> str:
 
 
 def _match(draft: Draft, member: Member, template: Template) -> int:
-    """Name and order the hydrogens of the file, drop what does not fit, and add what is missing.
+    """Rename and order the hydrogens of the file, drop those that do not fit, and add missing ones.
 
     Returns
     -------
     int
-        How many have another name now.
+        Number of hydrogens renamed.
     """
     before = {a.name for a in member.atoms if a.is_hydrogen()}
     rename(member.atoms, template)
     heavy = [a for a in member.atoms if not a.is_hydrogen()]
-    own: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
+    bonded: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
     strange = 0
     for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
         nearest = min(heavy, key=lambda a: a.pos.dist(hydrogen.pos))
         if nearest.pos.dist(hydrogen.pos) <= _BONDED:
-            own[nearest.name].append(hydrogen)
+            bonded[nearest.name].append(hydrogen)
         else:
             strange += 1
     expected = template.hydrogens
     member.atoms = []
     for parent in heavy:
         names = list(expected.get(parent.name, []))
-        given = own[parent.name]
+        given = bonded[parent.name]
         named = {a.name: a for a in given if a.name in names}
         others = [a for a in given if a.name not in names]
         for name in names:
@@ -140,12 +140,12 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
         member.atoms.append(parent)
         member.atoms += [named.get(name) or atom(name, "H", _UNPLACED, parent.b_iso) for name in names]
     if strange:
-        draft.repairs.append(f"{member}: {strange} of its hydrogens do not fit: left out")
+        draft.repairs.append(f"{member}: {strange} hydrogens left out: they do not belong to its state")
     return len({a.name for a in member.atoms if a.is_hydrogen() and not np.isnan(a.pos.x)} - before)
 
 
 class _Acceptors:
-    """Oxygens and nitrogens that a histidine may give a hydrogen bond to."""
+    """Oxygens and nitrogens to which a histidine may donate a hydrogen bond."""
 
     def __init__(self, draft: Draft) -> None:
         found = [
@@ -159,7 +159,7 @@ class _Acceptors:
         self.tree = KDTree(self.x) if found else None
 
     def prefer_epsilon(self, member: Member) -> bool:
-        """Whether NE2 would give a hydrogen bond and ND1 would not: the rule of OpenMM's Modeller."""
+        """Whether NE2 can donate a hydrogen bond and ND1 cannot: the rule of OpenMM's Modeller."""
         return self._bonds(member, "NE2", ("CD2", "CE1")) and not self._bonds(member, "ND1", ("CG", "CE1"))
 
     def _bonds(self, member: Member, donor: str, beside: tuple[str, str]) -> bool:
@@ -178,11 +178,12 @@ class _Acceptors:
 
 
 def check_ph(ph: float) -> None:
-    """Refuse a pH that is none.
+    """Refuse a pH outside 0 to 14.
 
     Raises
     ------
     StructureError
+        Naming the pH.
     """
     if not 0.0 <= ph <= 14.0:
         raise StructureError(f"pH {ph:g}: give a number from 0 to 14")

@@ -1,7 +1,7 @@
-"""A structure file -> the molecules in it that are used: one conformation, chains split where they break.
+"""Read the molecules of a structure file: one model, one conformation, chains split at their breaks.
 
-gemmi does the parsing. What is left out or changed is said in ``repairs``; what cannot be used is
-refused in one line.
+gemmi parses the file. Whatever is left out or changed is reported in ``repairs``; whatever cannot be used
+raises an error of one line.
 """
 
 from collections import Counter
@@ -23,26 +23,25 @@ from protochain.structure.templates import rename, standard_name, template_name,
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""
 SMALLEST_RING = 4
-"""Residues of the smallest head-to-tail ring that is looked for."""
+"""Fewest residues of a head-to-tail cyclic peptide."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What to take of a file.
+    """Options for reading a file.
 
     Parameters
     ----------
     model : int, optional
-        Number of the model, as the file has it; the first by default.
+        Number of the model in the file; the first by default.
     altloc : str
-        Alternate location to prefer; the one of highest occupancy by default, and where it is absent.
+        Preferred alternate location; by default, and where it is absent, the one of highest occupancy.
     keep : tuple of str
-        What else to keep, as obstacles that do not move: ``water``, ``ions``, ``nucleic``, ``all`` or names
-        of residues.
+        Molecules kept as fixed obstacles: ``water``, ``ions``, ``nucleic``, ``all`` or residue names.
     strict : bool
         Refuse chain breaks and residues that would be left out of a chain.
     forcefield : Path, optional
-        A force-field file whose residues are known besides.
+        Force-field file whose residues are recognised besides the bundled ones.
     """
 
     model: int | None = None
@@ -78,14 +77,13 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
     last = next(part for part in reversed(draft.parts) if not part.obstacle).members[-1]
     if not ends and not last.atom("OXT"):
         draft.repairs.append(
-            f"the file stops at {last} without an END line or a terminal oxygen: "
-            "if it was cut short, the rest is not here"
+            f"the file ends at {last} without an END record or a terminal oxygen: check that it is complete"
         )
     return draft
 
 
 def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -> Draft:
-    """Fill a draft from what gemmi, or anything that became a gemmi structure, holds.
+    """Fill a draft from a gemmi structure.
 
     Raises
     ------
@@ -106,12 +104,12 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         found = ", ".join(f"{count} {kind}" for kind, count in draft.left_out.items() if count)
         raise StructureError(f"{draft.source}: no protein found (only {found}); give a file with amino acids")
     draft.parts += kept
-    _say_what_was_left_out(draft)
+    _report_left_out(draft)
     return draft
 
 
 def model_numbers(path: str | Path) -> list[int]:
-    """Numbers of the models in a file.
+    """List the numbers of the models in a file.
 
     Raises
     ------
@@ -148,7 +146,7 @@ def _listed(numbers: list[int]) -> str:
 
 
 class _Reader:
-    """Reads one chain: what is said of it goes into the draft."""
+    """Reader of one chain, which adds its parts and repairs to the draft."""
 
     def __init__(self, draft: Draft, reading: Reading, chain_id: str, kept: list[Part]) -> None:
         self.draft, self.reading, self.chain_id, self.kept = draft, reading, chain_id, kept
@@ -157,12 +155,12 @@ class _Reader:
         self.unknown: set[int] = set()
 
     def take(self, chain: gemmi.Chain) -> None:
-        """Take the chain's protein, and what is to be kept besides."""
+        """Add the protein of a chain and the molecules kept beside it."""
         run: list[Member] = []
         for group in same_place(chain):
             found = likeliest(group, self.reading.altloc)
             if self._is_protein(found.residue.name):
-                self._say_alternates(found)
+                self._report_alternates(found)
             member = self._member(found.residue)
             if member is not None and self._has_backbone(member):
                 run.append(member)
@@ -171,7 +169,7 @@ class _Reader:
                 f"{self.draft.source}: chain {self._chain} holds only C-alpha atoms; "
                 "rebuild the other atoms first"
             )
-        self._say_unseen(run)
+        self._report_zero_occupancy(run)
         self._add_unbroken(run)
         self.kept += obstacles(self.draft, self.chain_id, self.beside)
 
@@ -179,38 +177,39 @@ class _Reader:
     def _chain(self) -> str:
         return self.chain_id or "(blank)"
 
-    def _say(self, line: str) -> None:
+    def _report(self, line: str) -> None:
         self.draft.repairs.append(line)
 
     def _describe(self, residue: gemmi.Residue) -> str:
         return residues.describe(str(residue.seqid).strip(), residue.name, self.chain_id)
 
-    def _say_alternates(self, found: Conformation) -> None:
+    def _report_alternates(self, found: Conformation) -> None:
         where = self._describe(found.residue)
         if found.others:
-            self._say(
+            self._report(
                 f"{where}: alternate location {found.altloc} kept (occupancy {found.occupancy:.2f}), "
                 f"{', '.join(found.others)} left out"
             )
             self.draft.left_out["alternate locations"] += len(found.others)
         elif found.repeated:
-            self._say(f"{where}: {', '.join(found.repeated)} given more than once: the first kept")
+            self._report(f"{where}: {', '.join(found.repeated)} given more than once; the first of each kept")
             self.draft.left_out["repeated atoms"] += len(found.repeated)
 
-    def _say_unseen(self, run: list[Member]) -> None:
-        """Say which atoms were not seen in the experiment."""
+    def _report_zero_occupancy(self, run: list[Member]) -> None:
+        """Report heavy atoms that the experiment did not resolve."""
         unseen = [sum(atom.occ == 0.0 for atom in member.atoms if not atom.is_hydrogen()) for member in run]
         places = [str(member) for member, n in zip(run, unseen, strict=True) if n]
         if places:
             more = f" and {len(places) - 1} more" if len(places) > 1 else ""
-            self._say(f"{sum(unseen)} atoms of occupancy 0 kept, in {places[0]}{more}")
+            self._report(f"{sum(unseen)} atoms of zero occupancy kept, in {places[0]}{more}")
 
     def _is_protein(self, name: str) -> bool:
-        standard = standard_name(name.strip().upper())[0]
-        return standard in residues.STANDARD or standard in residues.CAPS or bool(_parent(standard))
+        name = name.strip().upper()
+        standard = standard_name(name)[0]
+        return standard in residues.STANDARD or standard in residues.CAPS or bool(_parent(name))
 
     def _member(self, residue: gemmi.Residue) -> Member | None:
-        """Return the residue under its standard name, or None where it is no part of the protein."""
+        """Return a residue of the protein under its standard name, or None for another molecule."""
         given = residue.name
         name, state = standard_name(given.strip().upper())
         if name in residues.STANDARD or name in residues.CAPS:
@@ -218,31 +217,36 @@ class _Reader:
                 atom.element = _element(atom)
         atoms = [atom for atom in residue if atom.element != gemmi.Element("D")]
         self.draft.left_out["deuterium atoms"] += len(residue) - len(atoms)
+        backbone = {*residues.BACKBONE} <= {atom.name for atom in atoms}
+        if backbone and name in residues.NUCLEOTIDES:
+            # DCY: D-cysteine in the archive, deoxycytidine in OpenMM's table of names.
+            name = given.strip().upper()
         member = Member(
             name, str(residue.seqid.num), residue.seqid.icode.strip(), self.chain_id, atoms, state
         )
-        backbone = {"N", "CA", "C"} <= {atom.name for atom in atoms}
         if name in residues.STANDARD or name in residues.CAPS:
             if state:
-                self._say(f"{self._describe(residue)}: taken as {name}, its protonation as its name says")
+                self._report(f"{self._describe(residue)}: taken as {name} in protonation state {state}")
             if member.is_cap:
                 rename(member.atoms, self.known[template_name(name)])
             return member
-        if backbone and name in self.known and name not in residues.NUCLEOTIDES:
+        # DGN: D-glutamine in the archive, a nucleoside in Amber's files.
+        if backbone and name in self.known and {*residues.BACKBONE} <= self.known[name].element.keys():
             return member
         parent = _parent(name)
         if backbone and parent:
             self._convert(member, parent, self._describe(residue))
             return member
         if backbone:
-            # Refused if it is part of a chain, and a ligand if not.
+            # Refused within a chain; left out as a ligand if it stands alone.
             self.unknown.add(id(member))
             return member
         if is_wanted(member, self.reading.keep, self.known):
             self.beside.append(member)
         elif name in self.reading.keep:
             raise StructureError(
-                f"{self.draft.source}: {self._describe(residue)} cannot be kept: no force field knows it"
+                f"{self.draft.source}: {self._describe(residue)} cannot be kept: the force field has no "
+                "parameters for it; leave it out"
             )
         else:
             water = gemmi.find_tabulated_residue(given).is_water()
@@ -250,26 +254,27 @@ class _Reader:
         return None
 
     def _convert(self, member: Member, parent: str, where: str) -> None:
-        """Turn a modified residue into its standard parent."""
-        named = self.known[parent]
-        own = {*named.element, *named.synonyms, "OXT", "H1", "H2", "H3", "H"}
+        """Convert a modified residue to its standard parent."""
+        # HIP has the atoms of every state of histidine.
+        named = self.known["HIP" if parent == "HIS" else parent]
+        expected = {*named.element, *named.synonyms, "OXT", "H1", "H2", "H3", "H"}
         for name in set(named.heavy) - {atom.name for atom in member.atoms}:
-            # Selenium, or a sulphur under another name, stands for the parent's one sulphur.
-            chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in own]
+            # Selenium, or a sulphur of another name, becomes the parent's sulphur.
+            chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in expected]
             if named.element[name] == "S" and len(chalcogens) == 1:
                 chalcogens[0].name, chalcogens[0].element = name, gemmi.Element("S")
-        strange = [atom.name for atom in member.atoms if atom.name not in own and not atom.is_hydrogen()]
+        strange = [atom.name for atom in member.atoms if atom.name not in expected and not atom.is_hydrogen()]
         member.atoms = [
-            atom for atom in member.atoms if atom.name in own and not (strange and atom.is_hydrogen())
+            atom for atom in member.atoms if atom.name in expected and not (strange and atom.is_hydrogen())
         ]
         given, member.name = member.name, parent
         if given == "MSE":
-            self._say(f"{where}: selenomethionine taken as MET")
+            self._report(f"{where}: selenomethionine converted to MET")
         elif gemmi.find_tabulated_residue(given).kind == gemmi.ResidueKind.AAD:
-            self._say(f"{where}: the D form of {parent}, kept as it is under that name")
+            self._report(f"{where}: named {parent}, its D configuration kept")
         else:
             gone = f", {', '.join(strange)} left out" if strange else ""
-            self._say(f"{where}: taken as {parent}, its standard parent{gone}")
+            self._report(f"{where}: converted to its standard parent {parent}{gone}")
 
     def _has_backbone(self, member: Member) -> bool:
         missing = [name for name in residues.BACKBONE if not member.atom(name)]
@@ -280,12 +285,12 @@ class _Reader:
                 f"{self.draft.source}: {member}: atom {missing[0]} missing; "
                 "rebuild the backbone or remove the residue"
             )
-        self._say(f"{member}: left out, for its backbone atom {missing[0]} is missing")
+        self._report(f"{member}: left out: its backbone atom {missing[0]} is missing")
         self.draft.left_out["incomplete residues"] += 1
         return False
 
     def _add_unbroken(self, run: list[Member]) -> None:
-        """Split where residues are not bonded: a bond drawn across a gap would tear the chain."""
+        """Split a chain where residues are not bonded; a bond across a gap would be far too long."""
         part: list[Member] = []
         for member in run:
             if part:
@@ -298,18 +303,18 @@ class _Reader:
         self._add(part)
 
     def _break(self, last: Member, first: Member, gap: float) -> None:
-        """Say that the chain is broken, unless the file has real termini there."""
+        """Report a chain break, unless the file has termini there."""
         if last.atom("OXT") or last.is_cap or first.is_cap or {id(last), id(first)} & self.unknown:
             return
         where = f"chain {self._chain} is broken between {last.seqid} and {first.seqid} ({gap:.1f} angstrom)"
         if self.reading.strict:
             raise StructureError(
-                f"{self.draft.source}: {where}; build what is missing, or leave out --strict"
+                f"{self.draft.source}: {where}; model the missing residues, or omit --strict"
             )
-        self._say(f"{where}: taken as two chains with real termini")
+        self._report(f"{where}: split there, with charged termini; to avoid it, model the missing residues")
 
     def _add(self, part: list[Member]) -> None:
-        """Append an unbroken chain, if a force field can know it."""
+        """Add an unbroken chain, or leave out a single residue."""
         part = [
             member
             for i, member in enumerate(part)
@@ -319,11 +324,11 @@ class _Reader:
             self.draft.left_out[part[0].name] += 1
         elif strange := next((member for member in part if id(member) in self.unknown), None):
             raise StructureError(
-                f"{self.draft.source}: {strange} is not an amino acid that is known, and has no standard "
-                "parent; replace or remove it, or give a force field that has it"
+                f"{self.draft.source}: {strange} is an unknown amino acid without a standard parent; "
+                "replace or remove it, or give a force field that defines it"
             )
         elif len(part) == 1:
-            self._say(f"{part[0]}: left out, for it is bonded to no other residue")
+            self._report(f"{part[0]}: left out: it is bonded to no other residue")
             self.draft.left_out["single residues"] += 1
         elif part:
             made = Part(self.chain_id, part)
@@ -333,26 +338,26 @@ class _Reader:
                     (self.chain_id, member.seqid, name) for member, name in ((part[-1], "C"), (part[0], "N"))
                 )
                 if not self.draft.states(*ends):
-                    self._say(f"chain {self._chain}: {part[-1]} is bonded to {part[0]}: a ring")
+                    self._report(f"chain {self._chain} is cyclic: {part[-1]} is bonded to {part[0]}")
             self.draft.parts.append(made)
 
     def _is_in_place(self, member: Member, i: int, n: int) -> bool:
         if n > 1 and (i == 0 if member.name == "ACE" else i == n - 1):
             return True
-        self._say(f"{member}: left out, for it caps no chain")
+        self._report(f"{member}: left out: this cap is not at the end of a chain")
         self.draft.left_out[member.name] += 1
         return False
 
 
 def _element(atom: gemmi.Atom) -> gemmi.Element:
-    """Element of an amino acid's atom, by its name where the columns mislead: CHARMM's HD1 is in 13-15."""
+    """Element by the atom's name where it contradicts the element read: CHARMM puts HD1 in columns 13-15."""
     letter = atom.name.lstrip("0123456789")[:1]
     known = atom.element.name in ("C", "H", "D", "N", "O", "S") and atom.element.name == letter
     return atom.element if known or letter not in "CHDNOS" or not letter else gemmi.Element(letter)
 
 
 def _parent(name: str) -> str:
-    """Return the standard amino acid that a modified one is made from, or nothing."""
+    """Return the standard amino acid that a modified one derives from, or an empty string."""
     if name in substitutions:
         return str(substitutions[name])
     info = gemmi.find_tabulated_residue(name)
@@ -363,19 +368,19 @@ def _parent(name: str) -> str:
 
 
 def _gap(last: Member, first: Member) -> float:
-    """Distance from the C of one residue to the N of another, angstrom; without them they are not bonded."""
+    """Distance in angstrom from C of one residue to N of another; infinite where either cannot bond."""
     end, start = last.atom("C"), first.atom("N")
     if end is None or start is None or last.name in ("NME", "NH2") or first.name == "ACE":
         return np.inf
     return float(end.pos.dist(start.pos))
 
 
-def _say_what_was_left_out(draft: Draft) -> None:
-    said_already = (
+def _report_left_out(draft: Draft) -> None:
+    reported = (
         "models", "alternate locations", "repeated atoms", "incomplete residues", "single residues",
         *residues.CAPS,
     )  # fmt: skip
     draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})
     for kind, count in draft.left_out.items():
-        if kind not in said_already:
+        if kind not in reported:
             draft.repairs.append(f"{count} {kind} left out")

@@ -1,4 +1,4 @@
-"""Atoms by the selection language of MDAnalysis."""
+"""Atom selection in the language of MDAnalysis."""
 
 import numpy as np
 
@@ -8,23 +8,24 @@ from protochain.structure.model import Structure
 
 
 def select(structure: Structure, selection: str) -> np.ndarray:
-    """Atoms that a selection names.
+    """Select atoms.
 
     Parameters
     ----------
     structure : Structure
     selection : str
-        As ``resid 5:20 and not backbone``, ``chainID A``, ``around 5 resid 12``: see MDAnalysis. Distances in
-        angstrom.
+        In the language of MDAnalysis, distances in angstrom: ``resid 5:20 and not backbone``, ``chainID A``,
+        ``around 5 resid 12``.
 
     Returns
     -------
     (na,) bool
+        Mask of the selected atoms.
 
     Raises
     ------
     StructureError
-        If it cannot be read, or names no atom.
+        If the selection cannot be read or is empty.
     """
     from MDAnalysis.exceptions import SelectionError
 
@@ -37,5 +38,5 @@ def select(structure: Structure, selection: str) -> np.ndarray:
     mask = np.zeros(structure.n_atoms, dtype=bool)
     mask[chosen.indices] = True
     if not mask.any():
-        raise StructureError(f"{structure.name}: selection {selection!r} names no atom")
+        raise StructureError(f"{structure.name}: selection {selection!r} selects no atom; change it")
     return mask

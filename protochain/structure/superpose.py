@@ -1,4 +1,4 @@
-"""Root-mean-square deviation after the best superposition."""
+"""Superposition, and root-mean-square deviation after it."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from protochain.units import ANGSTROM_PER_NM
 
 
 def superpose(x: Floats, reference: Floats) -> Floats:
-    """Move points rigidly onto others so that their RMSD is least.
+    """Superpose points onto a reference with least RMSD.
 
     Parameters
     ----------
@@ -17,20 +17,20 @@ def superpose(x: Floats, reference: Floats) -> Floats:
     Returns
     -------
     (n, 3) float
-        x, turned and moved onto ``reference`` (Kabsch, Acta Cryst. A32:922, 1976).
+        x rotated and translated onto ``reference`` (Kabsch, Acta Cryst. A32:922, 1976).
     """
     turn, shift = motion(x, reference)
     return x @ turn.T + shift
 
 
 def motion(x: Floats, reference: Floats) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and shift (3,) of the rigid motion by which :func:`superpose` moves points."""
-    centre, own = reference.mean(axis=0), x.mean(axis=0)
-    # The rotation of one or two points is not unique, which scipy warns of; their deviation still is.
-    u, _, vt = np.linalg.svd((reference - centre).T @ (x - own))
+    """Rotation (3, 3) and translation (3,) that superpose points onto a reference."""
+    centre, own_centre = reference.mean(axis=0), x.mean(axis=0)
+    # Not scipy's align_vectors, which warns that one or two points fix no rotation; their RMSD is unique.
+    u, _, vt = np.linalg.svd((reference - centre).T @ (x - own_centre))
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     turn = np.asarray(u @ flip @ vt)
-    return turn, centre - turn @ own
+    return turn, centre - turn @ own_centre
 
 
 def rmsd(x: Floats, reference: Floats) -> float:
@@ -43,23 +43,25 @@ def rmsd(x: Floats, reference: Floats) -> float:
     Returns
     -------
     float
-        In double precision; mdtraj's kernel, in single, is 0 or noise below about 1e-3 of the size.
+        In double precision; mdtraj's in single is noise below about 1e-3 of the size of the molecule.
     """
     return float(np.sqrt(np.mean(np.sum((superpose(x, reference) - reference) ** 2, axis=1))))
 
 
 def rmsd_angstrom(x: Floats, reference: Floats) -> float:
-    """RMSD in angstrom of points (n, 3) in nm, superposed."""
+    """RMSD in angstrom of points (n, 3) in nm after superposition."""
     return ANGSTROM_PER_NM * rmsd(x, reference)
 
 
 def ca_rmsd(structure: Structure, x: Floats, reference: Floats) -> float:
-    """C-alpha RMSD between two sets of positions of one structure, superposed.
+    """C-alpha RMSD between two sets of positions of a structure, after superposition.
 
     Parameters
     ----------
     structure : Structure
+        Structure whose C-alpha atoms are compared.
     x, reference : (na, 3) float, nm
+        Positions of all atoms.
 
     Returns
     -------

@@ -1,6 +1,6 @@
-"""What residues are made of: the templates of OpenMM's Amber files, read under every name an atom goes by.
+"""Residue templates of OpenMM's Amber files, with every synonym of an atom's name.
 
-The files are data: names, elements, charges and bonds are taken from them, and nothing in them is run.
+Names, elements, charges and bonds are read from the files; scripts in them are never run.
 """
 
 from collections.abc import Mapping
@@ -22,19 +22,19 @@ _FILES = ("protein.ff14SB.xml", "DNA.OL15.xml", "RNA.OL3.xml", "tip3p.xml")
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """A residue as a force field has it.
+    """Residue template of a force field.
 
     Parameters
     ----------
     name : str
-        As the force field calls it: ``ALA``, ``NALA`` at the start of a chain, ``HIE``.
+        Name in the force field: ``ALA``, ``NALA`` at the start of a chain, ``HIE``.
     element : mapping of str to str
-        Element of each atom, by the name the PDB gives it.
+        Element of each atom, by PDB name.
     charge : mapping of str to float, e
     bonds : tuple of pairs of str
-        Within the residue.
+        Bonds within the residue.
     synonyms : mapping of str to str
-        Every other name of an atom to the PDB's.
+        PDB name of every other name of an atom.
     """
 
     name: str
@@ -45,12 +45,12 @@ class Template:
 
     @cached_property
     def heavy(self) -> list[str]:
-        """Names of the atoms that are not hydrogens."""
+        """Names of the heavy atoms."""
         return [name for name, element in self.element.items() if element != "H"]
 
     @cached_property
     def hydrogens(self) -> dict[str, list[str]]:
-        """Names of the hydrogens of each heavy atom that has any."""
+        """Names of the hydrogens bonded to each heavy atom."""
         found: dict[str, list[str]] = {}
         for first, second in self.bonds:
             for parent, child in ((first, second), (second, first)):
@@ -59,23 +59,23 @@ class Template:
         return found
 
 
-def templates(own: Path | None = None) -> Mapping[str, Template]:
+def templates(user_file: Path | None = None) -> Mapping[str, Template]:
     """Templates by name: proteins, caps, nucleic acids, water and ions.
 
     Parameters
     ----------
-    own : Path, optional
-        A force-field file of the user's, whose residues are added.
+    user_file : Path, optional
+        Force-field file of the user, whose residues are added.
 
     Raises
     ------
     StructureError
         If that file cannot be read.
     """
-    if own is None:
+    if user_file is None:
         return _amber()
     # A user's file may change between calls.
-    return {**_read(own), **_amber()}
+    return {**_read(user_file), **_amber()}
 
 
 @cache
@@ -104,11 +104,11 @@ def _template(node: ElementTree.Element, elements: Mapping[str | None, str]) -> 
     atoms = [atom for atom in node.iterfind("Atom") if elements.get(atom.get("type"), "")]
     order = [atom.get("name", "") for atom in atoms]
     primary, others = _names(standard_name(name)[0])
-    called = {own: _called(own, primary) for own in order}
+    called = {given: _called(given, primary) for given in order}
     synonyms: dict[str, str] = {}
-    for own in order:
-        for other in (own, primary.get(own, own), *others.get(primary.get(own, own), ())):
-            synonyms.setdefault(other, called[own])
+    for given in order:
+        for other in (given, primary.get(given, given), *others.get(primary.get(given, given), ())):
+            synonyms.setdefault(other, called[given])
     bonds = []
     for bond in node.iterfind("Bond"):
         ends = [bond.get(f"atomName{i}") for i in (1, 2)]
@@ -118,21 +118,21 @@ def _template(node: ElementTree.Element, elements: Mapping[str | None, str]) -> 
             bonds.append((called[str(ends[0])], called[str(ends[1])]))
     return Template(
         name,
-        {called[own]: elements[atom.get("type")] for own, atom in zip(order, atoms, strict=True)},
-        {called[own]: float(atom.get("charge", 0.0)) for own, atom in zip(order, atoms, strict=True)},
+        {called[given]: elements[atom.get("type")] for given, atom in zip(order, atoms, strict=True)},
+        {called[given]: float(atom.get("charge", 0.0)) for given, atom in zip(order, atoms, strict=True)},
         tuple(bonds),
-        {other: own for other, own in synonyms.items() if other not in set(called.values())},
+        {other: pdb_name for other, pdb_name in synonyms.items() if other not in set(called.values())},
     )
 
 
-def _called(own: str, primary: Mapping[str, str]) -> str:
-    """Name in the PDB, where the first hydrogen of a charged N terminus is H1."""
-    return own if own == "H1" and primary.get(own) == "H" else primary.get(own, own)
+def _called(given: str, primary: Mapping[str, str]) -> str:
+    """PDB name of an atom; the first hydrogen of a charged N terminus is H1."""
+    return given if given == "H1" and primary.get(given) == "H" else primary.get(given, given)
 
 
 @cache
 def _alternatives() -> dict[str, tuple[str, dict[str, list[str]]]]:
-    """Of each residue in OpenMM's table of names: its kind, and the alternatives of its atoms."""
+    """Kind of each residue in OpenMM's table of names, and the alternative names of its atoms."""
     root = ElementTree.parse(_DATA / "pdbNames.xml").getroot()
     return {
         node.get("name", ""): (
@@ -148,11 +148,11 @@ def _alternatives() -> dict[str, tuple[str, dict[str, list[str]]]]:
 
 @cache
 def _names(residue: str) -> tuple[dict[str, str], dict[str, list[str]]]:
-    """PDB name of every alternative, and alternatives of every PDB name, in a residue."""
+    """PDB name of every alternative name, and alternatives of every PDB name, in a residue."""
     table = _alternatives()
-    kind, own = table.get(residue, ("Protein", {}))
-    others = {**table.get(kind, ("", {}))[1], **own}
-    others = {name: [each for each in given if each not in own] for name, given in others.items()}
+    kind, names = table.get(residue, ("Protein", {}))
+    others = {**table.get(kind, ("", {}))[1], **names}
+    others = {name: [each for each in given if each not in names] for name, given in others.items()}
     if residue == "ILE":
         others.setdefault("CD1", []).append("CD")
     return {other: name for name, given in others.items() for other in given}, others
@@ -170,9 +170,9 @@ def _residue_names() -> dict[str, str]:
 
 
 def standard_name(name: str) -> tuple[str, str]:
-    """Return the PDB's name of a residue, and the protonation state that the given name says.
+    """Return the PDB name of a residue, and the protonation state that the given name implies.
 
-    Amber's HIE and NHIE, CHARMM's HSE and the PDB's HIS are one residue; WAT, TIP3 and HOH are another.
+    HIE and NHIE of Amber and HSE of CHARMM are HIS in the PDB; WAT and TIP3 are HOH.
     """
     if name in STATE_PARENT:
         return STATE_PARENT[name]
@@ -184,15 +184,15 @@ def standard_name(name: str) -> tuple[str, str]:
 
 
 def template_name(residue: str) -> str:
-    """Return what Amber calls a residue of the PDB."""
+    """Return Amber's name of a residue of the PDB."""
     return "NHE" if residue == "NH2" else residue
 
 
 def base_template(known: Mapping[str, Template], part: Part, i: int, state: str = "") -> Template | None:
-    """Template of a residue in its place, without its hydrogens' state unless one is given.
+    """Template of residue i of a chain, in a protonation state or in the usual one.
 
-    The first residue of a chain that is no ring is ``N...``, its last ``C...``, unless capped; first and last
-    nucleotides have the names of their ends.
+    The first residue of a chain is ``N...``, its last ``C...``, unless capped or cyclic; terminal nucleotides
+    are ``...5`` and ``...3``.
     """
     member = part.members[i]
     name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
@@ -207,12 +207,12 @@ def base_template(known: Mapping[str, Template], part: Part, i: int, state: str 
 
 
 def rename(atoms: list[gemmi.Atom], template: Template) -> list[str]:
-    """Give atoms the PDB's names, where they have others.
+    """Rename atoms to their PDB names.
 
     Returns
     -------
     list of str
-        What was renamed: ``CD to CD1``.
+        Changes, as ``CD to CD1``.
     """
     present = {atom.name for atom in atoms}
     changed = []

@@ -1,4 +1,4 @@
-"""Frames of a run -> a DCD or XTC file, through OpenMM's writers."""
+"""Trajectories in DCD or XTC files, by OpenMM's writers."""
 
 import os
 import struct
@@ -14,11 +14,11 @@ from protochain.storage import check_writable
 from protochain.structure.model import Structure
 
 _DCD_COUNT = 8
-"""Where a DCD file keeps its number of frames: four bytes, little-endian."""
+"""Offset of the number of frames in a DCD file: four bytes, little-endian."""
 
 
 def check_trajectory(path: Path) -> None:
-    """Refuse a name whose format is not known.
+    """Refuse an unknown trajectory suffix.
 
     Raises
     ------
@@ -30,23 +30,23 @@ def check_trajectory(path: Path) -> None:
 
 
 class TrajectoryFile:
-    """Writes frames to ``NAME.part.dcd``; the file gets its name when the ``with`` block ends.
+    """Writer of frames to ``NAME.part.dcd``, renamed when the ``with`` block ends.
 
     Parameters
     ----------
     path : path-like
         Ends in ``.dcd`` or ``.xtc``.
     structure : Structure
-        Whose atoms they are.
+        Structure that gives the topology.
     interval : float, ps
         Time between frames.
     kept : tuple of int and int, optional
-        Go on with a file that has this many frames and bytes; what it has beyond them is cut off.
+        Continue a file from this number of frames and bytes; the rest is cut off.
 
     Raises
     ------
     StructureError
-        If the suffix is neither, or the file to go on with has lost frames.
+        If the suffix is unknown, or the file to continue has lost frames.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class TrajectoryFile:
         if not self.part.exists() and self.path.exists():
             self.path.replace(self.part)
         if not self.part.exists() or self.part.stat().st_size < n_bytes:
-            raise StructureError(f"{self.part}: has lost frames that its checkpoint counts; begin anew")
+            raise StructureError(f"{self.part}: has lost frames since its checkpoint; start the run anew")
         with self.part.open("r+b") as file:
             file.truncate(n_bytes)
             if self.path.suffix.lower() == ".dcd":
@@ -93,7 +93,7 @@ class TrajectoryFile:
         self.n_frames += 1
 
     def stored(self) -> tuple[int, int]:
-        """Frames and bytes that are on the disk for sure."""
+        """Write all frames to the disk; return their number and the bytes of the file."""
         if self._file is not None:
             self._file.flush()
         with self.part.open("rb") as file:
@@ -101,12 +101,12 @@ class TrajectoryFile:
         return self.n_frames, self.part.stat().st_size
 
     def close(self) -> None:
-        """Close the file under the name it has."""
+        """Close the file without renaming it."""
         if self._file is not None:
             self._file.close()
 
     def finish(self) -> None:
-        """Close the file and give it its name."""
+        """Close the file and rename it."""
         self.close()
         self.part.replace(self.path)
 

@@ -1,4 +1,4 @@
-"""A Structure -> a PDB or mmCIF file, written whole or not at all."""
+"""Writing of structures to PDB or mmCIF files, whole or not at all."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -8,32 +8,32 @@ import numpy as np
 
 from protochain.errors import StructureError
 from protochain.storage import write_atomically
+from protochain.structure.files import SUFFIXES
 from protochain.structure.model import Structure
 from protochain.units import ANGSTROM_PER_NM
 
-_PDB = (".pdb", ".ent")
-_MMCIF = (".cif", ".mmcif")
 _REMARK_WIDTH = 68
 _PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999
-"""Angstrom: what eight columns with three decimals hold."""
+"""Angstrom: range of eight columns with three decimals."""
 
 
 def save(structure: Structure, path: str | Path, remarks: Iterable[str] = ()) -> None:
-    """Write a structure, with chain ids, numbers and insertion codes as they came.
+    """Write a structure to a file, with the chain ids, numbers and insertion codes of its source.
 
     Parameters
     ----------
     structure : Structure
+        Structure to write.
     path : path-like
-        PDB for ``.pdb`` and ``.ent``, mmCIF for ``.cif`` and ``.mmcif``. No CRYST1 record is written:
-        it would make some programs treat the chain as periodic.
+        PDB for ``.pdb`` and ``.ent``, mmCIF for ``.cif`` and ``.mmcif``. No CRYST1 record is written, which
+        would make some programs treat the chain as periodic.
     remarks : iterable of str
         Lines of provenance, written as REMARK 3 or in the category ``_protochain_provenance``.
 
     Raises
     ------
     StructureError
-        If the suffix is neither, or the structure does not fit the format.
+        If the suffix is unknown, or the structure does not fit the format.
     """
     path = Path(path)
     check_format(path)
@@ -43,34 +43,34 @@ def save(structure: Structure, path: str | Path, remarks: Iterable[str] = ()) ->
 
 
 def as_text(structure: Structure, suffix: str, remarks: Iterable[str] = (), *, hydrogens: bool = True) -> str:
-    """Return what :func:`save` writes: PDB or mmCIF by the suffix."""
+    """Return the text that :func:`save` writes, in the format of the suffix."""
     out = _gemmi_structure(structure)
     if not hydrogens:
         out.remove_hydrogens()
-    return (_pdb if suffix.lower() in _PDB else _mmcif)(out, remarks)
+    return _WRITERS[SUFFIXES[suffix.lower()]](out, remarks)
 
 
 def check_format(path: Path) -> None:
-    """Refuse a name whose format is not known.
+    """Refuse an unknown suffix.
 
     Raises
     ------
     StructureError
         Naming the suffix.
     """
-    if path.suffix.lower() not in _PDB + _MMCIF:
-        raise StructureError(f"{path}: unknown suffix {path.suffix!r}; end the name in .pdb or .cif")
+    if SUFFIXES.get(path.suffix.lower()) not in _WRITERS:
+        raise StructureError(f"{path}: unknown suffix {path.suffix!r}; use {' or '.join(SUFFIXES)}")
 
 
 def check_fits(structure: Structure, path: Path) -> None:
-    """Refuse what a PDB file's columns cannot hold.
+    """Refuse a structure that does not fit the columns of a PDB file.
 
     Raises
     ------
     StructureError
         Naming the chain or the atom.
     """
-    if path.suffix.lower() not in _PDB:
+    if SUFFIXES[path.suffix.lower()] != "PDB":
         return
     long = [str(chain_id) for chain_id in structure.residue_chain if len(chain_id) > 1]
     if long:
@@ -79,12 +79,12 @@ def check_fits(structure: Structure, path: Path) -> None:
     far = np.flatnonzero(((x < _PDB_LOWEST) | (x > _PDB_HIGHEST)).any(axis=1))
     if len(far):
         raise StructureError(
-            f"{path}: {structure.describe(int(far[0]))} lies too far out for a PDB file; write .cif instead"
+            f"{path}: the coordinates of {structure.describe(int(far[0]))} do not fit a PDB file; write .cif"
         )
 
 
 def common_suffix(structures: Iterable[Structure]) -> str:
-    """Return ``.pdb`` where such a file can hold all of them, else ``.cif``."""
+    """Return ``.pdb`` if all structures fit that format, else ``.cif``."""
     try:
         for structure in structures:
             check_fits(structure, Path("x.pdb"))
@@ -106,7 +106,7 @@ def _gemmi_structure(structure: Structure) -> gemmi.Structure:
             made.seqid = gemmi.SeqId(int(residue.id), residue.insertionCode.strip() or " ")
             obstacle = structure.obstacle[next(residue.atoms()).index]
             made.het_flag = "H" if obstacle else "A"
-            # Parts of a broken chain share its id: the subchain keeps them apart.
+            # Parts of a broken chain share its id; the subchain tells them apart.
             made.subchain = f"{chain.index}"
             made.entity_type = gemmi.EntityType.NonPolymer if obstacle else gemmi.EntityType.Polymer
             for atom in residue.atoms():
@@ -143,7 +143,7 @@ def _mmcif(out: gemmi.Structure, remarks: Iterable[str]) -> str:
     loop = block.init_loop("_protochain_provenance.", ["ordinal", "text"])
     for i, line in enumerate(remarks, 1):
         loop.add_row([str(i), gemmi.cif.quote(line)])
-    # As the archive does, every category ends with '#': so a file cut short can be told.
+    # As in the PDB archive, every category ends with '#', so that a truncated file can be recognised.
     return document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx))
 
 
@@ -157,3 +157,6 @@ def _pdb(out: gemmi.Structure, remarks: Iterable[str]) -> str:
         for i in range(0, max(len(text), 1), _REMARK_WIDTH)
     ]
     return "".join(f"{line}\n" for line in lines) + out.make_pdb_string(options)
+
+
+_WRITERS = {"PDB": _pdb, "mmCIF": _mmcif}

@@ -1,4 +1,4 @@
-"""Energies and forces of proteins by kernels of our own, in double precision."""
+"""Energies and forces of proteins by compiled kernels in double precision."""
 
 from protochain.energies.native.engine import NativeEnergy
 from protochain.energies.native.reading import UnsupportedForceError

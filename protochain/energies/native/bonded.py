@@ -1,4 +1,4 @@
-"""Bonds, angles, torsions and torsion maps: each chunk adds its share to its own sums and energy."""
+"""Bonds, angles, torsions and torsion maps. Each chunk of the work adds to sums and energies of its own."""
 
 import numpy as np
 from numba import prange
@@ -68,7 +68,7 @@ def torsion_sums(x: Floats, atoms: Integers, parameters: Floats, sums: Floats, e
 
 @shared
 def improper_sums(x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats) -> None:
-    """K (phi - phi0)^2 without wrapping round, parameters (phi0, k): CHARMM's impropers."""
+    """CHARMM's impropers, K (phi - phi0)^2 without periodic wrapping, parameters (phi0, k)."""
     for c in prange(CHUNKS):
         begin, end = part(len(atoms), c)
         energy = 0.0
@@ -84,9 +84,9 @@ def improper_sums(x: Floats, atoms: Integers, parameters: Floats, sums: Floats, 
 def map_sums(
     x: Floats, atoms: Integers, which: Integers, coefficients: Floats, sums: Floats, energies: Floats
 ) -> None:
-    """Torsion maps: bicubic in each cell of a grid over two dihedrals.
+    """Torsion maps, bicubic in each cell of a grid over two dihedrals.
 
-    ``coefficients`` (maps, size, size, 4, 4): of powers of the place in the cell, which runs from 0 to 1.
+    ``coefficients`` (maps, size, size, 4, 4) multiply powers of the coordinates in a cell, from 0 to 1.
     """
     size = coefficients.shape[1]
     for c in prange(CHUNKS):
@@ -114,7 +114,7 @@ def map_sums(
 
 @scalar
 def cell(angle: float, size: int) -> tuple[int, float]:
-    """Cell of a periodic grid, and the place in it."""
+    """Cell of a periodic grid, and the coordinate in it, from 0 to 1."""
     place = angle / (2.0 * np.pi) * size
     if place < 0.0:
         place += size
@@ -124,7 +124,7 @@ def cell(angle: float, size: int) -> tuple[int, float]:
 
 @scalar
 def dihedral(x: Floats, i: int, j: int, k: int, m: int) -> float:
-    """Dihedral of four atoms, rad, IUPAC's sign."""
+    """Dihedral of four atoms in rad, with the sign of the IUPAC convention."""
     f, g, _, a, b = _planes(x, i, j, k, m)
     length = np.sqrt(_dot(g, g))
     return float(np.arctan2(-length * _dot(f, b), _dot(a, b)))
@@ -150,7 +150,7 @@ def twist(x: Floats, i: int, j: int, k: int, m: int, torque: float, sums: Floats
 
 @scalar
 def _planes(x: Floats, i: int, j: int, k: int, m: int) -> tuple[Vector, Vector, Vector, Vector, Vector]:
-    """Bond vectors F, G, H of the paper and the normals A = F x G, B = H x G."""
+    """Bond vectors F, G, H of Blondel and Karplus, and the normals A = F x G, B = H x G."""
     f = (x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2])
     g = (x[j, 0] - x[k, 0], x[j, 1] - x[k, 1], x[j, 2] - x[k, 2])
     h = (x[m, 0] - x[k, 0], x[m, 1] - x[k, 1], x[m, 2] - x[k, 2])

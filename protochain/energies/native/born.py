@@ -1,9 +1,9 @@
-"""Born radii by pairwise descreening, and the forces that their change gives.
+"""Born radii by pairwise descreening, and the forces due to their change.
 
 Hawkins, Cramer, Truhlar, J. Phys. Chem. 100:19824 (1996), equations 9-11, with the radii of Onufriev,
 Bashford, Case, Proteins 55:383 (2004). Where atom j lies wholly outside atom i, its integral
-(s/(r^2 - s^2) - atanh(s/r)/r) / 2 is s^3 / (2 r^4) times a series in (s/r)^2 that knows nothing of atom i:
-no logarithm, no root. The few nearer pairs come from a list.
+(s/(r^2 - s^2) - atanh(s/r)/r) / 2 is s^3 / (2 r^4) times a series in (s/r)^2, independent of atom i and
+without logarithm or root. The few nearer pairs come from a list.
 """
 
 import numpy as np
@@ -17,10 +17,10 @@ from protochain.energies.native.layout import (
     FY,
     FZ,
     HALF_INVERSE_BORN,
-    OWN,
     PULL,
     S2,
     S3,
+    SCALAR,
     W,
     X,
     Y,
@@ -40,7 +40,7 @@ def integral_sums(
     atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, near_series: Floats,
     far_series: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """Add the descreening integrals of all pairs at ``near`` or further to the atoms' own sums."""
+    """Add the descreening integrals of all pairs at ``near`` or further to row SCALAR of the sums."""
     for c in prange(CHUNKS):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
@@ -71,7 +71,7 @@ def _integral(
     for i in range(W):
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
         s2, s3 = a[S2 * W + i], a[S3 * W + i]
-        own = 0.0
+        total = 0.0
         for j in range(W):
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
@@ -81,9 +81,9 @@ def _integral(
                 inverse2 = inverse2 if (r2 >= near2) & (j > first) else 0.0
             g, h = series(b[S2 * W + j] * inverse2, c, near), series(s2 * inverse2, c, near)
             inverse4 = inverse2 * inverse2
-            own += b[S3 * W + j] * inverse4 * g
-            b_sums[OWN * W + j] += s3 * inverse4 * h
-        a_sums[OWN * W + i] += own
+            total += b[S3 * W + j] * inverse4 * g
+            b_sums[SCALAR * W + j] += s3 * inverse4 * h
+        a_sums[SCALAR * W + i] += total
 
 
 @shared
@@ -148,7 +148,7 @@ def near_integral_sums(
     x: Floats, offset_radius: Floats, scaled_radius: Floats, engulfs: bool, pairs: Integers, near: float,
     slopes: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """Add the integrals of listed pairs nearer than ``near``, and keep their slopes over distance."""
+    """Add the integrals of listed pairs nearer than ``near``, and store their slopes over distance."""
     for c in prange(CHUNKS):
         begin, end = part(len(pairs), c)
         for k in range(begin, end):
@@ -159,15 +159,15 @@ def near_integral_sums(
                 r = np.sqrt(r2)
                 of_i, slopes[k, 0] = descreening(r, offset_radius[i], scaled_radius[j], engulfs)
                 of_j, slopes[k, 1] = descreening(r, offset_radius[j], scaled_radius[i], engulfs)
-                sums[c, i // W, OWN * W + i % W] += of_i
-                sums[c, j // W, OWN * W + j % W] += of_j
+                sums[c, i // W, SCALAR * W + i % W] += of_i
+                sums[c, j // W, SCALAR * W + j % W] += of_j
 
 
 @scalar
 def descreening(r: float, radius: float, s: float, engulfs: bool) -> tuple[float, float]:
-    """Integral of a sphere of radius s at distance r from an atom, and its slope over r.
+    """Descreening integral of a sphere of radius s at distance r from an atom, and its slope divided by r.
 
-    ``engulfs`` adds 1/radius - 1/L where the sphere holds the whole atom, as GBSAOBCForce does.
+    ``engulfs`` adds 1/radius - 1/L where the sphere contains the whole atom, as GBSAOBCForce does.
     """
     if r + s <= radius:
         return 0.0, 0.0
@@ -194,7 +194,7 @@ def descreening(r: float, radius: float, s: float, engulfs: bool) -> tuple[float
 
 @shared
 def near_descreening_sums(x: Floats, pull: Floats, pairs: Integers, slopes: Floats, sums: Floats) -> None:
-    """Add the forces of the listed pairs, whose slopes :func:`near_integral_sums` kept."""
+    """Add the forces of the listed pairs from the slopes that :func:`near_integral_sums` stored."""
     for c in prange(CHUNKS):
         begin, end = part(len(pairs), c)
         for k in range(begin, end):
@@ -208,10 +208,10 @@ def near_descreening_sums(x: Floats, pull: Floats, pairs: Integers, slopes: Floa
 def put_born_radii(
     integral: Floats, offset_radius: Floats, radius: Floats, bend: Floats, atoms: Floats, slope: Floats
 ) -> None:
-    """Write the Born radii into the blocks, and dB/d(integral) of each atom.
+    """Write the Born radii into the blocks, and dB/d(integral) of each atom into ``slope``.
 
     ``bend`` holds alpha, beta, gamma of tanh(alpha psi - beta psi^2 + gamma psi^3), psi = integral times
-    offset radius; all zero for the plain 1/B = 1/radius - integral.
+    offset radius; all zero for HCT, 1/B = 1/radius - integral.
     """
     for i in range(len(integral)):
         alpha, beta, gamma = bend[i, 0], bend[i, 1], bend[i, 2]
@@ -232,18 +232,18 @@ def put_born_radii(
 def add_self_energy(
     gb_charge: Floats, surface: Floats, slope: Floats, atoms: Floats, with_born: Floats
 ) -> tuple[float, float]:
-    """Self energy -q^2 / (2 B) and surface energy c / B^6; from dE/dB make dE/d(integral), here and in place.
+    """Self energy -q^2 / (2 B) and surface energy c / B^6; dE/dB becomes dE/d(integral) in place.
 
     Surface: Schaefer, Bartels, Karplus, J. Mol. Biol. 284:835 (1998).
     """
-    own, area = 0.0, 0.0
+    polar, area = 0.0, 0.0
     for i in range(len(gb_charge)):
         block, k = i // W, i % W
         inverse = 2.0 * atoms[block, HALF_INVERSE_BORN * W + k]
         q2 = gb_charge[i] * gb_charge[i]
         sixth = surface[i] * inverse**6
-        own -= 0.5 * q2 * inverse
+        polar -= 0.5 * q2 * inverse
         area += sixth
         with_born[i] = (with_born[i] + 0.5 * q2 * inverse * inverse - 6.0 * sixth * inverse) * slope[i]
         atoms[block, PULL * W + k] = with_born[i]
-    return own, area
+    return polar, area

@@ -1,4 +1,4 @@
-"""The native engine: compiled terms behind the interface that every energy has."""
+"""Native engine: compiled kernels behind the interface of all energies."""
 
 import logging
 from collections.abc import Mapping
@@ -22,91 +22,70 @@ from protochain.energies.openmm_engine import OpenMMEnergy
 _LOG = logging.getLogger(__name__)
 _SETTINGS: Any = numba.config
 MOST_THREADS: int = _SETTINGS.NUMBA_NUM_THREADS
-"""What numba was started with: processors, or NUMBA_NUM_THREADS."""
+"""Threads of numba: number of processors, or NUMBA_NUM_THREADS."""
 
 
 class NativeEnergy:
-    """An OpenMM System's energy by kernels of our own, in double precision.
+    """Energy of an OpenMM System by compiled kernels, in double precision.
 
-    A run repeats bit for bit on any number of threads. The same positions reached on another way may differ
-    in the last digits: neighbour lists, and with them the order of sums, are those of where it came by.
+    A run repeats bit for bit on any number of threads. Energies at the same positions may differ in the last
+    digits between runs that reach them by different paths: neighbour lists, and with them the order of sums,
+    depend on the path.
 
     Parameters
     ----------
-    twin : OpenMMEnergy
-        The same energy by OpenMM: its System is what is compiled.
+    by_openmm : OpenMMEnergy
+        The same energy by OpenMM, whose System is compiled.
     threads : int
-        Threads to compute on.
+        Number of threads.
 
     Raises
     ------
     UnsupportedForceError
-        If the System has a force without an exact counterpart here.
+        If the System has a force without an exact native kernel.
     """
 
     engine = "native"
+    is_exact = True
 
-    def __init__(self, twin: OpenMMEnergy, threads: int) -> None:
-        terms = compile_system(twin.system)
+    def __init__(self, by_openmm: OpenMMEnergy, threads: int) -> None:
+        terms = compile_system(by_openmm.system)
         nobody = np.full((terms.n_atoms, 1), -1)
         layout = Layout(terms, nobody, partners(terms.nonbonded.exceptions.atoms, terms.n_atoms))
         if terms.nonbonded.cutoff < layout.near:
             raise UnsupportedForceError(f"NonbondedForce with a cutoff below {layout.near:.2g} nm")
-        self._set(twin, threads, layout)
+        self._set(by_openmm, threads, layout)
 
-    def _set(self, twin: OpenMMEnergy, threads: int, layout: Layout) -> None:
-        self.twin = twin
+    def _set(self, by_openmm: OpenMMEnergy, threads: int, layout: Layout) -> None:
+        self.by_openmm = by_openmm
+        self.system, self.atoms = by_openmm.system, by_openmm.atoms
+        self.forcefield, self.solvent = by_openmm.forcefield, by_openmm.solvent
         self.threads = min(threads, MOST_THREADS)
         self.left_out: Mapping[str, int] = MappingProxyType({})
         self._layout = layout
         self._lists: Lists | None = None
         self._all: tuple[Layout, Lists, Lists, Floats] | None = None
-        """With terms left out: the layout of all of them, its lists and one's own, and their positions."""
-
-    @property
-    def atoms(self) -> str:
-        """Fingerprint of the structure it was built for; empty if the System was given."""
-        return self.twin.atoms
+        """If terms are left out: layout of all terms, its lists and the lists here, and their positions."""
 
     @property
     def reason(self) -> str:
-        """Which kernels run, and what they leave out, in a sentence."""
+        """Kernels, precision, threads, and the constant terms left out."""
         text = f"native kernels, double precision, {self.threads} threads"
         if self.left_out:
             text += "; constant in this chain: " + ", ".join(
                 f"{n} {kind}" for kind, n in self.left_out.items()
             )
-        return f"{text}; {self.twin.note}" if self.twin.note else text
-
-    @property
-    def system(self) -> Any:
-        """The OpenMM System it evaluates."""
-        return self.twin.system
-
-    @property
-    def forcefield(self) -> str:
-        """Name of the force field."""
-        return self.twin.forcefield
-
-    @property
-    def solvent(self) -> str:
-        """Name of the solvent model."""
-        return self.twin.solvent
+        return f"{text}; {self.by_openmm.note}" if self.by_openmm.note else text
 
     @property
     def reference(self) -> OpenMMEnergy:
         """The same energy on OpenMM's Reference platform."""
-        return self.twin.reference
-
-    @property
-    def is_exact(self) -> bool:
-        """Double precision: nothing to gain from going on elsewhere."""
-        return True
+        return self.by_openmm.reference
 
     @property
     def fingerprint(self) -> str:
         """SHA-256 of the System."""
-        return self.twin.fingerprint
+        return self.by_openmm.fingerprint
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm.
@@ -114,26 +93,28 @@ class NativeEnergy:
         Raises
         ------
         ProtochainError
-            If x does not fit the System.
+            If the shape of x does not fit the System.
 
         Notes
         -----
-        Atoms on top of one another give large finite numbers. Positions that are not numbers give an
-        infinite energy and forces that are not numbers: the caller's loop decides what that means.
+        Coincident atoms give large finite numbers. NaN in the positions gives an infinite energy and NaN
+        forces; the calling loop handles that.
         """
         parts, forces = self.parts(x)
         return sum(parts.values()) + self._constant, forces
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
-        """Energy by kind, without the constant of what is left out, and forces.
+        """Evaluate energies by kind, without the constant of terms left out, and forces.
 
         Parameters
         ----------
         x : (na, 3) float, nm
+            Positions.
 
         Returns
         -------
-        dict of str to float, kJ/mol; (na, 3) float, kJ/mol/nm
+        dict of str to float, (na, 3) float
+            Energies in kJ/mol, forces in kJ/mol/nm.
         """
         x = floats(x, (self._layout.terms.n_atoms, 3), "x")
         if not np.isfinite(x).all():
@@ -141,20 +122,20 @@ class NativeEnergy:
         return evaluate(self._layout, self._lists_for(x), x, self._fixed_integral)
 
     def without_constants(self, groups: Integers, x: Floats) -> "NativeEnergy":
-        """Leave out what keeps its value as long as each group of atoms moves as one rigid body.
+        """Leave out terms that are constant while each group of atoms moves as a rigid body.
 
         Parameters
         ----------
         groups : (na, k) int
             Groups of each atom, -1 for none. An atom on a hinge's axis belongs to both its bodies.
         x : (na, 3) float, nm
-            Any positions with these groups as they stay.
+            Any positions with the groups in their rigid geometry.
 
         Returns
         -------
         NativeEnergy
-            The same function of positions that keep the groups rigid; its forces add up to the same on
-            each group.
+            The same function of positions that keep the groups rigid, with the same force and torque on each
+            group.
         """
         x = read_only(floats(x, (self._layout.terms.n_atoms, 3), "x"))
         terms = self._layout.terms
@@ -166,9 +147,9 @@ class NativeEnergy:
         nonbonded = replace(terms.nonbonded, exceptions=kept.pop("exceptions"))
         fewer = replace(terms, bonded=kept, nonbonded=nonbonded)
         less = NativeEnergy.__new__(NativeEnergy)
-        # Exceptions left out still mark what the list of free pairs may not hold.
-        less._set(self.twin, self.threads, replace(self._layout, terms=fewer, groups=groups))
-        # Lists of these very positions, whatever was computed before: so runs repeat.
+        # Exceptions left out must still be kept off the list of free pairs.
+        less._set(self.by_openmm, self.threads, replace(self._layout, terms=fewer, groups=groups))
+        # Lists at these positions, whatever was computed before, so that runs repeat.
         mine, its = lists_of(self._layout, x), lists_of(less._layout, x)
         less._lists, less._all = its, (self._layout, mine, its, x)
         left_out["close pairs"] = len(mine.close) - len(its.close)
@@ -177,7 +158,7 @@ class NativeEnergy:
 
     @cached_property
     def _fixed_integral(self) -> Floats:
-        """(na,) float: what atoms of one group give to each other's Born integrals."""
+        """(na,) float: contributions of atoms of one group to each other's Born integrals."""
         if self._all is None or self._layout.terms.solvent is None:
             return np.zeros(self._layout.terms.n_atoms)
         layout, lists, own_lists, x = self._all
@@ -185,7 +166,7 @@ class NativeEnergy:
 
     @cached_property
     def _constant(self) -> float:
-        """Energy of what is left out."""
+        """Energy of the terms left out."""
         if self._all is None:
             return 0.0
         layout, lists, own_lists, x = self._all
@@ -195,15 +176,15 @@ class NativeEnergy:
 
     @property
     def lists_at(self) -> Floats | None:
-        """(na, 3) float, nm: positions that the neighbour lists in use were made at."""
+        """(na, 3) float, nm: positions at which the neighbour lists in use were built."""
         return self._lists.x if self._lists else None
 
     def list_at(self, x: Floats) -> None:
-        """Make the neighbour lists as they are at positions x (na, 3), as after computing there first."""
+        """Build the neighbour lists at positions x (na, 3) in nm."""
         self._lists = lists_of(self._layout, floats(x, (self._layout.terms.n_atoms, 3), "x"))
 
     def _lists_for(self, x: Floats) -> Lists:
-        """Neighbour lists that hold at x; all computing passes here first."""
+        """Neighbour lists that are valid at x; called before every evaluation."""
         _announce()
         numba.set_num_threads(self.threads)
         lists = self._lists
@@ -217,14 +198,14 @@ class NativeEnergy:
 
 @cache
 def _announce() -> None:
-    """Say that kernels have to be compiled, which takes a minute on a fresh installation."""
+    """Warn that kernels must be compiled, which takes a minute on a fresh installation."""
     kernel: Any = pairs.exception_sums
     if not any(Path(kernel._cache.cache_path).glob("pairs.exception_sums*.nbi")):
         _LOG.warning("compiling the energy kernels for this machine; this happens once")
 
 
 def _in_one_group(groups: Integers, atoms: Integers) -> np.ndarray:
-    """(n,) bool: whether all atoms of a term have a group in common."""
+    """(n,) bool: whether all atoms of a term share a group."""
     together = np.zeros(len(atoms), dtype=bool)
     if not atoms.size:
         return together

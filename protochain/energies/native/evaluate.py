@@ -1,4 +1,4 @@
-"""One evaluation of compiled terms: what the kernels are called with, and in which order."""
+"""Evaluation of compiled terms: arguments and order of the kernels."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,7 +21,7 @@ from protochain.energies.native.layout import (
     in_blocks,
     n_blocks,
     put_positions,
-    take_own,
+    take_scalars,
 )  # fmt: skip
 from protochain.energies.native.neighbours import Lists, make_lists
 from protochain.energies.native.series import (
@@ -36,14 +36,14 @@ from protochain.energies.native.series import (
 from protochain.energies.native.terms import Terms
 
 CLOSE = 0.35
-"""nm. Pairs nearer than this come from a list: all that bonds exclude and that clash lie there."""
+"""nm. Pairs nearer than this come from a list, among them all excluded and clashing ones."""
 KINDS = ("bonds", "angles", "torsions", "impropers", "maps", "nonbonded", "polar", "surface")
-"""Parts of the energy."""
+"""Components of the energy."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Terms as the kernels read them.
+    """Terms in the memory layout of the kernels.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Layout:
     groups : (na, k) int
         Rigid groups of each atom, -1 for none.
     exceptions : (na + 1,) int, (n,) int
-        Start of each atom's excepted partners, and the partners: also of those that never change.
+        Start of each atom's exception partners, and the partners, constant exceptions included.
     """
 
     terms: Terms
@@ -60,7 +60,7 @@ class Layout:
 
     @cached_property
     def near(self) -> float:
-        """Distance in nm from which on tiles take over."""
+        """Distance in nm from which on tiles compute the pairs."""
         if self.terms.solvent is None:
             return CLOSE
         s, radius = np.abs(self.terms.solvent.scaled_radius), self.terms.solvent.offset_radius
@@ -68,7 +68,7 @@ class Layout:
 
     @cached_property
     def block_near(self) -> Floats:
-        """(blocks,) float: distance in nm from which on a block needs neither near series nor masks."""
+        """(blocks,) float: distance in nm beyond which a block needs neither near series nor masks."""
         if self.terms.solvent is None:
             return np.full(n_blocks(self.terms.n_atoms), self.near)
         far = in_blocks(np.abs(self.terms.solvent.scaled_radius)).max(axis=1) / FAR_RATIO
@@ -76,13 +76,13 @@ class Layout:
 
     @cached_property
     def necked(self) -> float:
-        """Distance in nm from which on there are no necks."""
+        """Largest distance of a neck, nm."""
         necks = self.terms.solvent.necks if self.terms.solvent else None
         return float(necks.reach.max()) if necks else 0.0
 
     @cached_property
     def blocks(self) -> Floats:
-        """(blocks, ROWS * W) float: what does not move."""
+        """(blocks, ROWS * W) float: blocks with all rows that do not depend on positions."""
         blocks = empty_blocks(self.terms.n_atoms)
         rows = blocks.reshape(-1, ROWS, W)
         rows[:, CHARGE] = in_blocks(self.terms.nonbonded.charge)
@@ -94,7 +94,7 @@ class Layout:
 
     @cached_property
     def lj_type(self) -> Integers:
-        """(blocks, W) int."""
+        """(blocks, W) int: Lennard-Jones types."""
         return in_blocks(self.terms.nonbonded.lj_type)
 
     @cached_property
@@ -106,13 +106,13 @@ class Layout:
 
     @cached_property
     def neck_type(self) -> Integers:
-        """(blocks, W) int."""
+        """(blocks, W) int: types of the neck tables."""
         assert self.terms.solvent is not None and self.terms.solvent.necks is not None
         return in_blocks(self.terms.solvent.necks.kind)
 
     @cached_property
     def necks(self) -> Floats:
-        """(blocks, types, 5 W) float: the rows that :mod:`neck` names, by type and atom of a block."""
+        """(blocks, types, 5 W) float: rows of :mod:`neck` for each type and each atom of a block."""
         assert self.terms.solvent is not None and self.terms.solvent.necks is not None
         n = self.terms.solvent.necks
         rows = (n.height, n.place, n.height.T, n.place.T, n.reach**2)
@@ -120,7 +120,7 @@ class Layout:
 
 
 def in_types(table: Floats, kind: Integers) -> Floats:
-    """(blocks, types, W) float: table[type, kind of each atom of a block]."""
+    """(blocks, types, W) float: row of a table for each type and each atom of a block."""
     n = n_blocks(len(kind)) * W
     wide = np.zeros((len(table), n))
     wide[:, : len(kind)] = table[:, kind]
@@ -128,7 +128,7 @@ def in_types(table: Floats, kind: Integers) -> Floats:
 
 
 def lists_of(layout: Layout, x: Floats) -> Lists:
-    """Neighbour lists at x."""
+    """Build the neighbour lists at x."""
     return make_lists(
         x, layout.near, layout.block_near, layout.necked, layout.terms.nonbonded.cutoff, layout.exceptions,
         layout.groups,
@@ -136,7 +136,7 @@ def lists_of(layout: Layout, x: Floats) -> Lists:
 
 
 def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[dict[str, float], Floats]:
-    """Energy by kind, and forces.
+    """Evaluate energies by kind, and forces.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
     lists : Lists
     x : (na, 3) float, nm
     fixed : (na,) float
-        Parts of the Born integrals that do not change.
+        Constant parts of the Born integrals.
 
     Returns
     -------
@@ -173,9 +173,9 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
             part["nonbonded"], part["polar"],
         )  # fmt: skip
         pull = np.empty(terms.n_atoms)
-        take_own(sums, pull)
-        own, area = born.add_self_energy(solvent.charge, solvent.surface, slope, atoms, pull)
-        part["polar"][0] += own
+        take_scalars(sums, pull)
+        polar, area = born.add_self_energy(solvent.charge, solvent.surface, slope, atoms, pull)
+        part["polar"][0] += polar
         part["surface"][0] += area
         born.descreening_sums(
             atoms, lists.tiles, lists.is_near, layout.near, solvent.cutoff, NEAR_SLOPE, FAR_SLOPE, sums
@@ -211,14 +211,14 @@ _BONDED = (
 
 
 def born_integrals(layout: Layout, lists: Lists, x: Floats) -> Floats:
-    """(na,) float: Born integrals at x of all pairs that are in tiles and lists."""
+    """(na,) float: Born integrals at x of the pairs in tiles and lists."""
     atoms = layout.blocks.copy()
     put_positions(x, atoms)
     return _integrals(layout, lists, x, atoms, np.zeros((CHUNKS, len(atoms), SUMS * W)))[0]
 
 
 def _integrals(layout: Layout, lists: Lists, x: Floats, atoms: Floats, sums: Floats) -> tuple[Floats, Floats]:
-    """Born integrals, and the slopes of the close pairs' parts of them."""
+    """Born integrals, and the slopes of the contributions of close pairs."""
     solvent = layout.terms.solvent
     assert solvent is not None
     born.integral_sums(
@@ -234,5 +234,5 @@ def _integrals(layout: Layout, lists: Lists, x: Floats, atoms: Floats, sums: Flo
             atoms, layout.necks, layout.neck_type, lists.tiles[lists.is_necked], solvent.cutoff, sums
         )
     integral = np.empty(len(x))
-    take_own(sums, integral)
+    take_scalars(sums, integral)
     return integral, slopes

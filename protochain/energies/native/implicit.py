@@ -1,4 +1,4 @@
-"""Generalised-Born parameters from GBSAOBCForce, or from the CustomGBForces of OpenMM's implicit files."""
+"""Generalised-Born parameters read from GBSAOBCForce or the CustomGBForce of OpenMM's implicit files."""
 
 import re
 from dataclasses import dataclass
@@ -10,29 +10,32 @@ from protochain.arrays import Floats, Integers
 from protochain.energies.native.neck import REACH
 from protochain.energies.native.reading import UnsupportedForceError, bare, plain
 
-_COULOMB_GBSAOBC = 138.93545764438198
-_COULOMB_CUSTOM = 138.935485
-"""kJ nm/mol/e^2, as the two forces round them."""
+COULOMB = 138.93545764438198
+"""kJ nm/mol/e^2, 1/(4 pi epsilon0), as OpenMM's NonbondedForce and GBSAOBCForce round it."""
+COULOMB_CUSTOM = 138.935485
+"""The same as the implicit-solvent files round it."""
 _PROBE = 0.14
 """nm. Radius of water."""
 _AREA_CUSTOM = 28.3919551
 """kJ/mol/nm^2, 4 pi times the surface tension, as the implicit files round it."""
-_GBSAOBC_OFFSET = 0.009
+OBC_OFFSET = 0.009
+"""nm. Offset of the dielectric radii: GBSAOBCForce subtracts it, the files have it subtracted already."""
 _OBC2 = (1.0, 0.8, 4.85)
 """alpha, beta, gamma: Onufriev, Bashford, Case, Proteins 55:383 (2004), table 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Necks:
-    """Tables of GBn and GBn2.
+    """Neck tables of GBn and GBn2.
 
     Parameters
     ----------
     kind : (na,) int
         Row of each atom in the tables.
     height, place : (kinds, kinds) float
-        Of the peak on atom i beside atom j; height in 1/nm, place in nm.
+        Height (1/nm) and position (nm) of the neck's peak for atom i beside atom j.
     reach : (kinds, kinds) float, nm
+        Distance at which a neck ends.
     """
 
     kind: Integers
@@ -43,19 +46,19 @@ class Necks:
 
 @dataclass(frozen=True, eq=False)
 class Solvent:
-    """Parameters of each atom.
+    """Generalised-Born parameters of each atom.
 
     Parameters
     ----------
     charge : (na,) float
-        Times the root of Coulomb's constant and of the difference of inverse dielectrics.
+        Charge times the root of Coulomb's constant and of the difference of inverse dielectrics.
     offset_radius, scaled_radius, radius : (na,) float, nm
     bend : (na, 3) float
         alpha, beta, gamma; zero for HCT.
     surface : (na,) float, kJ/mol nm^6
         c of the surface energy c / B^6.
     engulfs : bool
-        Whether a sphere that holds a whole atom counts in full, as in GBSAOBCForce.
+        Whether a sphere that contains a whole atom counts in full, as in GBSAOBCForce.
     necks : Necks or None
     cutoff : float, nm
     """
@@ -72,7 +75,7 @@ class Solvent:
 
 
 def from_gbsa_obc(force: openmm.GBSAOBCForce) -> Solvent:
-    """OBC2 as OpenMM's own force has it."""
+    """Read OBC2 from GBSAOBCForce."""
     if force.getNonbondedMethod() == force.CutoffPeriodic:
         raise UnsupportedForceError("GBSAOBCForce with a periodic cutoff")
     cut = force.getNonbondedMethod() != force.NoCutoff
@@ -80,16 +83,16 @@ def from_gbsa_obc(force: openmm.GBSAOBCForce) -> Solvent:
     charge, radius, scale = np.array([[plain(v) for v in row] for row in values]).T
     polar = _polar(force.getSoluteDielectric(), force.getSolventDielectric())
     area = 4.0 * np.pi * plain(force.getSurfaceAreaEnergy())
-    offset_radius = radius - _GBSAOBC_OFFSET
+    offset_radius = radius - OBC_OFFSET
     return Solvent(
-        charge * np.sqrt(_COULOMB_GBSAOBC * polar), offset_radius, offset_radius * scale, radius,
+        charge * np.sqrt(COULOMB * polar), offset_radius, offset_radius * scale, radius,
         np.tile(_OBC2, (len(radius), 1)), area * (radius + _PROBE) ** 2 * radius**6, True, None,
         plain(force.getCutoffDistance()) if cut else np.inf,
     )  # fmt: skip
 
 
 def _polar(inside: float, outside: float) -> float:
-    """Difference of inverse dielectrics; charges are scaled by its root."""
+    """Difference of the inverse dielectrics inside and outside."""
     if inside > outside:
         raise UnsupportedForceError(f"generalised Born of dielectric {inside:g} inside, {outside:g} outside")
     return 1.0 / inside - 1.0 / outside
@@ -122,7 +125,7 @@ _F = ";f=sqrt(r^2+B1*B2*exp(-r^2/(4*B1*B2)))"
 
 
 def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
-    """HCT, OBC1, OBC2, GBn or GBn2, recognised by the very expressions of OpenMM's implicit files."""
+    """Read HCT, OBC1, OBC2, GBn or GBn2, recognised by the exact expressions of OpenMM's implicit files."""
     if force.getNonbondedMethod() == force.CutoffPeriodic:
         raise UnsupportedForceError("CustomGBForce with a periodic cutoff")
     cutoff = np.inf if force.getNonbondedMethod() == force.NoCutoff else plain(force.getCutoffDistance())
@@ -142,7 +145,7 @@ def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
     if area is not None:
         surface = _AREA_CUSTOM * (of["or"] + area + _PROBE) ** 2 * (of["or"] + area) ** 6
     return Solvent(
-        of["charge"] * np.sqrt(_COULOMB_CUSTOM * polar), of["or"], of["sr"], radius, bend, surface, False,
+        of["charge"] * np.sqrt(COULOMB_CUSTOM * polar), of["or"], of["sr"], radius, bend, surface, False,
         _necks(bare(values[0][1]), of, force), cutoff,
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Torsion maps as bicubic patches."""
+"""Torsion maps as bicubic splines."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ _HERMITE = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1
 
 
 def spline_coefficients(grid: Floats) -> Floats:
-    """Coefficients of the periodic bicubic spline through a map.
+    """Fit the periodic bicubic spline through a map.
 
     Parameters
     ----------
@@ -19,12 +19,12 @@ def spline_coefficients(grid: Floats) -> Floats:
     Returns
     -------
     (size, size, 4, 4) float
-        Of u^a v^b in each cell, u and v the places in it, from 0 to 1.
+        Coefficients of u^a v^b in each cell, where u and v run from 0 to 1.
 
     Notes
     -----
-    Slopes and cross slopes are those of periodic cubic splines along either axis: MacKerell, Feig, Brooks,
-    J. Comput. Chem. 25:1400 (2004).
+    First and cross derivatives are those of periodic cubic splines along either axis: MacKerell, Feig,
+    Brooks, J. Comput. Chem. 25:1400 (2004).
     """
     along = _slopes(grid, 0)
     across = _slopes(grid, 1)
@@ -39,8 +39,8 @@ def spline_coefficients(grid: Floats) -> Floats:
 
 
 def _slopes(values: Floats, axis: int) -> Floats:
-    """Slope of the periodic spline along one axis, for each step of the grid."""
-    # Imported where a force field has maps: it takes as long as a small protein's minimisation.
+    """Differentiate the periodic spline along one axis, per grid step."""
+    # Imported only for force fields with maps: the import takes as long as minimising a small protein.
     from scipy.interpolate import CubicSpline
 
     size = values.shape[axis]

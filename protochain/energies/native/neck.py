@@ -1,4 +1,4 @@
-"""The neck between two atoms that no water fits into: GBn and GBn2.
+"""Necks of GBn and GBn2: gaps between two atoms too narrow for water.
 
 Mongan, Simmerling, McCammon, Case, Onufriev, J. Chem. Theory Comput. 3:156 (2007), equation 12.
 """
@@ -12,8 +12,8 @@ from protochain.energies.native.layout import (
     FX,
     FY,
     FZ,
-    OWN,
     PULL,
+    SCALAR,
     W,
     X,
     Y,
@@ -24,19 +24,19 @@ from protochain.energies.native.layout import (
 )  # fmt: skip
 
 REACH = 0.68
-"""nm. A neck ends where the surfaces of two atoms are this far apart."""
+"""nm. Largest distance between the surfaces of two atoms with a neck."""
 HEIGHT_I, PLACE_I, HEIGHT_J, PLACE_J, REACH2 = range(5)
-"""Rows for each type of atom i beside a block of atoms j: height and place of the neck's peak for i and for
-j, square of the distance at which it ends."""
+"""Rows for each type of atom i beside a block of atoms j: height and position of the neck's peak for i and
+for j, square of the distance at which it ends."""
 _WIDE, _STEEP = 100.0, 0.3e6
-"""1/nm^2 and 1/nm^6: the peak is 1 / (1 + 100 d^2 + 300000 d^6)."""
+"""1/nm^2 and 1/nm^6: a neck of unit height is 1 / (1 + 100 d^2 + 300000 d^6)."""
 
 
 @shared
 def neck_sums(
     atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, cutoff: float, sums: Floats
 ) -> None:
-    """Add the necks' parts of the Born integrals to the atoms' own sums."""
+    """Add the necks' contributions to the Born integrals to row SCALAR of the sums."""
     for c in prange(CHUNKS):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
@@ -54,7 +54,7 @@ def _neck_tile(
     for i in range(W):
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
         row = necks[neck_type[i]]
-        own = 0.0
+        total = 0.0
         for j in range(W):
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
@@ -64,9 +64,9 @@ def _neck_tile(
             di2, dj2 = di * di, dj * dj
             of_i = row[HEIGHT_I * W + j] / (1.0 + di2 * (_WIDE + _STEEP * di2 * di2))
             of_j = row[HEIGHT_J * W + j] / (1.0 + dj2 * (_WIDE + _STEEP * dj2 * dj2))
-            own += of_i if inside else 0.0
-            b_sums[OWN * W + j] += of_j if inside else 0.0
-        a_sums[OWN * W + i] += own
+            total += of_i if inside else 0.0
+            b_sums[SCALAR * W + j] += of_j if inside else 0.0
+        a_sums[SCALAR * W + i] += total
 
 
 @shared

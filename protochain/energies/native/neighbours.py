@@ -1,4 +1,4 @@
-"""Which blocks, and which atoms, are close enough to matter: lists that last while nothing moves far."""
+"""Neighbour lists of blocks and of atoms, valid until an atom has moved too far."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from protochain.energies.native.layout import W, scalar
 from protochain.energies.native.pairs import difference
 
 SKIN = 0.1
-"""nm. Lists reach this much further than needed, and hold until an atom has moved half of it."""
+"""nm. Margin of the lists, which are valid until an atom has moved half of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +19,7 @@ class Lists:
     Parameters
     ----------
     x : (na, 3) float, nm
-        Positions the lists were made at.
+        Positions at which the lists were built.
     tiles : (n_tiles, 2) int
         Pairs of blocks within the cutoff, the second not before the first.
     is_near : (n_tiles,) bool
@@ -27,9 +27,9 @@ class Lists:
     is_necked : (n_tiles,) bool
         Whether two of their atoms may have a neck between them.
     close : (n, 2) int
-        Pairs of atoms that may be near, but for those at a fixed distance.
+        Pairs of atoms that may be near each other, without those at a fixed distance.
     free : (n, 2) int
-        Those of ``close`` that are no exceptions.
+        Pairs of ``close`` that are no exceptions.
     """
 
     x: Floats
@@ -40,7 +40,7 @@ class Lists:
     free: Integers
 
     def still_hold(self, x: Floats) -> bool:
-        """Whether no atom has moved far enough to enter or leave a list unseen."""
+        """Whether the lists are valid at x: no atom has moved more than half the skin."""
         return bool(furthest(self.x, x) <= (0.5 * SKIN) ** 2)
 
 
@@ -48,22 +48,22 @@ def make_lists(
     x: Floats, near: float, block_near: Floats, necked: float, cutoff: float,
     exceptions: tuple[Integers, Integers], groups: Integers,
 ) -> Lists:  # fmt: skip
-    """Find all pairs anew.
+    """Build the neighbour lists.
 
     Parameters
     ----------
     x : (na, 3) float, nm
     near : float, nm
-        Reach of the pairs of atoms.
+        Largest distance of close pairs of atoms.
     block_near : (blocks,) float, nm
-        Within the larger of two blocks' distances, they count as near.
+        Two blocks are near within the larger of their two distances.
     necked : float, nm
-        Reach of necks.
+        Largest distance of a neck.
     cutoff : float, nm
     exceptions : (na + 1,) int, (n,) int
-        Start of each atom's partners, and the partners.
+        Start of each atom's exception partners, and the partners.
     groups : (na, k) int
-        Rigid groups of each atom, -1 for none: atoms with one in common keep their distance.
+        Rigid groups of each atom, -1 for none; atoms that share a group keep their distance.
     """
     low, high = _boxes(x)
     tiles, is_near, is_necked = _tiles(low, high, block_near + SKIN, necked + SKIN, cutoff + SKIN)
@@ -73,7 +73,7 @@ def make_lists(
 
 @scalar
 def furthest(a: Floats, b: Floats) -> float:
-    """Largest squared distance that an atom has moved."""
+    """Largest squared displacement of an atom."""
     most = 0.0
     for i in range(len(a)):
         dx, dy, dz = a[i, 0] - b[i, 0], a[i, 1] - b[i, 1], a[i, 2] - b[i, 2]
@@ -83,7 +83,7 @@ def furthest(a: Floats, b: Floats) -> float:
 
 @scalar
 def _boxes(x: Floats) -> tuple[Floats, Floats]:
-    """Corners of each block's box."""
+    """Bounding box of each block."""
     n = -(-len(x) // W)
     low, high = np.full((n, 3), np.inf), np.full((n, 3), -np.inf)
     for i in range(len(x)):
@@ -142,7 +142,7 @@ def _close(
 
 @scalar
 def _share(groups: Integers, i: int, j: int) -> bool:
-    """Whether two atoms belong to one rigid group."""
+    """Whether two atoms share a rigid group."""
     for a in range(groups.shape[1]):
         for b in range(groups.shape[1]):
             if groups[i, a] == groups[j, b] and groups[i, a] >= 0:
@@ -151,7 +151,7 @@ def _share(groups: Integers, i: int, j: int) -> bool:
 
 
 def partners(pairs: Integers, n: int) -> tuple[Integers, Integers]:
-    """Start of each atom's later partners in a list of pairs, and the partners."""
+    """Start of each atom's partners of higher index in a list of pairs, and the partners."""
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
     first, second = pairs[order].T if len(pairs) else np.zeros((2, 0), np.int64)
     return np.searchsorted(first, np.arange(n + 1)).astype(np.int64), np.ascontiguousarray(second)

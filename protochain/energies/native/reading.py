@@ -1,4 +1,4 @@
-"""What reading a System takes: plain numbers, bare expressions, and refusals."""
+"""Helpers for reading a System: plain numbers, expressions, and refusals."""
 
 from typing import Any
 
@@ -8,11 +8,11 @@ from protochain.errors import ForceFieldError
 
 
 class UnsupportedForceError(ForceFieldError):
-    """A force without an exact counterpart among the native kernels; its text names the force."""
+    """A force for which there is no exact native kernel; its text names the force."""
 
 
 def plain(value: Any) -> float:
-    """Return the number of a quantity in OpenMM's units (nm, ps, amu, kJ/mol, e, rad)."""
+    """Return a quantity as a number in OpenMM's units (nm, ps, amu, kJ/mol, e, rad)."""
     return float(value.value_in_unit_system(unit.md_unit_system) if unit.is_quantity(value) else value)
 
 
@@ -22,11 +22,12 @@ def bare(expression: str) -> str:
 
 
 def one_cutoff(name: str, cutoff: float, other: float) -> None:
-    """Refuse a force whose cutoff (nm; infinite for none) is not that of the others.
+    """Refuse a force whose cutoff (nm; infinite for none) differs from that of NonbondedForce.
 
     Raises
     ------
     UnsupportedForceError
+        Naming both cutoffs.
     """
     if cutoff != other:
         raise UnsupportedForceError(

@@ -1,6 +1,6 @@
-"""Polynomials in place of logarithms and exponentials: without a vector library those are one call each.
+"""Polynomials in place of logarithms and exponentials, which do not vectorise without a vector library.
 
-Interpolated at Chebyshev's points, from which they differ by less than 1e-14 of their value.
+Interpolated at Chebyshev points, with relative errors below 1e-14.
 """
 
 from collections.abc import Callable
@@ -41,17 +41,17 @@ NEAR_INTEGRAL = _padded(_interpolated(_integral, 13, 0.0, NEAR_RATIO**2))
 NEAR_SLOPE = _padded(_interpolated(_slope, 13, 0.0, NEAR_RATIO**2))
 FAR_INTEGRAL = _padded(_interpolated(_integral, 7, 0.0, FAR_RATIO**2))
 FAR_SLOPE = _padded(_interpolated(_slope, 7, 0.0, FAR_RATIO**2))
-"""(14,) float: of g(y) and g'(y), y = (s/r)^2, in the descreening integral s^3 g / (2 r^4) and its slope
--s^3 g' / (2 r^5)."""
+"""(14,) float: coefficients of g(y) and h(y), y = (s/r)^2, of the descreening integral s^3 g / (2 r^4) and
+its slope -s^3 h / (2 r^5)."""
 _LN2 = float(np.log(2.0))
 LARGEST_EXPONENT = 40.0
 EXPONENTIAL = read_only(
     [*_interpolated(np.exp, 10, -0.35, 0.35), LARGEST_EXPONENT, -1.0 / _LN2, 0.5, _LN2, 2.0**52 + 2.0**51]
 )
-"""(16,) float: of exp(z), then what :func:`exponential` needs else. The last is a number beside which a
-double keeps whole numbers only, in its last bits.
+"""(16,) float: coefficients of exp(z), then the other constants of :func:`exponential`. Adding the last one
+rounds a double to a whole number, which its last bits then hold.
 
-Coefficients come to kernels in arrays: constants written into the code would be loaded for every pair.
+Kernels take coefficients from arrays: constants in the code would be loaded for every pair.
 """
 Fourteen = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float, float
@@ -78,10 +78,10 @@ def fourteen(c: Floats) -> Fourteen:
 
 @tiled
 def exponential(d: float, c: Sixteen) -> float:
-    """exp(-d) for d >= 0; e^-40, which is nothing to what it is added to, from there on.
+    """exp(-d) for d >= 0; e^-40, negligible beside what it is added to, for d > 40.
 
-    2^n exp(z), n whole: n goes into the exponent's bits. Terms are paired (Estrin), not nested, for a short
-    chain of dependences.
+    2^n exp(z), n whole: n goes into the bits of the exponent. Terms are paired (Estrin's scheme) to shorten
+    the chain of dependences.
     """
     y = min(d, c[11]) * c[12]
     n = np.floor(y + c[13])
@@ -97,7 +97,7 @@ def exponential(d: float, c: Sixteen) -> float:
 
 @variant
 def series(y: float, c: Fourteen, near: bool) -> float:
-    """Sum of c[k] y^k: fourteen terms if near, eight if not."""
+    """Sum of c[k] y^k, of fourteen terms if near and eight otherwise."""
     y2 = y * y
     y4 = y2 * y2
     first = (c[0] + c[1] * y) + (c[2] + c[3] * y) * y2

@@ -1,4 +1,4 @@
-"""An OpenMM System -> the arrays of its energy terms."""
+"""Energy terms of an OpenMM System as arrays."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,17 +8,14 @@ import numpy as np
 import openmm
 
 from protochain.arrays import Floats, Integers
-from protochain.energies.native.implicit import Solvent, from_custom_gb, from_gbsa_obc
+from protochain.energies.native.implicit import COULOMB, Solvent, from_custom_gb, from_gbsa_obc
 from protochain.energies.native.maps import spline_coefficients
 from protochain.energies.native.reading import UnsupportedForceError, bare, one_cutoff, plain
-
-COULOMB = 138.93545764438198
-"""kJ nm/mol/e^2, as OpenMM's NonbondedForce has it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bonded:
-    """Terms of one kind.
+    """Bonded terms of one kind.
 
     Parameters
     ----------
@@ -32,21 +29,21 @@ class Bonded:
 
 @dataclass(frozen=True, eq=False)
 class Nonbonded:
-    """Lennard-Jones and Coulomb.
+    """Lennard-Jones and Coulomb parameters.
 
     Parameters
     ----------
     charge : (na,) float
-        Times the root of Coulomb's constant.
+        Charge times the root of Coulomb's constant.
     lj_type : (na,) int
     a12, b6 : (types, types) float
-        Of A/r^12 - B/r^6.
+        A and B of A/r^12 - B/r^6.
     exceptions : Bonded
-        Pairs with (A, B, q q) of their own; all zero for excluded ones.
+        Pairs with their own parameters (A, B, q q); all zero for excluded pairs.
     cutoff : float, nm
         Infinite for none.
     krf, crf : float
-        Of the reaction field q q (1/r + krf r^2 - crf).
+        Constants of the reaction field q q (1/r + krf r^2 - crf).
     """
 
     charge: Floats
@@ -61,14 +58,14 @@ class Nonbonded:
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """The potential energy of a System, term by term.
+    """Potential energy of a System, term by term.
 
     Parameters
     ----------
     n_atoms : int
     bonded : mapping of str to Bonded
         ``bonds`` (r0, k), ``angles`` (theta0, k), ``torsions`` (n, phi0, k), ``impropers`` (phi0, k), and
-        ``maps``, of eight atoms each, whose parameter is the map's index.
+        ``maps`` of eight atoms with the index of the map.
     map_coefficients : (maps, size, size, 4, 4) float
     nonbonded : Nonbonded
     solvent : Solvent or None
@@ -95,7 +92,7 @@ def compile_system(system: openmm.System) -> Terms:
     Raises
     ------
     UnsupportedForceError
-        Naming the first force, or feature of one, that has no exact counterpart here.
+        Naming the first force, or feature of one, without an exact native kernel.
     """
     found: dict[str, list[openmm.Force]] = {}
     for force in system.getForces():
@@ -208,7 +205,7 @@ def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> N
         crf = 3.0 * dielectric / (2.0 * dielectric + 1.0) / cutoff
     particles = np.array([[plain(v) for v in force.getParticleParameters(i)] for i in range(n)])
     charge, sigma, epsilon = particles.T
-    # Where the well has no depth its width means nothing: one type less.
+    # Without a well, sigma has no meaning: all such atoms share a type.
     kinds = np.column_stack([np.where(epsilon == 0.0, 0.0, sigma), epsilon, np.zeros(n)])
     table = found.get("CustomNonbondedForce")
     if table:
@@ -236,16 +233,16 @@ def _exceptions(force: openmm.NonbondedForce, found: dict[str, list[openmm.Force
         pairs.append((min(first, second), max(first, second)))
         parameters.append([b6 * sigma**6, b6, qq * COULOMB])
     place = {pair: i for i, pair in enumerate(pairs)}
-    for own in found.get("CustomBondForce", []):
-        names = [own.getPerBondParameterName(i) for i in range(own.getNumPerBondParameters())]
-        known = bare(own.getEnergyFunction()) == "4*epsilon*((sigma/r)^12-(sigma/r)^6)"
+    for custom in found.get("CustomBondForce", []):
+        names = [custom.getPerBondParameterName(i) for i in range(custom.getNumPerBondParameters())]
+        known = bare(custom.getEnergyFunction()) == "4*epsilon*((sigma/r)^12-(sigma/r)^6)"
         if not known or sorted(names) != ["epsilon", "sigma"]:
-            raise UnsupportedForceError(f"CustomBondForce {own.getEnergyFunction()!r}")
-        for i in range(own.getNumBonds()):
-            first, second, values = own.getBondParameters(i)
+            raise UnsupportedForceError(f"CustomBondForce {custom.getEnergyFunction()!r}")
+        for i in range(custom.getNumBonds()):
+            first, second, values = custom.getBondParameters(i)
             pair = min(first, second), max(first, second)
             if pair not in place:
-                raise UnsupportedForceError("CustomBondForce between atoms that also see each other")
+                raise UnsupportedForceError("CustomBondForce between atoms that are no exception")
             sigma, epsilon = values[names.index("sigma")], values[names.index("epsilon")]
             b6 = 4.0 * epsilon * sigma**6
             parameters[place[pair]][0] += b6 * sigma**6
@@ -256,7 +253,7 @@ def _exceptions(force: openmm.NonbondedForce, found: dict[str, list[openmm.Force
 
 
 def _types_of(table: openmm.CustomNonbondedForce, force: openmm.NonbondedForce) -> list[float]:
-    """Type of each particle in CHARMM's table of Lennard-Jones pairs."""
+    """Type of each particle in CHARMM's table of Lennard-Jones parameters."""
     names = [table.getPerParticleParameterName(i) for i in range(table.getNumPerParticleParameters())]
     known = (
         bare(table.getEnergyFunction()) == "acoef(type1,type2)/r^12-bcoef(type1,type2)/r^6"
