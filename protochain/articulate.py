@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-from protochain import residues
+from protochain import defaults, residues
 from protochain.arrays import Floats, Integers, read_only
 from protochain.chain import Chain, Hinge, dihedral
 from protochain.errors import ChainError
@@ -28,10 +28,10 @@ ON_AXIS = np.deg2rad(5.0)
 
 def build_chain(
     structure: Structure,
-    hinges: str = "phi psi chi",
-    root: str = "auto",
+    hinges: str = defaults.HINGES,
+    root: str = defaults.ROOT,
     *,
-    move: str = "all",
+    move: str = defaults.MOVE,
     hydrogen_mass: float | None = None,
 ) -> Chain:
     """Cut a structure into rigid bodies joined by hinges.

@@ -5,6 +5,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from protochain import defaults
 from protochain.arrays import Floats, read_only
 from protochain.dynamics.system import Phase, System
 from protochain.multibody.articulated import sample
@@ -70,7 +71,7 @@ class Langevin(Thermostat):
     """
 
     thermal_energy: float
-    friction: float = 1.0
+    friction: float = defaults.FRICTION
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
@@ -97,7 +98,7 @@ class Rescaling(Thermostat):
 
     thermal_energy: float
     freedoms: int
-    friction: float = 1.0
+    friction: float = defaults.FRICTION
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
@@ -138,7 +139,7 @@ class NoseHoover(Thermostat):
 
     thermal_energy: float
     freedoms: int
-    friction: float = 1.0
+    friction: float = defaults.FRICTION
 
     @property
     def _inertia(self) -> Floats:
@@ -194,7 +195,7 @@ class HybridMonteCarlo(Thermostat):
     """
 
     thermal_energy: float
-    length: int = 10
+    length: int = defaults.TRAJECTORY_LENGTH
     undoes: ClassVar[bool] = True
 
     def init(self, at: Phase) -> Bath:

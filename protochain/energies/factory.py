@@ -8,6 +8,7 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
+from protochain import defaults
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
@@ -52,9 +53,9 @@ differently: scaling the charges by the root of the ratio makes the two energies
 
 def energy(
     structure: Structure,
-    forcefield: str = "amber14",
-    solvent: str = "obc2",
-    engine: str = "auto",
+    forcefield: str = defaults.FORCEFIELD,
+    solvent: str = defaults.SOLVENT,
+    engine: str = defaults.ENGINE,
     *,
     system: openmm.System | None = None,
     threads: int | None = None,
