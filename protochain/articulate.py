@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from protochain import defaults
 from protochain.arrays import Floats, Integers, read_only
 from protochain.chain import Chain, dihedral
 from protochain.errors import ChainError
@@ -20,10 +21,10 @@ from protochain.structure.select import select
 
 def build_chain(
     structure: Structure,
-    hinges: str = "phi psi chi",
-    root: str = "auto",
+    hinges: str = defaults.HINGES,
+    root: str = defaults.ROOT,
     *,
-    move: str = "all",
+    move: str = defaults.MOVE,
     hydrogen_mass: float | None = None,
 ) -> Chain:
     """Divide a structure into rigid bodies joined by hinges.

@@ -19,7 +19,7 @@ from distributed.client import Client, Future
 
 from protochain import defaults
 from protochain.batches.cluster import Processes, connected
-from protochain.batches.jobs import BatchSettings, Job, Row, failure, find_jobs
+from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, refuse_unknown
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables, read_table
 from protochain.interrupts import held_interrupts
@@ -148,8 +148,9 @@ def batch(
     """
     given = [inputs] if isinstance(inputs, str | Path) else list(inputs)
     chosen = (methods,) if isinstance(methods, str) else tuple(methods)
-    names = [field.name for field in fields(Processes) if field.name in settings]
-    processes = Processes(**{name: settings.pop(name) for name in names})
+    names = [field.name for field in fields(Processes)]
+    refuse_unknown(settings, (*names, *NAMES))
+    processes = Processes(**{name: settings.pop(name) for name in names if name in settings})
     common = BatchSettings(chosen).changed(**settings)
     folder = Path(output)
     jobs = find_jobs(given, common, Path(manifest) if manifest else None, folder)

@@ -61,13 +61,13 @@ class BatchSettings:
 
     def changed(self, **settings: Any) -> "BatchSettings":
         """Return these settings with some replaced, given by the names of their fields or of the setup's."""
-        _refuse_unknown(settings, (*_OWN, *_OF_SETUP))
+        refuse_unknown(settings, NAMES)
         setup = {name: settings.pop(name) for name in _OF_SETUP if name in settings}
         return replace(self, **{"setup": replace(settings.pop("setup", self.setup), **setup)}, **settings)
 
     def read(self, row: Mapping[str, str]) -> "BatchSettings":
         """Return these settings with the filled cells of a manifest's row in their place."""
-        _refuse_unknown(row, tuple(_IN_MANIFEST))
+        refuse_unknown(row, tuple(_IN_MANIFEST))
         cells = {name: text.strip() for name, text in row.items() if text.strip()}
         if ":" in cells.get("methods", ""):
             raise ProtochainError("methods: an import path runs code; give it as an option of the batch")
@@ -82,7 +82,8 @@ class BatchSettings:
         return {name: value for name, value in values.items() if name not in ("setup", "threads")}
 
 
-def _refuse_unknown(given: Iterable[str], known: Sequence[str]) -> None:
+def refuse_unknown(given: Iterable[str], known: Sequence[str]) -> None:
+    """Refuse the first name that is not known, and list those that are."""
     unknown = next((name for name in given if name not in known), None)
     if unknown is not None:
         raise ProtochainError(f"no setting is called {unknown!r}; choose from {', '.join(known)}")
@@ -94,7 +95,10 @@ def _truth(text: str) -> bool:
     return text.lower() in ("true", "yes", "1")
 
 
-_OWN, _OF_SETUP = (tuple(each.name for each in fields(kind)) for kind in (BatchSettings, Setup))
+_OF_SETUP = tuple(each.name for each in fields(Setup))
+NAMES = (*(each.name for each in fields(BatchSettings)), *_OF_SETUP)
+"""Settings of a batch's structures, by the names of their fields."""
+
 _READERS: Mapping[type, Callable[[str], Any]] = {bool: _truth, int: int, float: float, tuple: words}
 _IN_MANIFEST = {
     each.name: _READERS.get(type(each.default), str)

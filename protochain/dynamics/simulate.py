@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from protochain import defaults
 from protochain.arrays import Floats, Watcher, floats
 from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, place_atoms
@@ -35,22 +36,22 @@ def simulate(
     chain: Any,
     energy: Energy | EnergyFunction | None = None,
     q: Floats | None = None,
-    temperature: float = 300.0,
-    time_step: float = 0.005,
-    n_steps: int = 10_000,
-    thermostat: str = "langevin",
-    seed: int = 0,
+    temperature: float = defaults.TEMPERATURE,
+    time_step: float = defaults.TIME_STEP,
+    n_steps: int = defaults.N_STEPS,
+    thermostat: str = defaults.THERMOSTAT,
+    seed: int = defaults.SEED,
     *,
-    friction: float = 1.0,
-    integrator: str = "leapfrog",
+    friction: float = defaults.FRICTION,
+    integrator: str = defaults.INTEGRATOR,
     fixman: bool = False,
-    loops: str = "open",
+    loops: str = defaults.LOOPS,
     hydrogen_mass: float | None = None,
-    trajectory_length: int = 10,
-    every: int = 100,
+    trajectory_length: int = defaults.TRAJECTORY_LENGTH,
+    every: int = defaults.EVERY,
     output: str | Path | None = None,
-    trajectory: str = "dcd",
-    checkpoint_every: int = 10,
+    trajectory: str = defaults.TRAJECTORY,
+    checkpoint_every: int = defaults.CHECKPOINT_EVERY,
     resume: bool = False,
     force: bool = False,
     watch: Watcher | None = None,

@@ -5,6 +5,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from protochain import defaults
 from protochain.arrays import Floats, read_only
 from protochain.dynamics.system import Phase, System
 from protochain.multibody.articulated import sample
@@ -76,7 +77,7 @@ class Langevin(Thermostat):
     """
 
     thermal_energy: float
-    friction: float = 1.0
+    friction: float = defaults.FRICTION
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
@@ -96,8 +97,10 @@ class Rescaling(Thermostat):
 
     Parameters
     ----------
-    thermal_energy, freedoms : float, kJ/mol, and int
-        Value of kT, and number of degrees of freedom.
+    thermal_energy : float, kJ/mol
+        Value of kT.
+    freedoms : int
+        Number of degrees of freedom.
     friction : float, 1/ps
         Relaxation rate of the velocities.
     """
@@ -106,7 +109,7 @@ class Rescaling(Thermostat):
 
     thermal_energy: float
     freedoms: int
-    friction: float = 1.0
+    friction: float = defaults.FRICTION
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
@@ -139,8 +142,10 @@ class NoseHoover(Thermostat):
 
     Parameters
     ----------
-    thermal_energy, freedoms : float, kJ/mol, and int
-        Value of kT, and number of degrees of freedom.
+    thermal_energy : float, kJ/mol
+        Value of kT.
+    freedoms : int
+        Number of degrees of freedom.
     friction : float, 1/ps
         Frequency of the chain: thermostat masses are kT / friction^2.
     """
@@ -149,7 +154,7 @@ class NoseHoover(Thermostat):
 
     thermal_energy: float
     freedoms: int
-    friction: float = 1.0
+    friction: float = defaults.FRICTION
 
     @property
     def _inertia(self) -> Floats:
@@ -206,7 +211,7 @@ class HybridMonteCarlo(Thermostat):
     """
 
     thermal_energy: float
-    trajectory_length: int = 10
+    trajectory_length: int = defaults.TRAJECTORY_LENGTH
     metropolis: ClassVar[bool] = True
 
     def init(self, at: Phase) -> Bath:

@@ -74,7 +74,7 @@ class CustomEnergy:
         return f"<CustomEnergy {self.name}>"
 
 
-def as_energy(given: Energy | EnergyFunction | None, structure: Structure) -> Energy:
+def as_energy(given: Any, structure: Structure) -> Energy:
     """Make an energy of what a caller gives.
 
     Parameters

@@ -8,6 +8,7 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
+from protochain import defaults
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.implicit import COULOMB, COULOMB_CUSTOM, OBC_OFFSET
 from protochain.energies.openmm_engine import OpenMMEnergy
@@ -45,9 +46,9 @@ ENGINES = ("auto", "native", "openmm")
 
 def energy(
     structure: Structure,
-    forcefield: str = "amber14",
-    solvent: str = "obc2",
-    engine: str = "auto",
+    forcefield: str = defaults.FORCEFIELD,
+    solvent: str = defaults.SOLVENT,
+    engine: str = defaults.ENGINE,
     *,
     system: openmm.System | None = None,
     threads: int | None = None,

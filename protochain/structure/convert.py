@@ -8,12 +8,13 @@ import gemmi
 import numpy as np
 from openmm import app, unit
 
+from protochain import defaults
 from protochain.arrays import Floats
 from protochain.errors import StructureError
 from protochain.structure.draft import Draft, atom
 from protochain.structure.files import check
 from protochain.structure.model import Structure
-from protochain.structure.prepare import PH, load, prepare, user_file
+from protochain.structure.prepare import load, prepare, user_file
 from protochain.structure.protonate import check_ph
 from protochain.structure.read import Reading, read_structure
 from protochain.units import ANGSTROM_PER_NM
@@ -53,7 +54,7 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     made = _as_gemmi(source)
     made.merge_chain_parts()
     check(made, name)
-    forcefield, ph = user_file(settings.pop("forcefield", None)), settings.pop("ph", PH)
+    forcefield, ph = user_file(settings.pop("forcefield", None)), settings.pop("ph", defaults.PH)
     disulfide = settings.pop("disulfide", None)
     settings["keep"] = tuple(settings.get("keep", ()))
     check_ph(ph)

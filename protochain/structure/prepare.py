@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from openmm import app
 
+from protochain import defaults
 from protochain.arrays import Floats, Integers
 from protochain.errors import StructureError
 from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
@@ -22,8 +23,6 @@ from protochain.structure.read import Reading, read
 from protochain.structure.templates import Template, templates
 from protochain.units import ANGSTROM_PER_NM
 
-PH = 7.0
-
 
 def load(
     path: str | Path,
@@ -32,7 +31,7 @@ def load(
     altloc: str = "",
     keep: Sequence[str] = (),
     disulfide: Sequence[tuple[str, str]] | None = None,
-    ph: float = PH,
+    ph: float = defaults.PH,
     strict: bool = False,
     forcefield: str | Path | None = None,
 ) -> Structure:
@@ -87,7 +86,7 @@ def user_file(forcefield: str | Path | None) -> Path | None:
 def prepare(
     draft: Draft,
     disulfide: Sequence[tuple[str, str]] | None = None,
-    ph: float = PH,
+    ph: float = defaults.PH,
     forcefield: Path | None = None,
 ) -> Structure:
     """Complete a draft: heavy atoms, disulfides, hydrogens.
