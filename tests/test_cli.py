@@ -100,7 +100,7 @@ def test_build_makes_a_file_that_loads(tmp_path):
         (["minimise", "in.pdb", "--max-rmsd", "0"], ["max-rmsd 0"]),
         (["minimise", "in.pdb", "--solvent", "tea"], ["'tea'"]),
         (["minimise", "in.pdb", "--forcefield", "no.xml"], ["no.xml"]),
-        (["minimise", "in.pdb", "-o", "out.xyz"], ["out.xyz", ".pdb or .cif"]),
+        (["minimise", "in.pdb", "-o", "out.xyz"], ["out.xyz", ".pdb or .ent or .cif"]),
         (["minimise", "in.pdb", "-o", "in.pdb"], ["in.pdb", "--force"]),
         (["minimise", "in.pdb", "--trajectory", "t.avi"], ["t.avi"]),
         (["minimise", "cut.pdb"], ["cut.pdb", "line", "cut short"]),

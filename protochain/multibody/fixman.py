@@ -153,7 +153,7 @@ def solve(factors: Eliminated, tau: Floats) -> Floats:
 def _solve_once(factors: Eliminated, tau: Floats) -> Floats:
     tree, frames = factors.tree, factors.frames
     wrench = np.zeros((tree.n_bodies, 6))
-    _push_soft(
+    _add_soft_loads(
         tree.links, tree.bodies, frames.rotation, frames.origin,
         tau, wrench,
     )  # fmt: skip
@@ -335,7 +335,7 @@ def _respond(
 
 
 @kernel
-def _push_soft(
+def _add_soft_loads(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, tau: Floats,
     wrench: Floats,
 ) -> None:  # fmt: skip

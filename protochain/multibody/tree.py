@@ -14,7 +14,7 @@ PARENT, Q, V = range(3)
 OFFSET, AXES, MASS, FIRST_MOMENT, SECOND_MOMENTS, TURN, SLIDE = 0, 3, 12, 13, 16, 22, 23
 """First columns of these in :attr:`Tree.bodies`. One array, since a call pays for every array argument."""
 NO_INERTIA = 1e-12
-"""Moment of inertia about an axis, relative to the sum of all three, that is zero up to rounding."""
+"""Moment of inertia about an axis, relative to the sum of all three, below which it is rounding error."""
 
 
 class HingeKind(IntEnum):

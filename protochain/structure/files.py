@@ -71,7 +71,7 @@ def _text(path: Path, source: str) -> str:
     try:
         data = sys.stdin.buffer.read(_BYTES + 1) if path == STANDARD_INPUT else _bytes(path)
     except OSError as error:
-        raise StructureError(f"{source}: cannot be read ({error.strerror}); check the path") from None
+        raise StructureError(f"{source}: cannot be read ({error.strerror}); check the name") from None
     if data[:2] == b"\x1f\x8b":
         try:
             with gzip.open(io.BytesIO(data)) as file:
