@@ -37,9 +37,7 @@ class CustomEnergy:
     lists_at: Floats | None = None
 
     def __init__(self, function: EnergyFunction) -> None:
-        self.function, self.reference = function, self
-        named = function if hasattr(function, "__qualname__") else type(function)
-        self.name = f"{named.__module__}.{named.__qualname__}"
+        self.function, self.reference, self.name = function, self, name_of(function)
         self.fingerprint = hashlib.sha256(self.name.encode()).hexdigest()
 
     def without_constants(self, groups: Integers, x: Floats) -> "CustomEnergy":
@@ -72,6 +70,12 @@ class CustomEnergy:
 
     def __repr__(self) -> str:
         return f"<CustomEnergy {self.name}>"
+
+
+def name_of(value: Any) -> str:
+    """Qualified name of a function or class, or of an object's class."""
+    named = value if hasattr(value, "__qualname__") else type(value)
+    return f"{named.__module__ or '__main__'}.{named.__qualname__}"
 
 
 def as_energy(given: Any, structure: Structure) -> Energy:

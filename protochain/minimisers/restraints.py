@@ -8,6 +8,7 @@ import numpy as np
 
 from protochain.arrays import Floats
 from protochain.contacts import near_pairs
+from protochain.energies.custom import name_of
 from protochain.errors import ProtochainError
 from protochain.minimisers.problem import Force
 from protochain.structure import Structure
@@ -193,9 +194,3 @@ class Hold:
         """Strengths, and the name of any other restraint."""
         term = [] if self.term is None else [name_of(self.term)]
         return [*self.strengths, *term]
-
-
-def name_of(value: Any) -> str:
-    """Qualified name of a function or class, or of an object's class."""
-    named = value if hasattr(value, "__qualname__") else type(value)
-    return f"{named.__module__}.{named.__qualname__}"
