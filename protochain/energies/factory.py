@@ -107,7 +107,10 @@ def energy(
 
 
 def build_system(
-    structure: Structure, forcefield: str = "amber14", solvent: str = "obc2", trust_forcefield: bool = False
+    structure: Structure,
+    forcefield: str = defaults.FORCEFIELD,
+    solvent: str = defaults.SOLVENT,
+    trust_forcefield: bool = False,
 ) -> openmm.System:
     """Build the OpenMM System of a structure as the files of the force field define it.
 
