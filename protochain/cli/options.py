@@ -113,8 +113,10 @@ def fail(message: str, status: int = FAILED) -> int:
 
 def named_after(source: Path) -> tuple[str, str]:
     """Return stem and suffix for outputs named after an input."""
+    from protochain.structure.files import SUFFIXES
+
     inner = Path(source.stem) if source.suffix.lower() == ".gz" else source
-    suffix = ".cif" if inner.suffix.lower() in (".cif", ".mmcif") else ".pdb"
+    suffix = ".cif" if SUFFIXES.get(inner.suffix.lower()) == "mmCIF" else ".pdb"
     return ("stdin" if str(source) == "-" else inner.stem), suffix
 
 

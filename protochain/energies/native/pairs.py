@@ -31,8 +31,8 @@ from protochain.energies.native.layout import (
 )  # fmt: skip
 from protochain.energies.native.series import exponential, sixteen
 
-# Arrays are passed one by one: NamedTuples of them give the same bits, but numba's dispatch then costs 2 to
-# 4 % of an energy of 1l2y (7 to 16 us) and 1 % of one of 1ubq, on 2 threads.
+# Arrays are passed one by one: NamedTuples of them give the same bits, but numba's dispatch then costs 1 to
+# 6 % of an energy of 1l2y (7 to 22 us) and 1 to 3 % of one of 1ubq, on 2 threads.
 
 CLOSEST = 1e-12
 """nm^2. Smallest squared distance: coincident atoms give large, not infinite, numbers."""
