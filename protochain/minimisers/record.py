@@ -3,12 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from protochain.minimisers.solution import Solution
 
 UNITS = {
     "_kj_mol_rad": "kJ/mol/rad", "_kj_mol_nm2": "kJ/mol/nm^2", "_kj_mol_nm": "kJ/mol/nm", "_kj_mol": "kJ/mol",
@@ -36,7 +33,7 @@ class Column:
     """
 
     key: str
-    value: "Callable[[Solution], Any]"
+    value: Callable[[Any], Any]
     heading: str = ""
     short: str = ""
 
@@ -101,7 +98,7 @@ SHOWN = tuple(column for column in COLUMNS if column.heading)
 """Columns of short tables."""
 
 
-def record(solution: "Solution") -> dict[str, Any]:
+def record(solution: Any) -> dict[str, Any]:
     """Flat record of a solution; None where a value is not finite."""
     values = {column.key: column.value(solution) for column in COLUMNS}
     return {
