@@ -11,10 +11,10 @@ basins.
 import argparse
 from pathlib import Path
 
+import gemmi
 import matplotlib.pyplot as plt
 import numpy as np
 import openmm
-from MDAnalysis.lib.distances import calc_dihedrals
 from openmm import unit
 from scipy import constants
 
@@ -39,12 +39,17 @@ def quadrature(chain: pc.Chain, energy, n: int = 72) -> tuple[np.ndarray, np.nda
     return phi.ravel(), psi.ravel(), np.exp(-(values - values.min()) / KT).ravel()
 
 
+def dihedrals(chain: pc.Chain, x: np.ndarray) -> list[float]:
+    """Phi and psi at positions x, rad."""
+    return [gemmi.calculate_dihedral(*(gemmi.Position(*x[i]) for i in h.atoms)) for h in chain.hinges]
+
+
 def rigid(chain: pc.Chain, energy, n: int) -> np.ndarray:
     """Sample phi and psi by hybrid Monte Carlo, degrees."""
     seen = []
 
     def watch(row, x):
-        seen.append([calc_dihedrals(*x[list(h.atoms)]) for h in chain.hinges])
+        seen.append(dihedrals(chain, x))
 
     m = pc.simulate(
         chain, energy, time_step=0.012, n_steps=40 * n, thermostat="hmc", trajectory_length=40, every=40,
@@ -70,7 +75,7 @@ def flexible(chain: pc.Chain, energy, ns: float) -> np.ndarray:
     for _ in range(round(5000 * ns)):
         integrator.step(100)
         x = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
-        out.append([calc_dihedrals(*x[list(h.atoms)]) for h in chain.hinges])
+        out.append(dihedrals(chain, x))
     return np.rad2deg(np.array(out))
 
 
