@@ -2,6 +2,9 @@
 
 import ast
 import importlib
+import inspect
+import re
+from graphlib import TopologicalSorter
 
 import pytest
 from conftest import ROOT
@@ -21,6 +24,15 @@ LAYERS = [
     {"batches"},
     {"cli"},
 ]
+OPEN = ("analysis", "batches", "dynamics", "energies", "minimisers", "multibody", "structure")
+PACKAGES = (protochain, *(importlib.import_module(f"protochain.{name}") for name in OPEN))
+PUBLIC = {
+    f"{package.__name__}.{name}": getattr(package, name)
+    for package in PACKAGES
+    for name in package.__all__
+    if not inspect.ismodule(getattr(package, name))
+}
+KERNELS = {"kernel", "njit", "scalar", "shared", "tiled", "variant"}
 OPENMM_BELONGS_IN = {"structure", "energies", "minimisers/openmm_reference.py"}
 
 
@@ -73,6 +85,36 @@ def test_openmm_is_imported_only_where_it_belongs(path):
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_no_file_grows_past_four_hundred_lines(path):
     assert len(path.read_text().splitlines()) <= 400
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_no_function_but_kernels_grows_past_sixty_lines(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if not isinstance(node, ast.FunctionDef):
+            continue
+        if KERNELS & set(re.findall(r"\w+", " ".join(map(ast.unparse, node.decorator_list)))):
+            continue
+        docstring = node.body[0].end_lineno - node.body[0].lineno + 1 if ast.get_docstring(node) else 0
+        assert node.end_lineno - node.lineno + 1 - docstring <= 60, node.name
+
+
+def test_no_public_function_but_simulate_takes_more_than_nine_parameters():
+    functions = {name: value for name, value in PUBLIC.items() if inspect.isfunction(value)}
+    assert len(functions) > 40
+    wide = {name for name, value in functions.items() if len(inspect.signature(value).parameters) > 9}
+    assert wide == {"protochain.simulate", "protochain.dynamics.simulate"}
+
+
+def test_no_modules_import_one_another_in_a_circle():
+    """Imports within functions count too; a circle is a CycleError that names its modules."""
+    dotted = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in MODULES}
+    paths = {name.removesuffix(".__init__"): path for name, path in dotted.items()}
+    graph = {
+        module: {name if name in paths else name.rpartition(".")[0] for name in imports(path)} & paths.keys()
+        for module, path in paths.items()
+    }
+    assert graph["protochain.chain"] >= {"protochain.hinges", "protochain.multibody"}
+    TopologicalSorter(graph).prepare()
 
 
 def test_every_public_name_is_there_and_is_what_it_says():

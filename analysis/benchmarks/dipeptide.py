@@ -11,17 +11,17 @@ basins.
 import argparse
 from pathlib import Path
 
+import gemmi
 import matplotlib.pyplot as plt
 import numpy as np
 import openmm
 from openmm import unit
+from scipy import constants
 
 import protochain as pc
-from protochain.chain import dihedral
-from protochain.minimisers.openmm_reference import constrain_hydrogens
-from protochain.units import MOLAR_GAS
+from protochain.energies import constrain_hydrogens
 
-KT = 300.0 * MOLAR_GAS
+KT = 300.0 * constants.R / 1000.0
 BINS = 24
 EDGES = np.linspace(-180.0, 180.0, BINS + 1)
 BASINS = {
@@ -39,12 +39,17 @@ def quadrature(chain: pc.Chain, energy, n: int = 72) -> tuple[np.ndarray, np.nda
     return phi.ravel(), psi.ravel(), np.exp(-(values - values.min()) / KT).ravel()
 
 
+def dihedrals(chain: pc.Chain, x: np.ndarray) -> list[float]:
+    """Phi and psi at positions x, rad."""
+    return [gemmi.calculate_dihedral(*(gemmi.Position(*x[i]) for i in h.atoms)) for h in chain.hinges]
+
+
 def rigid(chain: pc.Chain, energy, n: int) -> np.ndarray:
     """Sample phi and psi by hybrid Monte Carlo, degrees."""
     seen = []
 
     def watch(row, x):
-        seen.append([dihedral(x[list(h.atoms)]) for h in chain.hinges])
+        seen.append(dihedrals(chain, x))
 
     m = pc.simulate(
         chain, energy, time_step=0.012, n_steps=40 * n, thermostat="hmc", trajectory_length=40, every=40,
@@ -69,8 +74,8 @@ def flexible(chain: pc.Chain, energy, ns: float) -> np.ndarray:
     out = []
     for _ in range(round(5000 * ns)):
         integrator.step(100)
-        x = context.getState(positions=True).getPositions(asNumpy=True)._value
-        out.append([dihedral(np.array(x)[list(h.atoms)]) for h in chain.hinges])
+        x = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+        out.append(dihedrals(chain, x))
     return np.rad2deg(np.array(out))
 
 

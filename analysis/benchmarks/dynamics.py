@@ -17,19 +17,27 @@ import numpy as np
 import openmm
 import pandas as pd
 from openmm import unit
+from scipy import constants
 
 import protochain as pc
-from protochain.dynamics import Isolated, Langevin, Leapfrog, Propagator, State, System, chain_potential
-from protochain.dynamics.loop import advance
-from protochain.dynamics.thermostats import Thermostat
-from protochain.energies import build_system
-from protochain.minimisers.openmm_reference import constrain_hydrogens
+from protochain.dynamics import (
+    Isolated,
+    Langevin,
+    Leapfrog,
+    Propagator,
+    State,
+    System,
+    Thermostat,
+    advance,
+    chain_potential,
+)  # fmt: skip
+from protochain.energies import build_system, constrain_hydrogens
 from protochain.multibody import sample_velocities
-from protochain.units import MOLAR_GAS
 
 SAMPLES = Path(__file__).parents[2] / "structures"
 SHARED = SAMPLES.parents[1] / "shared" / "structures"
 THREADS = 2
+KT = 300.0 * constants.R / 1000.0
 MODELS = {
     "phi psi chi": ("phi psi chi", None),
     "+ omega": ("phi psi omega chi", None),
@@ -131,19 +139,19 @@ def one_step(chain: pc.Chain, energy) -> tuple[float, float, float, float]:
     x = chain.structure.positions
     system = System(chain.tree, chain_potential(chain, energy.without_constants(chain.rigid_groups, x)))
     at = system.at(chain.q0, np.zeros(chain.n_v))
-    qd = sample_velocities(chain.tree, at.factors.frames, 300 * MOLAR_GAS, np.random.default_rng(0))
+    qd = sample_velocities(chain.tree, at.factors.frames, KT, np.random.default_rng(0))
     at = system.with_velocities(at, qd)
     still = System(chain.tree, lambda q, f: (at.potential, at.torque))
 
     def step(thermostat: Thermostat) -> Callable[[], object]:
-        propagator = Propagator(still, Leapfrog(), thermostat, 0.004, 300 * MOLAR_GAS, 0, False)
+        propagator = Propagator(still, Leapfrog(), thermostat, 0.004, KT, 0, False)
         now = State(0, at, thermostat.init(at))
         return lambda: advance(propagator, now)
 
     return (
         median_seconds(lambda: energy(x), 10),
         median_seconds(lambda: system.potential(at.q, at.factors), 10),
-        median_seconds(step(Langevin(300 * MOLAR_GAS)), 10),
+        median_seconds(step(Langevin(KT)), 10),
         median_seconds(step(Isolated()), 10),
     )
 

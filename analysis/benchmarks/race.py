@@ -15,6 +15,7 @@ from time import perf_counter
 import numpy as np
 import openmm
 import pandas as pd
+from openmm import unit
 
 import protochain as pc
 from protochain.energies import build_system
@@ -37,7 +38,7 @@ def openmm_ends(structure: pc.Structure, solvent: str, energy) -> list[tuple[flo
         began = perf_counter()
         openmm.LocalEnergyMinimizer.minimize(context, tolerance)
         seconds = perf_counter() - began
-        x = context.getState(positions=True).getPositions(asNumpy=True)._value
+        x = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
         ends.append((energy(np.array(x))[0], seconds))
         del context
     return ends

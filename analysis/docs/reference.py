@@ -13,8 +13,14 @@ import pdoc
 
 import protochain
 
-PAGES = ("protochain", "protochain.energies", "!protochain.multibody.random_tree")
-"""Modules with what is in them; the module that shares its name with a function of the package is not one."""
+PACKAGES = ("analysis", "batches", "dynamics", "energies", "minimisers", "structure")
+SHADOWED = ("dynamics.fixman", "dynamics.simulate", "multibody.random_tree")
+"""Modules that share their name with a function of the package; the page is about the function."""
+PAGES = (
+    "protochain",
+    *(f"protochain.{name}" for name in PACKAGES),
+    *(f"!protochain.{name}" for name in SHADOWED),
+)
 
 
 def build(folder: Path) -> None:

@@ -4,17 +4,24 @@ from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import remove_com_motion
 from protochain.dynamics.fixman import fixman
 from protochain.dynamics.leapfrog import Leapfrog
-from protochain.dynamics.loop import Ending, Propagator, State, initial, run
+from protochain.dynamics.loop import Ending, Propagator, State, advance, initial, run
 from protochain.dynamics.midpoint import ImplicitMidpoint
 from protochain.dynamics.runge_kutta import DormandPrince, RungeKutta4
 from protochain.dynamics.simulate import simulate
 from protochain.dynamics.simulation import Simulation
 from protochain.dynamics.system import Phase, StepTooLargeError, System, chain_potential, total
-from protochain.dynamics.thermostats import HybridMonteCarlo, Isolated, Langevin, NoseHoover, Rescaling
+from protochain.dynamics.thermostats import (
+    HybridMonteCarlo,
+    Isolated,
+    Langevin,
+    NoseHoover,
+    Rescaling,
+    Thermostat,
+)  # fmt: skip
 
 __all__ = [
     "Closure", "DormandPrince", "Ending", "HybridMonteCarlo", "ImplicitMidpoint", "Isolated", "Langevin",
     "Leapfrog", "NoseHoover", "Phase", "Propagator", "Rescaling", "RungeKutta4", "Simulation", "State",
-    "StepTooLargeError", "System", "chain_potential", "closure_of", "fixman", "initial",
-    "remove_com_motion", "run", "simulate", "total",
+    "StepTooLargeError", "System", "Thermostat", "advance", "chain_potential", "closure_of", "fixman",
+    "initial", "remove_com_motion", "run", "simulate", "total",
 ]  # fmt: skip

@@ -92,6 +92,18 @@ def noise(seed: int, step: int) -> np.random.Generator:
 def advance(propagator: Propagator, state: State) -> State:
     """Return the state one time step later.
 
+    Parameters
+    ----------
+    propagator : Propagator
+        System, integrator and thermostat.
+    state : State
+        State to advance from.
+
+    Returns
+    -------
+    State
+        State after the step and the thermostat.
+
     Raises
     ------
     StepTooLargeError

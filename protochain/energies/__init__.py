@@ -3,10 +3,10 @@
 from protochain.energies.custom import CustomEnergy, as_energy
 from protochain.energies.factory import build_system, energy
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
-from protochain.energies.openmm_engine import OpenMMEnergy
+from protochain.energies.openmm_engine import OpenMMEnergy, constrain_hydrogens
 from protochain.energies.protocol import Energy
 
 __all__ = [
     "CustomEnergy", "Energy", "NativeEnergy", "OpenMMEnergy", "UnsupportedForceError", "as_energy",
-    "build_system", "energy",
+    "build_system", "constrain_hydrogens", "energy",
 ]  # fmt: skip

@@ -13,6 +13,9 @@ from openmm import unit
 
 from protochain.arrays import Floats, Integers, floats
 
+_LIGHT = 1.5
+"""amu. Atoms lighter than this are hydrogens."""
+
 
 class OpenMMEnergy:
     """Energy of an OpenMM System on one platform.
@@ -127,3 +130,21 @@ class OpenMMEnergy:
 
     def __repr__(self) -> str:
         return f"<OpenMMEnergy {self.forcefield}, {self.solvent}: {self.reason}>"
+
+
+def constrain_hydrogens(system: openmm.System) -> None:
+    """Constrain bonds to hydrogen to their equilibrium lengths, as ``constraints=HBonds`` does.
+
+    Parameters
+    ----------
+    system : openmm.System
+        Changed in place.
+    """
+    light = [system.getParticleMass(i)._value < _LIGHT for i in range(system.getNumParticles())]
+    for force in system.getForces():
+        if isinstance(force, openmm.HarmonicBondForce):
+            for k in range(force.getNumBonds()):
+                i, j, length, _ = force.getBondParameters(k)
+                if light[i] != light[j]:
+                    system.addConstraint(i, j, length)
+                    force.setBondParameters(k, i, j, length, 0.0)

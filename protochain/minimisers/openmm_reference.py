@@ -8,7 +8,7 @@ import openmm
 
 from protochain.arrays import Floats
 from protochain.chain import Chain
-from protochain.energies import Energy, OpenMMEnergy
+from protochain.energies import Energy, OpenMMEnergy, constrain_hydrogens
 from protochain.interrupts import held_interrupts
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.recipes import SINGLE_PRECISION_ENDS, Recipe
@@ -191,20 +191,6 @@ def langevin_dynamics(
 
 
 _MD_STEPS, _MD_FRAME = 1000, 20
-_LIGHT = 1.5
-"""amu. Atoms lighter than this are hydrogens."""
-
-
-def constrain_hydrogens(system: openmm.System) -> None:
-    """Constrain bonds to hydrogen to their equilibrium lengths, as ``constraints=HBonds`` does."""
-    light = [system.getParticleMass(i)._value < _LIGHT for i in range(system.getNumParticles())]
-    for force in system.getForces():
-        if isinstance(force, openmm.HarmonicBondForce):
-            for k in range(force.getNumBonds()):
-                i, j, length, _ = force.getBondParameters(k)
-                if light[i] != light[j]:
-                    system.addConstraint(i, j, length)
-                    force.setBondParameters(k, i, j, length, 0.0)
 
 
 def _minimise(energy: Energy, platform: str, x: Floats, tolerance: float, reporter: _Reporter) -> None:
