@@ -16,7 +16,7 @@ from protochain.multibody import Tree
 ROOT = Path(__file__).parent.parent
 
 # Numba looks at the time of a kernel's own file only: kernels that use changed ones would run as they were.
-_KERNELS = [
+_KERNELS = [ROOT / "protochain" / "compilation.py"] + [
     path
     for folder in ("multibody", "dynamics", "energies/native")
     for path in (ROOT / "protochain" / folder).glob("*.py")

@@ -15,7 +15,7 @@ PACKAGE = ROOT / "protochain"
 MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
 
 LAYERS = [
-    {"units", "errors", "arrays", "residues", "interrupts", "markup", "storage", "defaults"},
+    {"units", "errors", "arrays", "residues", "interrupts", "markup", "storage", "defaults", "compilation"},
     {"multibody", "structure", "energies"},
     {"chain", "hinges", "articulate", "contacts", "setup"},
     {"dynamics"},
@@ -80,6 +80,12 @@ def test_openmm_is_imported_only_where_it_belongs(path):
     if any(inside.startswith(place) for place in OPENMM_BELONGS_IN):
         return
     assert not {name for name in imports(path) if name.split(".")[0] == "openmm"}
+
+
+def test_kernels_are_compiled_with_one_set_of_settings():
+    """They are global in numba: kernels compiled before a module made them would round otherwise."""
+    takes_njit = {path.name for path in MODULES if "numba.njit" in imports(path)}
+    assert takes_njit == {"compilation.py"}
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))

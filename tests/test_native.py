@@ -1,11 +1,14 @@
 """The native engine against OpenMM's Reference platform, quadrature, differences and itself."""
 
 import copy
+import os
+import subprocess
+import sys
 
 import numpy as np
 import openmm
 import pytest
-from conftest import LEFT_OUT, NATIVE_ENERGY, NATIVE_FORCE, chain, load, shared
+from conftest import LEFT_OUT, NATIVE_ENERGY, NATIVE_FORCE, STRUCTURES, chain, load, shared
 from numba import njit
 from openmm import app, unit
 from scipy.integrate import quad
@@ -413,3 +416,18 @@ def test_the_descreening_integral_is_that_of_a_sphere(r):
         2 * h
     )
     assert r * born.descreening(r, radius, s, True)[1] == pytest.approx(numeric, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_no_bit_depends_on_what_was_compiled_first(tmp_path):
+    chain_first = "pc.build_chain(s); print(repr(float(pc.energy(s)(s.positions)[0])))"
+    energy_first = "e = pc.energy(s); print(repr(float(e(s.positions)[0]))); pc.build_chain(s)"
+    found = []
+    for name, then in (("chain", chain_first), ("energy", energy_first)):
+        program = f"import protochain as pc; s = pc.load({str(STRUCTURES / '1l2y.pdb')!r}); {then}"
+        alone = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / name)}
+        run = subprocess.run(
+            [sys.executable, "-c", program], env=alone, capture_output=True, text=True, check=True
+        )
+        found.append(run.stdout)
+    assert found[0] == found[1] != ""

@@ -7,9 +7,8 @@ rotation first, about a hinge point and along world axes: a twist is (omega, u),
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-from numba import config, njit
-
 from protochain.arrays import Floats
+from protochain.compilation import njit
 from protochain.multibody.tree import FIRST_MOMENT, MASS, SECOND_MOMENTS
 
 Vector = tuple[float, float, float]
@@ -25,10 +24,6 @@ MASSLESS: Inertia = (
     (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
 )
-
-# LLVM's superword-level vectoriser, off by default in numba, makes sweeps 1.4 times faster.
-_SETTINGS: Any = config
-_SETTINGS.SLP_VECTORIZE = 1
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -8,9 +8,10 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from protochain.arrays import Floats
+from protochain.compilation import njit
 
 W = 32
 """Atoms in a block. Wider ones waste more on padding, narrower ones more on sums along rows."""
