@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from conftest import GEOMETRY_NM, GEOMETRY_RAD, ROUND_OFF_NM, chain, energy, load
+from conftest import GEOMETRY_NM, GEOMETRY_RAD, ROUND_OFF_NM, STRUCTURES, chain, energy, load
 from oracles import angle_triples, angles, bond_lengths
 from test_descent import crowded
 
@@ -162,6 +162,12 @@ def test_starts_are_a_distribution_that_a_seed_repeats():
     assert len(set(energies.round(1))) > 1 and first.summary()["n_starts"] == 5
     assert len(pc.explore(c, e, "lbfgs", 2, seed=3, spread=0.5).solutions) == 2
     json.dumps(first.overall())
+
+
+def test_starts_take_a_file_and_the_default_energy():
+    found = pc.explore(STRUCTURES / "ala10.pdb", None, "lbfgs", 2, seed=3, max_evaluations=20)
+    again = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", 2, seed=3, max_evaluations=20)
+    assert [s.end.energy for s in found.solutions] == [s.end.energy for s in again.solutions]
 
 
 def test_hops_keep_minima_as_metropolis_does():

@@ -86,7 +86,9 @@ def refuse_unknown(given: Iterable[str], known: Sequence[str]) -> None:
     """Refuse the first name that is not known, and list those that are."""
     unknown = next((name for name in given if name not in known), None)
     if unknown is not None:
-        raise ProtochainError(f"no setting is called {unknown!r}; choose from {', '.join(known)}")
+        raise ProtochainError(
+            f"no setting is called {unknown!r}; choose from {', '.join(dict.fromkeys(known))}"
+        )
 
 
 def _truth(text: str) -> bool:

@@ -100,6 +100,10 @@ def minimise(
     tolerance, finds no lower energy or meets a number that is not finite, it continues on the Reference
     platform, within the same budget.
     """
+    unknown = next((name for name in options if name not in Options.__annotations__), None)
+    if unknown is not None:
+        known = ", ".join(Options.__annotations__)
+        raise ProtochainError(f"minimise has no option {unknown!r}; besides its parameters it takes {known}")
     run = Minimisation(recipe_of(method), tolerance, max_evaluations, seed, **options)
     chain = as_chain(chain)
     return minimise_from(Start(chain, as_energy(energy, chain.structure)), run, watch)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from protochain import defaults
-from protochain.articulate import build_chain
+from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, pose
+from protochain.energies import as_energy
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.minimisers.api import minimise
@@ -110,8 +111,8 @@ class Starts:
 
 @held_interrupts()
 def explore(
-    chain: Chain,
-    energy: Any,
+    chain: Any,
+    energy: Any = None,
     method: Any = defaults.METHOD,
     n_starts: int = defaults.N_STARTS,
     *,
@@ -125,11 +126,11 @@ def explore(
 
     Parameters
     ----------
-    chain : Chain
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
         The first start; the others are perturbed.
-    energy : Energy
-        Energy function of all starts.
-    method : str
+    energy : Energy or callable, optional
+        As in :func:`protochain.minimise`; one energy function serves all starts.
+    method : str, Recipe, or object with ``init`` and ``step``
         As in :func:`protochain.minimise`.
     n_starts : int
         Number of starts.
@@ -164,6 +165,8 @@ def explore(
         raise ProtochainError(f"temperature {hop_temperature:g}: give a temperature in K, not below 0")
     if Hold.of(settings.get("restraint", ()), settings.get("max_rmsd", np.inf)) != Hold():
         raise ProtochainError("restrain and max-rmsd refer to each start's own structure; use one start")
+    chain = as_chain(chain)
+    energy = as_energy(energy, chain.structure)
     solutions: list[Solution] = []
     accepted: list[bool] = []
     here, present = chain, np.inf
