@@ -163,6 +163,53 @@ def test_what_is_no_structure_is_refused_with_its_place(content, why, tmp_path):
     assert str(refused.value).startswith(str(tmp_path / "x.pdb"))
 
 
+BEYOND_ASCII = [b"\xe9", "é".encode()]
+
+
+@pytest.mark.parametrize("letter", BEYOND_ASCII)
+@pytest.mark.parametrize(
+    "column", [14, 17, 18, 22, 27], ids=["atom", "altloc", "residue", "chain", "insertion"]
+)
+def test_a_name_that_is_not_ascii_is_refused_with_its_line_and_column(letter, column, tmp_path):
+    lines = [line.encode() for line in atoms_of("ala10.pdb")]
+    lines[6] = lines[6][: column - 1] + letter + lines[6][column:]
+    (tmp_path / "x.pdb").write_bytes(b"".join([*lines, b"END\n"]))
+    with pytest.raises(pc.ProtochainError, match=rf"x\.pdb: line 7: column {column} .* not ASCII"):
+        pc.load(tmp_path / "x.pdb")
+
+
+@pytest.mark.parametrize("letter", BEYOND_ASCII)
+@pytest.mark.parametrize("quote", [b"", b"'"])
+@pytest.mark.parametrize(
+    "column", ["label_alt_id", "label_atom_id", "auth_comp_id", "auth_asym_id", "pdbx_PDB_ins_code"]
+)
+def test_a_name_that_is_not_ascii_is_refused_in_mmcif_too(letter, quote, column, tmp_path):
+    lines = (STRUCTURES / "1ubq.cif").read_bytes().splitlines(keepends=True)
+    columns = [line.split(b".")[1].strip().decode() for line in lines if line.startswith(b"_atom_site.")]
+    row = next(k for k, line in enumerate(lines) if line.startswith(b"ATOM "))
+    words = lines[row].split()
+    words[columns.index(column)] = quote + letter + quote
+    lines[row] = b" ".join(words) + b"\n"
+    (tmp_path / "x.cif").write_bytes(b"".join(lines))
+    with pytest.raises(pc.ProtochainError, match=rf"x\.cif: line {row + 1}: column \d+ .* not ASCII"):
+        pc.load(tmp_path / "x.cif")
+
+
+@pytest.mark.parametrize("letter", BEYOND_ASCII)
+@pytest.mark.parametrize(
+    "record",
+    [
+        b"REMARK   1 %b\n",
+        b"SSBOND   1 CYS %b    5    CYS A   55\n",
+        b"LINK         SG  CY%b A   5                 SG  CYS A  55     1555   1555  2.03\n",
+    ],
+)
+def test_other_records_may_hold_anything(letter, record, tmp_path):
+    text = "".join(atoms_of("4pti.pdb")).encode()
+    (tmp_path / "x.pdb").write_bytes(record % letter + text + b"END\n")
+    assert np.array_equal(pc.load(tmp_path / "x.pdb").positions, load("4pti.pdb").positions)
+
+
 def test_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("protochain.structure.files.MAX_ATOMS", 100)
     with pytest.raises(pc.ProtochainError, match="304 atoms are more than 100"):

@@ -3,7 +3,7 @@
 import numpy as np
 import openmm
 import pytest
-from conftest import load
+from conftest import STRUCTURES, load
 from openmm import app, unit
 from oracles import angle_triples, angles
 from scipy.spatial.transform import Rotation
@@ -115,3 +115,58 @@ def test_a_water_is_put_together():
     assert np.degrees(np.arccos(u @ v / np.linalg.norm(u) / np.linalg.norm(v))) == pytest.approx(
         104.52, abs=0.01
     )
+
+
+def sides(s, parents):
+    """By residue and parent: whether hydrogen 2 is above the plane of the two other bonds, and 3 below."""
+    at = {
+        (int(r), str(n)): s.positions[i]
+        for i, (r, n) in enumerate(zip(s.atom_residue, s.atom_name, strict=True))
+    }
+    found = {}
+    for r, residue in enumerate(s.residue_name.tolist()):
+        for parent, (before, after, pair) in parents.get(residue, {}).items():
+            up = np.cross(at[r, before] - at[r, parent], at[r, after] - at[r, parent])
+            found[r, parent] = bool(up @ (at[r, f"{pair}2"] - at[r, f"{pair}3"]) > 0)
+    return found
+
+
+PROLINE = {"PRO": {"CB": ("CA", "CG", "HB"), "CG": ("CB", "CD", "HG"), "CD": ("CG", "N", "HD")}}
+OTHERS = {
+    "GLY": {"CA": ("N", "C", "HA")},
+    "SER": {"CB": ("CA", "OG", "HB")},
+    "LEU": {"CB": ("CA", "CG", "HB")},
+    "LYS": {"CB": ("CA", "CG", "HB"), "CE": ("CD", "NZ", "HE")},
+}
+
+
+@pytest.mark.parametrize(
+    "parents",
+    [
+        PROLINE,
+        pytest.param(
+            OTHERS,
+            marks=pytest.mark.xfail(
+                strict=True, reason="hydrogens 2 and 3 of a methylene are placed the other way round"
+            ),
+        ),
+    ],
+)
+@pytest.mark.parametrize("name", ["1l2y.pdb", "1vii.pdb"])
+def test_hydrogens_2_and_3_are_on_the_sides_where_entries_have_them(name, parents, tmp_path):
+    lines = (STRUCTURES / name).read_text().splitlines(keepends=True)
+    path = tmp_path / name
+    path.write_text("".join(line for line in lines if line[76:78].strip() != "H"))
+    expected = sides(load(name), parents)
+    assert expected and sides(pc.load(path), parents) == expected
+
+
+@pytest.mark.parametrize("name", HEAVY_ONLY)
+def test_an_added_hydrogen_has_the_b_factor_of_its_atom(name):
+    s = load(name)
+    of = {}
+    for first, second in s.bonds.tolist():
+        of[first], of[second] = second, first
+    hydrogens = added(s)
+    assert np.array_equal(s.b_factor[hydrogens], s.b_factor[[of[h] for h in hydrogens.tolist()]])
+    assert len(set(s.b_factor[hydrogens])) > 10

@@ -7,6 +7,7 @@ import protochain as pc
 from protochain.chain import dihedral
 from protochain.storage import write_atomically
 from protochain.structure.read import read
+from protochain.structure.write import as_text
 from protochain.units import ANGSTROM_PER_NM
 
 OXYGEN_NM = 0.02
@@ -172,6 +173,21 @@ def test_a_broken_chain_becomes_two_under_one_id(tmp_path):
     pc.save(s, tmp_path / "out.pdb")
     for name in ("out.cif", "out.pdb"):
         assert own_identities(pc.load(tmp_path / name)) == own_identities(s)
+
+
+def test_the_parts_of_a_broken_chain_are_different_molecules_in_mmcif(tmp_path):
+    gone = [
+        line for line in lines_of("1ubq.pdb") if not (line[:4] == "ATOM" and 30 <= int(line[22:26]) <= 33)
+    ]
+    text = as_text(pc.load(written(tmp_path, "".join(gone))), ".cif")
+    columns = ["label_asym_id", "auth_asym_id", "auth_seq_id"]
+    table = gemmi.cif.read_string(text).sole_block().find("_atom_site.", columns)
+    residues = {
+        (asym, chain): {int(row[2]) for row in table if (row[0], row[1]) == (asym, chain)}
+        for asym, chain in {(row[0], row[1]) for row in table}
+    }
+    assert {chain for _, chain in residues} == {"A"} and len({asym for asym, _ in residues}) == 2
+    assert sorted(residues.values(), key=min) == [set(range(1, 30)), set(range(34, 77))]
 
 
 def test_selenomethionine_and_gaps_in_real_entries():

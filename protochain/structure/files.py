@@ -21,6 +21,8 @@ SUFFIXES = {".pdb": "PDB", ".ent": "PDB", ".cif": "mmCIF", ".mmcif": "mmCIF"}
 """Format by suffix. It decides how a file is written; reading goes by the content."""
 
 _COORDINATE_COLUMNS = 54
+_USED = slice(12, 66)
+"""Columns of an atom record, from its name to its B factor."""
 _RECORDS = ("ATOM", "HETATM", "ANISOU", "SIGATM", "SIGUIJ")
 _FARTHEST = 1e5
 """Angstrom. Larger coordinates are refused."""
@@ -50,11 +52,12 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
     try:
         if _is_cif(text):
             ends = _refuse_cut_cif(text, source)
+            text = _ascii(text, source, slice(None))
             block = _block_with_atoms(gemmi.cif.read_string(text), source)
             structure = gemmi.make_structure_from_block(block)
         else:
             _refuse_cut_pdb(text, source)
-            text = _corrected(text, source, overlooked)
+            text = _corrected(_ascii(text, source, _USED), source, overlooked)
             ends = any(line.startswith("END") for line in text.splitlines())
             structure = gemmi.read_pdb_string(text)
     except StructureError:
@@ -132,6 +135,22 @@ def _refuse_cut_pdb(text: str, source: str) -> None:
             f"{source}: line {len(lines)}: the file is cut short; download it again, "
             "or add an END record if it is complete"
         )
+
+
+def _ascii(text: str, source: str, used: slice) -> str:
+    """Refuse other characters in the used columns of atom records, and put question marks for them elsewhere.
+
+    gemmi counts bytes: another character would shift columns or be cut in two.
+    """
+    if text.isascii():
+        return text
+    for number, line in enumerate(text.split("\n"), 1):
+        if line[:6].upper().startswith(("ATOM", "HETATM")) and not line[used].isascii():
+            column = next(k for k in range(*used.indices(len(line))) if not line[k].isascii())
+            raise StructureError(
+                f"{source}: line {number}: column {column + 1} holds a letter that is not ASCII; correct it"
+            )
+    return text.encode("ascii", "replace").decode()
 
 
 def _corrected(text: str, source: str, overlooked: list[str]) -> str:
