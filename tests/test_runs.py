@@ -11,11 +11,11 @@ from test_descent import crowded
 
 import protochain as pc
 from protochain.contacts import OVERLAP, overlaps
-from protochain.minimisers import Status, api, starts
+from protochain.minimisers import Status, starts
 from protochain.minimisers.loop import Ending, Snapshot, Stop, Unstarted
 from protochain.minimisers.problem import Evaluation, Problem, Tally
-from protochain.minimisers.spaces import Cartesian, Positions, Torsions
-from protochain.minimisers.stages import Outcome, lowest, parting, walk
+from protochain.minimisers.spaces import Positions, Torsions
+from protochain.minimisers.stages import lowest, parting, walk
 from protochain.minimisers.starts import _accept
 from protochain.minimisers.verdict import verdict
 
@@ -99,20 +99,6 @@ def test_an_end_above_the_start_is_no_answer(stop, end, best, answer):
     problem = Problem(Torsions(chain("ala10.pdb")), energy("ala10.pdb"), 9, tally=Tally(9, low))
     ending = Ending(stop, Snapshot(Unstarted(at_height(end, 2.0)), start, problem.tally, 3, None))
     assert np.array_equal(lowest(problem, ending, start.q), np.full(3, answer))
-
-
-def test_a_result_above_the_start_is_replaced_by_it(monkeypatch):
-    c, e = chain("ala10.pdb"), energy("ala10.pdb")
-    x = c.structure.positions
-    rng = np.random.default_rng(0)
-    turned, shaken = c.q0 + rng.normal(size=c.n_q), x.flatten() + rng.normal(scale=0.02, size=x.size)
-    for space, q in ((Torsions(c), turned), (Cartesian(c.structure, c.moving), shaken)):
-        assert e(space.place(q).x)[0] > e(x)[0]
-        done = Outcome(Stop.NO_DESCENT, space, q, 1, 1)
-        monkeypatch.setattr(api, "walk", lambda *_, done=done: done)
-        r = pc.minimise(c, e, "lbfgs")
-        assert r.end.energy == r.start.energy and r.status == Status.STALLED
-        assert np.abs(r.x - x).max() < ROUND_OFF_NM
 
 
 @pytest.mark.parametrize("method", FREE)
