@@ -20,7 +20,7 @@ from protochain.minimisers.metrics import Euclidean, Mass, Stiffness
 from protochain.minimisers.newton import PseudoTransient, conjugate_gradients
 from protochain.minimisers.problem import Problem
 from protochain.minimisers.restraints import Leash, SoftRepulsion, Sum, Tethers
-from protochain.minimisers.spaces import Cartesian, Torsions
+from protochain.minimisers.spaces import Cartesian, Positions, Torsions
 from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed
 
 
@@ -140,6 +140,36 @@ def test_stiffness_of_free_atoms_is_that_of_springs_and_leaves_the_others_alone(
     step = space.stiffness(at)(at.torque)
     assert dense[np.ix_(free, free)] @ step[free] == pytest.approx(at.torque[free], rel=1e-9, abs=1e-7)
     assert not step[~free].any() and not at.torque[~free].any()
+
+
+def test_bonds_are_stiffer_than_angles_and_these_than_dihedrals():
+    s = load("ala10.pdb")
+    graph = np.full((s.n_atoms, s.n_atoms), np.inf)
+    graph[s.bonds[:, 0], s.bonds[:, 1]] = 1.0
+    bonds = shortest_path(graph, directed=False)
+    found = springs.covalent(s)
+    expected = np.array([springs.BOND, springs.ANGLE, springs.DIHEDRAL])
+    assert (np.diff(expected) < 0).all()
+    assert np.array_equal(found.stiffness, expected[bonds[tuple(found.pairs.T)].astype(int) - 1])
+
+
+def test_the_residual_of_free_atoms_is_the_mean_over_those_that_move():
+    s = load("ala10.pdb")
+    moving = np.arange(s.n_atoms) % 4 == 0
+    forces = np.random.default_rng(0).normal(size=(s.n_atoms, 3))
+    space = Cartesian(s, moving)
+    torque = space.torque(Positions(s.positions.flatten()), forces)
+    assert space.residual(torque) == pytest.approx(np.sqrt(np.mean(forces[moving] ** 2)), rel=1e-14)
+
+
+def test_hydrogens_are_not_tethered():
+    s = load("ala10.pdb")
+    tethers, light = Tethers.of_heavy_atoms(s, 300.0), s.atom_element == "H"
+    value, forces = tethers(s.positions + 0.1 * light[:, None])
+    assert value == 0.0 and not forces.any()
+    value, forces = tethers(s.positions + 0.1 * ~light[:, None])
+    assert value == pytest.approx(0.5 * 300.0 * 3 * 0.1**2 * np.sum(~light))
+    assert forces[~light] == pytest.approx(-300.0 * 0.1) and not forces[light].any()
 
 
 @pytest.mark.parametrize("kind", ["soft", "tethers", "leash", "sum"])

@@ -402,6 +402,31 @@ def test_at_zero_kelvin_langevin_only_damps():
     assert bath.energy == pytest.approx(at.kinetic - after.kinetic)
 
 
+def test_at_zero_kelvin_rescaling_damps_velocities_at_the_same_rate():
+    system, q, qd = scene()
+    at = system.at(q, qd)
+    thermostat = Rescaling(0.0, system.tree.n_v, 2.0)
+    after, bath = thermostat.apply(system, at, thermostat.init(at), 0.1, noise(0, 1))
+    assert np.allclose(after.qd, np.exp(-0.2) * qd, rtol=1e-14)
+    assert bath.energy == pytest.approx(at.kinetic - after.kinetic)
+
+
+def test_rescaling_approaches_the_mean_kinetic_energy_at_twice_the_rate_of_velocities():
+    system, q, qd = scene(root=HingeKind.FIXED)
+    n = system.tree.n_v
+    thermostat = Rescaling(KT, n, 2.0)
+    for size in (0.5, 4.0):
+        at = system.at(q, qd)
+        at = system.with_velocities(at, np.sqrt(size * n * KT / at.kinetic) * qd)
+        ends = [
+            thermostat.apply(system, at, thermostat.init(at), 0.1, noise(1, step))[0].kinetic
+            for step in range(2000)
+        ]
+        mean = 0.5 * n * KT
+        expected = mean + np.exp(-0.4) * (at.kinetic - mean)
+        assert abs(np.mean(ends) - expected) < 4 * np.std(ends) / np.sqrt(2000)
+
+
 def test_metropolis_undoes_what_climbs_and_keeps_what_falls():
     system, q, qd = scene()
     thermostat = HybridMonteCarlo(1e-6, 1)

@@ -43,6 +43,7 @@ from protochain.multibody import (
     velocities,
 )
 from protochain.multibody.operational import row_loads
+from protochain.multibody.small import cholesky
 
 METHODS = ("articulated", "fixman")
 TREES = [seed for seed in range(N_TREES) if any_tree(seed).n_v]
@@ -328,6 +329,56 @@ def test_a_pose_without_inertia_against_a_hinge_is_refused():
     assert np.isfinite(solve_mass(tree, pose(tree, np.array([0.3, 0.5])), np.ones(2))).all()
     with pytest.raises(MechanicsError, match="body 0: its hinge has no inertia at this pose"):
         solve_mass(tree, pose(tree, np.array([0.3, 0.0])), np.ones(2))
+
+
+def test_little_inertia_against_a_hinge_is_solved_with_and_none_but_rounding_refused():
+    """A rod turns about itself: only the bead that slides out sideways resists."""
+    ends = np.array([[0.0, 0, 1], [0, 0, -1], [0, 0, 0]])
+    sideways = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    tree = Tree(
+        np.array([-1, 0]), np.array([HingeKind.REVOLUTE, HingeKind.PRISMATIC]), np.zeros((2, 3)),
+        np.stack([np.eye(3), sideways]), *rigid_bodies(np.array([0, 0, 1]), ends, np.ones(3), 2),
+    )  # fmt: skip
+    for out in (1e-3, 1e-5, 1e-6):
+        found = solve_mass(tree, pose(tree, np.array([0.0, out])), np.ones(2))
+        assert found == pytest.approx([1 / out**2, 1.0], rel=1e-12)
+    for out in (1e-8, 1e-10):
+        with pytest.raises(MechanicsError, match="body 0: its hinge has no inertia at this pose"):
+            solve_mass(tree, pose(tree, np.array([0.0, out])), np.ones(2))
+
+
+def test_a_pivot_of_rounding_errors_is_none():
+    for left, fine in ((1e-3, True), (1e-13, True), (2 * EPS, False), (0.0, False), (-1e-3, False)):
+        for size in (4.0**-10, 1.0, 4.0**10):
+            a = size * np.array([[1.0, 0.0], [1.0, 1.0 + left]])
+            assert cholesky(a, 2) is fine
+            if fine:
+                # One of 1 + left is rounded to eps.
+                assert a[1, 1] == pytest.approx(np.sqrt(size * left), rel=2 * EPS / left)
+
+
+def pair_of_rows(tree, rng, share, size=1.0):
+    """A row between the first body and the last, and the same with a share of another added."""
+    one, other = rng.normal(size=(2, 2, 6))
+    ends = np.tile((0, tree.n_bodies - 1), (2, 1))
+    return Rows(ends, size * np.array([one, one + share * other])), Rows(ends, np.array([one, other]))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("seed", [seed for seed in TREES if 15 < any_tree(seed).n_v < 60][:6])
+def test_rows_nearly_alike_hold_and_the_same_row_twice_is_refused(seed, method):
+    tree, frames, rng = at(seed)
+    tau, stream = rng.normal(size=tree.n_v), rng.bit_generator.state
+    for share, size in ((1e-4, 1.0), (1.0, 1e-9), (1.0, 1e9), (0.0, 1.0), (0.0, 1e9)):
+        rng.bit_generator.state = stream
+        near, apart = pair_of_rows(tree, rng, share, size)
+        if share == 0.0:
+            with pytest.raises(MechanicsError, match="linearly dependent"):
+                solve_closed(tree, frames, tau, near, method)
+        else:
+            expected = solve_closed(tree, frames, tau, apart, method)
+            found = solve_closed(tree, frames, tau, near, method)
+            assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 
 
 def test_an_unknown_method_is_refused():

@@ -178,6 +178,86 @@ def test_lists_hold_every_pair():
             assert distance[a, b] > 0.6 or tiles[tile][1]
 
 
+def two_blocks(gap):
+    """Two flat blocks of atoms, with this gap between them along x."""
+    x = np.zeros((2 * W, 3))
+    x[:, 1] = 0.01 * (np.arange(2 * W) % W)
+    x[W:, 0] = gap
+    return x
+
+
+def lists_of_two_blocks(gap, close, block_near, necked, cutoff):
+    none = neighbours.partners(np.zeros((0, 2), np.int64), 2 * W)
+    groups = np.full((2 * W, 1), -1)
+    return neighbours.make_lists(two_blocks(gap), close, np.array(block_near), necked, cutoff, none, groups)
+
+
+def of_the_two(lists):
+    """Whether the list has the tile of both blocks, and its marks."""
+    for (i, j), near, necked in zip(lists.tiles.tolist(), lists.is_near, lists.is_necked, strict=True):
+        if (i, j) == (0, 1):
+            return True, bool(near), bool(necked)
+    return False, False, False
+
+
+@pytest.mark.parametrize("reach", ["cutoff", "near", "necked", "close"])
+def test_while_lists_hold_they_have_what_comes_within_reach(reach):
+    gap, limits = 1.0, {"close": 0.1, "block_near": [0.2, 0.2], "necked": 0.2, "cutoff": 3.0}
+    within = gap - 0.9 * neighbours.SKIN
+    limits |= {
+        "cutoff": {"cutoff": within}, "near": {"block_near": [within] * 2}, "necked": {"necked": within},
+        "close": {"close": within, "block_near": [within] * 2},
+    }[reach]  # fmt: skip
+    lists = lists_of_two_blocks(gap, **limits)
+    moved = lists.x.copy()
+    moved[:W, 0] += 0.49 * neighbours.SKIN
+    moved[W:, 0] -= 0.49 * neighbours.SKIN
+    assert lists.still_hold(moved) and moved[W, 0] - moved[0, 0] < within
+    has_tile, is_near, is_necked = of_the_two(lists)
+    is_close = [0, W] in lists.close.tolist()
+    assert {"cutoff": has_tile, "near": is_near, "necked": is_necked, "close": is_close}[reach]
+
+
+def test_lists_no_longer_hold_when_one_atom_has_moved_more_than_half_the_skin():
+    lists = lists_of_two_blocks(1.0, 0.1, [0.2, 0.2], 0.2, 3.0)
+    for move, held in ((0.499, True), (0.501, False)):
+        x = lists.x.copy()
+        x[7] += move * neighbours.SKIN * np.array([0.6, 0.0, 0.8])
+        assert lists.still_hold(x) is held
+
+
+@pytest.mark.parametrize("block_near", [[0.3, 0.8], [0.8, 0.3]])
+def test_two_blocks_are_near_within_the_larger_of_their_distances(block_near):
+    assert of_the_two(lists_of_two_blocks(0.6, 0.1, block_near, 0.2, 3.0)) == (True, True, False)
+    assert of_the_two(lists_of_two_blocks(1.0, 0.1, block_near, 0.2, 3.0)) == (True, False, False)
+
+
+@pytest.mark.parametrize("qq", [0.0, 0.2])
+def test_an_exception_between_atoms_beyond_the_cutoff(qq):
+    s, system = load("1l2y.pdb"), implicit_system("1l2y.pdb", None, 0.9)
+    (force,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    x = shaken(s)
+    distance = np.linalg.norm(x[0] - x, axis=1)
+    charged = np.array([abs(force.getParticleParameters(i)[0]._value) > 0.3 for i in range(s.n_atoms)])
+    beyond = np.flatnonzero(charged & (distance > 1.1) & (distance < 1.5))[:10]
+    for i in (np.flatnonzero(charged & (distance > 0.5) & (distance < 0.8))[0], *beyond):
+        force.addException(0, int(i), qq, 0.3, 0.4 * qq)
+    assert len(beyond) == 10
+    assert_same(pc.energy(s, system=system, engine="native"), system, x)
+
+
+def test_pairs_of_a_table_are_added_to_the_lennard_jones_of_nonbonded_force():
+    s = load("ala10.pdb")
+    system = copy.deepcopy(pc.energy(s, "charmm36", "vacuum", engine="openmm").system)
+    (force,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    for i in range(s.n_atoms):
+        force.setParticleParameters(i, force.getParticleParameters(i)[0], 0.25 + 0.002 * (i % 7), 0.4)
+    for i in range(force.getNumExceptions()):
+        first, second, qq, *_ = force.getExceptionParameters(i)
+        force.setExceptionParameters(i, first, second, qq, 0.25, 0.3 if qq._value else 0.0)
+    assert_same(pc.energy(s, system=system, engine="native"), system, shaken(s))
+
+
 @pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
 def test_atoms_on_top_of_one_another_give_large_numbers(solvent):
     s = load("1l2y.pdb")

@@ -1,6 +1,7 @@
 """Whole runs: parted overlaps, restraints, limits, selections, many starts, checkpoints."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,10 +11,11 @@ from test_descent import crowded
 
 import protochain as pc
 from protochain.contacts import OVERLAP, overlaps
-from protochain.minimisers import Status
-from protochain.minimisers.loop import Stop
-from protochain.minimisers.spaces import Torsions
-from protochain.minimisers.stages import parting, walk
+from protochain.minimisers import Status, starts
+from protochain.minimisers.loop import Ending, Snapshot, Stop, Unstarted
+from protochain.minimisers.problem import Evaluation, Problem, Tally
+from protochain.minimisers.spaces import Positions, Torsions
+from protochain.minimisers.stages import lowest, parting, walk
 from protochain.minimisers.starts import _accept
 from protochain.minimisers.verdict import verdict
 
@@ -67,6 +69,36 @@ def test_a_minimum_of_atoms_inside_one_another_is_a_clash():
     assert status == Status.CLASH and message.startswith("clash: atom")
     at_rest = load("1l2y.pdb")
     assert verdict(Stop.TOLERANCE, True, "", at_rest, at_rest.positions, 5)[0] == Status.CONVERGED
+
+
+@pytest.mark.parametrize("met", [True, False])
+def test_an_interrupt_is_not_hidden_by_a_clash(met):
+    s = crowded().structure
+    status, message = verdict(Stop.INTERRUPTED, met, "so far", s, s.positions, 5)
+    assert status == Status.INTERRUPTED and message == "interrupted after 5 evaluations: so far"
+    for stop in set(Stop) - {Stop.INTERRUPTED}:
+        assert verdict(stop, met, "", s, s.positions, 5)[0] == Status.CLASH
+
+
+def at_height(energy, q):
+    return Evaluation(Positions(np.full(3, q)), energy, np.zeros(3), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("stop", "end", "best", "answer"),
+    [
+        (Stop.TOLERANCE, -3.0, -4.0, 2.0),
+        (Stop.TOLERANCE, 0.0, -4.0, 2.0),
+        (Stop.TOLERANCE, 1.0, -4.0, 1.0),
+        (Stop.NO_DESCENT, -3.0, -4.0, 1.0),
+        (Stop.TOLERANCE, 1.0, None, 0.0),
+    ],
+)
+def test_an_end_above_the_start_is_no_answer(stop, end, best, answer):
+    start, low = at_height(0.0, 0.0), None if best is None else at_height(best, 1.0)
+    problem = Problem(Torsions(chain("ala10.pdb")), energy("ala10.pdb"), 9, tally=Tally(9, low))
+    ending = Ending(stop, Snapshot(Unstarted(at_height(end, 2.0)), start, problem.tally, 3, None))
+    assert np.array_equal(lowest(problem, ending, start.q), np.full(3, answer))
 
 
 @pytest.mark.parametrize("method", FREE)
@@ -178,6 +210,35 @@ def test_hops_keep_minima_as_metropolis_does():
     share = np.mean([_accept(2.0, 300.0, random) for _ in range(20_000)])
     assert share == pytest.approx(np.exp(-2.0 / (8.31446e-3 * 300.0)), abs=0.01)
     assert _accept(-1.0, 0.0, random) and not _accept(1e-3, 0.0, random)
+
+
+def test_hops_go_on_from_the_present_minimum_however_low_an_earlier_one(monkeypatch):
+    rng, temperature = np.random.default_rng(1), 300.0
+    energies, came_from = rng.uniform(0.0, 10.0, size=2000), []
+
+    def minimise(start, *_, **__):
+        came_from.append(start)
+        end = SimpleNamespace(energy=energies[len(came_from) - 1])
+        return SimpleNamespace(end=end, status=Status.CONVERGED, number=len(came_from) - 1)
+
+    monkeypatch.setattr(starts, "minimise", minimise)
+    monkeypatch.setattr(starts, "perturbed", lambda here, *_: here)
+    monkeypatch.setattr(starts, "_chain_at", lambda solution: solution.number)
+    found = starts.explore("given", None, n_starts=2000, hop_temperature=temperature)
+    assert found.accepted[0] and came_from[0] == "given"
+    present, chances, climbed = 0, [], []
+    for k in range(1, 2000):
+        assert came_from[k] == present
+        rise = energies[k] - energies[present]
+        if rise > 0:
+            chances.append(np.exp(-rise / (8.31446e-3 * temperature)))
+            climbed.append(found.accepted[k])
+        else:
+            assert found.accepted[k]
+        present = k if found.accepted[k] else present
+    # Four standard deviations of some thousand draws.
+    spread = np.sqrt(np.sum(np.multiply(chances, np.subtract(1.0, chances))))
+    assert abs(np.sum(climbed) - np.sum(chances)) < 4 * spread
 
 
 RESUMED = ("kcm", "kcm-decaying", "kcm-stiffness", "kcm-armijo", "kcm-transient", "fire", "newton", "lbfgs",

@@ -11,7 +11,7 @@ import mdtraj
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT, STRUCTURES, chain, energy, load
+from conftest import ROOT, ROUND_OFF_NM, STRUCTURES, chain, energy, load
 from scipy.stats import kstest
 
 import protochain as pc
@@ -204,6 +204,20 @@ def test_closed_loops_stay_closed_and_open_ones_are_left_to_the_force_field(name
         closed.chain.tree, closed.state.at.factors.frames, closure.rows(closed.state.at.factors.frames)
     )
     assert np.allclose((there - back) / (2 * h), rows @ (closed.qd + 1.0), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["1ejg.pdb", "3i40.pdb"])
+def test_a_closed_loop_keeps_its_bond_and_both_angles_but_not_its_dihedral(name):
+    c = chain(name)
+    closure, frames, s = closure_of(c), multibody.pose(c.tree, c.q0), c.structure
+    ends, x = closure.ends(frames).reshape(-1, 3, 2, 3), s.positions
+    named = {(int(s.atom_residue[i]), str(s.atom_name[i])): x[i] for i in range(s.n_atoms)}
+    assert len(ends) == len(c.loops) > 0
+    assert np.abs(closure.errors(frames)).max() < ROUND_OFF_NM
+    for (a, b), its in zip(c.loops.tolist(), ends, strict=True):
+        before_a, before_b = (named[int(s.atom_residue[atom]), "CB"] for atom in (a, b))
+        expected = [[x[a], x[b]], [before_a, x[b]], [x[a], before_b]]
+        assert np.abs(its - expected).max() < ROUND_OFF_NM
 
 
 def test_a_constrained_run_returns_when_time_turns():
