@@ -72,7 +72,10 @@ def test_csv_json_and_page_hold_the_same_numbers(folder, comparison):
         pd.testing.assert_frame_equal(written, pd.DataFrame(summary[stem]), rtol=1e-12, check_dtype=False)
         for v in written.select_dtypes("float").stack():
             assert (f"{v:.0f}" if v % 1 == 0 else f"{v:.3f}") in page
-    assert [record["seed"] for record in summary["repeats"]] == [1, 2]
+    # OpenMM repeats exactly where it is given one core.
+    varying = [s.method for s in comparison.solutions if not s.recipe.repeats_exactly(s.energy_function)]
+    repeats = [(record["method"], record["seed"]) for record in summary["repeats"]]
+    assert repeats == [(method, seed) for method in varying for seed in (1, 2)]
     traces = pd.read_csv(folder / "traces.csv")
     assert list(traces.columns[:2]) == ["structure", "method"]
     assert len(traces) == sum(len(s.trace) for s in comparison.solutions)
