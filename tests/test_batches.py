@@ -20,6 +20,7 @@ from protochain.batches.report import statistics, worst_first, write_report
 from protochain.batches.supervise import Child
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables
 from protochain.batches.task import run
+from protochain.minimisers import record
 
 CUT = "ATOM      1  N   ALA A   1      11.104   6.134  -6.504  1.00  0.00           N\n"
 EVIL = "<script>alert(1)</script>"
@@ -403,6 +404,16 @@ def test_messages_are_escaped_on_pages(tmp_path):
     for page in (tmp_path / "pages" / "ala10.html", tmp_path / "report.html"):
         text = page.read_text()
         assert EVIL not in text and text.count("&lt;script&gt;alert(1)&lt;/script&gt;") == 2
+
+
+def test_a_structures_page_shows_all_columns_with_a_heading(tmp_path):
+    (job,) = find_jobs([STRUCTURES / "ala10.pdb"], BatchSettings(methods=("lbfgs",)))
+    headed = [column for column in record.COLUMNS if column.heading]
+    values = {column.key: k + 0.25 for k, column in enumerate(headed)}
+    write_page(tmp_path, job, [Row(values | {"message": ""}, [])], [])
+    page = (tmp_path / "pages" / "ala10.html").read_text()
+    for k, column in enumerate(headed):
+        assert column.key in COLUMNS and f">{column.title}</th>" in page and f">{k}.250</td>" in page
 
 
 def test_worst_cases_come_first_and_quartiles_are_of_results():
