@@ -1,6 +1,7 @@
 """Many structures: what is found, that each is done as if alone, and that nothing stops or loses the rest."""
 
 import os
+import queue
 import signal
 import threading
 import time
@@ -14,11 +15,12 @@ from conftest import ROOT, STRUCTURES, chain, energy, load
 import protochain as pc
 from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.jobs import Row, failure
-from protochain.batches.page import curves
-from protochain.batches.report import statistics, worst_first
+from protochain.batches.page import curves, write_page
+from protochain.batches.report import statistics, worst_first, write_report
 from protochain.batches.supervise import Child
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables
 from protochain.batches.task import run
+from protochain.minimisers import record
 
 CUT = "ATOM      1  N   ALA A   1      11.104   6.134  -6.504  1.00  0.00           N\n"
 EVIL = "<script>alert(1)</script>"
@@ -111,6 +113,16 @@ def test_a_key_is_of_content_and_settings(folder, tmp_path):
     assert len({job.name for job in find_jobs([job.path, copy], BatchSettings())}) == 2
 
 
+def test_a_key_is_of_the_force_fields_content_too(tmp_path):
+    own = tmp_path / "own.xml"
+    settings = BatchSettings(setup=pc.Setup(forcefield=str(own)))
+    keys = []
+    for text in ("<ForceField/>", "<ForceField></ForceField>", "<ForceField/>"):
+        own.write_text(text)
+        keys.append(find_jobs([STRUCTURES / "ala10.pdb"], settings)[0].key)
+    assert keys[0] == keys[2] != keys[1]
+
+
 def test_a_manifest_has_settings_of_its_own(folder, tmp_path):
     manifest = tmp_path / "work.csv"
     path = os.path.relpath(folder / "1l2y.pdb", tmp_path)
@@ -127,6 +139,8 @@ def test_a_manifest_has_settings_of_its_own(folder, tmp_path):
         ("path,seed\nx,1\ny,many\n", "line 3: invalid literal"),
         ("path,strict\nx,maybe\n", "neither true nor false"),
         ("path\nx,1\n", "more cells than columns"),
+        ("path,methods\nx,argparse:ArgumentParser\n", "line 2: methods: an import path runs code"),
+        ('path,methods\nx,"kcm, argparse:ArgumentParser"\n', "an import path runs code"),
     ):
         manifest.write_text(text)
         with pytest.raises(pc.ProtochainError, match=said):
@@ -244,6 +258,76 @@ def test_tables_are_of_one_writer_and_drop_what_is_stale(folder, tmp_path):
     resumed.close()
 
 
+@pytest.mark.parametrize(
+    ("statuses", "is_finished"),
+    [
+        (("converged", "converged"), True), (("refused", "budget"), True), (("error", "clash"), True),
+        (("converged", "interrupted"), False), (("killed", "converged"), False),
+        (("converged", "time-limit"), False), (("converged",), False), ((), False),
+    ],
+)  # fmt: skip
+def test_a_structure_is_finished_when_each_method_ended_by_itself(statuses, is_finished, tmp_path):
+    (job,) = find_jobs([STRUCTURES / "ala10.pdb"], BatchSettings(methods=("lbfgs", "kcm")))
+    tables = Tables(tmp_path, resume=False)
+    tables.finished([])
+    rows = [failure(job, *each, "why") for each in zip(job.settings.methods, statuses, strict=False)]
+    if rows:
+        tables.append([Row(row.record, [{"iteration": 0}]) for row in rows])
+    assert tables.finished([job]) == ({job.identity} if is_finished else set())
+    left = 2 if is_finished else 0
+    assert len(tables.read()) == left and len(pd.read_csv(tables.traces)) == left
+    tables.close()
+
+
+@pytest.mark.parametrize(("lost", "ending"), [(1, ""), (30, ""), (30, "\n"), (300, ""), (300, "\n")])
+def test_a_row_cut_short_is_discarded_with_its_structure(lost, ending, tmp_path):
+    one, two = find_jobs([STRUCTURES / f"{name}.pdb" for name in ("ala10", "1l2y")], BatchSettings())
+    tables = Tables(tmp_path, resume=False)
+    tables.finished([])
+    for job in (one, two):
+        tables.append([failure(job, "hybrid", "refused", 300 * "x")])
+    text = tables.summary.read_text()
+    tables.summary.write_text(text[:-lost] + ending)
+    assert tables.finished([one, two]) == {one.identity}
+    assert tables.read()["structure"].tolist() == ["ala10"]
+    tables.close()
+
+
+def test_a_time_limit_is_of_a_structure_not_of_a_method(tmp_path, monkeypatch):
+    now = 0.0
+
+    class Slow(queue.Queue):
+        """Each message takes six seconds of a clock of its own."""
+
+        def get(self, timeout):
+            nonlocal now
+            now += min(timeout, 6.0)
+            if timeout < 6.0:
+                raise queue.Empty
+            return super().get(block=False)
+
+    class Without(Child):
+        """A child without a process."""
+
+        threads = 1
+
+        def __init__(self):
+            self.messages = Slow()
+
+        def _send(self, message):
+            for method in message[0].settings.methods:
+                self.messages.put(failure(message[0], method, "converged", ""))
+
+        def kill(self):
+            pass
+
+    monkeypatch.setattr("protochain.batches.supervise.perf_counter", lambda: now)
+    (job,) = find_jobs([STRUCTURES / "ala10.pdb"], BatchSettings(methods=("lbfgs", "kcm", "hybrid")))
+    rows = Without().do(job, tmp_path, time_limit=16.0)
+    ends = [(row.record["method"], row.record["status"], row.record["seconds"]) for row in rows]
+    assert ends == [("lbfgs", "converged", 0.0), ("kcm", "converged", 0.0), ("hybrid", "time-limit", 16.0)]
+
+
 def test_a_hang_a_death_and_an_odd_file_end_one_job_each(folder, tmp_path):
     (long,) = find_jobs(
         [STRUCTURES / "4pti.pdb"], BatchSettings(methods=("lbfgs", "kcm"), max_evaluations=10**9)
@@ -305,6 +389,31 @@ def test_names_are_escaped_on_pages(tmp_path):
     list(run(job, tmp_path, 1))
     (page,) = (tmp_path / "pages").iterdir()
     assert "<script>" not in page.read_text() and "&lt;script&gt;" in page.read_text()
+
+
+def test_messages_are_escaped_on_pages(tmp_path):
+    (job,) = find_jobs([STRUCTURES / "ala10.pdb"], BatchSettings(methods=("lbfgs",)))
+    row = failure(job, "lbfgs", "refused", EVIL)
+    tables = Tables(tmp_path, resume=False)
+    tables.finished([])
+    tables.append([row])
+    summary = {"n_structures": 1, "command": [EVIL], "python": "3", "versions": {}}
+    write_page(tmp_path, job, [row], [EVIL])
+    write_report(tmp_path, tables.read(), summary)
+    tables.close()
+    for page in (tmp_path / "pages" / "ala10.html", tmp_path / "report.html"):
+        text = page.read_text()
+        assert EVIL not in text and text.count("&lt;script&gt;alert(1)&lt;/script&gt;") == 2
+
+
+def test_a_structures_page_shows_all_columns_with_a_heading(tmp_path):
+    (job,) = find_jobs([STRUCTURES / "ala10.pdb"], BatchSettings(methods=("lbfgs",)))
+    headed = [column for column in record.COLUMNS if column.heading]
+    values = {column.key: k + 0.25 for k, column in enumerate(headed)}
+    write_page(tmp_path, job, [Row(values | {"message": ""}, [])], [])
+    page = (tmp_path / "pages" / "ala10.html").read_text()
+    for k, column in enumerate(headed):
+        assert column.key in COLUMNS and f">{column.title}</th>" in page and f">{k}.250</td>" in page
 
 
 def test_worst_cases_come_first_and_quartiles_are_of_results():

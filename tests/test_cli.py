@@ -1,3 +1,4 @@
+import importlib
 import json
 import os
 import signal
@@ -8,6 +9,10 @@ import time
 import gemmi
 import pytest
 from conftest import ROOT, STRUCTURES
+
+from protochain.batches import Batch
+from protochain.cli import app
+from protochain.cli.batch import _status
 
 COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]
 
@@ -283,3 +288,42 @@ def test_a_batch_lists_its_work_does_it_and_says_how_it_ended(tmp_path):
     again = protochain(*work, "--resume", "--json", cwd=tmp_path)
     assert again.returncode == 3
     assert json.loads(again.stdout)["status"] == {"converged": 1, "refused": 1}
+
+
+@pytest.mark.parametrize(
+    ("ends", "interrupted", "status"),
+    [
+        ((("converged", "a.pdb"), ("converged", "b.pdb")), False, 0),
+        ((("converged", "a.pdb"), ("converged", "b.pdb")), True, 3),
+        ((("converged", "a.pdb"), ("refused", "")), False, 3),
+        ((("budget", "a.pdb"), ("stalled", "b.pdb")), False, 3),
+        ((("refused", ""), ("killed", "")), False, 1),
+        ((("refused", ""), ("killed", "")), True, 1),
+        ((), True, 1),
+    ],
+)
+def test_a_batchs_exit_status_tells_all_converged_from_some_results_from_none(
+    ends, interrupted, status, tmp_path
+):
+    rows = "".join(f"{end},{output}\n" for end, output in ends)
+    (tmp_path / "summary.csv").write_text(f"status,output\n{rows}")
+    assert _status(Batch(tmp_path, interrupted)) == status
+
+
+@pytest.mark.parametrize(
+    ("ends", "status"),
+    [
+        (("converged", "converged"), 0), (("converged", "budget"), 3), (("budget", "converged"), 3),
+        (("converged", "interrupted"), 3), (("interrupted",), 3),
+    ],
+)  # fmt: skip
+def test_models_end_with_0_only_if_all_converged(ends, status, tmp_path, monkeypatch, capsys):
+    atoms, _, _ = (STRUCTURES / "ala10.pdb").read_text().partition("END")
+    (tmp_path / "two.pdb").write_text("".join(f"MODEL     {n:4}\n{atoms}ENDMDL\n" for n in (1, 2)))
+    left = iter(ends)
+    # The package has a command of the module's name.
+    command = importlib.import_module("protochain.cli.minimise")
+    monkeypatch.setattr(command, "_solved", lambda *_: {"status": next(left)})
+    arguments = ["minimise", str(tmp_path / "two.pdb"), "--model", "all", "--json"]
+    assert app([*arguments, "-o", str(tmp_path / "out.pdb")], standalone_mode=False) == status
+    assert [each["status"] for each in json.loads(capsys.readouterr().out)["models"]] == list(ends)

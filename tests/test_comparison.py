@@ -1,4 +1,5 @@
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import openmm
@@ -10,7 +11,9 @@ from openmm import app, unit
 import protochain as pc
 from protochain import defaults
 from protochain.analysis.viewer import library
+from protochain.cli.terminal import print_table
 from protochain.minimisers import RECIPES
+from protochain.minimisers.record import COLUMNS, Column, heading
 from protochain.structure.trajectory import TrajectoryFile
 
 
@@ -72,10 +75,52 @@ def test_csv_json_and_page_hold_the_same_numbers(folder, comparison):
         pd.testing.assert_frame_equal(written, pd.DataFrame(summary[stem]), rtol=1e-12, check_dtype=False)
         for v in written.select_dtypes("float").stack():
             assert (f"{v:.0f}" if v % 1 == 0 else f"{v:.3f}") in page
-    assert [record["seed"] for record in summary["repeats"]] == [1, 2]
+    # OpenMM repeats exactly where it is given one core.
+    varying = [s.method for s in comparison.solutions if not s.recipe.repeats_exactly(s.energy_function)]
+    repeats = [(record["method"], record["seed"]) for record in summary["repeats"]]
+    assert repeats == [(method, seed) for method in varying for seed in (1, 2)]
     traces = pd.read_csv(folder / "traces.csv")
     assert list(traces.columns[:2]) == ["structure", "method"]
     assert len(traces) == sum(len(s.trace) for s in comparison.solutions)
+
+
+def test_columns_with_a_heading_are_shown_everywhere(folder, monkeypatch, capsys):
+    headed = [column for column in COLUMNS if column.heading]
+    assert {"method", "status", "energy_end_reference_kj_mol", "seconds"} <= {c.key for c in headed}
+    written = list(pd.read_csv(folder / "summary.csv").columns)
+    records = json.loads((folder / "summary.json").read_text())["results"]
+    page = (folder / "report.html").read_text().partition("</table>")[0]
+    monkeypatch.setenv("COLUMNS", "300")
+    print_table(records)
+    head, *lines = capsys.readouterr().out.splitlines()
+    for column in headed:
+        assert column.key in written and f">{column.title}</th>" in page
+        assert (column.short or column.heading).replace(" ", "") + column.unit in head.replace(" ", "")
+        for record, line in zip(records, lines, strict=False):
+            value = record[column.key]
+            places = "" if isinstance(value, str | int) else ".3f"
+            assert f">{value:{places}}</td>" in page
+            assert f"{value:{places and '.2f'}}" in line.split()
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "unit"),
+    [
+        ("energy_end_kj_mol", "energy end, kJ/mol", "kJ/mol"),
+        ("max_torque_end_kj_mol_rad", "max torque end, kJ/mol/rad", "kJ/mol/rad"),
+        ("rms_force_end_kj_mol_nm", "RMS force end, kJ/mol/nm", "kJ/mol/nm"),
+        ("restraint_kj_mol_nm2", "restraint, kJ/mol/nm^2", "kJ/mol/nm^2"),
+        ("ca_rmsd_angstrom", "C-alpha RMSD, angstrom", "angstrom"),
+        ("bond_angle_change_rms_degrees", "bond angle change RMS, degrees", "degrees"),
+        ("evaluations_within_10_kj_mol", "evaluations within 10 kJ/mol", "kJ/mol"),
+        ("tm_score_to_start", "TM score to start", ""),
+        ("evaluations", "evaluations", ""),
+    ],
+)
+def test_a_heading_has_the_unit_that_the_name_ends_in(name, said, unit):
+    column = Column(name, float, "short")
+    assert heading(name) == said and column.unit == unit
+    assert column.title == (f"short, {unit}" if unit else "short")
 
 
 def test_the_page_stands_alone(folder):
@@ -321,6 +366,40 @@ def test_methods_that_do_not_repeat_are_run_again_and_their_spread_is_told():
     other = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb", solvent="vacuum"), max_evaluations=2)
     with pytest.raises(pc.ProtochainError, match="different energy functions"):
         pc.Comparison(k.structure, k.solutions, repeats=(other,))
+
+
+@pytest.mark.parametrize("methods", [("kcm-stiffness", "hybrid", "cartesian"), ("openmm", "lbfgs")])
+def test_a_method_compared_ends_as_it_does_alone_in_any_order(methods):
+    c, s, shared = chain("1ejg.pdb"), load("1ejg.pdb"), pc.energy(load("1ejg.pdb"), threads=1)
+    # Near enough for neighbour lists to hold at the start too, and to be others.
+    near = s.positions + np.random.default_rng(0).uniform(-0.02, 0.02, s.positions.shape)
+    alone = {m: pc.minimise(c, pc.energy(s, threads=1), m, max_evaluations=25) for m in methods}
+    for order in (methods, methods[::-1]):
+        k = pc.compare(c, order, shared, max_evaluations=25, watch=lambda _: shared(near) and None)
+        for one in k.solutions:
+            other = alone[one.method]
+            assert np.array_equal(one.x, other.x) and (one.start, one.end) == (other.start, other.end)
+            traces = (each.trace.filter(regex=r"^(?!.*seconds)") for each in (one, other))
+            pd.testing.assert_frame_equal(*traces, check_exact=True)
+            assert one.constant_terms == other.constant_terms
+            # Without hinges nothing is constant.
+            assert bool(one.constant_terms) == (one.method not in ("cartesian", "openmm"))
+
+
+@pytest.mark.parametrize(
+    ("engine", "threads", "torsions", "drawn", "by_openmm"),
+    [
+        ("native", 1, True, False, True), ("native", 2, True, False, False),
+        ("openmm", 1, True, False, True), ("openmm", 2, False, False, False),
+        ("custom", 1, True, False, True),
+    ],
+)  # fmt: skip
+def test_sums_of_openmm_on_several_threads_and_random_numbers_do_not_repeat(
+    engine, threads, torsions, drawn, by_openmm
+):
+    e = SimpleNamespace(engine=engine, threads=threads)
+    repeats = [RECIPES[method].repeats_exactly(e) for method in ("lbfgs", "anneal", "openmm", "openmm-md")]
+    assert repeats == [torsions, drawn, by_openmm, False]
 
 
 def test_which_methods_repeat_exactly():

@@ -11,11 +11,14 @@ from test_descent import crowded
 
 import protochain as pc
 from protochain.contacts import OVERLAP, overlaps
-from protochain.minimisers import Status, starts
+from protochain.minimisers import LBFGS, BudgetSpentError, Descent, Run, Status, StrongWolfe, starts
+from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Ending, Snapshot, Stop, Unstarted
 from protochain.minimisers.problem import Evaluation, Problem, Tally
+from protochain.minimisers.recipes import SINGLE_PRECISION_ENDS
+from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.spaces import Positions, Torsions
-from protochain.minimisers.stages import lowest, parting, walk
+from protochain.minimisers.stages import Stage, lowest, parting, walk
 from protochain.minimisers.starts import _accept
 from protochain.minimisers.verdict import verdict
 
@@ -113,6 +116,37 @@ def test_stronger_restraints_hold_tighter_and_count_for_nothing_in_the_energy(me
         assert r.trace["energy_kj_mol"].iloc[-1] == pytest.approx(r.end.energy, abs=1e-6)
         moved.append(np.sqrt(np.mean(np.sum((r.x - s.positions)[heavy] ** 2, axis=1))))
     assert moved[1] < 0.3 * moved[0]
+
+
+def test_each_strength_comes_with_whatever_else_restrains():
+    s = load("ala10.pdb")
+    x = s.positions.copy()
+    x[:, 0] *= 1.1
+    heavy = s.atom_element != "H"
+    spring = 0.5 * np.sum((x - s.positions)[heavy] ** 2)
+    leash, _ = Leash(s, 0.1)(x)
+    assert leash > 1.0
+
+    def term(x):
+        return 7.0, np.full_like(x, 3.0)
+
+    def energies(hold):
+        return [None if part is None else part(x)[0] for part in hold.restraints(s)]
+
+    strengths = (100.0, 10.0, 0.0)
+    alone = [strength * spring for strength in strengths]
+    assert energies(Hold(strengths)) == [*map(pytest.approx, alone[:2]), None]
+    for hold, more in (
+        (Hold(strengths, 0.1), leash),
+        (Hold(strengths, term=term), 7.0),
+        (Hold(strengths, 0.1, term), leash + 7.0),
+    ):
+        assert energies(hold) == pytest.approx([each + more for each in alone])
+        assert energies(Hold((), hold.max_rmsd, hold.term)) == pytest.approx([more])
+    assert energies(Hold()) == [None]
+    (held,) = Hold((100.0,), term=term).restraints(s)
+    pull = np.where(heavy[:, None], 100.0 * (s.positions - x), 0.0) + 3.0
+    assert held(x)[1] == pytest.approx(pull, abs=1e-9)
 
 
 def test_a_ramp_of_restraints_ends_free():
@@ -239,6 +273,90 @@ def test_hops_go_on_from_the_present_minimum_however_low_an_earlier_one(monkeypa
     # Four standard deviations of some thousand draws.
     spread = np.sqrt(np.sum(np.multiply(chances, np.subtract(1.0, chances))))
     assert abs(np.sum(climbed) - np.sum(chances)) < 4 * spread
+
+
+class Ended:
+    """A method whose run ends as told, and which notes that it was run."""
+
+    def __init__(self, name, stop, ran):
+        self.name, self.stop, self.ran = name, stop, ran
+
+    def init(self, problem, at):
+        self.ran.append(self.name)
+        return Unstarted(at)
+
+    def step(self, problem, state):
+        if self.stop is Stop.BUDGET:
+            raise BudgetSpentError
+        if self.stop is Stop.INTERRUPTED:
+            raise KeyboardInterrupt
+
+    def stage(self, space, after=()):
+        value = np.nan if self.stop is Stop.NON_FINITE else 1.0
+        return Stage(
+            space,
+            self,
+            lambda x: (value, np.zeros_like(x)),
+            1.0 if self.stop is Stop.TOLERANCE else -1.0,
+            patience=-1 if self.stop is Stop.CIRCLING else 10,
+            after=after,
+        )
+
+
+@pytest.mark.parametrize(
+    ("stop", "ran", "complete"),
+    [
+        (Stop.TOLERANCE, "first again last", True), (Stop.NO_DESCENT, "first again last", True),
+        (Stop.NON_FINITE, "first again last", True), (Stop.CIRCLING, "first last", True),
+        (Stop.BUDGET, "first", False), (Stop.INTERRUPTED, "first", False),
+    ],
+)  # fmt: skip
+def test_a_stage_runs_after_the_endings_it_names_and_what_is_left_out_is_said(stop, ran, complete):
+    c, done = chain("ala10.pdb"), []
+    space = Torsions(c)
+    first = Ended("first", stop, done).stage(space)
+    again = Ended("again", Stop.TOLERANCE, done).stage(space, SINGLE_PRECISION_ENDS)
+    last = Ended("last", Stop.TOLERANCE, done).stage(space)
+    outcome = walk([first, again, last], c, 100, None, lambda *_: None)
+    assert done == ran.split() and outcome.complete is complete
+    assert outcome.stop is (Stop.TOLERANCE if complete else stop)
+    # A stage that would have run in certain cases only is not missing.
+    assert walk([first, again], c, 100, None, lambda *_: None).complete
+    cut_off = walk([first, last], c, 100, None, lambda *_: None)
+    assert cut_off.complete is (complete and stop is not Stop.NON_FINITE)
+
+
+def test_single_precision_is_followed_by_double_and_double_by_nothing():
+    c = chain("ala10.pdb")
+    space, single, double = Torsions(c), pc.energy(c.structure, engine="openmm"), energy("ala10.pdb")
+
+    def engines(run, e):
+        return [(stage.energy, stage.after) for stage in run.stages(space, e, 1.0, None)]
+
+    ends = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
+    assert engines(Run(None), single) == [(single, ()), (single.reference, ends)]
+    assert engines(Run(None), double) == [(double, ())]
+    assert engines(Run(None, continued=False), single) == [(single, ())]
+
+
+def test_a_checkpoint_keeps_the_pairs_of_lbfgs_to_the_bit(tmp_path):
+    c = chain("ala10.pdb")
+    plan = [Stage(Torsions(c), Descent(LBFGS(memory=5), StrongWolfe()), energy("ala10.pdb"), 1e-9)]
+
+    def walked(max_evaluations, resume=None):
+        return walk(plan, c, max_evaluations, None, lambda *_: None, resume)
+
+    kept = walked(12).waypoint
+    save_checkpoint(tmp_path / "run.npz", kept, {})
+    read = load_checkpoint(tmp_path / "run.npz", plan, {})
+    before, after = kept.last.state, read.last.state
+    assert len(after.memory) == len(before.memory) == 5
+    for mine, theirs in zip(after.memory, before.memory, strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
+    assert after.preconditioner.age == before.preconditioner.age > 0 and after.rule == before.rule
+    assert np.array_equal(after.preconditioner.made_at.q, before.preconditioner.made_at.q)
+    ends = [walked(20, resume).q for resume in (kept, read)]
+    assert np.array_equal(*ends) and not np.array_equal(ends[0], after.at.q)
 
 
 RESUMED = ("kcm", "kcm-decaying", "kcm-stiffness", "kcm-armijo", "kcm-transient", "fire", "newton", "lbfgs",
