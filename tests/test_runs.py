@@ -258,8 +258,9 @@ def test_hops_go_on_from_the_present_minimum_however_low_an_earlier_one(monkeypa
     monkeypatch.setattr(starts, "minimise", minimise)
     monkeypatch.setattr(starts, "perturbed", lambda here, *_: here)
     monkeypatch.setattr(starts, "_chain_at", lambda solution: solution.number)
-    found = starts.explore("given", None, n_starts=2000, hop_temperature=temperature)
-    assert found.accepted[0] and came_from[0] == "given"
+    given = chain("ala10.pdb")
+    found = starts.explore(given, energy("ala10.pdb"), n_starts=2000, hop_temperature=temperature)
+    assert found.accepted[0] and came_from[0] is given
     present, chances, climbed = 0, [], []
     for k in range(1, 2000):
         assert came_from[k] == present
