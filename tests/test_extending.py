@@ -1,6 +1,7 @@
 """Methods, restraints and energies from outside the package: the guide's own lines, and what they promise."""
 
 import sys
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -112,6 +113,23 @@ def test_a_method_goes_by_its_import_path(tmp_path, monkeypatch):
         with pytest.raises(pc.ProtochainError, match=word):
             pc.minimise(c, e, path)
     sys.modules.pop("mymodule")
+
+
+def test_a_random_method_gets_its_seed_and_is_repeated(said):
+    @dataclass(frozen=True)
+    class Shaken(said["Momentum"]):
+        seed: int = 0
+
+        def init(self, problem, at):
+            return said["MomentumState"](
+                at, 1e-3 * np.random.default_rng(self.seed).normal(size=at.torque.shape)
+            )
+
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    k = pc.compare(c, (Shaken(),), e, max_evaluations=10, repeats=2)
+    assert k.spread["runs"].tolist() == [2]
+    assert not np.array_equal(k.solutions[0].x, k.repeats[0].x)
+    assert np.array_equal(k.repeats[0].x, pc.minimise(c, e, Shaken(), max_evaluations=10, seed=1).x)
 
 
 def test_what_is_no_method_is_refused():

@@ -128,9 +128,9 @@ class Recipe:
             plan.append(parting(torsions))
         for run in self.runs:
             space, own = (torsions, reduced) if run.in_torsions else (atoms, energy)
-            # md and anneal draw random numbers.
             method: Any = run.method
-            method = replace(method, seed=seed) if hasattr(method, "seed") else method
+            if hasattr(method, "seed") and hasattr(method, "__dataclass_fields__"):
+                method = replace(method, seed=seed)
             for restraint in restraints if run is self.runs[-1] else restraints[:1]:
                 plan += replace(run, method=method).stages(space, own, tolerance, restraint)
         return plan
@@ -189,7 +189,8 @@ def recipe_of(method: Any) -> Recipe:
     ----------
     method : str, Recipe, or Method
         A name of ``METHODS``, the import path ``module:name`` of a method, or any object with ``init`` and
-        ``step`` (or a direction and a step rule in a :class:`Descent`), which minimises in torsions.
+        ``step`` (or a direction and a step rule in a :class:`Descent`), which minimises in torsions. One with
+        a field ``seed`` counts as random, and a dataclass is given the seed of its run.
 
     Returns
     -------
@@ -220,4 +221,5 @@ def recipe_of(method: Any) -> Recipe:
         raise ProtochainError(
             f"method {method!r}: give a name, or an object with init and step, as Descent(direction, rule)"
         )
-    return Recipe(type(method.direction if isinstance(method, Descent) else method).__name__, (Run(method),))
+    name = type(method.direction if isinstance(method, Descent) else method).__name__
+    return Recipe(name, (Run(method),), draws_random=hasattr(method, "seed"))
