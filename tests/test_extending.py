@@ -9,7 +9,7 @@ from conftest import ROOT, chain, energy, load
 from test_docs import GUIDE, blocks
 
 import protochain as pc
-from protochain.minimisers import Armijo, Descent, Direction, StrongWolfe
+from protochain.minimisers import KCM, Armijo, Descent, Direction, Fixed, Recipe, Run, StrongWolfe
 
 OWN = [block for block in blocks(GUIDE, "python") if "class " in block or "def " in block]
 
@@ -87,6 +87,10 @@ def test_an_energy_from_outside_is_its_own_judge_and_says_so(said):
     assert k.summary()["judge"] == "the callable itself"
     with pytest.raises(pc.ProtochainError, match="OpenMM"):
         pc.minimise(said["perturbed"], said["elastic_network"], "openmm")
+    begun = []
+    with pytest.raises(pc.ProtochainError, match="OpenMM"):
+        pc.compare(said["perturbed"], ("lbfgs", "openmm"), said["elastic_network"], watch=begun.append)
+    assert not begun
 
 
 def test_a_method_goes_by_its_import_path(tmp_path, monkeypatch):
@@ -113,6 +117,16 @@ def test_a_method_goes_by_its_import_path(tmp_path, monkeypatch):
         with pytest.raises(pc.ProtochainError, match=word):
             pc.minimise(c, e, path)
     sys.modules.pop("mymodule")
+
+
+def test_methods_of_one_name_are_told_apart_or_refused():
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    short, long = (Descent(KCM(), Fixed(angle)) for angle in (0.0005, 0.005))
+    with pytest.raises(pc.ProtochainError, match="two methods are called 'KCM'"):
+        pc.compare(c, (short, long), e, max_evaluations=3)
+    named = [Recipe(name, (Run(method),)) for name, method in (("short", short), ("long", long))]
+    k = pc.compare(c, (*named, "lbfgs", "lbfgs", named[0]), e, max_evaluations=3)
+    assert [s.method for s in k.solutions] == ["short", "long", "lbfgs"]
 
 
 def test_a_random_method_gets_its_seed_and_is_repeated(said):

@@ -11,7 +11,7 @@ from protochain.articulate import as_chain
 from protochain.energies import as_energy
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
-from protochain.minimisers import METHODS, Solution, Status, recipe_of
+from protochain.minimisers import METHODS, Recipe, Solution, Status, recipe_of
 from protochain.minimisers.api import Minimisation, minimise_from
 from protochain.minimisers.start import Start
 from protochain.structure import as_structure
@@ -61,7 +61,12 @@ def compare(
     ProtochainError
         If a method is unknown or the input cannot be used.
     """
-    recipes = {recipe.name: recipe for recipe in map(recipe_of, methods)}
+    recipes: dict[str, Recipe] = {}
+    for recipe in map(recipe_of, methods):
+        if recipes.setdefault(recipe.name, recipe) != recipe:
+            raise ProtochainError(
+                f"two methods are called {recipe.name!r}; give each its name: Recipe(name, (Run(method),))"
+            )
     if not recipes:
         raise ProtochainError(f"no methods to compare; choose from {', '.join(METHODS)}")
     if repeats < 1:
@@ -70,6 +75,8 @@ def compare(
     chain = as_chain(structure)
     known = None if reference is None else as_structure(reference)
     energy = as_energy(energy, chain.structure)
+    for run in runs:
+        run.recipe.check(energy)
     start = Start(chain, energy)
     plan = [(run, k) for run in runs for k in range(1 if run.recipe.repeats_exactly(energy) else repeats)]
     solutions: list[Solution] = []

@@ -168,6 +168,7 @@ class Minimisation:
 @held_interrupts()
 def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None) -> Solution:
     """Minimise from a start that other runs may share."""
+    run.recipe.check(start.energy)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with threadpool_limits(1, "blas"):
         start.warm(run.recipe)
@@ -196,10 +197,6 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
 
 
 def _by_openmm(start: Start, run: Minimisation, record: Recorder) -> Outcome:
-    if start.energy.system is None:
-        raise ProtochainError(
-            f"method {run.recipe.name!r} needs an OpenMM System, and a callable has none; choose another"
-        )
     return minimise_by_openmm(
         run.recipe, start.chain, start.energy, run.tolerance, run.max_evaluations, run.seed,
         lambda x, energy, n_evaluations: record(x, energy, np.nan, n_evaluations),

@@ -117,6 +117,19 @@ class Recipe:
         sums_in_order = energy.threads == 1 or (energy.engine != "openmm" and not self.by_openmm)
         return not self.draws_random and sums_in_order
 
+    def check(self, energy: Energy) -> None:
+        """Refuse an energy that the method cannot use.
+
+        Raises
+        ------
+        ProtochainError
+            Naming the method.
+        """
+        if self.by_openmm and energy.system is None:
+            raise ProtochainError(
+                f"method {self.name!r} needs an OpenMM System, and a callable has none; choose another"
+            )
+
     def plan(
         self, chain: Chain, energy: Energy, reduced: Energy, tolerance: float, hold: Hold, seed: int
     ) -> list[Stage]:
