@@ -9,6 +9,7 @@ from conftest import ROOT, chain, energy, load
 from test_docs import GUIDE, blocks
 
 import protochain as pc
+from protochain.batches import BatchSettings
 from protochain.minimisers import KCM, Armijo, Descent, Direction, Fixed, Recipe, Run, StrongWolfe
 
 OWN = [block for block in blocks(GUIDE, "python") if "class " in block or "def " in block]
@@ -116,7 +117,11 @@ def test_a_method_goes_by_its_import_path(tmp_path, monkeypatch):
     ):
         with pytest.raises(pc.ProtochainError, match=word):
             pc.minimise(c, e, path)
-    sys.modules.pop("mymodule")
+    (tmp_path / "another.py").write_text("from mymodule import Momentum\n")
+    with pytest.raises(pc.ProtochainError, match="two have one name"):
+        BatchSettings(methods=("mymodule:Momentum", "another:Momentum"))
+    for name in ("mymodule", "another"):
+        sys.modules.pop(name)
 
 
 def test_methods_of_one_name_are_told_apart_or_refused():

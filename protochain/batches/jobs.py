@@ -56,8 +56,13 @@ class BatchSettings:
         object.__setattr__(self, "methods", tuple(dict.fromkeys(self.methods)))
         if not self.methods:
             raise ProtochainError("methods: give at least one")
-        for method in self.methods:
-            Minimisation(recipe_of(method), self.tolerance, self.max_evaluations, max_rmsd=self.max_rmsd)
+        recipes = [recipe_of(method) for method in self.methods]
+        if len({recipe.name for recipe in recipes}) < len(recipes):
+            raise ProtochainError(
+                f"methods {', '.join(self.methods)}: two have one name; their files would too"
+            )
+        for recipe in recipes:
+            Minimisation(recipe, self.tolerance, self.max_evaluations, max_rmsd=self.max_rmsd)
 
     def changed(self, **settings: Any) -> "BatchSettings":
         """Return these settings with some replaced, given by the names of their fields or of the setup's."""
