@@ -131,34 +131,24 @@ def sides(s, parents):
     return found
 
 
-PROLINE = {"PRO": {"CB": ("CA", "CG", "HB"), "CG": ("CB", "CD", "HG"), "CD": ("CG", "N", "HD")}}
-OTHERS = {
+METHYLENES = {
+    "PRO": {"CB": ("CA", "CG", "HB"), "CG": ("CB", "CD", "HG"), "CD": ("CG", "N", "HD")},
     "GLY": {"CA": ("N", "C", "HA")},
     "SER": {"CB": ("CA", "OG", "HB")},
     "LEU": {"CB": ("CA", "CG", "HB")},
+    "ILE": {"CG1": ("CB", "CD1", "HG1")},
+    "ARG": {"CG": ("CB", "CD", "HG"), "CD": ("CG", "NE", "HD")},
     "LYS": {"CB": ("CA", "CG", "HB"), "CE": ("CD", "NZ", "HE")},
 }
 
 
-@pytest.mark.parametrize(
-    "parents",
-    [
-        PROLINE,
-        pytest.param(
-            OTHERS,
-            marks=pytest.mark.xfail(
-                strict=True, reason="hydrogens 2 and 3 of a methylene are placed the other way round"
-            ),
-        ),
-    ],
-)
 @pytest.mark.parametrize("name", ["1l2y.pdb", "1vii.pdb"])
-def test_hydrogens_2_and_3_are_on_the_sides_where_entries_have_them(name, parents, tmp_path):
+def test_hydrogens_2_and_3_are_on_the_sides_where_entries_have_them(name, tmp_path):
     lines = (STRUCTURES / name).read_text().splitlines(keepends=True)
     path = tmp_path / name
     path.write_text("".join(line for line in lines if line[76:78].strip() != "H"))
-    expected = sides(load(name), parents)
-    assert expected and sides(pc.load(path), parents) == expected
+    expected = sides(load(name), METHYLENES)
+    assert expected and sides(pc.load(path), METHYLENES) == expected
 
 
 @pytest.mark.parametrize("name", HEAVY_ONLY)

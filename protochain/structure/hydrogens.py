@@ -38,6 +38,9 @@ def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Intege
     element : list of str
     charge : (na,) float, e
     bonds : (nbonds, 2) int
+        Of two hydrogens at a carbon the first is on the side of b x a, where a and b point along the carbon's
+        first and second bond: HB2 and HB3, if the bond to CA comes first (Markley et al., Pure Appl. Chem.
+        70:117, 1998).
 
     Returns
     -------
@@ -108,7 +111,7 @@ class _Placing:
             back = _unit(-to.sum(axis=0))
             if planar:
                 return back[None]
-            up = _unit(np.cross(to[0], to[1]))
+            up = _unit(np.cross(to[1], to[0]))
             along, across = np.cos(0.5 * _TETRAHEDRAL), np.sin(0.5 * _TETRAHEDRAL)
             return np.array([along * back + across * up, along * back - across * up])[:n]
         if len(known) == 1 and planar:

@@ -131,7 +131,8 @@ def _bonds(draft: Draft, done: list[tuple[Member, Template]], bridges: list[Brid
         index = {atom.name: n + k for k, atom in enumerate(member.atoms)}
         n += len(member.atoms)
         at[id(member)] = index
-        pairs += [(index[a], index[b]) for a, b in template.bonds if a in index and b in index]
+        outward = sorted(template.bonds, key=_remoteness)
+        pairs += [(index[a], index[b]) for a, b in outward if a in index and b in index]
     for part in draft.parts:
         following = part.members[1:] + ([part.members[0]] if part.cyclic else [])
         for member, following_member in zip(part.members, following, strict=False):
@@ -139,6 +140,11 @@ def _bonds(draft: Draft, done: list[tuple[Member, Template]], bridges: list[Brid
             pairs.append((at[id(member)][end], at[id(following_member)][start]))
     pairs += [(at[id(first)]["SG"], at[id(second)]["SG"]) for first, second in bridges]
     return np.sort(np.array(pairs, dtype=np.int64), axis=1)
+
+
+def _remoteness(bond: tuple[str, str]) -> int:
+    """Order of the bonds at a carbon by which its two hydrogens are named: along the side chain, N and C last."""
+    return max("ABGDEZHNC".find(name[1:2] or name) for name in bond)
 
 
 def _topology(parts: list[Part], bonds: Integers) -> app.Topology:

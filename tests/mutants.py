@@ -1,0 +1,272 @@
+"""Mutation run: small faults put at random into the code, one at a time; the share that the tests notice.
+
+``python tests/mutants.py -o analysis/results`` takes about an hour on two cores. A fault is a comparison, an operator,
+a number, a name or a condition changed, a statement or a keyword left out. The fast tests that reach its line
+(by a coverage run before) are run, quickest first and no longer than ``LONGEST``; compiled kernels, which
+coverage does not see into, get the test files named in ``FOLDERS``. A fault that ends in a time limit is noticed.
+"""
+
+import argparse
+import ast
+import copy
+import csv
+import os
+import random
+import shutil
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from queue import Queue
+from xml.etree import ElementTree
+
+import coverage.numbits
+
+ROOT = Path(__file__).parent.parent
+FOLDERS = {
+    "structure": (["structure"], ["structure", "preparation", "convert", "hydrogens", "files"]),
+    "minimisers": (["minimisers"], ["descent", "runs", "minimise"]),
+    "neighbours": (["energies/native/neighbours.py"], ["native"]),
+    "batches": (["batches"], ["batches", "cluster"]),
+    "cli": (["cli"], ["cli"]),
+    "analysis": (["analysis/deviation.py", "analysis/quality.py"], ["deviation", "rmsd", "comparison"]),
+    "mechanics": (["multibody", "dynamics", "chain.py"], ["multibody", "mass", "chain", "dynamics"]),
+    "kernels": (["energies/native"], ["native", "energy"]),
+}
+"""Name: (what is changed, under protochain; test files for what coverage does not see)."""
+LONGEST = 90.0
+"""Seconds of tests for one fault, as they took without it."""
+COMPARISONS = {
+    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
+}  # fmt: skip
+OPERATORS = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult,
+    ast.Mod: ast.Mult, ast.Pow: ast.Mult, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One change of one line's text, and what came of it."""
+
+    folder: str
+    file: str
+    line: int
+    kind: str
+    code: str
+    fault: str
+    result: str = ""
+    test: str = ""
+
+
+def changes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
+    """Kinds of fault at a node, each with the node that takes its place."""
+    new = copy.deepcopy(node)
+    match new:
+        case ast.Compare(ops=[op]) if type(op) in COMPARISONS:
+            new.ops = [COMPARISONS[type(op)]()]
+            yield "comparison", new
+        case ast.BinOp(op=op) if type(op) in OPERATORS:
+            new.op = OPERATORS[type(op)]()
+            yield "operator", new
+        case ast.BoolOp(op=op):
+            new.op = ast.Or() if isinstance(op, ast.And) else ast.And()
+            yield "condition", new
+        case ast.UnaryOp(op=ast.Not() | ast.USub(), operand=operand):
+            yield "sign", operand
+        case ast.Constant(value=bool(value)):
+            yield "value", ast.Constant(not value)
+        case ast.Constant(value=int(value)):
+            yield "value", ast.Constant(value + 1)
+        case ast.Constant(value=float(value)):
+            yield "value", ast.Constant(2.0 * value or 1.0)
+        case ast.Constant(value=str(value)) if value and not any(c in value for c in " \n{"):
+            yield "name", ast.Constant(value + "X")
+        case ast.Assign(targets=[ast.Name() | ast.Tuple()]):
+            pass  # A name that is never set is noticed by whatever runs the line.
+        case ast.Expr(value=ast.Call()) | ast.Assign() | ast.AugAssign() | ast.Raise() | ast.Continue():
+            yield "left out", ast.Pass()
+        case ast.Call(keywords=[*_, ast.keyword(arg=str())]):
+            new.keywords = new.keywords[:-1]
+            yield "keyword left out", new
+        case _:
+            pass
+    if isinstance(node, ast.If | ast.IfExp | ast.While) and not isinstance(node.test, ast.Constant):
+        yield "condition", ast.Constant(False)
+
+
+def sites(tree: ast.AST) -> Iterator[ast.AST]:
+    """Nodes that run: no annotations, decorators, docstrings, assertions for the type checker."""
+    for name, value in ast.iter_fields(tree):
+        if name in ("annotation", "returns", "decorator_list", "type_params", "format_spec"):
+            continue
+        for child in value if isinstance(value, list) else [value]:
+            if not isinstance(child, ast.AST) or isinstance(child, ast.Assert | ast.JoinedStr):
+                continue
+            if isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant):
+                continue
+            if isinstance(child, ast.Assign) and isinstance(tree, ast.Module):
+                # Names for other modules; a missing one is an error of the import, seen by all tests.
+                yield from sites(child.value)
+                continue
+            yield child
+            yield from sites(child)
+
+
+def faults(folder: str, root: Path) -> list[Fault]:
+    """All faults of a folder; those that span lines are left out."""
+    found = []
+    for part in FOLDERS[folder][0]:
+        path = root / "protochain" / part
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path] * path.is_file():
+            text = file.read_text()
+            lines = text.splitlines()
+            for node in sites(ast.parse(text)):
+                for kind, new in changes(node):
+                    at = node.test if isinstance(node, ast.If | ast.IfExp | ast.While) else node
+                    if at.lineno != at.end_lineno or not lines[at.lineno - 1].isascii():
+                        continue
+                    line = lines[at.lineno - 1]
+                    swapped = line[: at.col_offset] + f"({ast.unparse(new)})" + line[at.end_col_offset :]
+                    if isinstance(new, ast.Pass):
+                        swapped = line[: at.col_offset] + "pass" + line[at.end_col_offset :]
+                    name = file.relative_to(root).as_posix()
+                    found.append(Fault(folder, name, at.lineno, kind, line.strip(), swapped.strip()))
+    return found
+
+
+def tests_of_lines(root: Path, jobs: int) -> tuple[dict[tuple[str, int], set[str]], dict[str, float]]:
+    """Run the fast tests once: the tests that reach each line, and how long each test takes."""
+    timing, covered = root / "timing.xml", root / ".coverage"
+    command = [*PYTEST, "-n", str(jobs), "--dist", "loadfile", f"--junitxml={timing}"]
+    command += ["--cov=protochain", "--cov-context=test", "--cov-report="]
+    subprocess.run(command, cwd=root, env=environment(root), stdout=subprocess.DEVNULL)
+    seconds = {}
+    for case in ElementTree.parse(timing).iter("testcase"):
+        if len(case):
+            print(f"left out, since it fails without a fault or is skipped: {case.get('name')}")
+            continue
+        file = case.get("classname", "").replace(".", "/") + ".py"
+        seconds[f"{file}::{case.get('name')}"] = float(case.get("time", 0))
+    reached = defaultdict(set)
+    rows = sqlite3.connect(covered).execute(
+        "select path, context, numbits from line_bits join file on file_id = file.id join context on context_id = context.id"
+    )
+    for path, context, bits in rows:
+        for line in coverage.numbits.numbits_to_nums(bits) if context else ():
+            reached[Path(path).relative_to(root).as_posix(), line].add(context.split("|")[0])
+    return reached, seconds
+
+
+PYTEST = [sys.executable, "-m", "pytest", "-q", "-p", "no:randomly", "-p", "no:cacheprovider"]
+
+
+def environment(root: Path) -> dict[str, str]:
+    return os.environ | {
+        "PYTHONPATH": str(root),
+        "MPLBACKEND": "Agg",
+        "NUMBA_CACHE_DIR": str(root / ".numba"),
+    }
+
+
+def tried(fault: Fault, root: Path, tests: list[str], kernel: bool, limit: float) -> Fault:
+    """Put a fault into a tree, run tests until one fails, and take it out."""
+    file = root / fault.file
+    text, stamp = file.read_text(), file.stat()
+    lines = text.splitlines(keepends=True)
+    line = lines[fault.line - 1]
+    lines[fault.line - 1] = line[: len(line) - len(line.lstrip())] + fault.fault + "\n"
+    surroundings = environment(root)
+    scratch = root / ".numba-fault"
+    if kernel:
+        surroundings["NUMBA_CACHE_DIR"] = str(scratch)
+    (root / "chosen.txt").write_text("\n".join(tests))
+    try:
+        file.write_text("".join(lines))
+        command = [*PYTEST, "-x", "--tb=no", "-rfE", "@chosen.txt"]
+        ended = subprocess.run(
+            command, cwd=root, env=surroundings, capture_output=True, text=True, timeout=limit
+        )
+        failed = [
+            row.split(" - ")[0].split(" ", 1)[1]
+            for row in ended.stdout.splitlines()
+            if row[:6] in ("FAILED", "ERROR ")
+        ]
+        result, by = ("survived" if ended.returncode == 0 else "killed"), (failed or [""])[0]
+    except subprocess.TimeoutExpired:
+        result, by = "killed", "time limit"
+    finally:
+        file.write_text(text)
+        os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+        shutil.rmtree(scratch, ignore_errors=True)
+    return Fault(**(asdict(fault) | {"result": result, "test": by}))
+
+
+def chosen_tests(
+    fault: Fault, reached: dict[tuple[str, int], set[str]], seconds: dict[str, float]
+) -> tuple[list[str], bool]:
+    """Tests for a fault, quickest first; whether it is in a compiled kernel or in none that was reached."""
+    found, blind = reached.get((fault.file, fault.line), set()), False
+    if not found:
+        files = {f"tests/test_{name}.py" for name in FOLDERS[fault.folder][1]}
+        found, blind = {test for test in seconds if test.split("::")[0] in files}, True
+    chosen, spent = [], 0.0
+    for test in sorted(found & seconds.keys(), key=lambda test: seconds[test]):
+        spent += seconds[test]
+        if spent > LONGEST:
+            break
+        chosen.append(test)
+    return chosen, blind
+
+
+def copied(source: Path, to: Path) -> Path:
+    """Copy a tree; what lies beside it is linked."""
+    ignored = shutil.ignore_patterns(".git", "__pycache__", "*.nb?", ".*_cache", ".venv")
+    shutil.copytree(source, to / "tree", ignore=ignored)
+    if (source.parent / "shared").exists():
+        (to / "shared").symlink_to(source.parent / "shared")
+    return to / "tree"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folders", nargs="*", default=list(FOLDERS), help=", ".join(FOLDERS))
+    parser.add_argument("-n", "--number", type=int, default=30, help="faults a folder")
+    parser.add_argument("-s", "--seed", type=int, default=1)
+    parser.add_argument("-j", "--jobs", type=int, default=2)
+    parser.add_argument("-t", "--tree", type=Path, default=ROOT, help="tree with code and tests")
+    parser.add_argument("-o", "--output", type=Path, required=True, help="CSV file")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        places = [copied(given.tree.resolve(), Path(scratch) / str(k)) for k in range(given.jobs)]
+        picked = []
+        for folder in given.folders:
+            every = faults(folder, places[0])
+            picked += random.Random(given.seed).sample(every, min(given.number, len(every)))
+        reached, seconds = tests_of_lines(places[0], given.jobs)
+        free: Queue[Path] = Queue()
+        for place in places:
+            free.put(place)
+        with given.output.open("w", newline="") as file, ThreadPoolExecutor(given.jobs) as pool:
+            table = csv.DictWriter(file, fieldnames=list(Fault.__dataclass_fields__))
+            table.writeheader()
+
+            def one(fault: Fault) -> None:
+                tests, blind = chosen_tests(fault, reached, seconds)
+                place = free.get()
+                ended = tried(fault, place, tests, blind, 60 + 10 * LONGEST)
+                free.put(place)
+                table.writerow(asdict(ended))
+                file.flush()
+
+            list(pool.map(one, picked))
+
+
+if __name__ == "__main__":
+    main()
