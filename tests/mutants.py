@@ -1,4 +1,4 @@
-"""Mutation run: small faults put at random into the code, one at a time; the share that the tests notice.
+"""Mutation run: faults put at random into the code, one at a time, and the share that the tests notice.
 
 ``python tests/mutants.py -o analysis/results`` takes about an hour on two cores. A fault is a comparison, an operator,
 a number, a name or a condition changed, a statement or a keyword left out. The fast tests that reach its line
@@ -92,7 +92,7 @@ def changes(node: ast.AST) -> Iterator[tuple[str, ast.AST]]:
             pass  # A name that is never set is noticed by whatever runs the line.
         case ast.Expr(value=ast.Call()) | ast.Assign() | ast.AugAssign() | ast.Raise() | ast.Continue():
             yield "left out", ast.Pass()
-        case ast.Call(keywords=[*_, ast.keyword(arg=str())]):
+        case ast.Call(keywords=[*_, ast.keyword(arg=str(arg))]) if arg != "strict":
             new.keywords = new.keywords[:-1]
             yield "keyword left out", new
         case _:
@@ -111,6 +111,8 @@ def sites(tree: ast.AST) -> Iterator[ast.AST]:
                 continue
             if isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant):
                 continue
+            if ast.unparse(child) in ("strict=True", "strict=False") or is_declaration(child):
+                continue
             if isinstance(child, ast.Assign) and isinstance(tree, ast.Module):
                 # Names for other modules; a missing one is an error of the import, seen by all tests.
                 yield from sites(child.value)
@@ -119,10 +121,16 @@ def sites(tree: ast.AST) -> Iterator[ast.AST]:
             yield from sites(child)
 
 
+def is_declaration(node: ast.AST) -> bool:
+    """Whether a statement speaks to tools only: names to export, imports for the type checker."""
+    text = ast.unparse(node)
+    return text.startswith(("__all__", "if TYPE_CHECKING:", "from __future__"))
+
+
 def faults(folder: str, root: Path) -> list[Fault]:
     """All faults of a folder; those that span lines are left out."""
     found = []
-    for part in FOLDERS[folder][0]:
+    for part in FOLDERS[folder][0] if folder in FOLDERS else [folder]:
         path = root / "protochain" / part
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path] * path.is_file():
             text = file.read_text()
@@ -236,11 +244,12 @@ def copied(source: Path, to: Path) -> Path:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folders", nargs="*", default=list(FOLDERS), help=", ".join(FOLDERS))
+    parser.add_argument("folders", nargs="*", default=list(FOLDERS), help="these, or paths under protochain")
     parser.add_argument("-n", "--number", type=int, default=30, help="faults a folder")
     parser.add_argument("-s", "--seed", type=int, default=1)
     parser.add_argument("-j", "--jobs", type=int, default=2)
     parser.add_argument("-t", "--tree", type=Path, default=ROOT, help="tree with code and tests")
+    parser.add_argument("--tests", nargs="+", help="test files to run, rather than those that reach a line")
     parser.add_argument("-o", "--output", type=Path, required=True, help="CSV file")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
@@ -249,7 +258,7 @@ def main() -> None:
         for folder in given.folders:
             every = faults(folder, places[0])
             picked += random.Random(given.seed).sample(every, min(given.number, len(every)))
-        reached, seconds = tests_of_lines(places[0], given.jobs)
+        reached, seconds = ({}, {}) if given.tests else tests_of_lines(places[0], given.jobs)
         free: Queue[Path] = Queue()
         for place in places:
             free.put(place)
@@ -258,7 +267,7 @@ def main() -> None:
             table.writeheader()
 
             def one(fault: Fault) -> None:
-                tests, blind = chosen_tests(fault, reached, seconds)
+                tests, blind = (given.tests, True) if given.tests else chosen_tests(fault, reached, seconds)
                 place = free.get()
                 ended = tried(fault, place, tests, blind, 60 + 10 * LONGEST)
                 free.put(place)
