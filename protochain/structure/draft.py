@@ -22,6 +22,8 @@ class Member:
         Positions in angstrom.
     state : str
         Protonation state that its name in the file implies; empty if none.
+    is_d : bool
+        Whether its name in the file is that of a D-amino acid.
     """
 
     name: str
@@ -30,6 +32,7 @@ class Member:
     chain_id: str
     atoms: list[gemmi.Atom]
     state: str = ""
+    is_d: bool = False
 
     def __str__(self) -> str:
         return residues.describe(self.number + self.insertion_code, self.name, self.chain_id)
