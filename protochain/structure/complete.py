@@ -111,6 +111,7 @@ def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> None:
         _add(site.member, {name: site.sign * x for name, x in between.items()})
     for site, places in zip(sites, packed(draft.members, sites), strict=True):
         _add(site.member, places)
+        draft.rebuilt[id(site.member)] = tuple(places)
         _check_hand(draft, site)
 
 

@@ -85,6 +85,8 @@ class Draft:
         Bonds between residues that the file states.
     repairs : list of str
         Changes made so far.
+    rebuilt : dict of int to tuple of str
+        Atoms added to side chains, by ``id`` of their residue.
     left_out : Counter
         Molecules and atoms left out, by kind.
     """
@@ -94,6 +96,7 @@ class Draft:
     parts: list[Part] = field(default_factory=list)
     stated: list[tuple[Address, Address]] = field(default_factory=list)
     repairs: list[str] = field(default_factory=list)
+    rebuilt: dict[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
 
     @property

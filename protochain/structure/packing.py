@@ -2,12 +2,11 @@
 
 Each residue takes the conformer of lowest cost: the negative logarithm of its frequency, and a repulsion of
 heavy atoms that is linear in their distance, as in SCWRL3 (Canutescu, Shelenkov, Dunbrack, Protein Sci. 12:2001,
-2003). Residues are revisited, alone and in pairs, until none changes; those that touch others then turn a little
-away from their rotamers. The same coordinates give the same choice.
+2003). Residues are revisited, alone and in pairs, until none changes. The same coordinates give the same choice.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -26,12 +25,8 @@ _REACH = 3.3
 """Angstrom: no atoms further apart repel."""
 _APART = 3
 """Bonds: atoms no further apart along the chain do not repel."""
-_WIDTH = np.deg2rad(20.0)
+WIDTH = np.deg2rad(20.0)
 """Standard deviation of a dihedral about its rotamer."""
-_TURNS = np.deg2rad([0.0, -12.0, 12.0, -24.0, 24.0])
-"""Turns away from a rotamer."""
-_TOUCH, _TURNED = 0.5, 6
-"""Repulsion above which a residue is turned, and the number of its rotamers that are."""
 _SWEEPS = 30
 _BOND, _BOND_WIDTH, _BOND_GAIN = 2.05, 0.15, 40.0
 """Angstrom, angstrom, -: a disulfide bond, its deviation, and what it gains."""
@@ -73,19 +68,14 @@ class Choices:
     site : Site
     names : tuple of str
         Its missing atoms.
-    chi : (n, n_chi) float, rad
     x : (n, n_atoms, 3) float, angstrom
-    rarity : (n,) float
-        Negative logarithms of the frequencies.
     cost : (n,) float
-        With the repulsion of the atoms that are there.
+        Without the other residues that are built.
     """
 
     site: Site
     names: tuple[str, ...]
-    chi: Floats
     x: Floats
-    rarity: Floats
     cost: Floats
 
 
@@ -104,57 +94,37 @@ def packed(members: Sequence[Member], sites: Sequence[Site]) -> list[Places]:
         The missing atoms of each site.
     """
     here = _Surroundings(members)
-    choices = [_choices(site, here, *_conformers(site)) for site in sites]
-    taken, repulsion = _settled(choices)
-    crowded = {i for i, value in enumerate(repulsion) if value > _TOUCH}
-    if crowded:
-        choices = [
-            _turned(each, here, k) if i in crowded else each
-            for i, (each, k) in enumerate(zip(choices, taken, strict=True))
-        ]
-        taken, _ = _settled(choices)
+    choices = [_choices(site, here) for site in sites]
     return [
-        dict(zip(each.names, each.x[k], strict=True)) for each, k in zip(choices, taken, strict=True)
+        dict(zip(each.names, each.x[k], strict=True))
+        for each, k in zip(choices, _settled(choices), strict=True)
     ]
 
 
-def _conformers(site: Site) -> tuple[Floats, Floats]:
+def choosable(site: Site) -> tuple[Floats, Floats]:
     """Dihedrals and rarities of the conformers; those unlike the dihedrals of atoms in place are rare."""
     chi, frequency = conformers(site.member.name)
     if site.member.name == "CYS":
         # A disulfide bond closes at dihedrals between the rotamers.
         turns = np.deg2rad(np.arange(-180.0, 180.0, 10.0))[:, None]
-        near = np.exp(-0.5 * (_wrapped(turns - chi.T) / _WIDTH) ** 2)
+        near = np.exp(-0.5 * (wrapped(turns - chi.T) / WIDTH) ** 2)
         chi, frequency = turns, near @ frequency
     rarity = -np.log(np.maximum(frequency, 1e-6))
     for k, value in fixed_chi(site.member.name, site.known).items():
-        rarity = rarity + 0.5 * (_wrapped(chi[:, k] - value) / _WIDTH) ** 2
+        rarity = rarity + 0.5 * (wrapped(chi[:, k] - value) / WIDTH) ** 2
     return chi, rarity
 
 
-def _choices(site: Site, here: "_Surroundings", chi: Floats, rarity: Floats) -> Choices:
+def _choices(site: Site, here: "_Surroundings") -> Choices:
+    chi, rarity = choosable(site)
     built = grown(site.member.name, site.known, chi)
     names = tuple(built)
     x = site.sign * np.stack([built[name] for name in names], axis=1)
-    return Choices(site, names, chi, x, rarity, rarity + here.repulsion(site, names, x))
+    return Choices(site, names, x, rarity + here.repulsion(site, names, x))
 
 
-def _turned(choices: Choices, here: "_Surroundings", taken: int) -> Choices:
-    """The best conformers, with chi1 and chi2 turned by steps."""
-    n_chi = choices.chi.shape[1]
-    if not n_chi or choices.site.member.name in ("PRO", "CYS"):
-        return choices
-    best = np.argsort(np.round(choices.cost, 6), kind="stable")[:_TURNED]
-    best = np.unique(np.append(best, taken))
-    steps = np.zeros((len(_TURNS) ** min(n_chi, 2), n_chi))
-    steps[:, : min(n_chi, 2)] = np.stack(np.meshgrid(*[_TURNS] * min(n_chi, 2)), axis=-1).reshape(len(steps), -1)
-    chi = (choices.chi[best][:, None] + steps).reshape(-1, n_chi)
-    strain = 0.5 * ((steps / _WIDTH) ** 2).sum(axis=1)
-    return _choices(choices.site, here, chi, (choices.rarity[best][:, None] + strain).ravel())
-
-
-def _settled(choices: Sequence[Choices]) -> tuple[list[int], Floats]:
-    """Conformer of each residue, and the repulsion that it feels."""
+def _settled(choices: Sequence[Choices]) -> list[int]:
+    """Conformer of each residue."""
     tables = _tables(choices)
     partners: dict[int, list[int]] = {i: [] for i in range(len(choices))}
     for i, j in tables:
@@ -176,8 +146,7 @@ def _settled(choices: Sequence[Choices]) -> tuple[list[int], Floats]:
                 taken[i], taken[j] = (int(k) for k in np.unravel_index(np.argmin(np.round(both, 6)), both.shape))
         if taken == before:
             break
-    felt = [cost(i)[k] - choices[i].rarity[k] for i, k in enumerate(taken)]
-    return taken, np.array(felt)
+    return taken
 
 
 def _tables(choices: Sequence[Choices]) -> dict[tuple[int, int], Floats]:
@@ -301,5 +270,6 @@ def _disulfide(apart: Floats, betas: float) -> Floats:
     return np.asarray(-_BOND_GAIN * np.exp(-0.5 * ((apart - _BOND) / _BOND_WIDTH) ** 2))
 
 
-def _wrapped(angle: Floats) -> Floats:
+def wrapped(angle: Floats) -> Floats:
+    """Angles between -pi and pi."""
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
