@@ -15,13 +15,11 @@ from protochain.arrays import Floats, Integers
 from protochain.structure.draft import Member
 from protochain.structure.sidechains import Places, conformers, fixed_chi, grown, ideal
 
-_RADIUS = {"C": 1.7, "N": 1.45, "O": 1.4, "S": 1.75}
-"""Angstrom. Carbons with their hydrogens; nitrogen and oxygen come nearer to each other in hydrogen bonds."""
-_FIRM = 0.92
-"""Fraction of the sum of the radii below which atoms repel."""
-_STEEPNESS = 50.0
+_RADIUS = {"C": 1.77, "N": 1.5, "O": 1.45, "S": 1.82}
+"""Angstrom: heavy atoms nearer than the sum repel, carbons with their hydrogens."""
+_STEEPNESS = 30.0
 """Repulsion at distance zero, in units of the logarithm of a frequency."""
-_REACH = 3.3
+_REACH = 3.7
 """Angstrom: no atoms further apart repel."""
 _APART = 3
 """Bonds: atoms no further apart along the chain do not repel."""
@@ -260,7 +258,7 @@ def _radii(names: Sequence[str]) -> Floats:
 
 
 def _repulsion(apart: Floats, contact: Floats) -> Floats:
-    return np.asarray(_STEEPNESS * np.maximum(0.0, 1.0 - apart / (_FIRM * contact)))
+    return np.asarray(_STEEPNESS * np.maximum(0.0, 1.0 - apart / contact))
 
 
 def _disulfide(apart: Floats, betas: float) -> Floats:

@@ -19,7 +19,7 @@ from protochain.units import ANGSTROM_PER_NM
 
 _NEAR = 0.65
 """Fraction of the sum of the van der Waals radii: rebuilt atoms that are nearer are moved. Hydrogen bonds are longer."""
-_FIRM = 0.8
+_FIRM = 0.7
 """Fraction below which atoms repel while a residue chooses."""
 _STEEPNESS = 100.0
 """Repulsion at distance zero, in units of the logarithm of a frequency."""
