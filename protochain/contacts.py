@@ -9,15 +9,13 @@ from scipy.spatial import cKDTree
 
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain
+from protochain.residues import VAN_DER_WAALS
 from protochain.structure.model import Structure
 from protochain.units import ANGSTROM_PER_NM
 
 OVERLAP = 0.5
 """Nonbonded atoms closer than this fraction of the sum of their van der Waals radii overlap. Hydrogen bonds
 stay above 0.6."""
-
-_VAN_DER_WAALS = {"H": 0.110, "C": 0.170, "N": 0.155, "O": 0.152, "S": 0.180}
-"""nm: Mantina, Chamberlin, Valero, Cramer, Truhlar, J. Phys. Chem. A 113:5806 (2009)."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ class Overlap:
 
 def radii(structure: Structure) -> Floats:
     """(na,) float, nm: van der Waals radii."""
-    return np.array([_VAN_DER_WAALS.get(str(element), 0.17) for element in structure.atom_element])
+    return np.array([VAN_DER_WAALS.get(str(element), 0.17) for element in structure.atom_element])
 
 
 def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) -> tuple[Integers, Floats]:

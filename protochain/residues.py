@@ -24,6 +24,9 @@ STATE_PARENT = {
 }  # fmt: skip
 """Standard residue and protonation state of the names that Amber and CHARMM give to states."""
 
+VAN_DER_WAALS = {"H": 0.110, "C": 0.170, "N": 0.155, "O": 0.152, "S": 0.180}
+"""nm: Mantina, Chamberlin, Valero, Cramer, Truhlar, J. Phys. Chem. A 113:5806 (2009)."""
+
 PKA = {"ASP": (4.4, "ASH"), "GLU": (4.4, "GLH"), "HIS": (6.5, "HIP")}
 """pKa, and the state at or below it; values of OpenMM's ``hydrogens.xml``."""
 PKA_BASE = {"CYS": (8.5, "CYM"), "LYS": (10.0, "LYN")}

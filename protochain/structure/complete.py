@@ -1,32 +1,34 @@
 """Assign templates and add missing heavy atoms."""
 
-import io
-import random
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 
 import gemmi
 import numpy as np
-import openmm
-from openmm import unit
-from pdbfixer import PDBFixer
 
 from protochain import residues
+from protochain.arrays import Floats
 from protochain.errors import StructureError
-from protochain.structure.draft import Draft, Member, atom
+from protochain.structure.chirality import centres, hand, listed, wrong_hands
+from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.packing import Site, packed
+from protochain.structure.sidechains import Places, bridged, ideal, placed, unit
 from protochain.structure.templates import Template, base_template, rename
 
 _CARBOXYLATE = 1.25
 """Angstrom: C-O of ff14SB's carboxylate."""
-_NEIGHBOURHOOD = 15.0
-"""Angstrom between backbones: no further apart, two side chains can touch."""
+_CARBONYL, _TRIGONAL = 1.23, float(np.deg2rad(120.4))
+"""Angstrom, rad: C=O of a peptide bond, and its angle with CA."""
+_FLAT = 0.1
+"""Angstrom^2: area of N-CA-C below which they are on one line."""
+_DECIMALS = 4
+"""Decimals (angstrom) of the positions: sine and cosine differ in the last bit between libraries."""
 _RENAMED_SHOWN = 4
 
 
 def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
     """Rename atoms to their PDB names and add missing heavy atoms.
 
-    Terminal oxygens are placed by geometry, all others by PDBFixer.
+    Side chains are built from ideal geometries of the hand that their names say, on rotamers.
 
     Raises
     ------
@@ -35,7 +37,7 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
     """
     renamed: list[str] = []
     open_ended: list[Member] = []
-    lacking: list[tuple[Member, list[str]]] = []
+    lacking: list[tuple[Part, int, list[str]]] = []
     for part in draft.parts:
         for i, member in enumerate(part.members):
             template = base_template(known, part, i)
@@ -51,10 +53,13 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
                 missing.remove("OXT")
                 open_ended.append(member)
             if missing:
-                lacking.append((member, missing))
+                lacking.append((part, i, missing))
     if renamed:
         more = f" and {len(renamed) - _RENAMED_SHOWN} more" if len(renamed) > _RENAMED_SHOWN else ""
         draft.repairs.append(f"atoms renamed: {', '.join(renamed[:_RENAMED_SHOWN])}{more}")
+    inverted = wrong_hands(draft.members)
+    if inverted:
+        draft.repairs.append(f"kept as in the file, though of the wrong hand: {listed(inverted)}")
     _rebuild(draft, lacking)
     for member in open_ended:
         draft.repairs.append(f"{member}: missing OXT added")
@@ -87,77 +92,94 @@ def _terminal_oxygen(draft: Draft, member: Member) -> gemmi.Atom:
     return atom("OXT", "O", (c + _CARBOXYLATE * away / length).tolist(), member.atoms[0].b_iso)
 
 
-def _rebuild(draft: Draft, lacking: list[tuple[Member, list[str]]]) -> None:
-    """Build missing heavy atoms residue by residue, each among its neighbours.
-
-    PDBFixer relaxes new atoms against all it is given: the whole protein at once takes quadratic time.
-    """
-    for member, missing in lacking:
+def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> None:
+    """Build missing heavy atoms: oxygens of the backbone, then side chains, all at once."""
+    for part, i, missing in lacking:
+        member = part.members[i]
         if member.name not in residues.STANDARD:
             raise StructureError(
                 f"{draft.source}: {member}: atom {missing[0]} missing; build it, or remove the residue"
             )
-    proteins = [m for part in draft.parts if not part.obstacle for m in part.members]
-    for member, missing in lacking:
-        built = _built(_around(proteins, member), member)
+        _check_backbone(draft, member)
         draft.repairs.append(f"{member}: missing {', '.join(missing)} added")
-        b_iso = float(np.mean([a.b_iso for a in member.atoms]))
-        for name in missing:
-            if name not in built:
-                raise StructureError(
-                    f"{draft.source}: {member}: atom {name} is missing and cannot be built; add it there"
-                )
-            element, x = built[name]
-            member.atoms.append(atom(name, element, x, b_iso))
+    for part, i, missing in lacking:
+        if "O" in missing:
+            _add(part.members[i], {"O": _oxygen(draft, part, i)})
+    sites = [_site(part, i) for part, i, missing in lacking if missing != ["O"]]
+    for site in sites:
+        between = bridged(site.member.name, site.known)
+        _add(site.member, {name: site.sign * x for name, x in between.items()})
+    for site, places in zip(sites, packed(draft.members, sites), strict=True):
+        _add(site.member, places)
+        draft.rebuilt[id(site.member)] = tuple(places)
+        _check_hand(draft, site)
 
 
-def _around(proteins: list[Member], member: Member) -> list[Member]:
-    """Residues whose first atoms are near that of a residue, which is included."""
-    centres = np.array([m.atoms[0].pos.tolist() for m in proteins])
-    near = np.linalg.norm(centres - member.atoms[0].pos.tolist(), axis=1) < _NEIGHBOURHOOD
-    return [m for m, is_near in zip(proteins, near, strict=True) if is_near]
+def _site(part: Part, i: int) -> Site:
+    """The residue and its neighbours; of the hand that its CB has, or that its name says."""
+    member, n = part.members[i], len(part.members)
+    before = part.members[i - 1] if i or part.cyclic else None
+    after = part.members[(i + 1) % n] if i + 1 < n or part.cyclic else None
+    return Site(member, hand(member) or (-1 if member.is_d else 1), before, after)
 
 
-def _built(neighbours: list[Member], member: Member) -> dict[str, tuple[str, list[float]]]:
-    """Element and position (angstrom) of each atom of a residue as PDBFixer completes it."""
-    fixer = PDBFixer(pdbxfile=_as_mmcif(neighbours), platform=openmm.Platform.getPlatform("Reference"))
-    place = str(neighbours.index(member) + 1)
-    fixer.missingResidues = {}
-    with _seeded():
-        fixer.findMissingAtoms()
-        fixer.missingTerminals = {}
-        fixer.missingAtoms = {r: atoms for r, atoms in fixer.missingAtoms.items() if r.id == place}
-        fixer.addMissingAtoms(seed=1)
-    (found,) = (residue for residue in fixer.topology.residues() if residue.id == place)
-    x = fixer.positions.value_in_unit(unit.angstrom)
-    return {a.name: (a.element.symbol, list(x[a.index])) for a in found.atoms()}
+def _check_backbone(draft: Draft, member: Member) -> None:
+    """Refuse a backbone from which nothing can be built."""
+    n, alpha, c = (np.array(a.pos.tolist()) for name in residues.BACKBONE if (a := member.atom(name)))
+    if np.linalg.norm(np.cross(n - alpha, c - alpha)) < _FLAT:
+        raise StructureError(f"{draft.source}: {member}: N, CA and C are collinear; correct the coordinates")
 
 
-def _as_mmcif(members: list[Member]) -> io.StringIO:
-    """Write heavy atoms as mmCIF, residues numbered by their place in the list."""
-    structure = gemmi.Structure()
-    model, chain = gemmi.Model(1), gemmi.Chain("A")
-    for i, member in enumerate(members, 1):
-        residue = gemmi.Residue()
-        residue.name, residue.seqid = member.name, gemmi.SeqId(str(i))
-        residue.entity_type = gemmi.EntityType.Polymer
-        for a in member.atoms:
-            if not a.is_hydrogen():
-                residue.add_atom(a)
-        chain.add_residue(residue)
-    model.add_chain(chain)
-    structure.add_model(model)
-    structure.setup_entities()
-    structure.assign_label_seq_id()
-    return io.StringIO(structure.make_mmcif_document().as_string())
+def _check_hand(draft: Draft, site: Site) -> None:
+    """Refuse atoms of the file between which none of the right hand fits."""
+    member = site.member
+    for centre in centres(member.name):
+        if hand(member, centre) == -site.sign:
+            raise StructureError(
+                f"{draft.source}: {member}: its atoms leave no place for those missing at {centre}; "
+                "correct the coordinates, or remove its side chain"
+            )
 
 
-@contextmanager
-def _seeded() -> Iterator[None]:
-    """Seed Python's global random generator, which PDBFixer may use, and restore its state afterwards."""
-    state = random.getstate()
-    random.seed(1)
-    try:
-        yield
-    finally:
-        random.setstate(state)
+def _add(member: Member, places: Places) -> None:
+    """Add atoms; hydrogens at the atoms that get a neighbour are placed anew."""
+    bonds = ideal(member.name).bonds
+    parents = {other for name in places for other in bonds[name]}
+    heavy = [np.array(a.pos.tolist()) for a in member.atoms if not a.is_hydrogen()]
+    names = [a.name for a in member.atoms if not a.is_hydrogen()]
+    kept = []
+    for a in member.atoms:
+        if a.is_hydrogen():
+            apart = np.linalg.norm(np.array(heavy) - a.pos.tolist(), axis=1)
+            if names[int(np.argmin(apart))] in parents - {"N", "C"}:
+                continue
+        kept.append(a)
+    b_iso = float(np.mean([a.b_iso for a in member.atoms]))
+    member.atoms = kept + [
+        atom(name, _element(name), np.round(x, _DECIMALS).tolist(), b_iso) for name, x in places.items()
+    ]
+
+
+def _element(name: str) -> str:
+    """Element of a heavy atom of a standard residue."""
+    return name[0]
+
+
+def _oxygen(draft: Draft, part: Part, i: int) -> Floats:
+    """(3,) float, angstrom: the oxygen of a peptide bond, in its plane, or of a C terminus, where there is room."""
+    member = part.members[i]
+    at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
+    after = _site(part, i).after
+    beyond = after.atom("N") if after else member.atom("OXT")
+    if beyond is not None:
+        arms = unit(at["CA"] - at["C"]) + unit(np.array(beyond.pos.tolist()) - at["C"])
+        return at["C"] - _CARBONYL * unit(arms)
+    turns = np.deg2rad(np.arange(0.0, 360.0, 10.0))
+    places = placed(at["N"], at["CA"], at["C"], _CARBONYL, _TRIGONAL, turns)
+    others = np.array(
+        [a.pos.tolist() for m in draft.members for a in m.atoms if m is not member and not a.is_hydrogen()]
+        + [at["N"].tolist()]
+    )
+    room = np.linalg.norm(places[:, None] - others, axis=-1).min(axis=1)
+    # The other oxygen of the carboxylate will be opposite.
+    return places[int(np.argmax(np.round(np.minimum(room, np.roll(room, len(turns) // 2)), 4)))]

@@ -22,6 +22,8 @@ class Member:
         Positions in angstrom.
     state : str
         Protonation state that its name in the file implies; empty if none.
+    is_d : bool
+        Whether its name in the file is that of a D-amino acid.
     """
 
     name: str
@@ -30,6 +32,7 @@ class Member:
     chain_id: str
     atoms: list[gemmi.Atom]
     state: str = ""
+    is_d: bool = False
 
     def __str__(self) -> str:
         return residues.describe(self.number + self.insertion_code, self.name, self.chain_id)
@@ -82,6 +85,8 @@ class Draft:
         Bonds between residues that the file states.
     repairs : list of str
         Changes made so far.
+    rebuilt : dict of int to tuple of str
+        Atoms added to side chains, by ``id`` of their residue.
     left_out : Counter
         Molecules and atoms left out, by kind.
     """
@@ -91,6 +96,7 @@ class Draft:
     parts: list[Part] = field(default_factory=list)
     stated: list[tuple[Address, Address]] = field(default_factory=list)
     repairs: list[str] = field(default_factory=list)
+    rebuilt: dict[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
 
     @property

@@ -20,6 +20,7 @@ from protochain.structure.hydrogens import place_hydrogens
 from protochain.structure.model import Structure
 from protochain.structure.protonate import check_ph, protonate
 from protochain.structure.read import Reading, read
+from protochain.structure.relief import relieved
 from protochain.structure.templates import Template, templates
 from protochain.units import ANGSTROM_PER_NM
 
@@ -109,7 +110,9 @@ def prepare(
         np.array([template.charge.get(atom.name, 0.0) for m, template in done for atom in m.atoms]),
         bonds,
     )
-    _refuse_coincident(draft, done, x, bonds)
+    owners = [(member, atom.name) for member, _ in done for atom in member.atoms]
+    x = relieved(x, owners, [atom.element.name for atom in atoms], bonds, draft.rebuilt)
+    _refuse_coincident(draft, owners, x, bonds)
     obstacle = [part.obstacle for part in draft.parts for member in part.members for _ in member.atoms]
     return Structure(
         draft.name,
@@ -162,13 +165,12 @@ def _topology(parts: list[Part], bonds: Integers) -> app.Topology:
     return topology
 
 
-def _refuse_coincident(draft: Draft, done: list[tuple[Member, Template]], x: Floats, bonds: Integers) -> None:
+def _refuse_coincident(draft: Draft, owners: list[tuple[Member, str]], x: Floats, bonds: Integers) -> None:
     """Refuse bonded atoms in one place: their bond has no direction."""
     lengths = np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1)
     if not len(lengths) or lengths.min() > _SHORTEST:
         return
     first, second = bonds[int(np.argmin(lengths))]
-    owners = [(member, atom.name) for member, _ in done for atom in member.atoms]
     a, b = owners[first], owners[second]
     raise StructureError(
         f"{draft.source}: {a[0]}: atoms {a[1]} and {b[1]} coincide; correct their coordinates"

@@ -271,6 +271,7 @@ class _Reader:
         if given == "MSE":
             self._report(f"{where}: selenomethionine converted to MET")
         elif gemmi.find_tabulated_residue(given).kind == gemmi.ResidueKind.AAD:
+            member.is_d = True
             self._report(f"{where}: named {parent}, its D configuration kept")
         else:
             gone = f", {', '.join(strange)} left out" if strange else ""

@@ -1,0 +1,99 @@
+"""Handedness of C-alpha, and of C-beta of threonine and isoleucine."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers
+from protochain.structure.draft import Member
+from protochain.structure.model import Structure
+
+_ALPHA = {"CA": ("N", "C", "CB")}
+_CENTRES = {
+    "THR": {**_ALPHA, "CB": ("CA", "OG1", "CG2")},
+    "ILE": {**_ALPHA, "CB": ("CA", "CG1", "CG2")},
+}
+"""Chiral atoms and three neighbours, seen clockwise from the fourth in an L-amino acid."""
+_SHOWN = 6
+
+
+def centres(residue: str) -> dict[str, tuple[str, str, str]]:
+    """Chiral atoms of a residue, each with three neighbours."""
+    return _CENTRES.get(residue, _ALPHA)
+
+
+def volume(x: Floats) -> Floats:
+    """Signed volume spanned by bonds.
+
+    Parameters
+    ----------
+    x : (..., 4, 3) float
+        Centre and three neighbours.
+
+    Returns
+    -------
+    (...) float
+        Positive in an L-amino acid, negative in its mirror image.
+    """
+    arms = x[..., 1:, :] - x[..., :1, :]
+    return np.asarray((arms[..., 0, :] * np.cross(arms[..., 1, :], arms[..., 2, :])).sum(-1))
+
+
+def hand(member: Member, centre: str = "CA") -> int:
+    """Hand of a chiral atom: 1 as in an L-amino acid, -1 as in its mirror image, 0 if atoms are missing."""
+    neighbours = centres(member.name).get(centre, ())
+    found = [member.atom(name) for name in (centre, *neighbours)]
+    places = [atom.pos.tolist() for atom in found if atom is not None]
+    return int(np.sign(volume(np.array(places)))) if len(places) == 4 else 0
+
+
+def wrong_hands(members: Sequence[Member]) -> list[str]:
+    """Name the chiral atoms whose hand is not that of their residue's name."""
+    return [
+        f"{centre} of {member}"
+        for member in members
+        for centre in centres(member.name)
+        if hand(member, centre) == (1 if member.is_d else -1)
+    ]
+
+
+def changed_hands(structure: Structure, x: Floats, reference: Floats) -> list[str]:
+    """Name the chiral atoms whose hand differs between two sets of positions.
+
+    Parameters
+    ----------
+    structure : Structure
+    x, reference : (na, 3) float, nm
+
+    Returns
+    -------
+    list of str
+        As ``CA of residue 14 LYS of chain A``.
+    """
+    atoms = _chiral(structure)
+    if not len(atoms):
+        return []
+    flipped = np.sign(volume(x[atoms])) != np.sign(volume(reference[atoms]))
+    return [structure.describe(int(atom)).removeprefix("atom ") for atom in atoms[flipped, 0]]
+
+
+def listed(places: Sequence[str]) -> str:
+    """The first of some places, and how many more there are."""
+    more = f" and {len(places) - _SHOWN} more" if len(places) > _SHOWN else ""
+    return ", ".join(places[:_SHOWN]) + more
+
+
+@lru_cache(maxsize=16)
+def _chiral(structure: Structure) -> Integers:
+    """(n, 4) int: every chiral atom of the protein, and three neighbours."""
+    names: list[dict[str, int]] = [{} for _ in range(structure.n_residues)]
+    for i in np.flatnonzero(~structure.obstacle).tolist():
+        names[int(structure.atom_residue[i])][str(structure.atom_name[i])] = i
+    found = [
+        [at[name] for name in (centre, *neighbours)]
+        for residue, at in zip(structure.residue_name, names, strict=True)
+        for centre, neighbours in centres(str(residue)).items()
+        if {centre, *neighbours} <= at.keys()
+    ]
+    return np.array(found, dtype=np.int64).reshape(-1, 4)

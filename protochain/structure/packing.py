@@ -1,0 +1,273 @@
+"""Choice of the conformers of rebuilt side chains: without overlaps, and the more frequent the better.
+
+Each residue takes the conformer of lowest cost: the negative logarithm of its frequency, and a repulsion of
+heavy atoms that is linear in their distance, as in SCWRL3 (Canutescu, Shelenkov, Dunbrack, Protein Sci. 12:2001,
+2003). Residues are revisited, alone and in pairs, until none changes. The same coordinates give the same choice.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from protochain.arrays import Floats, Integers
+from protochain.structure.draft import Member
+from protochain.structure.sidechains import Places, conformers, fixed_chi, grown, ideal
+
+_RADIUS = {"C": 1.77, "N": 1.5, "O": 1.45, "S": 1.82}
+"""Angstrom: heavy atoms nearer than the sum repel, carbons with their hydrogens."""
+_STEEPNESS = 30.0
+"""Repulsion at distance zero, in units of the logarithm of a frequency."""
+_REACH = 3.7
+"""Angstrom: no atoms further apart repel."""
+_APART = 3
+"""Bonds: atoms no further apart along the chain do not repel."""
+WIDTH = np.deg2rad(20.0)
+"""Standard deviation of a dihedral about its rotamer."""
+_SWEEPS = 30
+_BOND, _BOND_WIDTH, _BOND_GAIN = 2.05, 0.15, 40.0
+"""Angstrom, angstrom, -: a disulfide bond, its deviation, and what it gains."""
+_BETAS = (3.2, 4.7)
+"""Angstrom: least and largest distance of the CB across a disulfide bond."""
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """A residue whose side chain is to be completed.
+
+    Parameters
+    ----------
+    member : Member
+    sign : int
+        1, or -1 for a D-amino acid, which is built in the mirror.
+    before, after : Member or None
+        Its neighbours in the chain.
+    """
+
+    member: Member
+    sign: int
+    before: Member | None
+    after: Member | None
+
+    @property
+    def known(self) -> Places:
+        """Heavy atoms that are there, mirrored for a D-amino acid."""
+        heavy = (atom for atom in self.member.atoms if not atom.is_hydrogen())
+        return {atom.name: self.sign * np.array(atom.pos.tolist()) for atom in heavy}
+
+
+@dataclass(frozen=True, eq=False)
+class Choices:
+    """Conformers of a side chain.
+
+    Parameters
+    ----------
+    site : Site
+    names : tuple of str
+        Its missing atoms.
+    x : (n, n_atoms, 3) float, angstrom
+    cost : (n,) float
+        Without the other residues that are built.
+    """
+
+    site: Site
+    names: tuple[str, ...]
+    x: Floats
+    cost: Floats
+
+
+def packed(members: Sequence[Member], sites: Sequence[Site]) -> list[Places]:
+    """Place the missing side-chain atoms of residues.
+
+    Parameters
+    ----------
+    members : sequence of Member
+        All residues and molecules of the structure.
+    sites : sequence of Site
+
+    Returns
+    -------
+    list of dict of str to (3,) float, angstrom
+        The missing atoms of each site.
+    """
+    here = _Surroundings(members)
+    choices = [_choices(site, here) for site in sites]
+    return [
+        dict(zip(each.names, each.x[k], strict=True))
+        for each, k in zip(choices, _settled(choices), strict=True)
+    ]
+
+
+def choosable(site: Site) -> tuple[Floats, Floats]:
+    """Dihedrals and rarities of the conformers; those unlike the dihedrals of atoms in place are rare."""
+    chi, frequency = conformers(site.member.name)
+    if site.member.name == "CYS":
+        # A disulfide bond closes at dihedrals between the rotamers.
+        turns = np.deg2rad(np.arange(-180.0, 180.0, 10.0))[:, None]
+        near = np.exp(-0.5 * (wrapped(turns - chi.T) / WIDTH) ** 2)
+        chi, frequency = turns, near @ frequency
+    rarity = -np.log(np.maximum(frequency, 1e-6))
+    for k, value in fixed_chi(site.member.name, site.known).items():
+        rarity = rarity + 0.5 * (wrapped(chi[:, k] - value) / WIDTH) ** 2
+    return chi, rarity
+
+
+def _choices(site: Site, here: "_Surroundings") -> Choices:
+    chi, rarity = choosable(site)
+    built = grown(site.member.name, site.known, chi)
+    names = tuple(built)
+    x = site.sign * np.stack([built[name] for name in names], axis=1)
+    return Choices(site, names, x, rarity + here.repulsion(site, names, x))
+
+
+def _settled(choices: Sequence[Choices]) -> list[int]:
+    """Conformer of each residue."""
+    tables = _tables(choices)
+    partners: dict[int, list[int]] = {i: [] for i in range(len(choices))}
+    for i, j in tables:
+        partners[i].append(j)
+    taken = [int(np.argmin(np.round(each.cost, 6))) for each in choices]
+
+    def cost(i: int, without: int = -1) -> Floats:
+        return choices[i].cost + sum(
+            (tables[i, j][:, taken[j]] for j in partners[i] if j != without), np.zeros(len(choices[i].cost))
+        )
+
+    for _ in range(_SWEEPS):
+        before = list(taken)
+        for i in range(len(choices)):
+            taken[i] = int(np.argmin(np.round(cost(i), 6)))
+        for i, j in tables:
+            if i < j:
+                both = cost(i, j)[:, None] + cost(j, i)[None] + tables[i, j]
+                taken[i], taken[j] = (int(k) for k in np.unravel_index(np.argmin(np.round(both, 6)), both.shape))
+        if taken == before:
+            break
+    return taken
+
+
+def _tables(choices: Sequence[Choices]) -> dict[tuple[int, int], Floats]:
+    """Repulsion (n_i, n_j) of the conformers of residues that can touch, both ways round."""
+    if len(choices) < 2:
+        return {}
+    centre = np.array([each.x.reshape(-1, 3).mean(axis=0) for each in choices])
+    size = np.array([np.linalg.norm(e.x - c, axis=2).max() for e, c in zip(choices, centre, strict=True)])
+    found = {}
+    for i, j in sorted(KDTree(centre).query_pairs(2 * size.max() + _REACH)):
+        if np.linalg.norm(centre[i] - centre[j]) < size[i] + size[j] + _REACH:
+            table = _between(choices[i], choices[j])
+            if table.any():
+                found[i, j], found[j, i] = table, table.T
+    return found
+
+
+def _between(one: Choices, other: Choices) -> Floats:
+    apart = np.linalg.norm(one.x[:, None, :, None] - other.x[None, :, None], axis=-1)
+    table = _repulsion(apart, _radii(one.names)[:, None] + _radii(other.names)).sum(axis=(2, 3))
+    if "SG" in one.names and "SG" in other.names:
+        sulphurs = apart[:, :, one.names.index("SG"), other.names.index("SG")]
+        betas = np.linalg.norm(_beta(one) - _beta(other))
+        table = table + _disulfide(sulphurs, float(betas))
+    return np.asarray(table)
+
+
+def _beta(choices: Choices) -> Floats:
+    """(3,) float, angstrom: CB, in place or built."""
+    if "CB" in choices.names:
+        return np.asarray(choices.x[0, choices.names.index("CB")])
+    return choices.site.sign * choices.site.known["CB"]
+
+
+class _Surroundings:
+    """Heavy atoms that are there."""
+
+    def __init__(self, members: Sequence[Member]) -> None:
+        heavy = [(m, atom) for m in members for atom in m.atoms if not atom.is_hydrogen()]
+        self.x = np.array([atom.pos.tolist() for _, atom in heavy])
+        self.name = np.array([atom.name for _, atom in heavy])
+        self.owner = np.array([id(member) for member, _ in heavy])
+        self.radius = np.array([_RADIUS.get(atom.element.name, _RADIUS["C"]) for _, atom in heavy])
+        self.tree = KDTree(self.x)
+
+    def repulsion(self, site: Site, names: tuple[str, ...], x: Floats) -> Floats:
+        """Repulsion (n,) of the conformers x (n, n_atoms, 3) by the atoms that are there and by themselves."""
+        centre = x.reshape(-1, 3).mean(axis=0)
+        reach = np.linalg.norm(x - centre, axis=2).max() + _REACH
+        near = np.array(sorted(self.tree.query_ball_point(centre, reach)), dtype=np.int64)
+        joined = _joined(site)
+        free = np.array(
+            [
+                [(owner, other) not in joined[name] for owner, other in zip(self.owner[near], self.name[near])]
+                for name in names
+            ]
+        )
+        apart = np.linalg.norm(x[:, :, None] - self.x[near], axis=-1)
+        felt = np.where(free, _repulsion(apart, _radii(names)[:, None] + self.radius[near]), 0.0).sum(axis=(1, 2))
+        own = np.linalg.norm(x[:, :, None] - x[:, None], axis=-1)
+        outer = np.array([[(id(site.member), other) not in joined[name] for other in names] for name in names])
+        outer = np.triu(outer, 1)
+        felt += np.where(outer, _repulsion(own, _radii(names)[:, None] + _radii(names)), 0.0).sum(axis=(1, 2))
+        if "SG" in names:
+            beta = x[0, names.index("CB")] if "CB" in names else site.sign * site.known["CB"]
+            for k, betas in self._sulphurs(site, near, beta):
+                felt += _disulfide(apart[:, names.index("SG"), k], betas)
+        return np.asarray(felt)
+
+    def _sulphurs(self, site: Site, near: Integers, beta: Floats) -> list[tuple[int, float]]:
+        """Unbonded sulphurs of other cysteines among the near atoms, with the distances of the CB."""
+        found = []
+        for k, atom in enumerate(near):
+            if self.name[atom] == "SG" and self.owner[atom] != id(site.member):
+                partners = self.tree.query_ball_point(self.x[atom], 2.5)
+                other = np.flatnonzero((self.owner == self.owner[atom]) & (self.name == "CB"))
+                if sum(self.name[p] == "SG" for p in partners) == 1 and len(other):
+                    found.append((k, float(np.linalg.norm(self.x[other[0]] - beta))))
+        return found
+
+
+def _joined(site: Site) -> dict[str, set[tuple[int, str]]]:
+    """Atoms (owner, name) that are within few bonds of each side-chain atom, and the atom itself."""
+    bonds: dict[tuple[int, str], set[tuple[int, str]]] = {}
+
+    def join(a: tuple[int, str], b: tuple[int, str]) -> None:
+        bonds.setdefault(a, set()).add(b)
+        bonds.setdefault(b, set()).add(a)
+
+    own = id(site.member)
+    for name, others in ideal(site.member.name).bonds.items():
+        for other in others:
+            join((own, name), (own, other))
+    if site.before:
+        for other in ("CA", "O", "N"):
+            join((id(site.before), "C"), (id(site.before), other) if other != "N" else (own, "N"))
+    if site.after:
+        join((own, "C"), (id(site.after), "N"))
+        join((id(site.after), "N"), (id(site.after), "CA"))
+    found = {}
+    for name in ideal(site.member.name).x:
+        reached = {(own, name)}
+        for _ in range(_APART):
+            reached |= {other for each in reached for other in bonds.get(each, ())}
+        found[name] = reached
+    return found
+
+
+def _radii(names: Sequence[str]) -> Floats:
+    return np.array([_RADIUS[name[0]] for name in names])
+
+
+def _repulsion(apart: Floats, contact: Floats) -> Floats:
+    return np.asarray(_STEEPNESS * np.maximum(0.0, 1.0 - apart / contact))
+
+
+def _disulfide(apart: Floats, betas: float) -> Floats:
+    """Cost of two sulphurs at a distance: a bond where the backbones allow one."""
+    if not _BETAS[0] < betas < _BETAS[1]:
+        return np.zeros_like(apart)
+    return np.asarray(-_BOND_GAIN * np.exp(-0.5 * ((apart - _BOND) / _BOND_WIDTH) ** 2))
+
+
+def wrapped(angle: Floats) -> Floats:
+    """Angles between -pi and pi."""
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

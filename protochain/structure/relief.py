@@ -1,0 +1,212 @@
+"""Rebuilt side chains turned out of overlaps with other atoms, hydrogens included.
+
+Conformers are chosen among heavy atoms (:mod:`protochain.structure.packing`), where hydrogens are not placed yet.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from protochain import residues
+from protochain.arrays import Floats, Integers
+from protochain.structure.chirality import hand
+from protochain.structure.draft import Member
+from protochain.structure.packing import WIDTH, wrapped
+from protochain.structure.sidechains import conformers, dihedral, unit
+from protochain.units import ANGSTROM_PER_NM
+
+_NEAR = 0.65
+"""Fraction of the sum of the van der Waals radii: rebuilt atoms that are nearer are moved. Hydrogen bonds are longer."""
+_FIRM = 0.7
+"""Fraction below which atoms repel while a residue chooses."""
+_STEEPNESS = 100.0
+"""Repulsion at distance zero, in units of the logarithm of a frequency."""
+_APART = 3
+"""Bonds: atoms no further apart along the chain do not repel."""
+_TURNS = np.deg2rad([0.0, -10.0, 10.0, -20.0, 20.0, -30.0, 30.0])
+_SWEEPS = 8
+_DECIMALS = 6
+"""Decimals (nm), as of hydrogens."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """A side chain that can turn.
+
+    Parameters
+    ----------
+    chi : (n, n_chi) float, rad
+        Its conformers.
+    rarity : (n,) float
+        Negative logarithms of their frequencies.
+    axes : tuple of (4,) int
+        Atoms that define each chi.
+    outward : tuple of (n_turned,) int
+        Atoms that each chi turns.
+    """
+
+    chi: Floats
+    rarity: Floats
+    axes: tuple[tuple[int, ...], ...]
+    outward: tuple[Integers, ...]
+
+
+def relieved(
+    x: Floats, owners: Sequence[tuple[Member, str]], elements: Sequence[str], bonds: Integers, rebuilt: dict[int, tuple[str, ...]]
+) -> Floats:
+    """Turn rebuilt side chains that overlap with other atoms.
+
+    Parameters
+    ----------
+    x : (na, 3) float, nm
+    owners : sequence of (Member, str)
+        Residue and name of each atom.
+    elements : sequence of str
+    bonds : (nbonds, 2) int
+    rebuilt : dict of int to tuple of str
+        Atoms added to side chains, by ``id`` of their residue.
+
+    Returns
+    -------
+    (na, 3) float, nm
+        Bond lengths and angles are kept.
+    """
+    if not rebuilt:
+        return x
+    room = _Room(x, owners, elements, bonds)
+    arms = {place: arm for place in rebuilt if (arm := room.arm(place, rebuilt[place])) is not None}
+    for _ in range(_SWEEPS):
+        crowded = room.crowded(arms)
+        before = room.x.copy()
+        for place in crowded:
+            room.turn(arms[place])
+        if np.array_equal(before, room.x):
+            break
+    return np.where(room.x == x, x, np.round(room.x, _DECIMALS))
+
+
+class _Room:
+    """All atoms, where they are now."""
+
+    def __init__(
+        self, x: Floats, owners: Sequence[tuple[Member, str]], elements: Sequence[str], bonds: Integers
+    ) -> None:
+        self.x = np.array(x)
+        self.radius = np.array([residues.VAN_DER_WAALS.get(element, 0.17) for element in elements])
+        self.atoms: dict[int, dict[str, int]] = {}
+        self.members: dict[int, Member] = {}
+        self.place = [id(member) for member, _ in owners]
+        for i, (member, name) in enumerate(owners):
+            self.atoms.setdefault(id(member), {})[name] = i
+            self.members[id(member)] = member
+        self.bonded: list[list[int]] = [[] for _ in owners]
+        for i, j in bonds.tolist():
+            self.bonded[i].append(j)
+            self.bonded[j].append(i)
+
+    def within(self, atom: int, n: int) -> set[int]:
+        """Atoms at most n bonds away, itself included."""
+        found = {atom}
+        for _ in range(n):
+            found |= {other for each in found for other in self.bonded[each]}
+        return found
+
+    def arm(self, place: int, names: tuple[str, ...]) -> Arm | None:
+        """What of a side chain can turn, if anything: built atoms whose bonds lead to no other residue."""
+        member, at = self.members[place], self.atoms[place]
+        built = {at[name] for name in names}
+        axes, outward, columns = [], [], []
+        for k, quartet in enumerate(residues.CHI.get(member.name, ())):
+            atoms = tuple(at[name] for name in quartet)
+            turned = self._beyond(atoms[1], atoms[2])
+            heavy = {i for i in turned if self.radius[i] != residues.VAN_DER_WAALS["H"]}
+            if heavy <= built:
+                axes.append(atoms)
+                outward.append(np.array(sorted(turned), dtype=np.int64))
+                columns.append(k)
+        chi, frequency = conformers(member.name)
+        columns = [k for k in columns if k < chi.shape[1]]
+        if not columns:
+            return None
+        chosen = hand(member) * chi[:, columns]
+        n = len(columns)
+        return Arm(chosen, -np.log(np.maximum(frequency, 1e-6)), tuple(axes[:n]), tuple(outward[:n]))
+
+    def _beyond(self, first: int, second: int) -> set[int]:
+        """Atoms on the second's side of a bond, without the second."""
+        found, ahead = {first, second}, [second]
+        while ahead:
+            fresh = [i for i in self.bonded[ahead.pop()] if i not in found]
+            found.update(fresh)
+            ahead += fresh
+        return found - {first, second}
+
+    def crowded(self, arms: dict[int, Arm]) -> list[int]:
+        """Residues that can turn and have an atom too near to another."""
+        tree = KDTree(self.x)
+        found = set()
+        for place, arm in arms.items():
+            for i in arm.outward[0].tolist():
+                near = np.array(tree.query_ball_point(self.x[i], _NEAR * 2 * self.radius.max()))
+                apart = np.linalg.norm(self.x[near] - self.x[i], axis=1)
+                close = near[apart < _NEAR * (self.radius[near] + self.radius[i])]
+                touched = set(close.tolist()) - self.within(i, _APART)
+                found |= {place for _ in touched} | {self.place[j] for j in touched if self.place[j] in arms}
+        return [place for place in arms if place in found]
+
+    def turn(self, arm: Arm) -> None:
+        """Give a side chain the conformer of lowest cost."""
+        moved = arm.outward[0]
+        chi, cost = self._tried(arm)
+        tried = np.repeat(self.x[moved][None], len(chi), axis=0)
+        row = {int(atom): k for k, atom in enumerate(moved)}
+        for k, (quartet, outward) in enumerate(zip(arm.axes, arm.outward, strict=True)):
+            at = [tried[:, row[i]] if i in row else self.x[i] for i in quartet]
+            angle = chi[:, k] - dihedral(*at)
+            rows = [row[int(i)] for i in outward]
+            tried[:, rows] = _rotated(tried[:, rows], at[1], at[2], angle)
+        cost = cost + self._repulsion(moved, tried)
+        best = int(np.argmin(np.round(cost, 6)))
+        if best:
+            self.x[moved] = tried[best]
+
+    def _tried(self, arm: Arm) -> tuple[Floats, Floats]:
+        """Dihedrals (n, n_chi) to try, those of now first, and their costs (n,)."""
+        now = np.array([dihedral(*self.x[list(quartet)]) for quartet in arm.axes])
+        n_turned = min(2, len(now))
+        steps = np.zeros((len(_TURNS) ** n_turned, len(now)))
+        steps[:, :n_turned] = np.stack(np.meshgrid(*[_TURNS] * n_turned), axis=-1).reshape(len(steps), -1)
+        chi = (arm.chi[:, None] + steps).reshape(-1, len(now))
+        cost = (arm.rarity[:, None] + 0.5 * ((steps / WIDTH) ** 2).sum(axis=1)).ravel()
+        strain = 0.5 * (wrapped(arm.chi - now) / WIDTH) ** 2
+        return np.vstack([now, chi]), np.append((arm.rarity + strain.sum(axis=1)).min(), cost)
+
+    def _repulsion(self, moved: Integers, tried: Floats) -> Floats:
+        """(n,) float: repulsion of positions tried (n, n_moved, 3) by each other and by all other atoms."""
+        centre = tried.reshape(-1, 3).mean(axis=0)
+        reach = np.linalg.norm(tried - centre, axis=2).max() + 2 * _FIRM * self.radius.max()
+        near = np.flatnonzero(np.linalg.norm(self.x - centre, axis=1) < reach)
+        near = near[~np.isin(near, moved)]
+        free = np.array([~np.isin(near, list(self.within(int(i), _APART))) for i in moved])
+        own = np.triu([~np.isin(moved, list(self.within(int(i), _APART))) for i in moved], 1)
+        felt = np.zeros(len(tried))
+        for k, atom in enumerate(moved):
+            for others, counts, index in ((self.x[near], free[k], near), (tried, own[k], moved)):
+                if counts.any():
+                    at = others[counts] if others.ndim == 2 else others[:, counts]
+                    apart = np.linalg.norm(tried[:, k, None] - at, axis=-1)
+                    contact = _FIRM * (self.radius[atom] + self.radius[index[counts]])
+                    felt += (_STEEPNESS * np.maximum(0.0, 1.0 - apart / contact)).sum(axis=1)
+        return felt
+
+
+def _rotated(x: Floats, start: Floats, end: Floats, angle: Floats) -> Floats:
+    """Rotate positions (n, k, 3) about the axis from start to end, (3,) or (n, 3), by angles (n,)."""
+    axis = np.broadcast_to(unit(end - start), (len(angle), 3))[:, None]
+    arm = x - np.broadcast_to(end, (len(angle), 3))[:, None]
+    c, s = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
+    along = axis * (axis * arm).sum(axis=-1, keepdims=True)
+    turned = along + c * (arm - along) + s * np.cross(axis, arm)
+    return np.asarray(np.broadcast_to(end, (len(angle), 3))[:, None] + turned)

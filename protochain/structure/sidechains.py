@@ -1,0 +1,241 @@
+"""Side chains built atom by atom from ideal bond lengths, angles and dihedrals.
+
+C-beta goes where N, CA and C put it in an L-amino acid; the others follow from PeptideBuilder's geometries
+(Tien, Sydykova, Meyer, Wilke, PeerJ 1:e80, 2013). D-amino acids are built in the mirror, by their callers.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from protochain import residues
+from protochain.arrays import Floats
+from protochain.structure.rotamers import rotamers
+
+Places = dict[str, Floats]
+"""Positions by atom name, angstrom: (3,), or (n, 3) of n candidates."""
+
+_BONDED = 1.95
+"""Angstrom. Heavy atoms of one ideal residue that are nearer are bonded: C-S is 1.81, and 1-3 pairs are above 2.1."""
+_CHI = {**residues.CHI, "PRO": (("N", "CA", "CB", "CG"), ("CA", "CB", "CG", "CD"))}
+_BACKBONE = ("N", "CA", "C", "O")
+
+
+@dataclass(frozen=True)
+class Branch:
+    """An atom of a side chain, placed from the three atoms before it.
+
+    Parameters
+    ----------
+    name, element : str
+    before : tuple of str
+        Names of the atoms three, two and one bonds before it.
+    length, angle, dihedral : float
+        Angstrom, rad, rad.
+    chi : int or None
+        Index of the chi that turns it.
+    """
+
+    name: str
+    element: str
+    before: tuple[str, str, str]
+    length: float
+    angle: float
+    dihedral: float
+    chi: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class Ideal:
+    """Ideal geometry of an L-amino acid.
+
+    Parameters
+    ----------
+    x : mapping of str to (3,) float, angstrom
+        Heavy atoms.
+    bonds : mapping of str to tuple of str
+        Bonded atoms.
+    branches : tuple of Branch
+        The side chain beyond CB, in the order of building.
+    chi : tuple of float, rad
+    """
+
+    x: Mapping[str, Floats]
+    bonds: Mapping[str, tuple[str, ...]]
+    branches: tuple[Branch, ...]
+    chi: tuple[float, ...]
+
+    def within(self, name: str, n: int) -> set[str]:
+        """Names of the atoms at most n bonds from an atom, which is left out."""
+        found = {name}
+        for _ in range(n):
+            found |= {other for each in found for other in self.bonds[each]}
+        return found - {name}
+
+
+@cache
+def ideal(residue: str) -> Ideal:
+    """Ideal geometry of one of the 20 standard residues."""
+    # Imported here: it imports Biopython, which would slow every start of the program.
+    import PeptideBuilder
+
+    geometry = PeptideBuilder.Geometry.geometry(residues.STANDARD[residue])
+    (built,) = PeptideBuilder.initialize_res(geometry).get_residues()
+    x = {atom.get_name(): np.array(atom.coord, dtype=np.float64) for atom in built}
+    element = {atom.get_name(): atom.element for atom in built}
+    bonds = {a: tuple(b for b in x if b != a and np.linalg.norm(x[a] - x[b]) < _BONDED) for a in x}
+    quartets = _CHI.get(residue, ())
+    turning = {quartet[1:3]: k for k, quartet in enumerate(quartets)}
+    before = {"CB": ("C", "N", "CA")}
+    for parent in (order := ["CB"] if "CB" in x else []):
+        for name in bonds[parent]:
+            if name not in before and name not in _BACKBONE:
+                great, grand = ("N", "CA") if parent == "CB" else before[parent][1:]
+                before[name] = (great, grand, parent)
+                order.append(name)
+    branches = tuple(
+        Branch(
+            name, element[name], before[name], float(np.linalg.norm(x[before[name][2]] - x[name])),
+            _angle(*(x[each] for each in (*before[name][1:], name))),
+            float(dihedral(*(x[each] for each in (*before[name], name)))), turning.get(before[name][1:]),
+        )
+        for name in order[1:]
+    )  # fmt: skip
+    return Ideal(x, bonds, branches, tuple(float(dihedral(*(x[each] for each in q))) for q in quartets))
+
+
+def conformers(residue: str) -> tuple[Floats, Floats]:
+    """Dihedrals (n, n_chi), rad, and frequencies (n,) of the conformers of a side chain.
+
+    Those of proline are the two puckers of its ring, about equally frequent.
+    """
+    if residue == "PRO":
+        chi = np.array(ideal(residue).chi)
+        return np.array([chi, -chi]), np.array([0.5, 0.5])
+    chi, frequency = rotamers(residue)
+    return (chi, frequency) if len(chi) else (np.zeros((1, 0)), np.ones(1))
+
+
+def fixed_chi(residue: str, known: Mapping[str, Floats]) -> dict[int, float]:
+    """Dihedrals, rad, by index of chi, that the atoms in place determine."""
+    geometry = ideal(residue)
+    found: dict[int, float] = {}
+    for branch in geometry.branches:
+        quartet = (*branch.before, branch.name)
+        if branch.chi is not None and branch.chi not in found and all(name in known for name in quartet):
+            turn = float(dihedral(*(known[name] for name in quartet))) - branch.dihedral
+            found[branch.chi] = geometry.chi[branch.chi] + turn
+    return found
+
+
+def grown(residue: str, known: Mapping[str, Floats], chi: Floats) -> Places:
+    """Place the missing atoms of a side chain for every set of dihedrals.
+
+    Parameters
+    ----------
+    residue : str
+    known : mapping of str to (3,) float, angstrom
+        Atoms that are there, N, CA and C among them; they stay.
+    chi : (n, n_chi) float, rad
+        A chi that atoms in place determine is theirs.
+
+    Returns
+    -------
+    dict of str to (n, 3) float, angstrom
+        The missing atoms.
+    """
+    geometry, n = ideal(residue), len(chi)
+    at: Places = dict(known)
+    if "CB" in geometry.x and "CB" not in at:
+        at["CB"] = beta_carbon(residue, known)
+    for branch in geometry.branches:
+        if branch.name in at:
+            continue
+        turn = np.full(n, branch.dihedral)
+        beside = [b for b in geometry.branches if b.before == branch.before and b.name in known]
+        before = [at[name] for name in branch.before]
+        if beside:
+            turn = turn + dihedral(*before, known[beside[0].name]) - beside[0].dihedral
+        elif branch.chi is not None:
+            turn = turn + _padded(chi, len(geometry.chi))[:, branch.chi] - geometry.chi[branch.chi]
+        at[branch.name] = placed(*before, branch.length, branch.angle, turn)
+    return {name: np.broadcast_to(x, (n, 3)) for name, x in at.items() if name not in known}
+
+
+def beta_carbon(residue: str, known: Mapping[str, Floats]) -> Floats:
+    """(3,) float, angstrom: CB of an L-amino acid at N, CA and C."""
+    x = ideal(residue).x
+    frame, own = _frame(known), _frame(x)
+    return np.asarray(known["CA"] + frame.T @ (own @ (x["CB"] - x["CA"])))
+
+
+def bridged(residue: str, known: Mapping[str, Floats]) -> Places:
+    """Place missing atoms between atoms that are there, by their distances to those within two bonds.
+
+    Returns
+    -------
+    dict of str to (3,) float, angstrom
+        Empty where nothing is known beyond the missing atoms.
+    """
+    geometry, found = ideal(residue), dict(known)
+    chi, _ = conformers(residue)
+    outward = [branch.name for branch in geometry.branches]
+    for place, name in enumerate([n for n in ["CB", *outward] if n in geometry.x]):
+        beyond = [n for n in geometry.within(name, 2) if n in outward[place:] and n in known]
+        beyond = [n for n in beyond if not _is_beside(geometry, name, n)]
+        if name in found or not beyond:
+            continue
+        near = sorted(n for n in geometry.within(name, 2) if n in found)
+        target = np.array([np.linalg.norm(geometry.x[n] - geometry.x[name]) for n in near])
+        fixed = np.array([found[n] for n in near])
+        starts = grown(residue, found, chi)[name]
+        misfit = np.linalg.norm(starts[:, None] - fixed, axis=2) - target
+        start = starts[int(np.argmin(np.round((misfit**2).sum(axis=1), 6)))]
+        found[name] = least_squares(lambda x: np.linalg.norm(x - fixed, axis=1) - target, start).x
+    return {name: x for name, x in found.items() if name not in known}
+
+
+def _is_beside(geometry: Ideal, first: str, second: str) -> bool:
+    """Whether two atoms hang on the same one, so that the one follows from the other."""
+    before = {branch.name: branch.before for branch in geometry.branches}
+    return first in before and before[first] == before.get(second)
+
+
+def _padded(chi: Floats, n: int) -> Floats:
+    """Dihedrals (k, n), those that are planar (chi5 of arginine) as zero."""
+    return np.pad(chi, ((0, 0), (0, n - chi.shape[1])))
+
+
+def _frame(x: Mapping[str, Floats]) -> Floats:
+    """(3, 3) float: axes as rows, of which the first bisects N-CA-C and the third is normal to it."""
+    n, c = unit(x["N"] - x["CA"]), unit(x["C"] - x["CA"])
+    first, third = unit(n + c), unit(np.cross(n, c))
+    return np.array([first, np.cross(third, first), third])
+
+
+def placed(a: Floats, b: Floats, c: Floats, length: float, angle: float, turn: Floats) -> Floats:
+    """Place points (n, 3) at a distance from c, an angle with b and dihedrals (n,) with a."""
+    along = unit(c - b)
+    normal = unit(np.cross(b - a, along))
+    aside = np.cross(normal, along)
+    out = np.sin(angle) * (np.cos(turn)[:, None] * aside + np.sin(turn)[:, None] * normal)
+    return np.asarray(c + length * (out - np.cos(angle) * along))
+
+
+def dihedral(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
+    """Dihedral angles, rad, of points (..., 3)."""
+    axis = unit(c - b)
+    first, second = np.cross(b - a, c - b), np.cross(c - b, d - c)
+    return np.asarray(np.arctan2((np.cross(first, second) * axis).sum(-1), (first * second).sum(-1)))
+
+
+def unit(v: Floats) -> Floats:
+    """Unit vectors of (..., 3), zero where there is no direction."""
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9))
+
+
+def _angle(a: Floats, b: Floats, c: Floats) -> float:
+    return float(np.arccos(np.clip(unit(a - b) @ unit(c - b), -1.0, 1.0)))
