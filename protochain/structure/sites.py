@@ -66,14 +66,6 @@ class Link:
         return is_metal(self.other_atom.element.name)
 
 
-def is_metal(self) -> bool:
-        """Whether a metal is bonded."""
-        return is_metal(self.other_atom.element.name)
-
-    def __str__(self) -> str:
-        return f"{self.atom.name} of {self.member} to {self.other_atom.name} of {self.other}"
-
-
 def is_metal(symbol: str) -> bool:
     """Whether an element is a metal."""
     return bool(gemmi.Element(symbol).is_metal)
