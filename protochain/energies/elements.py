@@ -52,6 +52,9 @@ _KCAL = 4.184
 _TOUCHING = 0.4
 """nm. Obstacles nearer to one another than this do not interact: their distance never changes, and alternate
 positions or bonds among them would add a large constant."""
+_DONATED, _RETAINED = 0.37, 0.26
+"""Charge that a donor takes over from a metal (e), and the share that the metal retains at least: those of
+Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver, Merz, J. Chem. Theory Comput. 6:2935, 2010)."""
 TIES = "ties of kept molecules"
 """Name of the forces that hold bonds between the protein and kept molecules."""
 
@@ -100,6 +103,7 @@ def create_system(
     )
     by_element = np.isin(structure.atom_residue, list(unknown))
     _exclude(system, _not_interacting(structure, by_element))
+    _share_charges(system, structure)
     for force in _springs(structure.ties):
         system.addForce(force)
     return system
@@ -311,6 +315,39 @@ def _exclude(system: openmm.System, pairs: Iterable[tuple[int, int]]) -> None:
                 i, j, values = force.getBondParameters(k)
                 if (min(i, j), max(i, j)) in set(pairs):
                     force.setBondParameters(k, i, j, [0.0 * value for value in values])
+
+
+def _share_charges(system: openmm.System, structure: Structure) -> None:
+    """Move charge from metals to the donors that hold them, as bonded models do; the sum stays the same.
+
+    With the charges of a free ion, the solvent model would drive a site apart whose atoms, being bonded, do
+    not attract one another directly.
+    """
+    donors: dict[int, list[int]] = {}
+    for tie in structure.ties:
+        if len(tie.atoms) == 2 and is_metal(str(structure.atom_element[tie.atoms[1]])):
+            donors.setdefault(tie.atoms[1], []).append(tie.atoms[0])
+    (nonbonded,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
+    old = np.array([nonbonded.getParticleParameters(i)[0]._value for i in range(structure.n_atoms)])
+    new = old.copy()
+    for metal, its in donors.items():
+        if old[metal] > 0.0:
+            share = min(_DONATED, (1.0 - _RETAINED) * old[metal] / len(its))
+            new[metal] -= share * len(its)
+            new[its] += share
+    changed = np.flatnonzero(new != old).tolist()
+    for i in changed:
+        _, sigma, epsilon = nonbonded.getParticleParameters(i)
+        nonbonded.setParticleParameters(i, new[i], sigma, epsilon)
+    for k in range(nonbonded.getNumExceptions()):
+        i, j, product, sigma, epsilon = nonbonded.getExceptionParameters(k)
+        if product._value and {i, j} & {*changed}:
+            scaled = product._value * new[i] * new[j] / (old[i] * old[j])
+            nonbonded.setExceptionParameters(k, i, j, scaled, sigma, epsilon)
+    for force in system.getForces():
+        if isinstance(force, openmm.CustomGBForce):
+            for i in changed:
+                force.setParticleParameters(i, [new[i], *force.getParticleParameters(i)[1:]])
 
 
 def _springs(ties: Iterable[Tie]) -> list[openmm.Force]:
