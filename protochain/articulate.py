@@ -96,7 +96,7 @@ def build_chain(
         atom_local=read_only(atom_local),
         hinges=tuple(body.hinge for body in bodies if body.hinge),
         hinge_body=read_only([b for b, body in enumerate(bodies) if body.hinge], np.int64),
-        loops=read_only(structure.bonds[cut], np.int64),
+        loops=read_only(structure.bonds[cut & ~structure.obstacle[structure.bonds].all(axis=1)], np.int64),
         q0=read_only(q0),
         opened=hinges,
         root=root,

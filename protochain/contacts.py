@@ -70,6 +70,8 @@ def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) ->
     """
     radius = radii(structure)
     pairs = cKDTree(x).query_pairs(2 * share * radius.max(), output_type="ndarray")
+    # Obstacles do not move relative to one another.
+    pairs = pairs[~structure.obstacle[pairs].all(axis=1)]
     touch = radius[pairs].sum(axis=1)
     close = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1) < share * touch
     pairs, touch = pairs[close], touch[close]

@@ -8,6 +8,9 @@ HINGES = "phi psi chi"
 ROOT = "auto"
 MOVE = "all"
 PH = 7.0
+KEEP = ("near",)
+"""Molecules kept beside the protein as fixed obstacles: all but waters, if an atom is near the protein."""
+KEEP_WITHIN = 5.0  # angstrom from a heavy atom of the protein
 
 METHOD = "hybrid"
 FRAME_METHOD = "lbfgs"  # keeps the bond lengths and angles of the dynamics that made the frames

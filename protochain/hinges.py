@@ -60,7 +60,8 @@ def cross_links(structure: Structure) -> np.ndarray:
     first, second = structure.bonds.T
     r1, r2 = structure.atom_residue[first], structure.atom_residue[second]
     peptide = (r2 == r1 + 1) & (structure.atom_name[first] == "C") & (structure.atom_name[second] == "N")
-    return (r1 != r2) & ~peptide
+    beside = structure.obstacle[first] | structure.obstacle[second]
+    return (r1 != r2) & (beside | ~peptide)
 
 
 def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:

@@ -69,7 +69,7 @@ class Setup:
     trust_forcefield: bool = False
     model: int | str | None = None
     altloc: str = ""
-    keep: tuple[str, ...] = ()
+    keep: tuple[str, ...] = defaults.KEEP
     disulfide: tuple[tuple[str, str], ...] | None = None
     ph: float = defaults.PH
     strict: bool = False

@@ -247,9 +247,9 @@ def test_waters_and_ions_stay_where_they_are(tmp_path):
         assert r.end.energy < r.start.energy
     pc.save(s, tmp_path / "out.pdb")
     again = pc.load(tmp_path / "out.pdb", keep=("all",))
-    assert again.repairs == () and np.array_equal(again.obstacle, s.obstacle)
-    with pytest.raises(pc.ProtochainError, match=r"SO4 of chain A cannot be kept: .* no parameters for it"):
-        pc.load(path, keep=("SO4",))
+    assert again.repairs[0] == "30 waters, 1 CA kept as fixed obstacles"
+    assert len(again.repairs) == 2 and "CA of residue 73 CA of chain A is coordinated by" in again.repairs[1]
+    assert np.array_equal(again.obstacle, s.obstacle)
 
 
 def test_nucleic_acids_are_kept_as_strands(tmp_path):
@@ -266,9 +266,10 @@ def test_nucleic_acids_are_kept_as_strands(tmp_path):
         for line, at in zip(lines, x + (number - 1) * shift, strict=True):
             text += f"{line[:20]} B{number:4d}    {at[0]:8.3f}{at[1]:8.3f}{at[2]:8.3f}  1.00  0.00\n"
     path = written(tmp_path, text + "END\n")
-    assert dict(pc.load(path).left_out) == {"DG": 2}
+    far = pc.load(path)
+    assert dict(far.left_out) == {"DG": 2} and "further than 5 angstrom from the protein" in far.repairs[0]
     s = pc.load(path, keep=("nucleic",))
-    assert s.n_residues == 12 and s.n_chains == 2 and s.obstacle.sum() == 31 + 34
+    assert s.n_residues == 12 and s.n_chains == 1 and s.obstacle.sum() == 31 + 34
     assert any("5' phosphate left out" in line for line in s.repairs)
     value, forces = pc.energy(s, engine="openmm").reference(s.positions)
     assert np.isfinite(value) and np.isfinite(forces).all()
@@ -315,10 +316,10 @@ def test_breaks_are_refused_when_that_is_asked(tmp_path):
 
 
 def test_modified_residues_become_their_parents_and_d_stays_d(tmp_path):
-    s = pc.load(shared("1grm_gramicidin.pdb"))
+    s = pc.load(shared("1grm_gramicidin.pdb"), keep=())
     assert s.left_out["FOR"] == 2 == s.left_out["ETA"]
     text = shared("1grm_gramicidin.pdb").read_text().replace("VAL A   6", "DVA A   6")
-    named = pc.load(written(tmp_path, text))
+    named = pc.load(written(tmp_path, text), keep=())
     assert "residue 6 DVA of chain A: named VAL, its D configuration kept" in named.repairs
     assert np.array_equal(named.positions, s.positions)
     handed = []
@@ -440,5 +441,5 @@ def test_rings_and_bridges_stay_closed(name, method):
 
 def test_the_largest_complex_loads():
     s = pc.load(shared("4jsv_2750.pdb"))
-    assert (s.n_residues, s.n_chains) == (2750, 8)
+    assert (s.n_residues, s.n_chains) == (2750 + 8, 8)
     assert pc.build_chain(s).n_hinges > 10_000

@@ -197,7 +197,7 @@ def test_selenomethionine_and_gaps_in_real_entries():
 
 
 def test_deuterium_is_replaced_by_hydrogen():
-    s = pc.load(shared("5pti_bpti.cif"))
+    s = pc.load(shared("5pti_bpti.cif"), keep=())
     assert s.left_out["deuterium atoms"] > 100
     assert set(s.atom_element) <= set("HCNOS")
 

@@ -9,6 +9,7 @@ import openmm
 from openmm import app, unit
 
 from protochain import defaults
+from protochain.energies.elements import create_system
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.implicit import COULOMB, COULOMB_CUSTOM, OBC_OFFSET
 from protochain.energies.openmm_engine import OpenMMEnergy
@@ -39,7 +40,8 @@ _BESIDE = {
     "amber99sbildn": ("tip3p.xml",),
     "charmm36": ("charmm36/water.xml",),
 }
-"""Parameters of waters, ions and nucleic acids, used where such molecules are kept beside the protein."""
+"""Parameters of waters, ions and nucleic acids, used where molecules are kept beside the protein; of others,
+as of those that a force field does not know, by element."""
 
 ENGINES = ("auto", "native", "openmm")
 
@@ -146,7 +148,12 @@ def build_system(
     try:
         # A user's file may change between calls, and a trusted one may raise anything.
         force_field = _bundled_force_field(*files) if bundled else app.ForceField(*files)
-        system = force_field.createSystem(structure.topology, nonbondedMethod=app.NoCutoff, rigidWater=False)
+        if structure.obstacle.any():
+            system = create_system(structure, force_field, lambda: app.ForceField(*files))
+        else:
+            system = force_field.createSystem(
+                structure.topology, nonbondedMethod=app.NoCutoff, rigidWater=False
+            )
     except Exception as error:
         reason = " ".join(f"{error}".split()) or type(error).__name__
         raise ForceFieldError(

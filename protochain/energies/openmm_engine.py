@@ -140,7 +140,8 @@ def constrain_hydrogens(system: openmm.System) -> None:
     system : openmm.System
         Changed in place.
     """
-    light = [system.getParticleMass(i)._value < _LIGHT for i in range(system.getNumParticles())]
+    # Atoms without mass are fixed, and cannot be constrained.
+    light = [0.0 < system.getParticleMass(i)._value < _LIGHT for i in range(system.getNumParticles())]
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce):
             for k in range(force.getNumBonds()):

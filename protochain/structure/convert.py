@@ -56,7 +56,7 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     check(made, name)
     forcefield, ph = user_file(settings.pop("forcefield", None)), settings.pop("ph", defaults.PH)
     disulfide = settings.pop("disulfide", None)
-    settings["keep"] = tuple(settings.get("keep", ()))
+    settings["keep"] = tuple(settings.get("keep", defaults.KEEP))
     check_ph(ph)
     draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=forcefield))
     return prepare(draft, disulfide, ph, forcefield)

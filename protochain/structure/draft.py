@@ -2,10 +2,14 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import gemmi
 
 from protochain import residues
+
+if TYPE_CHECKING:
+    from protochain.structure.templates import Template
 
 Address = tuple[str, str, str]
 """Chain id, number with insertion code, and atom name in the file."""
@@ -24,6 +28,10 @@ class Member:
         Protonation state that its name in the file implies; empty if none.
     is_d : bool
         Whether its name in the file is that of a D-amino acid.
+    own : Template, optional
+        Made from its own atoms, for a molecule that is kept as it is.
+    links, metals : list of gemmi.Atom
+        Its atoms that are bonded to a molecule kept beside the protein, and to a metal.
     """
 
     name: str
@@ -33,6 +41,9 @@ class Member:
     atoms: list[gemmi.Atom]
     state: str = ""
     is_d: bool = False
+    own: "Template | None" = None
+    links: list[gemmi.Atom] = field(default_factory=list)
+    metals: list[gemmi.Atom] = field(default_factory=list)
 
     def __str__(self) -> str:
         return residues.describe(self.number + self.insertion_code, self.name, self.chain_id)

@@ -1,41 +1,160 @@
-"""Waters, ions and other molecules kept beside the protein as fixed obstacles."""
+"""Molecules kept beside the protein as fixed obstacles: ligands, cofactors, glycans, ions, nucleic acids, waters."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
-from protochain import residues
+import gemmi
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from protochain import defaults, residues
+from protochain.errors import StructureError
 from protochain.structure.draft import Draft, Member, Part
-from protochain.structure.templates import Template
+from protochain.structure.templates import Template, base_template
 
+KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
+"""Words that choose molecules by kind; any other word is the name of a residue."""
+_JOINED = 2.0
+"""Angstrom: molecules with atoms nearer than this are parts of one, as the sugars of a glycan (1.4)."""
 _PHOSPHATE_BREAK = 2.5
 """Angstrom: O3' and P further apart than this are not bonded (1.6)."""
 _PHOSPHATE = ("P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
+_BOND_SLACK, _BOND_SHORTEST = 0.4, 0.5
+"""Angstrom: atoms at most this much further apart than the sum of their covalent radii are bonded, and not
+below the second."""
+_SHOWN = 8
 
 
-def is_wanted(member: Member, keep: Sequence[str], known: Mapping[str, Template]) -> bool:
-    """Whether a non-protein residue is to be kept, by name or kind, and has a template."""
-    kinds = {
-        "water": member.name == "HOH",
-        "ions": len(member.atoms) == 1 and member.name != "HOH",
-        "nucleic": member.name in residues.NUCLEOTIDES,
-        "all": True,
-    }
-    asked = member.name in keep or any(is_so and kind in keep for kind, is_so in kinds.items())
-    return asked and member.name in known
+@dataclass(eq=False)
+class Candidate:
+    """A residue that is no part of the protein.
+
+    Parameters
+    ----------
+    member : Member
+    given : str
+        Its name in the file.
+    notes : list of str
+        Repairs to report if it is kept.
+    """
+
+    member: Member
+    given: str
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def kind(self) -> str:
+        """Kind, as a word of ``KINDS``."""
+        if self.member.name == "HOH":
+            return "water"
+        if self.member.name in residues.NUCLEOTIDES:
+            return "nucleic"
+        return "ions" if len(self.member.atoms) == 1 else "ligands"
 
 
-def obstacles(draft: Draft, chain_id: str, members: Sequence[Member]) -> list[Part]:
+def check_words(words: Iterable[str]) -> None:
+    """Refuse a word that is neither a kind of molecule nor can be the name of a residue.
+
+    Raises
+    ------
+    StructureError
+        Naming the word.
+    """
+    for word in words:
+        if word not in KINDS and not re.fullmatch(r"[A-Z0-9+-]{1,5}", word):
+            raise StructureError(f"keep {word!r} is not known; give {', '.join(KINDS)} or names of residues")
+
+
+def choose(
+    draft: Draft, candidates: Sequence[Candidate], keep: Sequence[str], known: Mapping[str, Template]
+) -> list[Part]:
+    """Choose the molecules to keep; count and report the others.
+
+    Parameters
+    ----------
+    draft : Draft
+        With its protein; receives the repairs, what is left out first, and the counts.
+    candidates : sequence of Candidate
+        In the order of the file.
+    keep : sequence of str
+        Words of ``KINDS``, and names of residues.
+    known : mapping of str to Template
+
+    Returns
+    -------
+    list of Part
+    """
+    check_words(keep)
+    usable = [candidate for candidate in candidates if _is_usable(candidate.member)]
+    near = _near(draft, usable) if "near" in keep else set()
+    chosen = []
+    gone: Counter[tuple[str, str]] = Counter()
+    for candidate in candidates:
+        words = {"all", candidate.kind, candidate.member.name, candidate.given}
+        if id(candidate) in near and candidate.kind != "water":
+            words.add("near")
+        if words & {*keep} and _is_usable(candidate.member):
+            chosen.append(candidate)
+            continue
+        reason = ""
+        if not _is_usable(candidate.member):
+            reason = "of unknown element"
+        elif "near" in keep and candidate.kind != "water":
+            reason = f"further than {defaults.KEEP_WITHIN:g} angstrom from the protein"
+        gone[("waters" if candidate.kind == "water" else candidate.given, reason)] += 1
+    for (kind, _), count in gone.items():
+        draft.left_out[kind] += count
+    parts = _parts(draft, chosen, known)
+    _report(draft, gone, chosen)
+    return parts
+
+
+def _is_usable(member: Member) -> bool:
+    heavy = [atom for atom in member.atoms if not atom.is_hydrogen()]
+    return bool(heavy) and all(atom.element.atomic_number > 0 for atom in member.atoms)
+
+
+def _near(draft: Draft, candidates: Sequence[Candidate]) -> set[int]:
+    """``id`` of the candidates with an atom near the protein, and of those joined to one that has."""
+    protein = [a.pos.tolist() for member in draft.members for a in member.atoms if not a.is_hydrogen()]
+    dry = [candidate for candidate in candidates if candidate.kind != "water"]
+    if not dry or not protein:
+        return set()
+    x = np.array([a.pos.tolist() for candidate in dry for a in candidate.member.atoms])
+    owner = np.repeat(np.arange(len(dry)), [len(candidate.member.atoms) for candidate in dry])
+    distance, _ = KDTree(protein).query(x, distance_upper_bound=defaults.KEEP_WITHIN)
+    pairs = owner[KDTree(x).query_pairs(_JOINED, output_type="ndarray")]
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(dry), len(dry)))
+    group = connected_components(graph, directed=False)[1]
+    touching = np.unique(group[owner[np.isfinite(distance)]])
+    return {id(candidate) for candidate, its in zip(dry, group, strict=True) if its in touching}
+
+
+def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Template]) -> list[Part]:
     """Group residues into molecules: bonded nucleotides form a strand, all others stand alone."""
     parts: list[Part] = []
-    for member in members:
+    for candidate in chosen:
+        member = candidate.member
+        draft.repairs += candidate.notes
         if parts and _is_bonded(parts[-1].members[-1], member):
             parts[-1].members.append(member)
         else:
-            parts.append(Part(chain_id, [member], obstacle=True))
+            parts.append(Part(member.chain_id, [member], obstacle=True))
     for part in parts:
         first = part.members[0]
         gone = [atom.name for atom in first.atoms if atom.name in _PHOSPHATE]
+        whole = [*first.atoms]
         if first.name in residues.NUCLEOTIDES and gone:
             first.atoms = [atom for atom in first.atoms if atom.name not in gone]
+        if not all(_fits(member, base_template(known, part, i)) for i, member in enumerate(part.members)):
+            first.atoms = whole
+            for member in part.members:
+                member.own = by_element(member)
+        elif len(whole) > len(first.atoms):
             draft.repairs.append(f"{first}: 5' phosphate left out: the force fields do not have it")
     return parts
 
@@ -43,3 +162,74 @@ def obstacles(draft: Draft, chain_id: str, members: Sequence[Member]) -> list[Pa
 def _is_bonded(last: Member, first: Member) -> bool:
     end, start = last.atom("O3'"), first.atom("P")
     return bool(end and start and end.pos.dist(start.pos) < _PHOSPHATE_BREAK)
+
+
+def _fits(member: Member, template: Template | None) -> bool:
+    """Whether a template has exactly the heavy atoms of a residue, which is no amino acid."""
+    if template is None or member.name in residues.STANDARD or member.name in residues.CAPS:
+        return False
+    heavy = {template.synonyms.get(a.name, a.name) for a in member.atoms if not a.is_hydrogen()}
+    return heavy == {*template.heavy}
+
+
+def by_element(member: Member) -> Template:
+    """Template of a molecule as it is in the file: its elements and formal charges, and bonds by distance.
+
+    Parameters
+    ----------
+    member : Member
+
+    Returns
+    -------
+    Template
+        A hydrogen is bonded to the nearest heavy atom.
+    """
+    atoms = member.atoms
+    x = np.array([a.pos.tolist() for a in atoms])
+    radius = np.array([a.element.covalent_r for a in atoms])
+    bonds = []
+    for i, j in sorted(KDTree(x).query_pairs(2 * radius.max() + _BOND_SLACK)):
+        if atoms[i].is_hydrogen() or atoms[j].is_hydrogen():
+            continue
+        distance = float(np.linalg.norm(x[i] - x[j]))
+        if _BOND_SHORTEST < distance < radius[i] + radius[j] + _BOND_SLACK:
+            bonds.append((atoms[i].name, atoms[j].name))
+    heavy = [a for a in atoms if not a.is_hydrogen()]
+    for atom in atoms:
+        if atom.is_hydrogen():
+            bonds.append((min(heavy, key=lambda a: a.pos.dist(atom.pos)).name, atom.name))
+    return Template(
+        member.name,
+        {a.name: a.element.name for a in atoms},
+        {a.name: float(a.charge) for a in atoms},
+        tuple(bonds),
+        {},
+    )
+
+
+def _report(draft: Draft, gone: Mapping[tuple[str, str], int], chosen: Sequence[Candidate]) -> None:
+    """Say what is left out, before all other repairs, and then what is kept."""
+    lines = []
+    if gone:
+        said = ", ".join(
+            f"{count} {kind}" + (f" ({reason})" if reason else "") for (kind, reason), count in gone.items()
+        )
+        dry = any(kind != "waters" for kind, _ in gone)
+        why = "" if dry else ": the solvent is implicit"
+        lines.append(f"{said} left out{why}; --keep all keeps everything")
+    if chosen:
+        count = Counter("waters" if each.kind == "water" else each.given for each in chosen)
+        names = [f"{number} {name}" for name, number in count.most_common()]
+        more = f" and {len(names) - _SHOWN} more kinds" if len(names) > _SHOWN else ""
+        line = f"{', '.join(names[:_SHOWN])}{more} kept as fixed obstacles"
+        bare = sorted({each.given for each in chosen if each.member.own is not None})
+        if bare:
+            line += f" ({', '.join(bare[:_SHOWN])} by element, unless the force field has parameters)"
+        lines.append(line)
+    draft.repairs[:0] = lines
+
+
+def water_named(member: Member, given: str) -> Member:
+    """Return a residue that is water in the tables under the name of water."""
+    info = gemmi.find_tabulated_residue(given)
+    return replace(member, name="HOH") if info is not None and info.is_water() else member

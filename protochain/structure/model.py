@@ -16,6 +16,24 @@ from protochain.markup import facts
 from protochain.residues import describe
 
 
+@dataclass(frozen=True)
+class Tie:
+    """Spring that holds a bond between the protein and a molecule kept beside it.
+
+    Parameters
+    ----------
+    atoms : tuple of int
+        Two of a distance, or three of an angle at the second.
+    rest : float, nm or rad
+    stiffness : float, kJ/mol/nm^2 or kJ/mol/rad^2
+        E = stiffness/2 (value - rest)^2.
+    """
+
+    atoms: tuple[int, ...]
+    rest: float
+    stiffness: float
+
+
 @dataclass(frozen=True, eq=False)
 class Structure:
     """Atoms of a prepared protein.
@@ -35,7 +53,9 @@ class Structure:
     b_factor : (na,) float, angstrom^2
         B factors of the file; an added atom has its neighbour's.
     obstacle : (na,) bool
-        Atoms held fixed: waters, ions and other molecules beside the protein.
+        Atoms held fixed: ligands, ions and other molecules beside the protein.
+    ties : tuple of Tie
+        Springs between the protein and these molecules, part of every energy.
 
     Raises
     ------
@@ -50,6 +70,7 @@ class Structure:
     left_out: Mapping[str, int] = field(default_factory=dict)
     b_factor: Floats = field(default_factory=lambda: np.empty(0))
     obstacle: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
+    ties: tuple[Tie, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions))
@@ -78,8 +99,8 @@ class Structure:
 
     @property
     def n_chains(self) -> int:
-        """Number of unbroken chains."""
-        return self.topology.getNumChains()
+        """Number of unbroken chains of the protein."""
+        return len(np.unique(self.residue_chain_index[self.atom_residue[~self.obstacle]]))
 
     @cached_property
     def atom_name(self) -> NDArray[np.str_]:
@@ -134,18 +155,25 @@ class Structure:
 
     @cached_property
     def alpha_carbons(self) -> Integers:
-        """(nca,) int: the C-alpha atoms."""
-        return read_only(np.flatnonzero((self.atom_name == "CA") & (self.atom_element == "C")), np.int64)
+        """(nca,) int: the C-alpha atoms of the protein."""
+        alpha = (self.atom_name == "CA") & (self.atom_element == "C") & ~self.obstacle
+        return read_only(np.flatnonzero(alpha), np.int64)
+
+    @cached_property
+    def formal_charge(self) -> Integers:
+        """(na,) int: charges that the file gives to atoms kept as they are; 0 for all others."""
+        return read_only([atom.formalCharge or 0 for atom in self.topology.atoms()], np.int64)
 
     @cached_property
     def fingerprint(self) -> str:
-        """SHA-256 of all that determines the energy function: atoms, residues, bonds, obstacles."""
+        """SHA-256 of all that determines the energy function: atoms, residues, bonds, obstacles, ties."""
         seen = hashlib.sha256()
         for values in (
             self.atom_name, self.atom_element, self.atom_residue, self.residue_name,
-            self.residue_chain_index, self.bonds, self.obstacle,
+            self.residue_chain_index, self.bonds, self.obstacle, self.formal_charge,
         ):  # fmt: skip
             seen.update(f"{values.dtype.str}{values.shape}".encode() + values.tobytes())
+        seen.update(repr(self.ties).encode())
         return seen.hexdigest()
 
     def describe_residue(self, residue: int) -> str:

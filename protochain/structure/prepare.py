@@ -21,6 +21,7 @@ from protochain.structure.model import Structure
 from protochain.structure.protonate import check_ph, protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.relief import relieved
+from protochain.structure.sites import Link, find_links, ties
 from protochain.structure.templates import Template, templates
 from protochain.units import ANGSTROM_PER_NM
 
@@ -30,7 +31,7 @@ def load(
     *,
     model: int | None = None,
     altloc: str = "",
-    keep: Sequence[str] = (),
+    keep: Sequence[str] = defaults.KEEP,
     disulfide: Sequence[tuple[str, str]] | None = None,
     ph: float = defaults.PH,
     strict: bool = False,
@@ -38,7 +39,7 @@ def load(
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
-    Waters, ligands and other alternate locations are left out; chains are split at breaks, head-to-tail
+    Waters and other alternate locations are left out, ligands near the protein kept as fixed obstacles; chains are split at breaks, head-to-tail
     cyclic peptides closed; modified residues become their standard parents; missing heavy atoms are added by
     PDBFixer, disulfides found by distance, missing hydrogens placed by geometry. The same file gives the
     same coordinates, bit for bit.
@@ -52,8 +53,9 @@ def load(
     altloc : str
         Preferred alternate location; by default, and where it is absent, the one of highest occupancy.
     keep : sequence of str
-        Molecules to keep as fixed obstacles: ``water``, ``ions``, ``nucleic``, ``all`` that have force-field
-        parameters, or residue names.
+        Molecules to keep as fixed obstacles: ``near`` for all but waters that have an atom within 5 angstrom
+        of the protein, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``, or residue names.
+        Those that the force field has no parameters for are kept as they are, by element.
     disulfide : sequence of pairs of str, optional
         Exactly these disulfide bonds, as ``[("A:3", "A:40")]``; by default, between sulphurs that are close.
     ph : float
@@ -98,15 +100,18 @@ def prepare(
         If a residue fits no template.
     """
     known = templates(forcefield)
+    links = find_links(draft)
     add_heavy_atoms(draft, known)
     refuse_crosslinks(draft)
     bridges = disulfides(draft, disulfide)
     done = protonate(draft, known, {id(member) for pair in bridges for member in pair}, ph)
     atoms = [atom for member, _ in done for atom in member.atoms]
-    bonds = _bonds(draft, done, bridges)
+    elements = [atom.element.name for atom in atoms]
+    at = _indices(done)
+    bonds = _bonds(draft, done, bridges, links, at)
     x = place_hydrogens(
         np.array([atom.pos.tolist() for atom in atoms]) / ANGSTROM_PER_NM,
-        [atom.element.name for atom in atoms],
+        elements,
         np.array([template.charge.get(atom.name, 0.0) for m, template in done for atom in m.atoms]),
         bonds,
     )
@@ -122,18 +127,31 @@ def prepare(
         dict(draft.left_out),
         np.array([atom.b_iso for atom in atoms]),
         np.array(obstacle, dtype=bool),
+        ties(links, at, x, elements, bonds),
     )
 
 
-def _bonds(draft: Draft, done: list[tuple[Member, Template]], bridges: list[Bridge]) -> Integers:
-    """(nbonds, 2) int: bonds of the templates, of the chain, and disulfides."""
+def _indices(done: list[tuple[Member, Template]]) -> dict[int, dict[str, int]]:
+    """Index of each atom, by ``id`` of its residue and by name."""
     at: dict[int, dict[str, int]] = {}
     n = 0
+    for member, _ in done:
+        at[id(member)] = {atom.name: n + k for k, atom in enumerate(member.atoms)}
+        n += len(member.atoms)
+    return at
+
+
+def _bonds(
+    draft: Draft,
+    done: list[tuple[Member, Template]],
+    bridges: list[Bridge],
+    links: list[Link],
+    at: dict[int, dict[str, int]],
+) -> Integers:
+    """(nbonds, 2) int: bonds of the templates, of the chain, disulfides, and bonds to kept molecules."""
     pairs: list[tuple[int, int]] = []
     for member, template in done:
-        index = {atom.name: n + k for k, atom in enumerate(member.atoms)}
-        n += len(member.atoms)
-        at[id(member)] = index
+        index = at[id(member)]
         outward = sorted(template.bonds, key=_remoteness)
         pairs += [(index[a], index[b]) for a, b in outward if a in index and b in index]
     for part in draft.parts:
@@ -141,6 +159,9 @@ def _bonds(draft: Draft, done: list[tuple[Member, Template]], bridges: list[Brid
         for member, following_member in zip(part.members, following, strict=False):
             end, start = ("O3'", "P") if part.obstacle else ("C", "N")
             pairs.append((at[id(member)][end], at[id(following_member)][start]))
+    pairs += [
+        (at[id(link.member)][link.atom.name], at[id(link.other)][link.other_atom.name]) for link in links
+    ]
     pairs += [(at[id(first)]["SG"], at[id(second)]["SG"]) for first, second in bridges]
     return np.sort(np.array(pairs, dtype=np.int64), axis=1)
 
@@ -159,7 +180,8 @@ def _topology(parts: list[Part], bonds: Integers) -> app.Topology:
             residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
             for atom in member.atoms:
                 element = app.Element.getBySymbol(atom.element.name)
-                atoms.append(topology.addAtom(atom.name, element, residue))
+                charge = atom.charge if member.own is not None else None
+                atoms.append(topology.addAtom(atom.name, element, residue, formalCharge=charge))
     for first, second in bonds.tolist():
         topology.addBond(atoms[first], atoms[second])
     return topology

@@ -68,7 +68,7 @@ def _template(
     acceptors: "_Acceptors",
 ) -> Template:
     member = part.members[i]
-    shown = "CYX" if id(member) in bridged else _shown(member)
+    shown = "CYX" if id(member) in bridged else _free_pair(member) or _shown(member)
     state = shown or _at_ph(member, ph)
     if member.name == "HIS" and not state:
         state = "HIE" if acceptors.prefer_epsilon(member) else "HID"
@@ -79,7 +79,23 @@ def _template(
         draft.repairs.append(f"{member}: kept in its usual state: the force field has no terminal {state}")
     elif state and not shown:
         draft.repairs.append(f"{member} taken as {state}")
-    return template or usual
+    template = template or usual
+    for atom in member.links:
+        if atom.name != "N":
+            template = template.without_hydrogen(atom.name)
+    return template
+
+
+def _free_pair(member: Member) -> str:
+    """State of a residue whose free pair of electrons bonds to a metal or a ligand; empty for the usual one."""
+    bonded = {atom.name for atom in (*member.metals, *member.links)}
+    if member.name == "HIS" and bonded & {"ND1", "NE2"}:
+        return "HIE" if "ND1" in bonded else "HID"
+    if member.name == "CYS" and "SG" in bonded:
+        return "CYM"
+    if member.name == "LYS" and any(atom.name == "NZ" for atom in member.metals):
+        return "LYN"
+    return ""
 
 
 def _shown(member: Member) -> str:

@@ -17,13 +17,14 @@ from protochain.errors import StructureError
 from protochain.structure.conformation import Conformation, likeliest, same_place
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse
-from protochain.structure.kept import is_wanted, obstacles
+from protochain.structure.kept import Candidate, choose, water_named
 from protochain.structure.templates import rename, standard_name, template_name, templates
 
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""
 SMALLEST_RING = 4
 """Fewest residues of a head-to-tail cyclic peptide."""
+_BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.ConnectionType.MetalC)
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Reading:
     altloc : str
         Preferred alternate location; by default, and where it is absent, the one of highest occupancy.
     keep : tuple of str
-        Molecules kept as fixed obstacles: ``water``, ``ions``, ``nucleic``, ``all`` or residue names.
+        Molecules kept as fixed obstacles, as in :func:`protochain.load`; none by default.
     strict : bool
         Refuse chain breaks and residues that would be left out of a chain.
     forcefield : Path, optional
@@ -94,17 +95,18 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections
-        if bond.type in (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale)
+        if bond.type in _BONDS
     ]
-    kept: list[Part] = []
+    beside: list[Candidate] = []
     for chain in model:
         chain.name = chain.name.strip()
-        _Reader(draft, reading, chain.name, kept).take(chain)
+        _Reader(draft, reading, chain.name, beside).take(chain)
     if not draft.parts:
-        found = ", ".join(f"{count} {kind}" for kind, count in draft.left_out.items() if count)
+        kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
+        found = ", ".join(f"{count} {kind}" for kind, count in (draft.left_out + kinds).items())
         raise StructureError(f"{draft.source}: no protein found (only {found}); give a file with amino acids")
-    draft.parts += kept
     _report_left_out(draft)
+    draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield))
     return draft
 
 
@@ -148,10 +150,9 @@ def _listed(numbers: list[int]) -> str:
 class _Reader:
     """Reader of one chain, which adds its parts and repairs to the draft."""
 
-    def __init__(self, draft: Draft, reading: Reading, chain_id: str, kept: list[Part]) -> None:
-        self.draft, self.reading, self.chain_id, self.kept = draft, reading, chain_id, kept
+    def __init__(self, draft: Draft, reading: Reading, chain_id: str, beside: list[Candidate]) -> None:
+        self.draft, self.reading, self.chain_id, self.beside = draft, reading, chain_id, beside
         self.known = templates(reading.forcefield)
-        self.beside: list[Member] = []
         self.unknown: set[int] = set()
 
     def take(self, chain: gemmi.Chain) -> None:
@@ -161,6 +162,8 @@ class _Reader:
             found = likeliest(group, self.reading.altloc)
             if self._is_protein(found.residue.name):
                 self._report_alternates(found)
+            else:
+                self.notes = self._alternates(found)
             member = self._member(found.residue)
             if member is not None and self._has_backbone(member):
                 run.append(member)
@@ -171,7 +174,6 @@ class _Reader:
             )
         self._report_zero_occupancy(run)
         self._add_unbroken(run)
-        self.kept += obstacles(self.draft, self.chain_id, self.beside)
 
     @property
     def _chain(self) -> str:
@@ -184,16 +186,23 @@ class _Reader:
         return residues.describe(str(residue.seqid).strip(), residue.name, self.chain_id)
 
     def _report_alternates(self, found: Conformation) -> None:
-        where = self._describe(found.residue)
+        self.draft.repairs += self._alternates(found)
         if found.others:
-            self._report(
-                f"{where}: alternate location {found.altloc} kept (occupancy {found.occupancy:.2f}), "
-                f"{', '.join(found.others)} left out"
-            )
             self.draft.left_out["alternate locations"] += len(found.others)
         elif found.repeated:
-            self._report(f"{where}: {', '.join(found.repeated)} given more than once; the first of each kept")
             self.draft.left_out["repeated atoms"] += len(found.repeated)
+
+    def _alternates(self, found: Conformation) -> list[str]:
+        """Describe the choice among the alternate locations of a residue."""
+        where = self._describe(found.residue)
+        if found.others:
+            return [
+                f"{where}: alternate location {found.altloc} kept (occupancy {found.occupancy:.2f}), "
+                f"{', '.join(found.others)} left out"
+            ]
+        if found.repeated:
+            return [f"{where}: {', '.join(found.repeated)} given more than once; the first of each kept"]
+        return []
 
     def _report_zero_occupancy(self, run: list[Member]) -> None:
         """Report heavy atoms that the experiment did not resolve."""
@@ -241,16 +250,7 @@ class _Reader:
             # Refused within a chain; left out as a ligand if it stands alone.
             self.unknown.add(id(member))
             return member
-        if is_wanted(member, self.reading.keep, self.known):
-            self.beside.append(member)
-        elif name in self.reading.keep:
-            raise StructureError(
-                f"{self.draft.source}: {self._describe(residue)} cannot be kept: the force field has no "
-                "parameters for it; leave it out"
-            )
-        else:
-            water = gemmi.find_tabulated_residue(given).is_water()
-            self.draft.left_out["waters" if water or name == "HOH" else given] += 1
+        self.beside.append(Candidate(water_named(member, given), given, self.notes))
         return None
 
     def _convert(self, member: Member, parent: str, where: str) -> None:
@@ -322,15 +322,15 @@ class _Reader:
             if not member.is_cap or self._is_in_place(member, i, len(part))
         ]
         if len(part) == 1 and id(part[0]) in self.unknown:
-            self.draft.left_out[part[0].name] += 1
+            self.beside.append(Candidate(part[0], part[0].name))
         elif strange := next((member for member in part if id(member) in self.unknown), None):
             raise StructureError(
                 f"{self.draft.source}: {strange} is an unknown amino acid without a standard parent; "
                 "replace or remove it, or give a force field that defines it"
             )
         elif len(part) == 1:
-            self._report(f"{part[0]}: left out: it is bonded to no other residue")
-            self.draft.left_out["single residues"] += 1
+            self._report(f"{part[0]}: no part of a chain: it is bonded to no other residue")
+            self.beside.append(Candidate(part[0], part[0].name))
         elif part:
             made = Part(self.chain_id, part)
             made.cyclic = len(part) >= SMALLEST_RING and _gap(part[-1], part[0]) < PEPTIDE_BREAK

@@ -4,7 +4,7 @@ Names, elements, charges and bonds are read from the files; scripts in them are 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 from xml.etree import ElementTree
@@ -47,6 +47,12 @@ class Template:
     def heavy(self) -> list[str]:
         """Names of the heavy atoms."""
         return [name for name, element in self.element.items() if element != "H"]
+
+    def without_hydrogen(self, parent: str) -> "Template":
+        """Return the template without the last hydrogen of a heavy atom, whose place another bond takes."""
+        gone = self.hydrogens.get(parent, [])[-1:]
+        kept = {name: element for name, element in self.element.items() if name not in gone}
+        return replace(self, element=kept, bonds=tuple(bond for bond in self.bonds if not {*bond} & {*gone}))
 
     @cached_property
     def hydrogens(self) -> dict[str, list[str]]:
@@ -192,11 +198,15 @@ def base_template(known: Mapping[str, Template], part: Part, i: int, state: str 
     """Template of residue i of a chain, in a protonation state or in the usual one.
 
     The first residue of a chain is ``N...``, its last ``C...``, unless capped or cyclic; terminal nucleotides
-    are ``...5`` and ``...3``.
+    are ``...5`` and ``...3``. A molecule kept as it is has its own.
     """
     member = part.members[i]
+    if member.own is not None:
+        return member.own
     name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
-    ends = (i == 0, i == len(part.members) - 1)
+    # An end that is bonded to a molecule beside the chain has no charge.
+    linked = {atom.name for atom in member.links}
+    ends = (i == 0 and "N" not in linked, i == len(part.members) - 1 and "C" not in linked)
     if member.name in NUCLEOTIDES:
         return known.get(
             member.name + {(True, True): "N", (True, False): "5", (False, True): "3"}.get(ends, "")

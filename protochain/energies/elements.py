@@ -1,0 +1,363 @@
+"""Parameters of molecules that a force field does not know: by element, without internal energy.
+
+They are kept as fixed obstacles, so that only their interaction with the protein matters: Lennard-Jones by
+element, the formal charges of the file if it has any, and the radii that the solvent models give to elements.
+"""
+
+import copy
+import io
+from collections.abc import Callable, Iterable, Mapping
+from itertools import combinations
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import openmm
+from openmm import app
+from scipy.sparse import coo_array
+from scipy.spatial import KDTree
+
+from protochain.arrays import Integers
+from protochain.errors import ForceFieldError
+from protochain.structure.model import Structure, Tie
+from protochain.structure.sites import is_metal
+
+_UFF = {
+    "H": (2.886, 0.044), "He": (2.362, 0.056), "Li": (2.451, 0.025), "Be": (2.745, 0.085),
+    "B": (4.083, 0.18), "C": (3.851, 0.105), "N": (3.66, 0.069), "O": (3.5, 0.06), "F": (3.364, 0.05),
+    "Ne": (3.243, 0.042), "Na": (2.983, 0.03), "Mg": (3.021, 0.111), "Al": (4.499, 0.505),
+    "Si": (4.295, 0.402), "P": (4.147, 0.305), "S": (4.035, 0.274), "Cl": (3.947, 0.227),
+    "Ar": (3.868, 0.185), "K": (3.812, 0.035), "Ca": (3.399, 0.238), "Sc": (3.295, 0.019),
+    "Ti": (3.175, 0.017), "V": (3.144, 0.016), "Cr": (3.023, 0.015), "Mn": (2.961, 0.013),
+    "Fe": (2.912, 0.013), "Co": (2.872, 0.014), "Ni": (2.834, 0.015), "Cu": (3.495, 0.005),
+    "Zn": (2.763, 0.124), "Ga": (4.383, 0.415), "Ge": (4.28, 0.379), "As": (4.23, 0.309),
+    "Se": (4.205, 0.291), "Br": (4.189, 0.251), "Kr": (4.141, 0.22), "Rb": (4.114, 0.04),
+    "Sr": (3.641, 0.235), "Y": (3.345, 0.072), "Zr": (3.124, 0.069), "Nb": (3.165, 0.059),
+    "Mo": (3.052, 0.056), "Tc": (2.998, 0.048), "Ru": (2.963, 0.056), "Rh": (2.929, 0.053),
+    "Pd": (2.899, 0.048), "Ag": (3.148, 0.036), "Cd": (2.848, 0.228), "In": (4.463, 0.599),
+    "Sn": (4.392, 0.567), "Sb": (4.42, 0.449), "Te": (4.47, 0.398), "I": (4.5, 0.339), "Xe": (4.404, 0.332),
+    "Cs": (4.517, 0.045), "Ba": (3.703, 0.364), "La": (3.522, 0.017), "Ce": (3.556, 0.013),
+    "Pr": (3.606, 0.01), "Nd": (3.575, 0.01), "Pm": (3.547, 0.009), "Sm": (3.52, 0.008),
+    "Eu": (3.493, 0.008), "Gd": (3.368, 0.009), "Tb": (3.451, 0.007), "Dy": (3.428, 0.007),
+    "Ho": (3.409, 0.007), "Er": (3.391, 0.007), "Tm": (3.374, 0.006), "Yb": (3.355, 0.228),
+    "Lu": (3.64, 0.041), "Hf": (3.141, 0.072), "Ta": (3.17, 0.081), "W": (3.069, 0.067),
+    "Re": (2.954, 0.066), "Os": (3.12, 0.037), "Ir": (2.84, 0.073), "Pt": (2.754, 0.08),
+    "Au": (3.293, 0.039), "Hg": (2.705, 0.385), "Tl": (4.347, 0.68), "Pb": (4.297, 0.663),
+    "Bi": (4.37, 0.518), "Th": (3.396, 0.026), "U": (3.395, 0.022),
+}  # fmt: skip
+"""Distance of the minimum (angstrom) and well depth (kcal/mol) of the universal force field: Rappe, Casewit,
+Colwell, Goddard, Skiff, J. Am. Chem. Soc. 114:10024 (1992), table 1."""
+_UNLISTED = (3.4, 0.1)
+_KCAL = 4.184
+_TOUCHING = 0.4
+"""nm. Obstacles nearer to one another than this do not interact: their distance never changes, and alternate
+positions or bonds among them would add a large constant."""
+_DONATED, _RETAINED = 0.37, 0.26
+"""Charge that a donor takes over from a metal (e), and the share that the metal retains at least: those of
+Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver, Merz, J. Chem. Theory Comput. 6:2935, 2010)."""
+TIES = "ties of kept molecules"
+"""Name of the forces that hold bonds between the protein and kept molecules."""
+
+
+def lennard_jones(element: str) -> tuple[float, float]:
+    """Sigma (nm) and epsilon (kJ/mol) of an element."""
+    minimum, depth = _UFF.get(element, _UNLISTED)
+    return 0.1 * minimum / 2.0 ** (1.0 / 6.0), _KCAL * depth
+
+
+def create_system(
+    structure: Structure, force_field: app.ForceField, fresh: Callable[[], app.ForceField]
+) -> openmm.System:
+    """Create the System of a structure with obstacles, those without parameters by element.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure with molecules kept beside it.
+    force_field : openmm.app.ForceField
+        Left unchanged.
+    fresh : callable
+        Makes another one, which receives templates.
+
+    Returns
+    -------
+    openmm.System
+        Without a cutoff. Atoms joined across bonds between the protein and obstacles do not repel one
+        another.
+
+    Raises
+    ------
+    ForceFieldError
+        If a residue that is bonded to an obstacle has no template.
+    """
+    topology, unknown = _recognised(force_field, structure)
+    linked = _linked(structure)
+    if unknown or linked:
+        force_field = fresh()
+    residues = list(topology.residues())
+    chosen = {residues[r]: _register(force_field, structure, residues[r]) for r in unknown}
+    for r, atoms in linked.items():
+        chosen[residues[r]] = _variant(force_field, residues[r], atoms)
+    system = force_field.createSystem(
+        topology, nonbondedMethod=app.NoCutoff, rigidWater=False, residueTemplates=chosen
+    )
+    by_element = np.isin(structure.atom_residue, list(unknown))
+    _exclude(system, _not_interacting(structure, by_element))
+    _share_charges(system, structure)
+    for force in _springs(structure.ties):
+        system.addForce(force)
+    return system
+
+
+def _recognised(force_field: app.ForceField, structure: Structure) -> tuple[app.Topology, list[int]]:
+    """Topology for the force field, without bonds it does not know, and indices of unknown obstacles."""
+    obstacle, residue = structure.obstacle, structure.atom_residue
+    bonds = structure.bonds
+    bonds = bonds[obstacle[bonds[:, 0]] == obstacle[bonds[:, 1]]]
+    unknown: set[int] = set()
+    while True:
+        beside = _topology(structure, bonds, only=obstacle)
+        found = {int(res.id) for res in force_field.getUnmatchedResidues(beside)}
+        if not found - unknown:
+            return _topology(structure, bonds), sorted(unknown)
+        unknown |= found
+        # Radii of hydrogens depend on what they are bonded to; other bonds would only give constants. A strand
+        # with an unknown nucleotide falls apart.
+        light = (structure.atom_element[bonds] == "H").any(axis=1)
+        bonds = bonds[light | ~np.isin(residue[bonds], list(unknown)).any(axis=1)]
+
+
+def _topology(structure: Structure, bonds: Integers, only: Any = None) -> app.Topology:
+    """Topology with these bonds, of all atoms or of some; the id of a residue is its index."""
+    made = app.Topology()
+    atoms: dict[int, app.topology.Atom] = {}
+    for chain in structure.topology.chains():
+        new_chain = made.addChain(chain.id)
+        for residue in chain.residues():
+            mine = [a for a in residue.atoms() if only is None or only[a.index]]
+            if not mine:
+                continue
+            new = made.addResidue(residue.name, new_chain, str(residue.index))
+            for a in mine:
+                atoms[a.index] = made.addAtom(a.name, a.element, new)
+    for first, second in bonds.tolist():
+        if first in atoms and second in atoms:
+            made.addBond(atoms[first], atoms[second])
+    return made
+
+
+def _register(force_field: app.ForceField, structure: Structure, residue: Any) -> str:
+    """Add the template of an unknown molecule to a force field; return its name."""
+    name = f"by-element-{residue.index}"
+    atoms = list(residue.atoms())
+    root = ElementTree.Element("ForceField")
+    types, templates = (ElementTree.SubElement(root, tag) for tag in ("AtomTypes", "Residues"))
+    template = ElementTree.SubElement(templates, "Residue", name=name)
+    kinds = {}
+    for a in atoms:
+        charge = int(structure.formal_charge[a.index])
+        symbol = a.element.symbol
+        kind = kinds.setdefault((symbol, charge), f"by-element-{symbol}{charge:+d}")
+        ElementTree.SubElement(template, "Atom", name=f"{a.index}", type=kind, charge=f"{charge}")
+    for bond in residue.internal_bonds():
+        ends = {f"atomName{i}": f"{a.index}" for i, a in enumerate(bond, 1)}
+        ElementTree.SubElement(template, "Bond", ends)
+    for (symbol, _), kind in kinds.items():
+        if kind not in force_field._atomTypes:
+            mass = app.Element.getBySymbol(symbol).mass._value
+            ElementTree.SubElement(
+                types, "Type", {"name": kind, "class": kind, "element": symbol, "mass": f"{mass}"}
+            )
+    _add_pairs(root, force_field, kinds)
+    force_field.loadFile(io.StringIO(ElementTree.tostring(root, encoding="unicode")))
+    return name
+
+
+def _add_pairs(
+    root: ElementTree.Element, force_field: app.ForceField, kinds: Mapping[tuple[str, int], str]
+) -> None:
+    """Add nonbonded parameters in the form that the force field has: with or without a table of pairs."""
+    generators = {type(each).__name__: each for each in force_field.getGenerators()}
+    tabulated = "LennardJonesGenerator" in generators
+    for generator, tag in (("NonbondedGenerator", "NonbondedForce"), ("LennardJonesGenerator", "LennardJonesForce")):
+        its = generators.get(generator)
+        if its is None:
+            continue
+        scales = {"lj14scale": f"{its.lj14scale}"}
+        if tag == "NonbondedForce":
+            scales["coulomb14scale"] = f"{its.coulomb14scale}"
+        node = ElementTree.SubElement(root, tag, scales)
+        for (symbol, charge), kind in kinds.items():
+            sigma, epsilon = lennard_jones(symbol)
+            values = {"type": kind, "sigma": f"{sigma!r}", "epsilon": f"{epsilon!r}"}
+            if tag == "NonbondedForce":
+                values["charge"] = f"{charge}"
+                values |= {"sigma": "1.0", "epsilon": "0.0"} if tabulated else {}
+            ElementTree.SubElement(node, "Atom", values)
+
+
+def _linked(structure: Structure) -> dict[int, set[int]]:
+    """Residues of the protein that a covalent bond joins to an obstacle, and their atoms that it joins."""
+    found: dict[int, set[int]] = {}
+    metal = np.array([is_metal(str(symbol)) for symbol in structure.atom_element])
+    for first, second in structure.bonds.tolist():
+        for mine, its in ((first, second), (second, first)):
+            if structure.obstacle[its] and not structure.obstacle[mine] and not metal[its]:
+                found.setdefault(int(structure.atom_residue[mine]), set()).add(mine)
+    return found
+
+
+def _variant(force_field: app.ForceField, residue: Any, linked: Iterable[int]) -> str:
+    """Add the template of a residue some of whose hydrogens gave way to other bonds; return its name.
+
+    The charge of a hydrogen goes to the atom that had it.
+    """
+    atoms = {a.name: a for a in residue.atoms() if a.element.symbol != "H"}
+    open_to = {a.name for a in atoms.values() if a.index in set(linked)}
+    have = dict.fromkeys(atoms, 0)
+    for bond in residue.internal_bonds():
+        names = [a.name for a in bond if a.name in atoms]
+        if len(names) == 1:
+            have[names[0]] += 1
+    fitting = [
+        (sum(expected.values()), template)
+        for template in force_field._templates.values()
+        if (expected := _hydrogens(template)).keys() == have.keys()
+        and all(n == have[name] or (n > have[name] and name in open_to) for name, n in expected.items())
+    ]
+    if not fitting:
+        raise ForceFieldError(
+            f"residue {residue.name} is bonded to a molecule kept beside the protein, and the force field has no "
+            "template for it; leave the molecule out with --keep"
+        )
+    # CYS before CYM: the bond takes the place of the hydrogen.
+    base = max(fitting, key=lambda pair: pair[0])[1]
+    made = _without(base, have)
+    for bond in residue.external_bonds():
+        made.addExternalBondByName(next(a.name for a in bond if a.residue is residue))
+    made.name = f"{base.name}-linked-{residue.index}"
+    force_field.registerResidueTemplate(made)
+    return str(made.name)
+
+
+def _hydrogens(template: Any) -> dict[str, int]:
+    """Numbers of hydrogens on the heavy atoms of a template."""
+    return {
+        a.name: sum(template.atoms[k].element.symbol == "H" for k in a.bondedTo)
+        for a in template.atoms
+        if a.element is not None and a.element.symbol != "H"
+    }
+
+
+def _without(base: Any, have: Mapping[str, int]) -> Any:
+    """Copy of a template with as many hydrogens on each heavy atom as it is to have, and no outer bonds."""
+    gone: dict[int, int] = {}
+    for i, a in enumerate(base.atoms):
+        if a.name in have:
+            hydrogens = [k for k in a.bondedTo if base.atoms[k].element.symbol == "H"]
+            gone |= dict.fromkeys(hydrogens[have[a.name] :], i)
+    made = type(base)(base.name)
+    made.attributes = dict(base.attributes)
+    for i, a in enumerate(base.atoms):
+        if i not in gone:
+            new = copy.copy(a)
+            new.bondedTo, new.externalBonds, new.parameters = [], 0, dict(a.parameters)
+            if "charge" in a.parameters:
+                taken = sum(base.atoms[k].parameters["charge"] for k, parent in gone.items() if parent == i)
+                new.parameters["charge"] += taken
+            made.addAtom(new)
+    for i, j in base.bonds:
+        if i not in gone and j not in gone:
+            made.addBondByName(base.atoms[i].name, base.atoms[j].name)
+    return made
+
+
+def _not_interacting(structure: Structure, by_element: np.ndarray) -> set[tuple[int, int]]:
+    """Pairs joined across bonds to obstacles, and touching pairs of obstacles without parameters."""
+    n, bonds, obstacle = structure.n_atoms, structure.bonds, structure.obstacle
+    across = obstacle[bonds[:, 0]] != obstacle[bonds[:, 1]]
+    pairs = _joined(n, bonds) - _joined(n, bonds[~across]) if across.any() else set()
+    atoms = np.flatnonzero(obstacle)
+    touching = atoms[KDTree(structure.positions[atoms]).query_pairs(_TOUCHING, output_type="ndarray")]
+    pairs |= set(map(tuple, np.sort(touching[by_element[touching].any(axis=1)], axis=1).tolist()))
+    residue = structure.atom_residue
+    for r in np.unique(residue[by_element]).tolist():
+        pairs |= set(combinations(np.flatnonzero(residue == r).tolist(), 2))
+    return pairs
+
+
+def _joined(n: int, bonds: Integers) -> set[tuple[int, int]]:
+    """Pairs of n atoms separated by at most three of these bonds."""
+    i, j = bonds.T
+    step = coo_array((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
+    reach = coo_array(step + step @ step + step @ step @ step)
+    upper = reach.row < reach.col
+    return set(zip(reach.row[upper].tolist(), reach.col[upper].tolist(), strict=True))
+
+
+def _exclude(system: openmm.System, pairs: Iterable[tuple[int, int]]) -> None:
+    """Leave pairs out of all Lennard-Jones and Coulomb forces."""
+    pairs = sorted(pairs)
+    for force in system.getForces():
+        if isinstance(force, openmm.NonbondedForce):
+            for i, j in pairs:
+                force.addException(i, j, 0.0, 1.0, 0.0, True)
+        elif isinstance(force, openmm.CustomNonbondedForce):
+            known = {
+                tuple(sorted(force.getExclusionParticles(k))) for k in range(force.getNumExclusions())
+            }
+            for i, j in pairs:
+                if (i, j) not in known:
+                    force.addExclusion(i, j)
+        elif isinstance(force, openmm.CustomBondForce):
+            # Scaled pairs of CHARMM that have become excluded.
+            for k in range(force.getNumBonds()):
+                i, j, values = force.getBondParameters(k)
+                if (min(i, j), max(i, j)) in set(pairs):
+                    force.setBondParameters(k, i, j, [0.0 * value for value in values])
+
+
+def _share_charges(system: openmm.System, structure: Structure) -> None:
+    """Move charge from metals to the donors that hold them, as bonded models do; the sum stays the same.
+
+    With the charges of a free ion, the solvent model would drive a site apart whose atoms, being bonded, do
+    not attract one another directly.
+    """
+    donors: dict[int, list[int]] = {}
+    for tie in structure.ties:
+        if len(tie.atoms) == 2 and is_metal(str(structure.atom_element[tie.atoms[1]])):
+            donors.setdefault(tie.atoms[1], []).append(tie.atoms[0])
+    (nonbonded,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
+    old = np.array([nonbonded.getParticleParameters(i)[0]._value for i in range(structure.n_atoms)])
+    new = old.copy()
+    for metal, its in donors.items():
+        if old[metal] > 0.0:
+            share = min(_DONATED, (1.0 - _RETAINED) * old[metal] / len(its))
+            new[metal] -= share * len(its)
+            new[its] += share
+    changed = np.flatnonzero(new != old).tolist()
+    for i in changed:
+        _, sigma, epsilon = nonbonded.getParticleParameters(i)
+        nonbonded.setParticleParameters(i, new[i], sigma, epsilon)
+    for k in range(nonbonded.getNumExceptions()):
+        i, j, product, sigma, epsilon = nonbonded.getExceptionParameters(k)
+        if product._value and {i, j} & {*changed}:
+            scaled = product._value * new[i] * new[j] / (old[i] * old[j])
+            nonbonded.setExceptionParameters(k, i, j, scaled, sigma, epsilon)
+    for force in system.getForces():
+        if isinstance(force, openmm.CustomGBForce):
+            for i in changed:
+                force.setParticleParameters(i, [new[i], *force.getParticleParameters(i)[1:]])
+
+
+def _springs(ties: Iterable[Tie]) -> list[openmm.Force]:
+    """Forces of the ties, by name."""
+    bonds, angles = openmm.HarmonicBondForce(), openmm.HarmonicAngleForce()
+    for tie in ties:
+        (bonds.addBond if len(tie.atoms) == 2 else angles.addAngle)(*tie.atoms, tie.rest, tie.stiffness)
+    made: list[openmm.Force] = []
+    for force, count in ((bonds, bonds.getNumBonds()), (angles, angles.getNumAngles())):
+        force.setName(TIES)
+        if count:
+            made.append(force)
+    return made
