@@ -1,4 +1,4 @@
-"""Frame of results: that of the start, so that maps and partners overlay, unless something holds a run in place."""
+"""Frame of results: that of the start, unless something holds a run in place."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

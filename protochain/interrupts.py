@@ -54,7 +54,9 @@ def open_to_interrupts() -> Iterator[None]:
     KeyboardInterrupt
         Also if a signal was received before.
     """
-    holding = {number: handler for number in _SIGNALS if isinstance(handler := signal.getsignal(number), _Noted)}
+    holding = {
+        number: handler for number in _SIGNALS if isinstance(handler := signal.getsignal(number), _Noted)
+    }
     if any(holding.values()):
         raise KeyboardInterrupt
     # Signals and their handlers are the main thread's.
@@ -69,13 +71,20 @@ def open_to_interrupts() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def answering(call: Callable[[], Result]) -> Result:
+def answering(call: Callable[[], Result], held: bool = False) -> Result:
     """Make a long call that lets other threads run, and let KeyboardInterrupt be raised meanwhile.
 
-    The call goes on in a thread of its own, which does not outlive the process.
+    Parameters
+    ----------
+    call : callable
+        Goes on in a thread of its own when it is given up; the thread does not outlive the process.
+    held : bool
+        Whether to raise it for signals that are held, too.
     """
     if current_thread() is not main_thread():
         return call()
+    handlers = [signal.getsignal(number) for number in _SIGNALS] if held else []
+    noted = next((handler for handler in handlers if isinstance(handler, _Noted)), _Noted())
     results: list[Result] = []
     errors: list[BaseException] = []
 
@@ -89,6 +98,8 @@ def answering(call: Callable[[], Result]) -> Result:
     thread.start()
     while thread.is_alive():
         thread.join(_POLL)
+        if noted and thread.is_alive():
+            raise KeyboardInterrupt
     if errors:
         raise errors[0]
     return results[0]

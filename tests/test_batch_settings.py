@@ -17,7 +17,8 @@ def rows_of(folder):
 @pytest.mark.parametrize(
     ("other", "said"),
     [
-        ({"methods": "kcm"}, "methods lbfgs, not kcm"), ({"methods": ("lbfgs", "kcm")}, "lbfgs, not lbfgs,kcm"),
+        ({"methods": "kcm"}, "methods lbfgs, not kcm"),
+        ({"methods": ("lbfgs", "kcm")}, "methods lbfgs, not lbfgs,kcm"),
         ({"solvent": "vacuum"}, "solvent obc2, not vacuum"), ({"seed": 3}, "seed 0, not 3"),
         ({"max_evaluations": 50}, "max_evaluations 5, not 50"), ({"max_rmsd": 2.0}, "max_rmsd none, not 2.0"),
         ({"keep": "water"}, "keep none, not water"), ({"ph": 5.0}, r"ph 7\.0, not 5\.0"),
@@ -65,7 +66,10 @@ def test_a_manifest_is_resumed_with_its_own_settings_only(tmp_path, monkeypatch)
     assert go(f"{first},lbfgs,", f"{second},kcm,vacuum") == ["ala10", "1l2y"]
     before = rows_of(output)
     assert go(f"{first},lbfgs,", f"{second},kcm,vacuum", resume=True) == []
-    for row, said in ((f"{second},kcm,gbn2", "solvent vacuum, not gbn2"), (f"{second},,", "methods kcm, not hybrid")):
+    for row, said in (
+        (f"{second},kcm,gbn2", "solvent vacuum, not gbn2"),
+        (f"{second},,", "methods kcm, not hybrid"),
+    ):
         with pytest.raises(pc.ProtochainError, match=rf"results for .*1l2y\.pdb with {said}"):
             go(f"{first},lbfgs,", row, resume=True)
     with pytest.raises(pc.ProtochainError, match=r"ala10\.pdb with methods lbfgs, not kcm"):

@@ -3,7 +3,6 @@
 import importlib
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -12,7 +11,7 @@ import time
 
 import numpy as np
 import pytest
-from conftest import ROOT, STRUCTURES, chain, energy, load, shared
+from conftest import ROOT, STRUCTURES, chain, energy, shared
 from test_descent import crowded
 from test_minimise import signals  # noqa: F401 (a fixture)
 
@@ -52,7 +51,9 @@ def test_a_signal_ends_a_line_search_at_its_next_evaluation(signals, monkeypatch
 
         def step(self, problem, state):
             for k in range(10):
-                at = problem.evaluate(problem.move(state.at.q, 1e-5 * (k + 1) * state.at.torque / state.at.residual))
+                at = problem.evaluate(
+                    problem.move(state.at.q, 1e-5 * (k + 1) * state.at.torque / state.at.residual)
+                )
             return at_state(at)
 
     r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), Searching(), max_evaluations=100)
@@ -158,12 +159,19 @@ def test_a_start_that_nothing_improved_is_no_result():
 def protochain(*arguments, cwd):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.run(
-        [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, env=environment, timeout=300
+        [*COMMAND, *map(str, arguments)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=300,
     )
 
 
 def test_an_untouched_start_is_not_written(tmp_path):
-    done = protochain("minimise", STRUCTURES / "1l2y.pdb", "--max-evaluations", 1, "-o", "out.pdb", cwd=tmp_path)
+    done = protochain(
+        "minimise", STRUCTURES / "1l2y.pdb", "--max-evaluations", 1, "-o", "out.pdb", cwd=tmp_path
+    )
     assert done.returncode == 1 and "nothing is written" in done.stderr
     assert list(tmp_path.iterdir()) == []
 
@@ -173,7 +181,6 @@ STAGES = ("preparation", "parting overlaps", "torsions", "all atoms", "OpenMM")
 TELLER = """
 import sys, time
 import protochain.minimisers.solution as solution
-import protochain.cli.options as options
 before = solution.Recorder.at_stage
 seen = set()
 def tell(name):
@@ -185,7 +192,12 @@ def at_stage(self, name, evaluations):
         tell(name)
     before(self, name, evaluations)
 solution.Recorder.at_stage = at_stage
-tell("preparation")
+import protochain.setup
+load = protochain.setup.Setup.load
+def loading(self, *given):
+    tell("preparation")
+    return load(self, *given)
+protochain.setup.Setup.load = loading
 from protochain.cli import main
 main()
 """
@@ -199,7 +211,7 @@ def test_ctrl_c_is_answered_within_a_second_in_every_stage(stage, tmp_path):
     source = tmp_path / "in.pdb"
     s = pc.load(shared("3enl_enolase_H.pdb"))
     c = pc.build_chain(s, "chi")
-    q = c.q0 + np.random.default_rng(1).normal(scale=1.0, size=c.n_q)
+    q = c.q0 + np.random.default_rng(1).normal(scale=0.5, size=c.n_q)
     pc.save(s.with_positions(pc.pose(c, q).x), source)
     method = "openmm" if stage == "OpenMM" else "cartesian" if stage == "all atoms" else "hybrid"
     name = "all atoms" if stage == "OpenMM" else stage
@@ -215,7 +227,7 @@ def test_ctrl_c_is_answered_within_a_second_in_every_stage(stage, tmp_path):
         lines.append(line)
         if line.strip() == f"STAGE {name}":
             break
-    time.sleep(3.0 if stage == "preparation" else 1.0)
+    time.sleep(0.5)
     began = time.monotonic()
     process.send_signal(signal.SIGINT)
     for line in process.stderr:
@@ -224,10 +236,11 @@ def test_ctrl_c_is_answered_within_a_second_in_every_stage(stage, tmp_path):
             break
     answered = time.monotonic() - began
     out, _ = process.communicate(timeout=300)
+    print(f"{stage}: answered in {answered:.2f} s")
     assert answered < 1.0, (stage, answered)
     if process.returncode == 3:
         assert json.loads(out)["status"] == "interrupted" and (tmp_path / "out.pdb").exists()
         assert json.loads(out)["energy_end_reference_kj_mol"] < json.loads(out)["energy_start_kj_mol"]
     else:
         assert process.returncode == 1 and not (tmp_path / "out.pdb").exists()
-        assert re.search("nothing is written|before there was a result", "".join(lines)) or stage != "preparation"
+        assert "interrupted" in lines[-1]

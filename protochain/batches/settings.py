@@ -79,7 +79,9 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, list[dict[str, Any]]]]:
         text = json.loads(path.read_text(encoding="utf-8"))
         return dict(text["settings"]), dict(text["structures"])
     except (ValueError, KeyError, TypeError) as error:
-        raise ProtochainError(f"{path}: holds no settings of a batch ({error}); give another folder") from None
+        raise ProtochainError(
+            f"{path}: holds no settings of a batch ({error}); give another folder"
+        ) from None
 
 
 def _refuse_others(folder: Path, whose: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:

@@ -174,7 +174,9 @@ def _solved(
     context.with_resource(held_interrupts())
     solution, starts = solve(chain, energy)
     if not solution.is_usable:
-        raise SystemExit(fail(f"{source}: {solution.message}; nothing is better than the start: nothing is written"))
+        raise SystemExit(
+            fail(f"{source}: {solution.message}; nothing is better than the start: nothing is written")
+        )
     solution.save(output)
     if trace:
         write_atomically(trace, lambda to: solution.trace.to_csv(to, index=False))

@@ -83,19 +83,22 @@ class _RunProgress(_Progress):
     """Watcher of a minimisation: its stage, energy, torque and evaluations."""
 
     each: "Callable[[Any], None] | None" = None
+    counts = True
+    """Whether only evaluations are known of the stage: its energy is not the force field's."""
 
     def at_stage(self, name: str, evaluations: int) -> None:
         """Show the stage of the run."""
-        # The result of the stage before is no news of this one.
-        self.show(evaluations, None if name == self.stage else f"{evaluations} evaluations")
-        if name != self.stage and name.startswith("interrupted"):
-            self.say(f"{self.name}: {name}; the best so far will be written")
-        self.stage = name
+        if name != self.stage:
+            self.stage, self.counts = name, True
+            if name.startswith("interrupted"):
+                self.say(f"{self.name}: {name}; the best so far will be written")
+        self.show(evaluations, f"{evaluations} evaluations" if self.counts else None)
 
     def __call__(self, row: "Mapping[str, float]", x: Any) -> None:
         torque = row["max_torque_kj_mol_rad"]
         size = "" if torque != torque else f", torque {torque:.3g} kJ/mol/rad"
         now = f"{row['evaluations']:.0f} evaluations, {row['energy_kj_mol']:.2f} kJ/mol{size}"
+        self.counts = False
         self.show(row["evaluations"], now)
         if self.each:
             self.each(x)
@@ -119,7 +122,9 @@ def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["
 
     def watch(row: "Mapping[str, float]", x: Any) -> None:
         passed = monotonic() - progress.began
-        rate = 86.4 * time_step * (row["step"] - progress.first) / passed if passed and progress.first else 0.0
+        rate = (
+            86.4 * time_step * (row["step"] - progress.first) / passed if passed and progress.first else 0.0
+        )
         speed = f", {rate:.1f} ns/day" if rate else ""
         progress.show(row["step"], f"{row['time_ps']:.1f} ps, {row['temperature_k']:.0f} K{speed}")
 

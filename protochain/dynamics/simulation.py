@@ -75,7 +75,7 @@ class Simulation:
 
     @property
     def x(self) -> Floats:
-        """(na, 3) float, nm: final positions, in the frame of the input; those of ``q`` are as the run went."""
+        """(na, 3) float, nm: final positions in the frame of the input; ``q`` is as the run went."""
         return self.frame(place_atoms(self.chain, self.state.at.factors.frames))
 
     @property

@@ -18,8 +18,8 @@ from protochain.errors import ProtochainError
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts, open_to_interrupts
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
-from protochain.minimisers.openmm_reference import minimise_by_openmm
 from protochain.minimisers.loop import Stop
+from protochain.minimisers.openmm_reference import minimise_by_openmm
 from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
@@ -90,7 +90,8 @@ def minimise(
     -------
     Solution
         Never worse than the start, and superposed on it unless something holds the run in place (an obstacle,
-        a selection, a restraint, an energy that depends on the place); its status is the judge's, not the method's own.
+        a selection, a restraint, an energy that depends on the place). Its status is the judge's, not the
+        method's own.
 
     Raises
     ------
@@ -186,7 +187,7 @@ def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None)
 
 
 def _frame(start: Start, run: Minimisation) -> Frame:
-    """Frame of the result: a root is fixed to a place only if the caller asked, and atoms do not move singly."""
+    """Frame of the result; a fixed root holds it if the caller asked for one and only hinges turn."""
     fixed = start.chain.root == "fixed" and run.recipe.keeps_geometry
     return frame_of(start.chain, start.energy, run.hold.place or ("a fixed root" if fixed else ""))
 

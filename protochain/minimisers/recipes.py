@@ -161,8 +161,10 @@ HYBRID_TORQUE = 300.0
 """kJ/mol/rad. Tolerance in torsions before all atoms move: the strain left is in bonds and angles."""
 
 
-_TYPICAL = {"lbfgs": 150, "newton": 400, "cartesian": 500, "hybrid": 500, "openmm": 1500, "openmm-md": 3000}
-"""Evaluations to convergence at the default tolerance, rounded medians over proteins of 20 to 129 residues."""
+_TYPICAL = {
+    "lbfgs": 150, "newton": 400, "cartesian": 500, "hybrid": 500, "openmm": 1500, "openmm-md": 3000,
+}  # fmt: skip
+"""Evaluations to convergence at the default tolerance: rounded medians of proteins of 20 to 129 residues."""
 
 
 def _in_torsions(name: str, method: Method, parts_overlaps: bool = False) -> Recipe:

@@ -167,7 +167,7 @@ class Solution:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the end has a finite energy, lower than that of the start unless that is a minimum itself."""
+        """Whether the end has a finite energy, below that of the start unless it converged."""
         improved = self.status is Status.CONVERGED or self.end.energy < self.start.energy
         return bool(np.isfinite(self.end.energy) and improved)
 
