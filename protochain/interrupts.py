@@ -1,12 +1,17 @@
-"""Deferral of SIGINT and SIGTERM while a run must not be interrupted."""
+"""SIGINT and SIGTERM: held while a result is at stake, let through where none is."""
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from threading import current_thread, main_thread
+from threading import Thread, current_thread, main_thread
 from types import FrameType
+from typing import TypeVar
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_POLL = 0.1
+"""s between looks at a call that runs in another thread."""
+
+Result = TypeVar("Result")
 
 
 class _Noted(list[int]):
@@ -38,3 +43,63 @@ def held_interrupts() -> Iterator[list[int]]:
     finally:
         for number in held:
             signal.signal(number, signal.default_int_handler)
+
+
+@contextmanager
+def open_to_interrupts() -> Iterator[None]:
+    """Raise KeyboardInterrupt at once within :func:`held_interrupts`, where nothing is lost by it.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Also if a signal was received before.
+    """
+    holding = {
+        number: handler for number in _SIGNALS if isinstance(handler := signal.getsignal(number), _Noted)
+    }
+    if any(holding.values()):
+        raise KeyboardInterrupt
+    # Signals and their handlers are the main thread's.
+    if current_thread() is not main_thread():
+        holding = {}
+    try:
+        for number in holding:
+            signal.signal(number, signal.default_int_handler)
+        yield
+    finally:
+        for number, handler in holding.items():
+            signal.signal(number, handler)
+
+
+def answering(call: Callable[[], Result], held: bool = False) -> Result:
+    """Make a long call that lets other threads run, and let KeyboardInterrupt be raised meanwhile.
+
+    Parameters
+    ----------
+    call : callable
+        Goes on in a thread of its own when it is given up; the thread does not outlive the process.
+    held : bool
+        Whether to raise it for signals that are held, too.
+    """
+    if current_thread() is not main_thread():
+        return call()
+    handlers = [signal.getsignal(number) for number in _SIGNALS] if held else []
+    noted = next((handler for handler in handlers if isinstance(handler, _Noted)), _Noted())
+    results: list[Result] = []
+    errors: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            results.append(call())
+        except BaseException as error:
+            errors.append(error)
+
+    thread = Thread(target=work, daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(_POLL)
+        if noted and thread.is_alive():
+            raise KeyboardInterrupt
+    if errors:
+        raise errors[0]
+    return results[0]

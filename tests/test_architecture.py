@@ -17,7 +17,7 @@ MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
 LAYERS = [
     {"units", "errors", "arrays", "residues", "interrupts", "markup", "storage", "defaults", "compilation"},
     {"multibody", "structure", "energies"},
-    {"chain", "hinges", "articulate", "contacts", "setup"},
+    {"chain", "hinges", "articulate", "contacts", "frame", "setup"},
     {"dynamics"},
     {"minimisers"},
     {"analysis"},

@@ -257,6 +257,7 @@ def test_hops_go_on_from_the_present_minimum_however_low_an_earlier_one(monkeypa
 
     monkeypatch.setattr(starts, "minimise", minimise)
     monkeypatch.setattr(starts, "perturbed", lambda here, *_: here)
+    monkeypatch.setattr(starts, "_home", lambda solution, _: solution)
     monkeypatch.setattr(starts, "_chain_at", lambda solution: solution.number)
     given = chain("ala10.pdb")
     found = starts.explore(given, energy("ala10.pdb"), n_starts=2000, hop_temperature=temperature)

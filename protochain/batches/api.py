@@ -20,6 +20,7 @@ from distributed.client import Client, Future
 from protochain import defaults
 from protochain.batches.cluster import Processes, connected
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, refuse_unknown
+from protochain.batches.settings import keep_settings
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables, read_table
 from protochain.interrupts import held_interrupts
@@ -47,6 +48,8 @@ class BatchProgress:
         Since the first was submitted.
     dashboard : str
         Address of Dask's dashboard, if there is one.
+    line : str
+        What became of the structure that is done last.
     """
 
     total: int
@@ -55,6 +58,7 @@ class BatchProgress:
     skipped: int
     seconds: float
     dashboard: str
+    line: str = ""
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,7 @@ def batch(
     manifest : path-like, optional
         CSV with a column ``path`` and columns named after settings, which apply to that structure.
     resume : bool
-        Continue in a folder: skip structures that are finished, with the same content and settings.
+        Continue in a folder with the same settings: structures are skipped that are finished and unchanged.
     watch : callable, optional
         Called with a :class:`protochain.batches.BatchProgress` after each structure.
     **settings
@@ -139,8 +143,8 @@ def batch(
     Raises
     ------
     ProtochainError
-        If there is nothing to do, a setting is unknown or makes no sense, or the folder or cluster cannot be
-        used.
+        If there is nothing to do, a setting is unknown or makes no sense or differs from that of the batch to
+        be resumed, or the folder or cluster cannot be used.
 
     Notes
     -----
@@ -156,6 +160,7 @@ def batch(
     jobs = find_jobs(given, common, Path(manifest) if manifest else None, folder)
     tables = Tables(folder, resume)
     try:
+        keep_settings(folder, common, jobs)
         done = tables.finished(jobs)
         todo = [job for job in jobs if job.identity not in done]
         interrupted = False
@@ -210,7 +215,7 @@ def _work(
             if watch:
                 total = skipped + len(todo)
                 seconds = perf_counter() - began
-                watch(BatchProgress(total, done, failed, skipped, seconds, dashboard))
+                watch(BatchProgress(total, done, failed, skipped, seconds, dashboard, _line(rows)))
             if interrupts:
                 raise KeyboardInterrupt
             for further in submit(max(0, window.size() - len(of))):
@@ -219,6 +224,21 @@ def _work(
         client.cancel(list(running.futures))
         return True
     return False
+
+
+def _line(rows: Sequence[Row]) -> str:
+    """One line on a structure: how each method ended; the message of a failure, once."""
+    said: list[str] = []
+    for record in (row.record for row in rows):
+        if "output" in record:
+            told = (
+                f"{record['method']} {record['status']}, {record['energy_end_reference_kj_mol']:.2f} kJ/mol, "
+                f"RMSD {record['ca_rmsd_angstrom']:.2f} angstrom, {record['seconds']:.1f} s"
+            )
+        else:
+            told = f"{record['status']}: {record['message']}"
+        said += [] if told in said else [told]
+    return f"{rows[0].record['structure']}: {'; '.join(said)}"
 
 
 class _Window:

@@ -36,7 +36,7 @@ Workers = Annotated[int | None, typer.Option(help="Processes on this machine [de
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 Threads = Annotated[int, typer.Option(help="Threads for each structure.")]
 TimeLimit = Annotated[float, typer.Option(help="Seconds after which a structure is given up.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder; skip finished structures.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder, with the same settings.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
 
 

@@ -24,7 +24,7 @@ from protochain.cli.options import (
     prepare,
     with_setup,
 )
-from protochain.cli.terminal import print_table, run_progress
+from protochain.cli.terminal import foretell, print_table, run_progress, typical_evaluations
 from protochain.interrupts import held_interrupts
 from protochain.setup import Setup, words
 
@@ -66,6 +66,8 @@ def compare(
     check_writable(output / "report.html")
     known = load(reference) if reference else None
     chain, energy, preparation = prepare(source, setup)
+    typical = sum(typical_evaluations(method, max_evaluations) for method in chosen)
+    foretell(source, chain, energy, typical, len(chosen) * max_evaluations)
     context.with_resource(held_interrupts())
     with _one_bar_each(max_evaluations) as watch:
         comparison = run(

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -27,7 +27,14 @@ from protochain.cli.options import (
     prepare,
     with_setup,
 )
-from protochain.cli.terminal import print_distribution, print_table, run_progress
+from protochain.cli.terminal import (
+    foretell,
+    print_distribution,
+    print_table,
+    print_written,
+    run_progress,
+    typical_evaluations,
+)
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.setup import ALL_MODELS, Setup
@@ -112,9 +119,10 @@ def minimise(
     else:
         width = defaults.SPREAD if spread is None else math.radians(spread)
         solve = partial(_often, n_starts=starts, spread=width, hop_temperature=hop, **settings)
+    lengths = starts * typical_evaluations(method, max_evaluations), starts * max_evaluations
     records: list[dict[str, Any]] = []
     for own, path in runs:
-        records.append(_solved(context, source, own, path, trace, solve))
+        records.append(_solved(context, source, own, path, trace, solve, lengths))
         if records[-1]["status"] == "interrupted":
             break
     _print(records, as_json, setup.model == ALL_MODELS)
@@ -154,6 +162,7 @@ def _solved(
     output: Path,
     trace: Path | None,
     solve: "Callable[[Chain, Energy], tuple[Solution, dict[str, Any]]]",
+    lengths: tuple[int, int],
 ) -> dict[str, Any]:
     """Prepare and minimise one model, write its files, and return its record."""
     from protochain.storage import write_atomically
@@ -161,10 +170,13 @@ def _solved(
 
     chain, energy, preparation = prepare(source, setup)
     check_fits(chain.structure, output)
+    foretell(source, chain, energy, *lengths)
     context.with_resource(held_interrupts())
     solution, starts = solve(chain, energy)
     if not solution.is_usable:
-        raise SystemExit(fail(f"{source}: {solution.message}"))
+        raise SystemExit(
+            fail(f"{source}: {solution.message}; nothing is better than the start: nothing is written")
+        )
     solution.save(output)
     if trace:
         write_atomically(trace, lambda to: solution.trace.to_csv(to, index=False))
@@ -180,14 +192,9 @@ def _once(
     from protochain.structure.trajectory import TrajectoryFile
 
     with ExitStack() as stack:
-        show = stack.enter_context(run_progress(settings["method"], settings["max_evaluations"]))
         frames = stack.enter_context(TrajectoryFile(trajectory, chain.structure)) if trajectory else None
-
-        def watch(row: Mapping[str, float], x: Any) -> None:
-            show(row, x)
-            if frames:
-                frames.append(x)
-
+        also = frames.append if frames else None
+        watch = stack.enter_context(run_progress(settings["method"], settings["max_evaluations"], also))
         return minimise(chain, energy, watch=watch, **settings), {}
 
 
@@ -208,4 +215,5 @@ def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool) -> Non
         if "starts_summary" in record:
             print_distribution(record["starts_summary"])
     print_table(records)
-    print(f"written: {', '.join(record['output'] for record in records)}")
+    for record in records:
+        print_written(record)

@@ -19,7 +19,7 @@ from protochain.cli.options import (
     prepare,
     with_setup,
 )
-from protochain.cli.terminal import print_simulation, simulation_progress
+from protochain.cli.terminal import foretell, print_simulation, simulation_progress
 from protochain.interrupts import held_interrupts
 from protochain.setup import Setup
 
@@ -102,6 +102,7 @@ def simulate(
     output = output or Path(f"{named_after(source)[0]}-simulation")
     check_folder(output, trajectory, resume, force)
     chain, energy, preparation = prepare(source, setup)
+    foretell(source, chain, energy, steps, steps)
     context.with_resource(held_interrupts())
     # Turning hinges would open the loops, which must begin closed.
     q = _relaxed(source, chain, energy, seed) if relax and not resume and loops == "open" else chain.q0

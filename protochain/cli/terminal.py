@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -13,64 +14,169 @@ if TYPE_CHECKING:
     from protochain.arrays import Watcher
     from protochain.batches.api import BatchProgress
     from protochain.batches.jobs import Job
+    from protochain.chain import Chain
+    from protochain.energies import Energy
 
 _SHOWN_FAILURES = 10
 """Structures without a result to list; the table and the page have all."""
 
+_LINE_EVERY = 60.0
+"""s between lines where there is no terminal."""
+_LONG = 30.0
+"""s. A run that is expected to take longer says so before it begins."""
+
+
+class _Progress:
+    """A bar on a terminal; elsewhere a line a minute on standard error.
+
+    Parameters
+    ----------
+    name : str
+    typical, most : int
+        Steps or evaluations that such runs take, and that this one may take at most.
+    """
+
+    def __init__(self, name: str, typical: int, most: int) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn
+
+        self.name, self.typical, self.most = name, typical, most
+        self.console = Console(stderr=True)
+        columns = (
+            TextColumn("{task.description}"), BarColumn(16), TextColumn("{task.fields[now]}"),
+            TextColumn("{task.fields[left]}"),
+        )  # fmt: skip
+        self.bar = Progress(*columns, console=self.console, disable=not self.console.is_terminal)
+        self.task = self.bar.add_task(name, total=typical, now="", left="")
+        self.stage = self.now = ""
+        self.done, self.first = 0.0, 0.0
+        self.began = self.told = monotonic()
+
+    def show(self, done: float, now: str | None = None) -> None:
+        """Show how many steps or evaluations are done, and what is so far."""
+        if done < self.done or not self.first:
+            # The next of many starts, or a resumed run.
+            self.began, self.first = monotonic(), done
+        self.done, self.now = done, self.now if now is None else now
+        name = f"{self.name}: {self.stage}" if self.stage else self.name
+        left = self._left()
+        total = self.typical if done < self.typical else self.most
+        self.bar.update(self.task, description=name, total=total, completed=done, now=self.now, left=left)
+        if not self.console.is_terminal and monotonic() - self.told >= _LINE_EVERY:
+            self.told = monotonic()
+            self.say(", ".join(part for part in (f"{name}: {self.now}", left) if part))
+
+    def say(self, line: str) -> None:
+        """Print a line, above the bar if there is one."""
+        self.console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+    def _left(self) -> str:
+        passed = monotonic() - self.began
+        if self.done <= self.first or not passed:
+            return ""
+        ends, word = (self.typical, "about") if self.done < self.typical else (self.most, "at most")
+        seconds = passed / (self.done - self.first) * (ends - self.done)
+        return f"{word} {_clock(seconds)} left"
+
+
+class _RunProgress(_Progress):
+    """Watcher of a minimisation: its stage, energy, torque and evaluations."""
+
+    each: "Callable[[Any], None] | None" = None
+    counts = True
+    """Whether only evaluations are known of the stage: its energy is not the force field's."""
+
+    def at_stage(self, name: str, evaluations: int) -> None:
+        """Show the stage of the run."""
+        if name != self.stage:
+            self.stage, self.counts = name, True
+            if name.startswith("interrupted"):
+                self.say(f"{self.name}: {name}; the best so far will be written")
+        self.show(evaluations, f"{evaluations} evaluations" if self.counts else None)
+
+    def __call__(self, row: "Mapping[str, float]", x: Any) -> None:
+        torque = row["max_torque_kj_mol_rad"]
+        size = "" if torque != torque else f", torque {torque:.3g} kJ/mol/rad"
+        now = f"{row['evaluations']:.0f} evaluations, {row['energy_kj_mol']:.2f} kJ/mol{size}"
+        self.counts = False
+        self.show(row["evaluations"], now)
+        if self.each:
+            self.each(x)
+
 
 @contextmanager
-def run_progress(method: str, max_evaluations: int) -> Iterator["Watcher"]:
-    """Show a bar with energy, torque and evaluations on standard error, if that is a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[now]}"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(method, total=max_evaluations, now="")
-
-        def watch(row: "Mapping[str, float]", x: Any) -> None:
-            torque = row["max_torque_kj_mol_rad"]
-            size = "" if torque != torque else f", torque {torque:.3g} kJ/mol/rad"
-            now = f"{row['evaluations']:.0f} evaluations, {row['energy_kj_mol']:.2f} kJ/mol{size}"
-            bar.update(task, completed=row["evaluations"], now=now)
-
-        yield watch
+def run_progress(
+    method: str, max_evaluations: int, each: "Callable[[Any], None] | None" = None
+) -> Iterator["Watcher"]:
+    """Show stage, energy, torque, evaluations and the time left of a run; ``each`` gets all positions."""
+    progress = _RunProgress(method, typical_evaluations(method, max_evaluations), max_evaluations)
+    progress.each = each
+    with progress.bar:
+        yield progress
 
 
 @contextmanager
 def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["Watcher"]:
-    """Show a bar with time, temperature, nanoseconds a day and the time left, if that is a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    """Show time, temperature, nanoseconds a day and the time left of a simulation."""
+    progress = _Progress(name, n_steps, n_steps)
 
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[now]}"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(name, total=n_steps, now="")
+    def watch(row: "Mapping[str, float]", x: Any) -> None:
+        passed = monotonic() - progress.began
+        rate = (
+            86.4 * time_step * (row["step"] - progress.first) / passed if passed and progress.first else 0.0
+        )
+        speed = f", {rate:.1f} ns/day" if rate else ""
+        progress.show(row["step"], f"{row['time_ps']:.1f} ps, {row['temperature_k']:.0f} K{speed}")
 
-        def watch(row: "Mapping[str, float]", x: Any) -> None:
-            speed = bar.tasks[0].speed
-            rate = "" if speed is None else f", {86.4 * speed * time_step:.1f} ns/day"
-            now = f"{row['time_ps']:.1f} ps, {row['temperature_k']:.0f} K{rate}"
-            bar.update(task, completed=row["step"], now=now)
-
+    with progress.bar:
         yield watch
+
+
+def typical_evaluations(method: str, max_evaluations: int) -> int:
+    """Number of evaluations that a method usually takes; those allowed where that is not known."""
+    from protochain.minimisers.recipes import recipe_of
+
+    return min(recipe_of(method).typical or max_evaluations, max_evaluations)
+
+
+def foretell(source: object, chain: "Chain", energy: "Energy", evaluations: int, most: int) -> None:
+    """Say before a long run how long it will be.
+
+    Parameters
+    ----------
+    source : path-like
+        Input, as the line names it.
+    chain : Chain
+    energy : Energy
+    evaluations, most : int
+        Evaluations that such runs usually take, and that this one may take.
+    """
+    x = chain.structure.positions
+    # The first call loads kernels and makes neighbour lists.
+    energy(x)
+    began = monotonic()
+    energy(x)
+    each = monotonic() - began
+    if each * evaluations < _LONG:
+        return
+    usual = f"typically {evaluations} of at most {most}" if evaluations < most else f"at most {most}"
+    print(
+        f"{source}: {chain.n_atoms} atoms, {each:.2g} s an energy, {usual} evaluations: "
+        f"about {_clock(each * evaluations)}",
+        file=sys.stderr,
+    )
+
+
+def _clock(seconds: float) -> str:
+    """Seconds, minutes or hours in words."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 @contextmanager
 def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
-    """Show a bar with done, failed, structures a minute and the time left, if that is a terminal."""
+    """Show a line for each structure; on a terminal also a bar with done, failed, rate and the time left."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -86,6 +192,9 @@ def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
                 console.print(f"dashboard: {so_far.dashboard}", highlight=False)
             rate = 60.0 * so_far.done / so_far.seconds
             now = f"{so_far.skipped + so_far.done} of {so_far.total}, {so_far.failed} failed, {rate:.0f}/min"
+            if so_far.line:
+                number = f"[{so_far.skipped + so_far.done} of {so_far.total}]"
+                console.print(f"{number} {so_far.line}", markup=False, highlight=False, soft_wrap=True)
             bar.update(task, total=so_far.total, completed=so_far.skipped + so_far.done, now=now)
 
         yield watch
@@ -99,7 +208,9 @@ def print_simulation(record: dict[str, Any]) -> None:
         f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half, "
         f"conserved energy drifts {record['conserved_drift_kj_mol_ps_per_100_atoms']:.2g} kJ/mol/ps "
         f"for 100 atoms{kept}\n"
-        f"C-alpha RMSD to the start {record['ca_rmsd_angstrom']:.2f} angstrom\n"
+        f"C-alpha RMSD to the start {record['ca_rmsd_angstrom']:.2f} angstrom; to the input "
+        f"{record['ca_rmsd_input_angstrom']:.2f}, {record['ca_rmsd_input_as_filed_angstrom']:.2f} as filed, "
+        f"{record['frame']}\n"
         f"written: {record['output']}"
     )
 
@@ -129,6 +240,15 @@ def print_table(records: list[dict[str, Any]]) -> None:
     console.print(table)
     for record in records:
         console.print(f"{record['method']}: {record['message']}", markup=False, highlight=False)
+
+
+def print_written(record: dict[str, Any]) -> None:
+    """Print the file of a result, and how far it lies from its start: superposed, and as filed."""
+    superposed, filed = (record[f"ca_rmsd_{name}angstrom"] for name in ("", "as_filed_"))
+    print(
+        f"written: {record['output']}, {record['frame']}: C-alpha RMSD {superposed:.2f} angstrom, "
+        f"{filed:.2f} as filed"
+    )
 
 
 def print_jobs(jobs: "Sequence[Job]") -> None:

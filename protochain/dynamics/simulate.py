@@ -3,6 +3,7 @@
 import hashlib
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -26,6 +27,7 @@ from protochain.dynamics.system import StepTooLargeError, System, chain_potentia
 from protochain.energies import Energy, as_energy
 from protochain.energies.custom import EnergyFunction
 from protochain.errors import ProtochainError
+from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts
 from protochain.multibody import HingeKind, articulated
 from protochain.structure.superpose import rmsd_angstrom
@@ -105,7 +107,7 @@ def simulate(
     force : bool
         Replace the simulation in the folder.
     watch : callable, optional
-        Called with every row of the log and its positions.
+        Called with every row of the log and its positions, as written: superposed on the input.
 
     Returns
     -------
@@ -160,8 +162,13 @@ class _Run:
             "start": hashlib.sha256(self.chain.structure.positions.tobytes()).hexdigest(),
         }
 
+    @cached_property
+    def frame(self) -> Frame:
+        """Frame of the positions that are written; the run itself is not moved."""
+        return frame_of(self.chain, self.energy, "" if has_free_roots(self.chain.tree) else "a fixed root")
+
     def row(self, state: State, start: Floats) -> tuple[dict[str, float], Floats]:
-        """Row of the log and positions; RMSDs are relative to positions ``start``."""
+        """Row of the log, and positions to write; RMSDs are relative to positions ``start``."""
         s, at = self.settings, state.at
         x = place_atoms(self.chain, at.factors.frames)
         bias = 0.5 * s.thermal_energy * articulated.log_det(at.factors) if s.fixman else 0.0
@@ -180,7 +187,7 @@ class _Run:
             row["fixman_kj_mol"] = bias
         if self.closure is not None:
             row["closure_error_nm"] = float(np.max(np.abs(self.closure.errors(at.factors.frames))))
-        return row, x
+        return row, self.frame(x)
 
 
 def _prepare(chain: Chain, energy: Energy, q: Floats | None, settings: SimulationSettings) -> _Run:
@@ -256,6 +263,7 @@ def _simulate(
         rows=tuple(rows),
         n_steps=state.step - start.step,
         seconds=seconds,
+        frame=run.frame,
     )
     if folder:
         folder.summarise(result.record())

@@ -13,6 +13,7 @@ from protochain.chain import Chain, place_atoms
 from protochain.dynamics.loop import Ending, State
 from protochain.dynamics.settings import THERMOSTATS, SimulationSettings
 from protochain.energies.protocol import Energy
+from protochain.frame import Frame
 from protochain.structure import Structure, save
 
 if TYPE_CHECKING:
@@ -46,6 +47,8 @@ class Simulation:
         Number of steps done by this call.
     seconds : float
         Wall time of these steps.
+    frame : Frame
+        Says whether frames are superposed on the input, and if not, what held the chain in place.
     """
 
     chain: Chain
@@ -58,6 +61,7 @@ class Simulation:
     rows: tuple[dict[str, float], ...]
     n_steps: int
     seconds: float
+    frame: Frame
 
     @property
     def q(self) -> Floats:
@@ -71,8 +75,8 @@ class Simulation:
 
     @property
     def x(self) -> Floats:
-        """(na, 3) float, nm: final positions."""
-        return place_atoms(self.chain, self.state.at.factors.frames)
+        """(na, 3) float, nm: final positions in the frame of the input; ``q`` is as the run went."""
+        return self.frame(place_atoms(self.chain, self.state.at.factors.frames))
 
     @property
     def structure(self) -> Structure:
@@ -126,6 +130,7 @@ class Simulation:
         chain, e, s = self.chain, self.energy_function, self.chain.structure
         warm = [row["temperature_k"] for row in self.rows[len(self.rows) // 2 :]]
         settings = self.settings.record()
+        superposed, filed = self.frame.ca_rmsds(self.x)
         return {
             "protochain": version("protochain"),
             "structure": s.name,
@@ -154,6 +159,9 @@ class Simulation:
             "conserved_drift_kj_mol_ps_per_100_atoms": self.drift,
             "accepted": self.accepted,
             "ca_rmsd_angstrom": self.rows[-1]["ca_rmsd_angstrom"],
+            "ca_rmsd_input_angstrom": superposed,
+            "ca_rmsd_input_as_filed_angstrom": filed,
+            "frame": str(self.frame),
             "seconds": self.seconds,
             "ns_per_day": self.ns_per_day,
             "status": str(self.ending),

@@ -10,23 +10,24 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from protochain import defaults
-from protochain.arrays import Watcher, read_only
+from protochain.arrays import Floats, Watcher, read_only
 from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose
 from protochain.energies import as_energy
 from protochain.errors import ProtochainError
-from protochain.interrupts import held_interrupts
+from protochain.frame import Frame, frame_of
+from protochain.interrupts import held_interrupts, open_to_interrupts
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
+from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import minimise_by_openmm
-from protochain.minimisers.problem import Evaluation, Space
+from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.solution import Recorder, Solution
 from protochain.minimisers.spaces import Torsions
-from protochain.minimisers.stages import Outcome, walk
+from protochain.minimisers.stages import Outcome, Stage, walk
 from protochain.minimisers.start import Start
 from protochain.minimisers.verdict import judge, rebuilt, verdict
-from protochain.structure import ca_rmsd
 
 
 class Options(TypedDict, total=False):
@@ -73,7 +74,9 @@ def minimise(
     seed : int
         Seed of ``anneal`` and ``openmm-md``; the other methods draw no random numbers.
     watch : callable, optional
-        Called with every trace row and its positions, to show progress or write a trajectory.
+        Called with every trace row and its positions (in the frame of the start), to show progress or write a
+        trajectory. Its method ``at_stage``, if it has one, is called with the stage (``parting overlaps``,
+        ``torsions``, ``all atoms`` ...) and the evaluations so far.
     **options
         ``restraint`` : float, sequence of float (kJ/mol/nm^2), or callable. Springs from the heavy atoms to
         their initial positions: one strength after the other, each until it converges; a final 0 releases
@@ -86,7 +89,9 @@ def minimise(
     Returns
     -------
     Solution
-        Never worse than the start; its status is the judge's, not the method's own.
+        Never worse than the start, and superposed on it unless something holds the run in place (an obstacle,
+        a selection, a restraint, an energy that depends on the place). Its status is the judge's, not the
+        method's own.
 
     Raises
     ------
@@ -171,10 +176,20 @@ def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None)
     run.recipe.check(start.energy)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with threadpool_limits(1, "blas"):
-        start.warm(run.recipe)
-        record = Recorder(start.chain.structure, watch)
+        with open_to_interrupts():
+            start.warm(run.recipe)
+        record = Recorder(start.chain.structure, _frame(start, run), watch)
         done = _by_openmm(start, run, record) if run.recipe.by_openmm else _walked(start, run, record)
-        return _judged(start, run, done, record, perf_counter() - record.started)
+        seconds = perf_counter() - record.started
+        interrupted = "interrupted, " if done.stop is Stop.INTERRUPTED else ""
+        record.at_stage(f"{interrupted}judging the end", done.n_evaluations)
+        return _judged(start, run, done, record, seconds)
+
+
+def _frame(start: Start, run: Minimisation) -> Frame:
+    """Frame of the result; a fixed root holds it if the caller asked for one and only hinges turn."""
+    fixed = start.chain.root == "fixed" and run.recipe.keeps_geometry
+    return frame_of(start.chain, start.energy, run.hold.place or ("a fixed root" if fixed else ""))
 
 
 def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
@@ -186,9 +201,11 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     if not plan[0].recorded:
         record(start.pose.x, start.judgement.energy, start.judgement.max_torque, 0)
 
-    def note(at: Evaluation, space: Space, n_evaluations: int) -> None:
-        torque = at.residual if isinstance(space, Torsions) else np.nan
-        record(at.x, at.energy - at.restraint, torque, n_evaluations)
+    def note(at: Evaluation, stage: Stage, n_evaluations: int) -> None:
+        record.at_stage(stage.name, n_evaluations)
+        torque = at.residual if isinstance(stage.space, Torsions) else np.nan
+        if stage.recorded:
+            record(at.x, at.energy - at.restraint, torque, n_evaluations)
 
     done = walk(plan, chain, run.max_evaluations, allowed, note, waypoint)
     if run.checkpoint and done.waypoint:
@@ -197,10 +214,13 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
 
 
 def _by_openmm(start: Start, run: Minimisation, record: Recorder) -> Outcome:
+    def note(x: Floats, energy: float, n_evaluations: int) -> None:
+        record.at_stage("all atoms", n_evaluations)
+        record(x, energy, np.nan, n_evaluations)
+
     return minimise_by_openmm(
-        run.recipe, start.chain, start.energy, run.tolerance, run.max_evaluations, run.seed,
-        lambda x, energy, n_evaluations: record(x, energy, np.nan, n_evaluations),
-    )  # fmt: skip
+        run.recipe, start.chain, start.energy, run.tolerance, run.max_evaluations, run.seed, note
+    )
 
 
 def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, seconds: float) -> Solution:
@@ -217,13 +237,14 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     met = done.complete and residual <= run.tolerance
     judged = "judged by the callable itself" if energy.engine == "custom" else "in double precision"
     status, message = verdict(done.stop, met, f"{measured}, {judged}", structure, at.x, done.n_evaluations)
+    x = at.x if at is start.pose else record.frame(at.x)
     return Solution(
         recipe=run.recipe,
         chain=chain,
         energy_function=energy,
         constant_terms=start.energy_of(run.recipe).left_out,
         q=at.q,
-        x=at.x,
+        x=x,
         energy=energy(at.x)[0],
         status=status,
         message=message,
@@ -233,7 +254,8 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         trace=record.trace(),
         start=start.judgement,
         end=end,
-        ca_rmsd_angstrom=ca_rmsd(structure, at.x, structure.positions),
+        frame=record.frame,
+        ca_rmsd_angstrom=record.frame.ca_rmsds(x)[0],
         tolerance=run.tolerance,
         hold=run.hold,
         seed=run.seed,

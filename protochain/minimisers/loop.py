@@ -118,14 +118,15 @@ def run(
     BudgetSpentError, KeyboardInterrupt
         Before the first point was evaluated.
     """
-    if resume is None:
-        at = problem.evaluate(q)
-        last = _snapshot(problem, Unstarted(at), at, 0)
-    else:
-        last = resume
-        problem.restore(last.tally, last.lists_at)
-    try:
-        with held_interrupts() as interrupts:
+    with held_interrupts() as interrupts:
+        problem.interrupts = interrupts
+        if resume is None:
+            at = problem.evaluate(q)
+            last = _snapshot(problem, Unstarted(at), at, 0)
+        else:
+            last = resume
+            problem.restore(last.tally, last.lists_at)
+        try:
             record(last.state.at)
             if isinstance(last.state, Unstarted):
                 last = replace(last, state=method.init(problem, last.state.at))
@@ -144,10 +145,10 @@ def run(
                     return Ending(Stop.NO_DESCENT, last)
                 last = _snapshot(problem, state, last.start, last.n_iterations + 1)
                 record(state.at)
-    except BudgetSpentError:
-        return Ending(Stop.BUDGET, last)
-    except KeyboardInterrupt:
-        return Ending(Stop.INTERRUPTED, last)
+        except BudgetSpentError:
+            return Ending(Stop.BUDGET, last)
+        except KeyboardInterrupt:
+            return Ending(Stop.INTERRUPTED, last)
 
 
 @dataclass(frozen=True)

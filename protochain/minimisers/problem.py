@@ -1,6 +1,6 @@
 """The problem a minimiser solves: an energy over a space of freedoms, and a count of its evaluations."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -136,6 +136,8 @@ class Problem:
         Whether positions may be the result; a run may pass through any.
     tally : Tally
         Evaluations so far.
+    interrupts : sequence of int
+        Signals received; with any, nothing more is evaluated.
     """
 
     space: Space
@@ -144,6 +146,7 @@ class Problem:
     restraint: Force | None = None
     allowed: Callable[[Floats], bool] | None = None
     tally: Tally = field(default_factory=Tally)
+    interrupts: Sequence[int] = ()
 
     @property
     def n_evaluations(self) -> int:
@@ -162,7 +165,11 @@ class Problem:
         ------
         BudgetSpentError
             If no evaluation is left.
+        KeyboardInterrupt
+            If a signal was received: a line search of a large protein may take many seconds.
         """
+        if self.interrupts:
+            raise KeyboardInterrupt
         n = self.n_evaluations + 1
         if n > self.max_evaluations:
             raise BudgetSpentError

@@ -63,6 +63,7 @@ class Run:
             Stage(
                 space, self.method, engine, tolerance, restraint, patience=self.patience, answer=self.answer,
                 after=() if engine is energy else SINGLE_PRECISION_ENDS,
+                name="torsions" if self.in_torsions else "all atoms",
             )
             for engine in engines
         ]  # fmt: skip
@@ -85,6 +86,8 @@ class Recipe:
         Whether its result depends on the seed.
     by_openmm : bool
         Whether OpenMM's own minimiser runs.
+    typical : int
+        Evaluations it usually takes to converge; 0 if they are not known, or usually all are used.
     """
 
     name: str
@@ -92,6 +95,7 @@ class Recipe:
     parts_overlaps: bool = False
     draws_random: bool = False
     by_openmm: bool = False
+    typical: int = 0
 
     @property
     def keeps_geometry(self) -> bool:
@@ -157,6 +161,12 @@ HYBRID_TORQUE = 300.0
 """kJ/mol/rad. Tolerance in torsions before all atoms move: the strain left is in bonds and angles."""
 
 
+_TYPICAL = {
+    "lbfgs": 150, "newton": 400, "cartesian": 500, "hybrid": 500, "openmm": 1500, "openmm-md": 3000,
+}  # fmt: skip
+"""Evaluations to convergence at the default tolerance: rounded medians of proteins of 20 to 129 residues."""
+
+
 def _in_torsions(name: str, method: Method, parts_overlaps: bool = False) -> Recipe:
     return Recipe(name, (Run(method),), parts_overlaps)
 
@@ -164,7 +174,8 @@ def _in_torsions(name: str, method: Method, parts_overlaps: bool = False) -> Rec
 def _dynamics(name: str, annealing: Annealing, draws_random: bool) -> Recipe:
     """Dynamics, then minimisation from its last point."""
     moved = Run(annealing, tolerance=0.0, patience=annealing.n_steps, answer=last, continued=False)
-    return Recipe(name, (moved, Run(_LBFGS)), parts_overlaps=True, draws_random=draws_random)
+    typical = annealing.n_steps + _TYPICAL["lbfgs"]
+    return Recipe(name, (moved, Run(_LBFGS)), True, draws_random, typical=typical)
 
 
 _TABLE = (
@@ -188,7 +199,9 @@ _TABLE = (
     Recipe("openmm", by_openmm=True),
     Recipe("openmm-md", by_openmm=True, draws_random=True),
 )
-RECIPES: Mapping[str, Recipe] = MappingProxyType({recipe.name: recipe for recipe in _TABLE})
+RECIPES: Mapping[str, Recipe] = MappingProxyType(
+    {each.name: replace(each, typical=_TYPICAL.get(each.name, each.typical)) for each in _TABLE}
+)
 """``cartesian`` moves all atoms, ``hybrid`` turns hinges first, ``openmm`` is OpenMM's minimiser and
 ``openmm-md`` its constrained dynamics between two minimisations; all others turn hinges."""
 

@@ -67,6 +67,8 @@ COLUMNS = (
     Column("max_torque_end_kj_mol_rad", lambda s: s.end.max_torque, "largest torque", "torque"),
     Column("rms_force_end_kj_mol_nm", lambda s: s.end.rms_force, "RMS force", "force"),
     Column("ca_rmsd_angstrom", lambda s: s.ca_rmsd_angstrom, "C-alpha RMSD", "RMSD"),
+    Column("ca_rmsd_as_filed_angstrom", lambda s: s.ca_rmsd_as_filed_angstrom),
+    Column("frame", lambda s: str(s.frame)),
     Column("iterations", lambda s: s.n_iterations),
     Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals"),
     Column("seconds", lambda s: s.seconds, "seconds"),

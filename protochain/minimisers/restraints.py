@@ -177,6 +177,13 @@ class Hold:
             ) from None
         return cls(strengths, max_rmsd)
 
+    @property
+    def place(self) -> str:
+        """What of it holds a run in place to the end; empty for nothing."""
+        if self.term is not None:
+            return "a restraint"
+        return "springs to the start" if self.strengths and self.strengths[-1] > 0.0 else ""
+
     def restraints(self, structure: Structure) -> list[Force | None]:
         """Energy of each restraint in turn; None where nothing is restrained."""
         always: list[Force] = [] if self.term is None else [self.term]

@@ -12,6 +12,7 @@ import numpy as np
 from protochain.arrays import Floats, Watcher
 from protochain.chain import Chain
 from protochain.energies.protocol import Energy
+from protochain.frame import Frame
 from protochain.markup import facts
 from protochain.minimisers.recipes import Recipe
 from protochain.minimisers.record import record
@@ -39,6 +40,7 @@ class Recorder:
     """Collect a trace row at each iteration; RMSDs are computed after the clock has stopped."""
 
     structure: Structure
+    frame: Frame
     watch: Watcher | None = None
     rows: list[dict[str, float]] = field(default_factory=list)
     alphas: list[Floats] = field(default_factory=list)
@@ -56,7 +58,13 @@ class Recorder:
         self.rows.append(row)
         self.alphas.append(x[self.structure.alpha_carbons])
         if self.watch:
-            self.watch(row, x)
+            self.watch(row, self.frame(x))
+
+    def at_stage(self, name: str, evaluations: int) -> None:
+        """Tell a watcher that has a method ``at_stage`` what the run is doing, recorded or not."""
+        tell = getattr(self.watch, "at_stage", None)
+        if tell:
+            tell(name, evaluations)
 
     def trace(self) -> "pd.DataFrame":
         """Trace, with the columns ``TRACE_COLUMNS``."""
@@ -86,9 +94,10 @@ class Solution:
     constant_terms : mapping of str to int
         Numbers, by kind, of terms and pairs left out of the run because they are constant in this chain.
     q : (n_q,) float
-        Coordinates at the end; those of the chain rebuilt there if all atoms moved.
+        Coordinates at the end; those of the chain rebuilt there if all atoms moved. Its pose is that of ``x``
+        up to one rigid motion of all atoms.
     x : (na, 3) float, nm
-        Positions at the end.
+        Positions at the end, in the frame of the start.
     energy : float, kJ/mol
         By the engine of the run; ``end.energy`` is the judge's.
     status : Status
@@ -103,6 +112,8 @@ class Solution:
         One row per iteration, with columns ``TRACE_COLUMNS``.
     start, end : Judgement
         Energy and residuals in double precision.
+    frame : Frame
+        Says whether ``x`` was superposed on the start, and if not, what held the run in place.
     ca_rmsd_angstrom : float
         Between start and end, after superposition.
     tolerance : float
@@ -128,6 +139,7 @@ class Solution:
     trace: "pd.DataFrame"
     start: Judgement
     end: Judgement
+    frame: Frame
     ca_rmsd_angstrom: float
     tolerance: float
     hold: Hold
@@ -149,9 +161,15 @@ class Solution:
         return self.recipe.keeps_geometry
 
     @property
+    def ca_rmsd_as_filed_angstrom(self) -> float:
+        """Between start and end as they are, without superposition: larger only where a run was held."""
+        return self.frame.ca_rmsds(self.x)[1]
+
+    @property
     def is_usable(self) -> bool:
-        """Whether the end has a finite energy."""
-        return bool(np.isfinite(self.end.energy))
+        """Whether the end has a finite energy, below that of the start unless it converged."""
+        improved = self.status is Status.CONVERGED or self.end.energy < self.start.energy
+        return bool(np.isfinite(self.end.energy) and improved)
 
     def to_scipy(self) -> "OptimizeResult":
         """Convert to scipy's result: ``x`` is q, ``fun`` the judge's energy in kJ/mol."""
@@ -188,6 +206,10 @@ class Solution:
         yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
         yield f"ENERGY {self.end.energy:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.start.energy:.4f}"
         yield "ENERGIES BY THE OPENMM REFERENCE PLATFORM"
+        yield (
+            f"C-ALPHA RMSD TO THE START {self.ca_rmsd_angstrom:.3f} ANGSTROM, AS FILED "
+            f"{self.ca_rmsd_as_filed_angstrom:.3f}, {str(self.frame).upper()}"
+        )
         # Coordinates alone do not tell which alternate location was kept.
         yield from (line for line in self.chain.structure.repairs if "alternate location" in line)
 

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scipy.linalg import cho_factor, cho_solve
 from protochain import multibody
 from protochain.arrays import Floats
 from protochain.chain import Chain, Pose, pose, pull_back, solve_mass
+from protochain.interrupts import answering
 from protochain.minimisers import springs
 from protochain.minimisers.problem import Evaluation, Placement
 from protochain.multibody import HingeKind
@@ -18,6 +20,9 @@ from protochain.structure.model import Structure
 
 ROOT_LEVER = 0.1
 """nm. Translation of a free root that counts like one radian, so that forces and torques compare."""
+
+_LARGE = 500
+"""Freedoms or atoms from which on a stiffness is made in a thread, so that Ctrl-C is answered meanwhile."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +79,15 @@ class Torsions:
 
     def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for J^T C J of the contacts, by Cholesky factorisation."""
-        matrix = springs.torsion_stiffness(self.chain, _pose(at.pose))
-        matrix *= np.outer(self.scale, self.scale)
-        matrix[np.diag_indices_from(matrix)] += springs.TORSION_FLOOR
-        factor = cho_factor(matrix, lower=True, check_finite=False)
+
+        def factorised() -> Any:
+            matrix = springs.torsion_stiffness(self.chain, _pose(at.pose))
+            matrix *= np.outer(self.scale, self.scale)
+            matrix[np.diag_indices_from(matrix)] += springs.TORSION_FLOOR
+            return cho_factor(matrix, lower=True, check_finite=False)
+
+        # Of a large protein it takes seconds.
+        factor = factorised() if self.chain.n_v < _LARGE else answering(factorised, held=True)
         return lambda torque: np.asarray(cho_solve(factor, torque, check_finite=False))
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
@@ -154,7 +164,8 @@ class Cartesian:
 
     def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for a sparse matrix of bonds, angles, dihedrals and contacts."""
-        return springs.cartesian_solver(self.structure, self._springs, at.x, self.moving)
+        make = partial(springs.cartesian_solver, self.structure, self._springs, at.x, self.moving)
+        return make() if len(self.moving) < _LARGE else answering(make, held=True)
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the diagonal mass matrix."""

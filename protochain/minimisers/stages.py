@@ -58,6 +58,8 @@ class Stage:
         Chooses the result, from which the next stage starts.
     after : tuple of Stop
         Endings of the stage before after which this one runs; empty for always.
+    name : str
+        What it does, for whoever watches.
     """
 
     space: Space
@@ -69,6 +71,7 @@ class Stage:
     patience: int = PATIENCE
     answer: Answer = lowest
     after: tuple[Stop, ...] = ()
+    name: str = ""
 
 
 def parting(space: Torsions) -> Stage:
@@ -76,7 +79,7 @@ def parting(space: Torsions) -> Stage:
     structure = space.chain.structure
     tethers = Tethers(structure.positions, np.full(structure.n_atoms, SOFT_TETHER))
     gentle = Sum([SoftRepulsion(structure), tethers])
-    return Stage(space, Descent(LBFGS(), StrongWolfe()), gentle, 1.0, recorded=False)
+    return Stage(space, Descent(LBFGS(), StrongWolfe()), gentle, 1.0, recorded=False, name="parting overlaps")
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +140,7 @@ def walk(
     chain: Chain,
     max_evaluations: int,
     allowed: Callable[[Floats], bool] | None,
-    record: Callable[[Evaluation, Space, int], None],
+    record: Callable[[Evaluation, Stage, int], None],
     resume: Waypoint | None = None,
 ) -> Outcome:
     """Run one stage after the other, each from the result of the one before.
@@ -151,7 +154,7 @@ def walk(
     allowed : callable, optional
         Whether positions are allowed as the result.
     record : callable
-        Called with each point accepted, its space, and the evaluations so far.
+        Called with each point accepted, its stage, and the evaluations so far.
     resume : Waypoint, optional
         Continue from there.
 
@@ -176,8 +179,7 @@ def walk(
         problem.restore(Tally(n_evaluations, None, n_evaluations), stage.space.place(q).x)
 
         def note(at: Evaluation, stage: Stage = stage, problem: Problem = problem) -> None:
-            if stage.recorded:
-                record(at, stage.space, problem.n_evaluations)
+            record(at, stage, problem.n_evaluations)
 
         try:
             ending = run(problem, stage.method, q, stage.tolerance, stage.patience, note, waiting)

@@ -19,7 +19,7 @@ from protochain.minimisers.solution import Solution
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import parting, walk
 from protochain.minimisers.verdict import Status
-from protochain.structure import ca_rmsd
+from protochain.structure.superpose import rmsd
 from protochain.units import MOLAR_GAS
 
 if TYPE_CHECKING:
@@ -54,13 +54,12 @@ class Starts:
 
     def records(self) -> list[dict[str, Any]]:
         """Record of each start, as written to JSON."""
-        structure = self.chain.structure
         return [
             {
                 "start": k,
                 "energy_start_kj_mol": s.start.energy,
                 "energy_end_reference_kj_mol": s.end.energy,
-                "ca_rmsd_angstrom": ca_rmsd(structure, s.x, structure.positions),
+                "ca_rmsd_angstrom": s.frame.ca_rmsds(s.x)[0],
                 "evaluations": s.n_evaluations,
                 "seconds": s.seconds,
                 "status": str(s.status),
@@ -97,6 +96,7 @@ class Starts:
         return {
             "energy_start_kj_mol": self.solutions[0].start.energy,
             "ca_rmsd_angstrom": rows[best]["ca_rmsd_angstrom"],
+            "ca_rmsd_as_filed_angstrom": self.best.ca_rmsd_as_filed_angstrom,
             "evaluations": sum(s.n_evaluations for s in self.solutions),
             "seconds": sum(s.seconds for s in self.solutions),
             "starts_summary": self.summary(),
@@ -172,8 +172,13 @@ def explore(
     here, present = chain, np.inf
     for k in range(n_starts):
         random = np.random.default_rng([seed, k])
-        start = perturbed(here, spread, random) if k else chain
-        solution = minimise(start, energy, method, seed=seed, **settings)
+        try:
+            start = perturbed(here, spread, random) if k else chain
+            solution = _home(minimise(start, energy, method, seed=seed, **settings), chain)
+        except KeyboardInterrupt:
+            if not solutions:
+                raise
+            break
         solutions.append(solution)
         accepted.append(True)
         if hop_temperature is not None:
@@ -217,10 +222,18 @@ def _moved(chain: Chain, q: np.ndarray) -> Chain:
     return replace(chain, structure=chain.structure.with_positions(at.x), q0=at.q)
 
 
+def _home(solution: Solution, chain: Chain) -> Solution:
+    """Superpose a solution on the structure given, which the perturbed start has left."""
+    if solution.frame.start is chain.structure:
+        return solution
+    frame = replace(solution.frame, start=chain.structure)
+    return replace(solution, x=frame(solution.x), frame=frame)
+
+
 def _chain_at(solution: Solution) -> Chain:
     """Chain at the end of a solution: the same bodies if they still fit, otherwise rebuilt."""
     chain = solution.chain
-    if len(solution.q) == chain.n_q and np.allclose(pose(chain, solution.q).x, solution.x, atol=1e-9):
+    if len(solution.q) == chain.n_q and rmsd(pose(chain, solution.q).x, solution.x) < 1e-9:
         return _moved(chain, solution.q)
     return build_chain(solution.structure, chain.opened, chain.root, move=chain.move)
 

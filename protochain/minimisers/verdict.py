@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 
 from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain, Pose
 from protochain.contacts import overlaps
 from protochain.energies.protocol import Energy
+from protochain.interrupts import answering
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
@@ -46,7 +48,9 @@ class Judgement:
 
 def judge(chain: Chain, energy: Energy, at: Pose, restraint: Force | None = None) -> Judgement:
     """Judge a pose of a chain on the Reference platform; a restraint counts in the residuals only."""
-    value, forces = energy.reference(at.x)
+    # OpenMM's Reference platform takes many seconds for a large protein. A callable may not like threads.
+    evaluate = partial(energy.reference, at.x)
+    value, forces = evaluate() if energy.engine == "custom" else answering(evaluate)
     total = forces + restraint(at.x)[1] if restraint else forces
     torsions, atoms = spaces(chain)
     torque, force = torsions.torque(at, total), atoms.torque(at, total)

@@ -48,6 +48,11 @@ def rmsd(x: Floats, reference: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum((superpose(x, reference) - reference) ** 2, axis=1))))
 
 
+def deviation_angstrom(x: Floats, reference: Floats) -> float:
+    """Root-mean-square deviation in angstrom of points (n, 3) in nm as they are, without superposition."""
+    return float(ANGSTROM_PER_NM * np.sqrt(np.mean(np.sum((x - reference) ** 2, axis=1))))
+
+
 def rmsd_angstrom(x: Floats, reference: Floats) -> float:
     """RMSD in angstrom of points (n, 3) in nm after superposition."""
     return ANGSTROM_PER_NM * rmsd(x, reference)

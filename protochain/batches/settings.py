@@ -1,0 +1,100 @@
+"""Settings of a batch in its folder, so that it is resumed with the same ones only."""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from protochain.batches.jobs import BatchSettings, Job
+from protochain.errors import ProtochainError
+from protochain.storage import write_atomically
+from protochain.structure.prepare import user_file
+
+NAME = "settings.json"
+
+
+def keep_settings(folder: Path, common: BatchSettings, jobs: Sequence[Job]) -> None:
+    """Write the settings of a batch to its folder, or refuse to go on with other ones.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the batch.
+    common : BatchSettings
+        Settings of all structures; a manifest may give some of them others.
+    jobs : sequence of Job
+        Structures. New ones may be added, and any left out.
+
+    Raises
+    ------
+    ProtochainError
+        Naming the first setting that differs from that of the results in the folder.
+    """
+    path = folder / NAME
+    settings, own = _plain(common), _of_structures(common, jobs)
+    if path.exists():
+        before, known = _read(path)
+        _refuse_others(folder, "", before, settings)
+        for structure in known.keys() & own.keys():
+            for given in known[structure]:
+                if given not in own[structure]:
+                    _refuse_others(folder, f" for {structure}", before | given, before | own[structure][0])
+        own = known | own
+    text = json.dumps({"settings": settings, "structures": own}, indent=1, allow_nan=False)
+    write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
+
+
+def _plain(settings: BatchSettings) -> dict[str, Any]:
+    """Settings as JSON reads them back, with all else that makes results differ."""
+    values = settings.record() | {"protochain": version("protochain")}
+    file = user_file(settings.setup.forcefield)
+    if file:
+        values["content of the force field"] = hashlib.sha256(file.read_bytes()).hexdigest()[:12]
+    finite = {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in values.items()
+    }
+    plain: dict[str, Any] = json.loads(json.dumps(finite))
+    return plain
+
+
+def _of_structures(common: BatchSettings, jobs: Sequence[Job]) -> dict[str, list[dict[str, Any]]]:
+    """What each structure has other than the common settings; several where a manifest names it again."""
+    usual = _plain(common)
+    found: dict[str, list[dict[str, Any]]] = {}
+    for job in jobs:
+        model = job.settings.setup.model
+        name = str(job.path) if model is None else f"{job.path}, model {model}"
+        its = {} if job.settings is common else _plain(job.settings)
+        other = {key: value for key, value in its.items() if key != "model" and value != usual.get(key)}
+        found.setdefault(name, []).append(other)
+    return found
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, list[dict[str, Any]]]]:
+    try:
+        text = json.loads(path.read_text(encoding="utf-8"))
+        return dict(text["settings"]), dict(text["structures"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ProtochainError(
+            f"{path}: holds no settings of a batch ({error}); give another folder"
+        ) from None
+
+
+def _refuse_others(folder: Path, whose: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    for name in {**before, **now}:
+        old, new = (_said(settings.get(name)) for settings in (before, now))
+        if old != new:
+            raise ProtochainError(
+                f"{folder}: holds results{whose} with {name} {old}, not {new}; repeat the settings, or give "
+                "another folder"
+            )
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, list):
+        return ",".join(map(_said, value)) or "none"
+    return "none" if value in (None, "") else str(value)

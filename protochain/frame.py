@@ -1,0 +1,91 @@
+"""Frame of results: that of the start, unless something holds a run in place."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from protochain.arrays import Floats, frozen
+from protochain.chain import Chain
+from protochain.energies.protocol import Energy
+from protochain.structure.model import Structure
+from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angstrom
+
+_MOVED = Rotation.from_rotvec([0.4, -0.7, 0.5]).as_matrix(), np.array([0.3, 0.2, -0.4])
+"""A turn and a shift (nm) that change any energy that depends on the place."""
+
+_UNCHANGED = 1e-6
+"""Relative change of an energy by the rounding of moved coordinates."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Frame in which positions leave a run.
+
+    A free run drifts: nothing in its energy knows a place. Its positions are superposed on the start by one
+    rigid motion of all atoms, which changes no distance. Where something holds a run, they stay as they are.
+
+    Parameters
+    ----------
+    start : Structure
+        Structure to superpose on.
+    held_by : str
+        What holds the run in place; empty for a free one.
+    """
+
+    start: Structure
+    held_by: str = ""
+
+    def __call__(self, x: Floats) -> Floats:
+        """Positions (na, 3) of the run in this frame."""
+        if self.held_by or not np.isfinite(x).all():
+            return x
+        alpha = self.start.alpha_carbons
+        # Two points fix no rotation.
+        fitted = alpha if len(alpha) > 2 else np.arange(len(x))
+        turn, shift = motion(x[fitted], self.start.positions[fitted])
+        return frozen(x @ turn.T + shift)
+
+    def ca_rmsds(self, x: Floats) -> tuple[float, float]:
+        """C-alpha RMSDs to the start in angstrom: superposed, and of positions as they are filed."""
+        alpha = self.start.alpha_carbons
+        pair = x[alpha], self.start.positions[alpha]
+        return rmsd_angstrom(*pair), deviation_angstrom(*pair)
+
+    def __str__(self) -> str:
+        return f"held by {self.held_by}" if self.held_by else "superposed on the start"
+
+
+def frame_of(chain: Chain, energy: Energy, held_by: str = "") -> Frame:
+    """Frame of the results of a run.
+
+    Parameters
+    ----------
+    chain : Chain
+        Chain at the start.
+    energy : Energy
+        With all terms.
+    held_by : str
+        What else holds the run in place: springs to points, for example.
+
+    Returns
+    -------
+    Frame
+        Held also if an atom may not move (an obstacle, an atom outside a selection), or if the energy depends
+        on the place, as one of a density map or of walls does.
+    """
+    if not chain.moving.all():
+        held_by = "atoms that stand still"
+    # Force fields know no places; a System or callable of the caller's may.
+    elif not held_by and not energy.atoms and _knows_places(energy.reference, chain.structure.positions):
+        held_by = "its energy"
+    return Frame(chain.structure, held_by)
+
+
+def _knows_places(energy: Callable[[Floats], tuple[float, Floats]], x: Floats) -> bool:
+    """Whether the energy changes when all atoms move as one."""
+    (value, forces), (moved, _) = energy(x), energy(x @ _MOVED[0].T + _MOVED[1])
+    # Terms much larger than their sum show in the forces.
+    scale = abs(value) + float(np.linalg.norm(forces)) + 1.0
+    return bool(abs(moved - value) > _UNCHANGED * scale)
