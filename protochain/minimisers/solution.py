@@ -188,8 +188,6 @@ class Solution:
         yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
         yield f"ENERGY {self.end.energy:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.start.energy:.4f}"
         yield "ENERGIES BY THE OPENMM REFERENCE PLATFORM"
-        # Coordinates alone do not tell which alternate location was kept.
-        yield from (line for line in self.chain.structure.repairs if "alternate location" in line)
 
     def record(self) -> dict[str, Any]:
         """Flat record behind JSON, CSV and pages; None where a value is not finite."""

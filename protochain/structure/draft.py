@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import gemmi
 
 from protochain import residues
+from protochain.structure.header import NO_LABEL, Label
 
 Address = tuple[str, str, str]
 """Chain id, number with insertion code, and atom name in the file."""
@@ -22,6 +23,8 @@ class Member:
         Positions in angstrom.
     state : str
         Protonation state that its name in the file implies; empty if none.
+    label : Label
+        Label ids of the file.
     """
 
     name: str
@@ -30,6 +33,7 @@ class Member:
     chain_id: str
     atoms: list[gemmi.Atom]
     state: str = ""
+    label: Label = NO_LABEL
 
     def __str__(self) -> str:
         return residues.describe(self.number + self.insertion_code, self.name, self.chain_id)
@@ -84,6 +88,10 @@ class Draft:
         Changes made so far.
     left_out : Counter
         Molecules and atoms left out, by kind.
+    header : str
+        What the file says beside its atoms, as mmCIF text.
+    model_number : int
+        Number of the model in the file.
     """
 
     name: str
@@ -92,6 +100,8 @@ class Draft:
     stated: list[tuple[Address, Address]] = field(default_factory=list)
     repairs: list[str] = field(default_factory=list)
     left_out: Counter[str] = field(default_factory=Counter)
+    header: str = ""
+    model_number: int = 1
 
     @property
     def members(self) -> list[Member]:

@@ -7,6 +7,7 @@ same coordinates, bit for bit.
 from collections.abc import Sequence
 from pathlib import Path
 
+import gemmi
 import numpy as np
 from openmm import app
 
@@ -119,7 +120,20 @@ def prepare(
         dict(draft.left_out),
         np.array([atom.b_iso for atom in atoms]),
         np.array(obstacle, dtype=bool),
+        _occupancies(atoms),
+        tuple(member.label for member in draft.members),
+        draft.header,
+        draft.model_number,
     )
+
+
+def _occupancies(atoms: list[gemmi.Atom]) -> Floats:
+    """Occupancies; an added hydrogen, without a position yet, has that of its parent, which it follows."""
+    parent, found = 1.0, []
+    for atom in atoms:
+        parent = parent if atom.is_hydrogen() else atom.occ
+        found.append(parent if atom.is_hydrogen() and np.isnan(atom.pos.x) else atom.occ)
+    return np.array(found)
 
 
 def _bonds(draft: Draft, done: list[tuple[Member, Template]], bridges: list[Bridge]) -> Integers:

@@ -16,7 +16,8 @@ from protochain import residues
 from protochain.errors import StructureError
 from protochain.structure.conformation import Conformation, likeliest, same_place
 from protochain.structure.draft import Address, Draft, Member, Part
-from protochain.structure.files import STANDARD_INPUT, parse
+from protochain.structure.files import STANDARD_INPUT, parse, split_name
+from protochain.structure.header import take_header
 from protochain.structure.kept import is_wanted, obstacles
 from protochain.structure.templates import rename, standard_name, template_name, templates
 
@@ -71,7 +72,7 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
     """
     path = Path(path)
     structure, overlooked, ends = parse(path)
-    name = "stdin" if path == STANDARD_INPUT else _stem(path)
+    name = "stdin" if path == STANDARD_INPUT else split_name(path)[0]
     source = "standard input" if path == STANDARD_INPUT else str(path)
     draft = read_structure(structure, Draft(name, source, repairs=overlooked), reading or Reading())
     last = next(part for part in reversed(draft.parts) if not part.obstacle).members[-1]
@@ -90,7 +91,9 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     StructureError
         If it holds no protein, or residues that cannot be used.
     """
+    draft.header = take_header(structure)
     model = _model(draft, structure, reading.model)
+    draft.model_number = model.num
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections
@@ -117,10 +120,6 @@ def model_numbers(path: str | Path) -> list[int]:
         As :func:`read`.
     """
     return [model.num for model in parse(Path(path))[0]]
-
-
-def _stem(path: Path) -> str:
-    return Path(path.stem).stem if path.suffix.lower() == ".gz" else path.stem
 
 
 def _address(place: gemmi.AtomAddress) -> Address:
@@ -222,8 +221,9 @@ class _Reader:
             # DCY: D-cysteine in the archive, deoxycytidine in OpenMM's table of names.
             name = given.strip().upper()
         member = Member(
-            name, str(residue.seqid.num), residue.seqid.icode.strip(), self.chain_id, atoms, state
-        )
+            name, str(residue.seqid.num), residue.seqid.icode.strip(), self.chain_id, atoms, state,
+            (residue.subchain, residue.label_seq),
+        )  # fmt: skip
         if name in residues.STANDARD or name in residues.CAPS:
             if state:
                 self._report(f"{self._describe(residue)}: taken as {name} in protonation state {state}")
