@@ -15,6 +15,7 @@ from protochain import defaults
 from protochain.arrays import Floats, Integers
 from protochain.errors import StructureError
 from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
+from protochain.structure.choose import split_names
 from protochain.structure.complete import add_heavy_atoms
 from protochain.structure.draft import Draft, Member, Part
 from protochain.structure.hydrogens import place_hydrogens
@@ -35,6 +36,7 @@ def load(
     ph: float = defaults.PH,
     strict: bool = False,
     forcefield: str | Path | None = None,
+    chains: str | Sequence[str] = (),
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
@@ -46,7 +48,7 @@ def load(
     Parameters
     ----------
     path : path-like
-        PDB or mmCIF, gzipped or not; ``-`` is standard input. The content decides the format.
+        PDB or mmCIF, also packed by gzip, bzip2 or xz; ``-`` is standard input. The content decides.
     model : int, optional
         Number of the model in the file; the first by default.
     altloc : str
@@ -62,6 +64,8 @@ def load(
         Refuse chain breaks and incomplete backbones.
     forcefield : path-like, optional
         Force-field file whose residues are kept unmodified.
+    chains : str or sequence of str
+        Chains to take, as ``"A,B"`` or ``("A", "B")``; all by default.
 
     Returns
     -------
@@ -75,7 +79,7 @@ def load(
     """
     check_ph(ph)
     residues = user_file(forcefield)
-    reading = Reading(model, altloc, tuple(keep), strict, residues)
+    reading = Reading(model, altloc, tuple(keep), strict, residues, split_names(chains))
     return prepare(read(path, reading), disulfide, ph, residues)
 
 

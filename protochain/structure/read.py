@@ -14,6 +14,7 @@ from pdbfixer.pdbfixer import substitutions
 
 from protochain import residues
 from protochain.errors import StructureError
+from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import Conformation, likeliest, same_place
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse, split_name
@@ -43,6 +44,8 @@ class Reading:
         Refuse chain breaks and residues that would be left out of a chain.
     forcefield : Path, optional
         Force-field file whose residues are recognised besides the bundled ones.
+    chains : tuple of str
+        Names of the chains to take; all by default.
     """
 
     model: int | None = None
@@ -50,6 +53,7 @@ class Reading:
     keep: tuple[str, ...] = ()
     strict: bool = False
     forcefield: Path | None = None
+    chains: tuple[str, ...] = ()
 
 
 def read(path: str | Path, reading: Reading | None = None) -> Draft:
@@ -92,16 +96,14 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         If it holds no protein, or residues that cannot be used.
     """
     draft.header = take_header(structure)
-    model = _model(draft, structure, reading.model)
-    draft.model_number = model.num
+    model = choose_model(draft, structure, reading.model)
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections
         if bond.type in (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale)
     ]
     kept: list[Part] = []
-    for chain in model:
-        chain.name = chain.name.strip()
+    for chain in choose_chains(draft, model, reading.chains):
         _Reader(draft, reading, chain.name, kept).take(chain)
     if not draft.parts:
         found = ", ".join(f"{count} {kind}" for kind, count in draft.left_out.items() if count)
@@ -124,24 +126,6 @@ def model_numbers(path: str | Path) -> list[int]:
 
 def _address(place: gemmi.AtomAddress) -> Address:
     return place.chain_name.strip(), str(place.res_id.seqid).strip(), place.atom_name
-
-
-def _model(draft: Draft, structure: gemmi.Structure, number: int | None) -> gemmi.Model:
-    numbers = [model.num for model in structure]
-    if number is not None and number not in numbers:
-        raise StructureError(f"{draft.source}: has no model {number}; its models are {_listed(numbers)}")
-    chosen = 0 if number is None else numbers.index(number)
-    if len(structure) > 1:
-        if number is None:
-            others = len(structure) - 1
-            draft.repairs.append(f"model {structure[0].num} used, {others} other models left out")
-        draft.left_out["models"] = len(structure) - 1
-    return structure[chosen]
-
-
-def _listed(numbers: list[int]) -> str:
-    in_row = numbers == list(range(numbers[0], numbers[-1] + 1))
-    return f"{numbers[0]} to {numbers[-1]}" if in_row else ", ".join(map(str, numbers))
 
 
 class _Reader:
@@ -377,7 +361,7 @@ def _gap(last: Member, first: Member) -> float:
 
 def _report_left_out(draft: Draft) -> None:
     reported = (
-        "models", "alternate locations", "repeated atoms", "incomplete residues", "single residues",
+        "models", "chains", "alternate locations", "repeated atoms", "incomplete residues", "single residues",
         *residues.CAPS,
     )  # fmt: skip
     draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})
