@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from protochain.structure import Structure
 
 ALL_MODELS = "all"
+NO_BONDS = "none"
 
 
 class Prepared(NamedTuple):
@@ -38,20 +39,23 @@ class Setup:
         Threads for the energy; all by default.
     trust_forcefield : bool
         Allow a force-field file to run the Python scripts and open the files it names.
-    model : int or "all", optional
-        Number of the model in the file; the first by default. A batch, or the command ``minimise``, takes
-        ``all`` to treat every model by itself.
+    model : int or str, optional
+        Number of the model in the file; the first by default. A batch, or the command ``minimise``, also
+        takes ``all`` or numbers as ``1-5,8``, and treats each of these models by itself.
     altloc : str
         Alternate location to prefer; by default, and where it is absent, the one of highest occupancy.
     keep : tuple of str
         Molecules to keep as fixed obstacles, as in :func:`protochain.load`, or their names in one text with
         commas between.
     disulfide : tuple of pairs of str, optional
-        Disulfide bonds, each ``("A:3", "A:40")`` or ``"A:3-A:40"``; by default, where sulphurs are near.
+        Disulfide bonds, each ``("A:3", "A:40")`` or ``"A:3-A:40"``, or ``"none"``; by default, where
+        sulphurs are near.
     ph : float
         Of the protonation of residues whose hydrogens or names do not show it.
     strict : bool
         Refuse chain breaks and incomplete backbones.
+    chains : tuple of str
+        Chains to take, or their names in one text with commas between; all by default.
 
     Raises
     ------
@@ -73,9 +77,11 @@ class Setup:
     disulfide: tuple[tuple[str, str], ...] | None = None
     ph: float = defaults.PH
     strict: bool = False
+    chains: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, read in (("model", _model), ("keep", words), ("disulfide", _pairs)):
+        readers = (("model", _model), ("keep", words), ("disulfide", _pairs), ("chains", words))
+        for name, read in readers:
             object.__setattr__(self, name, read(getattr(self, name)))
 
     def prepare(
@@ -109,11 +115,11 @@ class Setup:
         """Prepare the structure alone; arguments as in :meth:`prepare`."""
         from protochain.structure import as_structure
 
-        if self.model == ALL_MODELS:
-            raise ProtochainError("model all: one structure is prepared at a time; give its number")
+        if isinstance(self.model, str):
+            raise ProtochainError(f"model {self.model}: one structure is prepared at a time; give its number")
         return as_structure(
             source, name, model=self.model, altloc=self.altloc, keep=self.keep, disulfide=self.disulfide,
-            ph=self.ph, strict=self.strict, forcefield=self.forcefield,
+            ph=self.ph, strict=self.strict, forcefield=self.forcefield, chains=self.chains,
         )  # fmt: skip
 
     def chain(self, structure: "Structure") -> "Chain":
@@ -138,18 +144,35 @@ def words(given: str | Iterable[str]) -> tuple[str, ...]:
     return tuple(word.strip() for word in split if word.strip())
 
 
+def models_asked(model: int | str) -> tuple[int, ...]:
+    """Return the numbers of the models asked for by number or as ``1-5,8``, in that order and once each."""
+    numbers: dict[int, None] = {}
+    for part in str(model).split(","):
+        first, _, last = part.partition("-")
+        numbers |= dict.fromkeys(range(int(first), int(last or first) + 1))
+    return tuple(numbers)
+
+
 def _model(given: int | str | None) -> int | str | None:
     if given is None or given in ("", ALL_MODELS):
         return given or None
-    try:
-        return int(given)
-    except ValueError:
-        raise ProtochainError(f"model {given!r}: give its number, or all") from None
+    text = "".join(str(given).split())
+    parts = [re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", part) for part in text.split(",")]
+    ranges = [(int(part[1]), int(part[2] or part[1])) for part in parts if part]
+    if len(ranges) < len(parts) or any(not 0 <= b - a < _MOST_MODELS for a, b in ranges):
+        raise ProtochainError(f"model {given!r}: give its number, or all, or a range such as 1-5")
+    return int(text) if text.isdigit() else text
+
+
+_MOST_MODELS = 100_000
+"""In one range: more are a slip."""
 
 
 def _pairs(given: str | Iterable[str | tuple[str, str]] | None) -> tuple[tuple[str, str], ...] | None:
     if given is None:
         return None
+    if given == NO_BONDS:
+        return ()
     bonds = words(given) if isinstance(given, str) else given
     return tuple(_pair(bond) if isinstance(bond, str) else (bond[0], bond[1]) for bond in bonds)
 

@@ -62,7 +62,7 @@ def test_calls_have_the_defaults_of_the_setup():
     batch = given("batch")
     for value in (BatchSettings(), Processes()):
         own = {name: default for name, default in vars(value).items() if name in batch}
-        own |= {name: batch[name] for name in ("methods", "max_rmsd") if name in own}
+        own |= {name: batch[name] for name in ("methods", "max_rmsd", "spread") if name in own}
         assert own == {name: batch[name] for name in own} and len(own) > 3
 
 

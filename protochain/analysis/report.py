@@ -37,7 +37,28 @@ def write_report(comparison: "Comparison", directory: Path) -> Path:
     save(comparison.structure, directory / f"{name}.start{suffix}")
     for solution in comparison.solutions:
         solution.save(directory / f"{name}.{solution.method}{suffix}")
-    figures = {
+    figures = _figures(comparison)
+    for stem, figure in figures.items():
+        write_atomically(directory / f"{stem}.png", partial(figure.savefig, dpi=150))
+    _write_text(directory / "report.html", render(comparison, summary, figures))
+    return directory / "report.html"
+
+
+def write_page(comparison: "Comparison", path: Path) -> None:
+    """Write the page alone, for a run by itself.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Of one method or several.
+    path : Path
+        HTML file.
+    """
+    _write_text(path, render(comparison, comparison.summary(), _figures(comparison)))
+
+
+def _figures(comparison: "Comparison") -> dict[str, Figure]:
+    return {
         "energy": comparison.plot_energy(),
         "work_precision": comparison.plot_work_precision(),
         "torque": comparison.plot_torque(),
@@ -45,10 +66,6 @@ def write_report(comparison: "Comparison", directory: Path) -> Path:
         "displacement": comparison.plot_displacement(),
         "ramachandran": comparison.plot_ramachandran(),
     }
-    for stem, figure in figures.items():
-        write_atomically(directory / f"{stem}.png", partial(figure.savefig, dpi=150))
-    _write_text(directory / "report.html", render(comparison, summary, figures))
-    return directory / "report.html"
 
 
 def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str, Figure]) -> str:
@@ -66,7 +83,10 @@ def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str,
     str
         HTML. Names from files are escaped.
     """
+    of_one = len(comparison.solutions) == 1
+    method = comparison.solutions[0].method if of_one else ""
     return template("report.html").render(
+        title=f"{comparison.structure.name}{f' by {method}' if of_one else ': comparison of minimisers'}",
         structure=comparison.structure,
         solutions=comparison.solutions,
         shown=SHOWN,

@@ -4,6 +4,7 @@ import csv
 import glob
 import hashlib
 import json
+import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,8 +17,10 @@ from protochain import defaults
 from protochain.errors import ProtochainError
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.recipes import recipe_of
-from protochain.setup import ALL_MODELS, Setup, words
-from protochain.structure.files import SUFFIXES
+from protochain.minimisers.restraints import Hold
+from protochain.minimisers.starts import check_starts
+from protochain.setup import ALL_MODELS, Setup, models_asked, words
+from protochain.structure.files import format_of, split_name
 from protochain.structure.prepare import user_file
 from protochain.structure.read import model_numbers
 
@@ -38,6 +41,14 @@ class BatchSettings:
         As in :func:`protochain.minimise`.
     setup : Setup
         How the structure is prepared; its ``threads`` are those of the batch.
+    restraint : str
+        As in :func:`protochain.minimise`: strengths in kJ/mol/nm^2, as ``"1000 100 0"``.
+    n_starts : int
+        With more than 1, each method is run as by :func:`protochain.explore`, and its best end is kept.
+    spread : float, rad
+        As in :func:`protochain.explore`.
+    hop_temperature : float, K, optional
+        As in :func:`protochain.explore`.
 
     Raises
     ------
@@ -51,6 +62,10 @@ class BatchSettings:
     max_evaluations: int = defaults.MAX_EVALUATIONS
     seed: int = defaults.SEED
     setup: Setup = field(default_factory=Setup)
+    restraint: str = ""
+    n_starts: int = 1
+    spread: float = defaults.SPREAD
+    hop_temperature: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "methods", tuple(dict.fromkeys(self.methods)))
@@ -62,7 +77,14 @@ class BatchSettings:
                 f"methods {', '.join(self.methods)}: two have one name; their files would too"
             )
         for recipe in recipes:
-            Minimisation(recipe, self.tolerance, self.max_evaluations, max_rmsd=self.max_rmsd)
+            Minimisation(
+                recipe, self.tolerance, self.max_evaluations, restraint=self.restraint, max_rmsd=self.max_rmsd
+            )
+        several = self.n_starts != 1
+        if self.hop_temperature is not None and not several:
+            raise ProtochainError("hop: needs several minima; give starts 2 or more")
+        hold = Hold.of(self.restraint, self.max_rmsd) if several else Hold()
+        check_starts(self.n_starts, self.spread, self.hop_temperature, hold)
 
     def changed(self, **settings: Any) -> "BatchSettings":
         """Return these settings with some replaced, given by the names of their fields or of the setup's."""
@@ -72,8 +94,9 @@ class BatchSettings:
 
     def read(self, row: Mapping[str, str]) -> "BatchSettings":
         """Return these settings with the filled cells of a manifest's row in their place."""
-        refuse_unknown(row, tuple(_IN_MANIFEST))
-        cells = {name: text.strip() for name, text in row.items() if text.strip()}
+        named = {name: _OF_OPTION.get(name.replace("-", "_"), name.replace("-", "_")) for name in row}
+        refuse_unknown((name for name, known in named.items() if known not in _IN_MANIFEST), _COLUMNS)
+        cells = {named[name]: text.strip() for name, text in row.items() if text.strip()}
         if ":" in cells.get("methods", ""):
             raise ProtochainError("methods: an import path runs code; give it as an option of the batch")
         try:
@@ -106,6 +129,14 @@ _OF_SETUP = tuple(each.name for each in fields(Setup))
 NAMES = (*(each.name for each in fields(BatchSettings)), *_OF_SETUP)
 """Settings of a batch's structures, by the names of their fields."""
 
+_OF_OPTION = {
+    "restrain": "restraint",
+    "starts": "n_starts",
+    "hop": "hop_temperature",
+    "chain": "chains",
+}
+"""Fields of options that the command line calls otherwise; a manifest may use either."""
+
 _READERS: Mapping[type, Callable[[str], Any]] = {bool: _truth, int: int, float: float, tuple: words}
 _IN_MANIFEST = {
     each.name: _READERS.get(type(each.default), str)
@@ -113,7 +144,10 @@ _IN_MANIFEST = {
     # A list of structures may not decide that the code in a force-field file is run.
     if each.name not in ("setup", "threads", "trust_forcefield")
 }
-"""Columns of a manifest beside ``path``, and how the text of a cell is read."""
+_IN_MANIFEST["spread"] = lambda text: math.radians(float(text))
+_IN_MANIFEST["hop_temperature"] = float
+"""Columns of a manifest beside ``path``, and how the text of a cell is read; angles are in degrees."""
+_COLUMNS = tuple({known: name for name, known in _OF_OPTION.items()}.get(each, each) for each in _IN_MANIFEST)
 
 
 @dataclass(frozen=True)
@@ -184,9 +218,8 @@ class _Found:
 
     @property
     def stem(self) -> str:
-        inner = Path(self.path.stem) if self.path.suffix.lower() == ".gz" else self.path
         model = self.settings.setup.model
-        return inner.stem + ("" if model is None else f".{model}")
+        return split_name(self.path)[0] + ("" if model is None else f".{model}")
 
 
 def find_jobs(
@@ -255,8 +288,7 @@ def _is_inside(path: Path, folder: Path | None) -> bool:
 
 
 def _is_structure(path: Path) -> bool:
-    inner = path.with_suffix("") if path.suffix.lower() == ".gz" else path
-    return inner.suffix.lower() in SUFFIXES and path.is_file()
+    return bool(format_of(path)) and path.is_file()
 
 
 def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
@@ -277,13 +309,18 @@ def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
 
 
 def _models(found: _Found) -> list[_Found]:
-    if found.settings.setup.model != ALL_MODELS:
+    asked = found.settings.setup.model
+    if not isinstance(asked, str):
         return [found]
-    try:
-        numbers: Sequence[int] = model_numbers(found.path)
-    except (ProtochainError, OSError):
-        numbers = ()  # The job fails, with the reason, when it is run.
-    models = numbers if len(numbers) > 1 else [None]
+    models: Sequence[int | None]
+    if asked == ALL_MODELS:
+        try:
+            numbers = model_numbers(found.path)
+        except (ProtochainError, OSError):
+            numbers = []  # The job fails, with the reason, when it is run.
+        models = numbers if len(numbers) > 1 else [None]
+    else:
+        models = models_asked(asked)  # A job whose model is not there fails, and says so.
     return [replace(found, settings=found.settings.changed(model=model)) for model in models]
 
 

@@ -19,10 +19,17 @@ if TYPE_CHECKING:
     import pandas as pd
 
 COLUMNS = (
-    *(column.key for column in record.COLUMNS), "ca_rmsd_to_openmm_angstrom", "seconds_preparation", "input",
-    "model", "output", "key",
+    *(column.key for column in record.COLUMNS), "ca_rmsd_to_openmm_angstrom", "n_starts",
+    "energy_median_kj_mol", "energy_highest_kj_mol", "n_within_1_kj_mol_of_lowest", "seconds_preparation",
+    "input", "model", "output", "key",
 )  # fmt: skip
 """Columns of ``summary.csv``: those of a record, and those of a batch."""
+
+INTEGERS = (
+    "iteration", "iterations", "evaluations", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges",
+    "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
+)  # fmt: skip
+"""Columns of integers, which a failure lacks: they remain integers, with missing values."""
 
 CIRCUMSTANCES = ("killed", "time-limit", "interrupted")
 """Statuses that may differ next time: such runs are repeated on resuming."""
@@ -149,7 +156,7 @@ def read_table(path: Path) -> "pd.DataFrame":
         "restraint_kj_mol_nm2",
         "output",
     )
-    return pd.read_csv(path, dtype=dict.fromkeys((*text, "model"), "string"))
+    return pd.read_csv(path, dtype=dict.fromkeys(text, "string") | dict.fromkeys(INTEGERS, "Int64"))
 
 
 def _lines(columns: Sequence[str], rows: Iterable[Mapping[str, object]], header: bool = False) -> str:

@@ -4,17 +4,19 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.batches.jobs import Job, Row, failure, origin
+from protochain.batches.jobs import BatchSettings, Job, Row, failure, origin
 from protochain.batches.page import write_page
 from protochain.errors import ProtochainError
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from protochain.chain import Chain
+    from protochain.energies import Energy
     from protochain.minimisers import Solution
     from protochain.structure import Structure
 
@@ -67,7 +69,6 @@ def _rest(job: Job, done: list[Row], status: str, message: str, seconds: float) 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure"]]:
     from protochain.energies.shared import shared_energy
-    from protochain.minimisers import minimise
     from protochain.minimisers.record import flat
     from protochain.structure import ca_rmsd
     from protochain.structure.write import common_suffix
@@ -80,12 +81,10 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
     ends: dict[str, Solution] = {}
     # OpenMM first: RMSDs to its end are reported for the others.
     for method in sorted(s.methods, key=lambda method: method != "openmm"):
-        solution = minimise(
-            chain, energy, method, s.tolerance, s.max_evaluations, s.seed, max_rmsd=s.max_rmsd
-        )
+        solution, of_starts = _run(chain, energy, method, s)
         ends[method] = solution
         reference = ends.get("openmm")
-        record = {key: flat(value) for key, value in solution.record().items()} | origin(job)
+        record = {key: flat(value) for key, value in (solution.record() | of_starts).items()} | origin(job)
         record |= {"method": method, "seconds_preparation": preparation}
         if solution.is_usable:
             output = folder / f"{job.name}.{solution.method}{common_suffix([solution.structure])}"
@@ -95,6 +94,26 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
             apart = ca_rmsd(structure, solution.x, reference.x)
             record["ca_rmsd_to_openmm_angstrom"] = apart
         yield Row(record, _thin(solution.trace)), structure
+
+
+def _run(
+    chain: "Chain", energy: "Energy", method: str, s: BatchSettings
+) -> tuple["Solution", dict[str, Any]]:
+    """Minimise by one method; of several starts, return the best solution and what its row says of all."""
+    from protochain.minimisers import explore, minimise
+
+    if s.n_starts == 1:
+        solution = minimise(
+            chain, energy, method, s.tolerance, s.max_evaluations, s.seed,
+            restraint=s.restraint, max_rmsd=s.max_rmsd,
+        )  # fmt: skip
+        return solution, {"n_starts": 1}
+    found = explore(
+        chain, energy, method, s.n_starts, seed=s.seed, spread=s.spread, hop_temperature=s.hop_temperature,
+        tolerance=s.tolerance, max_evaluations=s.max_evaluations,
+    )  # fmt: skip
+    overall = found.overall()
+    return found.best, overall.pop("starts_summary") | overall
 
 
 def _thin(trace: "pd.DataFrame") -> list[dict[str, float]]:

@@ -2,6 +2,8 @@
 
 import signal
 import sys
+from importlib import metadata
+from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
@@ -24,6 +26,19 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+@app.callback(invoke_without_command=True)
+def about(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version, and stop.", is_eager=True)
+    ] = False,
+) -> None:
+    """Minimise the energy of protein chains, and compare how."""
+    if version:
+        print(f"protochain {metadata.version('protochain')}")
+        raise typer.Exit
+
 
 for command in (minimise, compare, batch, simulate, rmsd, bench, info, build):
     app.command()(command)

@@ -13,9 +13,13 @@ from protochain.cli.options import (
     FAILED,
     UNCONVERGED,
     AsJson,
+    Hop,
     MaxEvaluations,
     MaxRmsd,
+    Restrain,
     Seed,
+    Spread,
+    Starts,
     Tolerance,
     with_setup,
 )
@@ -40,7 +44,7 @@ Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder, 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
 
 
-@with_setup(without="disulfide no_disulfide trust_forcefield")
+@with_setup(without="trust_forcefield")
 def batch(
     inputs: Inputs = None,
     output: Output = Path("batch"),
@@ -55,6 +59,10 @@ def batch(
     tolerance: Tolerance = defaults.TOLERANCE,
     max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
     max_rmsd: MaxRmsd = None,
+    restrain: Restrain = "",
+    starts: Starts = 1,
+    spread: Spread = None,
+    hop: Hop = None,
     seed: Seed = defaults.SEED,
     as_json: AsJson = False,
     *,
@@ -65,7 +73,10 @@ def batch(
     from protochain.batches import batch as run
 
     limit = math.inf if max_rmsd is None else max_rmsd
-    settings = BatchSettings(words(methods), tolerance, limit, max_evaluations, seed, setup)
+    settings = BatchSettings(
+        words(methods), tolerance, limit, max_evaluations, seed, setup, restrain, starts,
+        defaults.SPREAD if spread is None else math.radians(spread), hop,
+    )  # fmt: skip
     # Standard input can be read only once.
     given = [line for each in inputs or () for line in (_lines() if each == "-" else [each])]
     if dry_run:

@@ -1,6 +1,7 @@
 """``protochain info`` and ``protochain build``."""
 
 import json
+import sys
 from collections import Counter
 from importlib import import_module
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from protochain.cli.options import AsJson, Input, with_setup
+from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, with_setup
 from protochain.setup import Setup
 
 
@@ -68,15 +69,24 @@ def build(
     sequence: Annotated[
         str, typer.Argument(metavar="SEQUENCE", help="One-letter codes of the 20 amino acids.")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="PDB or mmCIF file.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="PDB or mmCIF file; - is standard output, in PDB format.")
+    ],
 ) -> None:
     """Build an extended all-atom chain from a sequence."""
     from protochain.storage import check_writable
     from protochain.structure import from_sequence, save
-    from protochain.structure.write import check_format
+    from protochain.structure.write import as_text, check_format
 
-    check_format(output)
-    check_writable(output)
+    printed = str(output) == STANDARD_OUTPUT
+    if not printed:
+        check_format(output)
+        check_writable(output)
     structure = from_sequence(sequence)
-    save(structure, output)
-    print(f"written: {output} ({structure.n_residues} residues, {structure.n_atoms} atoms)")
+    if printed:
+        sys.stdout.write(as_text(structure, ".pdb"))
+    else:
+        save(structure, output)
+    size = f"{structure.n_residues} residues, {structure.n_atoms} atoms"
+    where = "standard output" if printed else output
+    print(f"written: {where} ({size})", file=sys.stderr if printed else sys.stdout)

@@ -2,24 +2,30 @@
 
 import json
 import math
-from collections.abc import Callable
-from contextlib import ExitStack
+import sys
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, nullcontext, redirect_stdout
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
 from protochain import defaults
 from protochain.cli.options import (
     CONVERGED,
+    STANDARD_OUTPUT,
     UNCONVERGED,
     AsJson,
+    Hop,
     Input,
     MaxEvaluations,
     MaxRmsd,
+    Restrain,
     Seed,
+    Spread,
+    Starts,
     Tolerance,
     check_outputs,
     fail,
@@ -37,36 +43,29 @@ from protochain.cli.terminal import (
 )
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
-from protochain.setup import ALL_MODELS, Setup
+from protochain.setup import ALL_MODELS, Setup, models_asked
 
 if TYPE_CHECKING:
     from protochain.chain import Chain
     from protochain.energies import Energy
     from protochain.minimisers import Solution
+    from protochain.structure import Structure
 
 Output = Annotated[
-    Path | None, typer.Option("-o", "--output", help="PDB or mmCIF [default: NAME.METHOD.pdb].")
+    Path | None,
+    typer.Option(
+        "-o", "--output", help="PDB or mmCIF, .gz if wanted; - is standard output [default: NAME.METHOD.pdb]."
+    ),
 ]
 Method = Annotated[
     str, typer.Option(help="hybrid, cartesian, lbfgs, newton, kcm, openmm ...: an unknown one lists them.")
-]
-Restrain = Annotated[
-    str, typer.Option(help="Restraints to the start, kJ/mol/nm^2, one after the other: '1000 100 0'.")
-]
-Starts = Annotated[
-    int, typer.Option(help="Number of starts, from dihedrals perturbed at random; the best end is written.")
-]
-_DEGREES = f"{math.degrees(defaults.SPREAD):.1f}"
-Spread = Annotated[
-    float | None, typer.Option(help=f"Standard deviation of a perturbation, degrees [default: {_DEGREES}].")
-]
-Hop = Annotated[
-    float | None, typer.Option(help="Basin hopping: start from the last minimum accepted at this K.")
 ]
 Checkpoint = Annotated[Path | None, typer.Option(help="File for the state at the end, .npz.")]
 Resume = Annotated[Path | None, typer.Option(help="Continue from a checkpoint.")]
 Trace = Annotated[Path | None, typer.Option(help="CSV with a row for each iteration.")]
 Trajectory = Annotated[Path | None, typer.Option(help="DCD or XTC with a frame for each iteration.")]
+Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
+OneFile = Annotated[bool, typer.Option("--one-file", help="Write all models into one file.")]
 Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
 
 
@@ -87,6 +86,8 @@ def minimise(
     resume: Resume = None,
     trace: Trace = None,
     trajectory: Trajectory = None,
+    report: Report = None,
+    one_file: OneFile = False,
     seed: Seed = defaults.SEED,
     as_json: AsJson = False,
     force: Force = False,
@@ -99,16 +100,13 @@ def minimise(
 
     limit = math.inf if max_rmsd is None else max_rmsd
     Minimisation(recipe_of(method), tolerance, max_evaluations, seed, restrain, limit, checkpoint, resume)
-    if starts > 1 and (checkpoint or resume or trajectory):
-        raise ProtochainError("starts: a checkpoint or trajectory belongs to one run; give one start")
-    if starts == 1 and hop is not None:
-        raise ProtochainError("hop: needs several minima; give --starts 2 or more")
-    beside = [path for path in (trace, trajectory, checkpoint) if path]
+    _check_starts(starts, hop, bool(checkpoint or resume or trajectory))
+    beside = [path for path in (trace, trajectory, checkpoint, report) if path]
     stem, suffix = named_after(source)
     output = output or Path(f"{stem}.{method}{suffix}")
-    _check_formats(output, trajectory)
-    runs = _runs(source, output, setup, bool(beside or resume))
-    check_outputs(source, [*(path for _, path in runs), *beside], force)
+    _check_outputs(output, trajectory, report, as_json)
+    runs = _runs(source, output, setup, bool(beside or resume), one_file)
+    check_outputs(source, [*dict.fromkeys(path for _, path in runs), *beside], force)
 
     settings: dict[str, Any] = {
         "method": method, "tolerance": tolerance, "max_evaluations": max_evaluations, "seed": seed,
@@ -121,38 +119,103 @@ def minimise(
         solve = partial(_often, n_starts=starts, spread=width, hop_temperature=hop, **settings)
     lengths = starts * typical_evaluations(method, max_evaluations), starts * max_evaluations
     records: list[dict[str, Any]] = []
-    for own, path in runs:
-        records.append(_solved(context, source, own, path, trace, solve, lengths))
-        if records[-1]["status"] == "interrupted":
-            break
-    _print(records, as_json, setup.model == ALL_MODELS)
+    with _Writer(output, suffix, one_file) as write:
+        for own, path in runs:
+            records.append(_solved(context, source, own, path, solve, lengths, write))
+            _write_beside(write.done[-1], trace, report, records[-1])
+            if records[-1]["status"] == "interrupted":
+                break
+    with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
+        _print(records, as_json, isinstance(setup.model, str))
     done = len(records) == len(runs) and all(record["status"] == "converged" for record in records)
     raise typer.Exit(CONVERGED if done else UNCONVERGED)
 
 
-def _check_formats(output: Path, trajectory: Path | None) -> None:
+def _check_starts(starts: int, hop: float | None, is_single: bool) -> None:
+    if starts > 1 and is_single:
+        raise ProtochainError("starts: a checkpoint or trajectory belongs to one run; give one start")
+    if starts == 1 and hop is not None:
+        raise ProtochainError("hop: needs several minima; give --starts 2 or more")
+
+
+def _check_outputs(output: Path, trajectory: Path | None, report: Path | None, as_json: bool) -> None:
+    """Refuse names that tell no format, and two outputs on standard output."""
     from protochain.structure.trajectory import check_trajectory
     from protochain.structure.write import check_format
 
-    check_format(output)
+    if str(output) != STANDARD_OUTPUT:
+        check_format(output)
+    elif as_json:
+        raise ProtochainError("output -: structure and --json both go to standard output; give a file")
     if trajectory:
         check_trajectory(trajectory)
+    if report and report.suffix.lower() != ".html":
+        raise ProtochainError(f"{report}: give a name that ends in .html")
 
 
-def _runs(source: Path, output: Path, setup: Setup, is_single: bool) -> list[tuple[Setup, Path]]:
+def _runs(
+    source: Path, output: Path, setup: Setup, is_single: bool, one_file: bool
+) -> list[tuple[Setup, Path]]:
     """Pair each model with its output; ``is_single`` where other files belong to one model."""
+    from protochain.structure.choose import refuse_absent
+    from protochain.structure.files import split_name
     from protochain.structure.read import model_numbers
 
-    if setup.model != ALL_MODELS:
+    if not isinstance(setup.model, str):
+        if one_file:
+            raise ProtochainError(
+                "one-file: joins several models; give --model all, or a range such as --model 1-5"
+            )
         return [(setup, output)]
     if is_single or str(source) == "-":
         raise ProtochainError(
-            "model all: needs a file, and no trace, trajectory or checkpoint: these belong to one model"
+            f"model {setup.model}: needs a file, and no trace, trajectory, checkpoint or report: these belong "
+            "to one model"
         )
+    if str(output) == STANDARD_OUTPUT and not one_file:
+        raise ProtochainError("output -: several models are several files; give --one-file to join them")
+    numbers = tuple(model_numbers(source))
+    asked = numbers if setup.model == ALL_MODELS else models_asked(setup.model)
+    refuse_absent(str(source), numbers, asked)
+    stem, suffix, packing = split_name(output)
     return [
-        (replace(setup, model=number), output.with_name(f"{output.stem}.{number}{output.suffix}"))
-        for number in model_numbers(source)
+        (replace(setup, model=n), output if one_file else output.with_name(f"{stem}.{n}{suffix}{packing}"))
+        for n in asked
     ]
+
+
+class _Writer:
+    """Writer of solutions, each to its own file, or at the end all to one."""
+
+    def __init__(self, output: Path, suffix: str, one_file: bool) -> None:
+        self.output, self.suffix, self.one_file = output, suffix, one_file
+        self.done: list[Solution] = []
+
+    def __call__(self, solution: "Solution", path: Path) -> None:
+        """Write a solution, or keep it for the end."""
+        self.done.append(solution)
+        if not self.one_file:
+            self._write(path, [solution.structure], solution.provenance())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Write all that is done, even if a later model failed."""
+        if self.one_file and self.done:
+            models = [solution.structure for solution in self.done]
+            told = (f"MODEL {s.structure.model_number}: {line}" for s in self.done for line in s.provenance())
+            self._write(self.output, models, told)
+
+    def _write(self, path: Path, models: "list[Structure]", remarks: Iterable[str]) -> None:
+        from protochain.structure import save
+        from protochain.structure.write import as_text, common_suffix
+
+        if str(path) == STANDARD_OUTPUT:
+            suffix = self.suffix if self.suffix != ".pdb" else common_suffix(models)
+            sys.stdout.write(as_text(models, suffix, remarks))
+        else:
+            save(models, path, remarks)
 
 
 def _solved(
@@ -160,12 +223,11 @@ def _solved(
     source: Path,
     setup: Setup,
     output: Path,
-    trace: Path | None,
     solve: "Callable[[Chain, Energy], tuple[Solution, dict[str, Any]]]",
     lengths: tuple[int, int],
+    write: _Writer,
 ) -> dict[str, Any]:
-    """Prepare and minimise one model, write its files, and return its record."""
-    from protochain.storage import write_atomically
+    """Prepare and minimise one model, write it, and return its record."""
     from protochain.structure.write import check_fits
 
     chain, energy, preparation = prepare(source, setup)
@@ -177,11 +239,26 @@ def _solved(
         raise SystemExit(
             fail(f"{source}: {solution.message}; nothing is better than the start: nothing is written")
         )
-    solution.save(output)
-    if trace:
-        write_atomically(trace, lambda to: solution.trace.to_csv(to, index=False))
+    write(solution, output)
     record = solution.record() | starts | ({} if setup.model is None else {"model": setup.model})
     return record | {"input": str(source), "output": str(output), "seconds_preparation": preparation}
+
+
+def _write_beside(
+    solution: "Solution", trace: Path | None, report: Path | None, record: dict[str, Any]
+) -> None:
+    """Write the trace and the page of a run."""
+    from protochain.storage import write_atomically
+
+    if trace:
+        write_atomically(trace, lambda to: solution.trace.to_csv(to, index=False))
+    if report:
+        from protochain.analysis import Comparison
+        from protochain.analysis.report import write_page
+
+        origin = {name: record[name] for name in ("input", "output", "seconds_preparation")}
+        write_page(Comparison(solution.chain.structure, (solution,), origin), report)
+        record["report"] = str(report)
 
 
 def _once(
@@ -217,3 +294,5 @@ def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool) -> Non
     print_table(records)
     for record in records:
         print_written(record)
+        if "report" in record:
+            print(f"written: {record['report']}")

@@ -1,6 +1,7 @@
 """Options that commands share, and how each command prepares its input."""
 
 import inspect
+import math
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protochain import defaults
 from protochain.errors import ProtochainError
 from protochain.setup import Setup
 
@@ -21,11 +23,14 @@ if TYPE_CHECKING:
 CONVERGED, FAILED, BAD_INPUT, UNCONVERGED = 0, 1, 2, 3
 """Exit statuses: 1 when nothing usable was made, 3 when a usable result is not converged."""
 
+STANDARD_OUTPUT = "-"
+"""Name of an output that is printed instead of written to a file."""
+
 _SHOWN_OVERLAPS = 5
 """Overlaps reported before a run; ``info`` lists all."""
 
 Input = Annotated[
-    Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, gzipped or not; - is standard input.")
+    Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, packed or not; - is standard input.")
 ]
 MaxRmsd = Annotated[float | None, typer.Option(help="Largest C-alpha RMSD to the start, angstrom.")]
 Tolerance = Annotated[
@@ -35,6 +40,19 @@ Tolerance = Annotated[
     ),
 ]
 MaxEvaluations = Annotated[int, typer.Option(help="Energy evaluations allowed for each method.")]
+Restrain = Annotated[
+    str, typer.Option(help="Restraints to the start, kJ/mol/nm^2, one after the other: '1000 100 0'.")
+]
+Starts = Annotated[
+    int, typer.Option(help="Number of starts, from dihedrals perturbed at random; the best end is written.")
+]
+_DEGREES = f"{math.degrees(defaults.SPREAD):.1f}"
+Spread = Annotated[
+    float | None, typer.Option(help=f"Standard deviation of a perturbation, degrees [default: {_DEGREES}].")
+]
+Hop = Annotated[
+    float | None, typer.Option(help="Basin hopping: start from the last minimum accepted at this K.")
+]
 Seed = Annotated[int, typer.Option(help="Seed of methods that draw random numbers.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 
@@ -53,7 +71,12 @@ _SETUP = {
     "engine": _option(str, "auto, native or openmm."),
     "threads": _option(int | None, "Threads to compute on [default: all]."),
     "trust_forcefield": _option(bool, "Allow a force-field file to run its scripts.", "--trust-forcefield"),
-    "model": _option(str, "Number of the model [default: the first]; minimise and batch also take all."),
+    "model": _option(
+        str, "Number of the model [default: the first]; minimise and batch also take all, or some as 1-5,8."
+    ),
+    "chains": _option(
+        str, "Chains to take, with commas between [default: all].", "--chain", "--chains", metavar="A,B"
+    ),
     "altloc": _option(str, "Alternate location to prefer [default: of highest occupancy]."),
     "keep": _option(
         str, "Fixed obstacles to keep, with commas: near (all but waters within 5 angstrom of the protein), none, "
@@ -69,7 +92,7 @@ _SETUP = {
 }  # fmt: skip
 """Options of a :class:`Setup`, in the order of the help."""
 
-_DEFAULTS: dict[str, Any] = vars(Setup()) | {"keep": None, "no_disulfide": False}
+_DEFAULTS: dict[str, Any] = vars(Setup()) | {"keep": None, "chains": None, "no_disulfide": False}
 
 
 def with_setup(without: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -116,11 +139,10 @@ def fail(message: str, status: int = FAILED) -> int:
 
 def named_after(source: Path) -> tuple[str, str]:
     """Return stem and suffix for outputs named after an input."""
-    from protochain.structure.files import SUFFIXES
+    from protochain.structure.files import format_of, split_name
 
-    inner = Path(source.stem) if source.suffix.lower() == ".gz" else source
-    suffix = ".cif" if SUFFIXES.get(inner.suffix.lower()) == "mmCIF" else ".pdb"
-    return ("stdin" if str(source) == "-" else inner.stem), suffix
+    suffix = ".cif" if format_of(source) == "mmCIF" else ".pdb"
+    return ("stdin" if str(source) == "-" else split_name(source)[0]), suffix
 
 
 def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
@@ -143,6 +165,7 @@ def check_outputs(source: Path, outputs: list[Path], force: bool) -> None:
     """Refuse, before any work, outputs that would replace the input or one another or cannot be written."""
     from protochain.storage import check_writable
 
+    outputs = [path for path in outputs if str(path) != STANDARD_OUTPUT]
     for output, count in Counter(path.absolute() for path in outputs).items():
         if count > 1:
             raise ProtochainError(f"{output}: is given for two outputs; give each its own")

@@ -245,10 +245,8 @@ def print_table(records: list[dict[str, Any]]) -> None:
 def print_written(record: dict[str, Any]) -> None:
     """Print the file of a result, and how far it lies from its start: superposed, and as filed."""
     superposed, filed = (record[f"ca_rmsd_{name}angstrom"] for name in ("", "as_filed_"))
-    print(
-        f"written: {record['output']}, {record['frame']}: C-alpha RMSD {superposed:.2f} angstrom, "
-        f"{filed:.2f} as filed"
-    )
+    to = "standard output" if record["output"] == "-" else record["output"]
+    print(f"written: {to}, {record['frame']}: C-alpha RMSD {superposed:.2f} angstrom, {filed:.2f} as filed")
 
 
 def print_jobs(jobs: "Sequence[Job]") -> None:

@@ -179,7 +179,10 @@ def _add_pairs(
     """Add nonbonded parameters in the form that the force field has: with or without a table of pairs."""
     generators = {type(each).__name__: each for each in force_field.getGenerators()}
     tabulated = "LennardJonesGenerator" in generators
-    for generator, tag in (("NonbondedGenerator", "NonbondedForce"), ("LennardJonesGenerator", "LennardJonesForce")):
+    for generator, tag in (
+        ("NonbondedGenerator", "NonbondedForce"),
+        ("LennardJonesGenerator", "LennardJonesForce"),
+    ):
         its = generators.get(generator)
         if its is None:
             continue
@@ -303,9 +306,7 @@ def _exclude(system: openmm.System, pairs: Iterable[tuple[int, int]]) -> None:
             for i, j in pairs:
                 force.addException(i, j, 0.0, 1.0, 0.0, True)
         elif isinstance(force, openmm.CustomNonbondedForce):
-            known = {
-                tuple(sorted(force.getExclusionParticles(k))) for k in range(force.getNumExclusions())
-            }
+            known = {tuple(sorted(force.getExclusionParticles(k))) for k in range(force.getNumExclusions())}
             for i, j in pairs:
                 if (i, j) not in known:
                     force.addExclusion(i, j)

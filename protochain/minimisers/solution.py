@@ -210,8 +210,6 @@ class Solution:
             f"C-ALPHA RMSD TO THE START {self.ca_rmsd_angstrom:.3f} ANGSTROM, AS FILED "
             f"{self.ca_rmsd_as_filed_angstrom:.3f}, {str(self.frame).upper()}"
         )
-        # Coordinates alone do not tell which alternate location was kept.
-        yield from (line for line in self.chain.structure.repairs if "alternate location" in line)
 
     def record(self) -> dict[str, Any]:
         """Flat record behind JSON, CSV and pages; None where a value is not finite."""

@@ -11,6 +11,7 @@ from openmm import app, unit
 from protochain import defaults
 from protochain.arrays import Floats
 from protochain.errors import StructureError
+from protochain.structure.choose import split_names
 from protochain.structure.draft import Draft, atom
 from protochain.structure.files import check
 from protochain.structure.model import Structure
@@ -57,6 +58,7 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     forcefield, ph = user_file(settings.pop("forcefield", None)), settings.pop("ph", defaults.PH)
     disulfide = settings.pop("disulfide", None)
     settings["keep"] = tuple(settings.get("keep", defaults.KEEP))
+    settings["chains"] = split_names(settings.get("chains", ()))
     check_ph(ph)
     draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=forcefield))
     return prepare(draft, disulfide, ph, forcefield)

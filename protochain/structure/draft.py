@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import gemmi
 
 from protochain import residues
+from protochain.structure.header import NO_LABEL, Label
 
 if TYPE_CHECKING:
     from protochain.structure.templates import Template
@@ -32,6 +33,8 @@ class Member:
         Made from its own atoms, for a molecule that is kept as it is.
     links, metals : list of gemmi.Atom
         Its atoms that are bonded to a molecule kept beside the protein, and to a metal.
+    label : Label
+        Label ids of the file.
     """
 
     name: str
@@ -44,6 +47,7 @@ class Member:
     own: "Template | None" = None
     links: list[gemmi.Atom] = field(default_factory=list)
     metals: list[gemmi.Atom] = field(default_factory=list)
+    label: Label = NO_LABEL
 
     def __str__(self) -> str:
         return residues.describe(self.number + self.insertion_code, self.name, self.chain_id)
@@ -100,6 +104,10 @@ class Draft:
         Atoms added to side chains, by ``id`` of their residue.
     left_out : Counter
         Molecules and atoms left out, by kind.
+    header : str
+        What the file says beside its atoms, as mmCIF text.
+    model_number : int
+        Number of the model in the file.
     """
 
     name: str
@@ -109,6 +117,8 @@ class Draft:
     repairs: list[str] = field(default_factory=list)
     rebuilt: dict[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
+    header: str = ""
+    model_number: int = 1
 
     @property
     def members(self) -> list[Member]:

@@ -1,12 +1,16 @@
 """Formats of structure files, and their parsing by gemmi; truncated or garbled files are refused."""
 
+import bz2
 import gzip
 import io
+import lzma
 import re
 import sys
 import zlib
+from collections.abc import Callable
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 import gemmi
 
@@ -17,8 +21,15 @@ MAX_MEGABYTES = 512
 MAX_ATOMS = 250_000
 """Largest model: preparation takes some ten kilobytes an atom, energies without a cutoff quadratic time."""
 STANDARD_INPUT = Path("-")
-SUFFIXES = {".pdb": "PDB", ".ent": "PDB", ".cif": "mmCIF", ".mmcif": "mmCIF"}
+SUFFIXES = {".pdb": "PDB", ".ent": "PDB", ".cif": "mmCIF", ".mmcif": "mmCIF", ".pdbx": "mmCIF"}
 """Format by suffix. It decides how a file is written; reading goes by the content."""
+PACKINGS: dict[str, Callable[[bytes], bytes]] = {
+    # Without the time of writing: the same structure gives the same bytes.
+    ".gz": lambda data: gzip.compress(data, mtime=0),
+    ".bz2": bz2.compress,
+    ".xz": lzma.compress,
+}
+"""How a file is packed, by the suffix after that of its format."""
 
 _COORDINATE_COLUMNS = 54
 _USED = slice(12, 66)
@@ -28,8 +39,20 @@ _FARTHEST = 1e5
 """Angstrom. Larger coordinates are refused."""
 
 
+def split_name(path: Path) -> tuple[str, str, str]:
+    """Split the name of a file: ``1abc.pdb.gz`` is ``1abc``, ``.pdb`` and ``.gz``."""
+    packing = path.suffix if path.suffix.lower() in PACKINGS else ""
+    inner = Path(path.name.removesuffix(packing)) if packing else path
+    return inner.stem, inner.suffix, packing
+
+
+def format_of(path: Path) -> str:
+    """Return the format that the name of a file tells, packed or not; empty if unknown."""
+    return SUFFIXES.get(split_name(path)[1].lower(), "")
+
+
 def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
-    """Parse a PDB or mmCIF file, gzipped or not; the content decides the format.
+    """Parse a PDB or mmCIF file, packed by gzip, bzip2 or xz or not; the content decides.
 
     Parameters
     ----------
@@ -75,12 +98,15 @@ def _text(path: Path, source: str) -> str:
         data = sys.stdin.buffer.read(_BYTES + 1) if path == STANDARD_INPUT else _bytes(path)
     except OSError as error:
         raise StructureError(f"{source}: cannot be read ({error.strerror}); check the name") from None
-    if data[:2] == b"\x1f\x8b":
-        try:
-            with gzip.open(io.BytesIO(data)) as file:
-                data = file.read(_BYTES + 1)
-        except (OSError, EOFError, zlib.error) as error:
-            raise StructureError(f"{source}: not a whole gzip file ({error}); download it again") from None
+    for magic, name, unpack in _PACKED:
+        if data.startswith(magic):
+            try:
+                with unpack(io.BytesIO(data)) as file:
+                    data = file.read(_BYTES + 1)
+            except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
+                raise StructureError(
+                    f"{source}: not a whole {name} file ({error}); download it again"
+                ) from None
     if len(data) > _BYTES:
         raise StructureError(f"{source}: larger than {MAX_MEGABYTES} megabytes; give fewer models or chains")
     if b"\0" in data:
@@ -90,6 +116,12 @@ def _text(path: Path, source: str) -> str:
 
 
 _BYTES = MAX_MEGABYTES << 20
+_PACKED: tuple[tuple[bytes, str, Callable[[Any], Any]], ...] = (
+    (b"\x1f\x8b", "gzip", gzip.open),
+    (b"BZh", "bzip2", bz2.open),
+    (b"\xfd7zXZ\0", "xz", lzma.open),
+)
+"""First bytes of packed files, and what opens them."""
 
 
 def _bytes(path: Path) -> bytes:

@@ -14,6 +14,7 @@ from protochain.arrays import Floats, Integers, read_only
 from protochain.errors import StructureError
 from protochain.markup import facts
 from protochain.residues import describe
+from protochain.structure.header import Label
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,14 @@ class Structure:
         B factors of the file; an added atom has its neighbour's.
     obstacle : (na,) bool
         Atoms held fixed: ligands, ions and other molecules beside the protein.
+    occupancy : (na,) float
+        Occupancies of the file; an added hydrogen has its parent's, any other added atom 1.
+    residue_label : tuple of Label
+        ``label_asym_id`` of each residue, and its place in the sequence of the file; empty if unknown.
+    header : str
+        What the file says beside its atoms (title, cell, sequences, secondary structure), as mmCIF text.
+    model_number : int
+        Number of the model in the file.
     ties : tuple of Tie
         Springs between the protein and these molecules, part of every energy.
 
@@ -70,6 +79,10 @@ class Structure:
     left_out: Mapping[str, int] = field(default_factory=dict)
     b_factor: Floats = field(default_factory=lambda: np.empty(0))
     obstacle: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
+    occupancy: Floats = field(default_factory=lambda: np.empty(0))
+    residue_label: tuple[Label, ...] = ()
+    header: str = ""
+    model_number: int = 1
     ties: tuple[Tie, ...] = ()
 
     def __post_init__(self) -> None:
@@ -79,6 +92,8 @@ class Structure:
         obstacle = self.obstacle if len(self.obstacle) else np.zeros(self.n_atoms, dtype=bool)
         object.__setattr__(self, "b_factor", read_only(b_factor))
         object.__setattr__(self, "obstacle", read_only(obstacle, np.bool_))
+        occupancy = self.occupancy if len(self.occupancy) else np.ones(self.n_atoms)
+        object.__setattr__(self, "occupancy", read_only(occupancy))
         if self.positions.shape != (self.n_atoms, 3):
             raise StructureError(
                 f"{self.name}: {self.n_atoms} atoms but positions of shape {self.positions.shape}"

@@ -141,7 +141,9 @@ def _settled(choices: Sequence[Choices]) -> list[int]:
         for i, j in tables:
             if i < j:
                 both = cost(i, j)[:, None] + cost(j, i)[None] + tables[i, j]
-                taken[i], taken[j] = (int(k) for k in np.unravel_index(np.argmin(np.round(both, 6)), both.shape))
+                taken[i], taken[j] = (
+                    int(k) for k in np.unravel_index(np.argmin(np.round(both, 6)), both.shape)
+                )
         if taken == before:
             break
     return taken
@@ -198,14 +200,21 @@ class _Surroundings:
         joined = _joined(site)
         free = np.array(
             [
-                [(owner, other) not in joined[name] for owner, other in zip(self.owner[near], self.name[near])]
+                [
+                    (owner, other) not in joined[name]
+                    for owner, other in zip(self.owner[near], self.name[near])
+                ]
                 for name in names
             ]
         )
         apart = np.linalg.norm(x[:, :, None] - self.x[near], axis=-1)
-        felt = np.where(free, _repulsion(apart, _radii(names)[:, None] + self.radius[near]), 0.0).sum(axis=(1, 2))
+        felt = np.where(free, _repulsion(apart, _radii(names)[:, None] + self.radius[near]), 0.0).sum(
+            axis=(1, 2)
+        )
         own = np.linalg.norm(x[:, :, None] - x[:, None], axis=-1)
-        outer = np.array([[(id(site.member), other) not in joined[name] for other in names] for name in names])
+        outer = np.array(
+            [[(id(site.member), other) not in joined[name] for other in names] for name in names]
+        )
         outer = np.triu(outer, 1)
         felt += np.where(outer, _repulsion(own, _radii(names)[:, None] + _radii(names)), 0.0).sum(axis=(1, 2))
         if "SG" in names:

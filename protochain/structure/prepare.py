@@ -7,6 +7,7 @@ same coordinates, bit for bit.
 from collections.abc import Sequence
 from pathlib import Path
 
+import gemmi
 import numpy as np
 from openmm import app
 
@@ -14,6 +15,7 @@ from protochain import defaults
 from protochain.arrays import Floats, Integers
 from protochain.errors import StructureError
 from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
+from protochain.structure.choose import split_names
 from protochain.structure.complete import add_heavy_atoms
 from protochain.structure.draft import Draft, Member, Part
 from protochain.structure.hydrogens import place_hydrogens
@@ -36,6 +38,7 @@ def load(
     ph: float = defaults.PH,
     strict: bool = False,
     forcefield: str | Path | None = None,
+    chains: str | Sequence[str] = (),
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
@@ -47,7 +50,7 @@ def load(
     Parameters
     ----------
     path : path-like
-        PDB or mmCIF, gzipped or not; ``-`` is standard input. The content decides the format.
+        PDB or mmCIF, also packed by gzip, bzip2 or xz; ``-`` is standard input. The content decides.
     model : int, optional
         Number of the model in the file; the first by default.
     altloc : str
@@ -64,6 +67,8 @@ def load(
         Refuse chain breaks and incomplete backbones.
     forcefield : path-like, optional
         Force-field file whose residues are kept unmodified.
+    chains : str or sequence of str
+        Chains to take, as ``"A,B"`` or ``("A", "B")``; all by default.
 
     Returns
     -------
@@ -77,7 +82,7 @@ def load(
     """
     check_ph(ph)
     residues = user_file(forcefield)
-    reading = Reading(model, altloc, tuple(keep), strict, residues)
+    reading = Reading(model, altloc, tuple(keep), strict, residues, split_names(chains))
     return prepare(read(path, reading), disulfide, ph, residues)
 
 
@@ -127,8 +132,21 @@ def prepare(
         dict(draft.left_out),
         np.array([atom.b_iso for atom in atoms]),
         np.array(obstacle, dtype=bool),
+        _occupancies(atoms),
+        tuple(member.label for member in draft.members),
+        draft.header,
+        draft.model_number,
         ties(links, at, x, elements, bonds),
     )
+
+
+def _occupancies(atoms: list[gemmi.Atom]) -> Floats:
+    """Occupancies; an added hydrogen, without a position yet, has that of its parent, which it follows."""
+    parent, found = 1.0, []
+    for atom in atoms:
+        parent = parent if atom.is_hydrogen() else atom.occ
+        found.append(parent if atom.is_hydrogen() and np.isnan(atom.pos.x) else atom.occ)
+    return np.array(found)
 
 
 def _indices(done: list[tuple[Member, Template]]) -> dict[int, dict[str, int]]:

@@ -14,9 +14,11 @@ from pdbfixer.pdbfixer import substitutions
 
 from protochain import residues
 from protochain.errors import StructureError
+from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import Conformation, likeliest, same_place
 from protochain.structure.draft import Address, Draft, Member, Part
-from protochain.structure.files import STANDARD_INPUT, parse
+from protochain.structure.files import STANDARD_INPUT, parse, split_name
+from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, water_named
 from protochain.structure.templates import rename, standard_name, template_name, templates
 
@@ -43,6 +45,8 @@ class Reading:
         Refuse chain breaks and residues that would be left out of a chain.
     forcefield : Path, optional
         Force-field file whose residues are recognised besides the bundled ones.
+    chains : tuple of str
+        Names of the chains to take; all by default.
     """
 
     model: int | None = None
@@ -50,6 +54,7 @@ class Reading:
     keep: tuple[str, ...] = ()
     strict: bool = False
     forcefield: Path | None = None
+    chains: tuple[str, ...] = ()
 
 
 def read(path: str | Path, reading: Reading | None = None) -> Draft:
@@ -72,7 +77,7 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
     """
     path = Path(path)
     structure, overlooked, ends = parse(path)
-    name = "stdin" if path == STANDARD_INPUT else _stem(path)
+    name = "stdin" if path == STANDARD_INPUT else split_name(path)[0]
     source = "standard input" if path == STANDARD_INPUT else str(path)
     draft = read_structure(structure, Draft(name, source, repairs=overlooked), reading or Reading())
     last = next(part for part in reversed(draft.parts) if not part.obstacle).members[-1]
@@ -91,15 +96,15 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     StructureError
         If it holds no protein, or residues that cannot be used.
     """
-    model = _model(draft, structure, reading.model)
+    draft.header = take_header(structure)
+    model = choose_model(draft, structure, reading.model)
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections
         if bond.type in _BONDS
     ]
     beside: list[Candidate] = []
-    for chain in model:
-        chain.name = chain.name.strip()
+    for chain in choose_chains(draft, model, reading.chains):
         _Reader(draft, reading, chain.name, beside).take(chain)
     if not draft.parts:
         kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
@@ -121,30 +126,8 @@ def model_numbers(path: str | Path) -> list[int]:
     return [model.num for model in parse(Path(path))[0]]
 
 
-def _stem(path: Path) -> str:
-    return Path(path.stem).stem if path.suffix.lower() == ".gz" else path.stem
-
-
 def _address(place: gemmi.AtomAddress) -> Address:
     return place.chain_name.strip(), str(place.res_id.seqid).strip(), place.atom_name
-
-
-def _model(draft: Draft, structure: gemmi.Structure, number: int | None) -> gemmi.Model:
-    numbers = [model.num for model in structure]
-    if number is not None and number not in numbers:
-        raise StructureError(f"{draft.source}: has no model {number}; its models are {_listed(numbers)}")
-    chosen = 0 if number is None else numbers.index(number)
-    if len(structure) > 1:
-        if number is None:
-            others = len(structure) - 1
-            draft.repairs.append(f"model {structure[0].num} used, {others} other models left out")
-        draft.left_out["models"] = len(structure) - 1
-    return structure[chosen]
-
-
-def _listed(numbers: list[int]) -> str:
-    in_row = numbers == list(range(numbers[0], numbers[-1] + 1))
-    return f"{numbers[0]} to {numbers[-1]}" if in_row else ", ".join(map(str, numbers))
 
 
 class _Reader:
@@ -231,8 +214,9 @@ class _Reader:
             # DCY: D-cysteine in the archive, deoxycytidine in OpenMM's table of names.
             name = given.strip().upper()
         member = Member(
-            name, str(residue.seqid.num), residue.seqid.icode.strip(), self.chain_id, atoms, state
-        )
+            name, str(residue.seqid.num), residue.seqid.icode.strip(), self.chain_id, atoms, state,
+            (residue.subchain, residue.label_seq),
+        )  # fmt: skip
         if name in residues.STANDARD or name in residues.CAPS:
             if state:
                 self._report(f"{self._describe(residue)}: taken as {name} in protonation state {state}")
@@ -378,7 +362,7 @@ def _gap(last: Member, first: Member) -> float:
 
 def _report_left_out(draft: Draft) -> None:
     reported = (
-        "models", "alternate locations", "repeated atoms", "incomplete residues", "single residues",
+        "models", "chains", "alternate locations", "repeated atoms", "incomplete residues", "single residues",
         *residues.CAPS,
     )  # fmt: skip
     draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})

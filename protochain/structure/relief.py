@@ -15,7 +15,6 @@ from protochain.structure.chirality import hand
 from protochain.structure.draft import Member
 from protochain.structure.packing import WIDTH, wrapped
 from protochain.structure.sidechains import conformers, dihedral, unit
-from protochain.units import ANGSTROM_PER_NM
 
 _NEAR = 0.65
 """Fraction of the sum of the van der Waals radii: rebuilt atoms that are nearer are moved. Hydrogen bonds are longer."""
@@ -54,7 +53,11 @@ class Arm:
 
 
 def relieved(
-    x: Floats, owners: Sequence[tuple[Member, str]], elements: Sequence[str], bonds: Integers, rebuilt: dict[int, tuple[str, ...]]
+    x: Floats,
+    owners: Sequence[tuple[Member, str]],
+    elements: Sequence[str],
+    bonds: Integers,
+    rebuilt: dict[int, tuple[str, ...]],
 ) -> Floats:
     """Turn rebuilt side chains that overlap with other atoms.
 

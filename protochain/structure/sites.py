@@ -106,7 +106,8 @@ def find_links(draft: Draft) -> list[Link]:
         sites.setdefault(id(link.other_atom), []).append(link)
     for site in sites.values():
         ends = ", ".join(
-            f"{each.atom.name} of {each.member} ({each.atom.pos.dist(each.other_atom.pos):.2f} angstrom)" for each in site
+            f"{each.atom.name} of {each.member} ({each.atom.pos.dist(each.other_atom.pos):.2f} angstrom)"
+            for each in site
         )
         how = "coordinated by" if site[0].is_metal else "bonded to"
         draft.repairs.append(
@@ -121,7 +122,10 @@ def _is_bonded(draft: Draft, link: Link) -> bool:
     if distance < _OVERLAP:
         return False
     if draft.states(
-        *((member.chain_id, member.seqid, a.name) for member, a in ((link.member, first), (link.other, second)))
+        *(
+            (member.chain_id, member.seqid, a.name)
+            for member, a in ((link.member, first), (link.other, second))
+        )
     ):
         return True
     if link.is_metal:
@@ -134,7 +138,11 @@ def _is_bonded(draft: Draft, link: Link) -> bool:
 
 
 def ties(
-    links: Sequence[Link], at: Mapping[int, Mapping[str, int]], x: Floats, element: Sequence[str], bonds: Floats
+    links: Sequence[Link],
+    at: Mapping[int, Mapping[str, int]],
+    x: Floats,
+    element: Sequence[str],
+    bonds: Floats,
 ) -> tuple[Tie, ...]:
     """Springs that hold the bonds at the distances and angles of the input.
 

@@ -1,32 +1,41 @@
 """Writing of structures to PDB or mmCIF files, whole or not at all."""
 
-from collections.abc import Iterable
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import gemmi
 import numpy as np
 
 from protochain.errors import StructureError
+from protochain.residues import NUCLEOTIDES
 from protochain.storage import write_atomically
-from protochain.structure.files import SUFFIXES
+from protochain.structure.files import PACKINGS, SUFFIXES, format_of, split_name
+from protochain.structure.header import NO_LABEL, Label, settle, with_header
 from protochain.structure.model import Structure
 from protochain.units import ANGSTROM_PER_NM
 
 _REMARK_WIDTH = 68
 _PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999
 """Angstrom: range of eight columns with three decimals."""
+_CIS = 30.0
+"""Degrees: a peptide bond with an omega below this is cis, as in the PDB archive's CISPEP records."""
 
 
-def save(structure: Structure, path: str | Path, remarks: Iterable[str] = ()) -> None:
-    """Write a structure to a file, with the chain ids, numbers and insertion codes of its source.
+def save(structure: Structure | Sequence[Structure], path: str | Path, remarks: Iterable[str] = ()) -> None:
+    """Write a structure to a file, with what its source said of it.
+
+    Chain ids, numbers, insertion codes, occupancies, B factors, title, unit cell, sequences, helices and
+    strands are those of the source, cis peptides those of the coordinates. The structure's repairs are
+    written as REMARK 3, or in the category ``_protochain_repair``.
 
     Parameters
     ----------
-    structure : Structure
-        Structure to write.
+    structure : Structure or sequence of Structure
+        Structure to write; several of one source become the models of one file.
     path : path-like
-        PDB for ``.pdb`` and ``.ent``, mmCIF for ``.cif`` and ``.mmcif``. No CRYST1 record is written, which
-        would make some programs treat the chain as periodic.
+        PDB for ``.pdb`` and ``.ent``, mmCIF for ``.cif``, ``.mmcif`` and ``.pdbx``; packed if ``.gz``,
+        ``.bz2`` or ``.xz`` follows.
     remarks : iterable of str
         Lines of provenance, written as REMARK 3 or in the category ``_protochain_provenance``.
 
@@ -37,17 +46,31 @@ def save(structure: Structure, path: str | Path, remarks: Iterable[str] = ()) ->
     """
     path = Path(path)
     check_format(path)
-    check_fits(structure, path)
-    text = as_text(structure, path.suffix, remarks)
-    write_atomically(path, lambda target: target.write_text(text, encoding="utf-8"))
+    models = [structure] if isinstance(structure, Structure) else list(structure)
+    for each in models:
+        check_fits(each, path)
+    _, suffix, packing = split_name(path)
+    data = as_text(models, suffix, remarks).encode()
+    packed = PACKINGS[packing.lower()](data) if packing else data
+    write_atomically(path, lambda target: target.write_bytes(packed))
 
 
-def as_text(structure: Structure, suffix: str, remarks: Iterable[str] = (), *, hydrogens: bool = True) -> str:
+def as_text(
+    structure: Structure | Sequence[Structure],
+    suffix: str,
+    remarks: Iterable[str] = (),
+    *,
+    hydrogens: bool = True,
+) -> str:
     """Return the text that :func:`save` writes, in the format of the suffix."""
-    out = _gemmi_structure(structure)
+    models = [structure] if isinstance(structure, Structure) else list(structure)
+    format_ = SUFFIXES[suffix.lower()]
+    out = _gemmi_structure(models)
+    settle(out, whole=format_ == "mmCIF")
     if not hydrogens:
         out.remove_hydrogens()
-    return _WRITERS[SUFFIXES[suffix.lower()]](out, remarks)
+    repairs = dict.fromkeys(line for each in models for line in each.repairs)
+    return _WRITERS[format_](out, remarks, repairs)
 
 
 def check_format(path: Path) -> None:
@@ -58,8 +81,9 @@ def check_format(path: Path) -> None:
     StructureError
         Naming the suffix.
     """
-    if SUFFIXES.get(path.suffix.lower()) not in _WRITERS:
-        raise StructureError(f"{path}: unknown suffix {path.suffix!r}; use {' or '.join(SUFFIXES)}")
+    if format_of(path) not in _WRITERS:
+        suffix = split_name(path)[1]
+        raise StructureError(f"{path}: unknown suffix {suffix!r}; use {' or '.join(SUFFIXES)}")
 
 
 def check_fits(structure: Structure, path: Path) -> None:
@@ -70,7 +94,7 @@ def check_fits(structure: Structure, path: Path) -> None:
     StructureError
         Naming the chain or the atom.
     """
-    if SUFFIXES[path.suffix.lower()] != "PDB":
+    if format_of(path) != "PDB":
         return
     long = [str(chain_id) for chain_id in structure.residue_chain if len(chain_id) > 1]
     if long:
@@ -93,70 +117,171 @@ def common_suffix(structures: Iterable[Structure]) -> str:
     return ".pdb"
 
 
-def _gemmi_structure(structure: Structure) -> gemmi.Structure:
-    out = gemmi.Structure()
-    out.name = structure.name
-    model = gemmi.Model(1)
-    addresses = {}
+def _gemmi_structure(structures: Sequence[Structure]) -> gemmi.Structure:
+    first = structures[0]
+    out = with_header(first.header)
+    out.name = first.name
+    numbers = [each.model_number for each in structures]
+    if len(set(numbers)) < len(numbers):
+        numbers = list(range(1, len(numbers) + 1))
+    for number, structure in zip(numbers, structures, strict=True):
+        labels, renamed = _labels(structure)
+        out.add_model(_model(structure, number, labels))
+    for entity in out.entities:
+        entity.subchains = [new for each in entity.subchains for new in sorted(renamed.get(each, {each}))]
+    out.connections = gemmi.ConnectionList(_connections(first))
+    out.cispeps = [
+        each
+        for number, structure in zip(numbers, structures, strict=True)
+        for each in _cis_peptides(structure, number)
+    ]
+    return out
+
+
+def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.Model:
+    model = gemmi.Model(number)
     for chain in structure.topology.chains():
+        # Parts of a broken chain share its id; gemmi ends each of them.
         gemmi_chain = gemmi.Chain(chain.id or " ")
         for residue in chain.residues():
             made = gemmi.Residue()
             made.name = residue.name
-            made.seqid = gemmi.SeqId(int(residue.id), residue.insertionCode.strip() or " ")
+            made.seqid = _seqid(structure, residue.index)
             obstacle = structure.obstacle[next(residue.atoms()).index]
-            made.het_flag = "H" if obstacle else "A"
-            # Parts of a broken chain share its id; the subchain tells them apart.
-            made.subchain = f"{chain.index}"
-            made.entity_type = gemmi.EntityType.NonPolymer if obstacle else gemmi.EntityType.Polymer
+            is_polymer = not obstacle or residue.name in NUCLEOTIDES
+            made.het_flag = "A" if is_polymer else "H"
+            made.entity_type = gemmi.EntityType.Polymer if is_polymer else gemmi.EntityType.NonPolymer
+            made.subchain, made.label_seq = labels[residue.index]
             for atom in residue.atoms():
                 new = gemmi.Atom()
                 new.name, new.element = atom.name, gemmi.Element(atom.element.symbol)
+                new.occ = float(structure.occupancy[atom.index])
                 new.b_iso = float(structure.b_factor[atom.index])
                 new.pos = gemmi.Position(*(ANGSTROM_PER_NM * structure.positions[atom.index]))
                 made.add_atom(new)
-                if atom.name in ("SG", "C", "N"):
-                    addresses[atom.index] = gemmi.AtomAddress(
-                        gemmi_chain.name, made.seqid, made.name, new.name
-                    )
             gemmi_chain.add_residue(made)
         model.add_chain(gemmi_chain)
-    out.add_model(model)
+    return model
+
+
+def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
+    """Label ids of each residue, and the new names of those that are not the file's.
+
+    Where the file has none, the parts of a broken chain are different molecules: no program bonds them.
+    """
+    known = structure.residue_label or (NO_LABEL,) * structure.n_residues
+    held = {int(r) for r in structure.atom_residue[structure.obstacle]}
+    chains = [str(chain_id) for chain_id in structure.residue_chain]
+    of_chain: dict[str, set[str]] = {}
+    parts: dict[str, list[int]] = {}
+    for r, (chain_id, part) in enumerate(zip(chains, structure.residue_chain_index.tolist(), strict=True)):
+        if r not in held:
+            of_chain.setdefault(chain_id, set()).add(known[r][0])
+            if part not in parts.setdefault(chain_id, []):
+                parts[chain_id].append(part)
+    labels: list[Label] = []
+    renamed: dict[str, set[str]] = {}
+    for r, (chain_id, part) in enumerate(zip(chains, structure.residue_chain_index.tolist(), strict=True)):
+        name, place = known[r]
+        if r in held:
+            labels.append((name or f"{chain_id}x{part}", place))
+            continue
+        is_one = len(of_chain[chain_id]) == 1
+        if is_one and name not in ("", f"{chain_id}xp"):
+            labels.append(known[r])
+            continue
+        number = parts[chain_id].index(part) + 1
+        new = (chain_id or "A") + (str(number) if number > 1 else "")
+        labels.append((new, place if is_one else None))
+        if is_one:
+            renamed.setdefault(name, set()).add(new)
+    return labels, renamed
+
+
+def _seqid(structure: Structure, residue: int) -> gemmi.SeqId:
+    code = str(structure.residue_insertion_code[residue])
+    return gemmi.SeqId(int(structure.residue_number[residue]), code or " ")
+
+
+def _address(structure: Structure, atom: int) -> gemmi.AtomAddress:
+    residue = int(structure.atom_residue[atom])
+    return gemmi.AtomAddress(
+        str(structure.residue_chain[residue]) or " ", _seqid(structure, residue),
+        str(structure.residue_name[residue]), str(structure.atom_name[atom]),
+    )  # fmt: skip
+
+
+def _connections(structure: Structure) -> Iterator[gemmi.Connection]:
+    """Disulfide bonds, and bonds that close rings of peptides."""
+    n = 0
     for first, second in structure.bonds.tolist():
         apart = structure.atom_residue[second] - structure.atom_residue[first]
         names = {str(structure.atom_name[end]) for end in (first, second)}
         if names == {"SG"} or (names == {"C", "N"} and apart > 1):
+            n += 1
             link = gemmi.Connection()
             disulfide = names == {"SG"}
             link.type = gemmi.ConnectionType.Disulf if disulfide else gemmi.ConnectionType.Covale
-            link.name = f"{'disulf' if disulfide else 'covale'}{len(out.connections) + 1}"
-            link.partner1, link.partner2 = addresses[first], addresses[second]
-            out.connections.append(link)
-    return out
+            link.name = f"{'disulf' if disulfide else 'covale'}{n}"
+            link.partner1, link.partner2 = _address(structure, first), _address(structure, second)
+            yield link
 
 
-def _mmcif(out: gemmi.Structure, remarks: Iterable[str]) -> str:
-    out.setup_entities()
-    out.assign_label_seq_id()
-    document = out.make_mmcif_document()
+def _cis_peptides(structure: Structure, number: int) -> Iterator[gemmi.CisPep]:
+    """Peptide bonds whose omega is near 0."""
+    name, residue = structure.atom_name, structure.atom_residue
+    alpha = {int(residue[k]): int(k) for k in structure.alpha_carbons}
+    for first, second in structure.bonds.tolist():
+        pair = {str(name[first]): first, str(name[second]): second}
+        if pair.keys() != {"C", "N"} or residue[first] == residue[second]:
+            continue
+        c, n = pair["C"], pair["N"]
+        if int(residue[c]) not in alpha or int(residue[n]) not in alpha:
+            continue
+        at = [alpha[int(residue[c])], c, n, alpha[int(residue[n])]]
+        places = (gemmi.Position(*structure.positions[k]) for k in at)
+        omega = float(np.degrees(gemmi.calculate_dihedral(*places)))
+        if abs(omega) < _CIS:
+            found = gemmi.CisPep()
+            found.partner_c, found.partner_n = _address(structure, c), _address(structure, n)
+            found.model_num, found.reported_angle = number, omega
+            yield found
+
+
+def _whole(out: gemmi.Structure) -> gemmi.Structure:
+    """Return a copy in which the parts of a broken chain are one: they share sequence and label ids."""
+    whole = out.clone()
+    whole.merge_chain_parts()
+    return whole
+
+
+def _mmcif(out: gemmi.Structure, remarks: Iterable[str], repairs: Iterable[str]) -> str:
+    head, atoms = gemmi.MmcifOutputGroups(True), gemmi.MmcifOutputGroups(False)
+    head.atoms, atoms.atoms, atoms.group_pdb = False, True, True
+    # A cell of 1 angstrom, which stands for none, would make some programs treat the chain as periodic.
+    head.cell = head.symmetry = out.cell.is_crystal()
+    document = _whole(out).make_mmcif_document(head)
     block = document.sole_block()
-    loop = block.init_loop("_protochain_provenance.", ["ordinal", "text"])
-    for i, line in enumerate(remarks, 1):
-        loop.add_row([str(i), gemmi.cif.quote(line)])
+    for category, lines in (("provenance", remarks), ("repair", repairs)):
+        loop = block.init_loop(f"_protochain_{category}.", ["ordinal", "text"])
+        for i, line in enumerate(lines, 1):
+            loop.add_row([str(i), gemmi.cif.quote(line)])
+    out.update_mmcif_block(block, atoms)
     # As in the PDB archive, every category ends with '#', so that a truncated file can be recognised.
-    return document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx))
+    return str(document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx)))
 
 
-def _pdb(out: gemmi.Structure, remarks: Iterable[str]) -> str:
-    options = gemmi.PdbWriteOptions(
-        minimal=True, ssbond_records=True, link_records=True, cryst1_record=False, end_record=True
-    )
-    lines = [
-        f"REMARK   3 {text[i : i + _REMARK_WIDTH]}"
-        for text in remarks
-        for i in range(0, max(len(text), 1), _REMARK_WIDTH)
+def _pdb(out: gemmi.Structure, remarks: Iterable[str], repairs: Iterable[str]) -> str:
+    out.raw_remarks = [
+        f"REMARK   3 {line}"
+        for text in (*remarks, *repairs)
+        for line in textwrap.wrap(text, _REMARK_WIDTH, subsequent_indent="  ") or [""]
     ]
-    return "".join(f"{line}\n" for line in lines) + out.make_pdb_string(options)
+    head = gemmi.PdbWriteOptions(
+        atom_records=False, end_record=False, cryst1_record=out.cell.is_crystal(), cispep_records=True
+    )
+    atoms = gemmi.PdbWriteOptions(minimal=True, cryst1_record=False, end_record=True)
+    return str(_whole(out).make_pdb_string(head)) + str(out.make_pdb_string(atoms))
 
 
 _WRITERS = {"PDB": _pdb, "mmCIF": _mmcif}

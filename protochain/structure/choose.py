@@ -1,0 +1,69 @@
+"""Which model of a file, and which of its chains, are taken."""
+
+from collections.abc import Iterable, Sequence
+
+import gemmi
+
+from protochain.errors import StructureError
+from protochain.structure.draft import Draft
+
+
+def choose_model(draft: Draft, structure: gemmi.Structure, number: int | None) -> gemmi.Model:
+    """Return the model of that number, or the first; the draft's repairs tell of the others.
+
+    Raises
+    ------
+    StructureError
+        If there is no such model.
+    """
+    numbers = [model.num for model in structure]
+    refuse_absent(draft.source, numbers, [] if number is None else [number])
+    chosen = 0 if number is None else numbers.index(number)
+    if len(structure) > 1:
+        if number is None:
+            others = len(structure) - 1
+            draft.repairs.append(f"model {structure[0].num} used, {others} other models left out")
+        draft.left_out["models"] = len(structure) - 1
+    draft.model_number = structure[chosen].num
+    return structure[chosen]
+
+
+def choose_chains(draft: Draft, model: gemmi.Model, names: Sequence[str]) -> list[gemmi.Chain]:
+    """Return the chains of these names, or all, in the order of the file.
+
+    Raises
+    ------
+    StructureError
+        If there is no chain of a name.
+    """
+    for chain in model:
+        chain.name = chain.name.strip()
+    there = [chain.name for chain in model]
+    absent = next((name for name in names if name not in there), None)
+    if absent is not None:
+        known = ", ".join(name or "(blank)" for name in dict.fromkeys(there))
+        raise StructureError(f"{draft.source}: has no chain {absent}; its chains are {known}")
+    taken = [chain for chain in model if not names or chain.name in names]
+    draft.left_out["chains"] = len(there) - len(taken)
+    return taken
+
+
+def split_names(given: str | Iterable[str]) -> tuple[str, ...]:
+    """Split a text at its commas; leave a sequence of names as it is."""
+    split = given.split(",") if isinstance(given, str) else given
+    return tuple(name.strip() for name in split if name.strip())
+
+
+def refuse_absent(source: str, numbers: Sequence[int], asked: Sequence[int]) -> None:
+    """Refuse the first model asked for that is not among those of a file.
+
+    Raises
+    ------
+    StructureError
+        Naming it, and those that are.
+    """
+    absent = next((number for number in asked if number not in numbers), None)
+    if absent is not None:
+        in_row = list(numbers) == list(range(numbers[0], numbers[-1] + 1))
+        listed = f"{numbers[0]} to {numbers[-1]}" if in_row else ", ".join(map(str, numbers))
+        raise StructureError(f"{source}: has no model {absent}; its models are {listed}")

@@ -1,0 +1,171 @@
+"""What a file says beside its atoms, from reading to writing: title, cell, sequences, secondary structure.
+
+It travels as mmCIF text of gemmi, a plain value: gemmi's own objects can be changed, and not be pickled.
+"""
+
+from collections.abc import Iterable
+
+import gemmi
+
+Label = tuple[str, int | None]
+"""``label_asym_id`` of a residue, and its place in the sequence of its entity, from 1.
+
+Where the file has none, as in the PDB format, gemmi's: ``Axp`` for the polymer of chain A.
+"""
+
+NO_LABEL: Label = ("", None)
+
+_CATEGORIES = (
+    "cell", "symmetry", "title_keywords", "entity", "entity_poly", "entity_poly_seq", "struct_asym",
+    "struct_conf", "struct_sheet",
+)  # fmt: skip
+_INFO = ("_struct.title", "_cell.Z_PDB")
+"""Of what gemmi knows of an entry. Its experiment and dates are not those of a computed structure."""
+
+
+def take_header(structure: gemmi.Structure) -> str:
+    """Give every residue its label ids, where the file does not, and return what the file says.
+
+    Parameters
+    ----------
+    structure : gemmi.Structure
+        Its residues and entities are changed.
+
+    Returns
+    -------
+    str
+        mmCIF text.
+    """
+    structure.setup_entities()
+    structure.assign_label_seq_id()
+    groups = gemmi.MmcifOutputGroups(False)
+    for category in _CATEGORIES:
+        setattr(groups, category, True)
+    document = gemmi.cif.Document()
+    document.add_copied_block(structure.make_mmcif_block(groups))
+    return str(document.as_string())
+
+
+def with_header(header: str) -> gemmi.Structure:
+    """Return a structure without models that says what a header says."""
+    if not header:
+        return gemmi.Structure()
+    out = gemmi.make_structure_from_block(gemmi.cif.read_string(header).sole_block())
+    for name in [name for name in out.info if name not in _INFO]:
+        del out.info[name]
+    return out
+
+
+def settle(out: gemmi.Structure, *, whole: bool) -> None:
+    """Make entities and secondary structure those of the residues that are there.
+
+    Parameters
+    ----------
+    out : gemmi.Structure
+        Changed in place. Residues have the label ids of the file, where they are known.
+    whole : bool
+        Give every polymer a sequence, that of its residues if the file has none.
+    """
+    there: dict[str, list[gemmi.Residue]] = {}
+    for model in out:
+        for chain in model:
+            for residue in chain:
+                there.setdefault(residue.subchain, []).append(residue)
+    kept = []
+    for entity in out.entities:
+        entity.subchains = [each for each in entity.subchains if each in there]
+        if entity.subchains and _fits(entity, there):
+            kept.append(entity)
+            for each in entity.subchains:
+                del there[each]
+    kept += [_entity(name, residues, whole) for name, residues in there.items()]
+    _name_apart(kept)
+    out.entities = gemmi.EntityList(kept)
+    # Those in the list are copies; the ones that were in it before are gone.
+    of = {each: (entity.name, entity.entity_type) for entity in out.entities for each in entity.subchains}
+    for model in out:
+        for chain in model:
+            for residue in chain:
+                residue.entity_id, residue.entity_type = of[residue.subchain]
+    _keep_secondary_structure(out)
+
+
+def _fits(entity: gemmi.Entity, there: dict[str, list[gemmi.Residue]]) -> bool:
+    """Whether an entity of the file has a place for each residue; its sequence takes their present names."""
+    residues = [residue for subchain in entity.subchains for residue in there[subchain]]
+    is_polymer = entity.entity_type == gemmi.EntityType.Polymer
+    if any(is_polymer != (residue.entity_type == gemmi.EntityType.Polymer) for residue in residues):
+        return False
+    if not is_polymer:
+        return True
+    names: dict[int, dict[str, None]] = {}
+    for residue in residues:
+        if residue.label_seq is None or residue.label_seq > len(entity.full_sequence):
+            return False
+        names.setdefault(residue.label_seq, {})[residue.name] = None
+    sequence = list(entity.full_sequence)
+    for place, there_now in names.items():
+        sequence[place - 1] = ",".join(there_now)
+    entity.full_sequence = sequence
+    return True
+
+
+def _entity(subchain: str, residues: list[gemmi.Residue], whole: bool) -> gemmi.Entity:
+    """Make the entity of one subchain of which the file says nothing that fits."""
+    made = gemmi.Entity(subchain)
+    made.subchains = [subchain]
+    made.entity_type = residues[0].entity_type
+    if made.entity_type != gemmi.EntityType.Polymer:
+        water = all(residue.is_water() for residue in residues)
+        made.entity_type = gemmi.EntityType.Water if water else made.entity_type
+        return made
+    made.polymer_type = gemmi.PolymerType.PeptideL
+    places: dict[tuple[str, str], int] = {}
+    for residue in residues:
+        place = places.setdefault((str(residue.seqid), residue.name), len(places) + 1)
+        residue.label_seq = place if whole else None
+    if whole:
+        made.full_sequence = [name for _, name in places]
+    return made
+
+
+def _name_apart(entities: list[gemmi.Entity]) -> None:
+    taken: set[str] = set()
+    for entity in entities:
+        name, n = entity.name, 1
+        while entity.name in taken:
+            n += 1
+            entity.name = f"{name}{n}"
+        taken.add(entity.name)
+
+
+def _keep_secondary_structure(out: gemmi.Structure) -> None:
+    """Keep helices and strands whose ends are there, under the names that these residues now have."""
+    names = {
+        (chain.name.strip(), str(residue.seqid)): residue.name
+        for model in out
+        for chain in model
+        for residue in chain
+    }
+
+    def named(ends: Iterable[gemmi.AtomAddress]) -> bool:
+        for end in ends:
+            name = names.get((end.chain_name.strip(), str(end.res_id.seqid)))
+            if name is None:
+                return False
+            end.res_id.name = name
+        return True
+
+    out.helices = gemmi.HelixList([each for each in out.helices if named((each.start, each.end))])
+    sheets = []
+    for sheet in out.sheets:
+        strands = [each for each in sheet.strands if named((each.start, each.end))]
+        for strand in strands:
+            bond = (strand.hbond_atom1, strand.hbond_atom2)
+            if strand.hbond_atom1.atom_name and not named(bond):
+                strand.hbond_atom1 = strand.hbond_atom2 = gemmi.AtomAddress()
+        if strands:
+            strands[0].sense = 0
+            sheet.strands = gemmi.Sheet.StrandList(strands)
+            sheets.append(sheet)
+    out.sheets = gemmi.SheetList(sheets)
