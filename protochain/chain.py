@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain import multibody
-from protochain.arrays import Floats, Integers, floats, frozen, read_only
+from protochain.arrays import Floats, Integers, Value, floats, frozen, read_only
 from protochain.hinges import Hinge
 from protochain.multibody import Frames, Tree
 from protochain.multibody.algebra import add, add_pair, cross, kernel, matrix, put, subtract, turned, vector
@@ -18,7 +18,7 @@ _ON_HINGE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class Chain(Value):
     """A protein as a tree of rigid bodies.
 
     Parameters
@@ -119,7 +119,7 @@ class Chain:
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class Pose(Value):
     """Configuration of a chain at one q: an immutable value, so nothing in it can be stale.
 
     Parameters

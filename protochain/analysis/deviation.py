@@ -11,12 +11,13 @@ import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
 from protochain.arrays import Floats, Integers
-from protochain.errors import ProtochainError, StructureError
+from protochain.errors import OnlyAlphaError, ProtochainError, StructureError
 from protochain.residues import STANDARD
-from protochain.structure import Structure, load
-from protochain.structure.read import model_numbers
+from protochain.structure import Structure, as_structure
+from protochain.structure.files import STANDARD_INPUT, parse
 from protochain.structure.select import select
 from protochain.structure.superpose import motion
+from protochain.structure.trace import alpha_trace
 from protochain.units import ANGSTROM_PER_NM
 
 ALPHA = "name CA"
@@ -171,7 +172,9 @@ def rmsd_table(
     Parameters
     ----------
     reference : path-like
+        Its first model; ``-`` is standard input.
     models : sequence of path-like
+        A file that holds only C-alpha atoms is measured by these.
     align, measure : str
         As in :func:`deviation`.
 
@@ -186,7 +189,9 @@ def rmsd_table(
     StructureError
         If the reference cannot be used.
     """
-    first = load(reference)
+    first = next(structure for _, structure in _models(reference, first=True))
+    if isinstance(first, StructureError):
+        raise first
     select(first, align), select(first, measure)
     rows = []
     for path in models:
@@ -202,15 +207,19 @@ def rmsd_table(
     return pd.DataFrame(rows)
 
 
-def _models(path: str | Path) -> Iterator[tuple[int | None, Structure | StructureError]]:
+def _models(path: str | Path, first: bool = False) -> Iterator[tuple[int | None, Structure | StructureError]]:
+    """Numbers and structures of all models of a file, or of its first; standard input is read only once."""
+    source = "standard input" if Path(path) == STANDARD_INPUT else str(path)
     try:
-        numbers: list[int] = model_numbers(path)
+        parsed = parse(Path(path))[0]
     except StructureError as error:
         yield None, error
         return
-    for number in numbers:
+    for number in [model.num for model in parsed][: 1 if first else None]:
         try:
-            yield number, load(path, model=number)
+            yield number, as_structure(parsed, source, model=number)
+        except OnlyAlphaError:
+            yield number, alpha_trace(parsed, source, number)
         except StructureError as error:
             yield number, error
 

@@ -1,6 +1,5 @@
 """``batch``: many structures by Dask, results to disk as they arrive."""
 
-import json
 import platform
 import sys
 from collections import Counter
@@ -23,7 +22,7 @@ from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, fin
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables, read_table
 from protochain.interrupts import held_interrupts
-from protochain.storage import write_atomically
+from protochain.storage import json_text, write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -114,7 +113,7 @@ def batch(
     Parameters
     ----------
     inputs : path-like or iterable of path-like
-        Files, folders, patterns, or ``-`` for a list on standard input.
+        Files, folders, patterns, or ``-`` for a list on standard input, with lines or NULs between the names.
     output : path-like
         Folder for ``summary.csv``, ``traces.csv``, structures and pages, to which rows are appended as they
         arrive; at the end also ``summary.parquet``, ``summary.json``, plots and ``report.html``.
@@ -165,6 +164,9 @@ def batch(
         with held_interrupts():
             tables.sort(jobs)
             _finish(folder, jobs)
+    except BaseException:
+        tables.abandon()
+        raise
     finally:
         tables.close()
     return Batch(folder, interrupted)
@@ -268,6 +270,6 @@ def _finish(folder: Path, jobs: Sequence[Job]) -> None:
         "versions": {name: version(name) for name in packages},
         "settings": jobs[0].settings.record(),
     }
-    text = json.dumps(summary, indent=2, default=str)
+    text = json_text(summary)
     write_atomically(folder / "summary.json", lambda to: to.write_text(text, encoding="utf-8"))
     write_report(folder, table, summary)

@@ -4,6 +4,7 @@ import csv
 import glob
 import hashlib
 import json
+import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -216,7 +217,7 @@ def find_jobs(
     Raises
     ------
     ProtochainError
-        If there is nothing to do, the manifest makes no sense, or a result might replace an input.
+        If there is nothing to do, no file exists, the manifest makes no sense, or results might replace inputs.
     """
     found = [_Found(path, settings) for given in inputs for path in _paths(str(given), output)]
     if manifest:
@@ -229,15 +230,26 @@ def find_jobs(
             )
     if not found:
         raise ProtochainError("no structures found; give files, folders or patterns")
+    if not any(each.path.exists() for each in found):
+        raise ProtochainError(f"{found[0].path}: not found, nor any other structure; check the names")
     hashed = [replace(each, content=_hash(each.path)) for each in found]
     return _named_apart(hashed)
 
 
+def listed(by_nul: bool = False) -> list[str]:
+    """Names on standard input: one a line, or with NULs between them, as of ``find -print0``."""
+    data = sys.stdin.buffer.read() if hasattr(sys.stdin, "buffer") else sys.stdin.read().encode()
+    # Names of files need not be text.
+    text = os.fsdecode(data)
+    if by_nul or "\0" in text:
+        return [name for name in text.split("\0") if name]
+    return [line.strip() for line in text.splitlines() if line.strip()]
+
+
 def _paths(given: str, output: Path | None) -> Iterator[Path]:
     if given == "-":
-        for line in sys.stdin:
-            if line.strip():
-                yield from _paths(line.strip(), output)
+        for name in listed():
+            yield from _paths(name, output)
     elif Path(given).is_dir():
         found = sorted(path for path in Path(given).rglob("*") if _is_structure(path))
         yield from (path for path in found if not _is_inside(path, output))
@@ -260,6 +272,8 @@ def _is_structure(path: Path) -> bool:
 
 
 def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
+    if not manifest.is_file():
+        raise ProtochainError(f"{manifest}: not found; give a CSV file with a column 'path'")
     with manifest.open(newline="", encoding="utf-8-sig") as file:
         reader = csv.DictReader(file, restkey="", restval="")
         if "path" not in (reader.fieldnames or ()):

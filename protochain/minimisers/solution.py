@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.arrays import Floats, Watcher
+from protochain.arrays import Floats, Value, Watcher
 from protochain.chain import Chain
 from protochain.energies.protocol import Energy
 from protochain.markup import facts
@@ -72,7 +72,7 @@ class Recorder:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(Value):
     """Result of a minimisation, judged in double precision.
 
     Parameters

@@ -13,12 +13,12 @@ import numpy as np
 from pdbfixer.pdbfixer import substitutions
 
 from protochain import residues
-from protochain.errors import StructureError
+from protochain.errors import OnlyAlphaError, StructureError
 from protochain.structure.conformation import Conformation, likeliest, same_place
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse
 from protochain.structure.kept import is_wanted, obstacles
-from protochain.structure.templates import rename, standard_name, template_name, templates
+from protochain.structure.templates import other_names, rename, standard_name, template_name, templates
 
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""
@@ -165,7 +165,7 @@ class _Reader:
             if member is not None and self._has_backbone(member):
                 run.append(member)
         if run and all([atom.name for atom in member.atoms] == ["CA"] for member in run if not member.is_cap):
-            raise StructureError(
+            raise OnlyAlphaError(
                 f"{self.draft.source}: chain {self._chain} holds only C-alpha atoms; "
                 "rebuild the other atoms first"
             )
@@ -205,8 +205,7 @@ class _Reader:
 
     def _is_protein(self, name: str) -> bool:
         name = name.strip().upper()
-        standard = standard_name(name)[0]
-        return standard in residues.STANDARD or standard in residues.CAPS or bool(_parent(name))
+        return standard_name(name)[0] in residues.CAPS or bool(standard_parent(name))
 
     def _member(self, residue: gemmi.Residue) -> Member | None:
         """Return a residue of the protein under its standard name, or None for another molecule."""
@@ -257,7 +256,7 @@ class _Reader:
         """Convert a modified residue to its standard parent."""
         # HIP has the atoms of every state of histidine.
         named = self.known["HIP" if parent == "HIS" else parent]
-        expected = {*named.element, *named.synonyms, "OXT", "H1", "H2", "H3", "H"}
+        expected = {*named.element, *other_names(member.atoms, named), "OXT", "H1", "H2", "H3", "H"}
         for name in set(named.heavy) - {atom.name for atom in member.atoms}:
             # Selenium, or a sulphur of another name, becomes the parent's sulphur.
             chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in expected]
@@ -354,6 +353,12 @@ def _element(atom: gemmi.Atom) -> gemmi.Element:
     letter = atom.name.lstrip("0123456789")[:1]
     known = atom.element.name in ("C", "H", "D", "N", "O", "S") and atom.element.name == letter
     return atom.element if known or letter not in "CHDNOS" or not letter else gemmi.Element(letter)
+
+
+def standard_parent(name: str) -> str:
+    """Return the standard amino acid that a residue is or derives from, or an empty string."""
+    standard = standard_name(name)[0]
+    return standard if standard in residues.STANDARD else _parent(name)
 
 
 def _parent(name: str) -> str:
