@@ -63,7 +63,7 @@ def integer(value: Any, name: str) -> int:
 
 
 def quantity(unit: str) -> Check:
-    """Check for a number, or a Quantity of OpenMM, which is converted: ``kelvin``, ``picosecond**-1``."""
+    """Check for a number, or a Quantity of OpenMM, which is converted: ``kelvin``, ``1/picosecond``."""
 
     def check(value: Any, name: str) -> float:
         return number(plain(value, unit, name), name)
@@ -76,8 +76,11 @@ def plain(value: Any, unit: str, name: str) -> Any:
     if not hasattr(value, "value_in_unit"):
         return value
     # Its module is loaded, or there would be no Quantity; others need not import it.
-    base, _, power = unit.partition("**")
-    wanted = getattr(sys.modules["openmm.unit"], base) ** int(power or 1)
+    units = sys.modules["openmm.unit"]
+    above, *below = (getattr(units, name) if name != "1" else units.dimensionless for name in unit.split("/"))
+    wanted = above
+    for each in below:
+        wanted /= each
     try:
         return value.value_in_unit(wanted)
     except TypeError:
@@ -111,10 +114,43 @@ def path(value: Any, name: str) -> Path:
         raise ProtochainError(f"{name} {_shown(value)}: give the path of a file") from None
 
 
+def file_name(value: Any, name: str) -> str:
+    """Return a name, or the path of a file as text."""
+    return text(str(value) if isinstance(value, Path) else value, name)
+
+
+def pairs(given: Any, name: str) -> tuple[tuple[str, str], ...] | None:
+    """Read bonds, each ``("A:3", "A:40")`` or ``"A:3-A:40"``, or all in one text with commas; None stays."""
+    if given is None:
+        return None
+    bonds = words(given, name) if isinstance(given, str) else given
+    if not isinstance(bonds, Iterable):
+        raise ProtochainError(f"{name} {_shown(given)}: give pairs, as [('A:3', 'A:40')]")
+    return tuple(_pair(bond, name) for bond in bonds)
+
+
+def _pair(bond: Any, name: str) -> tuple[str, str]:
+    """Read ``A:3-A:40``, where numbers may be negative, or a pair of places."""
+    if isinstance(bond, str):
+        found = re.fullmatch(r"(\S*:-?\d+\w?)-(\S*:-?\d+\w?)", bond)
+        if found:
+            return found[1], found[2]
+    elif isinstance(bond, tuple | list) and len(bond) == 2 and all(isinstance(end, str) for end in bond):
+        return bond[0], bond[1]
+    raise ProtochainError(f"{name} {_shown(bond)}: give chain:number-chain:number, as A:3-A:40")
+
+
 def words(value: str | Iterable[str], name: str = "keep") -> tuple[str, ...]:
     """Split a text at its commas; leave a sequence of words as it is."""
     split = value.split(",") if isinstance(value, str) else _listed(value, name)
     return tuple(word.strip() for word in split if word.strip())
+
+
+def several(value: Any, name: str) -> tuple[Any, ...]:
+    """Return a sequence of anything as a tuple; a text is split at its commas, and one object stands alone."""
+    if isinstance(value, str):
+        return words(value, name)
+    return tuple(value) if isinstance(value, Iterable) else (value,)
 
 
 def kinds(value: str | Iterable[str], name: str) -> str:
@@ -132,6 +168,10 @@ def function(*parameters: str) -> Check:
         raise ProtochainError(f"{name} {given}: give a callable of {', '.join(parameters)}")
 
     return check
+
+
+WATCHER = function("row", "x")
+"""Check for what is called with each row of a log and its positions."""
 
 
 def instance(kind: type, remedy: str) -> Check:

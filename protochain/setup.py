@@ -1,11 +1,22 @@
 """How a structure is read, cut into rigid bodies and given an energy: the same for every kind of run."""
 
-import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from protochain import defaults
+from protochain.checks import (
+    check_fields,
+    file_name,
+    flag,
+    integer,
+    kinds,
+    number,
+    optional,
+    pairs,
+    text,
+    words,
+)
 from protochain.errors import ProtochainError
 
 if TYPE_CHECKING:
@@ -75,8 +86,11 @@ class Setup:
     strict: bool = False
 
     def __post_init__(self) -> None:
-        for name, read in (("model", _model), ("keep", words), ("disulfide", _pairs)):
-            object.__setattr__(self, name, read(getattr(self, name)))
+        check_fields(
+            self, hinges=kinds, root=text, move=text, forcefield=file_name, solvent=text, engine=text,
+            threads=optional(integer), trust_forcefield=flag, model=_model, altloc=text, keep=words,
+            disulfide=pairs, ph=number, strict=flag,
+        )  # fmt: skip
 
     def prepare(
         self, source: Any, name: str = "structure", build_energy: "Callable[..., Energy] | None" = None
@@ -132,31 +146,10 @@ class Setup:
         )  # fmt: skip
 
 
-def words(given: str | Iterable[str]) -> tuple[str, ...]:
-    """Split a text at its commas; leave a sequence of words as it is."""
-    split = given.split(",") if isinstance(given, str) else given
-    return tuple(word.strip() for word in split if word.strip())
-
-
-def _model(given: int | str | None) -> int | str | None:
+def _model(given: int | str | None, name: str) -> int | str | None:
     if given is None or given in ("", ALL_MODELS):
         return given or None
     try:
-        return int(given)
+        return int(given) if isinstance(given, str) else integer(given, name)
     except ValueError:
-        raise ProtochainError(f"model {given!r}: give its number, or all") from None
-
-
-def _pairs(given: str | Iterable[str | tuple[str, str]] | None) -> tuple[tuple[str, str], ...] | None:
-    if given is None:
-        return None
-    bonds = words(given) if isinstance(given, str) else given
-    return tuple(_pair(bond) if isinstance(bond, str) else (bond[0], bond[1]) for bond in bonds)
-
-
-def _pair(bond: str) -> tuple[str, str]:
-    """Read ``A:3-A:40``, where numbers may be negative."""
-    found = re.fullmatch(r"(\S*:-?\d+\w?)-(\S*:-?\d+\w?)", bond)
-    if not found:
-        raise ProtochainError(f"disulfide {bond!r}: give chain:number-chain:number, as A:3-A:40")
-    return found[1], found[2]
+        raise ProtochainError(f"{name} {given!r}: give its number, or all") from None

@@ -395,7 +395,7 @@ def test_a_sulphate_is_no_end_of_a_chain(last, has_oxygen, tmp_path):
     s = pc.from_sequence(sequence)
     lines = []
     for line in as_text(s, ".pdb", hydrogens=False).splitlines(True):
-        if line[17:26] == f"TYR A   {place}":
+        if line.startswith("ATOM") and line[17:26] == f"TYR A   {place}":
             line = f"HETATM{line[6:17]}TYS{line[20:]}"
             if line[12:16] == " O  " and not has_oxygen:
                 continue

@@ -10,19 +10,19 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
 from protochain.analysis.deviation import deviation
-from protochain.analysis.quality import displacement, quality, ramachandran
+from protochain.analysis.quality import quality, ramachandran
 from protochain.analysis.spread import spreads
 from protochain.analysis.work import at_equal_cost, work_to_reach
 from protochain.errors import ProtochainError
 from protochain.minimisers import Solution
 from protochain.minimisers.record import SHOWN, flat
-from protochain.minimisers.solution import TRACE_COLUMNS
+from protochain.minimisers.solution import TRACE_COLUMNS, alpha_residues
 from protochain.minimisers.verdict import judge_of
 from protochain.structure import Structure, ca_rmsd
+from protochain.structure.superpose import displacements
 from protochain.structure.write import common_suffix
 
 if TYPE_CHECKING:
@@ -123,19 +123,9 @@ class Comparison:
     @cached_property
     def displacements(self) -> pd.DataFrame:
         """Displacement of each C-alpha in angstrom, superposed: rows are residues, columns methods."""
-        alpha = self.structure.alpha_carbons
-        residues = self.structure.atom_residue[alpha]
-        table = pd.DataFrame(
-            {
-                "chain": self.structure.residue_chain[residues],
-                "residue": np.char.add(
-                    self.structure.residue_number[residues], self.structure.residue_insertion_code[residues]
-                ),
-                "name": self.structure.residue_name[residues],
-            }
-        )
+        table = alpha_residues(self.structure)
         for solution in self.solutions:
-            table[solution.method] = displacement(solution.structure, self.structure)
+            table[solution.method] = displacements(self.structure, solution.x, self.structure.positions)
         return table
 
     @cached_property

@@ -21,6 +21,7 @@ from protochain.batches.cluster import Processes, connected
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, refuse_unknown
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables, read_table
+from protochain.checks import checked, flag, function, number, path, several
 from protochain.interrupts import held_interrupts
 from protochain.storage import json_text, write_atomically
 
@@ -98,6 +99,9 @@ class Batch:
         return self.table.iloc[:, :12].to_html(index=False, max_rows=20)
 
 
+@checked(
+    output=path, methods=several, manifest=path, resume=flag, watch=function("progress"), max_rmsd=number
+)
 def batch(
     inputs: str | Path | Iterable[str | Path],
     output: str | Path,
@@ -145,12 +149,12 @@ def batch(
     -----
     A script must call it under ``if __name__ == "__main__":``, as any function that starts processes.
     """
-    given = [inputs] if isinstance(inputs, str | Path) else list(inputs)
-    chosen = (methods,) if isinstance(methods, str) else tuple(methods)
+    whole = [inputs] if isinstance(inputs, str) else several(inputs, "inputs")
+    given = [str(path(each, "inputs")) for each in whole]
     names = [field.name for field in fields(Processes)]
     refuse_unknown(settings, (*names, *NAMES))
     processes = Processes(**{name: settings.pop(name) for name in names if name in settings})
-    common = BatchSettings(chosen).changed(**settings)
+    common = BatchSettings(tuple(methods)).changed(**settings)
     folder = Path(output)
     jobs = find_jobs(given, common, Path(manifest) if manifest else None, folder)
     tables = Tables(folder, resume)

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from protochain import defaults
+from protochain.checks import check_fields, integer, number, several, words
 from protochain.errors import ProtochainError
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.recipes import recipe_of
-from protochain.setup import ALL_MODELS, Setup, words
+from protochain.setup import ALL_MODELS, Setup
 from protochain.structure.files import SUFFIXES
 from protochain.structure.prepare import user_file
 from protochain.structure.read import model_numbers
@@ -54,6 +55,9 @@ class BatchSettings:
     setup: Setup = field(default_factory=Setup)
 
     def __post_init__(self) -> None:
+        check_fields(
+            self, methods=several, tolerance=number, max_rmsd=number, max_evaluations=integer, seed=integer
+        )
         object.__setattr__(self, "methods", tuple(dict.fromkeys(self.methods)))
         if not self.methods:
             raise ProtochainError("methods: give at least one")
@@ -63,7 +67,7 @@ class BatchSettings:
                 f"methods {', '.join(self.methods)}: two have one name; their files would too"
             )
         for recipe in recipes:
-            Minimisation(recipe, self.tolerance, self.max_evaluations, max_rmsd=self.max_rmsd)
+            Minimisation(recipe, self.tolerance, self.max_evaluations, self.seed, max_rmsd=self.max_rmsd)
 
     def changed(self, **settings: Any) -> "BatchSettings":
         """Return these settings with some replaced, given by the names of their fields or of the setup's."""
@@ -217,7 +221,7 @@ def find_jobs(
     Raises
     ------
     ProtochainError
-        If there is nothing to do, no file exists, the manifest makes no sense, or results might replace inputs.
+        If there is nothing to do, no file exists, the manifest makes no sense, or an input might be replaced.
     """
     found = [_Found(path, settings) for given in inputs for path in _paths(str(given), output)]
     if manifest:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from protochain import defaults
+from protochain.checks import words
 from protochain.cli.options import (
     CONVERGED,
     FAILED,
@@ -20,7 +21,7 @@ from protochain.cli.options import (
     with_setup,
 )
 from protochain.cli.terminal import batch_progress, print_batch, print_jobs
-from protochain.setup import Setup, words
+from protochain.setup import Setup
 
 if TYPE_CHECKING:
     from protochain.batches import Batch

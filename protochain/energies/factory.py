@@ -3,17 +3,20 @@
 import xml.etree.ElementTree as ElementTree
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import openmm
 from openmm import app, unit
 
 from protochain import defaults
+from protochain.checks import checked, file_name, flag, instance, integer, optional, text
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.implicit import COULOMB, COULOMB_CUSTOM, OBC_OFFSET
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 from protochain.errors import ForceFieldError
+from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 
 DATA = Path(app.__file__).parent / "data"
@@ -44,8 +47,12 @@ _BESIDE = {
 ENGINES = ("auto", "native", "openmm")
 
 
+@checked(
+    forcefield=file_name, solvent=text, engine=text, threads=optional(integer), trust_forcefield=flag,
+    system=instance(openmm.System, "ForceField.createSystem"),
+)  # fmt: skip
 def energy(
-    structure: Structure,
+    structure: Any,
     forcefield: str = defaults.FORCEFIELD,
     solvent: str = defaults.SOLVENT,
     engine: str = defaults.ENGINE,
@@ -58,7 +65,7 @@ def energy(
 
     Parameters
     ----------
-    structure : Structure
+    structure : Structure, path, or anything that :func:`protochain.as_structure` takes
         Structure whose energy to build.
     forcefield : str
         ``amber14`` (ff14SB), ``amber19`` (ff19SB), ``amber99sb``, ``amber99sbildn``, ``charmm36``, the
@@ -88,6 +95,7 @@ def energy(
     UnsupportedForceError
         If the engine is ``native`` and has no exact kernel for a force, which is named.
     """
+    structure = as_structure(structure)
     if engine not in ENGINES:
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
     if threads is not None and threads < 1:

@@ -10,6 +10,7 @@ import numpy as np
 from protochain import defaults
 from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, pose
+from protochain.checks import WATCHER, checked, function, integer, number, quantity
 from protochain.energies import as_energy
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
@@ -109,6 +110,10 @@ class Starts:
         return f"<{s['n_starts']} starts: {low:.2f}, median {middle:.2f}, highest {high:.2f} kJ/mol>"
 
 
+@checked(
+    n_starts=integer, seed=integer, spread=quantity("radian"), hop_temperature=quantity("kelvin"),
+    each=function("k", "solution"), watch=WATCHER, max_rmsd=number,
+)  # fmt: skip
 @held_interrupts()
 def explore(
     chain: Any,
@@ -157,6 +162,8 @@ def explore(
     ProtochainError
         If a setting is invalid.
     """
+    if seed < 0:
+        raise ProtochainError(f"seed {seed}: give 0 or more")
     if n_starts < 1:
         raise ProtochainError(f"starts {n_starts}: give at least 1")
     if not 0 < spread < np.inf:

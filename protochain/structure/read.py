@@ -13,6 +13,7 @@ import numpy as np
 from pdbfixer.pdbfixer import substitutions
 
 from protochain import residues
+from protochain.checks import check_fields, flag, integer, optional, text, words
 from protochain.errors import OnlyAlphaError, StructureError
 from protochain.structure.conformation import Conformation, likeliest, same_place
 from protochain.structure.draft import Address, Draft, Member, Part
@@ -49,6 +50,9 @@ class Reading:
     keep: tuple[str, ...] = ()
     strict: bool = False
     forcefield: Path | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, model=optional(integer), altloc=text, keep=words, strict=flag)
 
 
 def read(path: str | Path, reading: Reading | None = None) -> Draft:

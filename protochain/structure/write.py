@@ -2,12 +2,15 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import gemmi
 import numpy as np
 
+from protochain.checks import path as as_path
 from protochain.errors import StructureError
 from protochain.storage import write_atomically
+from protochain.structure.convert import as_structure
 from protochain.structure.files import SUFFIXES
 from protochain.structure.model import Structure
 from protochain.units import ANGSTROM_PER_NM
@@ -17,12 +20,12 @@ _PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999
 """Angstrom: range of eight columns with three decimals."""
 
 
-def save(structure: Structure, path: str | Path, remarks: Iterable[str] = ()) -> None:
+def save(structure: Any, path: str | Path, remarks: Iterable[str] = ()) -> None:
     """Write a structure to a file, with the chain ids, numbers and insertion codes of its source.
 
     Parameters
     ----------
-    structure : Structure
+    structure : Structure, Chain, Solution, or anything that :func:`protochain.as_structure` takes
         Structure to write.
     path : path-like
         PDB for ``.pdb`` and ``.ent``, mmCIF for ``.cif`` and ``.mmcif``. No CRYST1 record is written, which
@@ -35,7 +38,7 @@ def save(structure: Structure, path: str | Path, remarks: Iterable[str] = ()) ->
     StructureError
         If the suffix is unknown, or the structure does not fit the format.
     """
-    path = Path(path)
+    path, structure = as_path(path, "path"), as_structure(structure)
     check_format(path)
     check_fits(structure, path)
     text = as_text(structure, path.suffix, remarks)
