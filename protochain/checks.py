@@ -52,14 +52,14 @@ def number(value: Any, name: str) -> float:
     """Return a real number as it is."""
     if isinstance(value, Real) and not isinstance(value, bool):
         return value  # type: ignore[return-value]
-    raise ProtochainError(f"{name} {_shown(value)}: {_instead(value, name, 'a number')}")
+    raise ProtochainError(f"{name} {shown(value)}: {_instead(value, name, 'a number')}")
 
 
 def integer(value: Any, name: str) -> int:
     """Return a whole number as an int, also one that is given as 1e4."""
     if isinstance(value, Real) and not isinstance(value, bool) and float(value).is_integer():
         return int(value) if isinstance(value, Integral) else round(float(value))
-    raise ProtochainError(f"{name} {_shown(value)}: {_instead(value, name, 'a whole number')}")
+    raise ProtochainError(f"{name} {shown(value)}: {_instead(value, name, 'a whole number')}")
 
 
 def quantity(unit: str) -> Check:
@@ -96,14 +96,14 @@ def text(value: Any, name: str) -> str:
     """Return a text as it is."""
     if isinstance(value, str):
         return value
-    raise ProtochainError(f"{name} {_shown(value)}: give a text")
+    raise ProtochainError(f"{name} {shown(value)}: give a text")
 
 
 def flag(value: Any, name: str) -> bool:
     """Return True or False as a bool."""
     if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
         return bool(value)
-    raise ProtochainError(f"{name} {_shown(value)}: give True or False")
+    raise ProtochainError(f"{name} {shown(value)}: give True or False")
 
 
 def path(value: Any, name: str) -> Path:
@@ -111,7 +111,7 @@ def path(value: Any, name: str) -> Path:
     try:
         return Path(value)
     except TypeError:
-        raise ProtochainError(f"{name} {_shown(value)}: give the path of a file") from None
+        raise ProtochainError(f"{name} {shown(value)}: give the path of a file") from None
 
 
 def file_name(value: Any, name: str) -> str:
@@ -125,7 +125,7 @@ def pairs(given: Any, name: str) -> tuple[tuple[str, str], ...] | None:
         return None
     bonds = words(given, name) if isinstance(given, str) else given
     if not isinstance(bonds, Iterable):
-        raise ProtochainError(f"{name} {_shown(given)}: give pairs, as [('A:3', 'A:40')]")
+        raise ProtochainError(f"{name} {shown(given)}: give pairs, as [('A:3', 'A:40')]")
     return tuple(_pair(bond, name) for bond in bonds)
 
 
@@ -137,7 +137,7 @@ def _pair(bond: Any, name: str) -> tuple[str, str]:
             return found[1], found[2]
     elif isinstance(bond, tuple | list) and len(bond) == 2 and all(isinstance(end, str) for end in bond):
         return bond[0], bond[1]
-    raise ProtochainError(f"{name} {_shown(bond)}: give chain:number-chain:number, as A:3-A:40")
+    raise ProtochainError(f"{name} {shown(bond)}: give chain:number-chain:number, as A:3-A:40")
 
 
 def words(value: str | Iterable[str], name: str = "keep") -> tuple[str, ...]:
@@ -147,7 +147,7 @@ def words(value: str | Iterable[str], name: str = "keep") -> tuple[str, ...]:
 
 
 def several(value: Any, name: str) -> tuple[Any, ...]:
-    """Return a sequence of anything as a tuple; a text is split at its commas, and one object stands alone."""
+    """Return a sequence of anything as a tuple; a text is split at its commas, one object stands alone."""
     if isinstance(value, str):
         return words(value, name)
     return tuple(value) if isinstance(value, Iterable) else (value,)
@@ -164,7 +164,7 @@ def function(*parameters: str) -> Check:
     def check(value: Any, name: str) -> Any:
         if value is None or (callable(value) and _takes(value, len(parameters))):
             return value
-        given = getattr(value, "__qualname__", None) or _shown(value)
+        given = getattr(value, "__qualname__", None) or shown(value)
         raise ProtochainError(f"{name} {given}: give a callable of {', '.join(parameters)}")
 
     return check
@@ -180,7 +180,7 @@ def instance(kind: type, remedy: str) -> Check:
     def check(value: Any, name: str) -> Any:
         if isinstance(value, kind):
             return value
-        raise ProtochainError(f"{name} {_shown(value)}: give a {kind.__name__}, as of {remedy}")
+        raise ProtochainError(f"{name} {shown(value)}: give a {kind.__name__}, as of {remedy}")
 
     return check
 
@@ -189,7 +189,7 @@ def _listed(value: Any, name: str) -> list[str]:
     found = list(value) if isinstance(value, Iterable) else [value]
     strange = next((each for each in found if not isinstance(each, str)), None)
     if strange is not None or not isinstance(value, Iterable):
-        raise ProtochainError(f"{name} {_shown(value)}: give words, as one text or a list")
+        raise ProtochainError(f"{name} {shown(value)}: give words, as one text or a list")
     return found
 
 
@@ -203,8 +203,8 @@ def _takes(value: Any, n: int) -> bool:
     return True
 
 
-def _shown(value: Any) -> str:
-    """A value in a message: short, and on one line."""
+def shown(value: Any) -> str:
+    """Return a value as it is shown in a message: short, and on one line."""
     said = " ".join(repr(value).split())
     return said if len(said) <= 60 else f"of type {type(value).__name__}"
 

@@ -172,7 +172,7 @@ def rmsd(reference: Any, model: Any, align: str = ALPHA, measure: str | None = N
     Returns
     -------
     float, angstrom
-        By Kabsch's rotation (Acta Cryst. A32:922, 1976). :func:`protochain.deviation` also tells the TM-score,
+        By Kabsch's rotation (Acta Cryst. A32:922, 1976). :func:`protochain.deviation` tells the TM-score too,
         and what was matched.
 
     Raises

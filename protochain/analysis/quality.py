@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from protochain.analysis.deviation import tm_score
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain
+from protochain.checks import checked, instance
 from protochain.contacts import overlaps
 from protochain.minimisers import Solution
 from protochain.structure import Structure, as_structure, ca_rmsd
@@ -22,6 +23,7 @@ _CELL = 4.0
 """Degrees, grid spacing of that reference."""
 
 
+@checked(chain=instance(Chain, "pc.build_chain(structure)"))
 def quality(structure: Any, start: Any = None, chain: Chain | None = None) -> dict[str, Any]:
     """Measure the quality of a structure, alone and against a start.
 

@@ -57,7 +57,7 @@ def view(shown: Any) -> View:
 
     Parameters
     ----------
-    shown : Solution, Comparison, Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
+    shown : Solution, Comparison, Chain, or anything that :func:`protochain.as_structure` takes
         A solution shows its start and its end, a comparison all ends.
 
     Returns

@@ -246,8 +246,8 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         tolerance=run.tolerance,
         hold=run.hold,
         seed=run.seed,
-        frame_rows=read_only(list(record.frames), np.int64),
-        frames=read_only(list(record.frames.values()), np.float32),
+        frame_rows=read_only(list(record.kept()), np.int64),
+        frames=read_only(list(record.kept().values()), np.float32),
     )
 
 

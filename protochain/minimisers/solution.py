@@ -58,6 +58,7 @@ class Recorder:
     rows: list[dict[str, float]] = field(default_factory=list)
     frames: dict[int, NDArray[np.float32]] = field(default_factory=dict)
     every: int = 1
+    last: Floats | None = None
     alphas: list[Floats] = field(default_factory=list)
     started: float = field(default_factory=perf_counter)
 
@@ -77,12 +78,17 @@ class Recorder:
             self.watch(row, x)
 
     def _frame(self, row: int, x: Floats) -> None:
-        """Keep the positions of every n-th row, fewer as the run grows longer."""
+        """Keep the positions of every n-th row, fewer as the run grows longer, and those of the last."""
+        self.last = x
         if row % self.every == 0:
             self.frames[row] = x.astype(np.float32)
         if len(self.frames) > N_FRAMES:
             self.every *= 2
             self.frames = {k: kept for k, kept in self.frames.items() if k % self.every == 0}
+
+    def kept(self) -> dict[int, NDArray[np.float32]]:
+        """Positions by their row of the trace, the last among them."""
+        return self.frames if self.last is None else self.frames | {len(self.rows) - 1: self.last}
 
     def trace(self) -> "pd.DataFrame":
         """Trace, with the columns ``TRACE_COLUMNS``."""
@@ -138,7 +144,7 @@ class Solution(Value):
     seed : int
         Of random methods.
     frame_rows : (n,) int
-        Rows of the trace at which ``frames`` were taken: at equal distances, the first being the start.
+        Rows of the trace at which ``frames`` were taken: at equal distances from the first, and the last.
     frames : (n, na, 3) float32, nm
         Positions at these rows, up to fifty, for ``pc.to_mdtraj(solution, solution.frames)``.
     """

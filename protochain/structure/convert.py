@@ -10,7 +10,7 @@ from openmm import app, unit
 
 from protochain import defaults
 from protochain.arrays import Floats, floats
-from protochain.checks import plain
+from protochain.checks import plain, shown
 from protochain.errors import StructureError
 from protochain.structure.draft import Draft, atom
 from protochain.structure.files import check
@@ -82,8 +82,8 @@ def to_mdtraj(structure: Any, frames: Floats | None = None) -> "mdtraj.Trajector
     import mdtraj
 
     structure = as_structure(structure)
-    frames = structure.positions[None] if frames is None else np.asarray(plain(frames, "nanometer", "frames"))
-    xyz = floats(frames, (len(frames), structure.n_atoms, 3), "frames")
+    xyz = structure.positions[None] if frames is None else np.asarray(plain(frames, "nanometer", "frames"))
+    xyz = floats(xyz, (xyz.size // (3 * structure.n_atoms), structure.n_atoms, 3), "frames")
     topology = mdtraj.Topology.from_openmm(structure.topology)
     return mdtraj.Trajectory(xyz.astype(np.float32), topology)
 
@@ -132,7 +132,7 @@ def _as_gemmi(source: Any) -> gemmi.Structure:
     if hasattr(source, "atoms") and hasattr(source.atoms, "residues"):
         return _from_mdanalysis(source.atoms)
     raise StructureError(
-        f"{type(source).__name__}: give a file, a Structure, a gemmi Structure, an mdtraj Trajectory, an "
+        f"{shown(source)}: give a file, a Structure, a gemmi Structure, an mdtraj Trajectory, an "
         "MDAnalysis Universe or AtomGroup, or an OpenMM Topology with its positions"
     )
 

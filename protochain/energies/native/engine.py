@@ -112,7 +112,7 @@ class NativeEnergy:
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Evaluate energies by kind, without the constant of terms left out, and forces.
 
-        Kinds are ``bonds``, ``angles``, ``torsions``, ``impropers``, ``maps`` (CMAP), ``nonbonded`` (Coulomb and
+        Kinds are ``bonds``, ``angles``, ``torsions``, ``impropers``, ``maps`` (CMAP), ``nonbonded`` (Coulomb,
         Lennard-Jones), ``polar`` (generalised Born) and ``surface``; those that the System has not are 0.
 
         Parameters
