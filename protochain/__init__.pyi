@@ -2,7 +2,10 @@ from . import multibody as multibody
 from .analysis import Comparison as Comparison
 from .analysis import compare as compare
 from .analysis.bars import progress as progress
+from .analysis.deviation import deviation as deviation
+from .analysis.deviation import rmsd as rmsd
 from .analysis.frames import EveryFrame as EveryFrame
+from .analysis.quality import quality as quality
 from .analysis.viewer import view as view
 from .articulate import build_chain as build_chain
 from .batches import Batch as Batch

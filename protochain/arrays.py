@@ -1,11 +1,14 @@
-"""Array types shared by all modules, and read-only copies and views of arrays."""
+"""Array types shared by all modules, read-only copies and views of arrays, and values that hold them."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import fields
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from protochain.checks import plain
 from protochain.errors import ProtochainError
 
 Floats = NDArray[np.float64]
@@ -13,6 +16,23 @@ Integers = NDArray[np.int64]
 
 Watcher = Callable[[Mapping[str, float], Floats], None]
 """Callback of a run: receives each row of its log, and the positions (na, 3) the row belongs to."""
+
+
+class Value:
+    """Base of frozen dataclasses: copied and pickled by fields, with read-only arrays, without caches."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Fields by which to make it anew."""
+        given = [getattr(self, each.name) for each in fields(self)]  # type: ignore[arg-type]
+        made = [dict(value) if isinstance(value, MappingProxyType) else value for value in given]
+        return _remade, (type(self), *made)
+
+
+def _remade(kind: type, *values: Any) -> Any:
+    for value in values:
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+    return kind(*values)
 
 
 def read_only(array: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
@@ -28,8 +48,10 @@ def frozen(array: Floats) -> Floats:
     return array
 
 
-def floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
+def floats(values: ArrayLike, shape: tuple[int, ...], name: str, unit: str = "") -> Floats:
     """Return a contiguous read-only float64 view of values that have the given shape.
+
+    A Quantity of OpenMM is converted to the unit, where one is given.
 
     Kernels do not check shapes. And numba compiles writable and read-only arrays separately, but may call
     either code for either, whichever was compiled first: rounding would depend on earlier calls.
@@ -37,9 +59,16 @@ def floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     Raises
     ------
     ProtochainError
-        If the shape is another; the message names the array and both shapes.
+        If the shape is another; the message names the array and both shapes. If they are no numbers.
     """
-    array = np.ascontiguousarray(values, dtype=np.float64)
+    if hasattr(values, "value_in_unit"):
+        if not unit:
+            raise ProtochainError(f"{name} is in {values.unit}; give numbers, without a unit")
+        values = plain(values, unit, name)
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ProtochainError(f"{name}: give an array of numbers of shape {shape}") from None
     if array.shape != shape:
         raise ProtochainError(f"{name} has shape {array.shape}, not {shape}")
     return frozen(array.view())

@@ -1,7 +1,7 @@
 """Structure -> Chain: rigid bodies, hinges and loops. Proteins and mechanics meet only here."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from protochain import defaults
 from protochain.arrays import Floats, Integers, read_only
 from protochain.chain import Chain, dihedral
+from protochain.checks import checked, kinds, quantity, text
 from protochain.errors import ChainError
 from protochain.hinges import HINGES, Hinge, components, cross_links, find_hinges, turning_hinges
 from protochain.multibody import Frames, HingeKind, Tree, rigid_bodies
@@ -19,9 +20,10 @@ from protochain.structure.model import Structure
 from protochain.structure.select import select
 
 
+@checked(hinges=kinds, root=text, move=text, hydrogen_mass=quantity("dalton"))
 def build_chain(
-    structure: Structure,
-    hinges: str = defaults.HINGES,
+    structure: Any,
+    hinges: str | Iterable[str] = defaults.HINGES,
     root: str = defaults.ROOT,
     *,
     move: str = defaults.MOVE,
@@ -31,9 +33,9 @@ def build_chain(
 
     Parameters
     ----------
-    structure : Structure
+    structure : Structure, path, or anything that :func:`protochain.as_structure` takes
         Structure with all its hydrogens.
-    hinges : str
+    hinges : str or sequence of str
         Kinds of bond that turn, of ``phi psi omega chi rotors``; with ``angles``, also the backbone bond
         angles at N and C-alpha, wherever the phi or psi beside them turns. Rings are always rigid.
     root : str
@@ -61,8 +63,8 @@ def build_chain(
     StructureError
         If the selection cannot be read or selects no atom.
     """
-    kinds = hinges.split()
-    unknown = [kind for kind in kinds if kind not in HINGES]
+    structure, opened = as_structure(structure), str(hinges).split()
+    unknown = [kind for kind in opened if kind not in HINGES]
     if unknown:
         raise ChainError(f"hinges {unknown[0]!r} is not a kind of hinge; choose from {' '.join(HINGES)}")
     if root not in ("auto", "fixed", "free"):
@@ -71,7 +73,7 @@ def build_chain(
     moving = ~structure.obstacle if move == "all" else select(structure, move) & ~structure.obstacle
     cut = cross_links(structure)
     bonds = structure.bonds[~cut]
-    wanted = [hinge for hinge in find_hinges(structure, kinds) if moving[hinge.atoms[2]]]
+    wanted = [hinge for hinge in find_hinges(structure, opened) if moving[hinge.atoms[2]]]
     turning, group = turning_hinges(structure, bonds, wanted)
     if not turning:
         of = "" if move == "all" else f" in {move!r}"
@@ -86,7 +88,7 @@ def build_chain(
     # A molecule with fixed atoms cannot translate or rotate as a whole.
     loose = root == "free" or (root == "auto" and len(roots) > 1)
     free = [loose and bool(moving[atoms].all()) for atoms in parts]
-    bodies, atom_body = _walk(structure.name, turning, group, roots, free, "angles" in kinds)
+    bodies, atom_body = _walk(structure.name, turning, group, roots, free, "angles" in opened)
     mass = _masses(structure, hydrogen_mass)
     tree, atom_local, q0 = _tree(structure.positions, mass, bodies, group, atom_body)
     return Chain(
@@ -98,7 +100,7 @@ def build_chain(
         hinge_body=read_only([b for b, body in enumerate(bodies) if body.hinge], np.int64),
         loops=read_only(structure.bonds[cut & ~structure.obstacle[structure.bonds].all(axis=1)], np.int64),
         q0=read_only(q0),
-        opened=hinges,
+        opened=" ".join(opened),
         root=root,
         move=move,
         moving=read_only(moving, np.bool_),

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain import multibody
-from protochain.arrays import Floats, Integers, floats, frozen, read_only
+from protochain.arrays import Floats, Integers, Value, floats, frozen, read_only
+from protochain.checks import instance
 from protochain.hinges import Hinge
 from protochain.multibody import Frames, Tree
 from protochain.multibody.algebra import add, add_pair, cross, kernel, matrix, put, subtract, turned, vector
@@ -18,7 +19,7 @@ _ON_HINGE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class Chain(Value):
     """A protein as a tree of rigid bodies.
 
     Parameters
@@ -119,7 +120,7 @@ class Chain:
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class Pose(Value):
     """Configuration of a chain at one q: an immutable value, so nothing in it can be stale.
 
     Parameters
@@ -137,6 +138,10 @@ class Pose:
     x: Floats
 
 
+_chain = instance(Chain, "pc.build_chain(structure)")
+_pose = instance(Pose, "pc.pose(chain, q)")
+
+
 def pose(chain: Chain, q: Floats) -> Pose:
     """World frames and atom positions at q.
 
@@ -152,7 +157,7 @@ def pose(chain: Chain, q: Floats) -> Pose:
     Pose
         Computed from q and constant body-frame coordinates, so bond lengths and angles cannot drift. O(n).
     """
-    frames = multibody.pose(chain.tree, q)
+    frames = multibody.pose(_chain(chain, "chain").tree, q)
     return Pose(read_only(q), frames, place_atoms(chain, frames))
 
 
@@ -178,9 +183,9 @@ def pull_back(chain: Chain, pose: Pose, f: Floats) -> Floats:
     (n_v,) float, kJ/mol/rad
         Torques; a free root has (moment, force) about its frame's origin, the force in kJ/mol/nm. O(n).
     """
-    wrench = np.zeros((chain.n_bodies, 6))
-    f = floats(f, (chain.n_atoms, 3), "f")
-    _gather_loads(chain.atom_body, pose.frames.origin, pose.x, f, wrench)
+    wrench = np.zeros((_chain(chain, "chain").n_bodies, 6))
+    f = floats(f, (chain.n_atoms, 3), "f", "kilojoule_per_mole/nanometer")
+    _gather_loads(chain.atom_body, _pose(pose, "pose").frames.origin, pose.x, f, wrench)
     return multibody.pull_back(chain.tree, pose.frames, wrench)
 
 
@@ -197,7 +202,7 @@ def mass_matrix(chain: Chain, pose: Pose) -> Floats:
     (n_v, n_v) float, amu nm^2
         M by the composite-rigid-body algorithm; see :func:`protochain.multibody.mass_matrix`.
     """
-    return multibody.mass_matrix(chain.tree, pose.frames)
+    return multibody.mass_matrix(_chain(chain, "chain").tree, _pose(pose, "pose").frames)
 
 
 def solve_mass(chain: Chain, pose: Pose, tau: Floats, method: multibody.Method = "articulated") -> Floats:
@@ -217,7 +222,7 @@ def solve_mass(chain: Chain, pose: Pose, tau: Floats, method: multibody.Method =
     (n_v,) float, rad/ps^2
         Accelerations from rest.
     """
-    return multibody.solve_mass(chain.tree, pose.frames, tau, method)
+    return multibody.solve_mass(_chain(chain, "chain").tree, _pose(pose, "pose").frames, tau, method)
 
 
 def log_det_mass(chain: Chain, pose: Pose, method: multibody.Method = "articulated") -> float:
@@ -235,7 +240,7 @@ def log_det_mass(chain: Chain, pose: Pose, method: multibody.Method = "articulat
     float
         Value of ln det M, with M in amu nm^2.
     """
-    return multibody.log_det_mass(chain.tree, pose.frames, method)
+    return multibody.log_det_mass(_chain(chain, "chain").tree, _pose(pose, "pose").frames, method)
 
 
 def dihedral(x: Floats) -> float:

@@ -12,6 +12,10 @@ class StructureError(ProtochainError):
     """A structure file that cannot be read or prepared."""
 
 
+class OnlyAlphaError(StructureError):
+    """A chain of C-alpha atoms only, which can be measured but not prepared."""
+
+
 class ForceFieldError(ProtochainError):
     """A force field that is unknown, unsafe, or does not fit the structure."""
 

@@ -1,11 +1,23 @@
 """How a structure is read, cut into rigid bodies and given an energy: the same for every kind of run."""
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from protochain import defaults
+from protochain.checks import (
+    check_fields,
+    file_name,
+    flag,
+    integer,
+    kinds,
+    number,
+    optional,
+    pairs,
+    text,
+    words,
+)
 from protochain.errors import ProtochainError
 
 if TYPE_CHECKING:
@@ -80,9 +92,11 @@ class Setup:
     chains: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        readers = (("model", _model), ("keep", words), ("disulfide", _pairs), ("chains", words))
-        for name, read in readers:
-            object.__setattr__(self, name, read(getattr(self, name)))
+        check_fields(
+            self, hinges=kinds, root=text, move=text, forcefield=file_name, solvent=text, engine=text,
+            threads=optional(integer), trust_forcefield=flag, model=_model, altloc=text, keep=words,
+            disulfide=_bonds, ph=number, strict=flag, chains=words,
+        )  # fmt: skip
 
     def prepare(
         self, source: Any, name: str = "structure", build_energy: "Callable[..., Energy] | None" = None
@@ -138,12 +152,6 @@ class Setup:
         )  # fmt: skip
 
 
-def words(given: str | Iterable[str]) -> tuple[str, ...]:
-    """Split a text at its commas; leave a sequence of words as it is."""
-    split = given.split(",") if isinstance(given, str) else given
-    return tuple(word.strip() for word in split if word.strip())
-
-
 def models_asked(model: int | str) -> tuple[int, ...]:
     """Return the numbers of the models asked for by number or as ``1-5,8``, in that order and once each."""
     numbers: dict[int, None] = {}
@@ -153,33 +161,20 @@ def models_asked(model: int | str) -> tuple[int, ...]:
     return tuple(numbers)
 
 
-def _model(given: int | str | None) -> int | str | None:
+def _model(given: int | str | None, name: str) -> int | str | None:
     if given is None or given in ("", ALL_MODELS):
         return given or None
-    text = "".join(str(given).split())
-    parts = [re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", part) for part in text.split(",")]
+    asked = "".join((given if isinstance(given, str) else str(integer(given, name))).split())
+    parts = [re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", part) for part in asked.split(",")]
     ranges = [(int(part[1]), int(part[2] or part[1])) for part in parts if part]
     if len(ranges) < len(parts) or any(not 0 <= b - a < _MOST_MODELS for a, b in ranges):
-        raise ProtochainError(f"model {given!r}: give its number, or all, or a range such as 1-5")
-    return int(text) if text.isdigit() else text
+        raise ProtochainError(f"{name} {given!r}: give its number, or all, or a range such as 1-5")
+    return int(asked) if asked.isdigit() else asked
 
 
 _MOST_MODELS = 100_000
 """In one range: more are a slip."""
 
 
-def _pairs(given: str | Iterable[str | tuple[str, str]] | None) -> tuple[tuple[str, str], ...] | None:
-    if given is None:
-        return None
-    if given == NO_BONDS:
-        return ()
-    bonds = words(given) if isinstance(given, str) else given
-    return tuple(_pair(bond) if isinstance(bond, str) else (bond[0], bond[1]) for bond in bonds)
-
-
-def _pair(bond: str) -> tuple[str, str]:
-    """Read ``A:3-A:40``, where numbers may be negative."""
-    found = re.fullmatch(r"(\S*:-?\d+\w?)-(\S*:-?\d+\w?)", bond)
-    if not found:
-        raise ProtochainError(f"disulfide {bond!r}: give chain:number-chain:number, as A:3-A:40")
-    return found[1], found[2]
+def _bonds(given: Any, name: str) -> tuple[tuple[str, str], ...] | None:
+    return () if given == NO_BONDS else pairs(given, name)

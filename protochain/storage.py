@@ -4,6 +4,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Mapping
+from math import isfinite
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -11,6 +12,19 @@ from zipfile import BadZipFile
 import numpy as np
 
 from protochain.errors import ProtochainError
+
+
+def json_text(values: Any, indent: int | None = 2) -> str:
+    """Text of values as JSON, which has no infinity: null where a number is not finite."""
+    return json.dumps(_finite(values), indent=indent, default=str, allow_nan=False)
+
+
+def _finite(values: Any) -> Any:
+    if isinstance(values, Mapping):
+        return {key: _finite(value) for key, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [_finite(value) for value in values]
+    return None if isinstance(values, float) and not isfinite(values) else values
 
 
 def check_writable(path: Path) -> None:

@@ -15,7 +15,18 @@ PACKAGE = ROOT / "protochain"
 MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
 
 LAYERS = [
-    {"units", "errors", "arrays", "residues", "interrupts", "markup", "storage", "defaults", "compilation"},
+    {
+        "units",
+        "errors",
+        "checks",
+        "arrays",
+        "residues",
+        "interrupts",
+        "markup",
+        "storage",
+        "defaults",
+        "compilation",
+    },
     {"multibody", "structure", "energies"},
     {"chain", "hinges", "articulate", "contacts", "frame", "setup"},
     {"dynamics"},

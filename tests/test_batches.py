@@ -1,10 +1,13 @@
 """Many structures: what is found, that each is done as if alone, and that nothing stops or loses the rest."""
 
+import io
+import json
 import os
 import queue
 import signal
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -14,13 +17,14 @@ from conftest import ROOT, STRUCTURES, chain, energy, load
 
 import protochain as pc
 from protochain.batches import BatchSettings, find_jobs
-from protochain.batches.jobs import Row, failure
+from protochain.batches.jobs import Row, failure, origin
 from protochain.batches.page import curves, write_page
 from protochain.batches.report import statistics, worst_first, write_report
 from protochain.batches.supervise import Child
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables
 from protochain.batches.task import run
 from protochain.minimisers import record
+from protochain.storage import json_text
 
 CUT = "ATOM      1  N   ALA A   1      11.104   6.134  -6.504  1.00  0.00           N\n"
 EVIL = "<script>alert(1)</script>"
@@ -74,9 +78,10 @@ def test_inputs_are_found_in_order_and_once(folder, monkeypatch):
         *names[:3],
     ]
     assert [job.name for job in find_jobs([f"{folder}/**/*a*.pdb"], BatchSettings())] == ["ala10"]
-    listed = iter([f"{folder}/cut.pdb\n", "\n", f"{folder}/deep\n"])
-    monkeypatch.setattr("sys.stdin", listed)
-    assert [job.name for job in find_jobs(["-"], BatchSettings())] == ["cut", "ala10"]
+    for between in ("\n", "\r\n", "\n \n", "\0"):
+        names_given = between.join([f"{folder}/cut.pdb", f"{folder}/deep", ""])
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(names_given.encode())))
+        assert [job.name for job in find_jobs(["-"], BatchSettings())] == ["cut", "ala10"]
     models = find_jobs([folder / "two.pdb", folder / "cut.pdb"], BatchSettings(setup=pc.Setup(model="all")))
     numbers = [(job.name, job.settings.setup.model) for job in models]
     assert numbers == [("two.1", 1), ("two.2", 2), ("cut", None)]
@@ -191,6 +196,11 @@ def test_what_fails_is_a_row_and_all_else_is_done(done):
 
 def test_nobody_outside_can_reach_the_workers(done):
     assert done[2] and done[2] <= {"127.0.0.1", "::1"}
+
+
+def test_the_summary_is_json(done):
+    text = (done[0].folder / "summary.json").read_text()
+    assert json.loads(text, parse_constant=pytest.fail)["settings"]["max_rmsd"] is None
 
 
 def test_the_folder_holds_one_truth(done):
@@ -445,9 +455,44 @@ def test_a_curve_falls_from_corner_to_corner():
     assert curves([])["lines"] == {}
 
 
-def test_a_cluster_that_is_not_there_is_named(folder, tmp_path):
+def test_a_cluster_that_is_not_there_is_named_and_keeps_no_folder(folder, tmp_path):
+    (tmp_path / "there").mkdir()
+    for output in (tmp_path / "there", tmp_path / "new" / "deep"):
+        with pytest.raises(pc.ProtochainError, match="no cluster answers"):
+            pc.batch(folder, output, scheduler="tcp://127.0.0.1:9")
+    assert list(tmp_path.rglob("*")) == [tmp_path / "there"]
+
+
+def test_a_failed_start_leaves_an_earlier_batch_as_it_is(folder, tmp_path):
+    tables = Tables(tmp_path, resume=False)
+    (job,) = find_jobs([folder / "1l2y.pdb"], BatchSettings())
+    tables.finished([job])
+    tables.append([Row(origin(job) | {"method": "hybrid", "status": "converged"}, [])])
+    tables.close()
     with pytest.raises(pc.ProtochainError, match="no cluster answers"):
-        pc.batch(folder, tmp_path, scheduler="tcp://127.0.0.1:9")
+        pc.batch(folder, tmp_path, resume=True, scheduler="tcp://127.0.0.1:9")
+    assert "converged" in (tmp_path / "summary.csv").read_text()
+
+
+def test_a_batch_over_nothing_writes_nothing(tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "list.csv").write_text("path\nnone.pdb\n")
+    for given, options in (
+        (tmp_path / "empty", {}),
+        ([tmp_path / "none.pdb", tmp_path / "nor.cif"], {}),
+        ((), {"manifest": tmp_path / "list.csv"}),
+        ((), {"manifest": tmp_path / "none.csv"}),
+    ):
+        with pytest.raises(pc.ProtochainError, match=r"no structures found|none\.\w+: not found"):
+            pc.batch(given, tmp_path / "out", workers=1, **options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_written_as_json_has_no_infinity():
+    values = {"max_rmsd": np.inf, "deep": [{"x": -np.inf}, (np.nan, 1.5)], "path": Path("a"), "n": 3}
+    assert json.loads(json_text(values), parse_constant=pytest.fail) == {
+        "max_rmsd": None, "deep": [{"x": None}, [None, 1.5]], "path": "a", "n": 3,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("options", [{"workers": 0}, {"threads": 0}, {"time_limit": 0.0}, {"colour": "red"}])

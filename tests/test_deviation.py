@@ -1,15 +1,18 @@
 """RMSD between files against mdtraj, MDAnalysis and tmtools, unequal lengths and numbers included."""
 
 import json
+import subprocess
 
 import gemmi
 import numpy as np
 import pytest
 from conftest import RMSD_ANGSTROM, STRUCTURES, load, shared
-from test_cli import protochain
+from test_cli import COMMAND, protochain
 
 import protochain as pc
 from protochain.analysis.deviation import deviation, match, rmsd_table
+from protochain.structure.files import parse
+from protochain.structure.trace import alpha_trace
 
 PAIRS = [
     ("1ake_A.pdb", 1, "4ake_A_H.pdb", 1),
@@ -122,6 +125,63 @@ def test_what_has_nothing_in_common_is_refused():
         deviation(glycines, leucines, "name XX")
     assert deviation(glycines, leucines).match.identity == 0.0
     assert np.isnan(deviation(glycines, leucines).tm_score)
+
+
+def trace_of(tmp_path, name="1ubq.pdb"):
+    lines = (STRUCTURES / name).read_text().splitlines(True)
+    path = tmp_path / "trace.pdb"
+    path.write_text("".join(line for line in lines if line[:4] == "ATOM" and line[12:16] == " CA ") + "END\n")
+    return path
+
+
+def test_a_c_alpha_trace_is_measured_against_a_whole_file_either_way(tmp_path):
+    whole, moved = load("1ubq.pdb"), load("1ubq.pdb").positions.copy()
+    moved[whole.alpha_carbons[10]] += 0.2
+    pc.save(whole.with_positions(moved), tmp_path / "moved.pdb")
+    expected = deviation(whole, pc.load(tmp_path / "moved.pdb")).rmsd
+    path = trace_of(tmp_path)
+    there, back = (
+        rmsd_table(*pair).iloc[0]
+        for pair in ((path, [tmp_path / "moved.pdb"]), (tmp_path / "moved.pdb", [path]))
+    )
+    for row in (there, back):
+        assert row["message"] == "" and row["measured_atoms"] == 76 and row["matched_by"] == "numbers"
+        assert row["rmsd_angstrom"] == pytest.approx(expected, abs=RMSD_ANGSTROM)
+        assert row["tm_score"] > 0.95
+    assert rmsd_table(path, [path]).iloc[0]["rmsd_angstrom"] < 1e-9
+    assert "no atom of 'name CB'" in rmsd_table(STRUCTURES / "1ubq.pdb", [path], "name CB").iloc[0]["message"]
+    with pytest.raises(pc.ProtochainError, match="holds only C-alpha atoms"):
+        pc.load(path)
+
+
+def test_a_real_trace_of_another_entry_is_measured():
+    row = rmsd_table(shared("1ubq_ubiquitin.pdb"), [shared("ubiquitin_ca_only.pdb")]).iloc[0]
+    assert row["message"] == "" and row["coverage"] > 0.9 and 0.0 <= row["rmsd_angstrom"] < 5.0
+
+
+def test_modified_residues_and_alternates_of_a_trace_count_once(tmp_path):
+    x = [(4.0 * k, float(k % 2), 0.0) for k in range(5)]
+    names = ("ALA", "MSE", "SEP", "HSD", "GLY")
+    lines = [
+        f"HETATM{k:5d}  CA {alt}{name} A{k:4d}    {at[0]:8.3f}{at[1]:8.3f}{at[2]:8.3f}{occ:6.2f}  0.00\n"
+        for k, (name, at) in enumerate(zip(names, x, strict=True), -1)
+        for alt, occ in ([("A", 0.4), ("B", 0.6)] if name == "SEP" else [(" ", 1.0)])
+    ]
+    water = "HETATM   99 CA    CA A  99       0.000   0.000   0.000  1.00  0.00          CA\n"
+    (tmp_path / "x.pdb").write_text("".join(lines) + water + "END\n")
+    trace = alpha_trace(parse(tmp_path / "x.pdb")[0], "x.pdb", 1)
+    assert trace.residue_name.tolist() == ["ALA", "MET", "SER", "HIS", "GLY"]
+    assert trace.residue_number.tolist() == ["-1", "0", "1", "2", "3"] and trace.n_atoms == 5
+
+
+def test_standard_input_is_measured_as_a_file_is(tmp_path):
+    text = (STRUCTURES / "1ubq.pdb").read_bytes()
+    for order in (["-", STRUCTURES / "1ubq.pdb"], [STRUCTURES / "1ubq.pdb", "-"]):
+        done = subprocess.run(
+            [*COMMAND, "rmsd", *map(str, order), "--json"], input=text, capture_output=True, timeout=300
+        )
+        assert done.returncode == 0, done.stderr
+        assert json.loads(done.stdout)["results"][0]["rmsd_angstrom"] < 1e-9
 
 
 def test_a_batch_report_has_a_row_for_every_model_and_every_failure(tmp_path):

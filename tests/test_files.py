@@ -379,6 +379,91 @@ def test_every_amino_acid_becomes_its_parent_or_is_refused_by_name(extra_atom, t
     assert refused == unknown | {"HYP"} | (standard & (AMINO_ACIDS | set(substitutions)))
 
 
+SULPHATE = (
+    ("S", (1.0, 0.9, 0.5)),
+    ("O1", (2.2, 0.5, 1.2)),
+    ("O2", (0.2, 1.9, 1.2)),
+    ("O3", (1.2, 1.3, -0.9)),
+)
+
+
+@pytest.mark.parametrize("last", [False, True])
+@pytest.mark.parametrize("has_oxygen", [True, False])
+def test_a_sulphate_is_no_end_of_a_chain(last, has_oxygen, tmp_path):
+    """Sulphotyrosine (TYS) of hirudin: its O1 is not the backbone's O, also where that is missing."""
+    sequence = "AAY" if last else "AYA"
+    place = sequence.index("Y") + 1
+    s = pc.from_sequence(sequence)
+    lines = []
+    for line in as_text(s, ".pdb", hydrogens=False).splitlines(True):
+        if line.startswith("ATOM") and line[17:26] == f"TYR A   {place}":
+            line = f"HETATM{line[6:17]}TYS{line[20:]}"
+            if line[12:16] == " O  " and not has_oxygen:
+                continue
+            if line[12:16] == " OH ":
+                at = [float(line[k : k + 8]) for k in (30, 38, 46)]
+                for name, off in SULPHATE:
+                    here = "".join(f"{a + b:8.3f}" for a, b in zip(at, off, strict=True))
+                    lines.append(f"{line[:12]} {name:<3s}{line[16:30]}{here}{line[54:76]} {name[0]}\n")
+        lines.append(line)
+    made = pc.load(written(tmp_path, "".join(lines)))
+    assert made.residue_name.tolist() == s.residue_name.tolist() and made.n_atoms == s.n_atoms
+    said = "converted to its standard parent TYR, S, O1, O2, O3 left out"
+    assert f"residue {place} TYS of chain A: {said}" in made.repairs
+    carbon, oxygen = (
+        made.positions[(made.atom_residue == place - 1) & (made.atom_name == name)][0] for name in ("C", "O")
+    )
+    assert np.linalg.norm(carbon - oxygen) == pytest.approx(0.123, abs=0.005)
+
+
+@pytest.mark.parametrize("name", ["HIC", "DHI"])
+def test_modified_histidines_are_read_with_their_own_atoms(name, tmp_path):
+    """4-methylhistidine (HIC) has CZ on NE2; D-histidine (DHI) has no atom more than L-histidine."""
+    lines = []
+    s = pc.from_sequence("AHA")
+    for line in as_text(s, ".pdb", hydrogens=False).splitlines(True):
+        lines.append(line.replace("HIS A   2", f"{name} A   2").replace("ATOM  ", "HETATM"))
+        if name == "HIC" and line[12:26] == " NE2 HIS A   2":
+            x = [float(line[k : k + 8]) + 0.85 for k in (30, 38, 46)]
+            at = "".join(f"{value:8.3f}" for value in x)
+            lines.append(f"HETATM{line[6:12]} CZ  HIC{line[20:30]}{at}{line[54:76]} C\n")
+    made = pc.load(written(tmp_path, "".join(lines)))
+    assert made.residue_name.tolist() == ["ALA", "HIS", "ALA"]
+    assert any(f"residue 2 {name} of chain A" in line for line in made.repairs)
+    assert np.isfinite(pc.energy(made, solvent="vacuum")(made.positions)[0])
+
+
+def test_an_mmcif_file_without_its_last_mark_is_taken_if_its_atoms_are_whole(tmp_path):
+    text = (STRUCTURES / "1ubq.cif").read_text().rstrip()
+    assert text.endswith("#")
+    unmarked = pc.load(written(tmp_path, text.removesuffix("#"), "1ubq.cif"))
+    assert np.array_equal(unmarked.positions, load("1ubq.cif").positions)
+    lines = text.splitlines(True)
+    waters = [k for k, line in enumerate(lines) if line.startswith("HETATM")]
+    pc.load(written(tmp_path, "".join(lines[: waters[3]]), "1ubq.cif"))
+    last = [k for k, line in enumerate(lines) if line.startswith("ATOM ")][-1]
+    for end in (last - 200, last + 1):
+        # All that says that the file is whole would be the waters, which are listed.
+        with pytest.raises(pc.ProtochainError, match=r"line \d+: the file is cut short; .* a line with #"):
+            pc.load(written(tmp_path, "".join(lines[:end]), "1ubq.cif"))
+    pc.save(load("1l2y.pdb"), tmp_path / "own.cif")
+    own = (tmp_path / "own.cif").read_text().rstrip().rstrip("#\n") + "\n"
+    assert np.array_equal(
+        pc.load(written(tmp_path, own, "own.cif")).positions, pc.load(STRUCTURES / "1l2y.pdb").positions
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["4cup_missing.cif", "5pti_bpti.cif", "1as5_conotoxin.cif", "boltz2_5ht2c.cif"]
+)
+def test_real_mmcif_files_do_not_need_their_last_mark(name, tmp_path):
+    text = shared(name).read_text().rstrip()
+    assert text.endswith("#")
+    assert np.array_equal(
+        pc.load(written(tmp_path, text.removesuffix("#"), name)).positions, pc.load(shared(name)).positions
+    )
+
+
 def test_a_crosslink_that_no_force_field_has_is_named(tmp_path):
     lines = atoms_of("1ubq.pdb")
     (carbon,) = [line for line in lines if line[12:26] == " CG  ASP A  58"]

@@ -8,6 +8,7 @@ from protochain import defaults
 from protochain.analysis.comparison import Comparison
 from protochain.arrays import Watcher
 from protochain.articulate import as_chain
+from protochain.checks import checked, function, integer, several
 from protochain.energies import as_energy
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
@@ -17,10 +18,11 @@ from protochain.minimisers.start import Start
 from protochain.structure import as_structure
 
 
+@checked(methods=several, repeats=integer, watch=function("method"))
 @held_interrupts()
 def compare(
     structure: Any,
-    methods: Sequence[Any] = defaults.COMPARED,
+    methods: str | Sequence[Any] = defaults.COMPARED,
     energy: Any = None,
     tolerance: float = defaults.TOLERANCE,
     max_evaluations: int = defaults.MAX_EVALUATIONS,
@@ -36,7 +38,7 @@ def compare(
     ----------
     structure : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
         The common start.
-    methods : sequence of str, Recipe, or object with ``init`` and ``step``
+    methods : str, or sequence of str, Recipe, or object with ``init`` and ``step``
         As in :func:`protochain.minimise`.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`; one energy function serves all methods.

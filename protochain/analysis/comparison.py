@@ -10,19 +10,19 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
 from protochain.analysis.deviation import deviation
-from protochain.analysis.quality import displacement, quality, ramachandran
+from protochain.analysis.quality import quality, ramachandran
 from protochain.analysis.spread import spreads
 from protochain.analysis.work import at_equal_cost, work_to_reach
 from protochain.errors import ProtochainError
 from protochain.minimisers import Solution
 from protochain.minimisers.record import SHOWN, flat
-from protochain.minimisers.solution import TRACE_COLUMNS
+from protochain.minimisers.solution import TRACE_COLUMNS, alpha_residues
 from protochain.minimisers.verdict import judge_of
 from protochain.structure import Structure, ca_rmsd
+from protochain.structure.superpose import displacements
 from protochain.structure.write import common_suffix
 
 if TYPE_CHECKING:
@@ -123,19 +123,9 @@ class Comparison:
     @cached_property
     def displacements(self) -> pd.DataFrame:
         """Displacement of each C-alpha in angstrom, superposed: rows are residues, columns methods."""
-        alpha = self.structure.alpha_carbons
-        residues = self.structure.atom_residue[alpha]
-        table = pd.DataFrame(
-            {
-                "chain": self.structure.residue_chain[residues],
-                "residue": np.char.add(
-                    self.structure.residue_number[residues], self.structure.residue_insertion_code[residues]
-                ),
-                "name": self.structure.residue_name[residues],
-            }
-        )
+        table = alpha_residues(self.structure)
         for solution in self.solutions:
-            table[solution.method] = displacement(solution.structure, self.structure)
+            table[solution.method] = displacements(self.structure, solution.x, self.structure.positions)
         return table
 
     @cached_property
@@ -171,13 +161,16 @@ class Comparison:
         """Start and end structures, by ``start`` and method."""
         return {"start": self.structure} | {s.method: s.structure for s in self.solutions}
 
-    def plot_energy(self) -> "Figure":
-        """Energy against evaluations and seconds, logarithmic where clashes make it large."""
+    def plot_energy(self, ax: Any = None) -> "Figure":
+        """Energy against evaluations and seconds, logarithmic where clashes make it large.
+
+        In all plots, ``ax`` is where to draw: Axes of matplotlib, as many as panels, or one for the first.
+        """
         from protochain.analysis.plots import plot_energy
 
-        return plot_energy(self.traces, self.structure.name)
+        return plot_energy(self.traces, self.structure.name, ax)
 
-    def plot_work_precision(self) -> "Figure":
+    def plot_work_precision(self, ax: Any = None) -> "Figure":
         """Energy above the lowest end with the same degrees of freedom, against evaluations and seconds."""
         from protochain.analysis.plots import plot_work_precision
 
@@ -185,32 +178,32 @@ class Comparison:
             "torsions only": [s.method for s in self.solutions if s.keeps_geometry],
             "all atoms free": [s.method for s in self.solutions if not s.keeps_geometry],
         }
-        return plot_work_precision(self.traces, self.work, groups, self.structure.name)
+        return plot_work_precision(self.traces, self.work, groups, self.structure.name, ax)
 
-    def plot_torque(self) -> "Figure":
+    def plot_torque(self, ax: Any = None) -> "Figure":
         """Largest torque against evaluations and seconds, of runs in torsions."""
         from protochain.analysis.plots import plot_torque
 
-        return plot_torque(self.traces, self.structure.name)
+        return plot_torque(self.traces, self.structure.name, ax)
 
-    def plot_rmsd(self) -> "Figure":
+    def plot_rmsd(self, ax: Any = None) -> "Figure":
         """C-alpha RMSD to the start along each run, and between all ends."""
         from protochain.analysis.plots import plot_rmsd
 
-        return plot_rmsd(self.traces, self.rmsd, self.structure.name)
+        return plot_rmsd(self.traces, self.rmsd, self.structure.name, ax)
 
-    def plot_displacement(self) -> "Figure":
+    def plot_displacement(self, ax: Any = None) -> "Figure":
         """Displacement of each C-alpha, one line per method."""
         from protochain.analysis.plots import plot_displacement
 
-        return plot_displacement(self.displacements, self.structure.name)
+        return plot_displacement(self.displacements, self.structure.name, ax)
 
-    def plot_ramachandran(self) -> "Figure":
+    def plot_ramachandran(self, ax: Any = None) -> "Figure":
         """Ramachandran plots of the start and of every end."""
         from protochain.analysis.plots import plot_ramachandran
 
         angles = {name: ramachandran(end)[1] for name, end in self.ends().items()}
-        return plot_ramachandran(angles, self.structure.name)
+        return plot_ramachandran(angles, self.structure.name, ax)
 
     def summary(self) -> dict[str, Any]:
         """Records, RMSDs, versions and command line, to check or repeat the comparison."""

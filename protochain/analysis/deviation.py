@@ -11,12 +11,14 @@ import pandas as pd
 from scipy.optimize import linear_sum_assignment
 
 from protochain.arrays import Floats, Integers
-from protochain.errors import ProtochainError, StructureError
+from protochain.checks import checked, text
+from protochain.errors import OnlyAlphaError, ProtochainError, StructureError
 from protochain.residues import STANDARD
-from protochain.structure import Structure, load
-from protochain.structure.read import model_numbers
+from protochain.structure import Structure, as_structure
+from protochain.structure.files import STANDARD_INPUT, parse
 from protochain.structure.select import select
 from protochain.structure.superpose import motion
+from protochain.structure.trace import alpha_trace
 from protochain.units import ANGSTROM_PER_NM
 
 ALPHA = "name CA"
@@ -119,13 +121,14 @@ def match(reference: Structure, model: Structure) -> Match:
     return Match(first, second, how, float(same.mean()), len(pairs) / len(amino))
 
 
-def deviation(reference: Structure, model: Structure, align: str = ALPHA, measure: str = ALPHA) -> Deviation:
+@checked(align=text, measure=text)
+def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALPHA) -> Deviation:
     """Measure the deviation of a model from a reference.
 
     Parameters
     ----------
-    reference, model : Structure
-        Their sequences may differ.
+    reference, model : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
+        Their sequences may differ. A file may hold only C-alpha atoms.
     align, measure : str
         Selections of the reference's atoms: those superposed, and those whose RMSD is measured. Atoms are
         matched by name within matched residues.
@@ -141,6 +144,7 @@ def deviation(reference: Structure, model: Structure, align: str = ALPHA, measur
     StructureError
         If a selection cannot be read or names no atom.
     """
+    reference, model = _measured(reference), _measured(model)
     found = match(reference, model)
     aligned = _atoms(reference, model, found, align)
     measured = aligned if measure == align else _atoms(reference, model, found, measure)
@@ -151,6 +155,32 @@ def deviation(reference: Structure, model: Structure, align: str = ALPHA, measur
         _root_mean_square(moved), _root_mean_square(off), tm_score(reference, model),
         len(aligned[0]), len(measured[0]), found,
     )  # fmt: skip
+
+
+def rmsd(reference: Any, model: Any, align: str = ALPHA, measure: str | None = None) -> float:
+    """RMSD of one structure from another after superposition; their sequences may differ.
+
+    Parameters
+    ----------
+    reference, model : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
+        Residues are matched by chain, number and name if all agree, otherwise by sequence alignment. A file
+        may hold only C-alpha atoms.
+    align, measure : str
+        Selections of the reference's atoms in the language of MDAnalysis: those superposed, and those whose
+        RMSD is measured, by default the same.
+
+    Returns
+    -------
+    float, angstrom
+        By Kabsch's rotation (Acta Cryst. A32:922, 1976). :func:`protochain.deviation` tells the TM-score too,
+        and what was matched.
+
+    Raises
+    ------
+    ProtochainError
+        If nothing matches, or a selection cannot be read.
+    """
+    return deviation(reference, model, align, measure or align).rmsd
 
 
 def tm_score(reference: Structure, model: Structure) -> float:
@@ -171,7 +201,9 @@ def rmsd_table(
     Parameters
     ----------
     reference : path-like
+        Its first model; ``-`` is standard input.
     models : sequence of path-like
+        A file that holds only C-alpha atoms is measured by these.
     align, measure : str
         As in :func:`deviation`.
 
@@ -186,7 +218,7 @@ def rmsd_table(
     StructureError
         If the reference cannot be used.
     """
-    first = load(reference)
+    first = _measured(reference)
     select(first, align), select(first, measure)
     rows = []
     for path in models:
@@ -202,15 +234,29 @@ def rmsd_table(
     return pd.DataFrame(rows)
 
 
-def _models(path: str | Path) -> Iterator[tuple[int | None, Structure | StructureError]]:
+def _measured(source: Any) -> Structure:
+    """Structure of anything that can be measured; of a file, its first model."""
+    if not isinstance(source, str | Path):
+        return as_structure(source)
+    found = next(structure for _, structure in _models(source, first=True))
+    if isinstance(found, StructureError):
+        raise found
+    return found
+
+
+def _models(path: str | Path, first: bool = False) -> Iterator[tuple[int | None, Structure | StructureError]]:
+    """Numbers and structures of all models of a file, or of its first; standard input is read only once."""
+    source = "standard input" if Path(path) == STANDARD_INPUT else str(path)
     try:
-        numbers: list[int] = model_numbers(path)
+        parsed = parse(Path(path))[0]
     except StructureError as error:
         yield None, error
         return
-    for number in numbers:
+    for number in [model.num for model in parsed][: 1 if first else None]:
         try:
-            yield number, load(path, model=number)
+            yield number, as_structure(parsed, source, model=number)
+        except OnlyAlphaError:
+            yield number, alpha_trace(parsed, source, number)
         except StructureError as error:
             yield number, error
 

@@ -9,7 +9,8 @@ from protochain import defaults
 from protochain.chain import pose
 from protochain.energies.shared import shared_energy
 from protochain.errors import ProtochainError
-from protochain.minimisers import minimise
+from protochain.minimisers import minimise, recipe_of
+from protochain.minimisers.api import Minimisation
 from protochain.minimisers.verdict import Judgement, judge
 from protochain.setup import Setup
 
@@ -51,6 +52,12 @@ class EveryFrame(AnalysisBase):
         max_evaluations: int = defaults.MAX_EVALUATIONS,
         **settings: Any,
     ) -> None:
+        if not hasattr(getattr(atoms, "atoms", None), "universe"):
+            raise ProtochainError(
+                f"atoms of type {type(atoms).__name__}: give an MDAnalysis Universe or AtomGroup"
+            )
+        if method is not None:
+            Minimisation(recipe_of(method), tolerance, max_evaluations)
         self.atoms = atoms.atoms
         super().__init__(self.atoms.universe.trajectory)
         self.method, self.setup = method, Setup(**settings)

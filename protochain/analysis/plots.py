@@ -13,6 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from protochain.analysis.quality import ramachandran_reference
 from protochain.arrays import Floats
+from protochain.errors import ProtochainError
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's palette, dark colours first."""
@@ -32,7 +33,7 @@ class Figure(PlainFigure):
         return buffer.getvalue()
 
 
-def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
+def plot_energy(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
     """Energy against evaluations and against seconds.
 
     Parameters
@@ -40,6 +41,8 @@ def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
     traces : pandas.DataFrame
         As ``Comparison.traces``.
     title : str
+    ax : matplotlib Axes, or a sequence of two, optional
+        Where to draw; a single one gets the first panel, against evaluations. By default, a new figure.
 
     Returns
     -------
@@ -47,13 +50,11 @@ def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
         Lowest energy so far of each run. Evaluations and seconds are logarithmic; if clashes make energies
         span decades, so is the energy above the lowest of all.
     """
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
+    _, axes = panels(ax, 2, (10, 4.2), sharey=True)
     styles = _styles(traces["method"].unique())
     traces = traces[np.isfinite(traces["energy_kj_mol"])]
     if traces.empty:
-        figure.suptitle(f"{_plain_text(title)}: no finite energy")
-        return figure
+        return _titled(axes, ax, f"{_plain_text(title)}: no finite energy")
     best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
     logarithmic = best.iloc[0] - best.min() > _LOG_FROM
     if logarithmic:
@@ -61,13 +62,16 @@ def plot_energy(traces: pd.DataFrame, title: str) -> Figure:
     _draw_runs(axes, traces.assign(shown=best), "shown", styles)
     axes[0].set_ylabel("energy above the lowest, kJ/mol" if logarithmic else "energy, kJ/mol")
     axes[0].set_yscale("log" if logarithmic else "linear")
-    figure.suptitle(f"{_plain_text(title)}: lowest energy so far")
-    return figure
+    return _titled(axes, ax, f"{_plain_text(title)}: lowest energy so far")
 
 
 def plot_work_precision(
-    traces: pd.DataFrame, work: pd.DataFrame, groups: Mapping[str, Sequence[str]], title: str
-) -> Figure:
+    traces: pd.DataFrame,
+    work: pd.DataFrame,
+    groups: Mapping[str, Sequence[str]],
+    title: str,
+    ax: Any = None,
+) -> PlainFigure:
     """Energy above the lowest end against evaluations and against seconds (work-precision diagram).
 
     Parameters
@@ -77,14 +81,17 @@ def plot_work_precision(
     groups : mapping of str to sequence of str
         Methods with the same degrees of freedom, and so the same lowest end: one row of panels each.
     title : str
+    ax : sequence of matplotlib Axes, optional
+        Where to draw: two for each row. By default, a new figure.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
     groups = {name: methods for name, methods in groups.items() if methods}
-    figure = Figure(figsize=(10, 0.6 + 3.6 * len(groups)), layout="constrained")
-    grid = figure.subplots(len(groups), 2, sharex="col", sharey=True, squeeze=False)
+    n = len(groups)
+    _, every = panels(ax, (n, 2), (10, 0.6 + 3.6 * n), least=2 * n, sharex="col", sharey=True)
+    grid = every.reshape(n, 2)
     lowest = traces["method"].map(work.set_index("method")["lowest_kj_mol"])
     best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
     styles = _styles(traces["method"].unique())
@@ -94,11 +101,10 @@ def plot_work_precision(
         _draw_runs(axes, traces[traces["method"].isin(methods)], "above", styles)
         axes[0].set_ylabel(f"{name}:\nenergy above the lowest end, kJ/mol")
         axes[0].set_yscale("log")
-    figure.suptitle(f"{_plain_text(title)}: energy above the lowest end against cost")
-    return figure
+    return _titled(every, ax, f"{_plain_text(title)}: energy above the lowest end against cost")
 
 
-def plot_torque(traces: pd.DataFrame, title: str) -> Figure:
+def plot_torque(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
     """Largest torque against evaluations and against seconds.
 
     Parameters
@@ -106,26 +112,51 @@ def plot_torque(traces: pd.DataFrame, title: str) -> Figure:
     traces : pandas.DataFrame
         As ``Comparison.traces``.
     title : str
+    ax : matplotlib Axes, or a sequence of two, optional
+        Where to draw; a single one gets the first panel, against evaluations. By default, a new figure.
 
     Returns
     -------
     matplotlib.figure.Figure
         Logarithmic in both. Torques are not recorded while all atoms move; the title names those methods.
     """
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
+    _, axes = panels(ax, 2, (10, 4.2), sharey=True)
     styles = _styles(traces["method"].unique())
     drawn = traces["max_torque_kj_mol_rad"] > 0.0
     free = traces.loc[~drawn, "method"].unique()
     note = f"\nnot recorded while all atoms move: {', '.join(free)}" if len(free) else ""
     traces = traces[drawn]
     if traces.empty:
-        figure.suptitle(f"{_plain_text(title)}: no run in torsions")
-        return figure
-    axes = figure.subplots(1, 2, sharey=True)
+        return _titled(axes, ax, f"{_plain_text(title)}: no run in torsions")
     _draw_runs(axes, traces, "max_torque_kj_mol_rad", styles)
     axes[0].set_ylabel("largest torque, kJ/mol/rad")
     axes[0].set_yscale("log")
-    figure.suptitle(f"{_plain_text(title)}: largest torque on a hinge{note}")
+    return _titled(axes, ax, f"{_plain_text(title)}: largest torque on a hinge{note}")
+
+
+def panels(
+    ax: Any, shape: int | tuple[int, int], size: tuple[float, float], least: int = 1, **options: Any
+) -> tuple[PlainFigure, Any]:
+    """Figure and Axes (n,) to draw in: new ones, or those given, which may be fewer if the plot allows it."""
+    rows, columns = (1, shape) if isinstance(shape, int) else shape
+    if ax is None:
+        figure = Figure(figsize=size, layout="constrained")
+        return figure, figure.subplots(rows, columns, squeeze=False, **options).ravel()
+    axes = np.array([ax] if isinstance(ax, Axes) else ax, dtype=object).ravel()
+    n = rows * columns
+    if len(axes) not in {min(least, n), n} or not all(isinstance(each, Axes) for each in axes):
+        number = f"{n}" if least >= n else f"{least} or {n}"
+        raise ProtochainError(f"ax: give {number} Axes of matplotlib, as plt.subplots makes them")
+    return axes[0].figure, axes
+
+
+def _titled(axes: Any, ax: Any, title: str) -> PlainFigure:
+    """Figure of the Axes, with a title: above all panels of a new one, above the first of given ones."""
+    figure: PlainFigure = axes[0].figure
+    if ax is None:
+        figure.suptitle(title)
+    else:
+        axes[0].set_title(title, fontsize="medium")
     return figure
 
 
@@ -143,18 +174,18 @@ def _styles(methods: Iterable[str]) -> Styles:
 def _draw_runs(axes: Sequence[Axes], traces: pd.DataFrame, value: str, styles: Styles) -> None:
     """Draw a column of the traces against evaluations and against seconds, one line per method."""
     for method, run in traces.groupby("method", sort=False):
-        for ax, cost in zip(axes, ("evaluations", "seconds"), strict=True):
+        for ax, cost in zip(axes, ("evaluations", "seconds"), strict=False):
             # A line through one point would be invisible.
             ax.plot(run[cost], run[value], marker="o" if len(run) == 1 else "", **styles[str(method)])
-    axes[0].set_xlabel("energy evaluations")
-    axes[1].set_xlabel("seconds")
+    for ax, label in zip(axes, ("energy evaluations", "seconds"), strict=False):
+        ax.set_xlabel(label)
     axes[0].legend(frameon=False)
     for ax in axes:
         ax.set_xscale("log")
         plain(ax)
 
 
-def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
+def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
     """C-alpha RMSD to the start along each run, and between all ends.
 
     Parameters
@@ -164,13 +195,15 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
     rmsd : pandas.DataFrame
         As ``Comparison.rmsd``, angstrom.
     title : str
+    ax : matplotlib Axes, or a sequence of two, optional
+        Where to draw; a single one gets the first panel, along the runs. By default, a new figure.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
-    figure = Figure(figsize=(10, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.3, 1))
+    _, axes = panels(ax, 2, (10, 4.2), width_ratios=(1.3, 1))
+    left = axes[0]
     styles = _styles(traces["method"].unique())
     for method, run in traces.groupby("method", sort=False):
         left.plot(run["evaluations"], run["ca_rmsd_angstrom"], **styles[str(method)])
@@ -179,7 +212,13 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
     left.set_ylabel("C-alpha RMSD to the start, angstrom")
     left.legend(frameon=False)
     plain(left)
+    if len(axes) > 1:
+        _draw_between(axes[1], rmsd)
+    return _titled(axes, ax, f"{_plain_text(title)}: C-alpha RMSD after superposition")
 
+
+def _draw_between(right: Axes, rmsd: pd.DataFrame) -> None:
+    """Draw a table of RMSDs between ends."""
     values = rmsd.to_numpy()
     image = right.imshow(values, cmap="cividis_r", vmin=0.0)
     ticks = np.arange(len(rmsd))
@@ -190,12 +229,10 @@ def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str) -> Figure:
             shade = "white" if values[i, j] > 0.6 * values.max() else "black"
             right.text(j, i, f"{values[i, j]:.2f}", ha="center", va="center", color=shade)
     right.set_title("between ends", fontsize="medium")
-    figure.colorbar(image, ax=right, label="C-alpha RMSD, angstrom")
-    figure.suptitle(f"{_plain_text(title)}: C-alpha RMSD after superposition")
-    return figure
+    right.figure.colorbar(image, ax=right, label="C-alpha RMSD, angstrom")
 
 
-def plot_displacement(displacements: pd.DataFrame, title: str) -> Figure:
+def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
     """Displacement of each C-alpha from the start.
 
     Parameters
@@ -203,31 +240,33 @@ def plot_displacement(displacements: pd.DataFrame, title: str) -> Figure:
     displacements : pandas.DataFrame
         As ``Comparison.displacements``, angstrom.
     title : str
+    ax : matplotlib Axes, optional
+        Where to draw; by default, a new figure.
 
     Returns
     -------
     matplotlib.figure.Figure
         One line per method; vertical lines separate the chains.
     """
-    figure = Figure(figsize=(10, 3.8), layout="constrained")
-    ax = figure.subplots()
+    _, axes = panels(ax, 1, (10, 3.8))
+    (panel,) = axes
     place = np.arange(1, len(displacements) + 1)
     for method, style in _styles(displacements.columns[3:]).items():
-        ax.plot(place, displacements[method], **style)
+        panel.plot(place, displacements[method], **style)
     chains = displacements["chain"].to_numpy()
     for k in np.flatnonzero(chains[1:] != chains[:-1]):
-        ax.axvline(k + 1.5, color="black", linewidth=0.8)
-    ax.set_xlabel("residue, in the order of the file")
-    ax.set_ylabel("displacement of C-alpha, angstrom")
-    ax.set_ylim(bottom=0.0)
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.legend(frameon=False, ncols=3)
-    plain(ax)
-    figure.suptitle(f"{_plain_text(title)}: displacement from the start, superposed on all C-alphas")
-    return figure
+        panel.axvline(k + 1.5, color="black", linewidth=0.8)
+    panel.set_xlabel("residue, in the order of the file")
+    panel.set_ylabel("displacement of C-alpha, angstrom")
+    panel.set_ylim(bottom=0.0)
+    panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+    panel.legend(frameon=False, ncols=3)
+    plain(panel)
+    said = "displacement from the start, superposed on all C-alphas"
+    return _titled(axes, ax, f"{_plain_text(title)}: {said}")
 
 
-def plot_ramachandran(angles: dict[str, Floats], title: str) -> Figure:
+def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> PlainFigure:
     """Ramachandran plots of the start and of every end.
 
     Parameters
@@ -235,6 +274,8 @@ def plot_ramachandran(angles: dict[str, Floats], title: str) -> Figure:
     angles : dict of str to (n, 2) float
         Phi and psi in degrees, by ``start`` and method; the start first.
     title : str
+    ax : sequence of matplotlib Axes, optional
+        Where to draw: one for each. By default, a new figure.
 
     Returns
     -------
@@ -243,24 +284,29 @@ def plot_ramachandran(angles: dict[str, Floats], title: str) -> Figure:
     """
     columns = min(3, len(angles))
     rows = -(-len(angles) // columns)
-    figure = Figure(figsize=(3.4 * columns, 3.3 * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    shape = (rows, columns) if ax is None else len(angles)
+    size = (3.4 * columns, 3.3 * rows)
+    _, axes = panels(ax, shape, size, least=len(angles), sharex=True, sharey=True)
     reference = ramachandran_reference()
     grid = np.linspace(-180.0, 180.0, len(reference) + 1)[:-1]
-    for ax, (name, values) in zip(axes.flat, angles.items(), strict=False):
-        ax.contourf(grid, grid, reference, levels=[1, 17, 15000], colors=["#dddddd", "#aaaaaa"])
-        ax.scatter(values[:, 0], values[:, 1], s=9, color=COLOURS[0])
-        ax.set(xlim=(-180, 180), ylim=(-180, 180), xticks=range(-180, 181, 90), yticks=range(-180, 181, 90))
-        ax.set_aspect("equal")
-        ax.set_title(name, fontsize="medium")
-    for k, ax in enumerate(axes.flat):
-        ax.set_visible(k < len(angles))
-        if k + columns >= len(angles):
-            ax.set_xlabel("phi, degrees")
-            ax.tick_params(labelbottom=True)
-    for ax in axes[:, 0]:
-        ax.set_ylabel("psi, degrees")
-    figure.suptitle(f"{_plain_text(title)}: phi and psi; dark grey allowed, light grey marginally allowed")
+    for panel, (name, values) in zip(axes, angles.items(), strict=False):
+        panel.contourf(grid, grid, reference, levels=[1, 17, 15000], colors=["#dddddd", "#aaaaaa"])
+        panel.scatter(values[:, 0], values[:, 1], s=9, color=COLOURS[0])
+        ticks = range(-180, 181, 90)
+        panel.set(xlim=(-180, 180), ylim=(-180, 180), xticks=ticks, yticks=ticks)
+        panel.set_aspect("equal")
+        panel.set_title(name, fontsize="medium")
+    for k, panel in enumerate(axes):
+        panel.set_visible(k < len(angles))
+        if ax is not None or k + columns >= len(angles):
+            panel.set_xlabel("phi, degrees")
+            panel.tick_params(labelbottom=True)
+        if ax is not None or k % columns == 0:
+            panel.set_ylabel("psi, degrees")
+    if ax is None:
+        said = "phi and psi; dark grey allowed, light grey marginally allowed"
+        return _titled(axes, ax, f"{_plain_text(title)}: {said}")
+    figure: PlainFigure = axes[0].figure
     return figure
 
 

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from protochain.analysis.deviation import tm_score
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain
+from protochain.checks import checked, instance
 from protochain.contacts import overlaps
-from protochain.structure import Structure, ca_rmsd
-from protochain.structure.superpose import motion
+from protochain.minimisers import Solution
+from protochain.structure import Structure, as_structure, ca_rmsd
 from protochain.units import ANGSTROM_PER_NM
 
 _RARE = 1.0
@@ -22,43 +23,63 @@ _CELL = 4.0
 """Degrees, grid spacing of that reference."""
 
 
-def quality(structure: Structure, start: Structure, chain: Chain | None = None) -> dict[str, Any]:
-    """Measure an end structure, alone and against the start.
+@checked(chain=instance(Chain, "pc.build_chain(structure)"))
+def quality(structure: Any, start: Any = None, chain: Chain | None = None) -> dict[str, Any]:
+    """Measure the quality of a structure, alone and against a start.
 
     Parameters
     ----------
-    structure, start : Structure
-        With the same atoms.
+    structure : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
+        Structure to measure. A solution is measured against its own start.
+    start : the same, with the same atoms, optional
+        Structure that it came from; without one, the measures of change are left out.
     chain : Chain, optional
-        Chain of the start.
+        Chain of the start, which tells what could part the overlaps.
 
     Returns
     -------
-    dict
-        Flat row, with units in the names.
+    dict of str to float
+        ``radius_of_gyration_angstrom``; ``ramachandran_outliers``, residues whose phi and psi MDAnalysis'
+        reference calls rarer than marginally allowed; ``overlaps`` of nonbonded atoms; ``hydrogen_bonds``
+        (Baker, Hubbard, 1984). With a start also ``ca_rmsd_to_start_angstrom``, ``tm_score_to_start``,
+        ``secondary_structure_kept`` (fraction of residues, by DSSP), ``bond_length_change_rms_angstrom`` and
+        ``bond_angle_change_rms_degrees``.
+
+    Raises
+    ------
+    ProtochainError
+        If the start has other atoms.
     """
+    if start is None and isinstance(structure, Solution):
+        start, chain = structure.chain, chain or structure.chain
+    structure = as_structure(structure)
+    if start is None:
+        return _alone(structure, chain)
+    start = as_structure(start)
+    off = ca_rmsd(structure, structure.positions, start)
     lengths = _bond_lengths(structure) - _bond_lengths(start)
     angles = _bond_angles(structure) - _bond_angles(start)
     score = tm_score(start, structure)
+    alone = _alone(structure, chain)
     return {
-        "radius_of_gyration_angstrom": radius_of_gyration(structure),
-        "ca_rmsd_to_start_angstrom": ca_rmsd(structure, structure.positions, start.positions),
+        "radius_of_gyration_angstrom": alone.pop("radius_of_gyration_angstrom"),
+        "ca_rmsd_to_start_angstrom": off,
         "tm_score_to_start": score if np.isfinite(score) else None,
         "secondary_structure_kept": float(np.mean(dssp(structure) == dssp(start))),
-        "ramachandran_outliers": int(ramachandran_outliers(structure).sum()),
-        "overlaps": len(overlaps(structure, structure.positions, chain)),
-        "hydrogen_bonds": hydrogen_bonds(structure),
+        **alone,
         "bond_length_change_rms_angstrom": ANGSTROM_PER_NM * _root_mean_square(lengths),
         "bond_angle_change_rms_degrees": float(np.degrees(_root_mean_square(angles))),
     }
 
 
-def displacement(structure: Structure, start: Structure) -> Floats:
-    """Displacement (nca,) of each C-alpha in angstrom, superposed on all of them."""
-    alpha = structure.alpha_carbons
-    x, reference = structure.positions[alpha], start.positions[alpha]
-    turn, shift = motion(x, reference)
-    return np.asarray(ANGSTROM_PER_NM * np.linalg.norm(x @ turn.T + shift - reference, axis=1))
+def _alone(structure: Structure, chain: Chain | None) -> dict[str, Any]:
+    """Measures that need no start."""
+    return {
+        "radius_of_gyration_angstrom": radius_of_gyration(structure),
+        "ramachandran_outliers": int(ramachandran_outliers(structure).sum()),
+        "overlaps": len(overlaps(structure, structure.positions, chain)),
+        "hydrogen_bonds": hydrogen_bonds(structure),
+    }
 
 
 def radius_of_gyration(structure: Structure) -> float:

@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, Template
 from protochain.analysis.plots import COLOURS
 from protochain.minimisers import Solution
 from protochain.minimisers.record import heading
-from protochain.structure import Structure
+from protochain.structure import Structure, as_structure
 from protochain.structure.superpose import motion
 from protochain.structure.write import as_text, common_suffix
 
@@ -52,22 +52,30 @@ class View:
         return f"<View of {', '.join(self.shown)}: shown in notebooks>"
 
 
-def view(shown: Structure | Solution) -> View:
+def view(shown: Any) -> View:
     """Show a structure, or the start and end of a minimisation, in three dimensions in a notebook.
 
     Parameters
     ----------
-    shown : Structure or Solution
-        A solution shows its start and its end.
+    shown : Solution, Comparison, Chain, or anything that :func:`protochain.as_structure` takes
+        A solution shows its start and its end, a comparison all ends.
 
     Returns
     -------
     View
         Shown in notebooks; no server is contacted.
+
+    Raises
+    ------
+    ProtochainError
+        If it is none of these.
     """
     if isinstance(shown, Solution):
         return View({"start": shown.chain.structure, shown.method: shown.structure})
-    return View({shown.name: shown})
+    if hasattr(shown, "ends"):  # of a comparison
+        return View(shown.ends())
+    structure = as_structure(shown)
+    return View({structure.name: structure})
 
 
 def superposed(structure: Structure, start: Structure) -> Structure:

@@ -1,6 +1,5 @@
 """``batch``: many structures by Dask, results to disk as they arrive."""
 
-import json
 import platform
 import sys
 from collections import Counter
@@ -23,8 +22,9 @@ from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, fin
 from protochain.batches.settings import keep_settings
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables, read_table
+from protochain.checks import checked, flag, function, number, path, several
 from protochain.interrupts import held_interrupts
-from protochain.storage import write_atomically
+from protochain.storage import json_text, write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -103,6 +103,9 @@ class Batch:
         return self.table.iloc[:, :12].to_html(index=False, max_rows=20)
 
 
+@checked(
+    output=path, methods=several, manifest=path, resume=flag, watch=function("progress"), max_rmsd=number
+)
 def batch(
     inputs: str | Path | Iterable[str | Path],
     output: str | Path,
@@ -118,7 +121,7 @@ def batch(
     Parameters
     ----------
     inputs : path-like or iterable of path-like
-        Files, folders, patterns, or ``-`` for a list on standard input.
+        Files, folders, patterns, or ``-`` for a list on standard input, with lines or NULs between the names.
     output : path-like
         Folder for ``summary.csv``, ``traces.csv``, structures and pages, to which rows are appended as they
         arrive; at the end also ``summary.parquet``, ``summary.json``, plots and ``report.html``.
@@ -150,12 +153,12 @@ def batch(
     -----
     A script must call it under ``if __name__ == "__main__":``, as any function that starts processes.
     """
-    given = [inputs] if isinstance(inputs, str | Path) else list(inputs)
-    chosen = (methods,) if isinstance(methods, str) else tuple(methods)
+    whole = [inputs] if isinstance(inputs, str) else several(inputs, "inputs")
+    given = [str(path(each, "inputs")) for each in whole]
     names = [field.name for field in fields(Processes)]
     refuse_unknown(settings, (*names, *NAMES))
     processes = Processes(**{name: settings.pop(name) for name in names if name in settings})
-    common = BatchSettings(chosen).changed(**settings)
+    common = BatchSettings(tuple(methods)).changed(**settings)
     folder = Path(output)
     jobs = find_jobs(given, common, Path(manifest) if manifest else None, folder)
     tables = Tables(folder, resume)
@@ -170,6 +173,9 @@ def batch(
         with held_interrupts():
             tables.sort(jobs)
             _finish(folder, jobs)
+    except BaseException:
+        tables.abandon()
+        raise
     finally:
         tables.close()
     return Batch(folder, interrupted)
@@ -288,6 +294,6 @@ def _finish(folder: Path, jobs: Sequence[Job]) -> None:
         "versions": {name: version(name) for name in packages},
         "settings": jobs[0].settings.record(),
     }
-    text = json.dumps(summary, indent=2, default=str)
+    text = json_text(summary)
     write_atomically(folder / "summary.json", lambda to: to.write_text(text, encoding="utf-8"))
     write_report(folder, table, summary)

@@ -12,6 +12,7 @@ from distributed import Client, LocalCluster, Worker, WorkerPlugin
 from distributed.security import Security
 
 from protochain import defaults
+from protochain.checks import check_fields, integer, number, optional, text
 from protochain.errors import ProtochainError
 
 
@@ -43,6 +44,9 @@ class Processes:
     time_limit: float = defaults.TIME_LIMIT
 
     def __post_init__(self) -> None:
+        check_fields(
+            self, workers=optional(integer), scheduler=optional(text), threads=integer, time_limit=number
+        )
         if not self.time_limit > 0 or self.threads < 1 or (self.workers is not None and self.workers < 1):
             raise ProtochainError("time-limit, threads and workers: give numbers above 0")
 

@@ -5,6 +5,7 @@ import glob
 import hashlib
 import json
 import math
+import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -14,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from protochain import defaults
+from protochain.checks import check_fields, integer, number, optional, several, words
 from protochain.errors import ProtochainError
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.recipes import recipe_of
 from protochain.minimisers.restraints import Hold
 from protochain.minimisers.starts import check_starts
-from protochain.setup import ALL_MODELS, Setup, models_asked, words
+from protochain.setup import ALL_MODELS, Setup, models_asked
 from protochain.structure.files import format_of, split_name
 from protochain.structure.prepare import user_file
 from protochain.structure.read import model_numbers
@@ -68,6 +70,10 @@ class BatchSettings:
     hop_temperature: float | None = None
 
     def __post_init__(self) -> None:
+        check_fields(
+            self, methods=several, tolerance=number, max_rmsd=number, max_evaluations=integer, seed=integer,
+            n_starts=integer, spread=number, hop_temperature=optional(number),
+        )  # fmt: skip
         object.__setattr__(self, "methods", tuple(dict.fromkeys(self.methods)))
         if not self.methods:
             raise ProtochainError("methods: give at least one")
@@ -78,12 +84,12 @@ class BatchSettings:
             )
         for recipe in recipes:
             Minimisation(
-                recipe, self.tolerance, self.max_evaluations, restraint=self.restraint, max_rmsd=self.max_rmsd
-            )
-        several = self.n_starts != 1
-        if self.hop_temperature is not None and not several:
+                recipe, self.tolerance, self.max_evaluations, self.seed,
+                restraint=self.restraint, max_rmsd=self.max_rmsd,
+            )  # fmt: skip
+        if self.hop_temperature is not None and self.n_starts == 1:
             raise ProtochainError("hop: needs several minima; give starts 2 or more")
-        hold = Hold.of(self.restraint, self.max_rmsd) if several else Hold()
+        hold = Hold() if self.n_starts == 1 else Hold.of(self.restraint, self.max_rmsd)
         check_starts(self.n_starts, self.spread, self.hop_temperature, hold)
 
     def changed(self, **settings: Any) -> "BatchSettings":
@@ -249,7 +255,7 @@ def find_jobs(
     Raises
     ------
     ProtochainError
-        If there is nothing to do, the manifest makes no sense, or a result might replace an input.
+        If there is nothing to do, no file exists, the manifest makes no sense, or an input might be replaced.
     """
     found = [_Found(path, settings) for given in inputs for path in _paths(str(given), output)]
     if manifest:
@@ -262,15 +268,26 @@ def find_jobs(
             )
     if not found:
         raise ProtochainError("no structures found; give files, folders or patterns")
+    if not any(each.path.exists() for each in found):
+        raise ProtochainError(f"{found[0].path}: not found, nor any other structure; check the names")
     hashed = [replace(each, content=_hash(each.path)) for each in found]
     return _named_apart(hashed)
 
 
+def listed(by_nul: bool = False) -> list[str]:
+    """Names on standard input: one a line, or with NULs between them, as of ``find -print0``."""
+    data = sys.stdin.buffer.read() if hasattr(sys.stdin, "buffer") else sys.stdin.read().encode()
+    # Names of files need not be text.
+    text = os.fsdecode(data)
+    if by_nul or "\0" in text:
+        return [name for name in text.split("\0") if name]
+    return [line.strip() for line in text.splitlines() if line.strip()]
+
+
 def _paths(given: str, output: Path | None) -> Iterator[Path]:
     if given == "-":
-        for line in sys.stdin:
-            if line.strip():
-                yield from _paths(line.strip(), output)
+        for name in listed():
+            yield from _paths(name, output)
     elif Path(given).is_dir():
         found = sorted(path for path in Path(given).rglob("*") if _is_structure(path))
         yield from (path for path in found if not _is_inside(path, output))
@@ -292,6 +309,8 @@ def _is_structure(path: Path) -> bool:
 
 
 def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
+    if not manifest.is_file():
+        raise ProtochainError(f"{manifest}: not found; give a CSV file with a column 'path'")
     with manifest.open(newline="", encoding="utf-8-sig") as file:
         reader = csv.DictReader(file, restkey="", restval="")
         if "path" not in (reader.fieldnames or ()):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.analysis.plots import COLOURS, Figure, plain
+from protochain.analysis.plots import COLOURS, PlainFigure, panels, plain
 from protochain.analysis.report import data_url
 from protochain.analysis.viewer import template
 from protochain.storage import write_atomically
@@ -111,7 +111,7 @@ def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
     )
 
 
-def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str) -> Figure:
+def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax: Any = None) -> PlainFigure:
     """Plot the cumulative distribution of a quantity, a line for each method.
 
     Parameters
@@ -120,14 +120,15 @@ def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str) -> 
         Of the same rows; missing values are left out.
     label : str
         Name of the quantity, with its unit.
+    ax : matplotlib Axes, optional
+        Where to draw; by default, a new figure.
 
     Returns
     -------
     matplotlib.figure.Figure
         Cumulative, so that no bin width is chosen and outliers are seen.
     """
-    figure = Figure(figsize=(5.2, 3.6), layout="constrained")
-    ax = figure.subplots()
+    figure, (ax,) = panels(ax, 1, (5.2, 3.6))
     for k, (method, own) in enumerate(values.astype(float).groupby(methods, sort=False)):
         there = np.sort(own.dropna().to_numpy())
         if len(there):

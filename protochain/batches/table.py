@@ -5,6 +5,7 @@ import io
 import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -63,6 +64,8 @@ class Tables:
 
     def __init__(self, folder: Path, resume: bool) -> None:
         check_writable(folder / "summary.csv")
+        self._is_new = not (folder / "summary.csv").exists()
+        self._made = [each for each in (folder, *folder.absolute().parents) if not each.exists()]
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.summary, self.traces = folder / "summary.csv", folder / "traces.csv"
@@ -136,6 +139,16 @@ class Tables:
     def read(self) -> "pd.DataFrame":
         """Return ``summary.csv``; values that a failure lacks are missing."""
         return read_table(self.summary)
+
+    def abandon(self) -> None:
+        """Remove a new batch without a row, which would keep the next one from the folder."""
+        if not self._is_new or next(iter(_whole_lines(self.summary)), None):
+            return
+        for file in (self.summary, self.traces, self.folder / ".lock"):
+            file.unlink(missing_ok=True)
+        with suppress(OSError):
+            for folder in self._made:
+                folder.rmdir()
 
     def close(self) -> None:
         """Release the lock."""

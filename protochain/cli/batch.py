@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from protochain import defaults
+from protochain.checks import words
 from protochain.cli.options import (
     CONVERGED,
     FAILED,
@@ -24,7 +25,7 @@ from protochain.cli.options import (
     with_setup,
 )
 from protochain.cli.terminal import batch_progress, print_batch, print_jobs
-from protochain.setup import Setup, words
+from protochain.setup import Setup
 
 if TYPE_CHECKING:
     from protochain.batches import Batch
@@ -40,6 +41,9 @@ Workers = Annotated[int | None, typer.Option(help="Processes on this machine [de
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 Threads = Annotated[int, typer.Option(help="Threads for each structure.")]
 TimeLimit = Annotated[float, typer.Option(help="Seconds after which a structure is given up.")]
+ByNul = Annotated[
+    bool, typer.Option("--null", "-0", help="Names on standard input have NULs between them: find -print0.")
+]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder, with the same settings.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
 
@@ -54,6 +58,7 @@ def batch(
     scheduler: Scheduler = None,
     threads: Threads = defaults.BATCH_THREADS,
     time_limit: TimeLimit = defaults.TIME_LIMIT,
+    null: ByNul = False,
     resume: Resume = False,
     dry_run: DryRun = False,
     tolerance: Tolerance = defaults.TOLERANCE,
@@ -71,6 +76,7 @@ def batch(
     """Minimise many structures in many processes; a failure is reported and stops no other structure."""
     from protochain.batches import BatchSettings, find_jobs
     from protochain.batches import batch as run
+    from protochain.batches.jobs import listed
 
     limit = math.inf if max_rmsd is None else max_rmsd
     settings = BatchSettings(
@@ -78,7 +84,7 @@ def batch(
         defaults.SPREAD if spread is None else math.radians(spread), hop,
     )  # fmt: skip
     # Standard input can be read only once.
-    given = [line for each in inputs or () for line in (_lines() if each == "-" else [each])]
+    given = [line for each in inputs or () for line in (listed(null) if each == "-" else [each])]
     if dry_run:
         print_jobs(find_jobs(given, settings, manifest, output))
         raise typer.Exit(CONVERGED)
@@ -100,7 +106,3 @@ def _status(done: "Batch") -> int:
     if set(done.counts()) == {"converged"} and not done.interrupted:
         return CONVERGED
     return UNCONVERGED if done.table["output"].notna().any() else FAILED
-
-
-def _lines() -> list[str]:
-    return [line.strip() for line in sys.stdin if line.strip()]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from protochain import defaults
+from protochain.checks import words
 from protochain.cli.options import (
     CONVERGED,
     UNCONVERGED,
@@ -26,7 +27,7 @@ from protochain.cli.options import (
 )
 from protochain.cli.terminal import foretell, print_table, run_progress, typical_evaluations
 from protochain.interrupts import held_interrupts
-from protochain.setup import Setup, words
+from protochain.setup import Setup
 
 if TYPE_CHECKING:
     from protochain.arrays import Watcher

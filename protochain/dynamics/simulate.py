@@ -15,6 +15,7 @@ from protochain import defaults
 from protochain.arrays import Floats, Watcher, floats
 from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, place_atoms
+from protochain.checks import WATCHER, checked, flag, integer, path, quantity, text
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import has_free_roots
 from protochain.dynamics.fixman import fixman
@@ -34,6 +35,12 @@ from protochain.structure.superpose import rmsd_angstrom
 from protochain.units import MOLAR_GAS
 
 
+@checked(
+    temperature=quantity("kelvin"), time_step=quantity("picosecond"), n_steps=integer, thermostat=text,
+    seed=integer, friction=quantity("1/picosecond"), integrator=text, fixman=flag, loops=text,
+    hydrogen_mass=quantity("dalton"), trajectory_length=integer, every=integer, output=path,
+    trajectory=text, checkpoint_every=integer, resume=flag, force=flag, watch=WATCHER,
+)  # fmt: skip
 def simulate(
     chain: Any,
     energy: Energy | EnergyFunction | None = None,

@@ -1,24 +1,24 @@
 """Conversion of energies for other libraries."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from protochain.energies.protocol import Energy
+from protochain.energies.custom import as_energy
 from protochain.errors import ProtochainError
-from protochain.structure.model import Structure
+from protochain.structure.convert import as_structure
 
 if TYPE_CHECKING:
     from ase import Atoms
 
 
-def to_ase(structure: Structure, energy: Energy) -> "Atoms":
+def to_ase(structure: Any, energy: Any = None) -> "Atoms":
     """Convert a structure and its energy to ASE Atoms with a calculator.
 
     Parameters
     ----------
-    structure : Structure
+    structure : Structure, or anything that :func:`protochain.as_structure` takes
         Structure to convert.
-    energy : Energy
-        Energy of this structure.
+    energy : Energy or callable, optional
+        As in :func:`protochain.minimise`.
 
     Returns
     -------
@@ -37,6 +37,8 @@ def to_ase(structure: Structure, energy: Energy) -> "Atoms":
         from protochain.energies.ase_calculator import EnergyCalculator
     except ModuleNotFoundError as error:
         raise ProtochainError("ASE is not installed; python -m pip install ase") from error
+    structure = as_structure(structure)
+    energy = as_energy(energy, structure)
     return Atoms(
         symbols=structure.atom_element.tolist(),
         positions=structure.positions * nm,

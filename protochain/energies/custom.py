@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.arrays import Floats, Integers
+from protochain.checks import plain
 from protochain.energies.factory import energy
 from protochain.energies.protocol import Energy, check_is_of
 from protochain.errors import ProtochainError
@@ -55,6 +56,7 @@ class CustomEnergy:
         ProtochainError
             If the callable does not return a number and an array of the shape of x.
         """
+        x = plain(x, "nanometer", "x")
         # Copies on both sides: the callable may write into its argument, or reuse its array of forces.
         returned = self.function(np.array(x))
         try:
@@ -67,6 +69,11 @@ class CustomEnergy:
                 f"energy {self.name}: return (energy, forces) with forces {np.shape(x)}, not {forces.shape}"
             )
         return value, forces
+
+    def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
+        """Energy in kJ/mol under the name of the callable, and forces (na, 3) in kJ/mol/nm."""
+        value, forces = self(x)
+        return {self.name: value}, forces
 
     def __repr__(self) -> str:
         return f"<CustomEnergy {self.name}>"

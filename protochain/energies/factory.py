@@ -3,18 +3,21 @@
 import xml.etree.ElementTree as ElementTree
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import openmm
 from openmm import app, unit
 
 from protochain import defaults
+from protochain.checks import checked, file_name, flag, instance, integer, optional, text
 from protochain.energies.elements import create_system
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.implicit import COULOMB, COULOMB_CUSTOM, OBC_OFFSET
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 from protochain.errors import ForceFieldError
+from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 
 DATA = Path(app.__file__).parent / "data"
@@ -46,8 +49,12 @@ as of those that a force field does not know, by element."""
 ENGINES = ("auto", "native", "openmm")
 
 
+@checked(
+    forcefield=file_name, solvent=text, engine=text, threads=optional(integer), trust_forcefield=flag,
+    system=instance(openmm.System, "ForceField.createSystem"),
+)  # fmt: skip
 def energy(
-    structure: Structure,
+    structure: Any,
     forcefield: str = defaults.FORCEFIELD,
     solvent: str = defaults.SOLVENT,
     engine: str = defaults.ENGINE,
@@ -60,7 +67,7 @@ def energy(
 
     Parameters
     ----------
-    structure : Structure
+    structure : Structure, path, or anything that :func:`protochain.as_structure` takes
         Structure whose energy to build.
     forcefield : str
         ``amber14`` (ff14SB), ``amber19`` (ff19SB), ``amber99sb``, ``amber99sbildn``, ``charmm36``, the
@@ -90,6 +97,7 @@ def energy(
     UnsupportedForceError
         If the engine is ``native`` and has no exact kernel for a force, which is named.
     """
+    structure = as_structure(structure)
     if engine not in ENGINES:
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
     if threads is not None and threads < 1:

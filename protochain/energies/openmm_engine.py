@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import openmm
@@ -55,6 +56,11 @@ class OpenMMEnergy:
         self.solvent = solvent
         self.note = note
         self.atoms = atoms
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Made anew from its System: contexts cannot be pickled."""
+        given = (self.platform, self.threads, self.forcefield, self.solvent, self.note, self.atoms)
+        return OpenMMEnergy, (self.system, *given)
 
     @property
     def reason(self) -> str:
@@ -116,7 +122,7 @@ class OpenMMEnergy:
         Where OpenMM refuses NaN in positions or forces, the energy is infinite and the forces are NaN; the
         calling loop handles that.
         """
-        x = floats(x, (self.system.getNumParticles(), 3), "x")
+        x = floats(x, (self.system.getNumParticles(), 3), "x", "nanometer")
         try:
             self._context.setPositions(x)
             state = self._context.getState(energy=True, forces=True)
@@ -127,6 +133,34 @@ class OpenMMEnergy:
         value = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
         forces = state.getForces(asNumpy=True).value_in_unit(unit.kilojoule_per_mole / unit.nanometer)
         return float(value), np.asarray(forces, dtype=np.float64)
+
+    def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
+        """Evaluate energies by force of the System, as ``HarmonicBondForce``, and forces.
+
+        Parameters
+        ----------
+        x : (na, 3) float, nm
+            Positions.
+
+        Returns
+        -------
+        dict of str to float, (na, 3) float
+            Energies in kJ/mol, those of equal names added; forces of all in kJ/mol/nm.
+        """
+        x = floats(x, (self.system.getNumParticles(), 3), "x", "nanometer")
+        found: dict[str, float] = {}
+        names = [force.getName() for force in self.system.getForces()]
+        # Each in a System of its own: OpenMM has only 32 groups of forces.
+        for k, name in enumerate(names):
+            alone = copy.deepcopy(self.system)
+            for other in reversed(range(len(names))):
+                if other != k:
+                    alone.removeForce(other)
+            context = self.make_context(alone)
+            context.setPositions(x)
+            value = context.getState(energy=True).getPotentialEnergy()
+            found[name] = found.get(name, 0.0) + value.value_in_unit(unit.kilojoule_per_mole)
+        return found, self(x)[1]
 
     def __repr__(self) -> str:
         return f"<OpenMMEnergy {self.forcefield}, {self.solvent}: {self.reason}>"

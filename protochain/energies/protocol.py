@@ -66,6 +66,9 @@ class Energy(Protocol):
     def list_at(self, x: Floats) -> None:
         """Build its neighbour lists at positions x (na, 3) in nm."""
 
+    def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
+        """Energies in kJ/mol by kind or force, and forces (na, 3) in kJ/mol/nm; x (na, 3) in nm."""
+
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
 

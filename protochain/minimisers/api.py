@@ -13,6 +13,7 @@ from protochain import defaults
 from protochain.arrays import Floats, Watcher, read_only
 from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose
+from protochain.checks import WATCHER, check_fields, checked, integer, number, optional, path
 from protochain.energies import as_energy
 from protochain.errors import ProtochainError
 from protochain.frame import Frame, frame_of
@@ -39,6 +40,7 @@ class Options(TypedDict, total=False):
     resume: str | Path | None
 
 
+@checked(watch=WATCHER)
 def minimise(
     chain: Any,
     energy: Any = None,
@@ -134,6 +136,13 @@ class Minimisation:
     resume: str | Path | None = None
 
     def __post_init__(self) -> None:
+        path_or_none = optional(path)
+        check_fields(
+            self, tolerance=number, max_evaluations=integer, seed=integer, max_rmsd=number,
+            checkpoint=path_or_none, resume=path_or_none,
+        )  # fmt: skip
+        if self.seed < 0:
+            raise ProtochainError(f"seed {self.seed}: give 0 or more")
         if not 0 < self.tolerance < np.inf:
             raise ProtochainError(f"tolerance {self.tolerance:g}: give a number above 0")
         if self.max_evaluations < 1:
@@ -259,6 +268,8 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         tolerance=run.tolerance,
         hold=run.hold,
         seed=run.seed,
+        frame_rows=read_only(list(record.kept()), np.int64),
+        frames=read_only(list(record.kept().values()), np.float32),
     )
 
 

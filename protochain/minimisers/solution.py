@@ -2,14 +2,16 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Watcher
+from protochain.arrays import Floats, Integers, Value, Watcher
 from protochain.chain import Chain
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
@@ -19,11 +21,14 @@ from protochain.minimisers.record import record
 from protochain.minimisers.restraints import Hold
 from protochain.minimisers.verdict import Judgement, Status
 from protochain.structure import Structure, save
-from protochain.structure.superpose import rmsd_angstrom
+from protochain.structure.superpose import displacements, rmsd_angstrom
 
 if TYPE_CHECKING:
     import pandas as pd
     from scipy.optimize import OptimizeResult
+
+N_FRAMES = 50
+"""Positions kept of a run, so that memory does not grow with it."""
 
 TRACE_COLUMNS = (
     "iteration",
@@ -35,6 +40,16 @@ TRACE_COLUMNS = (
 )
 
 
+def alpha_residues(structure: Structure) -> "pd.DataFrame":
+    """Chain, residue (number and insertion code) and name of each C-alpha."""
+    import pandas as pd
+
+    at = structure.atom_residue[structure.alpha_carbons]
+    number = np.char.add(structure.residue_number[at], structure.residue_insertion_code[at])
+    columns = {"chain": structure.residue_chain[at], "residue": number, "name": structure.residue_name[at]}
+    return pd.DataFrame(columns)
+
+
 @dataclass
 class Recorder:
     """Collect a trace row at each iteration; RMSDs are computed after the clock has stopped."""
@@ -43,6 +58,9 @@ class Recorder:
     frame: Frame
     watch: Watcher | None = None
     rows: list[dict[str, float]] = field(default_factory=list)
+    frames: dict[int, NDArray[np.float32]] = field(default_factory=dict)
+    every: int = 1
+    last: Floats | None = None
     alphas: list[Floats] = field(default_factory=list)
     started: float = field(default_factory=perf_counter)
 
@@ -57,6 +75,7 @@ class Recorder:
         }
         self.rows.append(row)
         self.alphas.append(x[self.structure.alpha_carbons])
+        self._frame(len(self.rows) - 1, x)
         if self.watch:
             self.watch(row, self.frame(x))
 
@@ -65,6 +84,19 @@ class Recorder:
         tell = getattr(self.watch, "at_stage", None)
         if tell:
             tell(name, evaluations)
+
+    def _frame(self, row: int, x: Floats) -> None:
+        """Keep the positions of every n-th row, fewer as the run grows longer, and those of the last."""
+        self.last = x
+        if row % self.every == 0:
+            self.frames[row] = x.astype(np.float32)
+        if len(self.frames) > N_FRAMES:
+            self.every *= 2
+            self.frames = {k: kept for k, kept in self.frames.items() if k % self.every == 0}
+
+    def kept(self) -> dict[int, NDArray[np.float32]]:
+        """Positions by their row of the trace, the last among them."""
+        return self.frames if self.last is None else self.frames | {len(self.rows) - 1: self.last}
 
     def trace(self) -> "pd.DataFrame":
         """Trace, with the columns ``TRACE_COLUMNS``."""
@@ -80,7 +112,7 @@ class Recorder:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(Value):
     """Result of a minimisation, judged in double precision.
 
     Parameters
@@ -122,6 +154,10 @@ class Solution:
         Restraints to the start.
     seed : int
         Of random methods.
+    frame_rows : (n,) int
+        Rows of the trace at which ``frames`` were taken: at equal distances from the first, and the last.
+    frames : (n, na, 3) float32, nm
+        Positions at these rows, up to fifty, for ``pc.to_mdtraj(solution, solution.frames)``.
     """
 
     recipe: Recipe
@@ -144,11 +180,23 @@ class Solution:
     tolerance: float
     hold: Hold
     seed: int
+    frame_rows: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    frames: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 0, 3), dtype=np.float32))
 
     @property
     def structure(self) -> Structure:
         """Structure at the end."""
         return self.chain.structure.with_positions(self.x)
+
+    @cached_property
+    def displacements(self) -> "pd.DataFrame":
+        """Displacement of each C-alpha from the start, superposed on all: a row a residue.
+
+        Columns ``chain``, ``residue`` (number and insertion code), ``name``, ``displacement_angstrom``.
+        """
+        start = self.chain.structure
+        away = displacements(start, self.x, start.positions)
+        return alpha_residues(start).assign(displacement_angstrom=away)
 
     @property
     def method(self) -> str:

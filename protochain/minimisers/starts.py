@@ -10,6 +10,7 @@ import numpy as np
 from protochain import defaults
 from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, pose
+from protochain.checks import WATCHER, checked, function, integer, number, quantity
 from protochain.energies import as_energy
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
@@ -109,6 +110,10 @@ class Starts:
         return f"<{s['n_starts']} starts: {low:.2f}, median {middle:.2f}, highest {high:.2f} kJ/mol>"
 
 
+@checked(
+    n_starts=integer, seed=integer, spread=quantity("radian"), hop_temperature=quantity("kelvin"),
+    each=function("k", "solution"), watch=WATCHER, max_rmsd=number,
+)  # fmt: skip
 @held_interrupts()
 def explore(
     chain: Any,
@@ -157,6 +162,8 @@ def explore(
     ProtochainError
         If a setting is invalid.
     """
+    if seed < 0:
+        raise ProtochainError(f"seed {seed}: give 0 or more")
     hold = Hold.of(settings.get("restraint", ()), settings.get("max_rmsd", np.inf))
     check_starts(n_starts, spread, hop_temperature, hold)
     chain = as_chain(chain)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers, floats, frozen
+from protochain.arrays import Floats, Integers, Value, floats, frozen
 from protochain.multibody.algebra import (
     IDENTITY,
     ZERO,
@@ -32,7 +32,7 @@ from protochain.multibody.trigonometry import cosines_and_sines
 
 
 @dataclass(frozen=True, eq=False)
-class Frames:
+class Frames(Value):
     """World frames of the bodies at one q.
 
     Parameters

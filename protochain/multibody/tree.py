@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers, read_only
+from protochain.arrays import Floats, Integers, Value, read_only
 from protochain.errors import MechanicsError
 
 PARENT, Q, V = range(3)
@@ -33,7 +33,7 @@ N_V = {kind: {HingeKind.FIXED: 0, HingeKind.FREE: 6}.get(kind, 1) for kind in Hi
 
 
 @dataclass(frozen=True, eq=False)
-class Tree:
+class Tree(Value):
     """Forest of rigid bodies in which every parent comes before its children.
 
     The frame of body ``b`` relative to its parent is a translation by ``offset[b]``, a rotation by

@@ -1,6 +1,7 @@
 """Extended all-atom chains of standard geometry, built from sequences."""
 
 from protochain import residues
+from protochain.checks import text
 from protochain.errors import StructureError
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.model import Structure
@@ -33,7 +34,7 @@ def from_sequence(sequence: str) -> Structure:
     # Imported here: it imports Biopython, which would slow every start of the program.
     import PeptideBuilder
 
-    letters = "".join(sequence.split()).upper()
+    letters = "".join(text(sequence, "sequence").split()).upper()
     names = {letter: name for name, letter in residues.STANDARD.items()}
     if not letters:
         raise StructureError("the sequence is empty; give one-letter codes such as NLYIQWLKDGG")

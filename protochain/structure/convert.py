@@ -9,9 +9,9 @@ import numpy as np
 from openmm import app, unit
 
 from protochain import defaults
-from protochain.arrays import Floats
+from protochain.arrays import Floats, floats
+from protochain.checks import plain, shown
 from protochain.errors import StructureError
-from protochain.structure.choose import split_names
 from protochain.structure.draft import Draft, atom
 from protochain.structure.files import check
 from protochain.structure.model import Structure
@@ -32,7 +32,8 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     ----------
     source : Structure, path-like, or an object of another library
         A gemmi Structure, an mdtraj Trajectory (first frame), an MDAnalysis Universe or AtomGroup (current
-        frame), or a pair of an OpenMM Topology and its positions. A Structure is returned unchanged.
+        frame), or a pair of an OpenMM Topology and its positions. A Structure is returned unchanged; of a
+        Chain, Solution or Simulation, that which it holds.
     name : str
         Short name for a source that is no file.
     **settings
@@ -48,8 +49,9 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     StructureError
         If the type of the source is unknown, or it cannot be used.
     """
-    if isinstance(source, Structure):
-        return source
+    held = getattr(source, "structure", source)
+    if isinstance(held, Structure):
+        return held
     if isinstance(source, str | Path):
         return load(source, **settings)
     made = _as_gemmi(source)
@@ -57,22 +59,21 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     check(made, name)
     forcefield, ph = user_file(settings.pop("forcefield", None)), settings.pop("ph", defaults.PH)
     disulfide = settings.pop("disulfide", None)
-    settings["keep"] = tuple(settings.get("keep", defaults.KEEP))
-    settings["chains"] = split_names(settings.get("chains", ()))
+    settings.setdefault("keep", defaults.KEEP)
     check_ph(ph)
     draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=forcefield))
     return prepare(draft, disulfide, ph, forcefield)
 
 
-def to_mdtraj(structure: Structure, frames: Floats | None = None) -> "mdtraj.Trajectory":
+def to_mdtraj(structure: Any, frames: Floats | None = None) -> "mdtraj.Trajectory":
     """Convert a structure to an mdtraj trajectory.
 
     Parameters
     ----------
-    structure : Structure
+    structure : Structure, or anything that :func:`as_structure` takes
         Structure that gives the topology.
     frames : (n, na, 3) float, nm, optional
-        Positions of each frame; by default one frame, the structure's.
+        Positions of each frame, as ``Solution.frames``; by default one frame, the structure's.
 
     Returns
     -------
@@ -81,17 +82,19 @@ def to_mdtraj(structure: Structure, frames: Floats | None = None) -> "mdtraj.Tra
     """
     import mdtraj
 
-    xyz = structure.positions[None] if frames is None else np.asarray(frames)
+    structure = as_structure(structure)
+    xyz = structure.positions[None] if frames is None else np.asarray(plain(frames, "nanometer", "frames"))
+    xyz = floats(xyz, (xyz.size // (3 * structure.n_atoms), structure.n_atoms, 3), "frames")
     topology = mdtraj.Topology.from_openmm(structure.topology)
     return mdtraj.Trajectory(xyz.astype(np.float32), topology)
 
 
-def to_mdanalysis(structure: Structure) -> "MDAnalysis.Universe":
+def to_mdanalysis(structure: Any) -> "MDAnalysis.Universe":
     """Convert a structure to an MDAnalysis Universe of one frame, in memory.
 
     Parameters
     ----------
-    structure : Structure
+    structure : Structure, or anything that :func:`as_structure` takes
         Structure to convert.
 
     Returns
@@ -101,6 +104,7 @@ def to_mdanalysis(structure: Structure) -> "MDAnalysis.Universe":
     """
     import MDAnalysis
 
+    structure = as_structure(structure)
     chains, chain_of = np.unique(structure.residue_chain, return_inverse=True)
     universe = MDAnalysis.Universe.empty(
         structure.n_atoms, structure.n_residues, len(chains),
@@ -129,7 +133,7 @@ def _as_gemmi(source: Any) -> gemmi.Structure:
     if hasattr(source, "atoms") and hasattr(source.atoms, "residues"):
         return _from_mdanalysis(source.atoms)
     raise StructureError(
-        f"{type(source).__name__}: give a file, a Structure, a gemmi Structure, an mdtraj Trajectory, an "
+        f"{shown(source)}: give a file, a Structure, a gemmi Structure, an mdtraj Trajectory, an "
         "MDAnalysis Universe or AtomGroup, or an OpenMM Topology with its positions"
     )
 

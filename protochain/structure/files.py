@@ -74,10 +74,10 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
     overlooked: list[str] = []
     try:
         if _is_cif(text):
-            ends = _refuse_cut_cif(text, source)
             text = _ascii(text, source, slice(None))
             block = _block_with_atoms(gemmi.cif.read_string(text), source)
-            structure = gemmi.make_structure_from_block(block)
+            _refuse_cut_cif(text, block, source)
+            structure, ends = gemmi.make_structure_from_block(block), True
         else:
             _refuse_cut_pdb(text, source)
             text = _corrected(_ascii(text, source, _USED), source, overlooked)
@@ -145,12 +145,39 @@ def _block_with_atoms(document: gemmi.cif.Document, source: str) -> gemmi.cif.Bl
     raise StructureError(f"{source}: no atoms found; give a PDB or mmCIF file with coordinates")
 
 
-def _refuse_cut_cif(text: str, source: str) -> bool:
-    """Refuse a file of the PDB archive that ends in a row of data: there, every category ends with '#'."""
+def _refuse_cut_cif(text: str, block: gemmi.cif.Block, source: str) -> None:
+    """Refuse a file whose other categories end with '#', as in the PDB archive, if its last has none.
+
+    Unless the atoms are whole all the same: another category follows, or the last chain shows its end.
+    """
     lines = text.rstrip().splitlines() or [""]
-    if lines[-1].strip() != "#" and any(line.strip() == "#" for line in lines):
-        raise StructureError(f"{source}: line {len(lines)}: the file is cut short; download it again")
-    return True
+    if lines[-1].strip() == "#" or not any(line.strip() == "#" for line in lines):
+        return
+    last = next((line for line in reversed(lines) if line.startswith("_")), "")
+    if last.lower().startswith("_atom_site.") and not _shows_its_end(block):
+        raise StructureError(
+            f"{source}: line {len(lines)}: the file is cut short; download it again, "
+            "or add a line with # if it is complete"
+        )
+
+
+def _shows_its_end(block: gemmi.cif.Block) -> bool:
+    """Whether all listed chains have atoms, and the last residue is no amino acid or ends a chain."""
+    names = [
+        "label_asym_id",
+        "label_entity_id",
+        "label_seq_id",
+        "auth_seq_id",
+        "label_comp_id",
+        "label_atom_id",
+    ]
+    rows = [list(row) for row in block.find("_atom_site.", names)]
+    if not rows or set(block.find_values("_struct_asym.id")) - {row[0] for row in rows}:
+        return False
+    _, entity, number, _, name, _ = rows[-1]
+    sequence = [row[1] for row in block.find("_entity_poly_seq.", ["entity_id", "num"]) if row[0] == entity]
+    ends = number in sequence[-1:] or [*rows[-1][:5], "OXT"] in rows
+    return ends or not gemmi.find_tabulated_residue(name).is_amino_acid()
 
 
 def _refuse_cut_pdb(text: str, source: str) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers, read_only
+from protochain.arrays import Floats, Integers, Value, read_only
 from protochain.errors import StructureError
 from protochain.markup import facts
 from protochain.residues import describe
@@ -36,7 +36,7 @@ class Tie:
 
 
 @dataclass(frozen=True, eq=False)
-class Structure:
+class Structure(Value):
     """Atoms of a prepared protein.
 
     Parameters

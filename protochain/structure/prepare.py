@@ -13,9 +13,10 @@ from openmm import app
 
 from protochain import defaults
 from protochain.arrays import Floats, Integers
+from protochain.checks import file_name, pairs
+from protochain.checks import path as as_path
 from protochain.errors import StructureError
 from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
-from protochain.structure.choose import split_names
 from protochain.structure.complete import add_heavy_atoms
 from protochain.structure.draft import Draft, Member, Part
 from protochain.structure.hydrogens import place_hydrogens
@@ -33,8 +34,8 @@ def load(
     *,
     model: int | None = None,
     altloc: str = "",
-    keep: Sequence[str] = defaults.KEEP,
-    disulfide: Sequence[tuple[str, str]] | None = None,
+    keep: str | Sequence[str] = defaults.KEEP,
+    disulfide: str | Sequence[tuple[str, str]] | None = None,
     ph: float = defaults.PH,
     strict: bool = False,
     forcefield: str | Path | None = None,
@@ -55,12 +56,13 @@ def load(
         Number of the model in the file; the first by default.
     altloc : str
         Preferred alternate location; by default, and where it is absent, the one of highest occupancy.
-    keep : sequence of str
+    keep : str or sequence of str
         Molecules to keep as fixed obstacles: ``near`` for all but waters that have an atom within 5 angstrom
         of the protein, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``, or residue names.
         Those that the force field has no parameters for are kept as they are, by element.
-    disulfide : sequence of pairs of str, optional
-        Exactly these disulfide bonds, as ``[("A:3", "A:40")]``; by default, between sulphurs that are close.
+    disulfide : sequence of pairs of str, or str, optional
+        Exactly these disulfide bonds, as ``[("A:3", "A:40")]`` or ``"A:3-A:40"``; by default, between
+        sulphurs that are close.
     ph : float
         Sets the protonation of residues whose hydrogens or names in the file do not show it.
     strict : bool
@@ -82,18 +84,19 @@ def load(
     """
     check_ph(ph)
     residues = user_file(forcefield)
-    reading = Reading(model, altloc, tuple(keep), strict, residues, split_names(chains))
-    return prepare(read(path, reading), disulfide, ph, residues)
+    reading = Reading(model, altloc, keep, strict, residues, chains)  # type: ignore[arg-type]
+    return prepare(read(as_path(path, "path"), reading), disulfide, ph, residues)
 
 
 def user_file(forcefield: str | Path | None) -> Path | None:
     """Path of a force field that is a user's file; None for the name of a bundled one."""
-    return Path(forcefield) if forcefield is not None and Path(forcefield).is_file() else None
+    own = None if forcefield is None else Path(file_name(forcefield, "forcefield"))
+    return own if own is not None and own.is_file() else None
 
 
 def prepare(
     draft: Draft,
-    disulfide: Sequence[tuple[str, str]] | None = None,
+    disulfide: str | Sequence[tuple[str, str]] | None = None,
     ph: float = defaults.PH,
     forcefield: Path | None = None,
 ) -> Structure:
@@ -104,11 +107,12 @@ def prepare(
     StructureError
         If a residue fits no template.
     """
+    wanted = pairs(disulfide, "disulfide")
     known = templates(forcefield)
     links = find_links(draft)
     add_heavy_atoms(draft, known)
     refuse_crosslinks(draft)
-    bridges = disulfides(draft, disulfide)
+    bridges = disulfides(draft, wanted)
     done = protonate(draft, known, {id(member) for pair in bridges for member in pair}, ph)
     atoms = [atom for member, _ in done for atom in member.atoms]
     elements = [atom.element.name for atom in atoms]

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain import residues
+from protochain.checks import number
 from protochain.errors import StructureError
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.templates import Template, base_template, rename
@@ -201,5 +202,5 @@ def check_ph(ph: float) -> None:
     StructureError
         Naming the pH.
     """
-    if not 0.0 <= ph <= 14.0:
+    if not 0.0 <= number(ph, "ph") <= 14.0:
         raise StructureError(f"pH {ph:g}: give a number from 0 to 14")

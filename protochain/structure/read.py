@@ -13,14 +13,15 @@ import numpy as np
 from pdbfixer.pdbfixer import substitutions
 
 from protochain import residues
-from protochain.errors import StructureError
+from protochain.checks import check_fields, flag, integer, optional, text, words
+from protochain.errors import OnlyAlphaError, StructureError
 from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import Conformation, likeliest, same_place
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse, split_name
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, water_named
-from protochain.structure.templates import rename, standard_name, template_name, templates
+from protochain.structure.templates import other_names, rename, standard_name, template_name, templates
 
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""
@@ -55,6 +56,9 @@ class Reading:
     strict: bool = False
     forcefield: Path | None = None
     chains: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self, model=optional(integer), altloc=text, keep=words, strict=flag, chains=words)
 
 
 def read(path: str | Path, reading: Reading | None = None) -> Draft:
@@ -151,7 +155,7 @@ class _Reader:
             if member is not None and self._has_backbone(member):
                 run.append(member)
         if run and all([atom.name for atom in member.atoms] == ["CA"] for member in run if not member.is_cap):
-            raise StructureError(
+            raise OnlyAlphaError(
                 f"{self.draft.source}: chain {self._chain} holds only C-alpha atoms; "
                 "rebuild the other atoms first"
             )
@@ -197,8 +201,7 @@ class _Reader:
 
     def _is_protein(self, name: str) -> bool:
         name = name.strip().upper()
-        standard = standard_name(name)[0]
-        return standard in residues.STANDARD or standard in residues.CAPS or bool(_parent(name))
+        return standard_name(name)[0] in residues.CAPS or bool(standard_parent(name))
 
     def _member(self, residue: gemmi.Residue) -> Member | None:
         """Return a residue of the protein under its standard name, or None for another molecule."""
@@ -241,7 +244,7 @@ class _Reader:
         """Convert a modified residue to its standard parent."""
         # HIP has the atoms of every state of histidine.
         named = self.known["HIP" if parent == "HIS" else parent]
-        expected = {*named.element, *named.synonyms, "OXT", "H1", "H2", "H3", "H"}
+        expected = {*named.element, *other_names(member.atoms, named), "OXT", "H1", "H2", "H3", "H"}
         for name in set(named.heavy) - {atom.name for atom in member.atoms}:
             # Selenium, or a sulphur of another name, becomes the parent's sulphur.
             chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in expected]
@@ -339,6 +342,12 @@ def _element(atom: gemmi.Atom) -> gemmi.Element:
     letter = atom.name.lstrip("0123456789")[:1]
     known = atom.element.name in ("C", "H", "D", "N", "O", "S") and atom.element.name == letter
     return atom.element if known or letter not in "CHDNOS" or not letter else gemmi.Element(letter)
+
+
+def standard_parent(name: str) -> str:
+    """Return the standard amino acid that a residue is or derives from, or an empty string."""
+    standard = standard_name(name)[0]
+    return standard if standard in residues.STANDARD else _parent(name)
 
 
 def _parent(name: str) -> str:

@@ -1,8 +1,12 @@
 """Superposition, and root-mean-square deviation after it."""
 
+from typing import Any
+
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.arrays import Floats, floats
+from protochain.errors import ProtochainError
+from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 from protochain.units import ANGSTROM_PER_NM
 
@@ -58,20 +62,46 @@ def rmsd_angstrom(x: Floats, reference: Floats) -> float:
     return ANGSTROM_PER_NM * rmsd(x, reference)
 
 
-def ca_rmsd(structure: Structure, x: Floats, reference: Floats) -> float:
+def ca_rmsd(structure: Any, x: Any, reference: Any) -> float:
     """C-alpha RMSD between two sets of positions of a structure, after superposition.
 
     Parameters
     ----------
-    structure : Structure
+    structure : Structure, or anything that :func:`protochain.as_structure` takes
         Structure whose C-alpha atoms are compared.
-    x, reference : (na, 3) float, nm
-        Positions of all atoms.
+    x, reference : (na, 3) float, nm, or Structure
+        Positions of all its atoms.
 
     Returns
     -------
     float, angstrom
         In double precision, by Kabsch's rotation (Acta Cryst. A32:922, 1976).
+
+    Raises
+    ------
+    ProtochainError
+        If positions are those of other atoms.
     """
+    structure = as_structure(structure)
     alpha = structure.alpha_carbons
-    return rmsd_angstrom(x[alpha], reference[alpha])
+    first, second = (_own(structure, each, name) for each, name in ((x, "x"), (reference, "reference")))
+    return rmsd_angstrom(first[alpha], second[alpha])
+
+
+def displacements(structure: Structure, x: Floats, reference: Floats) -> Floats:
+    """Displacement (nca,) of each C-alpha in angstrom between positions (na, 3) in nm, superposed on all."""
+    alpha = structure.alpha_carbons
+    away = superpose(x[alpha], reference[alpha]) - reference[alpha]
+    return np.asarray(ANGSTROM_PER_NM * np.linalg.norm(away, axis=1))
+
+
+def _own(structure: Structure, x: Any, name: str) -> Floats:
+    """Positions of all atoms of a structure; those of another molecule are refused."""
+    held = getattr(x, "structure", x)
+    if isinstance(held, Structure):
+        if held.fingerprint != structure.fingerprint:
+            raise ProtochainError(
+                f"{name}: {held.name} has other atoms than {structure.name}; pc.rmsd matches their residues"
+            )
+        return held.positions
+    return floats(x, (structure.n_atoms, 3), name, "nanometer")

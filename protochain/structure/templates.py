@@ -3,7 +3,7 @@
 Names, elements, charges and bonds are read from the files; scripts in them are never run.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -17,6 +17,8 @@ from protochain.residues import CAPS, NUCLEOTIDES, STANDARD, STATE_PARENT
 from protochain.structure.draft import Part
 
 _DATA = Path(app.__file__).parent / "data"
+_BONDED = 2.2
+"""Angstrom: no bond of an amino acid is longer (C-S 1.8, S-S 2.0)."""
 _FILES = ("protein.ff14SB.xml", "DNA.OL15.xml", "RNA.OL3.xml", "tip3p.xml")
 
 
@@ -214,6 +216,20 @@ def base_template(known: Mapping[str, Template], part: Part, i: int, state: str 
     if part.obstacle or part.cyclic or member.is_cap or not any(ends):
         return known.get(name)
     return known.get(("N" if ends[0] else "C") + name)
+
+
+def other_names(atoms: Iterable[gemmi.Atom], template: Template) -> Iterator[str]:
+    """Yield names by which atoms of a modified residue mean its parent's: O1 is O, but not in a sulphate.
+
+    No atom may have the parent's name itself, and one that is bonded to it there must be near.
+    """
+    there = {atom.name: atom for atom in atoms}
+    for other, name in template.synonyms.items():
+        if other in there and name not in there:
+            partners = [end for bond in template.bonds if name in bond for end in bond if end != name]
+            beside = [there[end].pos for end in partners if end in there]
+            if any(there[other].pos.dist(at) < _BONDED for at in beside):
+                yield other
 
 
 def rename(atoms: list[gemmi.Atom], template: Template) -> list[str]:

@@ -3,13 +3,16 @@
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import gemmi
 import numpy as np
 
+from protochain.checks import path as as_path
 from protochain.errors import StructureError
 from protochain.residues import NUCLEOTIDES
 from protochain.storage import write_atomically
+from protochain.structure.convert import as_structure
 from protochain.structure.files import PACKINGS, SUFFIXES, format_of, split_name
 from protochain.structure.header import NO_LABEL, Label, settle, with_header
 from protochain.structure.model import Structure
@@ -22,7 +25,7 @@ _CIS = 30.0
 """Degrees: a peptide bond with an omega below this is cis, as in the PDB archive's CISPEP records."""
 
 
-def save(structure: Structure | Sequence[Structure], path: str | Path, remarks: Iterable[str] = ()) -> None:
+def save(structure: Any, path: str | Path, remarks: Iterable[str] = ()) -> None:
     """Write a structure to a file, with what its source said of it.
 
     Chain ids, numbers, insertion codes, occupancies, B factors, title, unit cell, sequences, helices and
@@ -31,8 +34,8 @@ def save(structure: Structure | Sequence[Structure], path: str | Path, remarks: 
 
     Parameters
     ----------
-    structure : Structure or sequence of Structure
-        Structure to write; several of one source become the models of one file.
+    structure : Structure, Chain, Solution, or anything that :func:`protochain.as_structure` takes
+        Structure to write; a list or tuple of several of one source become the models of one file.
     path : path-like
         PDB for ``.pdb`` and ``.ent``, mmCIF for ``.cif``, ``.mmcif`` and ``.pdbx``; packed if ``.gz``,
         ``.bz2`` or ``.xz`` follows.
@@ -44,9 +47,10 @@ def save(structure: Structure | Sequence[Structure], path: str | Path, remarks: 
     StructureError
         If the suffix is unknown, or the structure does not fit the format.
     """
-    path = Path(path)
+    path = as_path(path, "path")
     check_format(path)
-    models = [structure] if isinstance(structure, Structure) else list(structure)
+    several = isinstance(structure, list | tuple)
+    models = [as_structure(each) for each in (structure if several else [structure])]
     for each in models:
         check_fits(each, path)
     _, suffix, packing = split_name(path)

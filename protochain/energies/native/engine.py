@@ -67,6 +67,12 @@ class NativeEnergy:
         self._all: tuple[Layout, Lists, Lists, Floats] | None = None
         """If terms are left out: layout of all terms, its lists and the lists here, and their positions."""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Made anew, without the neighbour lists of earlier evaluations."""
+        given = self.by_openmm, self.threads
+        rigid = None if self._all is None else (self._layout.groups, self._all[3])
+        return _remade, (*given, rigid)
+
     @property
     def reason(self) -> str:
         """Kernels, precision, threads, and the constant terms left out."""
@@ -106,6 +112,9 @@ class NativeEnergy:
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Evaluate energies by kind, without the constant of terms left out, and forces.
 
+        Kinds are ``bonds``, ``angles``, ``torsions``, ``impropers``, ``maps`` (CMAP), ``nonbonded`` (Coulomb,
+        Lennard-Jones), ``polar`` (generalised Born) and ``surface``; those that the System has not are 0.
+
         Parameters
         ----------
         x : (na, 3) float, nm
@@ -116,7 +125,7 @@ class NativeEnergy:
         dict of str to float, (na, 3) float
             Energies in kJ/mol, forces in kJ/mol/nm.
         """
-        x = floats(x, (self._layout.terms.n_atoms, 3), "x")
+        x = floats(x, (self._layout.terms.n_atoms, 3), "x", "nanometer")
         if not np.isfinite(x).all():
             return {"bonds": np.inf}, np.full(x.shape, np.nan)
         return evaluate(self._layout, self._lists_for(x), x, self._fixed_integral)
@@ -194,6 +203,11 @@ class NativeEnergy:
 
     def __repr__(self) -> str:
         return f"<NativeEnergy {self.forcefield}, {self.solvent}: {self.reason}>"
+
+
+def _remade(by_openmm: OpenMMEnergy, threads: int, rigid: tuple[Integers, Floats] | None) -> NativeEnergy:
+    made = NativeEnergy(by_openmm, threads)
+    return made if rigid is None else made.without_constants(*rigid)
 
 
 @cache

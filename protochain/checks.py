@@ -1,0 +1,219 @@
+"""Arguments of public calls, converted or refused once, in one line that names them.
+
+A check takes a value and the name of its argument, and returns the value that the function works with.
+"""
+
+import inspect
+import re
+import sys
+from collections.abc import Callable, Iterable
+from functools import wraps
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+from protochain.errors import ProtochainError
+
+Check = Callable[[Any, str], Any]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Decorate a function whose arguments of these names are checked before a call; defaults are not."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        signature = inspect.signature(function)
+        usual = {name: parameter.default for name, parameter in signature.parameters.items()}
+        (more,) = [n for n, p in signature.parameters.items() if p.kind is p.VAR_KEYWORD] or [""]
+
+        @wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            bound = signature.bind(*args, **kwargs)
+            for given in (bound.arguments, bound.arguments.get(more, {})):
+                for name in checks.keys() & given.keys():
+                    if given[name] is not usual.get(name, inspect.Parameter.empty):
+                        given[name] = checks[name](given[name], name)
+            return function(*bound.args, **bound.kwargs)
+
+        return call
+
+    return decorate
+
+
+def check_fields(of: Any, **checks: Check) -> None:
+    """Check fields of a frozen dataclass in its ``__post_init__``; set them to what the checks return."""
+    for name, check in checks.items():
+        object.__setattr__(of, name, check(getattr(of, name), name))
+
+
+def number(value: Any, name: str) -> float:
+    """Return a real number as it is."""
+    if isinstance(value, Real) and not isinstance(value, bool):
+        return value  # type: ignore[return-value]
+    raise ProtochainError(f"{name} {shown(value)}: {_instead(value, name, 'a number')}")
+
+
+def integer(value: Any, name: str) -> int:
+    """Return a whole number as an int, also one that is given as 1e4."""
+    if isinstance(value, Real) and not isinstance(value, bool) and float(value).is_integer():
+        return int(value) if isinstance(value, Integral) else round(float(value))
+    raise ProtochainError(f"{name} {shown(value)}: {_instead(value, name, 'a whole number')}")
+
+
+def quantity(unit: str) -> Check:
+    """Check for a number, or a Quantity of OpenMM, which is converted: ``kelvin``, ``1/picosecond``."""
+
+    def check(value: Any, name: str) -> float:
+        return number(plain(value, unit, name), name)
+
+    return check
+
+
+def plain(value: Any, unit: str, name: str) -> Any:
+    """Return the number or array of a Quantity of OpenMM in a unit; anything else as it is."""
+    if not hasattr(value, "value_in_unit"):
+        return value
+    # Its module is loaded, or there would be no Quantity; others need not import it.
+    units = sys.modules["openmm.unit"]
+    above, *below = (getattr(units, name) if name != "1" else units.dimensionless for name in unit.split("/"))
+    wanted = above
+    for each in below:
+        wanted /= each
+    try:
+        return value.value_in_unit(wanted)
+    except TypeError:
+        raise ProtochainError(f"{name} is in {value.unit}; give it in {unit}") from None
+
+
+def optional(check: Check) -> Check:
+    """Check that leaves None as it is."""
+    return lambda value, name: None if value is None else check(value, name)
+
+
+def text(value: Any, name: str) -> str:
+    """Return a text as it is."""
+    if isinstance(value, str):
+        return value
+    raise ProtochainError(f"{name} {shown(value)}: give a text")
+
+
+def flag(value: Any, name: str) -> bool:
+    """Return True or False as a bool."""
+    if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
+        return bool(value)
+    raise ProtochainError(f"{name} {shown(value)}: give True or False")
+
+
+def path(value: Any, name: str) -> Path:
+    """Return the path of a file."""
+    try:
+        return Path(value)
+    except TypeError:
+        raise ProtochainError(f"{name} {shown(value)}: give the path of a file") from None
+
+
+def file_name(value: Any, name: str) -> str:
+    """Return a name, or the path of a file as text."""
+    return text(str(value) if isinstance(value, Path) else value, name)
+
+
+def pairs(given: Any, name: str) -> tuple[tuple[str, str], ...] | None:
+    """Read bonds, each ``("A:3", "A:40")`` or ``"A:3-A:40"``, or all in one text with commas; None stays."""
+    if given is None:
+        return None
+    bonds = words(given, name) if isinstance(given, str) else given
+    if not isinstance(bonds, Iterable):
+        raise ProtochainError(f"{name} {shown(given)}: give pairs, as [('A:3', 'A:40')]")
+    return tuple(_pair(bond, name) for bond in bonds)
+
+
+def _pair(bond: Any, name: str) -> tuple[str, str]:
+    """Read ``A:3-A:40``, where numbers may be negative, or a pair of places."""
+    if isinstance(bond, str):
+        found = re.fullmatch(r"(\S*:-?\d+\w?)-(\S*:-?\d+\w?)", bond)
+        if found:
+            return found[1], found[2]
+    elif isinstance(bond, tuple | list) and len(bond) == 2 and all(isinstance(end, str) for end in bond):
+        return bond[0], bond[1]
+    raise ProtochainError(f"{name} {shown(bond)}: give chain:number-chain:number, as A:3-A:40")
+
+
+def words(value: str | Iterable[str], name: str = "keep") -> tuple[str, ...]:
+    """Split a text at its commas; leave a sequence of words as it is."""
+    split = value.split(",") if isinstance(value, str) else _listed(value, name)
+    return tuple(word.strip() for word in split if word.strip())
+
+
+def several(value: Any, name: str) -> tuple[Any, ...]:
+    """Return a sequence of anything as a tuple; a text is split at its commas, one object stands alone."""
+    if isinstance(value, str):
+        return words(value, name)
+    return tuple(value) if isinstance(value, Iterable) else (value,)
+
+
+def kinds(value: str | Iterable[str], name: str) -> str:
+    """Return words, given as one text or as a sequence, as one text with blanks between."""
+    return " ".join(re.split(r"[,\s]+", value.strip()) if isinstance(value, str) else _listed(value, name))
+
+
+def function(*parameters: str) -> Check:
+    """Check for a callable of parameters that bear these names in the message; None stays as it is."""
+
+    def check(value: Any, name: str) -> Any:
+        if value is None or (callable(value) and _takes(value, len(parameters))):
+            return value
+        given = getattr(value, "__qualname__", None) or shown(value)
+        raise ProtochainError(f"{name} {given}: give a callable of {', '.join(parameters)}")
+
+    return check
+
+
+WATCHER = function("row", "x")
+"""Check for what is called with each row of a log and its positions."""
+
+
+def instance(kind: type, remedy: str) -> Check:
+    """Check for an object of a class; ``remedy`` says how one is made."""
+
+    def check(value: Any, name: str) -> Any:
+        if isinstance(value, kind):
+            return value
+        raise ProtochainError(f"{name} {shown(value)}: give a {kind.__name__}, as of {remedy}")
+
+    return check
+
+
+def _listed(value: Any, name: str) -> list[str]:
+    found = list(value) if isinstance(value, Iterable) else [value]
+    strange = next((each for each in found if not isinstance(each, str)), None)
+    if strange is not None or not isinstance(value, Iterable):
+        raise ProtochainError(f"{name} {shown(value)}: give words, as one text or a list")
+    return found
+
+
+def _takes(value: Any, n: int) -> bool:
+    try:
+        inspect.signature(value).bind(*[None] * n)
+    except TypeError:
+        return False
+    except ValueError:  # Some callables that are not of Python have no signature.
+        return True
+    return True
+
+
+def shown(value: Any) -> str:
+    """Return a value as it is shown in a message: short, and on one line."""
+    said = " ".join(repr(value).split())
+    return said if len(said) <= 60 else f"of type {type(value).__name__}"
+
+
+def _instead(value: Any, name: str, wanted: str) -> str:
+    """What to give instead of a value; numbers in a text are shown without their quotes."""
+    bare = value.strip() if isinstance(value, str) else ""
+    try:
+        float(bare)
+    except ValueError:
+        return f"give {wanted}"
+    return f"give {wanted}, not a text: {name}={bare}"
