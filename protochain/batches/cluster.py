@@ -44,7 +44,7 @@ class Processes:
 
     def __post_init__(self) -> None:
         if not self.time_limit > 0 or self.threads < 1 or (self.workers is not None and self.workers < 1):
-            raise ProtochainError("time-limit, threads and workers: give numbers above 0")
+            raise ProtochainError("time_limit, threads and workers: give numbers above 0")
 
 
 @contextmanager

@@ -2,8 +2,9 @@
 
 import json
 import math
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,7 +29,7 @@ from protochain.cli.options import (
     with_setup,
 )
 from protochain.cli.terminal import print_distribution, print_table, run_progress
-from protochain.errors import ProtochainError
+from protochain.errors import ProtochainError, WriteError, WriteWarning
 from protochain.interrupts import held_interrupts
 from protochain.setup import ALL_MODELS, Setup
 
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from protochain.chain import Chain
     from protochain.energies import Energy
     from protochain.minimisers import Solution
+    from protochain.structure import Structure
 
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", help="PDB or mmCIF [default: NAME.METHOD.pdb].")
@@ -118,7 +120,9 @@ def minimise(
         if records[-1]["status"] == "interrupted":
             break
     _print(records, as_json, setup.model == ALL_MODELS)
-    done = len(records) == len(runs) and all(record["status"] == "converged" for record in records)
+    done = len(records) == len(runs) and all(
+        record["status"] == "converged" and "not_written" not in record for record in records
+    )
     raise typer.Exit(CONVERGED if done else UNCONVERGED)
 
 
@@ -162,13 +166,18 @@ def _solved(
     chain, energy, preparation = prepare(source, setup)
     check_fits(chain.structure, output)
     context.with_resource(held_interrupts())
-    solution, starts = solve(chain, energy)
+    solution, beside = solve(chain, energy)
     if not solution.is_usable:
         raise SystemExit(fail(f"{source}: {solution.message}"))
     solution.save(output)
-    if trace:
-        write_atomically(trace, lambda to: solution.trace.to_csv(to, index=False))
-    record = solution.record() | starts | ({} if setup.model is None else {"model": setup.model})
+    try:
+        if trace:
+            write_atomically(trace, lambda to: solution.trace.to_csv(to, index=False))
+    except WriteError as error:
+        beside.setdefault("not_written", []).append(str(error))
+    for line in beside.get("not_written", ()):
+        fail(f"{line}; saved: {output}")
+    record = solution.record() | beside | ({} if setup.model is None else {"model": setup.model})
     return record | {"input": str(source), "output": str(output), "seconds_preparation": preparation}
 
 
@@ -177,18 +186,61 @@ def _once(
 ) -> tuple["Solution", dict[str, Any]]:
     """Minimise from the structure as it is; write every accepted point to the trajectory."""
     from protochain.minimisers import minimise
-    from protochain.structure.trajectory import TrajectoryFile
 
-    with ExitStack() as stack:
-        show = stack.enter_context(run_progress(settings["method"], settings["max_evaluations"]))
-        frames = stack.enter_context(TrajectoryFile(trajectory, chain.structure)) if trajectory else None
+    lost: list[str] = []
+    with (
+        run_progress(settings["method"], settings["max_evaluations"]) as show,
+        _frames(trajectory, chain.structure, lost) as append,
+        _warnings(lost),
+    ):
 
         def watch(row: Mapping[str, float], x: Any) -> None:
             show(row, x)
-            if frames:
-                frames.append(x)
+            append(x)
 
-        return minimise(chain, energy, watch=watch, **settings), {}
+        solution = minimise(chain, energy, watch=watch, **settings)
+    return solution, {"not_written": lost} if lost else {}
+
+
+@contextmanager
+def _warnings(lost: list[str]) -> Iterator[None]:
+    """Collect what could not be written; show other warnings as ever."""
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always", WriteWarning)
+        yield
+    for each in warned:
+        if each.category is WriteWarning:
+            lost.append(str(each.message))
+        else:
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+
+
+@contextmanager
+def _frames(path: Path | None, structure: "Structure", lost: list[str]) -> Iterator[Callable[[Any], None]]:
+    """Write frames; on a full disk leave the trajectory out and say so: its space may save the result."""
+    from protochain.structure.trajectory import TrajectoryFile
+
+    if path is None:
+        yield lambda x: None
+        return
+    with ExitStack() as opened:
+        file = TrajectoryFile(path, structure)
+        opened.callback(file.discard)
+
+        def append(x: Any) -> None:
+            try:
+                if not lost:
+                    file.append(x)
+            except WriteError as error:
+                file.discard()
+                lost.append(str(error))
+
+        yield append
+        try:
+            if not lost:
+                file.finish()
+        except WriteError as error:
+            lost.append(str(error))
 
 
 def _often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple["Solution", dict[str, Any]]:

@@ -309,7 +309,7 @@ class _Reader:
         where = f"chain {self._chain} is broken between {last.seqid} and {first.seqid} ({gap:.1f} angstrom)"
         if self.reading.strict:
             raise StructureError(
-                f"{self.draft.source}: {where}; model the missing residues, or omit --strict"
+                f"{self.draft.source}: {where}; model the missing residues, or leave out strict=True"
             )
         self._report(f"{where}: split there, with charged termini; to avoid it, model the missing residues")
 
