@@ -42,7 +42,8 @@ class Setup:
         Number of the model in the file; the first by default. A batch, or the command ``minimise``, takes
         ``all`` to treat every model by itself.
     altloc : str
-        Alternate location to prefer; by default, and where it is absent, the one of highest occupancy.
+        Alternate location to prefer, which some atom must have; by default, and where it is absent, the one
+        of highest occupancy.
     keep : tuple of str
         Molecules to keep as fixed obstacles, as in :func:`protochain.load`, or their names in one text with
         commas between.

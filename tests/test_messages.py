@@ -1,12 +1,16 @@
 """What messages say: arguments in Python, options in commands, units, and what was changed."""
 
 import sys
+import threading
 
 import pytest
 from conftest import STRUCTURES, chain, energy
+from distributed import LocalCluster
 
 import protochain as pc
+from protochain.batches import cluster
 from protochain.cli import as_options, main
+from protochain.cli.terminal import print_table
 
 SAMPLE = STRUCTURES / "ala10.pdb"
 
@@ -76,3 +80,47 @@ def test_names_of_files_are_no_options():
 def test_errors_of_usage_name_the_help_of_the_command(arguments, command, monkeypatch, capsys):
     status, line = said(monkeypatch, capsys, *arguments)
     assert status == 2 and line.endswith(f"See {command}.")
+
+
+def test_a_cluster_without_workers_says_so_and_goes_on_when_one_comes(monkeypatch, caplog):
+    monkeypatch.setattr(cluster, "_PATIENCE", 0.2)
+    with LocalCluster(n_workers=0, processes=False, dashboard_address=None) as scheduler:
+        address = scheduler.scheduler_address
+        later = threading.Timer(1.0, scheduler.scale, (1,))
+        later.start()
+        with cluster.connected(cluster.Processes(scheduler=address)) as client:
+            assert len(client.nthreads()) == 1
+        later.join()
+    (line,) = [record.getMessage() for record in caplog.records if record.name.startswith("protochain")]
+    assert line.startswith(f"scheduler {address}: no workers after 0.2 s") and "dask worker" in line
+
+
+@pytest.mark.parametrize("name", ["1ejg.pdb", "ala10.pdb"])
+def test_an_alternate_location_that_no_atom_has_is_refused(name):
+    words = "its atoms have A, B" if name == "1ejg.pdb" else "no atom of it has one"
+    with pytest.raises(pc.ProtochainError, match=rf"{name}: .*'Z'.*{words}"):
+        pc.load(STRUCTURES / name, altloc="Z")
+
+
+def test_an_alternate_location_that_some_atoms_have_is_preferred():
+    kept = [line for line in pc.load(STRUCTURES / "1ejg.pdb", altloc="B").repairs if "alternate" in line]
+    assert len(kept) > 5 and all("location B kept" in line for line in kept)
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "kcm-stiffness"])
+@pytest.mark.parametrize("status", ["converged", "interrupted"])
+def test_the_table_fits_80_columns(method, status, monkeypatch, capsys):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    record = {
+        "method": method, "status": status, "message": "budget", "energy_start_kj_mol": 123456789012.25,
+        "energy_end_reference_kj_mol": -123456.785, "max_torque_end_kj_mol_rad": 1234567.1,
+        "rms_force_end_kj_mol_nm": 2e-6, "ca_rmsd_angstrom": 12.25, "evaluations": 50000, "seconds": 3612.25,
+    }  # fmt: skip
+    print_table([record, record | {"max_torque_end_kj_mol_rad": None, "energy_start_kj_mol": -12.25}])
+    *head, first, second = capsys.readouterr().out.splitlines()[:-2]
+    assert max(map(len, [*head, first, second])) <= 80
+    assert first.split() == [
+        method, status, "1.2e+11", "-123457", "1e+06", "2e-06", "12.25", "50000", "3612.2",
+    ]  # fmt: skip
+    assert second.split()[2:5] == ["-12.25", "-123457", "-"]
+    assert all(unit in " ".join(head) for unit in ("kJ/mol", "/rad", "/nm", "angstrom", "time", "s "))

@@ -49,7 +49,8 @@ def load(
     model : int, optional
         Number of the model in the file; the first by default.
     altloc : str
-        Preferred alternate location; by default, and where it is absent, the one of highest occupancy.
+        Preferred alternate location, which some atom must have; by default, and where it is absent, the one
+        of highest occupancy.
     keep : sequence of str
         Molecules to keep as fixed obstacles: ``water``, ``ions``, ``nucleic``, ``all`` that have force-field
         parameters, or residue names.

@@ -14,7 +14,7 @@ from pdbfixer.pdbfixer import substitutions
 
 from protochain import residues
 from protochain.errors import StructureError
-from protochain.structure.conformation import Conformation, likeliest, same_place
+from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse
 from protochain.structure.kept import is_wanted, obstacles
@@ -35,7 +35,8 @@ class Reading:
     model : int, optional
         Number of the model in the file; the first by default.
     altloc : str
-        Preferred alternate location; by default, and where it is absent, the one of highest occupancy.
+        Preferred alternate location, which some atom must have; by default, and where it is absent, the one
+        of highest occupancy.
     keep : tuple of str
         Molecules kept as fixed obstacles: ``water``, ``ions``, ``nucleic``, ``all`` or residue names.
     strict : bool
@@ -91,6 +92,7 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         If it holds no protein, or residues that cannot be used.
     """
     model = _model(draft, structure, reading.model)
+    check_altloc(model, reading.altloc, draft.source)
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections
