@@ -125,7 +125,7 @@ def _masses(structure: Structure, hydrogen_mass: float | None) -> Floats:
                 mass[heavy] -= hydrogen_mass - mass[hydrogen]
                 mass[hydrogen] = hydrogen_mass
     if not (hydrogen_mass > 0.0 and np.all(mass > 0.0)):
-        raise ChainError(f"hydrogen-mass {hydrogen_mass:g} amu: give a mass above 0 and at most about 4")
+        raise ChainError(f"hydrogen_mass {hydrogen_mass:g} amu: give a mass above 0 and at most about 4")
     return mass
 
 

@@ -3,9 +3,41 @@
 The outcome of a run is no exception but a :class:`protochain.minimisers.Status`.
 """
 
+_MAKE_SPACE = "free space there, or give another place, and run again"
+
 
 class ProtochainError(ValueError):
     """Bad input: one line that names the file, the place and the remedy."""
+
+
+class WriteError(ProtochainError):
+    """A file that could not be written, mostly for want of space.
+
+    Parameters
+    ----------
+    path : path-like
+    why : str
+        The system's reason.
+    saved : str
+        What was saved besides.
+    remedy : str
+        What to do.
+    """
+
+    def __init__(self, path: object, why: str, saved: str = "", remedy: str = _MAKE_SPACE) -> None:
+        super().__init__(str(path), why, saved, remedy)
+
+    def __str__(self) -> str:
+        path, why, saved, remedy = self.args
+        return f"{path}: not written ({why}){saved and f'; saved: {saved}'}; {remedy}"
+
+    def with_saved(self, saved: str, remedy: str = _MAKE_SPACE) -> "WriteError":
+        """Return the same error, which also says what was saved and what to do."""
+        return WriteError(*self.args[:2], saved, remedy)
+
+
+class WriteWarning(RuntimeWarning):
+    """A file beside a result could not be written; the result itself is there."""
 
 
 class StructureError(ProtochainError):

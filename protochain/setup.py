@@ -55,7 +55,8 @@ class Setup:
         Number of the model in the file; the first by default. A batch, or the command ``minimise``, also
         takes ``all`` or numbers as ``1-5,8``, and treats each of these models by itself.
     altloc : str
-        Alternate location to prefer; by default, and where it is absent, the one of highest occupancy.
+        Alternate location to prefer, which some atom must have; by default, and where it is absent, the one
+        of highest occupancy.
     keep : tuple of str
         Molecules to keep as fixed obstacles, as in :func:`protochain.load`, or their names in one text with
         commas between.

@@ -3,7 +3,8 @@
 import json
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from protochain.errors import ProtochainError
+from protochain.errors import ProtochainError, WriteError
 
 
 def json_text(values: Any, indent: int | None = 2) -> str:
@@ -47,8 +48,34 @@ def check_writable(path: Path) -> None:
         raise ProtochainError(f"{path}: cannot be written ({error.strerror}); give another name") from None
 
 
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Name the file in errors of writing to it: the system's own errors name none, or a temporary one.
+
+    Raises
+    ------
+    WriteError
+        In place of any OSError, as when the disk is full.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise WriteError(path, error.strerror or str(error)) from error
+
+
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Call ``write`` with a temporary path beside ``path``, then rename it: no file is ever half written."""
+    """Call ``write`` with a temporary path beside ``path``, then rename it: no file is ever half written.
+
+    Raises
+    ------
+    WriteError
+        If it cannot be written; what was there before remains.
+    """
+    with writing(path):
+        _write_atomically(path, write)
+
+
+def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
     os.close(handle)
@@ -62,6 +89,39 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def claimed(folder: Path, kind: str) -> Iterator[None]:
+    """Hold a folder, created if needed, for one process; a folder that stays empty is removed afterwards.
+
+    Parameters
+    ----------
+    folder : Path
+    kind : str
+        What the other process is, in the message: ``comparison``.
+
+    Raises
+    ------
+    ProtochainError
+        If another process holds it.
+    """
+    from filelock import FileLock, Timeout
+
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / ".lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise ProtochainError(f"{folder}: another {kind} is writing to this folder; give another") from None
+    try:
+        yield
+    finally:
+        (folder / ".lock").unlink(missing_ok=True)
+        lock.release()
+        with suppress(OSError):  # Results are there.
+            folder.rmdir()
 
 
 def write_arrays(

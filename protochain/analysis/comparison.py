@@ -234,7 +234,7 @@ class Comparison:
         Parameters
         ----------
         directory : path-like
-            Created if needed; files of an earlier comparison there are replaced.
+            Created if needed; the files of an earlier comparison there are deleted first.
 
         Returns
         -------

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.figure import Figure
 
+from protochain.analysis.folder import clear
 from protochain.analysis.viewer import scene, template
+from protochain.errors import WriteError
 from protochain.minimisers.record import SHOWN
 from protochain.storage import write_atomically
 from protochain.structure import save
@@ -21,6 +23,17 @@ if TYPE_CHECKING:
 
 def write_report(comparison: "Comparison", directory: Path) -> Path:
     """Write the files of :meth:`Comparison.report`; return the path of the page."""
+    try:
+        clear(directory)
+        return _write_files(comparison, directory)
+    except WriteError as error:
+        there = ", ".join(sorted(path.name for path in directory.glob("*") if not path.name.startswith(".")))
+        raise error.with_saved(
+            f"{directory}: {there}" if there else "nothing", "free space there, and run again with force=True"
+        ) from error
+
+
+def _write_files(comparison: "Comparison", directory: Path) -> Path:
     name, suffix, summary = comparison.structure.name, comparison.suffix, comparison.summary()
     tables = {
         "summary": comparison.table,
@@ -30,10 +43,11 @@ def write_report(comparison: "Comparison", directory: Path) -> Path:
         "displacement": comparison.displacements,
         "traces": comparison.traces,
     }
+    # First, since it names the structures: what an incomplete comparison left can be replaced, too.
+    _write_text(directory / "summary.json", json.dumps(summary, indent=2, allow_nan=False))
     for stem, table in tables.items():
         _write_text(directory / f"{stem}.csv", table.to_csv(index=False))
     _write_text(directory / "quality.csv", comparison.quality.to_csv())
-    _write_text(directory / "summary.json", json.dumps(summary, indent=2, allow_nan=False))
     save(comparison.structure, directory / f"{name}.start{suffix}")
     for solution in comparison.solutions:
         solution.save(directory / f"{name}.{solution.method}{suffix}")

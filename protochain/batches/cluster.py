@@ -15,6 +15,10 @@ from protochain import defaults
 from protochain.checks import check_fields, integer, number, optional, text
 from protochain.errors import ProtochainError
 
+_LOG = logging.getLogger(__name__)
+_PATIENCE = 10.0
+"""s. Time for the first worker before its absence is told."""
+
 
 @dataclass(frozen=True)
 class Processes:
@@ -48,7 +52,7 @@ class Processes:
             self, workers=optional(integer), scheduler=optional(text), threads=integer, time_limit=number
         )
         if not self.time_limit > 0 or self.threads < 1 or (self.workers is not None and self.workers < 1):
-            raise ProtochainError("time-limit, threads and workers: give numbers above 0")
+            raise ProtochainError("time_limit, threads and workers: give numbers above 0")
 
 
 @contextmanager
@@ -83,8 +87,21 @@ def connected(processes: Processes) -> Iterator[Client]:
     except (OSError, TypeError, ValueError) as error:
         raise ProtochainError(f"scheduler {scheduler}: no cluster answers there: {error}") from error
     with client:
+        _await_workers(client, scheduler)
         _check_versions(client, scheduler)
         yield client
+
+
+def _await_workers(client: Client, scheduler: str) -> None:
+    """Wait for a worker, and say so: a queue may give it later, or nobody has started one."""
+    try:
+        client.wait_for_workers(1, timeout=_PATIENCE)
+    except TimeoutError:
+        _LOG.warning(
+            "scheduler %s: no workers after %g s; start some with 'dask worker %s', or stop with Ctrl-C",
+            scheduler, _PATIENCE, scheduler,
+        )  # fmt: skip
+        client.wait_for_workers(1)
 
 
 class _CalmWorker(WorkerPlugin):

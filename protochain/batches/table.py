@@ -1,6 +1,7 @@
 """Tables of a batch: rows are appended as results arrive, and incomplete ones discarded on resuming."""
 
 import csv
+import errno
 import io
 import os
 from collections import defaultdict
@@ -12,9 +13,9 @@ from typing import TYPE_CHECKING
 from filelock import FileLock, Timeout
 
 from protochain.batches.jobs import Job, Row
-from protochain.errors import ProtochainError
+from protochain.errors import ProtochainError, WriteError
 from protochain.minimisers import record
-from protochain.storage import check_writable, write_atomically
+from protochain.storage import check_writable, write_atomically, writing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -79,7 +80,7 @@ class Tables:
         if self.summary.exists() and not resume:
             self.lock.release()
             raise ProtochainError(
-                f"{self.summary}: holds a batch; --resume continues it, or give another folder"
+                f"{self.summary}: holds a batch; resume=True continues it, or give another folder"
             )
 
     def finished(self, jobs: Sequence[Job]) -> set[tuple[str, str]]:
@@ -183,8 +184,16 @@ def _lines(columns: Sequence[str], rows: Iterable[Mapping[str, object]], header:
 
 def _append(path: Path, text: str) -> None:
     file = os.open(path, os.O_WRONLY | os.O_APPEND)
+    whole, data = os.fstat(file).st_size, text.encode()
     try:
-        os.write(file, text.encode())
+        with writing(path):
+            if os.write(file, data) < len(data):  # On a full disk a part is written.
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    except WriteError as error:
+        os.ftruncate(file, whole)
+        raise error.with_saved(
+            "the structures done before", "free space there, then continue with resume=True"
+        ) from error
     finally:
         os.close(file)
 

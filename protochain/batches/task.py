@@ -10,7 +10,7 @@ import numpy as np
 
 from protochain.batches.jobs import BatchSettings, Job, Row, failure, origin
 from protochain.batches.page import write_page
-from protochain.errors import ProtochainError
+from protochain.errors import ProtochainError, WriteError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,6 +49,8 @@ def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
             repairs = structure.repairs
             yield row
         write_page(folder, job, done, repairs)
+    except WriteError as error:  # With space it may be done: not what is wrong with this structure.
+        yield from _rest(job, done, "killed", str(error), perf_counter() - began)
     except ProtochainError as error:
         yield from _rest(job, done, "refused", str(error), perf_counter() - began)
     except MemoryError:

@@ -1,8 +1,12 @@
 """Parse, call, print. Heavy imports wait until a command runs, so that --help answers at once."""
 
+import errno
+import os
+import re
 import signal
 import sys
 from importlib import metadata
+from inspect import signature
 from typing import Annotated
 
 import typer
@@ -16,7 +20,7 @@ from protochain.cli.minimise import minimise
 from protochain.cli.options import BAD_INPUT, fail
 from protochain.cli.rmsd import rmsd
 from protochain.cli.simulate import simulate
-from protochain.errors import ProtochainError
+from protochain.errors import ProtochainError, WriteError
 
 __all__ = ["main"]
 
@@ -26,6 +30,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+_COMMANDS = (minimise, compare, batch, simulate, rmsd, bench, info, build)
 
 
 @app.callback(invoke_without_command=True)
@@ -40,9 +46,22 @@ def about(
         raise typer.Exit
 
 
-for command in (minimise, compare, batch, simulate, rmsd, bench, info, build):
+for command in _COMMANDS:
     app.command()(command)
 app.command("minimize", hidden=True)(minimise)
+
+
+_RENAMED = {"n_steps": "steps", "n_starts": "starts", "hop_temperature": "hop"}
+"""Options with other names than the arguments of the library."""
+
+
+def as_options(message: str) -> str:
+    """Message of the library, which names its arguments, in the words of the command line."""
+    options = {name for each in _COMMANDS for name in signature(each).parameters if "_" in name}
+    names = "|".join(sorted({*options, *_RENAMED}, key=len, reverse=True))
+    # Not in paths and other names.
+    found = re.compile(rf"(?<![\w/.'-])(?:({names})|(\w+)=True)(?![\w/'-]|\.\w)")
+    return found.sub(lambda m: f"--{_RENAMED.get(m[1], m[1] or m[2]).replace('_', '-')}", message)
 
 
 def main() -> None:
@@ -52,13 +71,34 @@ def main() -> None:
         sys.argv.append("--help")
     try:
         status = app(standalone_mode=False)
+        sys.stdout.flush()
+    except WriteError as error:
+        status = fail(as_options(str(error)))
     except ProtochainError as error:
-        status = fail(str(error), BAD_INPUT)
+        status = fail(as_options(str(error)), BAD_INPUT)
     except TyperException as error:
-        status = fail(f"{error.format_message()} See protochain --help.", BAD_INPUT)
+        context = getattr(error, "ctx", None)
+        command = f"protochain {context.info_name}" if context and context.parent else "protochain"
+        status = fail(f"{error.format_message()} See {command} --help.", BAD_INPUT)
+    except BrokenPipeError:
+        _close_output()
+        status = 128 + signal.SIGPIPE  # As of programs that the signal ends.
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        status = fail(f"{where}{error.strerror or error}")
+        if error.errno in _FULL and not error.filename:
+            _close_output()
+            status = fail(f"standard output: not written ({error.strerror}); all files are complete")
+        else:
+            where = f"{error.filename}: " if error.filename else ""
+            status = fail(f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
         status = fail("interrupted before there was a result")
     sys.exit(status if isinstance(status, int) else 0)
+
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What a disk says that takes no more."""
+
+
+def _close_output() -> None:
+    """Let what is left in the buffer vanish: at its end Python would try once more, and say so at length."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -49,14 +49,16 @@ def compare(
     max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
     seed: Seed = defaults.SEED,
     as_json: AsJson = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace the comparison in DIR.")] = False,
     *,
     setup: Setup,
 ) -> None:
     """Minimise one structure by several methods; write tables, plots, structures and report.html."""
     from protochain.analysis import compare as run
+    from protochain.analysis.folder import check_folder
     from protochain.minimisers.api import Minimisation
     from protochain.minimisers.recipes import recipe_of
-    from protochain.storage import check_writable
+    from protochain.storage import claimed
     from protochain.structure import load
 
     chosen = tuple(dict.fromkeys(words(methods)))
@@ -64,7 +66,8 @@ def compare(
         Minimisation(recipe_of(method), tolerance, max_evaluations)
     output = output or Path(f"{named_after(source)[0]}-comparison")
     # Structures are named after input and method: none can replace the input.
-    check_writable(output / "report.html")
+    check_folder(output, force)
+    context.with_resource(claimed(output, "comparison"))
     known = load(reference) if reference else None
     chain, energy, preparation = prepare(source, setup)
     typical = sum(typical_evaluations(method, max_evaluations) for method in chosen)

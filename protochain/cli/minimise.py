@@ -3,8 +3,9 @@
 import json
 import math
 import sys
-from collections.abc import Callable, Iterable
-from contextlib import ExitStack, nullcontext, redirect_stdout
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, nullcontext, redirect_stdout
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -41,7 +42,7 @@ from protochain.cli.terminal import (
     run_progress,
     typical_evaluations,
 )
-from protochain.errors import ProtochainError
+from protochain.errors import ProtochainError, WriteError, WriteWarning
 from protochain.interrupts import held_interrupts
 from protochain.setup import ALL_MODELS, Setup, models_asked
 
@@ -127,7 +128,9 @@ def minimise(
                 break
     with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
         _print(records, as_json, isinstance(setup.model, str))
-    done = len(records) == len(runs) and all(record["status"] == "converged" for record in records)
+    done = len(records) == len(runs) and all(
+        record["status"] == "converged" and "not_written" not in record for record in records
+    )
     raise typer.Exit(CONVERGED if done else UNCONVERGED)
 
 
@@ -234,31 +237,38 @@ def _solved(
     check_fits(chain.structure, output)
     foretell(source, chain, energy, *lengths)
     context.with_resource(held_interrupts())
-    solution, starts = solve(chain, energy)
+    solution, beside = solve(chain, energy)
     if not solution.is_usable:
         raise SystemExit(
             fail(f"{source}: {solution.message}; nothing is better than the start: nothing is written")
         )
     write(solution, output)
-    record = solution.record() | starts | ({} if setup.model is None else {"model": setup.model})
+    record = solution.record() | beside | ({} if setup.model is None else {"model": setup.model})
     return record | {"input": str(source), "output": str(output), "seconds_preparation": preparation}
 
 
 def _write_beside(
     solution: "Solution", trace: Path | None, report: Path | None, record: dict[str, Any]
 ) -> None:
-    """Write the trace and the page of a run."""
+    """Write the trace and the page of a run; say what could not be written beside the result."""
     from protochain.storage import write_atomically
 
-    if trace:
-        write_atomically(trace, lambda to: solution.trace.to_csv(to, index=False))
-    if report:
-        from protochain.analysis import Comparison
-        from protochain.analysis.report import write_page
+    lost = record.get("not_written", [])
+    try:
+        if trace:
+            write_atomically(trace, lambda to: solution.trace.to_csv(to, index=False))
+        if report:
+            from protochain.analysis import Comparison
+            from protochain.analysis.report import write_page
 
-        origin = {name: record[name] for name in ("input", "output", "seconds_preparation")}
-        write_page(Comparison(solution.chain.structure, (solution,), origin), report)
-        record["report"] = str(report)
+            origin = {name: record[name] for name in ("input", "output", "seconds_preparation")}
+            write_page(Comparison(solution.chain.structure, (solution,), origin), report)
+            record["report"] = str(report)
+    except WriteError as error:
+        lost.append(str(error))
+    for line in lost:
+        record["not_written"] = lost
+        fail(f"{line}; saved: {record['output']}")
 
 
 def _once(
@@ -266,13 +276,56 @@ def _once(
 ) -> tuple["Solution", dict[str, Any]]:
     """Minimise from the structure as it is; write every accepted point to the trajectory."""
     from protochain.minimisers import minimise
+
+    lost: list[str] = []
+    with (
+        _frames(trajectory, chain.structure, lost) as append,
+        run_progress(settings["method"], settings["max_evaluations"], append) as watch,
+        _warnings(lost),
+    ):
+        solution = minimise(chain, energy, watch=watch, **settings)
+    return solution, {"not_written": lost} if lost else {}
+
+
+@contextmanager
+def _warnings(lost: list[str]) -> Iterator[None]:
+    """Collect what could not be written; show other warnings as ever."""
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always", WriteWarning)
+        yield
+    for each in warned:
+        if each.category is WriteWarning:
+            lost.append(str(each.message))
+        else:
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+
+
+@contextmanager
+def _frames(path: Path | None, structure: "Structure", lost: list[str]) -> Iterator[Callable[[Any], None]]:
+    """Write frames; on a full disk leave the trajectory out and say so: its space may save the result."""
     from protochain.structure.trajectory import TrajectoryFile
 
-    with ExitStack() as stack:
-        frames = stack.enter_context(TrajectoryFile(trajectory, chain.structure)) if trajectory else None
-        also = frames.append if frames else None
-        watch = stack.enter_context(run_progress(settings["method"], settings["max_evaluations"], also))
-        return minimise(chain, energy, watch=watch, **settings), {}
+    if path is None:
+        yield lambda x: None
+        return
+    with ExitStack() as opened:
+        file = TrajectoryFile(path, structure)
+        opened.callback(file.discard)
+
+        def append(x: Any) -> None:
+            try:
+                if not lost:
+                    file.append(x)
+            except WriteError as error:
+                file.discard()
+                lost.append(str(error))
+
+        yield append
+        try:
+            if not lost:
+                file.finish()
+        except WriteError as error:
+            lost.append(str(error))
 
 
 def _often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple["Solution", dict[str, Any]]:

@@ -20,6 +20,7 @@ from protochain.cli.options import (
     with_setup,
 )
 from protochain.cli.terminal import foretell, print_simulation, simulation_progress
+from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.setup import Setup
 
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 _RELAXED = 10.0
 """kJ/mol/rad. Largest torque at the start: the strain that is left heats little."""
 
+_SHORTEST = 0.015
+"""fs. Less than a thousandth of any useful step: who gives it means picoseconds."""
 
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-simulation].")
@@ -98,6 +101,7 @@ def simulate(
         "friction": friction, "integrator": integrator, "fixman": fixman, "loops": loops,
         "hydrogen_mass": hydrogen_mass, "trajectory_length": trajectory_length, "every": every, "seed": seed,
     }  # fmt: skip
+    _check_time_step(time_step)
     SimulationSettings(**settings).check(steps, checkpoint_every)
     output = output or Path(f"{named_after(source)[0]}-simulation")
     check_folder(output, trajectory, resume, force)
@@ -121,6 +125,20 @@ def simulate(
         where = f"the frames until then are in {output}/*.part.*"
         raise SystemExit(fail(f"{source}: {done.message}; {where}"))
     raise typer.Exit(CONVERGED if done.ending == "completed" else UNCONVERGED)
+
+
+def _check_time_step(given: float) -> None:
+    """Refuse a time step that is meant in another unit."""
+    from protochain.dynamics.settings import LONGEST_STEP
+
+    if not 0.0 < given < 1000.0 * LONGEST_STEP:
+        raise ProtochainError(
+            f"time_step {given:g} fs: give a number above 0 and below {1000.0 * LONGEST_STEP:g}"
+        )
+    if given < _SHORTEST:
+        raise ProtochainError(
+            f"time_step {given:g} fs: give femtoseconds: {1000.0 * given:g} are {given:g} ps"
+        )
 
 
 def _relaxed(source: Path, chain: "Chain", energy: "Energy", seed: int) -> "Floats":

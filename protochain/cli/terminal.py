@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from protochain.chain import Chain
     from protochain.energies import Energy
 
+_WIDTH = 80
+"""Characters of the narrowest terminal that holds the table of results."""
+
 _SHOWN_FAILURES = 10
 """Structures without a result to list; the table and the page have all."""
 
@@ -222,21 +225,22 @@ def print_table(records: list[dict[str, Any]]) -> None:
 
     from protochain.minimisers.record import SHOWN
 
-    rows = [
-        [
-            f"{r[c.key]:.2f}" if isinstance(r[c.key], float) else str("-" if r[c.key] is None else r[c.key])
-            for c in SHOWN
-        ]
-        for r in records
-    ]
+    rows = [[column.short_text(record[column.key]) for column in SHOWN] for record in records]
+    console = Console()
+    headings = [f"{c.short or c.heading} {c.unit}".strip() for c in SHOWN]
+    columns = [list(cells) for cells in zip(headings, *rows, strict=True)]
+    if sum(max(map(len, column)) + 1 for column in columns) > max(_WIDTH, console.width):
+        # Headings wrap at blanks and numbers not at all; a name of one's own may be long, and wraps anywhere.
+        headings = [heading.replace("/mol/", "/mol /") for heading in headings]
+        columns = [[*heading.split(), *cells[1:]] for heading, cells in zip(headings, columns, strict=True)]
+    widths = [max(map(len, column)) for column in columns]
+    room = max(_WIDTH, console.width) - sum(widths[1:]) - len(widths) + 1
+    widths[0] = max(len(headings[0]), min(widths[0], room))
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    for column, cells in zip(SHOWN, zip(*rows, strict=True), strict=True):
-        # Headings may wrap at blanks; numbers may not.
-        words = f"{column.short or column.heading} {column.unit}".replace("/mol/", "/mol /").strip()
-        table.add_column(words, min_width=max(map(len, cells)), justify="right")
+    for heading, width in zip(headings, widths, strict=True):
+        table.add_column(heading, width=width, justify="right", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    console = Console()
     console.print(table)
     for record in records:
         console.print(f"{record['method']}: {record['message']}", markup=False, highlight=False)

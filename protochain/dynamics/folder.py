@@ -3,7 +3,8 @@
 import csv
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,10 @@ from protochain.arrays import Floats, frozen
 from protochain.dynamics.loop import State
 from protochain.dynamics.system import Phase
 from protochain.dynamics.thermostats import Bath
-from protochain.errors import ProtochainError, StructureError
+from protochain.errors import ProtochainError, StructureError, WriteError
 from protochain.multibody import Frames, Tree
 from protochain.multibody.articulated import Articulated
-from protochain.storage import check_writable, read_arrays, write_arrays, write_atomically
+from protochain.storage import check_writable, read_arrays, write_arrays, write_atomically, writing
 from protochain.structure import Structure
 from protochain.structure.trajectory import TrajectoryFile, check_trajectory
 from protochain.structure.write import check_fits
@@ -47,10 +48,10 @@ def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
     there = [name for name in (CHECKPOINT, "log.csv", "log.part.csv") if (path / name).exists()]
     if there and not (resume or force):
         raise ProtochainError(
-            f"{path}: holds a simulation ({there[0]}); --resume continues it, --force replaces it"
+            f"{path}: holds a simulation ({there[0]}); resume=True continues it, force=True replaces it"
         )
     if resume and not (path / CHECKPOINT).exists():
-        raise ProtochainError(f"{path}: holds no {CHECKPOINT} to resume from; leave out --resume")
+        raise ProtochainError(f"{path}: holds no {CHECKPOINT} to resume from; leave out resume=True")
 
 
 class Folder:
@@ -72,6 +73,8 @@ class Folder:
         self.path, self.settings = path, settings
         self.trajectory = path / f"trajectory.{suffix}"
         self.log, self.log_part = path / "log.csv", path / "log.part.csv"
+        self.stored: dict[str, Any] = {}
+        """What the last checkpoint counts: step, frames, and bytes of the files."""
 
     def open(self, structure: Structure, start: Floats, frame_interval: float, columns: list[str]) -> None:
         """Create the files of a simulation that starts at positions (na, 3)."""
@@ -80,7 +83,8 @@ class Folder:
         for stale in (CHECKPOINT, "last.pdb", "last.cif", "summary.json", "log.csv", self.trajectory.name):
             (self.path / stale).unlink(missing_ok=True)
         self._frames = TrajectoryFile(self.trajectory, structure, frame_interval)
-        self._file = self.log_part.open("w", newline="", encoding="utf-8")
+        with writing(self.log):
+            self._file = self.log_part.open("w", newline="", encoding="utf-8")
         self._writer = csv.DictWriter(self._file, columns)
         self._writer.writeheader()
 
@@ -95,12 +99,13 @@ class Folder:
             State at the checkpoint, rows logged so far, and positions the neighbour lists were made at.
         """
         arrays, values = read_arrays(self.path / CHECKPOINT, self.settings)
+        self.stored = values
         self.start = arrays["start"]
         if not self.log_part.exists() and self.log.exists():
             self.log.replace(self.log_part)
         if not self.log_part.exists() or self.log_part.stat().st_size < values["log_bytes"]:
             raise ProtochainError(
-                f"{self.log_part}: rows before the checkpoint are missing; start again with --force"
+                f"{self.log_part}: rows before the checkpoint are missing; start again with force=True"
             )
         self._frames = TrajectoryFile(
             self.trajectory, structure, frame_interval, (values["frames"], values["trajectory_bytes"])
@@ -116,13 +121,15 @@ class Folder:
     def append(self, row: Mapping[str, float], x: Floats) -> None:
         """Write a frame and its row of the log."""
         self._frames.append(x)
-        self._writer.writerow(row)
+        with writing(self.log):
+            self._writer.writerow(row)
 
     def store(self, state: State, lists_at: Floats | None) -> None:
         """Write a checkpoint, after flushing to disk the frames and rows that it counts."""
         frames, trajectory_bytes = self._frames.stored()
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        with writing(self.log):
+            self._file.flush()
+            os.fsync(self._file.fileno())
         values = {
             "step": state.step,
             "potential": state.at.potential,
@@ -139,6 +146,7 @@ class Folder:
             "start": self.start, "lists_at": np.empty((0, 3)) if lists_at is None else lists_at,
         }  # fmt: skip
         write_arrays(self.path / CHECKPOINT, arrays, values, self.settings)
+        self.stored = values
 
     def close(self, sound: bool) -> None:
         """Close the files; give them their final names if the run is sound."""
@@ -148,6 +156,31 @@ class Folder:
             self._frames.finish()
         else:
             self._frames.close()
+
+    def rescue(self) -> str:
+        """Keep what the last checkpoint counts, under final names, after a file could not be written.
+
+        Returns
+        -------
+        str
+            What is saved; empty if nothing is, as before the first checkpoint.
+        """
+        if hasattr(self, "_file"):
+            with suppress(OSError):  # What a full disk did not take is still in the buffer.
+                self._file.close()
+        if not self.stored:
+            if hasattr(self, "_frames"):
+                self._frames.discard()
+            self.log_part.unlink(missing_ok=True)
+            with suppress(OSError):  # Other files may be there.
+                self.path.rmdir()
+            return ""
+        if self.log_part.exists():
+            os.truncate(self.log_part, self.stored["log_bytes"])
+            self.log_part.replace(self.log)
+        if self._frames.part.exists():
+            self._frames.finish_at(self.stored["frames"], self.stored["trajectory_bytes"])
+        return f"{self.stored['frames']} frames, and what is needed to go on from step {self.stored['step']}"
 
     def last(self, structure: Structure) -> Path:
         """Path of the final structure: PDB if the format can hold it, otherwise mmCIF."""
@@ -163,6 +196,24 @@ class Folder:
         """Write ``summary.json``."""
         text = json.dumps(record, indent=2, allow_nan=False)
         write_atomically(self.path / "summary.json", lambda to: to.write_text(text, encoding="utf-8"))
+
+
+@contextmanager
+def rescued(folder: Folder | None) -> Iterator[None]:
+    """Keep what can be kept of a simulation when a file cannot be written, and say what and how to go on.
+
+    Raises
+    ------
+    WriteError
+        The same, with what was saved.
+    """
+    try:
+        yield
+    except WriteError as error:
+        saved = folder.rescue() if folder else ""
+        if not saved:
+            raise error.with_saved("nothing") from error
+        raise error.with_saved(saved, "free space there, then continue with resume=True") from error
 
 
 def _state(tree: Tree, arrays: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> State:

@@ -28,6 +28,9 @@ THERMOSTATS: dict[str, type[thermostats.Thermostat]] = {
     "hmc": thermostats.HybridMonteCarlo,
 }
 
+LONGEST_STEP = 0.5
+"""ps. Steps of bodies bound by springs are below a hundredth of this; who gives more means femtoseconds."""
+
 
 @dataclass(frozen=True)
 class SimulationSettings:
@@ -70,14 +73,19 @@ class SimulationSettings:
             if value not in known:
                 raise ProtochainError(f"{name} {value!r} is not known; choose from {', '.join(known)}")
         if not 0.0 < self.time_step < np.inf:
-            raise ProtochainError(f"time-step {1000 * self.time_step:g} fs: give a number above 0")
+            raise ProtochainError(f"time_step {self.time_step:g} ps: give a number above 0")
+        if self.time_step >= LONGEST_STEP:
+            raise ProtochainError(
+                f"time_step {self.time_step:g} ps: no step of this length is stable; "
+                f"give picoseconds: {self.time_step / 1000:g} are {self.time_step:g} fs"
+            )
         if not 0.0 <= self.temperature < np.inf:
             raise ProtochainError(f"temperature {self.temperature:g} K: give 0 or more")
         if not 0.0 <= self.friction < np.inf:
             raise ProtochainError(f"friction {self.friction:g} /ps: give 0 or more")
         for name, count in (
-            ("steps", n_steps), ("every", self.every), ("trajectory-length", self.trajectory_length),
-            ("checkpoint-every", checkpoint_every),
+            ("n_steps", n_steps), ("every", self.every), ("trajectory_length", self.trajectory_length),
+            ("checkpoint_every", checkpoint_every),
         ):  # fmt: skip
             if count < 1:
                 raise ProtochainError(f"{name} {count}: give at least 1")

@@ -19,7 +19,7 @@ from protochain.checks import WATCHER, checked, flag, integer, path, quantity, t
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import has_free_roots
 from protochain.dynamics.fixman import fixman
-from protochain.dynamics.folder import Folder, check_folder
+from protochain.dynamics.folder import Folder, check_folder, rescued
 from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
 from protochain.dynamics.loop import run as propagate
 from protochain.dynamics.settings import INTEGRATORS, THERMOSTATS, SimulationSettings, build_thermostat
@@ -134,12 +134,12 @@ def simulate(
     if output is not None:
         check_folder(Path(output), trajectory, resume, force)
     elif resume:
-        raise ProtochainError("resume: give the folder of the simulation as output")
+        raise ProtochainError("resume=True: give the folder of the simulation as output")
     chain = as_chain(chain)
     energy = as_energy(energy, chain.structure)
     run = _prepare(chain, energy, q, settings)
     folder = Folder(Path(output), trajectory, run.identity) if output is not None else None
-    with threadpool_limits(1, "blas"):
+    with threadpool_limits(1, "blas"), rescued(folder):
         return _simulate(run, folder, resume, n_steps, checkpoint_every, watch)
 
 
@@ -298,7 +298,7 @@ def _message(ending: Ending, why: str, state: State, settings: SimulationSetting
     done = f"{state.step} steps, {state.step * settings.time_step:g} ps"
     if ending is Ending.UNSTABLE:
         return (
-            f"unstable after {done}: {why}; take a time step below {1000 * settings.time_step:g} fs or "
-            "heavier hydrogens, or minimise first"
+            f"unstable after {done}: {why}; take a time_step below {settings.time_step:g} ps "
+            f"({1000 * settings.time_step:g} fs) or heavier hydrogens, or minimise first"
         )
     return f"{ending}: {done}"

@@ -212,7 +212,7 @@ def _check_file(path: Path, trusted: bool) -> None:
     if active and not trusted:
         raise ForceFieldError(
             f"{path}: has <{active[0]}>, which runs code or opens files; if you trust it, allow that with "
-            "--trust-forcefield (trust_forcefield=True)"
+            "trust_forcefield=True"
         )
 
 

@@ -1,6 +1,7 @@
 """``minimise``: one call for every method."""
 
 import hashlib
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -15,7 +16,7 @@ from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose
 from protochain.checks import WATCHER, check_fields, checked, integer, number, optional, path
 from protochain.energies import as_energy
-from protochain.errors import ProtochainError
+from protochain.errors import ProtochainError, WriteError, WriteWarning
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts, open_to_interrupts
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
@@ -84,7 +85,8 @@ def minimise(
         their initial positions: one strength after the other, each until it converges; a final 0 releases
         them. A callable takes positions to energy and forces, as ``energy`` does.
         ``max_rmsd`` : float, angstrom. Upper limit of the C-alpha RMSD to the start, superposed.
-        ``checkpoint`` : path-like. File (.npz) to write when the run ends, for ``resume``.
+        ``checkpoint`` : path-like. File (.npz) to write when the run ends, for ``resume``; a warning
+        says why if it cannot be written.
         ``resume`` : path-like. Continue from a checkpoint of a run with the same settings; evaluations count
         on, and the steps are those of an uninterrupted run, bit for bit.
 
@@ -146,7 +148,7 @@ class Minimisation:
         if not 0 < self.tolerance < np.inf:
             raise ProtochainError(f"tolerance {self.tolerance:g}: give a number above 0")
         if self.max_evaluations < 1:
-            raise ProtochainError(f"max-evaluations {self.max_evaluations}: give at least 1")
+            raise ProtochainError(f"max_evaluations {self.max_evaluations}: give at least 1")
         if self.hold != Hold() and self.recipe.by_openmm:
             raise ProtochainError(
                 f"method {self.recipe.name!r} cannot be held near its start; choose cartesian or hybrid"
@@ -218,7 +220,11 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
 
     done = walk(plan, chain, run.max_evaluations, allowed, note, waypoint)
     if run.checkpoint and done.waypoint:
-        save_checkpoint(Path(run.checkpoint), done.waypoint, run.settings(start))
+        try:
+            save_checkpoint(Path(run.checkpoint), done.waypoint, run.settings(start))
+        except WriteError as error:
+            # The result is worth more: it must not be lost with the checkpoint.
+            warnings.warn(str(error), WriteWarning, stacklevel=2)
     return done
 
 

@@ -30,12 +30,25 @@ class Column:
         Heading in short tables, which leave out columns without one.
     short : str
         Heading where 80 characters must hold all columns.
+    width : int
+        Characters of a number there.
     """
 
     key: str
     value: Callable[[Any], Any]
     heading: str = ""
     short: str = ""
+    width: int = 8
+
+    def short_text(self, value: Any) -> str:
+        """Value as the short table prints it: with two decimals, or as many as its width holds."""
+        if not isinstance(value, float):
+            return "-" if value is None else str(value)
+        forms = (".2f", ".1f", ".0f", ".1e", ".0e")
+        if 0.0 < abs(value) < 0.005 and self.unit.startswith("kJ/mol/"):
+            forms = forms[3:]  # Residuals may be small.
+        texts = [format(value, form) for form in forms]
+        return next((text for text in texts if len(text) <= self.width), texts[-1])
 
     @property
     def unit(self) -> str:
@@ -64,14 +77,14 @@ COLUMNS = (
     Column("energy_start_kj_mol", lambda s: s.start.energy, "energy at start", "start"),
     Column("energy_end_kj_mol", lambda s: s.energy),
     Column("energy_end_reference_kj_mol", lambda s: s.end.energy, "energy at end", "end"),
-    Column("max_torque_end_kj_mol_rad", lambda s: s.end.max_torque, "largest torque", "torque"),
-    Column("rms_force_end_kj_mol_nm", lambda s: s.end.rms_force, "RMS force", "force"),
-    Column("ca_rmsd_angstrom", lambda s: s.ca_rmsd_angstrom, "C-alpha RMSD", "RMSD"),
+    Column("max_torque_end_kj_mol_rad", lambda s: s.end.max_torque, "largest torque", "torque", 6),
+    Column("rms_force_end_kj_mol_nm", lambda s: s.end.rms_force, "RMS force", "force", 6),
+    Column("ca_rmsd_angstrom", lambda s: s.ca_rmsd_angstrom, "C-alpha RMSD", "RMSD", 6),
     Column("ca_rmsd_as_filed_angstrom", lambda s: s.ca_rmsd_as_filed_angstrom),
     Column("frame", lambda s: str(s.frame)),
     Column("iterations", lambda s: s.n_iterations),
     Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals"),
-    Column("seconds", lambda s: s.seconds, "seconds"),
+    Column("seconds", lambda s: s.seconds, "seconds", "time s", 6),
     Column("n_chains", lambda s: s.chain.structure.n_chains),
     Column("n_residues", lambda s: s.chain.structure.n_residues),
     Column("n_atoms", lambda s: s.chain.structure.n_atoms),

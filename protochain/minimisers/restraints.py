@@ -155,7 +155,7 @@ class Hold:
         if not all(0 <= strength < np.inf for strength in self.strengths):
             raise ProtochainError(f"restraint {self.strengths}: give strengths in kJ/mol/nm^2, none below 0")
         if not self.max_rmsd > 0:
-            raise ProtochainError(f"max-rmsd {self.max_rmsd:g}: give a number of angstrom above 0")
+            raise ProtochainError(f"max_rmsd {self.max_rmsd:g}: give a number of angstrom above 0")
 
     @classmethod
     def of(cls, restraint: Any, max_rmsd: float = np.inf) -> "Hold":

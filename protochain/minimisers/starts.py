@@ -202,13 +202,13 @@ def check_starts(n_starts: int, spread: float, hop_temperature: float | None, ho
         Naming the setting.
     """
     if n_starts < 1:
-        raise ProtochainError(f"starts {n_starts}: give at least 1")
+        raise ProtochainError(f"n_starts {n_starts}: give at least 1")
     if not 0 < spread < np.inf:
         raise ProtochainError(f"spread {spread:g}: give an angle above 0, in rad")
     if hop_temperature is not None and not 0 <= hop_temperature < np.inf:
-        raise ProtochainError(f"temperature {hop_temperature:g}: give a temperature in K, not below 0")
+        raise ProtochainError(f"hop_temperature {hop_temperature:g}: give a temperature in K, not below 0")
     if hold != Hold():
-        raise ProtochainError("restrain and max-rmsd refer to each start's own structure; use one start")
+        raise ProtochainError("restraint and max_rmsd refer to each start's own structure; use one start")
 
 
 def perturbed(chain: Chain, spread: float, random: np.random.Generator) -> Chain:

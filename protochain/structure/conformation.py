@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import gemmi
 import numpy as np
 
+from protochain.errors import StructureError
+
 
 @dataclass(frozen=True, eq=False)
 class Conformation:
@@ -39,6 +41,20 @@ def same_place(chain: gemmi.Chain) -> list[list[gemmi.Residue]]:
         else:
             groups.append([residue])
     return groups
+
+
+def check_altloc(model: gemmi.Model, asked: str, source: str) -> None:
+    """Refuse an alternate location that no atom has.
+
+    Raises
+    ------
+    StructureError
+        Naming those that there are.
+    """
+    found = {cra.atom.altloc for cra in model.all() if cra.atom.has_altloc()}
+    if asked and asked not in found:
+        there = f"its atoms have {', '.join(sorted(found))}" if found else "no atom of it has one"
+        raise StructureError(f"{source}: has no alternate location {asked!r}: {there}; change or omit altloc")
 
 
 def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:

@@ -55,7 +55,8 @@ def load(
     model : int, optional
         Number of the model in the file; the first by default.
     altloc : str
-        Preferred alternate location; by default, and where it is absent, the one of highest occupancy.
+        Preferred alternate location, which some atom must have; by default, and where it is absent, the one
+        of highest occupancy.
     keep : str or sequence of str
         Molecules to keep as fixed obstacles: ``near`` for all but waters that have an atom within 5 angstrom
         of the protein, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``, or residue names.

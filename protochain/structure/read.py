@@ -16,7 +16,7 @@ from protochain import residues
 from protochain.checks import check_fields, flag, integer, optional, text, words
 from protochain.errors import OnlyAlphaError, StructureError
 from protochain.structure.choose import choose_chains, choose_model
-from protochain.structure.conformation import Conformation, likeliest, same_place
+from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse, split_name
 from protochain.structure.header import take_header
@@ -39,7 +39,8 @@ class Reading:
     model : int, optional
         Number of the model in the file; the first by default.
     altloc : str
-        Preferred alternate location; by default, and where it is absent, the one of highest occupancy.
+        Preferred alternate location, which some atom must have; by default, and where it is absent, the one
+        of highest occupancy.
     keep : tuple of str
         Molecules kept as fixed obstacles, as in :func:`protochain.load`; none by default.
     strict : bool
@@ -102,6 +103,7 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     """
     draft.header = take_header(structure)
     model = choose_model(draft, structure, reading.model)
+    check_altloc(model, reading.altloc, draft.source)
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections
@@ -297,7 +299,7 @@ class _Reader:
         where = f"chain {self._chain} is broken between {last.seqid} and {first.seqid} ({gap:.1f} angstrom)"
         if self.reading.strict:
             raise StructureError(
-                f"{self.draft.source}: {where}; model the missing residues, or omit --strict"
+                f"{self.draft.source}: {where}; model the missing residues, or leave out strict=True"
             )
         self._report(f"{where}: split there, with charged termini; to avoid it, model the missing residues")
 

@@ -1,7 +1,9 @@
 """Trajectories in DCD or XTC files, by OpenMM's writers."""
 
+import errno
 import os
 import struct
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -9,12 +11,17 @@ from typing import Any, Self
 from openmm import app
 
 from protochain.arrays import Floats
-from protochain.errors import StructureError
-from protochain.storage import check_writable
+from protochain.errors import StructureError, WriteError
+from protochain.storage import check_writable, writing
 from protochain.structure.model import Structure
 
 _DCD_COUNT = 8
 """Offset of the number of frames in a DCD file: four bytes, little-endian."""
+
+
+_XTC_HEADER, _XTC_RAW, _XTC_FEW = 92, 56, 9
+"""Bytes of an XTC frame before its compressed coordinates, whose number the last four are; bytes before
+coordinates that are not compressed; and the number of atoms up to which they are not."""
 
 
 def check_trajectory(path: Path) -> None:
@@ -27,6 +34,19 @@ def check_trajectory(path: Path) -> None:
     """
     if path.suffix.lower() not in (".dcd", ".xtc"):
         raise StructureError(f"{path}: unknown trajectory suffix {path.suffix!r}; use .dcd or .xtc")
+
+
+def _is_whole(path: Path, begin: int, n_atoms: int) -> bool:
+    """Whether the frame of an XTC file from this byte on is complete: OpenMM's writer tells no failure."""
+    size = path.stat().st_size - begin
+    if n_atoms <= _XTC_FEW:
+        return size == _XTC_RAW + 12 * n_atoms
+    if size < _XTC_HEADER:
+        return False
+    with path.open("rb") as file:
+        file.seek(begin + _XTC_HEADER - 4)
+        (n_bytes,) = struct.unpack(">i", file.read(4))
+    return bool(size == _XTC_HEADER + 4 * -(-n_bytes // 4))
 
 
 class TrajectoryFile:
@@ -47,6 +67,8 @@ class TrajectoryFile:
     ------
     StructureError
         If the suffix is unknown, or the file to continue has lost frames.
+    WriteError
+        If the disk is full.
     """
 
     def __init__(
@@ -67,10 +89,19 @@ class TrajectoryFile:
         else:
             self._cut(*kept)
         self._file: Any = None
-        settings = {"dt": interval, "append": kept is not None}
+        try:
+            with writing(self.path):
+                self._open(structure, {"dt": interval, "append": kept is not None})
+        except WriteError:
+            if kept is None:
+                self.discard()
+            raise
+
+    def _open(self, structure: Structure, settings: dict[str, Any]) -> None:
         if self.path.suffix.lower() == ".dcd":
-            self._file = self.part.open("w+b" if kept is None else "r+b")
+            self._file = self.part.open("r+b" if settings["append"] else "w+b")
             self._writer: Any = app.DCDFile(self._file, structure.topology, **settings)
+            self._file.flush()
         else:
             self.part.touch()
             self._writer = app.XTCFile(str(self.part), structure.topology, **settings)
@@ -88,16 +119,27 @@ class TrajectoryFile:
         self.n_frames = n_frames
 
     def append(self, x: Floats) -> None:
-        """Write one frame of positions (na, 3) in nm."""
-        self._writer.writeModel(x)
+        """Write one frame of positions (na, 3) in nm.
+
+        Raises
+        ------
+        WriteError
+            If the disk is full; part of the frame may be in the file.
+        """
+        with writing(self.path):
+            begin = self.part.stat().st_size
+            self._writer.writeModel(x)
+            if self._file is None and not _is_whole(self.part, begin, len(x)):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         self.n_frames += 1
 
     def stored(self) -> tuple[int, int]:
         """Write all frames to the disk; return their number and the bytes of the file."""
-        if self._file is not None:
-            self._file.flush()
-        with self.part.open("rb") as file:
-            os.fsync(file.fileno())
+        with writing(self.path):
+            if self._file is not None:
+                self._file.flush()
+            with self.part.open("rb") as file:
+                os.fsync(file.fileno())
         return self.n_frames, self.part.stat().st_size
 
     def close(self) -> None:
@@ -107,7 +149,21 @@ class TrajectoryFile:
 
     def finish(self) -> None:
         """Close the file and rename it."""
-        self.close()
+        with writing(self.path):
+            self.close()
+        self.part.replace(self.path)
+
+    def discard(self) -> None:
+        """Close the file and delete it."""
+        with suppress(OSError):  # What a full disk did not take is still in the buffer.
+            self.close()
+        self.part.unlink(missing_ok=True)
+
+    def finish_at(self, n_frames: int, n_bytes: int) -> None:
+        """Close the file, cut it to so many frames and bytes, and rename it."""
+        with suppress(OSError):
+            self.close()
+        self._cut(n_frames, n_bytes)
         self.part.replace(self.path)
 
     def __enter__(self) -> Self:
@@ -116,8 +172,8 @@ class TrajectoryFile:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is None:
-            self.finish()
-        else:
-            self.close()
-            self.part.unlink(missing_ok=True)
+        try:
+            if kind is None:
+                self.finish()
+        finally:
+            self.discard()

@@ -1,0 +1,60 @@
+"""The folder of a comparison: whether it is free, and what an earlier comparison left there."""
+
+import json
+from pathlib import Path
+
+from protochain.errors import ProtochainError
+from protochain.storage import check_writable
+
+TABLES = ("summary", "equal_cost", "work", "spread", "displacement", "traces", "quality")
+FIGURES = ("energy", "work_precision", "torque", "rmsd", "displacement", "ramachandran")
+_PAGE, _SUMMARY = "report.html", "summary.json"
+_OF_OTHERS = ("pages", "summary.parquet", "checkpoint.npz", "log.csv", "log.part.csv")
+"""What batches and simulations leave in their folders."""
+
+
+def check_folder(folder: Path, force: bool) -> None:
+    """Check the folder of a comparison before any work is done.
+
+    Parameters
+    ----------
+    folder : Path
+    force : bool
+        Replace the comparison in it.
+
+    Raises
+    ------
+    ProtochainError
+        If it is not writable, holds a comparison that is not to be replaced, or holds something else.
+    """
+    check_writable(folder / _PAGE)
+    other = [name for name in _OF_OTHERS if (folder / name).exists()]
+    if other:
+        raise ProtochainError(f"{folder}: holds a batch or simulation ({other[0]}); give another folder")
+    there = [name for name in (_PAGE, *_names()) if (folder / name).exists()]
+    if there and not force:
+        raise ProtochainError(
+            f"{folder}: holds a comparison ({there[0]}); give another folder, or force=True to replace it"
+        )
+
+
+def clear(folder: Path) -> None:
+    """Delete the files of an earlier comparison, and no others: no old structure stays beside new tables."""
+    for name in (_PAGE, *_structures(folder), *_names()):
+        (folder / name).unlink(missing_ok=True)
+
+
+def _names() -> list[str]:
+    # The summary last: it names the structures.
+    return [*(f"{stem}.csv" for stem in TABLES), *(f"{stem}.png" for stem in FIGURES), _SUMMARY]
+
+
+def _structures(folder: Path) -> list[str]:
+    """Names of the structures that the summary of a comparison names, each in this folder."""
+    try:
+        summary = json.loads((folder / _SUMMARY).read_text(encoding="utf-8"))
+        ends = [Path(row["output"]) for row in summary["results"]]
+        starts = [Path(f"{summary['structure']}.start{end.suffix}") for end in ends]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    return [path.name for path in (*ends, *starts) if path.suffix in (".pdb", ".cif")]

@@ -1,0 +1,126 @@
+"""What messages say: arguments in Python, options in commands, units, and what was changed."""
+
+import sys
+import threading
+
+import pytest
+from conftest import STRUCTURES, chain, energy
+from distributed import LocalCluster
+
+import protochain as pc
+from protochain.batches import cluster
+from protochain.cli import as_options, main
+from protochain.cli.terminal import print_table
+
+SAMPLE = STRUCTURES / "ala10.pdb"
+
+
+def said(monkeypatch, capsys, *arguments):
+    """Status and last line of a command."""
+    monkeypatch.setattr(sys, "argv", ["protochain", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code, capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda c, e: pc.minimise(c, e, max_evaluations=0), "max_evaluations 0: give at least 1"),
+        (lambda c, e: pc.minimise(c, e, max_rmsd=0.0), "max_rmsd 0: "),
+        (lambda c, e: pc.explore(c, e, n_starts=0), "n_starts 0: "),
+        (lambda c, e: pc.simulate(c, e, n_steps=0), "n_steps 0: "),
+        (lambda c, e: pc.simulate(c, e, time_step=0.0), "time_step 0 ps: "),
+        (lambda c, e: pc.simulate(c, e, time_step=2), "time_step 2 ps: .* 0.002 are 2 fs"),
+        (lambda c, e: pc.simulate(c, e, hydrogen_mass=0.0), "hydrogen_mass 0 amu"),
+        (lambda c, e: pc.simulate(c, e, trajectory_length=0), "trajectory_length 0: "),
+        (lambda c, e: pc.simulate(c, e, resume=True), "resume=True: give the folder"),
+        (lambda c, e: pc.batch(SAMPLE, "x", time_limit=0), "time_limit, threads and workers"),
+    ],
+)
+def test_python_hears_of_its_arguments(call, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(pc.ProtochainError, match=words) as raised:
+        call(chain("ala10.pdb"), energy("ala10.pdb"))
+    assert "--" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("minimise", SAMPLE, "--max-evaluations", 0), "--max-evaluations 0: give at least 1"),
+        (("simulate", SAMPLE, "--steps", 0), "--steps 0: "),
+        (("simulate", SAMPLE, "--resume"), "leave out --resume"),
+        (("simulate", SAMPLE, "--time-step", "0.002"), "0.002 fs: give femtoseconds: 2 are 0.002 ps"),
+        (("simulate", SAMPLE, "--time-step", "2000"), "--time-step 2000 fs: "),
+        (("simulate", SAMPLE, "--time-step", "0"), "--time-step 0 fs: give a number above 0"),
+    ],
+)  # fmt: skip
+def test_commands_hear_of_their_options(arguments, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    status, line = said(monkeypatch, capsys, *arguments)
+    assert status == 2 and words in line and "_" not in line
+
+
+def test_names_of_files_are_no_options():
+    for text in ("a/max_evaluations.pdb: odd", "max_rmsd.pdb: odd", "'time_step' is odd", "in_time_step odd"):
+        assert as_options(text) == text
+    assert as_options("x: give resume=True; time_step 3") == "x: give --resume; --time-step 3"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "command"),
+    [
+        (("minimise", SAMPLE, "--metod", "kcm"), "protochain minimise --help"),
+        (("minimise",), "protochain minimise --help"),
+        (("simulate", SAMPLE, "--steps", "many"), "protochain simulate --help"),
+        (("frobnicate",), "protochain --help"),
+    ],
+)
+def test_errors_of_usage_name_the_help_of_the_command(arguments, command, monkeypatch, capsys):
+    status, line = said(monkeypatch, capsys, *arguments)
+    assert status == 2 and line.endswith(f"See {command}.")
+
+
+def test_a_cluster_without_workers_says_so_and_goes_on_when_one_comes(monkeypatch, caplog):
+    monkeypatch.setattr(cluster, "_PATIENCE", 0.2)
+    with LocalCluster(n_workers=0, processes=False, dashboard_address=None) as scheduler:
+        address = scheduler.scheduler_address
+        later = threading.Timer(1.0, scheduler.scale, (1,))
+        later.start()
+        with cluster.connected(cluster.Processes(scheduler=address)) as client:
+            assert len(client.nthreads()) == 1
+        later.join()
+    (line,) = [record.getMessage() for record in caplog.records if record.name.startswith("protochain")]
+    assert line.startswith(f"scheduler {address}: no workers after 0.2 s") and "dask worker" in line
+
+
+@pytest.mark.parametrize("name", ["1ejg.pdb", "ala10.pdb"])
+def test_an_alternate_location_that_no_atom_has_is_refused(name):
+    words = "its atoms have A, B" if name == "1ejg.pdb" else "no atom of it has one"
+    with pytest.raises(pc.ProtochainError, match=rf"{name}: .*'Z'.*{words}"):
+        pc.load(STRUCTURES / name, altloc="Z")
+
+
+def test_an_alternate_location_that_some_atoms_have_is_preferred():
+    kept = [line for line in pc.load(STRUCTURES / "1ejg.pdb", altloc="B").repairs if "alternate" in line]
+    assert len(kept) > 5 and all("location B kept" in line for line in kept)
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "kcm-stiffness"])
+@pytest.mark.parametrize("status", ["converged", "interrupted"])
+def test_the_table_fits_80_columns(method, status, monkeypatch, capsys):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    record = {
+        "method": method, "status": status, "message": "budget", "energy_start_kj_mol": 123456789012.25,
+        "energy_end_reference_kj_mol": -123456.785, "max_torque_end_kj_mol_rad": 1234567.1,
+        "rms_force_end_kj_mol_nm": 2e-6, "ca_rmsd_angstrom": 12.25, "evaluations": 50000, "seconds": 3612.25,
+    }  # fmt: skip
+    print_table([record, record | {"max_torque_end_kj_mol_rad": None, "energy_start_kj_mol": -12.25}])
+    *head, first, second = capsys.readouterr().out.splitlines()[:-2]
+    assert max(map(len, [*head, first, second])) <= 80
+    assert first.split() == [
+        method, status, "1.2e+11", "-123457", "1e+06", "2e-06", "12.25", "50000", "3612.2",
+    ]  # fmt: skip
+    assert second.split()[2:5] == ["-12.25", "-123457", "-"]
+    assert all(unit in " ".join(head) for unit in ("kJ/mol", "/rad", "/nm", "angstrom", "time", "s "))
