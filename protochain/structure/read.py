@@ -220,7 +220,7 @@ class _Reader:
             name = given.strip().upper()
         member = Member(
             name, str(residue.seqid.num), residue.seqid.icode.strip(), self.chain_id, atoms, state,
-            (residue.subchain, residue.label_seq),
+            label=(residue.subchain, residue.label_seq),
         )  # fmt: skip
         if name in residues.STANDARD or name in residues.CAPS:
             if state:

@@ -12,7 +12,7 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.arrays import Floats
+from protochain.arrays import Floats, Integers
 from protochain.structure.draft import Draft, Member
 from protochain.structure.model import Tie
 
@@ -142,7 +142,7 @@ def ties(
     at: Mapping[int, Mapping[str, int]],
     x: Floats,
     element: Sequence[str],
-    bonds: Floats,
+    bonds: Integers,
 ) -> tuple[Tie, ...]:
     """Springs that hold the bonds at the distances and angles of the input.
 
