@@ -11,7 +11,7 @@ from protochain.errors import StructureError
 from protochain.structure.chirality import centres, hand, listed, wrong_hands
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.packing import Site, packed
-from protochain.structure.sidechains import Places, bridged, ideal, placed, unit
+from protochain.structure.sidechains import Places, bridged, dihedral, ideal, placed, unit
 from protochain.structure.templates import Template, base_template, rename
 
 _CARBOXYLATE = 1.25
@@ -105,22 +105,48 @@ def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> None:
     for part, i, missing in lacking:
         if "O" in missing:
             _add(part.members[i], {"O": _oxygen(draft, part, i)})
-    sites = [_site(part, i) for part, i, missing in lacking if missing != ["O"]]
+    sites = [_site(draft, part, i) for part, i, missing in lacking if missing != ["O"]]
     for site in sites:
         between = bridged(site.member.name, site.known)
         _add(site.member, {name: site.sign * x for name, x in between.items()})
-    for site, places in zip(sites, packed(draft.members, sites), strict=True):
+    open_ended = [site for site in sites if ideal(site.member.name).x.keys() - site.known.keys()]
+    for site, places in zip(open_ended, packed(draft.members, open_ended), strict=True):
         _add(site.member, places)
         draft.rebuilt[id(site.member)] = tuple(places)
+    for site in sites:
         _check_hand(draft, site)
 
 
-def _site(part: Part, i: int) -> Site:
-    """The residue and its neighbours; of the hand that its CB has, or that its name says."""
-    member, n = part.members[i], len(part.members)
+def _site(draft: Draft, part: Part, i: int) -> Site:
+    """The residue and its neighbours, of the hand that its CB has or that its name says."""
+    member = part.members[i]
+    sign = hand(member) or (-1 if member.is_d else 1)
+    if not hand(member) and not member.is_d and _is_misnamed(part, i):
+        sign = -1
+        draft.repairs.append(f"{member}: built as a D-amino acid, as others of its chain are under such names")
+    return Site(member, sign, *_neighbours(part, i))
+
+
+def _neighbours(part: Part, i: int) -> tuple[Member | None, Member | None]:
+    n = len(part.members)
     before = part.members[i - 1] if i or part.cyclic else None
-    after = part.members[(i + 1) % n] if i + 1 < n or part.cyclic else None
-    return Site(member, hand(member) or (-1 if member.is_d else 1), before, after)
+    return before, part.members[(i + 1) % n] if i + 1 < n or part.cyclic else None
+
+
+def _is_misnamed(part: Part, i: int) -> bool:
+    """Whether a residue of positive phi is in a chain where most such residues are D under names of L."""
+    if _phi(part, i) <= 0.0:
+        return False
+    named_l = [k for k, member in enumerate(part.members) if not member.is_d and _phi(part, k) > 0.0]
+    return sum(hand(part.members[k]) for k in named_l) < 0
+
+
+def _phi(part: Part, i: int) -> float:
+    """Dihedral phi, rad; zero where there is none."""
+    before, _ = _neighbours(part, i)
+    atoms = [before.atom("C") if before else None, *(part.members[i].atom(name) for name in residues.BACKBONE)]
+    places = [np.array(a.pos.tolist()) for a in atoms if a is not None]
+    return float(dihedral(*places)) if len(places) == 4 else 0.0
 
 
 def _check_backbone(draft: Draft, member: Member) -> None:
@@ -169,7 +195,7 @@ def _oxygen(draft: Draft, part: Part, i: int) -> Floats:
     """(3,) float, angstrom: the oxygen of a peptide bond, in its plane, or of a C terminus, where there is room."""
     member = part.members[i]
     at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
-    after = _site(part, i).after
+    _, after = _neighbours(part, i)
     beyond = after.atom("N") if after else member.atom("OXT")
     if beyond is not None:
         arms = unit(at["CA"] - at["C"]) + unit(np.array(beyond.pos.tolist()) - at["C"])

@@ -25,7 +25,7 @@ _LIBRARY = {
     "GLN": "pt20 4 pm0 2 tp-100 2 tp60 9 tt0 16 mp0 3 mt-25 35 mm-40 15 mm100 3",
     "GLU": "pt-20 5 pm0 2 tp10 6 tt0 24 tm-25 1 mp0 6 mt-10 33 mm-40 13",
     "HIS": "p-75 9 p80 4 t-165 5 t-80 11 t60 16 m-70 29 m165 7 m80 13",
-    "ILE": "p100 1 pt 13 tp 2 t165 8 m100 1 mt 60 mm 15",
+    "ILE": "p100 1 p170 13 tp 2 t165 8 m100 1 m170 60 mm 15",
     "LEU": "p80 1 tp 29 t145 2 mp 2 mt 59",
     "LYS": "ptpt 1 pttp 1 pttt 2 pttm 1 ptmt .5 tptp 1 tptt 3 tptm 1 ttpp 1 ttpt 2 tttp 4 tttt 13 tttm 3 ttmt 2"
     " ttmm .5 mptt .5 mtpp 1 mtpt 3 mttp 3 mttt 20 mttm 5 mtmt 3 mtmm 1 mmtp 1 mmtt 6 mmtm 1 mmmt 1",

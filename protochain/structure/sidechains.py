@@ -21,6 +21,11 @@ Places = dict[str, Floats]
 _BONDED = 1.95
 """Angstrom. Heavy atoms of one ideal residue that are nearer are bonded: C-S is 1.81, and 1-3 pairs are above 2.1."""
 _CHI = {**residues.CHI, "PRO": (("N", "CA", "CB", "CG"), ("CA", "CB", "CG", "CD"))}
+_CORRECTED = {
+    "LEU": {"CA_CB_CG_CD2_diangle": -63.1},
+    "LYS": {"CD_CE_length": 1.52, "CE_NZ_length": 1.49, "CD_CE_NZ_angle": 111.7},
+}
+"""Where PeptideBuilder 1.1 differs from crystals: CD1 and CD2 exchanged, and lysine's amine as a planar one."""
 _BACKBONE = ("N", "CA", "C", "O")
 
 
@@ -83,6 +88,7 @@ def ideal(residue: str) -> Ideal:
     import PeptideBuilder
 
     geometry = PeptideBuilder.Geometry.geometry(residues.STANDARD[residue])
+    vars(geometry).update(_CORRECTED.get(residue, {}))
     (built,) = PeptideBuilder.initialize_res(geometry).get_residues()
     x = {atom.get_name(): np.array(atom.coord, dtype=np.float64) for atom in built}
     element = {atom.get_name(): atom.element for atom in built}
