@@ -17,15 +17,21 @@ from protochain.structure.read import read
 
 BACKBONE = ("N", "CA", "C", "O", "OXT")
 D_NAMES = {
-    "ALA": "DAL", "ARG": "DAR", "ASN": "DSG", "ASP": "DAS", "CYS": "DCY", "GLN": "DGN", "GLU": "DGL", "HIS": "DHI",
-    "ILE": "DIL", "LEU": "DLE", "LYS": "DLY", "MET": "MED", "PHE": "DPN", "PRO": "DPR", "SER": "DSN", "THR": "DTH",
-    "TRP": "DTR", "TYR": "DTY", "VAL": "DVA",
+    "ALA": "DAL", "ARG": "DAR", "ASN": "DSG", "ASP": "DAS", "CYS": "DCY", "GLN": "DGN", "GLU": "DGL",
+    "HIS": "DHI", "ILE": "DIL", "LEU": "DLE", "LYS": "DLY", "MET": "MED", "PHE": "DPN", "PRO": "DPR",
+    "SER": "DSN", "THR": "DTH", "TRP": "DTR", "TYR": "DTY", "VAL": "DVA",
 }  # fmt: skip
 OVERLAP, CHI = 0.6, 40.0
 SHARED = sorted(path.name for path in MORE_STRUCTURES.glob("*.[pc][di][bf]"))
 REFUSED = ("2n0n_lactam.pdb", "ubiquitin_ca_only.pdb")
 CRYSTALS = ("1ubq.pdb", "4pti.pdb", "1hel.pdb", "3i40.pdb")
-MORE_CRYSTALS = ("1ake_A.pdb", "1us0_altlocs.pdb", "4cup_missing.cif", "1orc_icode.pdb", "1fas_fasciculin.cif")
+MORE_CRYSTALS = (
+    "1ake_A.pdb",
+    "1us0_altlocs.pdb",
+    "4cup_missing.cif",
+    "1orc_icode.pdb",
+    "1fas_fasciculin.cif",
+)
 
 
 def places(residue):
@@ -40,7 +46,9 @@ def cut(draft, chosen, keep=BACKBONE):
     for k, member in enumerate(m for m in members if m.name in residues.STANDARD and m.name != "GLY"):
         if chosen(k):
             was = before[id(member)] = places(member)
-            near = {id(a): min(was, key=lambda n: np.linalg.norm(was[n] - a.pos.tolist())) for a in member.atoms}
+            near = {
+                id(a): min(was, key=lambda n: np.linalg.norm(was[n] - a.pos.tolist())) for a in member.atoms
+            }
             member.atoms = [a for a in member.atoms if near[id(a)] in keep]
     return before
 
@@ -74,7 +82,10 @@ def changed(whole):
     return [
         str(member)
         for member, was, now in whole
-        if any(a is not None and a != b for a, b in zip(spins(member.name, was), spins(member.name, now), strict=True))
+        if any(
+            a is not None and a != b
+            for a, b in zip(spins(member.name, was), spins(member.name, now), strict=True)
+        )
     ]
 
 
@@ -102,7 +113,9 @@ def crowded(structure, whole):
         structure.describe_residue(r) in made and name not in (*BACKBONE, "H", "HA", "H1", "H2", "H3")
         for r, name in zip(structure.atom_residue, structure.atom_name, strict=True)
     ]
-    return [tuple(structure.describe(k) for k in pair) for pair in pairs.tolist() if any(built[k] for k in pair)]
+    return [
+        tuple(structure.describe(k) for k in pair) for pair in pairs.tolist() if any(built[k] for k in pair)
+    ]
 
 
 @pytest.mark.parametrize("keep", [BACKBONE, (*BACKBONE, "CB")], ids=["CB too", "beyond CB"])
@@ -189,6 +202,16 @@ def test_a_wrong_hand_of_the_file_is_kept_and_said_in_one_line():
     ]
     assert was["CG1"].tolist() == draft.members[35].atom("CG1").pos.tolist()
     assert not any("hand" in line for line in load("1ubq.pdb").repairs)
+
+
+def test_what_hangs_on_an_atom_of_the_wrong_hand_is_built_all_the_same():
+    draft = read(STRUCTURES / "1ubq.pdb")
+    member = inverted(draft, 36, "CB", "CG1", "CG2")
+    member.atoms = [a for a in member.atoms if a.name != "CD1"]
+    structure = prepare(draft)
+    assert any("wrong hand: CB of residue 36 ILE of chain A" in line for line in structure.repairs)
+    at = places(member)
+    assert np.linalg.norm(at["CD1"] - at["CG1"]) == pytest.approx(1.51, abs=0.02)
 
 
 def test_a_side_chain_goes_on_from_the_atoms_of_the_file_even_if_these_are_of_the_wrong_hand():
@@ -280,7 +303,10 @@ def test_a_run_that_changes_a_hand_ends_in_an_error_status():
     for stop, met in ((Stop.TOLERANCE, True), (Stop.BUDGET, False)):
         status, message = verdict(stop, met, "measured", structure, flipped, 5)
         assert status is Status.INVERTED
-        assert message.startswith("inverted: CA of residue 2 LEU of chain A changed hand; ") and "\n" not in message
+        assert (
+            message.startswith("inverted: CA of residue 2 LEU of chain A changed hand; ")
+            and "\n" not in message
+        )
     status, message = verdict(Stop.INTERRUPTED, True, "measured", structure, flipped, 5)
     assert status is Status.INTERRUPTED and "residue 2 LEU of chain A changed hand" in message
     assert verdict(Stop.TOLERANCE, True, "measured", structure, structure.positions, 5)[0] is Status.CONVERGED
@@ -310,7 +336,9 @@ def test_no_residue_of_any_shared_structure_changes_hand(name):
 @pytest.mark.slow
 def test_no_residue_changes_hand_in_fifty_random_cuts():
     random = np.random.default_rng(1)
-    names = sorted({n for quartets in residues.CHI.values() for q in quartets for n in q[2:]} | {"CG2", "CD2"})
+    names = sorted(
+        {n for quartets in residues.CHI.values() for q in quartets for n in q[2:]} | {"CG2", "CD2"}
+    )
     for _ in range(50):
         path = STRUCTURES / str(random.choice(CRYSTALS))
         some, keep = random.random(1000) < random.uniform(0.1, 0.9), random.choice(names, 8)

@@ -49,7 +49,7 @@ class Starts:
 
     @cached_property
     def best(self) -> Solution:
-        """Solution of lowest energy; the first of equal ones. Those in which an atom changed hand come last."""
+        """Solution of lowest energy, the first of equal ones; those with a changed hand come last."""
         return min(self.solutions, key=lambda each: (each.status is Status.INVERTED, each.end.energy))
 
     def records(self) -> list[dict[str, Any]]:

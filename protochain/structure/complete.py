@@ -105,16 +105,16 @@ def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> None:
     for part, i, missing in lacking:
         if "O" in missing:
             _add(part.members[i], {"O": _oxygen(draft, part, i)})
-    sites = [_site(draft, part, i) for part, i, missing in lacking if missing != ["O"]]
-    for site in sites:
+    sites = [(_site(draft, part, i), set(missing)) for part, i, missing in lacking if missing != ["O"]]
+    for site, _ in sites:
         between = bridged(site.member.name, site.known)
         _add(site.member, {name: site.sign * x for name, x in between.items()})
-    open_ended = [site for site in sites if ideal(site.member.name).x.keys() - site.known.keys()]
+    open_ended = [site for site, _ in sites if ideal(site.member.name).x.keys() - site.known.keys()]
     for site, places in zip(open_ended, packed(draft.members, open_ended), strict=True):
         _add(site.member, places)
         draft.rebuilt[id(site.member)] = tuple(places)
-    for site in sites:
-        _check_hand(draft, site)
+    for site, added in sites:
+        _check_hand(draft, site, added)
 
 
 def _site(draft: Draft, part: Part, i: int) -> Site:
@@ -123,7 +123,9 @@ def _site(draft: Draft, part: Part, i: int) -> Site:
     sign = hand(member) or (-1 if member.is_d else 1)
     if not hand(member) and not member.is_d and _is_misnamed(part, i):
         sign = -1
-        draft.repairs.append(f"{member}: built as a D-amino acid, as others of its chain are under such names")
+        draft.repairs.append(
+            f"{member}: built as a D-amino acid, as others of its chain are under such names"
+        )
     return Site(member, sign, *_neighbours(part, i))
 
 
@@ -144,7 +146,10 @@ def _is_misnamed(part: Part, i: int) -> bool:
 def _phi(part: Part, i: int) -> float:
     """Dihedral phi, rad; zero where there is none."""
     before, _ = _neighbours(part, i)
-    atoms = [before.atom("C") if before else None, *(part.members[i].atom(name) for name in residues.BACKBONE)]
+    atoms = [
+        before.atom("C") if before else None,
+        *(part.members[i].atom(name) for name in residues.BACKBONE),
+    ]
     places = [np.array(a.pos.tolist()) for a in atoms if a is not None]
     return float(dihedral(*places)) if len(places) == 4 else 0.0
 
@@ -156,11 +161,11 @@ def _check_backbone(draft: Draft, member: Member) -> None:
         raise StructureError(f"{draft.source}: {member}: N, CA and C are collinear; correct the coordinates")
 
 
-def _check_hand(draft: Draft, site: Site) -> None:
+def _check_hand(draft: Draft, site: Site, added: set[str]) -> None:
     """Refuse atoms of the file between which none of the right hand fits."""
     member = site.member
-    for centre in centres(member.name):
-        if hand(member, centre) == -site.sign:
+    for centre, neighbours in centres(member.name).items():
+        if added & {centre, *neighbours} and hand(member, centre) == -site.sign:
             raise StructureError(
                 f"{draft.source}: {member}: its atoms leave no place for those missing at {centre}; "
                 "correct the coordinates, or remove its side chain"
@@ -182,17 +187,12 @@ def _add(member: Member, places: Places) -> None:
         kept.append(a)
     b_iso = float(np.mean([a.b_iso for a in member.atoms]))
     member.atoms = kept + [
-        atom(name, _element(name), np.round(x, _DECIMALS).tolist(), b_iso) for name, x in places.items()
+        atom(name, name[0], np.round(x, _DECIMALS).tolist(), b_iso) for name, x in places.items()
     ]
 
 
-def _element(name: str) -> str:
-    """Element of a heavy atom of a standard residue."""
-    return name[0]
-
-
 def _oxygen(draft: Draft, part: Part, i: int) -> Floats:
-    """(3,) float, angstrom: the oxygen of a peptide bond, in its plane, or of a C terminus, where there is room."""
+    """(3,) float, angstrom: oxygen in the plane of a peptide bond, or where a C terminus has room for it."""
     member = part.members[i]
     at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
     _, after = _neighbours(part, i)
