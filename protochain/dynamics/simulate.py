@@ -31,6 +31,7 @@ from protochain.errors import ProtochainError
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts
 from protochain.multibody import HingeKind, articulated
+from protochain.structure.chirality import changed_hands, listed
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.units import MOLAR_GAS
 
@@ -256,6 +257,10 @@ def _simulate(
     began = perf_counter()
     state, ending, why = propagate(run.propagator, start, n_steps, every, report)
     seconds = perf_counter() - began
+    end = place_atoms(run.chain, state.at.factors.frames)
+    inverted = changed_hands(structure, end, structure.positions)
+    if inverted and ending is not Ending.UNSTABLE:
+        ending, why = Ending.UNSTABLE, f"{listed(inverted)} changed hand"
     if folder:
         folder.store(state, run.varying.lists_at)
         folder.close(ending is not Ending.UNSTABLE)

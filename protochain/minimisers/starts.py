@@ -50,8 +50,8 @@ class Starts:
 
     @cached_property
     def best(self) -> Solution:
-        """Solution of lowest energy; the first of equal ones."""
-        return min(self.solutions, key=lambda solution: solution.end.energy)
+        """Solution of lowest energy, the first of equal ones; those with a changed hand come last."""
+        return min(self.solutions, key=lambda each: (each.status is Status.INVERTED, each.end.energy))
 
     def records(self) -> list[dict[str, Any]]:
         """Record of each start, as written to JSON."""
@@ -184,6 +184,7 @@ def explore(
         accepted.append(True)
         if hop_temperature is not None:
             accepted[-1] = _accept(solution.end.energy - present, hop_temperature, random)
+            accepted[-1] &= solution.status is not Status.INVERTED
             if accepted[-1]:
                 here, present = _chain_at(solution), solution.end.energy
         if each:

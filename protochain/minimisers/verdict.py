@@ -13,6 +13,7 @@ from protochain.interrupts import answering
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
+from protochain.structure.chirality import changed_hands, listed
 from protochain.structure.model import Structure
 
 
@@ -25,6 +26,7 @@ class Status(StrEnum):
     CLASH = "clash"
     NON_FINITE = "non-finite"
     INTERRUPTED = "interrupted"
+    INVERTED = "inverted"
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,7 @@ def verdict(
     measured : str
         Residual, as the message quotes it.
     structure : Structure
+        The start.
     x : (na, 3) float, nm
     n_evaluations : int
 
@@ -91,6 +94,14 @@ def verdict(
     -------
     Status, str
     """
+    inverted = changed_hands(structure, x, structure.positions)
+    if inverted:
+        measured = (
+            f"{listed(inverted)} changed hand; part the overlaps first, or turn hinges only; {measured}"
+        )
+        if stop is not Stop.INTERRUPTED:
+            return Status.INVERTED, f"inverted: {measured}"
+        met = False
     # A minimum with overlapping atoms is no usable result.
     overlap = overlaps(structure, x)
     if met and not overlap:

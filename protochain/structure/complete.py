@@ -11,7 +11,7 @@ from protochain.errors import StructureError
 from protochain.structure.chirality import centres, hand, listed, wrong_hands
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.packing import Site, packed
-from protochain.structure.sidechains import Places, bridged, ideal, placed, unit
+from protochain.structure.sidechains import Places, bridged, dihedral, ideal, placed, unit
 from protochain.structure.templates import Template, base_template, rename
 
 _CARBOXYLATE = 1.25
@@ -105,22 +105,53 @@ def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> None:
     for part, i, missing in lacking:
         if "O" in missing:
             _add(part.members[i], {"O": _oxygen(draft, part, i)})
-    sites = [_site(part, i) for part, i, missing in lacking if missing != ["O"]]
-    for site in sites:
+    sites = [(_site(draft, part, i), set(missing)) for part, i, missing in lacking if missing != ["O"]]
+    for site, _ in sites:
         between = bridged(site.member.name, site.known)
         _add(site.member, {name: site.sign * x for name, x in between.items()})
-    for site, places in zip(sites, packed(draft.members, sites), strict=True):
+    open_ended = [site for site, _ in sites if ideal(site.member.name).x.keys() - site.known.keys()]
+    for site, places in zip(open_ended, packed(draft.members, open_ended), strict=True):
         _add(site.member, places)
         draft.rebuilt[id(site.member)] = tuple(places)
-        _check_hand(draft, site)
+    for site, added in sites:
+        _check_hand(draft, site, added)
 
 
-def _site(part: Part, i: int) -> Site:
-    """The residue and its neighbours; of the hand that its CB has, or that its name says."""
-    member, n = part.members[i], len(part.members)
+def _site(draft: Draft, part: Part, i: int) -> Site:
+    """The residue and its neighbours, of the hand that its CB has or that its name says."""
+    member = part.members[i]
+    sign = hand(member) or (-1 if member.is_d else 1)
+    if not hand(member) and not member.is_d and _is_misnamed(part, i):
+        sign = -1
+        draft.repairs.append(
+            f"{member}: built as a D-amino acid, as others of its chain are under such names"
+        )
+    return Site(member, sign, *_neighbours(part, i))
+
+
+def _neighbours(part: Part, i: int) -> tuple[Member | None, Member | None]:
+    n = len(part.members)
     before = part.members[i - 1] if i or part.cyclic else None
-    after = part.members[(i + 1) % n] if i + 1 < n or part.cyclic else None
-    return Site(member, hand(member) or (-1 if member.is_d else 1), before, after)
+    return before, part.members[(i + 1) % n] if i + 1 < n or part.cyclic else None
+
+
+def _is_misnamed(part: Part, i: int) -> bool:
+    """Whether a residue of positive phi is in a chain where most such residues are D under names of L."""
+    if _phi(part, i) <= 0.0:
+        return False
+    named_l = [k for k, member in enumerate(part.members) if not member.is_d and _phi(part, k) > 0.0]
+    return sum(hand(part.members[k]) for k in named_l) < 0
+
+
+def _phi(part: Part, i: int) -> float:
+    """Dihedral phi, rad; zero where there is none."""
+    before, _ = _neighbours(part, i)
+    atoms = [
+        before.atom("C") if before else None,
+        *(part.members[i].atom(name) for name in residues.BACKBONE),
+    ]
+    places = [np.array(a.pos.tolist()) for a in atoms if a is not None]
+    return float(dihedral(*places)) if len(places) == 4 else 0.0
 
 
 def _check_backbone(draft: Draft, member: Member) -> None:
@@ -130,11 +161,11 @@ def _check_backbone(draft: Draft, member: Member) -> None:
         raise StructureError(f"{draft.source}: {member}: N, CA and C are collinear; correct the coordinates")
 
 
-def _check_hand(draft: Draft, site: Site) -> None:
+def _check_hand(draft: Draft, site: Site, added: set[str]) -> None:
     """Refuse atoms of the file between which none of the right hand fits."""
     member = site.member
-    for centre in centres(member.name):
-        if hand(member, centre) == -site.sign:
+    for centre, neighbours in centres(member.name).items():
+        if added & {centre, *neighbours} and hand(member, centre) == -site.sign:
             raise StructureError(
                 f"{draft.source}: {member}: its atoms leave no place for those missing at {centre}; "
                 "correct the coordinates, or remove its side chain"
@@ -156,20 +187,15 @@ def _add(member: Member, places: Places) -> None:
         kept.append(a)
     b_iso = float(np.mean([a.b_iso for a in member.atoms]))
     member.atoms = kept + [
-        atom(name, _element(name), np.round(x, _DECIMALS).tolist(), b_iso) for name, x in places.items()
+        atom(name, name[0], np.round(x, _DECIMALS).tolist(), b_iso) for name, x in places.items()
     ]
 
 
-def _element(name: str) -> str:
-    """Element of a heavy atom of a standard residue."""
-    return name[0]
-
-
 def _oxygen(draft: Draft, part: Part, i: int) -> Floats:
-    """(3,) float, angstrom: the oxygen of a peptide bond, in its plane, or of a C terminus, where there is room."""
+    """(3,) float, angstrom: oxygen in the plane of a peptide bond, or where a C terminus has room for it."""
     member = part.members[i]
     at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
-    after = _site(part, i).after
+    _, after = _neighbours(part, i)
     beyond = after.atom("N") if after else member.atom("OXT")
     if beyond is not None:
         arms = unit(at["CA"] - at["C"]) + unit(np.array(beyond.pos.tolist()) - at["C"])

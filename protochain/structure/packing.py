@@ -1,8 +1,9 @@
 """Choice of the conformers of rebuilt side chains: without overlaps, and the more frequent the better.
 
 Each residue takes the conformer of lowest cost: the negative logarithm of its frequency, and a repulsion of
-heavy atoms that is linear in their distance, as in SCWRL3 (Canutescu, Shelenkov, Dunbrack, Protein Sci. 12:2001,
-2003). Residues are revisited, alone and in pairs, until none changes. The same coordinates give the same choice.
+heavy atoms that is linear in their distance, as in SCWRL3 (Canutescu, Shelenkov, Dunbrack, Protein Sci.
+12:2001, 2003). Residues are revisited, alone and in pairs, until none changes. The same coordinates give the
+same choice.
 """
 
 from collections.abc import Sequence
@@ -193,30 +194,19 @@ class _Surroundings:
         self.tree = KDTree(self.x)
 
     def repulsion(self, site: Site, names: tuple[str, ...], x: Floats) -> Floats:
-        """Repulsion (n,) of the conformers x (n, n_atoms, 3) by the atoms that are there and by themselves."""
+        """Repulsion (n,) of conformers x (n, n_atoms, 3) by the atoms that are there, and by themselves."""
         centre = x.reshape(-1, 3).mean(axis=0)
         reach = np.linalg.norm(x - centre, axis=2).max() + _REACH
         near = np.array(sorted(self.tree.query_ball_point(centre, reach)), dtype=np.int64)
-        joined = _joined(site)
-        free = np.array(
-            [
-                [
-                    (owner, other) not in joined[name]
-                    for owner, other in zip(self.owner[near], self.name[near])
-                ]
-                for name in names
-            ]
-        )
+        joined, own = _joined(site), id(site.member)
+        atoms = list(zip(self.owner[near].tolist(), self.name[near].tolist(), strict=True))
+        free = np.array([[atom not in joined[name] for atom in atoms] for name in names])
+        folded = np.triu([[(own, other) not in joined[name] for other in names] for name in names], 1)
+        radius = _radii(names)[:, None]
         apart = np.linalg.norm(x[:, :, None] - self.x[near], axis=-1)
-        felt = np.where(free, _repulsion(apart, _radii(names)[:, None] + self.radius[near]), 0.0).sum(
-            axis=(1, 2)
-        )
-        own = np.linalg.norm(x[:, :, None] - x[:, None], axis=-1)
-        outer = np.array(
-            [[(id(site.member), other) not in joined[name] for other in names] for name in names]
-        )
-        outer = np.triu(outer, 1)
-        felt += np.where(outer, _repulsion(own, _radii(names)[:, None] + _radii(names)), 0.0).sum(axis=(1, 2))
+        inside = np.linalg.norm(x[:, :, None] - x[:, None], axis=-1)
+        felt = (free * _repulsion(apart, radius + self.radius[near])).sum(axis=(1, 2))
+        felt += (folded * _repulsion(inside, radius + _radii(names))).sum(axis=(1, 2))
         if "SG" in names:
             beta = x[0, names.index("CB")] if "CB" in names else site.sign * site.known["CB"]
             for k, betas in self._sulphurs(site, near, beta):

@@ -1,6 +1,6 @@
 """Rebuilt side chains turned out of overlaps with other atoms, hydrogens included.
 
-Conformers are chosen among heavy atoms (:mod:`protochain.structure.packing`), where hydrogens are not placed yet.
+Their conformers were chosen among heavy atoms, before there were hydrogens (packing).
 """
 
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ from protochain.structure.packing import WIDTH, wrapped
 from protochain.structure.sidechains import conformers, dihedral, unit
 
 _NEAR = 0.65
-"""Fraction of the sum of the van der Waals radii: rebuilt atoms that are nearer are moved. Hydrogen bonds are longer."""
+"""Fraction of the sum of the van der Waals radii: nearer atoms are moved. Hydrogen bonds are longer."""
 _FIRM = 0.7
 """Fraction below which atoms repel while a residue chooses."""
 _STEEPNESS = 100.0
 """Repulsion at distance zero, in units of the logarithm of a frequency."""
 _APART = 3
 """Bonds: atoms no further apart along the chain do not repel."""
-_TURNS = np.deg2rad([0.0, -10.0, 10.0, -20.0, 20.0, -30.0, 30.0])
+_TURNS = np.deg2rad([0.0, -12.0, 12.0, -24.0, 24.0])
 _SWEEPS = 8
 _DECIMALS = 6
 """Decimals (nm), as of hydrogens."""
@@ -188,21 +188,27 @@ class _Room:
 
     def _repulsion(self, moved: Integers, tried: Floats) -> Floats:
         """(n,) float: repulsion of positions tried (n, n_moved, 3) by each other and by all other atoms."""
-        centre = tried.reshape(-1, 3).mean(axis=0)
-        reach = np.linalg.norm(tried - centre, axis=2).max() + 2 * _FIRM * self.radius.max()
-        near = np.flatnonzero(np.linalg.norm(self.x - centre, axis=1) < reach)
-        near = near[~np.isin(near, moved)]
-        free = np.array([~np.isin(near, list(self.within(int(i), _APART))) for i in moved])
-        own = np.triu([~np.isin(moved, list(self.within(int(i), _APART))) for i in moved], 1)
+        still = np.setdiff1d(np.arange(len(self.x)), moved)
         felt = np.zeros(len(tried))
-        for k, atom in enumerate(moved):
-            for others, counts, index in ((self.x[near], free[k], near), (tried, own[k], moved)):
-                if counts.any():
-                    at = others[counts] if others.ndim == 2 else others[:, counts]
-                    apart = np.linalg.norm(tried[:, k, None] - at, axis=-1)
-                    contact = _FIRM * (self.radius[atom] + self.radius[index[counts]])
-                    felt += (_STEEPNESS * np.maximum(0.0, 1.0 - apart / contact)).sum(axis=1)
+        for k, atom in enumerate(moved.tolist()):
+            bonded = list(self.within(atom, _APART))
+            at = tried[:, k]
+            reach = 2 * _FIRM * self.radius.max()
+            beside = (self.x[still] > at.min(axis=0) - reach) & (self.x[still] < at.max(axis=0) + reach)
+            near = still[beside.all(axis=1)]
+            near = near[~np.isin(near, bonded)]
+            felt += self._felt(atom, at[:, None], self.x[near], near)
+            later = np.flatnonzero(~np.isin(moved, bonded))
+            later = later[later > k]
+            felt += self._felt(atom, at[:, None], tried[:, later], moved[later])
         return felt
+
+    def _felt(self, atom: int, at: Floats, x: Floats, others: Integers) -> Floats:
+        """(n,) float: repulsion of an atom at (n, 1, 3) by others at x (n_others, 3) or (n, n_others, 3)."""
+        way = at - x
+        apart = np.sqrt(np.einsum("...i,...i", way, way))
+        contact = _FIRM * (self.radius[atom] + self.radius[others])
+        return np.asarray((_STEEPNESS * np.maximum(0.0, 1.0 - apart / contact)).sum(axis=1))
 
 
 def _rotated(x: Floats, start: Floats, end: Floats, angle: Floats) -> Floats:

@@ -1,8 +1,8 @@
 """Rotamers of side chains: the usual dihedrals of each residue, and how often each combination occurs.
 
-Names and frequencies are those of the penultimate rotamer library (Lovell, Word, Richardson, Richardson,
-Proteins 40:389, 2000), Table I. A name gives one dihedral a letter, p (62 degrees), t (180) or m (-65), or a
-number of degrees where the dihedral is not near those.
+Names and frequencies (per cent) are those of the penultimate rotamer library (Lovell, Word, Richardson,
+Richardson, Proteins 40:389, 2000), Table I. A name gives each dihedral a letter, p (62 degrees), t (180) or
+m (-65), or a number of degrees where the dihedral is not near those.
 """
 
 import re
@@ -25,10 +25,10 @@ _LIBRARY = {
     "GLN": "pt20 4 pm0 2 tp-100 2 tp60 9 tt0 16 mp0 3 mt-25 35 mm-40 15 mm100 3",
     "GLU": "pt-20 5 pm0 2 tp10 6 tt0 24 tm-25 1 mp0 6 mt-10 33 mm-40 13",
     "HIS": "p-75 9 p80 4 t-165 5 t-80 11 t60 16 m-70 29 m165 7 m80 13",
-    "ILE": "p100 1 pt 13 tp 2 t165 8 m100 1 mt 60 mm 15",
+    "ILE": "p100 1 p170 13 tp 2 t165 8 m100 1 m170 60 mm 15",
     "LEU": "p80 1 tp 29 t145 2 mp 2 mt 59",
-    "LYS": "ptpt 1 pttp 1 pttt 2 pttm 1 ptmt .5 tptp 1 tptt 3 tptm 1 ttpp 1 ttpt 2 tttp 4 tttt 13 tttm 3 ttmt 2"
-    " ttmm .5 mptt .5 mtpp 1 mtpt 3 mttp 3 mttt 20 mttm 5 mtmt 3 mtmm 1 mmtp 1 mmtt 6 mmtm 1 mmmt 1",
+    "LYS": "ptpt 1 pttp 1 pttt 2 pttm 1 ptmt .5 tptp 1 tptt 3 tptm 1 ttpp 1 ttpt 2 tttp 4 tttt 13 tttm 3"
+    " ttmt 2 ttmm .5 mptt .5 mtpp 1 mtpt 3 mttp 3 mttt 20 mttm 5 mtmt 3 mtmm 1 mmtp 1 mmtt 6 mmtm 1 mmmt 1",
     "MET": "ptp 2 ptm 3 tpp 5 tpt 2 ttp 5 ttt 3 ttm 7 mtp 17 mtt 8 mtm 11 mm103 3 mmt 2 mmm 19",
     "PHE": "p90 13 t80 33 m-85 44 m-30 9",
     "SER": "p 48 t 22 m 29",

@@ -19,8 +19,13 @@ Places = dict[str, Floats]
 """Positions by atom name, angstrom: (3,), or (n, 3) of n candidates."""
 
 _BONDED = 1.95
-"""Angstrom. Heavy atoms of one ideal residue that are nearer are bonded: C-S is 1.81, and 1-3 pairs are above 2.1."""
+"""Angstrom. Nearer heavy atoms of an ideal residue are bonded: C-S is 1.81, 1-3 pairs are above 2.1."""
 _CHI = {**residues.CHI, "PRO": (("N", "CA", "CB", "CG"), ("CA", "CB", "CG", "CD"))}
+_CORRECTED = {
+    "LEU": {"CA_CB_CG_CD2_diangle": -63.1},
+    "LYS": {"CD_CE_length": 1.52, "CE_NZ_length": 1.49, "CD_CE_NZ_angle": 111.7},
+}
+"""Where PeptideBuilder 1.1 differs from crystals: CD1 and CD2 exchanged, and lysine's amine planar."""
 _BACKBONE = ("N", "CA", "C", "O")
 
 
@@ -83,6 +88,7 @@ def ideal(residue: str) -> Ideal:
     import PeptideBuilder
 
     geometry = PeptideBuilder.Geometry.geometry(residues.STANDARD[residue])
+    vars(geometry).update(_CORRECTED.get(residue, {}))
     (built,) = PeptideBuilder.initialize_res(geometry).get_residues()
     x = {atom.get_name(): np.array(atom.coord, dtype=np.float64) for atom in built}
     element = {atom.get_name(): atom.element for atom in built}
@@ -194,8 +200,13 @@ def bridged(residue: str, known: Mapping[str, Floats]) -> Places:
         starts = grown(residue, found, chi)[name]
         misfit = np.linalg.norm(starts[:, None] - fixed, axis=2) - target
         start = starts[int(np.argmin(np.round((misfit**2).sum(axis=1), 6)))]
-        found[name] = least_squares(lambda x: np.linalg.norm(x - fixed, axis=1) - target, start).x
+        found[name] = _at_distances(fixed, target, start)
     return {name: x for name, x in found.items() if name not in known}
+
+
+def _at_distances(fixed: Floats, target: Floats, start: Floats) -> Floats:
+    """(3,) float: the point near a start whose distances to others fit best."""
+    return np.asarray(least_squares(lambda x: np.linalg.norm(x - fixed, axis=1) - target, start).x)
 
 
 def _is_beside(geometry: Ideal, first: str, second: str) -> bool:
