@@ -20,7 +20,7 @@ from protochain.structure.hydrogens import place_hydrogens
 from protochain.structure.model import Structure
 from protochain.structure.protonate import check_ph, protonate
 from protochain.structure.read import Reading, read
-from protochain.structure.sites import Link, find_links, ties
+from protochain.structure.sites import Link, find_links, moves, ties
 from protochain.structure.templates import Template, templates
 from protochain.units import ANGSTROM_PER_NM
 
@@ -115,7 +115,10 @@ def prepare(
         bonds,
     )
     _refuse_coincident(draft, done, x, bonds)
-    obstacle = [part.obstacle for part in draft.parts for member in part.members for _ in member.atoms]
+    fixed = [
+        part.obstacle and not moves(draft, member, links) for part in draft.parts for member in part.members
+    ]
+    obstacle = np.repeat(fixed, [len(member.atoms) for member, _ in done])
     return Structure(
         draft.name,
         _topology(draft.parts, bonds),
@@ -123,7 +126,7 @@ def prepare(
         tuple(draft.repairs),
         dict(draft.left_out),
         np.array([atom.b_iso for atom in atoms]),
-        np.array(obstacle, dtype=bool),
+        obstacle,
         ties(links, at, x, elements, bonds),
     )
 

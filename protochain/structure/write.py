@@ -104,7 +104,7 @@ def _gemmi_structure(structure: Structure) -> gemmi.Structure:
             made = gemmi.Residue()
             made.name = residue.name
             made.seqid = gemmi.SeqId(int(residue.id), residue.insertionCode.strip() or " ")
-            obstacle = structure.obstacle[next(residue.atoms()).index]
+            obstacle = structure.kept[next(residue.atoms()).index]
             made.het_flag = "H" if obstacle else "A"
             # Parts of a broken chain share its id; the subchain tells them apart.
             made.subchain = f"{chain.index}"
