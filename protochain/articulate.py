@@ -40,7 +40,8 @@ def build_chain(
         angles at N and C-alpha, wherever the phi or psi beside them turns. Rings are always rigid.
     root : str
         ``fixed``, ``free``, or ``auto``: free if there are several chains, which then move relative to one
-        another. A chain with atoms outside the selection is always fixed.
+        another; beside obstacles the largest chain stays in place. A chain with atoms outside the selection
+        is always fixed.
     move : str
         Selection of mobile residues or atoms, in the selection language of MDAnalysis: a hinge turns if the
         third atom of its dihedral is selected (``resid 5:20``: all dihedrals of these residues; ``not
@@ -86,8 +87,12 @@ def build_chain(
     parts = [np.flatnonzero(molecule == m) for m in range(molecule.max() + 1)]
     roots = [_root_atom(structure, atoms, moving, group) for atoms in parts]
     # A molecule with fixed atoms cannot translate or rotate as a whole.
-    loose = root == "free" or (root == "auto" and len(roots) > 1)
+    chains = [i for i, atoms in enumerate(parts) if not structure.obstacle[atoms].all()]
+    loose = root == "free" or (root == "auto" and len(chains) > 1)
     free = [loose and bool(moving[atoms].all()) for atoms in parts]
+    if root == "auto" and len(chains) < len(parts):
+        # Kept molecules hold the frame: the largest chain must not drift away from them.
+        free[max(chains, key=lambda i: len(parts[i]))] = False
     bodies, atom_body = _walk(structure.name, turning, group, roots, free, "angles" in opened)
     mass = _masses(structure, hydrogen_mass)
     tree, atom_local, q0 = _tree(structure.positions, mass, bodies, group, atom_body)

@@ -56,12 +56,19 @@ class Hinge:
 
 
 def cross_links(structure: Structure) -> np.ndarray:
-    """(nbonds,) bool: bonds between residues other than the peptide bond to the next residue."""
+    """(nbonds,) bool: bonds between residues other than the peptide bond to the next residue.
+
+    An ion that moves stays rigidly at the first of the atoms that hold it.
+    """
     first, second = structure.bonds.T
     r1, r2 = structure.atom_residue[first], structure.atom_residue[second]
     peptide = (r2 == r1 + 1) & (structure.atom_name[first] == "C") & (structure.atom_name[second] == "N")
-    beside = structure.obstacle[first] | structure.obstacle[second]
-    return (r1 != r2) & (beside | ~peptide)
+    beside = structure.kept[first] | structure.kept[second]
+    cut = (r1 != r2) & (beside | ~peptide)
+    held = np.flatnonzero(cut & structure.kept[second] & ~structure.obstacle[second] & ~structure.kept[first])
+    _, rows = np.unique(second[held], return_index=True)
+    cut[held[rows]] = False
+    return cut
 
 
 def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:

@@ -231,7 +231,7 @@ def test_the_other_location_can_be_asked_for():
 def test_waters_and_ions_stay_where_they_are(tmp_path):
     path = shared("1ajj_ldlr.pdb")
     s = pc.load(path, keep=("ions", "water"))
-    assert pc.load(path, keep=("ions",)).obstacle.sum() == 1
+    assert pc.load(path, keep=("ions",)).kept.sum() == 1
     assert pc.load(path, keep=("water",)).obstacle.sum() == 3 * 30
     assert s.obstacle.sum() == 1 + 3 * 30 and "SO4" in s.left_out and "waters" not in s.left_out
     chain, energy = pc.build_chain(s), pc.energy(s)
@@ -247,7 +247,7 @@ def test_waters_and_ions_stay_where_they_are(tmp_path):
         assert r.end.energy < r.start.energy
     pc.save(s, tmp_path / "out.pdb")
     again = pc.load(tmp_path / "out.pdb", keep=("all",))
-    assert again.repairs[0] == "30 waters, 1 CA kept as fixed obstacles"
+    assert again.repairs[0] == "30 waters, 1 CA kept beside the protein"
     assert len(again.repairs) == 2 and "CA of residue 73 CA of chain A is coordinated by" in again.repairs[1]
     assert np.array_equal(again.obstacle, s.obstacle)
 

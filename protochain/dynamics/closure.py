@@ -100,7 +100,7 @@ def closure_of(chain: Chain) -> Closure:
     Returns
     -------
     Closure
-        Three distances a loop; its dihedral is left to the force field.
+        Three distances a loop, fewer at an ion; its dihedral is left to the force field.
 
     Raises
     ------
@@ -112,14 +112,14 @@ def closure_of(chain: Chain) -> Closure:
     s = chain.structure
     heavy = s.atom_element != "H"
 
-    def before(atom: int) -> int:
+    def before(atom: int) -> int | None:
         touching = s.bonds[(s.bonds == atom).any(axis=1)]
         others = [int(b) for pair in touching.tolist() for b in pair if b != atom]
         near = [b for b in others if heavy[b] and s.atom_residue[b] == s.atom_residue[atom]]
-        return near[0]
+        return near[0] if near else None
 
     pairs = [pair for a, b in chain.loops.tolist() for pair in ((a, b), (before(a), b), (a, before(b)))]
-    atoms = np.array(pairs, dtype=np.int64)
+    atoms = np.array([pair for pair in pairs if None not in pair], dtype=np.int64)
     x = pose(chain, chain.q0).x
     length = np.linalg.norm(x[atoms[:, 1]] - x[atoms[:, 0]], axis=1)
     return Closure(chain.tree, chain.atom_body[atoms], chain.atom_local[atoms], length)

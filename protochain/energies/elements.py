@@ -18,6 +18,7 @@ from scipy.sparse import coo_array
 from scipy.spatial import KDTree
 
 from protochain.arrays import Integers
+from protochain.energies.native.terms import TIES
 from protochain.errors import ForceFieldError
 from protochain.structure.model import Structure, Tie
 from protochain.structure.sites import is_metal
@@ -55,8 +56,6 @@ positions or bonds among them would add a large constant."""
 _DONATED, _RETAINED = 0.37, 0.26
 """Charge that a donor takes over from a metal (e), and the share that the metal retains at least: those of
 Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver, Merz, J. Chem. Theory Comput. 6:2935, 2010)."""
-TIES = "ties of kept molecules"
-"""Name of the forces that hold bonds between the protein and kept molecules."""
 
 
 def lennard_jones(element: str) -> tuple[float, float]:
@@ -111,12 +110,12 @@ def create_system(
 
 def _recognised(force_field: app.ForceField, structure: Structure) -> tuple[app.Topology, list[int]]:
     """Topology for the force field, without bonds it does not know, and indices of unknown obstacles."""
-    obstacle, residue = structure.obstacle, structure.atom_residue
+    kept, residue = structure.kept, structure.atom_residue
     bonds = structure.bonds
-    bonds = bonds[obstacle[bonds[:, 0]] == obstacle[bonds[:, 1]]]
+    bonds = bonds[kept[bonds[:, 0]] == kept[bonds[:, 1]]]
     unknown: set[int] = set()
     while True:
-        beside = _topology(structure, bonds, only=obstacle)
+        beside = _topology(structure, bonds, only=kept)
         found = {int(res.id) for res in force_field.getUnmatchedResidues(beside)}
         if not found - unknown:
             return _topology(structure, bonds), sorted(unknown)
@@ -205,7 +204,7 @@ def _linked(structure: Structure) -> dict[int, set[int]]:
     metal = np.array([is_metal(str(symbol)) for symbol in structure.atom_element])
     for first, second in structure.bonds.tolist():
         for mine, its in ((first, second), (second, first)):
-            if structure.obstacle[its] and not structure.obstacle[mine] and not metal[its]:
+            if structure.kept[its] and not structure.kept[mine] and not metal[its]:
                 found.setdefault(int(structure.atom_residue[mine]), set()).add(mine)
     return found
 
@@ -277,12 +276,13 @@ def _without(base: Any, have: Mapping[str, int]) -> Any:
 
 def _not_interacting(structure: Structure, by_element: np.ndarray) -> set[tuple[int, int]]:
     """Pairs joined across bonds to obstacles, and touching pairs of obstacles without parameters."""
-    n, bonds, obstacle = structure.n_atoms, structure.bonds, structure.obstacle
-    across = obstacle[bonds[:, 0]] != obstacle[bonds[:, 1]]
+    n, bonds, kept = structure.n_atoms, structure.bonds, structure.kept
+    across = kept[bonds[:, 0]] != kept[bonds[:, 1]]
     pairs = _joined(n, bonds) - _joined(n, bonds[~across]) if across.any() else set()
-    atoms = np.flatnonzero(obstacle)
-    touching = atoms[KDTree(structure.positions[atoms]).query_pairs(_TOUCHING, output_type="ndarray")]
-    pairs |= set(map(tuple, np.sort(touching[by_element[touching].any(axis=1)], axis=1).tolist()))
+    atoms = np.flatnonzero(structure.obstacle)
+    if len(atoms):
+        touching = atoms[KDTree(structure.positions[atoms]).query_pairs(_TOUCHING, output_type="ndarray")]
+        pairs |= set(map(tuple, np.sort(touching[by_element[touching].any(axis=1)], axis=1).tolist()))
     residue = structure.atom_residue
     for r in np.unique(residue[by_element]).tolist():
         pairs |= set(combinations(np.flatnonzero(residue == r).tolist(), 2))

@@ -149,14 +149,14 @@ def build_system(
     if bundled is None:
         _check_file(Path(forcefield), trust_forcefield)
     files = [bundled or str(Path(forcefield).resolve())]
-    if structure.obstacle.any():
+    if structure.kept.any():
         files += [str(DATA / name) for name in _BESIDE.get(forcefield, ()) if (DATA / name).exists()]
     if SOLVENTS[solvent] is not None:
         files.append(str(DATA / str(SOLVENTS[solvent])))
     try:
         # A user's file may change between calls, and a trusted one may raise anything.
         force_field = _bundled_force_field(*files) if bundled else app.ForceField(*files)
-        if structure.obstacle.any():
+        if structure.kept.any():
             system = create_system(structure, force_field, lambda: app.ForceField(*files))
         else:
             system = force_field.createSystem(

@@ -221,7 +221,7 @@ def _report(draft: Draft, gone: Mapping[tuple[str, str], int], chosen: Sequence[
         count = Counter("waters" if each.kind == "water" else each.given for each in chosen)
         names = [f"{number} {name}" for name, number in count.most_common()]
         more = f" and {len(names) - _SHOWN} more kinds" if len(names) > _SHOWN else ""
-        line = f"{', '.join(names[:_SHOWN])}{more} kept as fixed obstacles"
+        line = f"{', '.join(names[:_SHOWN])}{more} kept beside the protein"
         bare = sorted({each.given for each in chosen if each.member.own is not None})
         if bare:
             line += f" ({', '.join(bare[:_SHOWN])} by element, unless the force field has parameters)"

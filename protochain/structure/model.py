@@ -115,7 +115,7 @@ class Structure(Value):
     @property
     def n_chains(self) -> int:
         """Number of unbroken chains of the protein."""
-        return len(np.unique(self.residue_chain_index[self.atom_residue[~self.obstacle]]))
+        return len(np.unique(self.residue_chain_index[self.atom_residue[~self.kept]]))
 
     @cached_property
     def atom_name(self) -> NDArray[np.str_]:
@@ -171,8 +171,15 @@ class Structure(Value):
     @cached_property
     def alpha_carbons(self) -> Integers:
         """(nca,) int: the C-alpha atoms of the protein."""
-        alpha = (self.atom_name == "CA") & (self.atom_element == "C") & ~self.obstacle
+        alpha = (self.atom_name == "CA") & (self.atom_element == "C") & ~self.kept
         return read_only(np.flatnonzero(alpha), np.int64)
+
+    @cached_property
+    def kept(self) -> NDArray[np.bool_]:
+        """(na,) bool: atoms beside the protein: obstacles, and ions that move with the residues that hold them."""
+        beside = self.obstacle.copy()
+        beside[[tie.atoms[1] for tie in self.ties if len(tie.atoms) == 2]] = True
+        return read_only(beside, np.bool_)
 
     @cached_property
     def formal_charge(self) -> Integers:

@@ -24,7 +24,7 @@ from protochain.structure.model import Structure
 from protochain.structure.protonate import check_ph, protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.relief import relieved
-from protochain.structure.sites import Link, find_links, ties
+from protochain.structure.sites import Link, find_links, moves, ties
 from protochain.structure.templates import Template, templates
 from protochain.units import ANGSTROM_PER_NM
 
@@ -126,9 +126,12 @@ def prepare(
         bonds,
     )
     owners = [(member, atom.name) for member, _ in done for atom in member.atoms]
-    x = relieved(x, owners, [atom.element.name for atom in atoms], bonds, draft.rebuilt)
+    x = relieved(x, owners, elements, bonds, draft.rebuilt)
     _refuse_coincident(draft, owners, x, bonds)
-    obstacle = [part.obstacle for part in draft.parts for member in part.members for _ in member.atoms]
+    fixed = [
+        part.obstacle and not moves(draft, member, links) for part in draft.parts for member in part.members
+    ]
+    obstacle = np.repeat(fixed, [len(member.atoms) for member, _ in done])
     return Structure(
         draft.name,
         _topology(draft.parts, bonds),
@@ -136,7 +139,7 @@ def prepare(
         tuple(draft.repairs),
         dict(draft.left_out),
         np.array([atom.b_iso for atom in atoms]),
-        np.array(obstacle, dtype=bool),
+        obstacle,
         _occupancies(atoms),
         tuple(member.label for member in draft.members),
         draft.header,

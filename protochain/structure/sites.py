@@ -110,10 +110,21 @@ def find_links(draft: Draft) -> list[Link]:
             for each in site
         )
         how = "coordinated by" if site[0].is_metal else "bonded to"
+        along = ", and moves with them" if moves(draft, site[0].other, links) else ""
         draft.repairs.append(
-            f"{site[0].other_atom.name} of {site[0].other} is {how} {ends}: held at these distances by springs"
+            f"{site[0].other_atom.name} of {site[0].other} is {how} {ends}: held at these distances by "
+            f"springs{along}"
         )
     return links
+
+
+def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
+    """Whether a kept molecule moves: an ion that the protein alone holds."""
+    ion = member.atoms[0]
+    if len(member.atoms) > 1 or not any(link.other_atom is ion and link.is_metal for link in links):
+        return False
+    others = (m for part in draft.parts if part.obstacle for m in part.members if m is not member)
+    return all(ion.pos.dist(a.pos) > _STATED for m in others for a in m.atoms)
 
 
 def _is_bonded(draft: Draft, link: Link) -> bool:

@@ -151,8 +151,8 @@ def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.
             made = gemmi.Residue()
             made.name = residue.name
             made.seqid = _seqid(structure, residue.index)
-            obstacle = structure.obstacle[next(residue.atoms()).index]
-            is_polymer = not obstacle or residue.name in NUCLEOTIDES
+            kept = structure.kept[next(residue.atoms()).index]
+            is_polymer = not kept or residue.name in NUCLEOTIDES
             made.het_flag = "A" if is_polymer else "H"
             made.entity_type = gemmi.EntityType.Polymer if is_polymer else gemmi.EntityType.NonPolymer
             made.subchain, made.label_seq = labels[residue.index]

@@ -37,7 +37,7 @@ from protochain.energies.native.terms import Terms
 
 CLOSE = 0.35
 """nm. Pairs nearer than this come from a list, among them all excluded and clashing ones."""
-KINDS = ("bonds", "angles", "torsions", "impropers", "maps", "nonbonded", "polar", "surface")
+KINDS = ("bonds", "angles", "torsions", "impropers", "maps", "ties", "tie angles", "nonbonded", "polar", "surface")
 """Components of the energy."""
 
 
@@ -207,6 +207,8 @@ _BONDED = (
     ("angles", bonded.angle_sums),
     ("torsions", bonded.torsion_sums),
     ("impropers", bonded.improper_sums),
+    ("ties", bonded.bond_sums),
+    ("tie angles", bonded.angle_sums),
 )
 
 

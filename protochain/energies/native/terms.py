@@ -64,8 +64,8 @@ class Terms:
     ----------
     n_atoms : int
     bonded : mapping of str to Bonded
-        ``bonds`` (r0, k), ``angles`` (theta0, k), ``torsions`` (n, phi0, k), ``impropers`` (phi0, k), and
-        ``maps`` of eight atoms with the index of the map.
+        ``bonds`` and ``ties`` (r0, k), ``angles`` and ``tie angles`` (theta0, k), ``torsions`` (n, phi0, k),
+        ``impropers`` (phi0, k), and ``maps`` of eight atoms with the index of the map.
     map_coefficients : (maps, size, size, 4, 4) float
     nonbonded : Nonbonded
     solvent : Solvent or None
@@ -122,8 +122,14 @@ def compile_system(system: openmm.System) -> Terms:
     return Terms(system.getNumParticles(), bonded, coefficients, nonbonded, solvent)
 
 
-_SHAPES = {"bonds": (2, 2), "angles": (3, 2), "torsions": (4, 3), "impropers": (4, 2), "maps": (8, 1)}
+_SHAPES = {
+    "bonds": (2, 2), "angles": (3, 2), "torsions": (4, 3), "impropers": (4, 2), "maps": (8, 1),
+    "ties": (2, 2), "tie angles": (3, 2),
+}  # fmt: skip
 """Atoms and parameters of each kind."""
+TIES = "ties of kept molecules"
+"""Name of the harmonic forces that hold bonds between the protein and kept molecules: kinds of their own."""
+_TIED = {"ties": "bonds", "tie angles": "angles"}
 _WITH_NONBONDED = ("CustomNonbondedForce", "CustomBondForce", "GBSAOBCForce", "CustomGBForce")
 _ONCE = ("NonbondedForce", "CMAPTorsionForce", *_WITH_NONBONDED)
 
@@ -132,8 +138,8 @@ def _stacked(kind: str, found: dict[str, list[openmm.Force]]) -> tuple[Integers,
     n_atoms, n_parameters = _SHAPES[kind]
     rows = [
         row
-        for name, (its_kind, read) in _READERS.items() if its_kind == kind
-        for force in found.get(name, []) for row in read(force)
+        for name, (its_kind, read) in _READERS.items() if its_kind == _TIED.get(kind, kind)
+        for force in found.get(name, []) if (force.getName() == TIES) == (kind in _TIED) for row in read(force)
     ]  # fmt: skip
     atoms = np.array([row[:n_atoms] for row in rows], dtype=np.int64).reshape(-1, n_atoms)
     values = [[plain(value) for value in row[n_atoms:]] for row in rows]
