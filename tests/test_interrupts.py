@@ -16,6 +16,7 @@ from test_descent import crowded
 from test_minimise import signals  # noqa: F401 (a fixture)
 
 import protochain as pc
+from protochain import cli
 from protochain.interrupts import answering, held_interrupts, open_to_interrupts
 from protochain.minimisers import Status
 from protochain.minimisers.problem import Problem
@@ -176,6 +177,24 @@ def test_an_untouched_start_is_not_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_interrupt_before_a_run_is_a_line_and_status_1(monkeypatch, capsys):
+    setup = importlib.import_module("protochain.setup")
+
+    def load(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(setup.Setup, "load", load)
+    monkeypatch.setattr(sys, "argv", ["protochain", "minimise", str(STRUCTURES / "ala10.pdb")])
+    handler = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    finally:
+        signal.signal(signal.SIGTERM, handler)
+    assert ended.value.code == 1
+    assert capsys.readouterr().err == "protochain: interrupted before there was a result\n"
+
+
 STAGES = ("preparation", "parting overlaps", "torsions", "all atoms", "OpenMM")
 
 TELLER = """
@@ -207,9 +226,9 @@ main()
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", STAGES)
 def test_ctrl_c_is_answered_within_a_second_in_every_stage(stage, tmp_path):
-    """Of 436 residues, with overlaps made by random turns of its side chains."""
+    """Of 214 residues, with overlaps made by random turns of its side chains."""
     source = tmp_path / "in.pdb"
-    s = pc.load(shared("3enl_enolase_H.pdb"))
+    s = pc.load(shared("1ake_A.pdb"))
     c = pc.build_chain(s, "chi")
     q = c.q0 + np.random.default_rng(1).normal(scale=0.5, size=c.n_q)
     pc.save(s.with_positions(pc.pose(c, q).x), source)

@@ -18,6 +18,8 @@ from protochain.errors import ProtochainError
 
 __all__ = ["main"]
 
+_INTERRUPTED = 130
+
 app = typer.Typer(
     help="Minimise the energy of protein chains, and compare how.",
     rich_markup_mode=None,
@@ -37,6 +39,9 @@ def main() -> None:
         sys.argv.append("--help")
     try:
         status = app(standalone_mode=False)
+        # What Typer makes of a KeyboardInterrupt, without a word.
+        if status == _INTERRUPTED:
+            raise KeyboardInterrupt
     except ProtochainError as error:
         status = fail(str(error), BAD_INPUT)
     except TyperException as error:
