@@ -24,6 +24,8 @@ from protochain.errors import ProtochainError, WriteError
 
 __all__ = ["main"]
 
+_INTERRUPTED = 130
+
 app = typer.Typer(
     help="Minimise the energy of protein chains, and compare how.",
     rich_markup_mode=None,
@@ -71,6 +73,9 @@ def main() -> None:
         sys.argv.append("--help")
     try:
         status = app(standalone_mode=False)
+        # What Typer makes of a KeyboardInterrupt, without a word.
+        if status == _INTERRUPTED:
+            raise KeyboardInterrupt
         sys.stdout.flush()
     except WriteError as error:
         status = fail(as_options(str(error)))

@@ -19,7 +19,7 @@ from protochain.cli.options import (
     prepare,
     with_setup,
 )
-from protochain.cli.terminal import foretell, print_simulation, simulation_progress
+from protochain.cli.terminal import foretell, print_simulation, run_progress, simulation_progress
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.setup import Setup
@@ -145,7 +145,10 @@ def _relaxed(source: Path, chain: "Chain", energy: "Energy", seed: int) -> "Floa
     """Minimise by turning hinges; report what it changed, and return the coordinates."""
     from protochain.minimisers import minimise
 
-    relaxed = minimise(chain, energy, "lbfgs", _RELAXED, seed=seed)
+    with run_progress("lbfgs", defaults.MAX_EVALUATIONS) as watch:
+        relaxed = minimise(chain, energy, "lbfgs", _RELAXED, seed=seed, watch=watch)
+    if relaxed.status == "interrupted":
+        raise KeyboardInterrupt
     print(
         f"{source}: minimised first: {relaxed.start.energy:.1f} -> {relaxed.end.energy:.1f} kJ/mol, "
         f"C-alpha RMSD {relaxed.ca_rmsd_angstrom:.2f} angstrom",

@@ -88,7 +88,7 @@ def listed(places: Sequence[str]) -> str:
 def _chiral(structure: Structure) -> Integers:
     """(n, 4) int: every chiral atom of the protein, and three neighbours."""
     names: list[dict[str, int]] = [{} for _ in range(structure.n_residues)]
-    for i in np.flatnonzero(~structure.obstacle).tolist():
+    for i in np.flatnonzero(~structure.kept).tolist():
         names[int(structure.atom_residue[i])][str(structure.atom_name[i])] = i
     found = [
         [at[name] for name in (centre, *neighbours)]
