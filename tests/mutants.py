@@ -31,11 +31,11 @@ from scipy.stats import binomtest
 
 ROOT = Path(__file__).parent.parent
 FOLDERS = {
-    "structure": (["structure"], ["structure", "preparation", "convert", "hydrogens", "files"]),
+    "structure": (["structure"], ["structure", "preparation", "convert", "hydrogens", "files", "outputs"]),
     "minimisers": (["minimisers"], ["descent", "runs", "minimise"]),
     "neighbours": (["energies/native/neighbours.py"], ["native"]),
-    "batches": (["batches"], ["batches", "cluster"]),
-    "cli": (["cli"], ["cli"]),
+    "batches": (["batches"], ["batches", "cluster", "choices"]),
+    "cli": (["cli"], ["cli", "choices"]),
     "analysis": (["analysis/deviation.py", "analysis/quality.py"], ["deviation", "rmsd", "comparison"]),
     "mechanics": (["multibody", "dynamics", "chain.py"], ["multibody", "mass", "chain", "dynamics"]),
     "kernels": (["energies/native"], ["native", "energy"]),

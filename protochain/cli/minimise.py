@@ -172,8 +172,8 @@ def _runs(
         return [(setup, output)]
     if is_single or str(source) == "-":
         raise ProtochainError(
-            f"model {setup.model}: needs a file, and no trace, trajectory, checkpoint or report: these belong "
-            "to one model"
+            f"model {setup.model}: needs a file, and no trace, trajectory, checkpoint or report: "
+            "these belong to one model"
         )
     if str(output) == STANDARD_OUTPUT and not one_file:
         raise ProtochainError("output -: several models are several files; give --one-file to join them")
