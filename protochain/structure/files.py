@@ -5,8 +5,10 @@ import io
 import re
 import sys
 import zlib
+from functools import lru_cache
 from math import isfinite
 from pathlib import Path
+from typing import BinaryIO
 
 import gemmi
 
@@ -72,7 +74,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
 
 def _text(path: Path, source: str) -> str:
     try:
-        data = sys.stdin.buffer.read(_BYTES + 1) if path == STANDARD_INPUT else _bytes(path)
+        data = _standard_input(sys.stdin.buffer) if path == STANDARD_INPUT else _bytes(path)
     except OSError as error:
         raise StructureError(f"{source}: cannot be read ({error.strerror}); check the name") from None
     if data[:2] == b"\x1f\x8b":
@@ -90,6 +92,12 @@ def _text(path: Path, source: str) -> str:
 
 
 _BYTES = MAX_MEGABYTES << 20
+
+
+@lru_cache(maxsize=1)
+def _standard_input(stream: BinaryIO) -> bytes:
+    """Read standard input, which can be read only once, for every model or comparison that needs it."""
+    return stream.read(_BYTES + 1)
 
 
 def _bytes(path: Path) -> bytes:

@@ -56,7 +56,8 @@ def load(
         Molecules to keep as fixed obstacles: ``water``, ``ions``, ``nucleic``, ``all`` that have force-field
         parameters, or residue names.
     disulfide : sequence of pairs of str, or str, optional
-        Exactly these disulfide bonds, as ``[("A:3", "A:40")]`` or ``"A:3-A:40"``; by default, between sulphurs that are close.
+        Exactly these disulfide bonds, as ``[("A:3", "A:40")]`` or ``"A:3-A:40"``; by default, between
+        sulphurs that are close.
     ph : float
         Sets the protonation of residues whose hydrogens or names in the file do not show it.
     strict : bool
