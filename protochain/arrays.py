@@ -63,7 +63,7 @@ def floats(values: ArrayLike, shape: tuple[int, ...], name: str, unit: str = "")
     """
     if hasattr(values, "value_in_unit"):
         if not unit:
-            raise ProtochainError(f"{name} is in {values.unit}; give numbers, without a unit")
+            raise ProtochainError(f"{name} has a unit; give numbers, without a unit")
         values = plain(values, unit, name)
     try:
         array = np.ascontiguousarray(values, dtype=np.float64)

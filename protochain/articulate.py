@@ -114,8 +114,17 @@ def build_chain(
 
 
 def as_chain(source: Any) -> Chain:
-    """Return a chain unchanged; build one with default hinges from whatever :func:`as_structure` takes."""
-    return source if isinstance(source, Chain) else build_chain(as_structure(source))
+    """Return a chain unchanged; build one with default hinges from whatever :func:`as_structure` takes.
+
+    What has a chain, as a Solution, gets one of the same hinges at its end.
+    """
+    if isinstance(source, Chain):
+        return source
+    structure, own = as_structure(source), getattr(source, "chain", None)
+    if not isinstance(own, Chain):
+        return build_chain(structure)
+    mass = own.hydrogen_mass
+    return build_chain(structure, own.opened, own.root, move=own.move, hydrogen_mass=mass)
 
 
 def _masses(structure: Structure, hydrogen_mass: float | None) -> Floats:

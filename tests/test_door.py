@@ -172,6 +172,14 @@ def test_files_structures_and_results_are_taken_everywhere(tmp_path):
     assert np.array_equal(pc.build_chain(str(FILE)).q0, C().q0)
     assert pc.view(C()).shown["ala10"] is S() and list(pc.view(r).shown) == ["start", "lbfgs"]
     assert [*pc.view(str(FILE)).shown] == ["ala10"]
+    few = pc.minimise(pc.build_chain(S(), "phi", move="resid 3:8"), by_file, "lbfgs", max_evaluations=5)
+    more = pc.minimise(few, by_file, "lbfgs", max_evaluations=5)
+    assert (more.chain.opened, more.chain.move) == ("phi", "resid 3:8")
+    assert np.array_equal(more.chain.structure.positions, few.x)
+    k = pc.compare(few, ("lbfgs", "kcm"), by_file, max_evaluations=2)
+    assert list(pc.view(k).shown) == ["start", "lbfgs", "kcm"]
+    with pytest.raises(pc.ProtochainError, match="Comparison of lbfgs, kcm on ala10>: give a file"):
+        pc.save(k, tmp_path / "k.pdb")
     assert np.array_equal(pc.as_structure(r).positions, r.x)
     pc.save(r, tmp_path / "r.pdb")
     assert np.allclose(pc.load(tmp_path / "r.pdb").positions, r.x, atol=1e-4)

@@ -136,6 +136,7 @@ def test_gzipped_and_standard_input(tmp_path, monkeypatch):
     assert s.name == "x" and np.array_equal(s.positions, load("1l2y.pdb").positions)
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(gzip.compress(text))))
     assert np.array_equal(pc.load("-").positions, s.positions)
+    assert model_numbers("-") == [1] and pc.load("-", model=1).n_atoms == s.n_atoms
     (tmp_path / "cut.pdb.gz").write_bytes(gzip.compress(text)[:-200])
     with pytest.raises(pc.ProtochainError, match="not a whole gzip file"):
         pc.load(tmp_path / "cut.pdb.gz")

@@ -136,6 +136,7 @@ def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALP
     Returns
     -------
     Deviation
+        RMSD with and without superposition, TM-score, and the residues matched.
 
     Raises
     ------

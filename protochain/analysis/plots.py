@@ -227,7 +227,7 @@ def _draw_between(right: Axes, rmsd: pd.DataFrame) -> None:
     for i in ticks:
         for j in ticks:
             shade = "white" if values[i, j] > 0.6 * values.max() else "black"
-            right.text(j, i, f"{values[i, j]:.2f}", ha="center", va="center", color=shade)
+            right.text(float(j), float(i), f"{values[i, j]:.2f}", ha="center", va="center", color=shade)
     right.set_title("between ends", fontsize="medium")
     right.figure.colorbar(image, ax=right, label="C-alpha RMSD, angstrom")
 

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from protochain.analysis.plots import COLOURS, PlainFigure, panels, plain
+from protochain.analysis.plots import COLOURS, panels, plain
 from protochain.analysis.report import data_url
 from protochain.analysis.viewer import template
 from protochain.storage import write_atomically
@@ -111,7 +112,7 @@ def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
     )
 
 
-def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax: Any = None) -> PlainFigure:
+def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax: Any = None) -> Figure:
     """Plot the cumulative distribution of a quantity, a line for each method.
 
     Parameters

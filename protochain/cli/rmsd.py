@@ -11,8 +11,12 @@ from protochain.cli.terminal import print_deviations
 
 
 def rmsd(
-    reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="PDB or mmCIF file.")],
-    models: Annotated[list[Path], typer.Argument(metavar="IN...", help="Files, with all their models.")],
+    reference: Annotated[
+        Path, typer.Argument(metavar="REFERENCE", help="PDB or mmCIF file; - is standard input.")
+    ],
+    models: Annotated[
+        list[Path], typer.Argument(metavar="IN...", help="Files, with all their models; - is standard input.")
+    ],
     align: Annotated[
         str, typer.Option(help="Atoms to superpose, in MDAnalysis's selection language.")
     ] = "name CA",
@@ -22,7 +26,10 @@ def rmsd(
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Measure deviations of models from a reference: RMSD, TM-score and matched residues."""
+    """Measure deviations of models from a reference: RMSD, TM-score and matched residues.
+
+    Files of C-alpha atoms only are measured too.
+    """
     from protochain.analysis.deviation import rmsd_table
     from protochain.storage import write_atomically
 

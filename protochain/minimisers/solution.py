@@ -96,7 +96,9 @@ class Recorder:
 
     def kept(self) -> dict[int, NDArray[np.float32]]:
         """Positions by their row of the trace, the last among them."""
-        return self.frames if self.last is None else self.frames | {len(self.rows) - 1: self.last}
+        if self.last is None:
+            return self.frames
+        return self.frames | {len(self.rows) - 1: self.last.astype(np.float32)}
 
     def trace(self) -> "pd.DataFrame":
         """Trace, with the columns ``TRACE_COLUMNS``."""

@@ -50,7 +50,8 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
         If the type of the source is unknown, or it cannot be used.
     """
     held = getattr(source, "structure", source)
-    if isinstance(held, Structure):
+    # A comparison has several ends beside the structure of its start.
+    if isinstance(held, Structure) and not hasattr(source, "solutions"):
         return held
     if isinstance(source, str | Path):
         return load(source, **settings)

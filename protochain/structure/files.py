@@ -8,9 +8,10 @@ import re
 import sys
 import zlib
 from collections.abc import Callable
+from functools import lru_cache
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import gemmi
 
@@ -95,7 +96,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
 
 def _text(path: Path, source: str) -> str:
     try:
-        data = sys.stdin.buffer.read(_BYTES + 1) if path == STANDARD_INPUT else _bytes(path)
+        data = _standard_input(sys.stdin.buffer) if path == STANDARD_INPUT else _bytes(path)
     except OSError as error:
         raise StructureError(f"{source}: cannot be read ({error.strerror}); check the name") from None
     for magic, name, unpack in _PACKED:
@@ -122,6 +123,12 @@ _PACKED: tuple[tuple[bytes, str, Callable[[Any], Any]], ...] = (
     (b"\xfd7zXZ\0", "xz", lzma.open),
 )
 """First bytes of packed files, and what opens them."""
+
+
+@lru_cache(maxsize=1)
+def _standard_input(stream: BinaryIO) -> bytes:
+    """Read standard input, which can be read only once, for every model or comparison that needs it."""
+    return stream.read(_BYTES + 1)
 
 
 def _bytes(path: Path) -> bytes:
