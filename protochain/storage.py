@@ -146,8 +146,18 @@ def write_arrays(
     write_atomically(path, write)
 
 
-def read_arrays(path: Path, settings: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], Any]:
+def read_arrays(
+    path: Path, settings: Mapping[str, Any], kind: str = "run", remedy: str = "give one of an earlier run"
+) -> tuple[dict[str, np.ndarray], Any]:
     """Read a checkpoint that :func:`write_arrays` wrote for a run with the same settings.
+
+    Parameters
+    ----------
+    path : Path
+    settings : mapping of plain values
+        The first of them tells the kinds of run apart.
+    kind, remedy : str
+        What runs it should be of, and what to do if it is not, for the message.
 
     Raises
     ------
@@ -161,8 +171,12 @@ def read_arrays(path: Path, settings: Mapping[str, Any]) -> tuple[dict[str, np.n
         written, values = text["settings"], text["values"]
     except FileNotFoundError:
         raise ProtochainError(f"{path}: not found; give the checkpoint of an earlier run") from None
-    except (OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile) as error:
-        raise ProtochainError(f"{path}: not a checkpoint ({error})") from None
+    except PermissionError as error:
+        raise ProtochainError(f"{path}: cannot be read ({error.strerror}); change its permissions") from None
+    except (OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile):
+        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; {remedy}") from None
+    if not {*list(settings)[:1]} <= set(written):
+        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; {remedy}")
     for name, value in settings.items():
         if written.get(name) != value:
             raise ProtochainError(

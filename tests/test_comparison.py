@@ -10,6 +10,7 @@ from openmm import app, unit
 
 import protochain as pc
 from protochain import defaults
+from protochain.analysis import report
 from protochain.analysis.viewer import library
 from protochain.cli.terminal import print_table
 from protochain.minimisers import RECIPES
@@ -113,6 +114,10 @@ def test_columns_with_a_heading_are_shown_everywhere(folder, monkeypatch, capsys
         ("ca_rmsd_angstrom", "C-alpha RMSD, angstrom", "angstrom"),
         ("bond_angle_change_rms_degrees", "bond angle change RMS, degrees", "degrees"),
         ("evaluations_within_10_kj_mol", "evaluations within 10 kJ/mol", "kJ/mol"),
+        ("energy_drop_kj_mol_per_residue", "energy drop, kJ/mol per residue", "kJ/mol per residue"),
+        ("time_ps", "time, ps", "ps"),
+        ("temperature_k", "temperature, K", "K"),
+        ("closure_error_nm", "closure error, nm", "nm"),
         ("tm_score_to_start", "TM score to start", ""),
         ("evaluations", "evaluations", ""),
     ],
@@ -123,6 +128,15 @@ def test_a_heading_has_the_unit_that_the_name_ends_in(name, said, unit):
     assert column.title == (f"short, {unit}" if unit else "short")
 
 
+def test_every_heading_of_a_quantity_has_its_unit(comparison, folder):
+    page = (folder / "report.html").read_text()
+    for method in (s.method for s in comparison.solutions):
+        assert f">{method}, kJ/mol</th>" in page and f">{method}, angstrom</th>" in page
+    for stem, first, ending in (("equal_cost", 2, "kj_mol"), ("displacement", 3, "angstrom")):
+        columns = pd.read_csv(folder / f"{stem}.csv").columns[first:]
+        assert list(columns) == [f"{s.method}_{ending}" for s in comparison.solutions]
+
+
 def test_the_page_stands_alone(folder):
     page = (folder / "report.html").read_text()
     own = page.replace(library(), "")
@@ -131,8 +145,13 @@ def test_the_page_stands_alone(folder):
     assert "href=" not in own and own.count("src=") == own.count('src="data:image/png;base64,') == 6
     assert page.count("data:image/png;base64,") == 6
     # kcm, md and lbfgs turn hinges; hybrid and openmm move every atom.
-    assert page.count("all other angles are kept") == 3
+    assert page.count("all other angles are untouched") == 3
     assert page.count("lengths and angles relax") == 2
+
+
+def test_a_page_tells_where_torsions_do_not_keep_bonds():
+    k = pc.compare(chain("3i40.pdb"), ("lbfgs",), energy("3i40.pdb"), max_evaluations=3)
+    assert "angles are untouched, except where rings and disulfides close." in report.render(k, k.summary(), {})
 
 
 def test_names_from_files_are_escaped(tmp_path):
@@ -335,10 +354,10 @@ def test_equal_cost_is_the_lowest_energy_so_far(comparison, folder):
         for method in defaults.COMPARED:
             run = traces[(traces["method"] == method) & (traces[row["cost"]] <= row["at"] * (1 + 1e-12))]
             if run.empty:
-                assert np.isnan(row[method])
+                assert np.isnan(row[f"{method}_kj_mol"])
             else:
-                assert row[method] == pytest.approx(run["energy_kj_mol"].min(), rel=1e-12)
-    assert (np.diff(table[table["cost"] == "evaluations"]["lbfgs"]) <= 0).all()
+                assert row[f"{method}_kj_mol"] == pytest.approx(run["energy_kj_mol"].min(), rel=1e-12)
+    assert (np.diff(table[table["cost"] == "evaluations"]["lbfgs_kj_mol"]) <= 0).all()
 
 
 def test_a_view_holds_all_it_needs(comparison):

@@ -3,6 +3,7 @@
 import sys
 import threading
 
+import numpy as np
 import pytest
 from conftest import STRUCTURES, chain, energy
 from distributed import LocalCluster
@@ -124,3 +125,23 @@ def test_the_table_fits_80_columns(method, status, monkeypatch, capsys):
     ]  # fmt: skip
     assert second.split()[2:5] == ["-12.25", "-123457", "-"]
     assert all(unit in " ".join(head) for unit in ("kJ/mol", "/rad", "/nm", "angstrom", "time", "s "))
+
+
+def test_what_is_no_checkpoint_is_said_to_be_none(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.npz").write_text("nothing of use\n")
+    np.save(tmp_path / "b.npy", np.zeros(3))
+    np.savez(tmp_path / "c.npz", x=np.zeros(3))
+    pc.simulate(chain("ala10.pdb"), energy("ala10.pdb"), n_steps=2, output=tmp_path / "run")
+    (tmp_path / "empty.npz").touch()
+    for name in (SAMPLE, "a.npz", "b.npy", "c.npz", "empty.npz", "run/checkpoint.npz", "run"):
+        status, line = said(monkeypatch, capsys, "minimise", SAMPLE, "-o", "o.pdb", "--resume", name)
+        assert status == 2 and line == (
+            f"protochain: {name}: is no checkpoint of a minimisation; give a file that an earlier run "
+            "wrote as its checkpoint"
+        )
+    with pytest.raises(pc.ProtochainError, match="no checkpoint of a minimisation"):
+        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), resume=SAMPLE)
+    (tmp_path / "run" / "checkpoint.npz").write_text("nothing of use\n")
+    status, line = said(monkeypatch, capsys, "simulate", SAMPLE, "-o", "run", "--resume")
+    assert status == 2 and "run/checkpoint.npz: is no checkpoint of a simulation; start again" in line

@@ -3,9 +3,11 @@
 import gemmi
 import numpy as np
 import pytest
+from conftest import shared
 
 import protochain as pc
 from protochain.structure.bridges import disulfides
+from protochain.structure.changes import summarised
 from protochain.structure.conformation import likeliest, same_place
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.protonate import protonate
@@ -102,3 +104,65 @@ def test_histidines_hydrogen_goes_where_an_acceptor_is_straight_ahead(degrees, b
     assert state(ring_and_acceptors(at)) == ("HIE" if bonded else "HID")
     other = ("ND1", side * degrees)
     assert state(ring_and_acceptors(("NE2", 0), other)) == ("HID" if bonded else "HIE")
+
+
+# --- What was changed, in few lines
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "lines"),
+    [
+        ("3i40_insulin.pdb", "left out: 35 waters", 3),
+        ("6lfo_gap_model.pdb", "split at 6 gaps in the chains, with charged termini: R:67-72 (10.7 ang", 4),
+    ],
+)
+def test_changes_are_few_lines_losses_first_and_histidines_one(name, first, lines):
+    s = pc.load(shared(name))
+    assert s.changes[0].startswith(first) and len(s.changes) <= lines < len(s.repairs)
+    assert sum("taken as HI" in line or line.startswith("HIS states") for line in s.changes) == 1
+    assert "hydrogens added" in s.changes[-1]
+
+
+def test_histidines_are_told_by_state():
+    changes = summarised(
+        [
+            "residue 5 HIS of chain A taken as HID",
+            "residue 9 HIS of chain A taken as HIE",
+            "residue 12A HIS of chain (blank) taken as HID",
+            "residue 4 HIP of chain B: taken as HIS in protonation state HIP",
+            "residue 5 ASP of chain A taken as ASH",
+        ]
+    )
+    assert changes == (
+        "residue 5 ASP of chain A taken as ASH",
+        "HIS states: HID A:5, 12A; HIE A:9; HIP B:4",
+    )
+
+
+def test_every_line_is_told_once_alone_or_in_a_group():
+    hydrogens = "12 hydrogens added at pH 7 (0 were in the file)"
+    gap = (
+        "chain A is broken between 3 and 5A (5.0 angstrom): split there, with charged termini; to avoid it, "
+        "model the missing residues"
+    )
+    lost = [
+        "residue 4 SER of chain A: alternate location A kept (occupancy 0.60), SER B left out",
+        "residue 7 GLY of chain A: left out: it is bonded to no other residue",
+        "model 1 used, 9 other models left out",
+    ]
+    changed = [
+        "something that no rule knows",
+        "residue 3 LYS of chain B: missing OXT added",
+        "disulfide bond between residue 3 CYS of chain A and residue 9 CYS of chain A",
+    ]
+    many = [f"residue {n} LYS of chain A: missing CE, NZ added" for n in range(20)]
+    places = ", ".join(f"A:{n} LYS" for n in range(8))
+    assert summarised([hydrogens, *changed, "3 waters left out", *lost, gap, "1 HEM left out", *many]) == (
+        "left out: 1 HEM, 3 waters",
+        gap,
+        *lost,
+        *changed,
+        f"missing atoms added in 20 residues: {places} and 12 more",
+        hydrogens,
+    )
+    assert summarised(()) == ()

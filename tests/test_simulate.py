@@ -240,6 +240,47 @@ def test_a_constrained_run_returns_when_time_turns():
         closure_of(chain("1l2y.pdb"))
 
 
+def test_closed_loops_are_those_of_the_start_and_go_on_as_they_were(tmp_path):
+    """A minimum by turning hinges has other lengths and angles at its loops than the file."""
+    c, e = chain("3i40.pdb"), energy("3i40.pdb")
+    relaxed = pc.minimise(c, e, "lbfgs", max_evaluations=20)
+    before, after = (
+        np.linalg.norm(np.diff(x[c.loops], axis=1)[:, 0], axis=1) for x in (c.structure.positions, relaxed.x)
+    )
+    assert np.abs(after - before).max() > 1e-4
+    settings = {"loops": "closed", "time_step": 0.001, "every": 5, "checkpoint_every": 1}
+    whole = simulate(c, e, relaxed.q, n_steps=20, **settings)
+    assert whole.trace["closure_error_nm"].max() < 1e-11
+    end = np.linalg.norm(np.diff(whole.x[c.loops], axis=1)[:, 0], axis=1)
+    assert np.abs(end - after).max() < 1e-11
+    simulate(c, e, relaxed.q, n_steps=10, output=tmp_path, **settings)
+    # Resumed without q, as the command does.
+    part = simulate(c, e, n_steps=20, output=tmp_path, resume=True, **settings)
+    assert np.array_equal(part.q, whole.q) and np.array_equal(part.qd, whole.qd)
+
+
+def test_the_command_minimises_first_with_closed_loops_too(tmp_path):
+    work = (
+        "simulate",
+        STRUCTURES / "3i40.pdb",
+        "-o",
+        "run",
+        "--loops",
+        "closed",
+        "--time-step",
+        1,
+        "--every",
+        5,
+    )
+    done = protochain(*work, "--steps", 10, "--json", cwd=tmp_path)
+    assert done.returncode == 0 and "minimised first" in done.stderr
+    assert "loops are kept closed as they are after it" in done.stderr
+    log = pd.read_csv(tmp_path / "run" / "log.csv")
+    assert log["closure_error_nm"].max() < 1e-11
+    assert protochain(*work, "--steps", 15, "--resume", cwd=tmp_path).returncode == 0
+    assert pd.read_csv(tmp_path / "run" / "log.csv")["closure_error_nm"].max() < 1e-11
+
+
 # --- Files
 
 

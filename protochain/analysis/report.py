@@ -18,6 +18,8 @@ from protochain.storage import write_atomically
 from protochain.structure import save
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from protochain.analysis.comparison import Comparison
 
 
@@ -37,10 +39,10 @@ def _write_files(comparison: "Comparison", directory: Path) -> Path:
     name, suffix, summary = comparison.structure.name, comparison.suffix, comparison.summary()
     tables = {
         "summary": comparison.table,
-        "equal_cost": comparison.equal_cost,
+        "equal_cost": _with_unit(comparison.equal_cost, 2, "kj_mol"),
         "work": comparison.work,
         "spread": comparison.spread,
-        "displacement": comparison.displacements,
+        "displacement": _with_unit(comparison.displacements, 3, "angstrom"),
         "traces": comparison.traces,
     }
     # First, since it names the structures: what an incomplete comparison left can be replaced, too.
@@ -115,6 +117,11 @@ def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str,
         **scene(comparison.ends()),
         command=shlex.join(summary["command"]),
     )
+
+
+def _with_unit(table: "DataFrame", first: int, unit: str) -> "DataFrame":
+    """Table whose columns of methods, from this one on, have the unit in their names."""
+    return table.rename(columns={name: f"{name}_{unit}" for name in table.columns[first:]})
 
 
 def data_url(figure: Figure) -> str:

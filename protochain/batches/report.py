@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from protochain.analysis.plots import COLOURS, panels, plain
 from protochain.analysis.report import data_url
 from protochain.analysis.viewer import template
+from protochain.minimisers.record import heading
 from protochain.storage import write_atomically
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
     text = template("batch.html").render(
         summary=summary,
         counts=table.groupby("method", sort=False)["status"].value_counts().unstack(fill_value=0),
-        statistics=quartiles,
+        statistics=quartiles.assign(quantity=quartiles["quantity"].map(heading)),
         rows=rows.head(WORST).to_dict("records"),
         total=len(rows),
         pages={path.stem for path in (folder / "pages").glob("*.html")} if len(table) else set(),

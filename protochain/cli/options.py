@@ -19,6 +19,7 @@ from protochain.setup import Setup
 if TYPE_CHECKING:
     from protochain.chain import Chain
     from protochain.energies import Energy
+    from protochain.structure import Structure
 
 CONVERGED, FAILED, BAD_INPUT, UNCONVERGED = 0, 1, 2, 3
 """Exit statuses: 1 when nothing usable was made, 3 when a usable result is not converged."""
@@ -146,19 +147,26 @@ def named_after(source: Path) -> tuple[str, str]:
 
 
 def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
-    """Prepare a file; report repairs and overlaps on standard error. Return also the seconds taken."""
+    """Prepare a file; report changes and overlaps on standard error. Return also the seconds taken."""
     from protochain.contacts import overlaps
 
     began = perf_counter()
     structure, chain, energy = setup.prepare(source)
-    for line in structure.repairs:
-        print(f"{source}: {line}", file=sys.stderr)
+    print_changes(source, structure)
     found = overlaps(structure, structure.positions, chain)
     for overlap in found[:_SHOWN_OVERLAPS]:
         print(f"{source}: {overlap}; {overlap.remedy}", file=sys.stderr)
     if len(found) > _SHOWN_OVERLAPS:
         print(f"{source}: and {len(found) - _SHOWN_OVERLAPS} more overlaps", file=sys.stderr)
     return chain, energy, perf_counter() - began
+
+
+def print_changes(source: Path, structure: "Structure") -> None:
+    """Say on standard error what was changed to prepare a file, losses first."""
+    for line in structure.changes:
+        print(f"{source}: {line}", file=sys.stderr)
+    if len(structure.changes) < len(structure.repairs):
+        print(f"{source}: protochain info lists all {len(structure.repairs)} changes", file=sys.stderr)
 
 
 def check_outputs(source: Path, outputs: list[Path], force: bool) -> None:

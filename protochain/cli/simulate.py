@@ -108,8 +108,7 @@ def simulate(
     chain, energy, preparation = prepare(source, setup)
     foretell(source, chain, energy, steps, steps)
     context.with_resource(held_interrupts())
-    # Turning hinges would open the loops, which must begin closed.
-    q = _relaxed(source, chain, energy, seed) if relax and not resume and loops == "open" else chain.q0
+    q = _relaxed(source, chain, energy, loops, seed) if relax and not resume else chain.q0
     with simulation_progress(source.stem, steps, time_step / 1000.0) as watch:
         done = run(
             chain, energy, q, n_steps=steps, output=output, trajectory=trajectory,
@@ -141,7 +140,7 @@ def _check_time_step(given: float) -> None:
         )
 
 
-def _relaxed(source: Path, chain: "Chain", energy: "Energy", seed: int) -> "Floats":
+def _relaxed(source: Path, chain: "Chain", energy: "Energy", loops: str, seed: int) -> "Floats":
     """Minimise by turning hinges; report what it changed, and return the coordinates."""
     from protochain.minimisers import minimise
 
@@ -149,9 +148,11 @@ def _relaxed(source: Path, chain: "Chain", energy: "Energy", seed: int) -> "Floa
         relaxed = minimise(chain, energy, "lbfgs", _RELAXED, seed=seed, watch=watch)
     if relaxed.status == "interrupted":
         raise KeyboardInterrupt
+    # Without constraints: the force field holds the loops, and takes the strain from them, too.
+    kept = "; loops are kept closed as they are after it" if loops == "closed" else ""
     print(
         f"{source}: minimised first: {relaxed.start.energy:.1f} -> {relaxed.end.energy:.1f} kJ/mol, "
-        f"C-alpha RMSD {relaxed.ca_rmsd_angstrom:.2f} angstrom",
+        f"C-alpha RMSD {relaxed.ca_rmsd_angstrom:.2f} angstrom{kept}",
         file=sys.stderr,
     )
     return relaxed.q

@@ -89,13 +89,15 @@ class Closure:
         )
 
 
-def closure_of(chain: Chain) -> Closure:
-    """Constrain the bond and the bond angles at each loop of a chain to their values at q0.
+def closure_of(chain: Chain, q: Floats | None = None) -> Closure:
+    """Constrain the bond and the bond angles at each loop of a chain to their values at q.
 
     Parameters
     ----------
     chain : Chain
         Chain with disulfides or other cross-links.
+    q : (n_q,) float, optional
+        Coordinates; by default those of the input pose.
 
     Returns
     -------
@@ -108,7 +110,7 @@ def closure_of(chain: Chain) -> Closure:
         If there is no loop.
     """
     if not len(chain.loops):
-        raise ChainError(f"{chain.structure.name}: no loop to close; use loops open")
+        raise ChainError(f"{chain.structure.name}: no loop to close; choose loops open")
     s = chain.structure
     heavy = s.atom_element != "H"
 
@@ -120,6 +122,6 @@ def closure_of(chain: Chain) -> Closure:
 
     pairs = [pair for a, b in chain.loops.tolist() for pair in ((a, b), (before(a), b), (a, before(b)))]
     atoms = np.array([pair for pair in pairs if None not in pair], dtype=np.int64)
-    x = pose(chain, chain.q0).x
+    x = pose(chain, chain.q0 if q is None else q).x
     length = np.linalg.norm(x[atoms[:, 1]] - x[atoms[:, 0]], axis=1)
     return Closure(chain.tree, chain.atom_body[atoms], chain.atom_local[atoms], length)

@@ -54,6 +54,16 @@ def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
         raise ProtochainError(f"{path}: holds no {CHECKPOINT} to resume from; leave out resume=True")
 
 
+def _read(path: Path, settings: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], Any]:
+    return read_arrays(path / CHECKPOINT, settings, "simulation", "start again with force=True")
+
+
+def loop_lengths(path: Path) -> Floats | None:
+    """Constant distances at the loops, nm, of the simulation in a folder; None if it has none."""
+    lengths = _read(path, {})[0].get("loop_lengths", np.empty(0))
+    return lengths if len(lengths) else None
+
+
 class Folder:
     """Files of one simulation, appended to as it runs.
 
@@ -67,10 +77,12 @@ class Folder:
         ``dcd`` or ``xtc``.
     settings : mapping of plain values
         Settings that a run must share to resume from the checkpoint.
+    loop_lengths : (m,) float, nm
+        Constant distances at closed loops.
     """
 
-    def __init__(self, path: Path, suffix: str, settings: Mapping[str, Any]) -> None:
-        self.path, self.settings = path, settings
+    def __init__(self, path: Path, suffix: str, settings: Mapping[str, Any], loop_lengths: Floats) -> None:
+        self.path, self.settings, self.loop_lengths = path, settings, loop_lengths
         self.trajectory = path / f"trajectory.{suffix}"
         self.log, self.log_part = path / "log.csv", path / "log.part.csv"
         self.stored: dict[str, Any] = {}
@@ -98,7 +110,7 @@ class Folder:
         State, list of dict, (na, 3) float
             State at the checkpoint, rows logged so far, and positions the neighbour lists were made at.
         """
-        arrays, values = read_arrays(self.path / CHECKPOINT, self.settings)
+        arrays, values = _read(self.path, self.settings)
         self.stored = values
         self.start = arrays["start"]
         if not self.log_part.exists() and self.log.exists():
@@ -144,6 +156,7 @@ class Folder:
             "rotation": factors.frames.rotation, "origin": factors.frames.origin, "inertia": factors.inertia,
             "gain": factors.gain, "pivot": factors.pivot, "root": factors.root,
             "start": self.start, "lists_at": np.empty((0, 3)) if lists_at is None else lists_at,
+            "loop_lengths": self.loop_lengths,
         }  # fmt: skip
         write_arrays(self.path / CHECKPOINT, arrays, values, self.settings)
         self.stored = values

@@ -2,7 +2,7 @@
 
 import hashlib
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from time import perf_counter
@@ -19,7 +19,7 @@ from protochain.checks import WATCHER, checked, flag, integer, path, quantity, t
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import has_free_roots
 from protochain.dynamics.fixman import fixman
-from protochain.dynamics.folder import Folder, check_folder, rescued
+from protochain.dynamics.folder import Folder, check_folder, loop_lengths, rescued
 from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
 from protochain.dynamics.loop import run as propagate
 from protochain.dynamics.settings import INTEGRATORS, THERMOSTATS, SimulationSettings, build_thermostat
@@ -97,7 +97,7 @@ def simulate(
         Add Fixman's potential, which corrects the bias of rigid bonds and angles.
     loops : str
         Disulfides and other bonds at which loops were cut: ``open`` leaves them to the force field,
-        ``closed`` keeps their lengths and angles by constraints.
+        ``closed`` keeps them, by constraints, at the lengths and angles they have at q.
     hydrogen_mass : float, optional, amu
         Mass of every hydrogen, as in :func:`protochain.build_chain`.
     trajectory_length : int
@@ -138,8 +138,9 @@ def simulate(
         raise ProtochainError("resume=True: give the folder of the simulation as output")
     chain = as_chain(chain)
     energy = as_energy(energy, chain.structure)
-    run = _prepare(chain, energy, q, settings)
-    folder = Folder(Path(output), trajectory, run.identity) if output is not None else None
+    # A resumed run has the loops of its own start, not of this q.
+    run = _prepare(chain, energy, q, settings, loop_lengths(Path(output)) if resume and output else None)
+    folder = Folder(Path(output), trajectory, run.identity, run.loop_lengths) if output is not None else None
     with threadpool_limits(1, "blas"), rescued(folder):
         return _simulate(run, folder, resume, n_steps, checkpoint_every, watch)
 
@@ -156,6 +157,11 @@ class _Run:
     propagator: Propagator
     closure: Closure | None
     freedoms: int
+
+    @property
+    def loop_lengths(self) -> Floats:
+        """Constant distances at the loops, nm; none where they are open."""
+        return np.empty(0) if self.closure is None else self.closure.length
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -198,7 +204,9 @@ class _Run:
         return row, self.frame(x)
 
 
-def _prepare(chain: Chain, energy: Energy, q: Floats | None, settings: SimulationSettings) -> _Run:
+def _prepare(
+    chain: Chain, energy: Energy, q: Floats | None, settings: SimulationSettings, lengths: Floats | None
+) -> _Run:
     """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator."""
     given = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
     root = "free" if chain.root == "auto" else chain.root
@@ -208,7 +216,10 @@ def _prepare(chain: Chain, energy: Energy, q: Floats | None, settings: Simulatio
     parts = [chain_potential(made, varying)]
     if settings.fixman:
         parts.append(fixman(settings.thermal_energy))
-    closure = closure_of(made) if settings.loops == "closed" else None
+    start = _transferred(chain, made, given)
+    closure = closure_of(made, start) if settings.loops == "closed" else None
+    if closure is not None and lengths is not None:
+        closure = replace(closure, length=lengths)
     system = System(made.tree, parts[0] if len(parts) == 1 else total(parts), closure)
     freedoms = made.n_v - (0 if closure is None else len(closure.length))
     removes = has_free_roots(made.tree) and THERMOSTATS[settings.thermostat].conserves_momentum
@@ -217,7 +228,6 @@ def _prepare(chain: Chain, energy: Energy, q: Floats | None, settings: Simulatio
         system, INTEGRATORS[settings.integrator], build_thermostat(settings, freedoms), settings.time_step,
         settings.thermal_energy, settings.seed, removes,
     )  # fmt: skip
-    start = _transferred(chain, made, given)
     return _Run(made, energy, varying, start, settings, propagator, closure, freedoms)
 
 

@@ -50,7 +50,8 @@ def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any]) 
     ProtochainError
         If the file cannot be read, or belongs to a run with other settings.
     """
-    arrays, tree = read_arrays(path, settings)
+    remedy = "give a file that an earlier run wrote as its checkpoint"
+    arrays, tree = read_arrays(path, settings, "minimisation", remedy)
     try:
         stage = plan[tree["fields"]["stage"]]
         waypoint: Waypoint = _value(tree, arrays, stage)

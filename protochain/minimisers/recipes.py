@@ -99,7 +99,10 @@ class Recipe:
 
     @property
     def keeps_geometry(self) -> bool:
-        """Whether only hinges turn: bond lengths and angles (except opened ones) stay those of the start."""
+        """Whether only hinges turn.
+
+        Bond lengths and angles are then untouched, except opened ones and where rings and disulfides close.
+        """
         return not self.by_openmm and all(run.in_torsions for run in self.runs)
 
     @property

@@ -207,7 +207,10 @@ class Solution(Value):
 
     @property
     def keeps_geometry(self) -> bool:
-        """Whether only hinges turned: bond lengths and angles (except opened ones) are those of the start."""
+        """Whether only hinges turned.
+
+        Bond lengths and angles are then untouched, except opened ones and where rings and disulfides close.
+        """
         return self.recipe.keeps_geometry
 
     @property

@@ -14,6 +14,7 @@ from protochain.arrays import Floats, Integers, Value, read_only
 from protochain.errors import StructureError
 from protochain.markup import facts
 from protochain.residues import describe
+from protochain.structure.changes import summarised
 from protochain.structure.header import Label
 
 
@@ -198,6 +199,11 @@ class Structure(Value):
         seen.update(repr(self.ties).encode())
         return seen.hexdigest()
 
+    @cached_property
+    def changes(self) -> tuple[str, ...]:
+        """Summary of the repairs: losses first, alike changes in one line."""
+        return summarised(self.repairs)
+
     def describe_residue(self, residue: int) -> str:
         """Describe a residue: ``residue 17 GLU of chain A``."""
         number = f"{self.residue_number[residue]}{self.residue_insertion_code[residue]}"
@@ -226,6 +232,6 @@ class Structure(Value):
                 "residues": self.n_residues,
                 "atoms": self.n_atoms,
                 "left out": left_out or "nothing",
-                "repairs": "; ".join(self.repairs) or "none",
+                "repairs": "; ".join(self.changes) or "none",
             },
         )
