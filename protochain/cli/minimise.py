@@ -111,10 +111,9 @@ def minimise(
         width = defaults.SPREAD if spread is None else math.radians(spread)
         solve = partial(_often, n_starts=starts, spread=width, hop_temperature=hop, **settings)
     records = []
-    with _Writer(output, suffix, one_file) as write:
+    with _Writer(output, suffix, one_file, trace, report) as write:
         for own, path in runs:
             records.append(_solved(context, source, own, path, solve, write))
-            _write_beside(write.done[-1], trace, report, records[-1])
             if records[-1]["status"] == "interrupted":
                 break
     with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
@@ -138,9 +137,7 @@ def _check_outputs(output: Path, trajectory: Path | None, report: Path | None, a
     if str(output) != STANDARD_OUTPUT:
         check_format(output)
     elif as_json:
-        raise ProtochainError(
-            "output -: structure and --json both go to standard output; give a file"
-        )
+        raise ProtochainError("output -: structure and --json both go to standard output; give a file")
     if trajectory:
         check_trajectory(trajectory)
     if report and report.suffix.lower() != ".html":
@@ -179,17 +176,31 @@ def _runs(
 
 
 class _Writer:
-    """Writer of solutions, each to its own file, or at the end all to one."""
+    """Writer of solutions, each to its own file or at the end all to one, and of their other files."""
 
-    def __init__(self, output: Path, suffix: str, one_file: bool) -> None:
+    def __init__(
+        self, output: Path, suffix: str, one_file: bool, trace: Path | None, report: Path | None
+    ) -> None:
         self.output, self.suffix, self.one_file = output, suffix, one_file
+        self.trace, self.report = trace, report
         self.done: list[Solution] = []
 
-    def __call__(self, solution: "Solution", path: Path) -> None:
-        """Write a solution, or keep it for the end."""
+    def __call__(self, solution: "Solution", path: Path, origin: Mapping[str, Any]) -> dict[str, str]:
+        """Write a solution, or keep it for the end; return what its record says of other files."""
+        from protochain.storage import write_atomically
+
         self.done.append(solution)
         if not self.one_file:
             self._write(path, [solution.structure], solution.provenance())
+        if self.trace:
+            write_atomically(self.trace, lambda to: solution.trace.to_csv(to, index=False))
+        if not self.report:
+            return {}
+        from protochain.analysis import Comparison
+        from protochain.analysis.report import write_page
+
+        write_page(Comparison(solution.chain.structure, (solution,), origin), self.report)
+        return {"report": str(self.report)}
 
     def __enter__(self) -> Self:
         return self
@@ -229,26 +240,9 @@ def _solved(
     solution, starts = solve(chain, energy)
     if not solution.is_usable:
         raise SystemExit(fail(f"{source}: {solution.message}"))
-    write(solution, output)
     record = solution.record() | starts | ({} if setup.model is None else {"model": setup.model})
-    return record | {"input": str(source), "output": str(output), "seconds_preparation": preparation}
-
-
-def _write_beside(
-    solution: "Solution", trace: Path | None, report: Path | None, record: dict[str, Any]
-) -> None:
-    """Write the trace and the page of a run."""
-    from protochain.storage import write_atomically
-
-    if trace:
-        write_atomically(trace, lambda to: solution.trace.to_csv(to, index=False))
-    if report:
-        from protochain.analysis import Comparison
-        from protochain.analysis.report import write_page
-
-        origin = {name: record[name] for name in ("input", "output", "seconds_preparation")}
-        write_page(Comparison(solution.chain.structure, (solution,), origin), report)
-        record["report"] = str(report)
+    origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
+    return record | origin | write(solution, output, origin)
 
 
 def _once(
