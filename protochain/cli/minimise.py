@@ -120,10 +120,9 @@ def minimise(
         solve = partial(_often, n_starts=starts, spread=width, hop_temperature=hop, **settings)
     lengths = starts * typical_evaluations(method, max_evaluations), starts * max_evaluations
     records: list[dict[str, Any]] = []
-    with _Writer(output, suffix, one_file) as write:
+    with _Writer(output, suffix, one_file, trace, report) as write:
         for own, path in runs:
             records.append(_solved(context, source, own, path, solve, lengths, write))
-            _write_beside(write.done[-1], trace, report, records[-1])
             if records[-1]["status"] == "interrupted":
                 break
     with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
@@ -188,17 +187,40 @@ def _runs(
 
 
 class _Writer:
-    """Writer of solutions, each to its own file, or at the end all to one."""
+    """Writer of solutions, each to its own file or at the end all to one, and of their other files."""
 
-    def __init__(self, output: Path, suffix: str, one_file: bool) -> None:
+    def __init__(
+        self, output: Path, suffix: str, one_file: bool, trace: Path | None, report: Path | None
+    ) -> None:
         self.output, self.suffix, self.one_file = output, suffix, one_file
+        self.trace, self.report = trace, report
         self.done: list[Solution] = []
 
-    def __call__(self, solution: "Solution", path: Path) -> None:
-        """Write a solution, or keep it for the end."""
+    def __call__(
+        self, solution: "Solution", path: Path, origin: Mapping[str, Any], lost: list[str]
+    ) -> dict[str, Any]:
+        """Write a solution, or keep it for the end; return what its record says of other files.
+
+        A full disk loses only what does not fit; ``lost`` are the lines that say so.
+        """
+        from protochain.storage import write_atomically
+
         self.done.append(solution)
         if not self.one_file:
             self._write(path, [solution.structure], solution.provenance())
+        written: dict[str, Any] = {}
+        try:
+            if self.trace:
+                write_atomically(self.trace, lambda to: solution.trace.to_csv(to, index=False))
+            if self.report:
+                from protochain.analysis import Comparison
+                from protochain.analysis.report import write_page
+
+                write_page(Comparison(solution.chain.structure, (solution,), origin), self.report)
+                written["report"] = str(self.report)
+        except WriteError as error:
+            lost = [*lost, str(error)]
+        return written | ({"not_written": lost} if lost else {})
 
     def __enter__(self) -> Self:
         return self
@@ -242,33 +264,11 @@ def _solved(
         raise SystemExit(
             fail(f"{source}: {solution.message}; nothing is better than the start: nothing is written")
         )
-    write(solution, output)
-    record = solution.record() | beside | ({} if setup.model is None else {"model": setup.model})
-    return record | {"input": str(source), "output": str(output), "seconds_preparation": preparation}
-
-
-def _write_beside(
-    solution: "Solution", trace: Path | None, report: Path | None, record: dict[str, Any]
-) -> None:
-    """Write the trace and the page of a run; say what could not be written beside the result."""
-    from protochain.storage import write_atomically
-
-    lost = record.get("not_written", [])
-    try:
-        if trace:
-            write_atomically(trace, lambda to: solution.trace.to_csv(to, index=False))
-        if report:
-            from protochain.analysis import Comparison
-            from protochain.analysis.report import write_page
-
-            origin = {name: record[name] for name in ("input", "output", "seconds_preparation")}
-            write_page(Comparison(solution.chain.structure, (solution,), origin), report)
-            record["report"] = str(report)
-    except WriteError as error:
-        lost.append(str(error))
-    for line in lost:
-        record["not_written"] = lost
-        fail(f"{line}; saved: {record['output']}")
+    origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
+    beside |= write(solution, output, origin, beside.get("not_written", []))
+    for line in beside.get("not_written", []):
+        fail(f"{line}; saved: {output}")
+    return solution.record() | beside | ({} if setup.model is None else {"model": setup.model}) | origin
 
 
 def _once(
