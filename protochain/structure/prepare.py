@@ -1,7 +1,7 @@
 """Preparation of a structure: heavy atoms completed, bonds between residues found, hydrogens placed.
 
-Atoms are placed by geometry, missing side chains on rotamers: the same file gives the same coordinates, bit for
-bit.
+Atoms are placed by geometry, missing side chains on rotamers: the same file gives the same coordinates, bit
+for bit.
 """
 
 from collections.abc import Sequence
