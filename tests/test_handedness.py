@@ -229,7 +229,7 @@ def test_a_side_chain_goes_on_from_the_atoms_of_the_file_even_if_these_are_of_th
     assert places(lysine)["CB"] == pytest.approx(mirror)
 
 
-@pytest.mark.parametrize("name", ["CB", "CG", "CD1", "CE1", "CZ", "O", "CD", "OD2", "CG1", "SG"])
+@pytest.mark.parametrize("name", ["CB", "CG", "CD1", "CE1", "CZ", "O", "CD", "OD2", "CG1", "SG", "NH2"])
 def test_a_single_missing_atom_comes_back_near_its_place(name):
     """The atoms beyond it are there and fix it; the last of a branch follows from those beside it."""
     draft = read(STRUCTURES / "1ubq.pdb" if name != "SG" else STRUCTURES / "4pti.pdb")

@@ -96,9 +96,7 @@ def verdict(
     """
     inverted = changed_hands(structure, x, structure.positions)
     if inverted:
-        measured = (
-            f"{listed(inverted)} changed hand; part the overlaps first, or turn hinges only; {measured}"
-        )
+        measured = f"{listed(inverted)} changed hand; lbfgs keeps hands: it turns bonds only; {measured}"
         if stop is not Stop.INTERRUPTED:
             return Status.INVERTED, f"inverted: {measured}"
         met = False

@@ -110,7 +110,8 @@ def choosable(site: Site) -> tuple[Floats, Floats]:
         chi, frequency = turns, near @ frequency
     rarity = -np.log(np.maximum(frequency, 1e-6))
     for k, value in fixed_chi(site.member.name, site.known).items():
-        rarity = rarity + 0.5 * (wrapped(chi[:, k] - value) / WIDTH) ** 2
+        if k < chi.shape[1]:
+            rarity = rarity + 0.5 * (wrapped(chi[:, k] - value) / WIDTH) ** 2
     return chi, rarity
 
 

@@ -1,7 +1,7 @@
 """Preparation of a structure: heavy atoms completed, bonds between residues found, hydrogens placed.
 
-Atoms are placed by geometry, or by PDBFixer with a seed on the Reference platform: the same file gives the
-same coordinates, bit for bit.
+Atoms are placed by geometry, missing side chains on rotamers: the same file gives the same coordinates, bit
+for bit.
 """
 
 from collections.abc import Sequence
@@ -43,10 +43,11 @@ def load(
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
-    Waters and other alternate locations are left out, ligands near the protein kept as fixed obstacles; chains are split at breaks, head-to-tail
-    cyclic peptides closed; modified residues become their standard parents; missing heavy atoms are added by
-    PDBFixer, disulfides found by distance, missing hydrogens placed by geometry. The same file gives the
-    same coordinates, bit for bit.
+    Waters and other alternate locations are left out, molecules near the protein kept as fixed obstacles;
+    chains are split at breaks, head-to-tail cyclic peptides closed; modified residues become their standard
+    parents; missing side-chain atoms are built on rotamers, of the hand that the residue's name says;
+    disulfides are found by distance, missing hydrogens placed by geometry. The same file gives the same
+    coordinates, bit for bit.
 
     Parameters
     ----------

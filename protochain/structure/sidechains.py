@@ -161,13 +161,13 @@ def grown(residue: str, known: Mapping[str, Floats], chi: Floats) -> Places:
         if branch.name in at:
             continue
         turn = np.full(n, branch.dihedral)
-        beside = [b for b in geometry.branches if b.before == branch.before and b.name in known]
-        before = [at[name] for name in branch.before]
+        beside = [each for each in geometry.branches if each.before == branch.before and each.name in known]
+        a, b, c = (at[name] for name in branch.before)
         if beside:
-            turn = turn + dihedral(*before, known[beside[0].name]) - beside[0].dihedral
+            turn = turn + dihedral(a, b, c, known[beside[0].name]) - beside[0].dihedral
         elif branch.chi is not None:
             turn = turn + _padded(chi, len(geometry.chi))[:, branch.chi] - geometry.chi[branch.chi]
-        at[branch.name] = placed(*before, branch.length, branch.angle, turn)
+        at[branch.name] = placed(a, b, c, branch.length, branch.angle, turn)
     return {name: np.broadcast_to(x, (n, 3)) for name, x in at.items() if name not in known}
 
 
@@ -206,7 +206,11 @@ def bridged(residue: str, known: Mapping[str, Floats]) -> Places:
 
 def _at_distances(fixed: Floats, target: Floats, start: Floats) -> Floats:
     """(3,) float: the point near a start whose distances to others fit best."""
-    return np.asarray(least_squares(lambda x: np.linalg.norm(x - fixed, axis=1) - target, start).x)
+
+    def misfit(x: Floats) -> Floats:
+        return np.asarray(np.linalg.norm(x - fixed, axis=1) - target)
+
+    return np.asarray(least_squares(misfit, start).x)
 
 
 def _is_beside(geometry: Ideal, first: str, second: str) -> bool:
