@@ -120,8 +120,8 @@ def _recognised(force_field: app.ForceField, structure: Structure) -> tuple[app.
         if not found - unknown:
             return _topology(structure, bonds), sorted(unknown)
         unknown |= found
-        # Radii of hydrogens depend on what they are bonded to; other bonds would only give constants. A strand
-        # with an unknown nucleotide falls apart.
+        # Radii of hydrogens depend on what they are bonded to; other bonds would only give constants.
+        # A strand with an unknown nucleotide falls apart.
         light = (structure.atom_element[bonds] == "H").any(axis=1)
         bonds = bonds[light | ~np.isin(residue[bonds], list(unknown)).any(axis=1)]
 
@@ -178,7 +178,10 @@ def _add_pairs(
     """Add nonbonded parameters in the form that the force field has: with or without a table of pairs."""
     generators = {type(each).__name__: each for each in force_field.getGenerators()}
     tabulated = "LennardJonesGenerator" in generators
-    for generator, tag in (("NonbondedGenerator", "NonbondedForce"), ("LennardJonesGenerator", "LennardJonesForce")):
+    for generator, tag in (
+        ("NonbondedGenerator", "NonbondedForce"),
+        ("LennardJonesGenerator", "LennardJonesForce"),
+    ):
         its = generators.get(generator)
         if its is None:
             continue
@@ -226,8 +229,8 @@ def _variant(force_field: app.ForceField, residue: Any, linked: Iterable[int]) -
     ]
     if not fitting:
         raise ForceFieldError(
-            f"residue {residue.name} is bonded to a molecule kept beside the protein, and the force field has no "
-            "template for it; leave the molecule out with --keep"
+            f"residue {residue.name} is bonded to a molecule kept beside the protein, and the force field "
+            "has no template for it; leave the molecule out with --keep"
         )
     # CYS before CYM: the bond takes the place of the hydrogen.
     base = max(fitting, key=lambda pair: pair[0])[1]
@@ -303,9 +306,7 @@ def _exclude(system: openmm.System, pairs: Iterable[tuple[int, int]]) -> None:
             for i, j in pairs:
                 force.addException(i, j, 0.0, 1.0, 0.0, True)
         elif isinstance(force, openmm.CustomNonbondedForce):
-            known = {
-                tuple(sorted(force.getExclusionParticles(k))) for k in range(force.getNumExclusions())
-            }
+            known = {tuple(sorted(force.getExclusionParticles(k))) for k in range(force.getNumExclusions())}
             for i, j in pairs:
                 if (i, j) not in known:
                     force.addExclusion(i, j)

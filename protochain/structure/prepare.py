@@ -38,10 +38,10 @@ def load(
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
-    Waters and other alternate locations are left out, ligands near the protein kept as fixed obstacles; chains are split at breaks, head-to-tail
-    cyclic peptides closed; modified residues become their standard parents; missing heavy atoms are added by
-    PDBFixer, disulfides found by distance, missing hydrogens placed by geometry. The same file gives the
-    same coordinates, bit for bit.
+    Waters and other alternate locations are left out, ligands near the protein kept as fixed obstacles;
+    chains are split at breaks, head-to-tail cyclic peptides closed; modified residues become their standard
+    parents; missing heavy atoms are added by PDBFixer, disulfides and metal sites found by distance, missing
+    hydrogens placed by geometry. The same file gives the same coordinates, bit for bit.
 
     Parameters
     ----------

@@ -17,14 +17,14 @@ from protochain.structure.draft import Draft, Member
 from protochain.structure.model import Tie
 
 _OXYGEN_DISTANCE = {
-    "Na": 2.38, "Mg": 2.07, "K": 2.74, "Ca": 2.36, "Mn": 2.15, "Fe": 2.04, "Co": 2.05, "Ni": 2.06, "Cu": 1.99,
-    "Zn": 1.99,
+    "Na": 2.38, "Mg": 2.07, "K": 2.74, "Ca": 2.36, "Mn": 2.15, "Fe": 2.04, "Co": 2.05, "Ni": 2.06,
+    "Cu": 1.99, "Zn": 1.99,
 }  # fmt: skip
-"""Angstrom, usual distance of oxygen in proteins: Harding, Acta Cryst. D62:678 (2006), Ni by its ionic radius."""
+"""Angstrom, usual distance of oxygen in proteins: Harding, Acta Cryst. D62:678 (2006); Ni by its radius."""
 _OTHER_METAL = 2.3
 """Angstrom: of metals that are not in the table."""
 _SLACK = {"O": 0.5, "N": 0.5, "S": 0.75, "Se": 0.85}
-"""Angstrom beyond the usual distance of oxygen up to which a donor is bonded; sulphur is larger by a quarter."""
+"""Angstrom beyond the usual distance of oxygen up to which a donor is bonded; sulphur is larger."""
 _STATED = 3.3
 """Angstrom: bonds that the file states are believed up to this length."""
 _COVALENT_SLACK = 0.3
@@ -36,8 +36,8 @@ _STRAIGHT = np.deg2rad(170.0)
 
 _METAL_BOND, _METAL_ANGLE, _DONOR_ANGLE = 8.0e4, 300.0, 540.0
 """kJ/mol/nm^2, kJ/mol/rad^2: angles are those of Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver,
-Merz, J. Chem. Theory Comput. 6:2935, 2010: S-Zn-S 299, C-S-Zn 539). Its bond has 2.7e4; three times that keeps
-the input's distances where charges pull."""
+Merz, J. Chem. Theory Comput. 6:2935, 2010: S-Zn-S 299, C-S-Zn 539). Its bond has 2.7e4; three times that
+keeps the distances of the input where charges pull."""
 _BOND, _ANGLE = 2.7e5, 500.0
 """kJ/mol/nm^2, kJ/mol/rad^2: of the size of bonds and angles between first-row atoms in ff14SB."""
 
@@ -106,7 +106,8 @@ def find_links(draft: Draft) -> list[Link]:
         sites.setdefault(id(link.other_atom), []).append(link)
     for site in sites.values():
         ends = ", ".join(
-            f"{each.atom.name} of {each.member} ({each.atom.pos.dist(each.other_atom.pos):.2f} angstrom)" for each in site
+            f"{each.atom.name} of {each.member} ({each.atom.pos.dist(each.other_atom.pos):.2f} angstrom)"
+            for each in site
         )
         how = "coordinated by" if site[0].is_metal else "bonded to"
         along = ", and moves with them" if moves(draft, site[0].other, links) else ""
@@ -132,7 +133,10 @@ def _is_bonded(draft: Draft, link: Link) -> bool:
     if distance < _OVERLAP:
         return False
     if draft.states(
-        *((member.chain_id, member.seqid, a.name) for member, a in ((link.member, first), (link.other, second)))
+        *(
+            (member.chain_id, member.seqid, a.name)
+            for member, a in ((link.member, first), (link.other, second))
+        )
     ):
         return True
     if link.is_metal:
@@ -145,7 +149,11 @@ def _is_bonded(draft: Draft, link: Link) -> bool:
 
 
 def ties(
-    links: Sequence[Link], at: Mapping[int, Mapping[str, int]], x: Floats, element: Sequence[str], bonds: Floats
+    links: Sequence[Link],
+    at: Mapping[int, Mapping[str, int]],
+    x: Floats,
+    element: Sequence[str],
+    bonds: Floats,
 ) -> tuple[Tie, ...]:
     """Springs that hold the bonds at the distances and angles of the input.
 
