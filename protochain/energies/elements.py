@@ -152,7 +152,7 @@ def _register(force_field: app.ForceField, structure: Structure, residue: Any) -
     root = ElementTree.Element("ForceField")
     types, templates = (ElementTree.SubElement(root, tag) for tag in ("AtomTypes", "Residues"))
     template = ElementTree.SubElement(templates, "Residue", name=name)
-    kinds = {}
+    kinds: dict[tuple[str, int], str] = {}
     for a in atoms:
         charge = int(structure.formal_charge[a.index])
         symbol = a.element.symbol

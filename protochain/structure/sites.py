@@ -12,7 +12,7 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.arrays import Floats
+from protochain.arrays import Floats, Integers
 from protochain.structure.draft import Draft, Member
 from protochain.structure.model import Tie
 
@@ -153,7 +153,7 @@ def ties(
     at: Mapping[int, Mapping[str, int]],
     x: Floats,
     element: Sequence[str],
-    bonds: Floats,
+    bonds: Integers,
 ) -> tuple[Tie, ...]:
     """Springs that hold the bonds at the distances and angles of the input.
 
@@ -172,7 +172,7 @@ def ties(
     tuple of Tie
     """
     neighbours: dict[int, list[int]] = {}
-    for first, second in np.asarray(bonds).tolist():
+    for first, second in bonds.tolist():
         if "H" not in (element[first], element[second]):
             neighbours.setdefault(first, []).append(second)
             neighbours.setdefault(second, []).append(first)
