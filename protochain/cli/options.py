@@ -80,8 +80,8 @@ _SETUP = {
     ),
     "altloc": _option(str, "Alternate location to prefer [default: of highest occupancy]."),
     "keep": _option(
-        str, "Fixed obstacles to keep, with commas: near (all but waters within 5 angstrom of the protein), none, "
-        "all, water, ions, nucleic, ligands, or names of residues [default: near].",
+        str, "Molecules to keep in place, with commas: near (all but waters within 5 angstrom of it), "
+        "none, all, water, ions, nucleic, ligands, or names of residues [default: near].",
     ),
     "disulfide": _option(
         list[str] | None, "Disulfide bond; repeat for more [default: where sulphurs are near each other].",

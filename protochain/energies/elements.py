@@ -120,8 +120,8 @@ def _recognised(force_field: app.ForceField, structure: Structure) -> tuple[app.
         if not found - unknown:
             return _topology(structure, bonds), sorted(unknown)
         unknown |= found
-        # Radii of hydrogens depend on what they are bonded to; other bonds would only give constants. A strand
-        # with an unknown nucleotide falls apart.
+        # Radii of hydrogens depend on what they are bonded to; other bonds would only give constants.
+        # A strand with an unknown nucleotide falls apart.
         light = (structure.atom_element[bonds] == "H").any(axis=1)
         bonds = bonds[light | ~np.isin(residue[bonds], list(unknown)).any(axis=1)]
 
@@ -152,7 +152,7 @@ def _register(force_field: app.ForceField, structure: Structure, residue: Any) -
     root = ElementTree.Element("ForceField")
     types, templates = (ElementTree.SubElement(root, tag) for tag in ("AtomTypes", "Residues"))
     template = ElementTree.SubElement(templates, "Residue", name=name)
-    kinds = {}
+    kinds: dict[tuple[str, int], str] = {}
     for a in atoms:
         charge = int(structure.formal_charge[a.index])
         symbol = a.element.symbol
@@ -229,8 +229,8 @@ def _variant(force_field: app.ForceField, residue: Any, linked: Iterable[int]) -
     ]
     if not fitting:
         raise ForceFieldError(
-            f"residue {residue.name} is bonded to a molecule kept beside the protein, and the force field has no "
-            "template for it; leave the molecule out with --keep"
+            f"residue {residue.name} is bonded to a molecule kept beside the protein, and the force field "
+            "has no template for it; leave the molecule out with --keep"
         )
     # CYS before CYM: the bond takes the place of the hydrogen.
     base = max(fitting, key=lambda pair: pair[0])[1]

@@ -1,4 +1,4 @@
-"""Molecules kept beside the protein as fixed obstacles: ligands, cofactors, glycans, ions, nucleic acids, waters."""
+"""Molecules kept beside the protein: ligands, cofactors, glycans, ions, nucleic acids, waters."""
 
 import re
 from collections import Counter

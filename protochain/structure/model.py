@@ -177,7 +177,7 @@ class Structure(Value):
 
     @cached_property
     def kept(self) -> NDArray[np.bool_]:
-        """(na,) bool: atoms beside the protein: obstacles, and ions that move with the residues that hold them."""
+        """(na,) bool: atoms beside the protein: obstacles, and ions that move with what holds them."""
         beside = self.obstacle.copy()
         beside[[tie.atoms[1] for tie in self.ties if len(tie.atoms) == 2]] = True
         return read_only(beside, np.bool_)

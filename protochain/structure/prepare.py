@@ -46,8 +46,8 @@ def load(
     Waters and other alternate locations are left out, molecules near the protein kept as fixed obstacles;
     chains are split at breaks, head-to-tail cyclic peptides closed; modified residues become their standard
     parents; missing side-chain atoms are built on rotamers, of the hand that the residue's name says;
-    disulfides are found by distance, missing hydrogens placed by geometry. The same file gives the same
-    coordinates, bit for bit.
+    disulfides and metal sites are found by distance, missing hydrogens placed by geometry. The same file
+    gives the same coordinates, bit for bit.
 
     Parameters
     ----------

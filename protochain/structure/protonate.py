@@ -81,20 +81,20 @@ def _template(
     elif state and not shown:
         draft.repairs.append(f"{member} taken as {state}")
     template = template or usual
-    for atom in member.links:
-        if atom.name != "N":
-            template = template.without_hydrogen(atom.name)
+    for linked in member.links:
+        if linked.name != "N":
+            template = template.without_hydrogen(linked.name)
     return template
 
 
 def _free_pair(member: Member) -> str:
-    """State of a residue whose free pair of electrons bonds to a metal or a ligand; empty for the usual one."""
-    bonded = {atom.name for atom in (*member.metals, *member.links)}
+    """State of a residue whose free pair of electrons is bonded; empty for the usual one."""
+    bonded = {a.name for a in (*member.metals, *member.links)}
     if member.name == "HIS" and bonded & {"ND1", "NE2"}:
         return "HIE" if "ND1" in bonded else "HID"
     if member.name == "CYS" and "SG" in bonded:
         return "CYM"
-    if member.name == "LYS" and any(atom.name == "NZ" for atom in member.metals):
+    if member.name == "LYS" and any(a.name == "NZ" for a in member.metals):
         return "LYN"
     return ""
 

@@ -17,14 +17,14 @@ from protochain.structure.draft import Draft, Member
 from protochain.structure.model import Tie
 
 _OXYGEN_DISTANCE = {
-    "Na": 2.38, "Mg": 2.07, "K": 2.74, "Ca": 2.36, "Mn": 2.15, "Fe": 2.04, "Co": 2.05, "Ni": 2.06, "Cu": 1.99,
-    "Zn": 1.99,
+    "Na": 2.38, "Mg": 2.07, "K": 2.74, "Ca": 2.36, "Mn": 2.15, "Fe": 2.04, "Co": 2.05, "Ni": 2.06,
+    "Cu": 1.99, "Zn": 1.99,
 }  # fmt: skip
-"""Angstrom, usual distance of oxygen in proteins: Harding, Acta Cryst. D62:678 (2006), Ni by its ionic radius."""
+"""Angstrom, usual distance of oxygen in proteins: Harding, Acta Cryst. D62:678 (2006); Ni by its radius."""
 _OTHER_METAL = 2.3
 """Angstrom: of metals that are not in the table."""
 _SLACK = {"O": 0.5, "N": 0.5, "S": 0.75, "Se": 0.85}
-"""Angstrom beyond the usual distance of oxygen up to which a donor is bonded; sulphur is larger by a quarter."""
+"""Angstrom beyond the usual distance of oxygen up to which a donor is bonded; sulphur is larger."""
 _STATED = 3.3
 """Angstrom: bonds that the file states are believed up to this length."""
 _COVALENT_SLACK = 0.3
@@ -36,8 +36,8 @@ _STRAIGHT = np.deg2rad(170.0)
 
 _METAL_BOND, _METAL_ANGLE, _DONOR_ANGLE = 8.0e4, 300.0, 540.0
 """kJ/mol/nm^2, kJ/mol/rad^2: angles are those of Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver,
-Merz, J. Chem. Theory Comput. 6:2935, 2010: S-Zn-S 299, C-S-Zn 539). Its bond has 2.7e4; three times that keeps
-the input's distances where charges pull."""
+Merz, J. Chem. Theory Comput. 6:2935, 2010: S-Zn-S 299, C-S-Zn 539). Its bond has 2.7e4; three times that
+keeps the distances of the input where charges pull."""
 _BOND, _ANGLE = 2.7e5, 500.0
 """kJ/mol/nm^2, kJ/mol/rad^2: of the size of bonds and angles between first-row atoms in ff14SB."""
 
@@ -172,7 +172,7 @@ def ties(
     tuple of Tie
     """
     neighbours: dict[int, list[int]] = {}
-    for first, second in np.asarray(bonds).tolist():
+    for first, second in bonds.tolist():
         if "H" not in (element[first], element[second]):
             neighbours.setdefault(first, []).append(second)
             neighbours.setdefault(second, []).append(first)

@@ -37,7 +37,18 @@ from protochain.energies.native.terms import Terms
 
 CLOSE = 0.35
 """nm. Pairs nearer than this come from a list, among them all excluded and clashing ones."""
-KINDS = ("bonds", "angles", "torsions", "impropers", "maps", "ties", "tie angles", "nonbonded", "polar", "surface")
+KINDS = (
+    "bonds",
+    "angles",
+    "torsions",
+    "impropers",
+    "maps",
+    "ties",
+    "tie angles",
+    "nonbonded",
+    "polar",
+    "surface",
+)
 """Components of the energy."""
 
 

@@ -139,7 +139,8 @@ def _stacked(kind: str, found: dict[str, list[openmm.Force]]) -> tuple[Integers,
     rows = [
         row
         for name, (its_kind, read) in _READERS.items() if its_kind == _TIED.get(kind, kind)
-        for force in found.get(name, []) if (force.getName() == TIES) == (kind in _TIED) for row in read(force)
+        for force in found.get(name, []) if (force.getName() == TIES) == (kind in _TIED)
+        for row in read(force)
     ]  # fmt: skip
     atoms = np.array([row[:n_atoms] for row in rows], dtype=np.int64).reshape(-1, n_atoms)
     values = [[plain(value) for value in row[n_atoms:]] for row in rows]
