@@ -157,14 +157,7 @@ def explore(
     ProtochainError
         If a setting is invalid.
     """
-    if n_starts < 1:
-        raise ProtochainError(f"starts {n_starts}: give at least 1")
-    if not 0 < spread < np.inf:
-        raise ProtochainError(f"spread {spread:g}: give an angle above 0, in rad")
-    if hop_temperature is not None and not 0 <= hop_temperature < np.inf:
-        raise ProtochainError(f"temperature {hop_temperature:g}: give a temperature in K, not below 0")
-    if Hold.of(settings.get("restraint", ()), settings.get("max_rmsd", np.inf)) != Hold():
-        raise ProtochainError("restrain and max-rmsd refer to each start's own structure; use one start")
+    check_starts(n_starts, spread, hop_temperature, **settings)
     chain = as_chain(chain)
     energy = as_energy(energy, chain.structure)
     solutions: list[Solution] = []
@@ -190,6 +183,24 @@ def explore(
         if solution.status is Status.INTERRUPTED:
             break
     return Starts(chain, tuple(solutions), tuple(accepted))
+
+
+def check_starts(n_starts: int, spread: float, hop_temperature: float | None, **settings: Any) -> None:
+    """Refuse settings of :func:`explore` that make no sense, before any work.
+
+    Raises
+    ------
+    ProtochainError
+        Naming the setting.
+    """
+    if n_starts < 1:
+        raise ProtochainError(f"starts {n_starts}: give at least 1")
+    if not 0 < spread < np.inf:
+        raise ProtochainError(f"spread {spread:g}: give an angle above 0, in rad")
+    if hop_temperature is not None and not 0 <= hop_temperature < np.inf:
+        raise ProtochainError(f"temperature {hop_temperature:g}: give a temperature in K, not below 0")
+    if Hold.of(settings.get("restraint", ()), settings.get("max_rmsd", np.inf)) != Hold():
+        raise ProtochainError("restrain and max-rmsd refer to each start's own structure; use one start")
 
 
 def perturbed(chain: Chain, spread: float, random: np.random.Generator) -> Chain:
