@@ -19,7 +19,6 @@ from protochain.checks import check_fields, integer, number, optional, several, 
 from protochain.errors import ProtochainError
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.recipes import recipe_of
-from protochain.minimisers.restraints import Hold
 from protochain.minimisers.starts import check_starts
 from protochain.setup import ALL_MODELS, Setup, models_asked
 from protochain.structure.files import format_of, split_name
@@ -89,8 +88,8 @@ class BatchSettings:
             )  # fmt: skip
         if self.hop_temperature is not None and self.n_starts == 1:
             raise ProtochainError("hop: needs several minima; give starts 2 or more")
-        hold = Hold() if self.n_starts == 1 else Hold.of(self.restraint, self.max_rmsd)
-        check_starts(self.n_starts, self.spread, self.hop_temperature, hold)
+        held = {} if self.n_starts == 1 else {"restraint": self.restraint, "max_rmsd": self.max_rmsd}
+        check_starts(self.n_starts, self.spread, self.hop_temperature, **held)
 
     def changed(self, **settings: Any) -> "BatchSettings":
         """Return these settings with some replaced, given by the names of their fields or of the setup's."""

@@ -26,6 +26,7 @@ from protochain.cli.options import (
     with_setup,
 )
 from protochain.cli.terminal import foretell, print_table, run_progress, typical_evaluations
+from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.setup import Setup
 
@@ -64,6 +65,8 @@ def compare(
     chosen = tuple(dict.fromkeys(words(methods)))
     for method in chosen:
         Minimisation(recipe_of(method), tolerance, max_evaluations)
+    if repeats < 1:
+        raise ProtochainError(f"repeats {repeats}: give at least 1")
     output = output or Path(f"{named_after(source)[0]}-comparison")
     # Structures are named after input and method: none can replace the input.
     check_folder(output, force)

@@ -98,6 +98,7 @@ def minimise(
     """Minimise the energy of one structure."""
     from protochain.minimisers.api import Minimisation
     from protochain.minimisers.recipes import recipe_of
+    from protochain.minimisers.starts import check_starts
 
     limit = math.inf if max_rmsd is None else max_rmsd
     Minimisation(recipe_of(method), tolerance, max_evaluations, seed, restrain, limit, checkpoint, resume)
@@ -117,6 +118,7 @@ def minimise(
         solve = partial(_once, trajectory=trajectory, checkpoint=checkpoint, resume=resume, **settings)
     else:
         width = defaults.SPREAD if spread is None else math.radians(spread)
+        check_starts(starts, width, hop, **settings)
         solve = partial(_often, n_starts=starts, spread=width, hop_temperature=hop, **settings)
     lengths = starts * typical_evaluations(method, max_evaluations), starts * max_evaluations
     records: list[dict[str, Any]] = []

@@ -211,9 +211,9 @@ def print_simulation(record: dict[str, Any]) -> None:
         f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half, "
         f"conserved energy drifts {record['conserved_drift_kj_mol_ps_per_100_atoms']:.2g} kJ/mol/ps "
         f"for 100 atoms{kept}\n"
-        f"C-alpha RMSD to the start {record['ca_rmsd_angstrom']:.2f} angstrom; to the input "
-        f"{record['ca_rmsd_input_angstrom']:.2f}, {record['ca_rmsd_input_as_filed_angstrom']:.2f} as filed, "
-        f"{record['frame']}\n"
+        f"C-alpha RMSD to the start {record['ca_rmsd_angstrom']:.2f} angstrom\n"
+        f"to the input {record['ca_rmsd_input_angstrom']:.2f}, as filed "
+        f"{record['ca_rmsd_input_as_filed_angstrom']:.2f}: {record['frame']}\n"
         f"written: {record['output']}"
     )
 
@@ -249,8 +249,8 @@ def print_table(records: list[dict[str, Any]]) -> None:
 def print_written(record: dict[str, Any]) -> None:
     """Print the file of a result, and how far it lies from its start: superposed, and as filed."""
     superposed, filed = (record[f"ca_rmsd_{name}angstrom"] for name in ("", "as_filed_"))
-    to = "standard output" if record["output"] == "-" else record["output"]
-    print(f"written: {to}, {record['frame']}: C-alpha RMSD {superposed:.2f} angstrom, {filed:.2f} as filed")
+    print(f"C-alpha RMSD {superposed:.2f} angstrom, as filed {filed:.2f}: {record['frame']}")
+    print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
 
 
 def print_jobs(jobs: "Sequence[Job]") -> None:

@@ -164,8 +164,7 @@ def explore(
     """
     if seed < 0:
         raise ProtochainError(f"seed {seed}: give 0 or more")
-    hold = Hold.of(settings.get("restraint", ()), settings.get("max_rmsd", np.inf))
-    check_starts(n_starts, spread, hop_temperature, hold)
+    check_starts(n_starts, spread, hop_temperature, **settings)
     chain = as_chain(chain)
     energy = as_energy(energy, chain.structure)
     solutions: list[Solution] = []
@@ -194,8 +193,8 @@ def explore(
     return Starts(chain, tuple(solutions), tuple(accepted))
 
 
-def check_starts(n_starts: int, spread: float, hop_temperature: float | None, hold: Hold) -> None:
-    """Refuse settings of several starts that make no sense.
+def check_starts(n_starts: int, spread: float, hop_temperature: float | None, **settings: Any) -> None:
+    """Refuse settings of :func:`explore` that make no sense, before any work.
 
     Raises
     ------
@@ -208,7 +207,7 @@ def check_starts(n_starts: int, spread: float, hop_temperature: float | None, ho
         raise ProtochainError(f"spread {spread:g}: give an angle above 0, in rad")
     if hop_temperature is not None and not 0 <= hop_temperature < np.inf:
         raise ProtochainError(f"hop_temperature {hop_temperature:g}: give a temperature in K, not below 0")
-    if hold != Hold():
+    if Hold.of(settings.get("restraint", ()), settings.get("max_rmsd", np.inf)) != Hold():
         raise ProtochainError("restraint and max_rmsd refer to each start's own structure; use one start")
 
 
