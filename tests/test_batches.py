@@ -20,6 +20,7 @@ from protochain.batches.report import statistics, worst_first, write_report
 from protochain.batches.supervise import Child
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables
 from protochain.batches.task import run
+from protochain.errors import WriteError
 from protochain.minimisers import record
 
 CUT = "ATOM      1  N   ALA A   1      11.104   6.134  -6.504  1.00  0.00           N\n"
@@ -362,6 +363,7 @@ def test_a_bug_or_full_memory_is_a_row(folder, tmp_path, monkeypatch):
     for error, status, said in (
         (MemoryError(), "killed", "out of memory"),
         (ZeroDivisionError("oh\nno"), "error", "ZeroDivisionError: oh no"),
+        (WriteError("a.pdb", "full", remedy="free some"), "killed", "a.pdb: not written (full); free some"),
     ):
 
         def fail(*args, error=error, **kwargs):
