@@ -33,7 +33,8 @@ class WriteError(ProtochainError):
 
     def with_saved(self, saved: str, remedy: str = _MAKE_SPACE) -> "WriteError":
         """Return the same error, which also says what was saved and what to do."""
-        return WriteError(*self.args[:2], saved, remedy)
+        path, why, *_ = self.args
+        return WriteError(path, why, saved, remedy)
 
 
 class WriteWarning(RuntimeWarning):

@@ -23,6 +23,7 @@ from protochain.batches.report import statistics, worst_first, write_report
 from protochain.batches.supervise import Child
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables
 from protochain.batches.task import run
+from protochain.errors import WriteError
 from protochain.minimisers import record
 from protochain.storage import json_text
 
@@ -372,6 +373,7 @@ def test_a_bug_or_full_memory_is_a_row(folder, tmp_path, monkeypatch):
     for error, status, said in (
         (MemoryError(), "killed", "out of memory"),
         (ZeroDivisionError("oh\nno"), "error", "ZeroDivisionError: oh no"),
+        (WriteError("a.pdb", "full", remedy="free some"), "killed", "a.pdb: not written (full); free some"),
     ):
 
         def fail(*args, error=error, **kwargs):

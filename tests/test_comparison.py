@@ -151,7 +151,8 @@ def test_the_page_stands_alone(folder):
 
 def test_a_page_tells_where_torsions_do_not_keep_bonds():
     k = pc.compare(chain("3i40.pdb"), ("lbfgs",), energy("3i40.pdb"), max_evaluations=3)
-    assert "angles are untouched, except where rings and disulfides close." in report.render(k, k.summary(), {})
+    page = report.render(k, k.summary(), {})
+    assert "angles are untouched, except where rings and disulfides close." in page
 
 
 def test_names_from_files_are_escaped(tmp_path):

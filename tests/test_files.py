@@ -312,7 +312,7 @@ def test_a_hydrogen_of_an_unknown_name_is_named_by_its_parent_and_that_is_said(t
 
 def test_breaks_are_refused_when_that_is_asked(tmp_path):
     gone = [line for line in atoms_of("1ubq.pdb") if not 30 <= int(line[22:26]) <= 33]
-    with pytest.raises(pc.ProtochainError, match=r"chain A is broken between 29 and 34 .* --strict"):
+    with pytest.raises(pc.ProtochainError, match=r"chain A is broken between 29 and 34 .* strict=True"):
         pc.load(written(tmp_path, "".join(gone) + "END\n"), strict=True)
 
 

@@ -191,7 +191,7 @@ class Folder:
         if self.log_part.exists():
             os.truncate(self.log_part, self.stored["log_bytes"])
             self.log_part.replace(self.log)
-        if self._frames.part.exists():
+        if hasattr(self, "_frames") and self._frames.part.exists():
             self._frames.finish_at(self.stored["frames"], self.stored["trajectory_bytes"])
         return f"{self.stored['frames']} frames, and what is needed to go on from step {self.stored['step']}"
 

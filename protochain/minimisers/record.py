@@ -45,7 +45,7 @@ class Column:
         """Value as the short table prints it: with two decimals, or as many as its width holds."""
         if not isinstance(value, float):
             return "-" if value is None else str(value)
-        forms = (".2f", ".1f", ".0f", ".1e", ".0e")
+        forms: tuple[str, ...] = (".2f", ".1f", ".0f", ".1e", ".0e")
         if 0.0 < abs(value) < 0.005 and self.unit.startswith("kJ/mol/"):
             forms = forms[3:]  # Residuals may be small.
         texts = [format(value, form) for form in forms]
