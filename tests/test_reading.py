@@ -210,11 +210,17 @@ def test_modified_residues_become_their_parents():
     sulphur = residue("CSO", 2, atoms=(*BACKBONE, "CB", ("S1", "S"), "OD", "HD", "HA"))
     two = residue("CSO", 3, atoms=(*BACKBONE, ("S1", "S"), ("S2", "S"), "OXT"))
     methyl = residue("HIC", 4, atoms=(*BACKBONE, "CZ", "HD1", "HE2"))
-    plain = residue("HIC", 5, atoms=(*BACKBONE, "HD1", "HE2", "HN", "HQ"))
+    plain = residue("HIC", 5, atoms=(*BACKBONE, "HD1", "HE2", "H", "H1", "H2", "H3", "HQ", "OXT"))
     draft = taken(selenium, sulphur, two, methyl, plain)
     assert names(draft) == [["MET1", "CYS2", "CYS3", "HIS4", "HIS5"]]
     kept = [[a.name for a in m.atoms[4:]] for m in draft.members]
-    assert kept == [["CB", "CG", "SD", "CE"], ["CB", "SG"], ["OXT"], [], ["HD1", "HE2", "HN"]]
+    assert kept == [
+        ["CB", "CG", "SD", "CE"],
+        ["CB", "SG"],
+        ["OXT"],
+        [],
+        ["HD1", "HE2", "H", "H1", "H2", "H3", "OXT"],
+    ]
     assert [draft.members[k].atom(s).element.name for k, s in ((0, "SD"), (1, "SG"))] == ["S", "S"]
     assert draft.repairs == [
         "residue 1 MSE of chain A: selenomethionine converted to MET",
