@@ -167,6 +167,7 @@ def test_names_in_lower_case_are_read_in_upper_case_but_not_ids():
     up = "HETATM    1  CABbALA b   1c      1.000   2.000   3.000  1.00  0.00      segm C  "
     assert corrected(low, ATOM, low) == ([up, ATOM, up], ["2 atom records in lower case read as upper case"])
     for column, kept in (
+        (6, True),
         (11, True),
         (12, False),
         (15, False),

@@ -103,12 +103,13 @@ def test_stated_bonds_are_disulfides_and_covalent_links():
 def test_a_file_without_a_protein_says_what_there_is():
     water, iron = residue("HOH", 1, atoms=["O"]), residue("XQQ", 2, atoms=[("FE", "Fe")])
     heavy, other = residue("DOD", 3, atoms=["O", ("D1", "D")]), residue("XQQ", 4, atoms=["S"])
+    third = residue("SOL", 5, atoms=["O"])
     assert refused(water, iron, heavy, other) == (
         "x: no protein found (only 1 deuterium atoms, 2 waters, 2 XQQ); give a file with amino acids"
     )
-    draft = taken(*alanines(2), water, iron, heavy, other)
-    assert dict(draft.left_out) == {"waters": 2, "XQQ": 2, "deuterium atoms": 1}
-    assert sorted(draft.repairs) == ["1 deuterium atoms left out", "2 XQQ left out", "2 waters left out"]
+    draft = taken(*alanines(2), water, iron, heavy, other, third)
+    assert dict(draft.left_out) == {"waters": 3, "XQQ": 2, "deuterium atoms": 1}
+    assert sorted(draft.repairs) == ["1 deuterium atoms left out", "2 XQQ left out", "3 waters left out"]
 
 
 def test_a_trace_of_c_alphas_is_refused_though_it_has_a_cap():
@@ -314,6 +315,8 @@ def test_caps_do_not_bond_on_their_far_sides():
     draft = taken(*alanines(2), residue("NME", 3, atoms=["N", "C"]), residue("ALA", 4))
     assert np.isinf(module._gap(draft.members[-1], draft.members[0])) and draft.members[-1].name == "NME"
     assert module._gap(draft.members[0], draft.members[1]) == pytest.approx(1.3)
+    capped = module.Member("ACE", "2", "", "A", draft.members[1].atoms)
+    assert np.isinf(module._gap(draft.members[0], capped))
     assert [module._parent(name) for name in ("SEP", "ABA", "UNK", "HOH", "XQQ")] == [
         "SER",
         "ALA",
