@@ -29,7 +29,10 @@ import coverage.numbits
 
 ROOT = Path(__file__).parent.parent
 FOLDERS = {
-    "structure": (["structure"], ["structure", "preparation", "convert", "hydrogens", "files"]),
+    "structure": (["structure"], [
+        "structure", "preparation", "convert", "hydrogens", "files", "parsing", "reading", "templates", "protonate",
+        "bridges", "complete", "placement", "write", "trajectory", "model", "objects",
+    ]),
     "minimisers": (["minimisers"], ["descent", "runs", "minimise"]),
     "neighbours": (["energies/native/neighbours.py"], ["native"]),
     "batches": (["batches"], ["batches", "cluster"]),
@@ -37,7 +40,7 @@ FOLDERS = {
     "analysis": (["analysis/deviation.py", "analysis/quality.py"], ["deviation", "rmsd", "comparison"]),
     "mechanics": (["multibody", "dynamics", "chain.py"], ["multibody", "mass", "chain", "dynamics"]),
     "kernels": (["energies/native"], ["native", "energy"]),
-}
+}  # fmt: skip
 """Name: (what is changed, under protochain; test files for what coverage does not see)."""
 LONGEST = 90.0
 """Seconds of tests for one fault, as they took without it."""

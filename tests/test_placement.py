@@ -7,6 +7,7 @@ from protochain.structure import hydrogens as module
 from protochain.structure.hydrogens import place_hydrogens
 
 LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336, "P": 0.109}
+SHIFT = np.array([1.0, -2.0, 0.5])
 TETRAHEDRAL, ROUNDED = np.radians(109.5), 1.01e-6
 
 
@@ -19,6 +20,8 @@ def placed(atoms, *bonds):
     known = ~np.isnan(given[:, 0])
     assert np.array_equal(found[known], given[known]) and np.array_equal(x, given, equal_nan=True)
     hydrogens = found[~known]
+    moved = place_hydrogens(x + SHIFT, [element for element, *_ in atoms], charge, np.array(bonds)) - SHIFT
+    assert np.abs(moved - found).max() < 2 * ROUNDED
     assert np.array_equal(hydrogens, np.round(hydrogens, 6)) and np.isfinite(found).all()
     return found
 
