@@ -36,8 +36,10 @@ FOLDERS = {
     "minimisers": (["minimisers"], ["descent", "runs", "minimise"]),
     "neighbours": (["energies/native/neighbours.py"], ["native"]),
     "batches": (["batches"], ["batches", "cluster"]),
-    "cli": (["cli"], ["cli"]),
-    "analysis": (["analysis/deviation.py", "analysis/quality.py"], ["deviation", "rmsd", "comparison"]),
+    "cli": (["cli"], ["cli", "commands", "terminal"]),
+    "analysis": (["analysis/deviation.py", "analysis/quality.py"], [
+        "deviation", "rmsd", "comparison", "matching", "quality",
+    ]),
     "mechanics": (["multibody", "dynamics", "chain.py"], ["multibody", "mass", "chain", "dynamics"]),
     "kernels": (["energies/native"], ["native", "energy"]),
 }  # fmt: skip
