@@ -36,7 +36,7 @@ FOLDERS = {
     "minimisers": (["minimisers"], ["descent", "runs", "minimise"]),
     "neighbours": (["energies/native/neighbours.py"], ["native"]),
     "batches": (["batches"], ["batches", "cluster"]),
-    "cli": (["cli"], ["cli", "commands", "terminal"]),
+    "cli": (["cli"], ["cli", "commands", "command_runs", "command_jobs", "terminal"]),
     "analysis": (["analysis/deviation.py", "analysis/quality.py"], [
         "deviation", "rmsd", "comparison", "matching", "quality",
     ]),
