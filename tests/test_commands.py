@@ -81,6 +81,7 @@ def test_every_option_has_its_name_default_and_help():
     program = typer.main.get_command(app)
     assert set(program.commands) == set(COMMANDS)
     assert [name for name, each in program.commands.items() if each.hidden] == ["minimize"]
+    assert program.params == [] and not app.pretty_exceptions_enable
     for command, expected in COMMANDS.items():
         found = {each.name: each for each in program.commands[command].params}
         assert {name: each.default for name, each in found.items()} == expected and list(found) == list(
