@@ -225,3 +225,21 @@ def test_deviations_are_a_table_with_failures_below(capsys, monkeypatch):
     assert lines[1].index("3 ") == 24 + 1 + 4 and len(lines[1].rstrip()) == len(lines[2].rstrip())
     terminal.print_deviations([bad])
     assert capsys.readouterr().out == f"{bad['message']}\n"
+
+
+def test_messages_are_printed_as_they_are_in_colour_too(bar, capsys, monkeypatch):
+    """rich would paint numbers and take square brackets for styles."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "200")
+    message = "[b]line 12 is 'odd'"
+    terminal.print_table([dict.fromkeys(KEYS) | {"method": "x", "message": message}])
+    terminal.print_batch(summary(3), "r")
+    terminal.print_deviations([{"message": message}])
+    with terminal.batch_progress() as watch:
+        watch(BatchProgress(10, 4, 1, 3, 60.0, "http://x:8787"))
+    told = capsys.readouterr()
+    lines = told.out.splitlines()
+    assert {f"x: {message}", message, "f0: refused: [b]0: why", "none: 3 refused"} <= set(lines)
+    assert "md: 3 refused, 2 converged, 1 budget; medians: RMSD 2.00 angstrom, 3.00 s" in lines
+    assert told.err == "dashboard: http://x:8787\n"
