@@ -30,8 +30,8 @@ import coverage.numbits
 ROOT = Path(__file__).parent.parent
 FOLDERS = {
     "structure": (["structure"], [
-        "structure", "preparation", "convert", "hydrogens", "files", "parsing", "reading", "templates", "protonate",
-        "bridges", "complete", "placement", "write", "trajectory", "model", "objects",
+        "structure", "preparation", "convert", "hydrogens", "files", "parsing", "reading", "templates",
+        "protonate", "bridges", "complete", "placement", "write", "trajectory", "model", "objects",
     ]),
     "minimisers": (["minimisers"], ["descent", "runs", "minimise"]),
     "neighbours": (["energies/native/neighbours.py"], ["native"]),
