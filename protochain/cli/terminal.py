@@ -126,7 +126,8 @@ def print_table(records: list[dict[str, Any]]) -> None:
     for row in rows:
         table.add_row(*row)
     console = Console()
-    console.print(table)
+    # In less room than the numbers take rich would cut the last ones off.
+    console.print(table, crop=False)
     for record in records:
         console.print(f"{record['method']}: {record['message']}", markup=False, highlight=False)
 
