@@ -1,12 +1,13 @@
 """OpenMM's minimiser and dynamics as methods: order of parts, budgets, endings, seeds."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import openmm
 import pytest
 from conftest import chain, energy
 
 from protochain.energies import OpenMMEnergy
-from protochain.interrupts import held_interrupts
 from protochain.minimisers import RECIPES, openmm_reference
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import (
@@ -235,8 +236,8 @@ def test_openmms_dynamics_are_at_300_kelvin_with_hydrogens_constrained(monkeypat
 
 def test_openmms_dynamics_end_at_interrupts_and_where_there_is_no_number(monkeypatch):
     s = chain("ala10.pdb").structure
-    with held_interrupts() as interrupts:
-        interrupts.append(2)
+    with monkeypatch.context() as patch:
+        patch.setattr(openmm_reference, "held_interrupts", lambda: nullcontext([2]))
         stop, x, iterations, evaluations, rows = recorded(langevin_dynamics, max_evaluations=50, seed=1)
     assert (stop, iterations, evaluations, rows) == (Stop.INTERRUPTED, 0, 0, []) and x is s.positions
 
