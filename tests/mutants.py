@@ -30,14 +30,21 @@ import coverage.numbits
 ROOT = Path(__file__).parent.parent
 FOLDERS = {
     "structure": (["structure"], ["structure", "preparation", "convert", "hydrogens", "files"]),
-    "minimisers": (["minimisers"], ["descent", "runs", "minimise"]),
-    "neighbours": (["energies/native/neighbours.py"], ["native"]),
-    "batches": (["batches"], ["batches", "cluster"]),
+    "minimisers": (
+        ["minimisers"],
+        [
+            "descent", "runs", "minimise", "steps", "directions", "preconditioners", "loop", "restraints", "verdict",
+            "recipes", "record", "checkpoint", "minimise_settings", "walked", "starts", "annealing",
+            "openmm_reference", "spaces",
+        ],
+    ),
+    "neighbours": (["energies/native/neighbours.py"], ["native", "neighbours"]),
+    "batches": (["batches"], ["batches", "cluster", "jobs", "tables", "task", "processes", "walked"]),
     "cli": (["cli"], ["cli"]),
     "analysis": (["analysis/deviation.py", "analysis/quality.py"], ["deviation", "rmsd", "comparison"]),
     "mechanics": (["multibody", "dynamics", "chain.py"], ["multibody", "mass", "chain", "dynamics"]),
     "kernels": (["energies/native"], ["native", "energy"]),
-}
+}  # fmt: skip
 """Name: (what is changed, under protochain; test files for what coverage does not see)."""
 LONGEST = 90.0
 """Seconds of tests for one fault, as they took without it."""
