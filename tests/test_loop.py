@@ -238,6 +238,26 @@ def test_stages_start_where_the_one_before_ended_and_share_a_budget():
     assert Stage(one, None, None, 1.0).patience == PATIENCE == 500
 
 
+def test_stages_that_alternate_between_spaces_take_the_positions_along():
+    one, two = Scaled(scale=1.0), Scaled(scale=10.0)
+    plan = [stage_of(Stepping(2), one), stage_of(Stepping(21), two), stage_of(Stepping(3.1), one)]
+    done = walk(plan, chain_at(1.0), 99, None, lambda *_: None)
+    # From 1 to 2, as 20 to 21, as 2.1 to 3.1.
+    assert done.q[0] == pytest.approx(3.1) and done.space is one and done.n_iterations == 3
+
+
+@pytest.mark.parametrize(
+    ("named", "n_run"), [((Stop.NON_FINITE,), 2), ((Stop.TOLERANCE,), 1), ((), 1), (None, 1)]
+)
+def test_what_is_no_number_is_followed_by_a_stage_that_names_it_or_by_none(named, n_run):
+    first = stage_of(Stepping(3), energy=lambda t: np.nan if t == 2 else -t)
+    plan = [first, *([] if named is None else [stage_of(Stepping(3), after=named)])]
+    done = walk(plan, chain_at(0.0), 99, None, lambda *_: None)
+    assert done.stop is (Stop.NO_DESCENT if n_run == 2 else Stop.NON_FINITE)
+    # The lowest before, at 1, is kept; the second stage goes on from there to 3.
+    assert done.q[0] == (3.0 if n_run == 2 else 1.0) and done.n_evaluations == (6 if n_run == 2 else 3)
+
+
 @pytest.mark.parametrize("budget", range(1, 8))
 def test_a_walk_goes_on_from_any_budget_as_if_it_had_never_stopped(budget):
     plan = [stage_of(Stepping(3)), stage_of(Stepping(5), after=(Stop.NO_DESCENT,))]

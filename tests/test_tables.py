@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.image import imread
 
 import protochain as pc
 from protochain.analysis.plots import COLOURS
@@ -106,6 +107,15 @@ def test_what_circumstances_ended_is_done_again(status, tables):
     assert tables.finished([one]) == (set() if again else {one.identity})
     assert texts(tables)[0].count("\n") == (1 if again else 3)
     assert texts(tables)[1].count("\n") == (1 if again else 2)
+
+
+def test_bytes_that_are_no_text_spoil_their_own_row_only(tables):
+    one, two, _ = JOBS
+    tables.append(rows(one))
+    with tables.summary.open("ab") as file:
+        file.write(b"\xff\xfe,\n" + line(two, "kcm", message="caf\u00e9").encode("latin-1"))
+    assert tables.finished([one]) == {one.identity}
+    assert tables.read()["structure"].tolist() == ["one", "one", "two"]
 
 
 def test_a_folder_is_of_one_batch_at_a_time(tables):
@@ -248,6 +258,7 @@ def test_a_distribution_rises_to_all_structures():
     many = plot_distribution(pd.Series(np.arange(9.0)), pd.Series(list("abcdefghi")), "").axes[0].lines
     assert [each.get_color() for each in many] == [*COLOURS, *COLOURS[:2]]
     assert [each.get_linestyle() for each in many] == ["-", "--", "-.", ":", "-", "--", "-.", ":", "-"]
+    assert figure.get_size_inches().tolist() == [5.2, 3.6] and figure.get_layout_engine() is not None
     nothing = plot_distribution(values[2:3], methods[2:3], "").axes[0]
     assert not nothing.lines and nothing.get_legend() is None
 
@@ -273,6 +284,7 @@ def test_the_report_shows_each_row_and_links_the_pages_there_are(tmp_path):
     assert page.count("data:image/png;base64,") == 3 and "rows; all are in summary.csv" not in page
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "statistics.csv"), statistics(results()))
     assert len({(tmp_path / f"{stem}.png").read_bytes() for stem in ("energy", "rmsd", "seconds")}) == 3
+    assert imread(tmp_path / "energy.png").shape[:2] == (540, 780)
     large = pd.concat([results()] * 51, ignore_index=True)
     write_report(tmp_path, large, summary)
     page = (tmp_path / "report.html").read_text()
