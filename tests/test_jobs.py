@@ -130,7 +130,7 @@ def test_structures_of_a_folder_are_those_with_their_suffixes(here):
     assert names(["."]) == ["a", "b", "c", "d", "g", "sum[1]"]
     assert names([here / "deep"]) == ["c", "d", "g"]
     # A file that is named is taken, whatever its suffix; one that is missing is a job that fails.
-    assert names(["e.txt", "none.pdb"]) == ["e", "none"] and names(["sum[1].pdb"]) == ["sum[1]"]
+    assert names(["e.txt", "XYZ.pdb"]) == ["e", "XYZ"] and names(["sum[1].pdb"]) == ["sum[1]"]
     assert find_jobs(["b.pdb"], BatchSettings())[0].path == here / "b.pdb"
 
 
