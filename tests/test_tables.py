@@ -1,5 +1,6 @@
 """Tables of a batch, their text to the letter; the pages drawn from them."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +84,22 @@ def test_rows_are_appended_after_a_header_and_sorted_by_job_and_method(tables):
     assert traces == TRACE_HEADER + "".join(point(*points[k]) for k in (5, 4, 0, 1, 2, 3))
 
 
+def test_files_are_closed_after_each_append(tables, monkeypatch):
+    opened, open_file = [], os.open
+
+    def noted(*given):
+        opened.append(open_file(*given))
+        return opened[-1]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "open", noted)
+        tables.append(rows(JOBS[0]))
+    assert len(opened) == 2
+    for number in opened:
+        with pytest.raises(OSError):
+            os.fstat(number)
+
+
 def test_resuming_keeps_whole_rows_of_the_same_input_with_their_traces(tables):
     one, two, three = JOBS
     stranger = Job("four", Path("/in/four.pdb"), TWO, "key-four")
@@ -120,6 +137,8 @@ def test_bytes_that_are_no_text_spoil_their_own_row_only(tables):
 
 def test_a_folder_is_of_one_batch_at_a_time(tables):
     folder = tables.folder
+    # The name is one for all versions of the program, which must see each other.
+    assert (folder / ".lock").exists()
     for resume in (True, False):
         with pytest.raises(pc.ProtochainError) as refusal:
             Tables(folder, resume)
