@@ -1,9 +1,10 @@
 """Mutation run: faults put at random into the code, one at a time, and the share that the tests notice.
 
-``python tests/mutants.py -o analysis/results`` takes about an hour on two cores. A fault is a comparison, an
+``python tests/mutants.py -o analysis/results`` takes an hour on two cores. A fault is a comparison, an
 operator, a number, a name or a condition changed, a statement or a keyword left out. The fast tests that reach
 its line (by a coverage run before) are run, quickest first and no longer than ``LONGEST``; compiled kernels,
-which coverage does not see into, get the test files named in ``FOLDERS``. A fault that runs into the time
+which coverage does not see into, get the test files named in ``FOLDERS``, lines that run on import the
+tests that use their file. A fault that runs into the time
 limit is noticed; one that only renames a test is not.
 """
 
@@ -31,16 +32,16 @@ from scipy.stats import binomtest
 
 ROOT = Path(__file__).parent.parent
 FOLDERS = {
-    "structure": (["structure"], ["structure", "preparation", "convert", "hydrogens", "files", "outputs"]),
-    "minimisers": (["minimisers"], ["descent", "runs", "minimise"]),
-    "neighbours": (["energies/native/neighbours.py"], ["native"]),
-    "batches": (["batches"], ["batches", "cluster", "choices"]),
-    "cli": (["cli"], ["cli", "choices"]),
-    "analysis": (["analysis/deviation.py", "analysis/quality.py"], ["deviation", "rmsd", "comparison"]),
+    "structure": (["structure"], []),
+    "minimisers": (["minimisers"], []),
+    "neighbours": (["energies/native/neighbours.py"], ["native", "neighbours"]),
+    "batches": (["batches"], ["batches", "processes"]),
+    "cli": (["cli"], ["cli", "commands", "command_runs", "command_jobs"]),
+    "analysis": (["analysis/deviation.py", "analysis/quality.py"], []),
     "mechanics": (["multibody", "dynamics", "chain.py"], ["multibody", "mass", "chain", "dynamics"]),
     "kernels": (["energies/native"], ["native", "energy"]),
 }
-"""Name: (what is changed, under protochain; test files for what coverage does not see)."""
+"""Name: (what is changed, under protochain; test files for what coverage does not see: kernels, processes)"""
 LONGEST = 60.0
 """Seconds of tests for one fault, as they took without it."""
 COMPARISONS = {
@@ -228,10 +229,14 @@ def chosen_tests(
     fault: Fault, reached: dict[tuple[str, int], set[str]], seconds: dict[str, float]
 ) -> tuple[list[str], bool]:
     """Tests for a fault, quickest first; whether it is in a compiled kernel or in none that was reached."""
-    found, blind = reached.get((fault.file, fault.line), set()), False
+    found, files = reached.get((fault.file, fault.line), set()), FOLDERS[fault.folder][1]
+    blind = not found
+    if blind or fault.folder == "cli":
+        named = {f"tests/test_{name}.py" for name in files}
+        found = found | {test for test in seconds if test.split("::")[0] in named}
     if not found:
-        files = {f"tests/test_{name}.py" for name in FOLDERS[fault.folder][1]}
-        found, blind = {test for test in seconds if test.split("::")[0] in files}, True
+        # A line that runs on import: the tests that use its file.
+        found = set().union(*(tests for (file, _), tests in reached.items() if file == fault.file))
     chosen, spent = [], 0.0
     for test in sorted(found & seconds.keys(), key=lambda test: seconds[test]):
         spent += seconds[test]

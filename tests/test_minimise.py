@@ -19,8 +19,8 @@ from protochain.minimisers.solution import TRACE_COLUMNS
 from protochain.minimisers.spaces import Positions, Torsions
 from protochain.minimisers.steps import Fixed
 from protochain.minimisers.verdict import verdict
-from protochain.structure.superpose import superpose
 from protochain.structure.chirality import changed_hands
+from protochain.structure.superpose import superpose
 
 MAIN = ("kcm", "lbfgs", "cartesian", "hybrid", "openmm")
 """The methods users meet first; the others are run on fewer structures."""

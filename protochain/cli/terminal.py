@@ -241,7 +241,8 @@ def print_table(records: list[dict[str, Any]]) -> None:
         table.add_column(heading, width=width, justify="right", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    console.print(table)
+    # In less room than the numbers take rich would cut the last ones off.
+    console.print(table, crop=False)
     for record in records:
         console.print(f"{record['method']}: {record['message']}", markup=False, highlight=False)
 

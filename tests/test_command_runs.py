@@ -1,0 +1,332 @@
+"""Commands that compute, without the computing: what they hand on, write, print, and how they end."""
+
+import importlib
+import json
+import math
+import signal
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+from test_commands import refusal, run
+from test_write import ring
+
+from protochain import interrupts
+from protochain.minimisers.record import SHOWN
+
+MINIMISE, COMPARE = (importlib.import_module(f"protochain.cli.{name}") for name in ("minimise", "compare"))
+S = ring()
+KEYS = [column.key for column in SHOWN]
+
+
+class Solution:
+    """Stands for a result; saves its status."""
+
+    def __init__(self, status="converged", is_usable=True):
+        self.status, self.is_usable, self.message = status, is_usable, f"ended {status}"
+        self.trace = pd.DataFrame({"iteration": [0, 1]})
+
+    def save(self, path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(self.status)
+
+    def record(self):
+        return dict.fromkeys(KEYS) | {"method": "m", "status": self.status, "message": self.message}
+
+
+@pytest.fixture(autouse=True)
+def interruptible():
+    """Interrupts as the command line has them."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
+
+
+def is_held():
+    return isinstance(signal.getsignal(signal.SIGINT), interrupts._Noted)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What is prepared and minimised; ``ends`` are the solutions, one after the other."""
+    seen = SimpleNamespace(
+        prepared=[],
+        runs=[],
+        shown=[],
+        ends=iter([Solution()] * 9),
+        chain=SimpleNamespace(structure=S),
+    )
+
+    def prepare(source, setup):
+        seen.prepared.append((source, setup))
+        return seen.chain, "energy", 1.5
+
+    @contextmanager
+    def progress(*given):
+        yield lambda row, x: seen.shown.append((*given, row))
+
+    def minimise(chain, energy, watch=None, **settings):
+        assert chain is seen.chain and energy == "energy" and is_held()
+        seen.runs.append(settings)
+        for k in range(2):
+            watch({"k": k}, S.positions + k)
+        return next(seen.ends)
+
+    def explore(chain, energy, watch=None, **settings):
+        best = minimise(chain, energy, watch, **settings)
+        overall = {"starts": [1], "starts_summary": {"n": 1}}
+        return SimpleNamespace(best=best, overall=lambda: overall)
+
+    for module in (MINIMISE, COMPARE):
+        monkeypatch.setattr(module, "prepare", prepare)
+        monkeypatch.setattr(module, "run_progress", progress)
+    monkeypatch.setattr("protochain.minimisers.minimise", minimise)
+    monkeypatch.setattr("protochain.minimisers.explore", explore)
+    return seen
+
+
+DEFAULTS = {
+    "method": "hybrid", "tolerance": 1.0, "max_evaluations": 5000, "seed": 0, "restraint": "",
+    "max_rmsd": math.inf,
+}  # fmt: skip
+
+
+def test_minimise_hands_its_options_on_and_writes_what_is_asked(asked, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(
+        "minimise", "in/a.pdb", "--method", "lbfgs", "--tolerance", 2, "--max-evaluations", 7, "--seed", 3,
+        "--restrain", "5 0", "--max-rmsd", 0.5, "--trace", "t.csv", "--trajectory", "t.dcd", "--checkpoint",
+        "c.npz",
+        "--json", "--ph", 5, "--model", 2, "-o", "out/b.cif",
+    ) == 0  # fmt: skip
+    assert asked.runs == [
+        {
+            "method": "lbfgs", "tolerance": 2.0, "max_evaluations": 7, "seed": 3, "restraint": "5 0",
+            "max_rmsd": 0.5, "checkpoint": Path("c.npz"), "resume": None,
+        }
+    ]  # fmt: skip
+    ((source, setup),) = asked.prepared
+    assert (source, setup.ph, setup.model) == (Path("in/a.pdb"), 5.0, 2)
+    assert asked.shown == [("lbfgs", 7, {"k": 0}), ("lbfgs", 7, {"k": 1})]
+    assert Path("out/b.cif").read_text() == "converged" and Path("t.csv").read_text() == "iteration\n0\n1\n"
+    assert Path("t.dcd").exists() and {path.name for path in tmp_path.iterdir()} == {"out", "t.csv", "t.dcd"}
+    assert json.loads(capsys.readouterr().out) == Solution().record() | {
+        "input": "in/a.pdb", "output": "out/b.cif", "seconds_preparation": 1.5, "model": 2,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("source", "output"),
+    [("x/a.pdb", "a.lbfgs.pdb"), ("a.cif.gz", "a.lbfgs.cif"), ("-", "stdin.lbfgs.pdb")],
+)
+def test_minimise_names_its_output_after_input_and_method(
+    source, output, asked, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    asked.ends = iter([Solution("budget")])
+    assert run("minimise", source, "--method", "lbfgs") == 3
+    assert Path(output).read_text() == "budget" and asked.runs == [
+        DEFAULTS | {"method": "lbfgs", "checkpoint": None, "resume": None}
+    ]
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2:] == ["m: ended budget", f"written: {output}"]
+
+
+@pytest.mark.parametrize(
+    ("options", "spread", "hop"),
+    [((), 0.2, None), (("--spread", 90), math.pi / 2, None), (("--hop", 300), 0.2, 300.0)],
+)
+def test_many_starts_are_explored(options, spread, hop, asked, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(MINIMISE, "print_distribution", lambda summary: print("distribution", summary))
+    assert run("minimise", "a.pdb", "--starts", 4, *options) == 0
+    assert asked.runs == [DEFAULTS | {"n_starts": 4, "spread": spread, "hop_temperature": hop}]
+    assert asked.shown[0][:2] == ("hybrid", 5000)
+    assert capsys.readouterr().out.startswith("distribution {'n': 1}\n")
+    assert run("minimise", "a.pdb", "--starts", 2, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["starts"] == [1]
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (
+            ("--starts", 2, "--checkpoint", "c"),
+            "starts: a checkpoint or trajectory belongs to one run; give one start",
+        ),
+        (
+            ("--starts", 2, "--resume", "c"),
+            "starts: a checkpoint or trajectory belongs to one run; give one start",
+        ),
+        (
+            ("--starts", 2, "--trajectory", "t.dcd"),
+            "starts: a checkpoint or trajectory belongs to one run; give one start",
+        ),
+        (("--hop", 300), "hop: needs several minima; give --starts 2 or more"),
+        (("--hop", 0), "hop: needs several minima; give --starts 2 or more"),
+        (("--trajectory", "t.avi"), "t.avi: unknown trajectory suffix '.avi'; use .dcd or .xtc"),
+        (("-o", "a.xyz"), "a.xyz: unknown suffix '.xyz'; use .pdb or .ent or .cif or .mmcif"),
+        (("-o", "t.pdb", "--trace", "t.pdb"), "{}/t.pdb: is given for two outputs; give each its own"),
+        (("-o", "in.pdb"), "in.pdb: is the input; give another name, or --force to replace it"),
+        (("--method", "odd"), "method 'odd'"),
+        (("--tolerance", -1), "tolerance -1"),
+        (("--max-evaluations", -1), "max-evaluations -1"),
+        (("--max-rmsd", -1), "max-rmsd -1"),
+        (("--restrain", "odd"), "restrain"),
+        (
+            ("--model", "all", "--trace", "t.csv"),
+            "model all: needs a file, and no trace, trajectory or checkpoint: these belong to one model",
+        ),
+    ],
+)
+def test_minimise_refuses_before_it_reads(options, why, asked, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("in.pdb").write_text("")
+    said = refusal("minimise", "in.pdb", *options)
+    assert said == why.format(tmp_path) if ";" in why or "all:" in why else why.split()[0] in said
+    assert asked.prepared == [] and [path.name for path in tmp_path.iterdir()] == ["in.pdb"]
+
+
+def test_minimise_may_be_forced_and_refuses_what_does_not_fit(asked, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("in.pdb").write_text("")
+    assert (
+        run("minimise", "in.pdb", "-o", "in.pdb", "--force") == 0
+        and Path("in.pdb").read_text() == "converged"
+    )
+    asked.chain.structure = ring(chain_id="AB")
+    assert "'AB' does not fit" in refusal("minimise", "in.pdb", "-o", "b.pdb") and len(asked.runs) == 1
+    asked.chain.structure, asked.ends = S, iter([Solution(is_usable=False)])
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        run("minimise", "in.pdb", "-o", "b.pdb", "--trace", "t.csv")
+    assert ended.value.code == 1 and capsys.readouterr().err == "protochain: in.pdb: ended converged\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["in.pdb"]
+
+
+@pytest.mark.parametrize(
+    ("ends", "status"),
+    [(("converged",) * 2, 0), (("converged", "interrupted"), 3), (("interrupted", "converged"), 3)],
+)
+def test_all_models_have_outputs_of_their_own(ends, status, asked, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("protochain.structure.read.model_numbers", lambda source: [3, 7])
+    asked.ends = map(Solution, ends)
+    assert run("minimise", "a.pdb", "--model", "all", "--json", "-o", "d/b.cif") == status
+    records = json.loads(capsys.readouterr().out)["models"]
+    done = ["3", "7"][: 1 if ends[0] == "interrupted" else 2]
+    assert [record["output"] for record in records] == [f"d/b.{number}.cif" for number in done]
+    assert (
+        [record["model"] for record in records]
+        == [setup.model for _, setup in asked.prepared]
+        == [*map(int, done)]
+    )
+    said = refusal("minimise", "-", "--model", "all")
+    assert said.startswith("model all: needs a file") and "model all" in refusal(
+        "minimise", "a", "--model", "all", "--resume", "c"
+    )
+
+
+@dataclass
+class Comparison:
+    """Stands for a comparison of methods that end as they do."""
+
+    ends: tuple
+    origin: dict = field(default_factory=dict)
+
+    @property
+    def solutions(self):
+        return tuple(Solution(end.removesuffix("!"), not end.endswith("!")) for end in self.ends)
+
+    def report(self, output):
+        return output / "page"
+
+    def summary(self):
+        return {"results": [{"r": len(self.ends)}], "origin": self.origin}
+
+
+@pytest.fixture
+def compared(asked, monkeypatch, tmp_path):
+    """What is compared."""
+    monkeypatch.chdir(tmp_path)
+    seen = SimpleNamespace(given=[], ends=("converged", "converged"))
+
+    def compare(*given, watch=None, **more):
+        assert is_held()
+        seen.given.append((given, more))
+        for method in ("one", "two"):
+            watch(method)({}, None)
+        return Comparison(seen.ends)
+
+    monkeypatch.setattr("protochain.analysis.compare", compare)
+    monkeypatch.setattr("protochain.structure.load", lambda path: f"loaded {path}")
+    monkeypatch.setattr(COMPARE, "print_table", lambda rows: print("table", rows))
+    return seen
+
+
+def test_compare_hands_its_options_on(compared, asked, capsys):
+    options = ("--tolerance", 2, "--max-evaluations", 7, "--seed", 3, "--repeats", 5, "--reference", "r.pdb")
+    assert run("compare", "in/a.pdb", "--methods", "md,kcm,md", *options, "--json", "-o", "out") == 0
+    more = {"reference": "loaded r.pdb", "repeats": 5}
+    assert compared.given == [((asked.chain, ("md", "kcm"), "energy", 2.0, 7, 3), more)]
+    assert asked.shown == [("one", 7, {}), ("two", 7, {})]
+    assert json.loads(capsys.readouterr().out) == {
+        "results": [{"r": 2}], "origin": {"input": "in/a.pdb", "seconds_preparation": 1.5}, "output": "out",
+    }  # fmt: skip
+    assert run("compare", "in/a.pdb.gz", "--methods", "md,kcm") == 0
+    assert compared.given[1] == (
+        (asked.chain, ("md", "kcm"), "energy", 1.0, 5000, 0),
+        {"reference": None, "repeats": 3},
+    )
+    told = capsys.readouterr()
+    assert told.err == "" and told.out == (
+        "table [{'r': 2}]\nwritten: a-comparison/page and the tables, plots and structures beside it\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("ends", "status"),
+    [
+        (("converged", "converged"), 0), (("budget", "converged"), 3), (("stalled!", "converged"), 3),
+        (("converged",), 0), (("nan!", "nan!"), 1), ((), 1),
+    ],
+)  # fmt: skip
+def test_compare_ends_by_its_methods_and_names_those_left_out(ends, status, compared, capsys):
+    compared.ends = ends
+    missing = ["md", "kcm"][len(ends) :]
+    said = f"protochain: interrupted: {', '.join(missing)} left out\n" if missing else ""
+    if status == 1:
+        said += "protochain: a.pdb: no method gave a usable structure; a-comparison/page says why\n"
+        with pytest.raises(SystemExit) as ended:
+            run("compare", "a.pdb", "--methods", "md,kcm")
+        assert ended.value.code == 1
+    else:
+        assert run("compare", "a.pdb", "--methods", "md,kcm") == status
+    assert capsys.readouterr().err == said
+
+
+def test_compare_refuses_before_it_reads(compared, asked):
+    assert "'nope'" in refusal("compare", "a.pdb", "--methods", "md,nope")
+    assert "tolerance -1" in refusal("compare", "a.pdb", "--tolerance", -1)
+    assert "max-evaluations -1" in refusal("compare", "a.pdb", "--max-evaluations", -1)
+    Path("file").write_text("")
+    assert "file is not a folder" in refusal("compare", "a.pdb", "-o", "file")
+    assert asked.prepared == [] and compared.given == []
+
+
+def test_one_bar_is_shown_at_a_time(monkeypatch):
+    events = []
+
+    @contextmanager
+    def progress(method, n):
+        events.append(f"{method} {n}")
+        yield method
+        events.append(f"end {method}")
+
+    monkeypatch.setattr(COMPARE, "run_progress", progress)
+    with COMPARE._one_bar_each(7) as watch:
+        assert watch("a") == "a" and watch("b") == "b" and events == ["a 7", "end a", "b 7"]
+    assert events[-1] == "end b"

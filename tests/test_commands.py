@@ -1,0 +1,339 @@
+"""The command line without its work: options, messages, exit statuses, and what a command asks for."""
+
+import importlib
+import json
+import signal
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+import typer
+from conftest import chain, load
+from test_write import ring
+
+import protochain as pc
+from protochain.cli import app, main, options
+from protochain.errors import ProtochainError
+from protochain.setup import Setup
+from protochain.structure.write import as_text
+
+SETUP = {
+    "hinges": "phi psi chi", "move": "all", "forcefield": "amber14", "solvent": "obc2", "engine": "auto",
+    "threads": None, "trust_forcefield": False, "model": None, "altloc": "", "keep": None, "disulfide": None,
+    "no_disulfide": False, "ph": 7.0, "strict": False,
+}  # fmt: skip
+OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}
+MINIMISE = {
+    "source": None, **OUTPUT, "method": "hybrid", **RUN, "restrain": "", "max_rmsd": None, "starts": 1,
+    "spread": None, "hop": None, "checkpoint": None, "resume": None, "trace": None, "trajectory": None,
+    "seed": 0, **AS_JSON, "force": False, **SETUP,
+}  # fmt: skip
+NOT_IN_BATCH = ("disulfide", "no_disulfide", "threads", "trust_forcefield")
+COMMANDS = {
+    "minimise": MINIMISE,
+    "minimize": MINIMISE,
+    "compare": {
+        "source": None, **OUTPUT, "methods": "kcm,md,lbfgs,hybrid,openmm", "repeats": 3, "reference": None,
+        **RUN, "seed": 0, **AS_JSON, **{name: value for name, value in SETUP.items() if name != "move"},
+    },
+    "batch": {
+        "inputs": None, "output": Path("batch"), "methods": "hybrid", "manifest": None, "workers": None,
+        "scheduler": None, "threads": 1, "time_limit": 3600.0, "resume": False, "dry_run": False, **RUN,
+        "max_rmsd": None, "seed": 0, **AS_JSON,
+        **{k: v for k, v in SETUP.items() if k not in NOT_IN_BATCH},
+    },
+    "simulate": {
+        "source": None, **OUTPUT, "steps": 10_000, "time_step": 5.0, "temperature": 300.0,
+        "thermostat": "langevin", "friction": 1.0, "integrator": "leapfrog", "fixman": False, "loops": "open",
+        "hydrogen_mass": None,
+        "trajectory_length": 10, "every": 100, "trajectory": "dcd", "checkpoint_every": 10, "relax": True,
+        "resume": False, "force": False, "seed": 0, **AS_JSON, **SETUP,
+    },
+    "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
+    "bench": {"name": "all", "inputs": None, "output": Path("bench")},
+    "info": {
+        "source": None, **AS_JSON,
+        **{k: v for k, v in SETUP.items() if k not in ("engine", "move", "threads")},
+    },
+    "build": {"sequence": None, **OUTPUT},
+}  # fmt: skip
+METAVARS = {
+    ("source", None): "IN", ("inputs", "batch"): "IN...", ("output", "batch"): "DIR",
+    ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
+    ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
+    "bench"): "[IN...]",
+    ("sequence", "build"): "SEQUENCE", ("disulfide", None): "A:3-A:40",
+}  # fmt: skip
+FLAGS = {"as_json": ["--json"], "output": ["-o", "--output"]}
+ARGUMENTS = {
+    ("source", None),
+    ("inputs", None),
+    ("reference", "rmsd"),
+    ("models", None),
+    ("name", None),
+    ("sequence", None),
+}
+
+
+def test_every_option_has_its_name_default_and_help():
+    program = typer.main.get_command(app)
+    assert set(program.commands) == set(COMMANDS)
+    assert [name for name, each in program.commands.items() if each.hidden] == ["minimize"]
+    assert program.params == [] and not app.pretty_exceptions_enable
+    for command, expected in COMMANDS.items():
+        found = {each.name: each for each in program.commands[command].params}
+        assert {name: each.default for name, each in found.items()} == expected and list(found) == list(
+            expected
+        )
+        for name, each in found.items():
+            assert each.help and len(each.help) > 6, (command, name)
+            is_argument = {(name, None), (name, command)} & ARGUMENTS
+            opts = [name] if is_argument else FLAGS.get(name, [f"--{name.replace('_', '-')}"])
+            assert each.opts == opts, (command, name)
+            assert each.metavar == METAVARS.get((name, command), METAVARS.get((name, None))), (command, name)
+            assert each.secondary_opts == (["--no-relax"] if name == "relax" else [])
+
+
+def run(*arguments):
+    return app([str(each) for each in arguments], standalone_mode=False)
+
+
+def refusal(*arguments):
+    with pytest.raises(ProtochainError) as refused:
+        run(*arguments)
+    return str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("raised", "status", "said"),
+    [
+        (ProtochainError("two\nlines"), 2, "protochain: two lines\n"),
+        (typer.BadParameter("odd"), 2, "protochain: Invalid value: odd See protochain --help.\n"),
+        (FileNotFoundError(2, "gone", "a.pdb"), 1, "protochain: a.pdb: gone\n"),
+        (OSError("strange"), 1, "protochain: strange\n"),
+        (KeyboardInterrupt(), 1, "protochain: interrupted before there was a result\n"),
+        (3, 3, ""),
+        (None, 0, ""),
+    ],
+)
+def test_every_end_has_a_status_and_at_most_a_line(raised, status, said, monkeypatch, capsys):
+    seen = []
+
+    def ends(standalone_mode):
+        seen.append((standalone_mode, signal.getsignal(signal.SIGTERM), list(sys.argv)))
+        if isinstance(raised, BaseException):
+            raise raised
+        return raised
+
+    monkeypatch.setattr("protochain.cli.app", ends)
+    monkeypatch.setattr(sys, "argv", ["protochain", "info"])
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert seen == [(False, signal.default_int_handler, ["protochain", "info"])]
+        sys.argv = ["protochain"]
+        with pytest.raises(SystemExit):
+            main()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert ended.value.code == status and seen[1][2] == ["protochain", "--help"]
+    assert capsys.readouterr().err == 2 * said
+
+
+def test_options_make_a_setup():
+    assert options._setup() == options._setup(keep=None, disulfide=[], ph=7.0) == Setup()
+    assert options._setup(no_disulfide=True).disulfide == () and Setup().disulfide is None
+    chosen = options._setup(disulfide=["A:3-A:40"], keep="water,ZN", threads=2, altloc="")
+    assert (chosen.disulfide, chosen.keep, chosen.threads) == ((("A:3", "A:40"),), ("water", "ZN"), 2)
+    with pytest.raises(ProtochainError) as refused:
+        options._setup(no_disulfide=True, disulfide=["A:3-A:40"])
+    assert (
+        str(refused.value) == "disulfide: --disulfide and --no-disulfide exclude each other; give one of them"
+    )
+
+
+def test_statuses_are_what_the_interface_promises(capsys):
+    statuses = (options.CONVERGED, options.FAILED, options.BAD_INPUT, options.UNCONVERGED)
+    assert statuses == (0, 1, 2, 3) and options.fail(" a\n b ") == 1 and options.fail("c", 2) == 2
+    assert capsys.readouterr().err == "protochain: a b\nprotochain: c\n"
+
+
+@pytest.mark.parametrize(
+    ("source", "stem", "suffix"),
+    [
+        ("in/a.b.pdb", "a.b", ".pdb"), ("a.CIF", "a", ".cif"), ("a.mmcif.GZ", "a", ".cif"),
+        ("a.ent.gz", "a", ".pdb"),
+        ("-", "stdin", ".pdb"), ("a", "a", ".pdb"), ("a.gz", "a", ".pdb"),
+    ],
+)  # fmt: skip
+def test_outputs_are_named_after_the_input(source, stem, suffix):
+    assert options.named_after(Path(source)) == (stem, suffix)
+
+
+@pytest.mark.parametrize("n", [0, 5, 6, 8])
+def test_repairs_and_the_first_overlaps_are_said(n, monkeypatch, capsys):
+    class Overlap(SimpleNamespace):
+        def __str__(self):
+            return f"overlap {self.k}"
+
+    structure = SimpleNamespace(repairs=("one", "two"), positions="x")
+    found = [Overlap(k=k, remedy=f"mend {k}") for k in range(n)]
+    monkeypatch.setattr(
+        "protochain.contacts.overlaps", lambda s, x, c: found if (s, x, c) == (structure, "x", "c") else 1
+    )
+    monkeypatch.setattr(options, "perf_counter", iter([1.0, 3.5]).__next__)
+    setup = SimpleNamespace(prepare=lambda source: (structure, "c", "e") if source == Path("in") else None)
+    assert options.prepare(Path("in"), setup) == ("c", "e", 2.5)
+    told = ["one", "two", *(f"overlap {k}; mend {k}" for k in range(min(n, 5)))]
+    told += [f"and {n - 5} more overlaps"] * (n > 5)
+    assert capsys.readouterr().err == "".join(f"in: {line}\n" for line in told)
+
+
+def test_outputs_are_neither_the_input_nor_one_another(tmp_path):
+    source, other = tmp_path / "in.pdb", tmp_path / "out.pdb"
+    check = options.check_outputs
+    check(source, [source], force=False)
+    source.write_text("")
+    check(source, [other, tmp_path / "b"], force=False)
+    check(source, [source], force=True)
+    other.write_text("")
+    check(source, [other], force=False)
+    for outputs, force, why in (
+        ([source], False, f"{source}: is the input; give another name, or --force to replace it"),
+        ([other, other], True, f"{other}: is given for two outputs; give each its own"),
+        ([source / "x"], True, f"{source}/x: in.pdb is not a folder; give another name"),
+    ):
+        with pytest.raises(ProtochainError) as refused:
+            check(source, outputs, force=force)
+        assert str(refused.value) == why
+
+
+def test_build_checks_its_file_first_and_writes_it(tmp_path, monkeypatch, capsys):
+    built = []
+    monkeypatch.setattr(
+        "protochain.structure.from_sequence", lambda sequence: built.append(sequence) or ring()
+    )
+    assert "unknown suffix '.xyz'" in refusal("build", "GG", "-o", tmp_path / "a.xyz")
+    (tmp_path / "b.pdb").mkdir()
+    assert "is a folder" in refusal("build", "GG", "-o", tmp_path / "b.pdb")
+    assert built == []
+    path = tmp_path / "new" / "a.pdb"
+    assert run("build", "GG", "-o", path) is None and built == ["GG"]
+    assert path.read_text() == as_text(ring(), ".pdb")
+    assert capsys.readouterr().out == f"written: {path} (4 residues, 14 atoms)\n"
+
+
+@pytest.fixture
+def info(monkeypatch):
+    """``info`` on crambin with an energy that is none; the clock goes on by 1, 2, 3 and 4 s."""
+    s, c = load("1ejg.pdb"), chain("1ejg.pdb")
+    s = pc.Structure("x", s.topology, s.positions, ("one", "two"), {"waters": 3, "ZN": 1})
+    reduced = SimpleNamespace(engine="native", reason="why", left_out={"bonds": 5})
+
+    def energy(self, structure):
+        assert structure is s
+        return SimpleNamespace(
+            without_constants=lambda g, x: reduced if (g, x) == (c.rigid_groups, s.positions) else 1
+        )
+
+    monkeypatch.setattr(Setup, "load", lambda self, source: s)
+    monkeypatch.setattr(Setup, "chain", lambda self, structure: c)
+    monkeypatch.setattr(Setup, "energy", energy)
+    near = SimpleNamespace(remedy="mend")
+    monkeypatch.setattr(
+        "protochain.contacts.overlaps", lambda *given: [near] if given == (s, s.positions, c) else []
+    )
+    command = importlib.import_module("protochain.cli.inspect")
+    monkeypatch.setattr(command, "perf_counter", iter([0.0, 1.0, 3.0, 6.0, 10.0]).__next__)
+    return s, c, near
+
+
+def facts_of(s, c, near):
+    kinds = [hinge.kind for hinge in c.hinges]
+    return {
+        "input": "in.pdb", "n_chains": 1, "n_residues": 46, "n_atoms": s.n_atoms, "n_bodies": c.n_bodies,
+        "n_hinges": len(kinds), "n_q": c.n_q, "n_v": c.n_v,
+        "hinges": {kind: kinds.count(kind) for kind in kinds},
+        "loops": [f"{s.describe(a)} - {s.describe(b)}" for a, b in c.loops.tolist()],
+        "left_out": {"waters": 3, "ZN": 1}, "repairs": ["one", "two"], "overlaps": [f"{near}; mend"],
+        "engine": "native", "engine_reason": "why", "constant_terms": {"bonds": 5}, "seconds_import": 1.0,
+        "seconds_preparation": 2.0, "seconds_chain": 3.0, "seconds_energy": 4.0,
+    }  # fmt: skip
+
+
+def test_info_is_one_object_of_all_facts(info, capsys):
+    s, c, near = info
+    run("info", "in.pdb", "--json")
+    assert json.loads(capsys.readouterr().out) == facts_of(s, c, near)
+
+
+def test_info_is_a_line_for_each_fact_and_each_repair(info, capsys):
+    s, c, near = info
+    run("info", "in.pdb")
+    expected = []
+    for key, value in facts_of(s, c, near).items():
+        if isinstance(value, list):
+            expected += [f"{key}: {len(value)}", *(f"  {line}" for line in value)]
+        elif isinstance(value, dict):
+            expected.append(f"{key}: " + ", ".join(f"{count} {name}" for name, count in value.items()))
+        else:
+            expected.append(f"{key}: {value:.2f}" if key.startswith("seconds") else f"{key}: {value}")
+    assert capsys.readouterr().out.splitlines() == expected
+    assert "seconds_energy: 4.00" in expected and "left_out: 3 waters, 1 ZN" in expected
+
+
+ROWS = [{"message": "", "rmsd_angstrom": 1 / 3}, {"message": "bad", "rmsd_angstrom": None}]
+
+
+@pytest.mark.parametrize(("chosen", "status"), [((0,), 0), ((0, 1), 3), ((1,), 1), ((1, 1), 1)])
+def test_rmsd_ends_by_how_many_were_measured(chosen, status, monkeypatch, tmp_path, capsys):
+    asked, printed = [], []
+    table = pd.DataFrame([ROWS[k] for k in chosen])
+    monkeypatch.setattr(
+        "protochain.analysis.deviation.rmsd_table", lambda *given: asked.append(given) or table
+    )
+    command = importlib.import_module("protochain.cli.rmsd")
+    monkeypatch.setattr(command, "print_deviations", printed.append)
+    csv = tmp_path / "t.csv"
+    assert run("rmsd", "ref.pdb", "a", "b", "--json", "-o", csv, "--align", "x", "--measure", "y") == status
+    assert run("rmsd", "ref.pdb", "a", "--align", "x") == status
+    a, b = Path("a"), Path("b")
+    assert asked == [(Path("ref.pdb"), [a, b], "x", "y"), (Path("ref.pdb"), [a], "x", "x")]
+    rows = [ROWS[k] for k in chosen]
+    found = json.loads(capsys.readouterr().out)
+    results = found.pop("results")
+    assert found == {"reference": "ref.pdb", "align": "x", "measure": "y"} and printed == [results]
+    assert [row["message"] for row in results] == [row["message"] for row in rows]
+    assert [row["rmsd_angstrom"] for row in results] == pytest.approx(
+        [row["rmsd_angstrom"] for row in rows], abs=1e-14
+    )
+    assert csv.read_text().splitlines()[0] == "message,rmsd_angstrom" and len(
+        csv.read_text().splitlines()
+    ) == 1 + len(rows)
+    (tmp_path / "ref.pdb").write_text("")
+    assert "is the input" in refusal("rmsd", tmp_path / "ref.pdb", "a", "-o", tmp_path / "ref.pdb")
+    assert len(asked) == 2
+
+
+def test_bench_runs_the_studies_it_is_asked_for(monkeypatch, tmp_path, capsys):
+    ran = []
+
+    def study(name):
+        if name == "odd":
+            raise ProtochainError("odd: no")
+        return SimpleNamespace(
+            run=lambda *given: ran.append((name, *given)) or [pd.DataFrame({"a": [1], "b": ["x"]})]
+        )
+
+    monkeypatch.setattr("protochain.analysis.studies.study", study)
+    monkeypatch.setattr("protochain.analysis.studies.STUDIES", ("one", "two"))
+    out = tmp_path / "out"
+    assert run("bench", "-o", out) == 0 and ran == [("one", out, ()), ("two", out, ())]
+    assert capsys.readouterr().out == 2 * " a b\n 1 x\n\n" + f"written: tables and plots in {out}\n"
+    assert run("bench", "two", "a.pdb", "-o", out) == 0 and ran[2:] == [("two", out, [Path("a.pdb")])]
+    assert refusal("bench", "odd") == "odd: no"
+    (tmp_path / "file").write_text("")
+    assert "is not a folder" in refusal("bench", "-o", tmp_path / "file") and len(ran) == 3

@@ -1,0 +1,237 @@
+"""Jobs of a batch: settings read and refused, files found, names, keys and rows of failures."""
+
+import gzip
+import hashlib
+import io
+import json
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from conftest import STRUCTURES
+
+import protochain as pc
+from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, origin
+
+PLAIN = {
+    "methods": ("hybrid",), "tolerance": 1.0, "max_rmsd": float("inf"), "max_evaluations": 5000, "seed": 0,
+    "hinges": "phi psi chi", "root": "auto", "move": "all", "forcefield": "amber14", "solvent": "obc2",
+    "engine": "auto", "trust_forcefield": False, "model": None, "altloc": "", "keep": (), "disulfide": None,
+    "ph": 7.0, "strict": False,
+}  # fmt: skip
+"""All settings by name, at their defaults."""
+
+
+def names(inputs, settings=None, **options):
+    return [job.name for job in find_jobs(inputs, settings or BatchSettings(), **options)]
+
+
+def test_settings_are_recorded_by_name_but_for_threads():
+    assert BatchSettings().record() == PLAIN
+    assert BatchSettings(setup=pc.Setup(threads=3)).record() == PLAIN
+    assert set(NAMES) == {*PLAIN, "setup", "threads"} and NAMES[:6] == (
+        "methods", "tolerance", "max_rmsd", "max_evaluations", "seed", "setup",
+    )  # fmt: skip
+
+
+def test_settings_change_by_the_names_of_their_fields_or_of_the_setups():
+    changed = BatchSettings().changed(seed=3, ph=5.0, methods=("kcm", "lbfgs", "kcm"))
+    assert changed.record() == PLAIN | {"seed": 3, "ph": 5.0, "methods": ("kcm", "lbfgs")}
+    setup = pc.Setup(solvent="gbn2", ph=6.0)
+    assert changed.changed(setup=setup, ph=5.5).setup == replace(setup, ph=5.5)
+    assert changed.changed(tolerance=2.0).setup == changed.setup
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"methods": ()}, "methods: give at least one"),
+        ({"colour": 1}, f"no setting is called 'colour'; choose from {', '.join(NAMES)}"),
+        ({"max_evaluations": 0}, "max-evaluations 0: give at least 1"),
+        ({"tolerance": 0.0}, "tolerance 0: give a number above 0"),
+        ({"max_rmsd": 0.0}, "max-rmsd 0: give a number of angstrom above 0"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings, said):
+    with pytest.raises(pc.ProtochainError) as refusal:
+        BatchSettings().changed(**settings)
+    assert str(refusal.value) == said
+
+
+def test_methods_of_one_name_are_refused():
+    twice = ("fire", "protochain.minimisers:Fire", "protochain.minimisers.fire:Fire")
+    with pytest.raises(pc.ProtochainError) as refusal:
+        BatchSettings(methods=twice)
+    assert str(refusal.value) == f"methods {', '.join(twice)}: two have one name; their files would too"
+    assert BatchSettings(methods=twice[:2]).methods == twice[:2]
+
+
+def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
+    row = {
+        "methods": "kcm, lbfgs", "tolerance": "2", "max_rmsd": " 0.5 ", "max_evaluations": "7", "seed": "3",
+        "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
+        "engine": "native", "model": "2", "altloc": "B", "keep": "ZN,CA", "disulfide": "A:3-A:40",
+        "ph": "6.5", "strict": "Yes",
+    }  # fmt: skip
+    assert BatchSettings().read(row).record() == {
+        "methods": ("kcm", "lbfgs"), "tolerance": 2.0, "max_rmsd": 0.5, "max_evaluations": 7, "seed": 3,
+        "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
+        "engine": "native", "model": 2, "altloc": "B", "keep": ("ZN", "CA"), "disulfide": (("A:3", "A:40"),),
+        "ph": 6.5, "strict": True, "trust_forcefield": False,
+    }  # fmt: skip
+    assert set(row) == set(PLAIN) - {"trust_forcefield"}
+    assert BatchSettings(seed=4).read(dict.fromkeys(row, " ")) == BatchSettings(seed=4)
+    for text, expected in (("true", True), ("1", True), ("FALSE", False), ("no", False), ("0", False)):
+        assert (
+            BatchSettings(setup=pc.Setup(strict=not expected)).read({"strict": text}).setup.strict is expected
+        )
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ({"strict": "maybe"}, "'maybe' is neither true nor false"),
+        ({"seed": "1.5"}, "invalid literal for int() with base 10: '1.5'"),
+        ({"methods": "a:B"}, "methods: an import path runs code; give it as an option of the batch"),
+        ({"model": "two"}, "model 'two': give its number, or all"),
+        *(({name: "x"}, f"no setting is called {name!r}; choose from ") for name in
+          ("setup", "threads", "trust_forcefield", "path")),
+    ],
+)  # fmt: skip
+def test_cells_that_cannot_be_read_are_refused(row, said):
+    with pytest.raises(pc.ProtochainError) as refusal:
+        BatchSettings().read(row)
+    known = ", ".join(name for name in PLAIN if name != "trust_forcefield")
+    assert str(refusal.value) == (said + known if said.endswith("from ") else said)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with files of many names, which is the current one."""
+    for name in (
+        "b.pdb",
+        "a.CIF",
+        "deep/c.ent.GZ",
+        "deep/d.mmcif",
+        "e.txt",
+        "f.gz",
+        "deep/g.pdb.gz",
+        "sum[1].pdb",
+    ):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(name)
+    (tmp_path / "folder.pdb").mkdir()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_structures_of_a_folder_are_those_with_their_suffixes(here):
+    assert names(["."]) == ["a", "b", "c", "d", "g", "sum[1]"]
+    assert names([here / "deep"]) == ["c", "d", "g"]
+    # A file that is named is taken, whatever its suffix; one that is missing is a job that fails.
+    assert names(["e.txt", "XYZ.pdb"]) == ["e", "XYZ"] and names(["sum[1].pdb"]) == ["sum[1]"]
+    assert find_jobs(["b.pdb"], BatchSettings())[0].path == here / "b.pdb"
+
+
+def test_patterns_are_of_files_in_order(here):
+    assert names(["*.pdb"]) == ["b", "sum[1]"] and names(["**/*.gz"]) == ["g", "f"]
+    assert names(["[ab].*"]) == ["a", "b"] and names(["*.*"]) == ["a", "b", "e", "f", "sum[1]"]
+    for nothing in ("*.xyz", "?.xyz", "[z].pdb"):
+        with pytest.raises(pc.ProtochainError) as refusal:
+            names([nothing])
+        assert str(refusal.value) == f"{nothing}: matches no file"
+    with pytest.raises(pc.ProtochainError) as refusal:
+        names([])
+    assert str(refusal.value) == "no structures found; give files, folders or patterns"
+
+
+def test_a_list_on_standard_input_has_a_name_on_each_line(here, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("  b.pdb \n\n  \ndeep\n"))
+    assert names(["-"]) == ["b", "c", "d", "g"]
+
+
+def test_results_are_not_searched_and_no_input_may_lie_among_them(here):
+    assert names(["."], output=here / "deep") == ["a", "b", "sum[1]"]
+    assert names(["deep"], output=here / "deep" / "new") == ["c", "d", "g"]
+    with pytest.raises(pc.ProtochainError) as refusal:
+        names(["deep/d.mmcif"], output=Path("deep"))
+    assert str(refusal.value) == (
+        "deep/d.mmcif: lies in the folder for the results; give them a folder of their own"
+    )
+
+
+def test_a_manifest_names_files_beside_it_each_with_its_settings(here):
+    listed = here / "deep" / "work.csv"
+    listed.write_text("seed,path\n3, d.mmcif \n,../b.pdb\n3,d.mmcif\n", encoding="utf-8-sig")
+    first, second = find_jobs([], BatchSettings(seed=1), listed)
+    assert [(job.name, job.settings.seed) for job in (first, second)] == [("d", 3), ("b", 1)]
+    assert first.path.samefile("deep/d.mmcif") and second.path.samefile("b.pdb")
+    # Given names come before those of the manifest.
+    assert names(["e.txt"], manifest=listed) == ["e", "d", "b"]
+    for text, said in (
+        ("file\n", ": has no column 'path'"), ("", ": has no column 'path'"),
+        ("path\nb.pdb,1\n", ": line 2: more cells than columns"),
+        ("path,seed\nb.pdb,1\nb.pdb,x\n", ": line 3: invalid literal for int() with base 10: 'x'"),
+    ):  # fmt: skip
+        listed.write_text(text)
+        with pytest.raises(pc.ProtochainError) as refusal:
+            names([], manifest=listed)
+        assert str(refusal.value) == f"{listed}{said}"
+    listed.write_text("path,seed\nb.pdb\n")
+    assert names([], manifest=listed) == ["b"]
+
+
+def test_a_key_is_a_hash_of_version_content_settings_and_force_field(here):
+    def key(content, settings, forcefield=b""):
+        hashes = [hashlib.sha256(text).hexdigest() if text else "" for text in (content, forcefield)]
+        parts = [version("protochain"), hashes[0], settings.record(), hashes[1]]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+    settings = BatchSettings(seed=4)
+    (job,) = find_jobs(["b.pdb"], settings)
+    assert job.key == key(b"b.pdb", settings) and job.identity == ("b", job.key)
+    assert find_jobs(["none.pdb"], settings)[0].key == key(b"", settings)
+    Path("own.xml").write_text("<ForceField/>")
+    own = settings.changed(forcefield="own.xml")
+    assert find_jobs(["b.pdb"], own)[0].key == key(b"b.pdb", own, b"<ForceField/>")
+
+
+def test_names_are_told_apart_by_their_keys_and_then_by_number(here):
+    for folder in ("one", "two", "three"):
+        (here / folder).mkdir()
+        (here / folder / "b.pdb").write_text("same" if folder != "three" else "other")
+    jobs = find_jobs([f"{name}/b.pdb" for name in ("one", "two", "three")] + ["e.txt"], BatchSettings())
+    keys = [job.key[:8] for job in jobs]
+    assert keys[0] == keys[1] != keys[2]
+    assert [job.name for job in jobs] == [f"b-{keys[0]}", f"b-{keys[0]}-2", f"b-{keys[2]}", "e"]
+    # The same path twice is one job.
+    assert names(["e.txt", "b.pdb", "e.txt"]) == ["e", "b"]
+
+
+def test_each_model_is_a_job_where_all_are_asked_for(here):
+    atoms = (STRUCTURES / "ala10.pdb").read_text().split("ATOM", 1)[1].rsplit("\n", 3)[0]
+    text = "".join(f"MODEL     {k:4}\nATOM{atoms}\nENDMDL\n" for k in (3, 5))
+    with gzip.open(here / "two.pdb.gz", "wt") as file:
+        file.write(text)
+    (here / "one.pdb").write_text((STRUCTURES / "ala10.pdb").read_text())
+    every = BatchSettings(setup=pc.Setup(model="all"))
+    jobs = find_jobs(["two.pdb.gz", "one.pdb", "none.pdb", "b.pdb"], every)
+    assert [(job.name, job.settings.setup.model) for job in jobs] == [
+        ("two.3", 3), ("two.5", 5), ("one", None), ("none", None), ("b", None),
+    ]  # fmt: skip
+    one, two, *_ = jobs
+    assert one.key != two.key and origin(two)["model"] == 5 and origin(jobs[2])["model"] == ""
+    assert names(["two.pdb.gz"]) == ["two"]
+
+
+def test_the_row_of_a_failure_says_where_and_why_in_one_line():
+    job = Job("two.5", Path("/in/two.pdb"), BatchSettings(setup=pc.Setup(model=5)), "abc")
+    assert failure(job, "kcm", "refused", "why,\n  so", 2.5) == Row(
+        {
+            "structure": "two.5", "input": "/in/two.pdb", "model": 5, "key": "abc", "method": "kcm",
+            "status": "refused", "message": "why, so", "seconds": 2.5,
+        },
+        [],
+    )  # fmt: skip
+    assert failure(job, "kcm", "refused", "").record["seconds"] == 0.0

@@ -1,0 +1,172 @@
+"""Residues of small structures made by hand, paired by number or sequence, and deviations between them."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import tmtools
+from openmm import app
+
+import protochain as pc
+from protochain.analysis import deviation as module
+from protochain.analysis.deviation import deviation, match, rmsd_table, tm_score
+from protochain.errors import StructureError
+from protochain.residues import STANDARD
+
+NAMES = {letter: name for name, letter in STANDARD.items()} | {"w": "HOH", "x": "HYP"}
+
+
+def made(name, *chains, seed=0, atoms=("N", "CA", "C")):
+    """Chains (id, one-letter codes, first number) of atoms at random places; w is a water."""
+    topology = app.Topology()
+    for chain_id, letters, first in chains:
+        chain = topology.addChain(chain_id)
+        for k, letter in enumerate(letters):
+            residue = topology.addResidue(NAMES[letter], chain, str(first + k), "B" if letter == "W" else "")
+            for atom in ("O",) if letter == "w" else atoms:
+                topology.addAtom(atom, app.Element.getBySymbol(atom[0]), residue)
+    x = np.random.default_rng(seed).normal(size=(topology.getNumAtoms(), 3))
+    return pc.Structure(name, topology, x)
+
+
+def pairs(found):
+    return list(zip(found.reference.tolist(), found.model.tolist(), strict=True))
+
+
+def test_residues_of_equal_chain_number_and_name_are_pairs():
+    whole = made("r", ("A", "ACDw", 1), ("B", "EF", 1))
+    found = match(whole, made("m", ("B", "EF", 1), ("A", "ACD", 1)))
+    assert pairs(found) == [(0, 2), (1, 3), (2, 4), (4, 0), (5, 1)]
+    assert (found.how, found.identity, found.coverage) == ("numbers", 1.0, 1.0)
+    # A part of the reference, in another order; waters are never matched.
+    part = match(whole, made("m", ("A", "CDw", 2)))
+    assert pairs(part) == [(1, 0), (2, 1)] and (part.how, part.coverage) == ("numbers", 0.4)
+    assert pairs(match(made("r", ("A", "CD", 2)), whole)) == [(0, 1), (1, 2)]
+    assert match(made("r", ("A", "CD", 2)), whole).how == "numbers"
+
+
+def test_one_residue_of_another_name_number_or_code_makes_it_an_alignment():
+    reference = made("r", ("A", "ACDEWHIK", 1))
+    for chains in (("A", "ACDEWHIR", 1), ("A", "ACDEWHIK", 2), ("C", "ACDEWHIK", 1)):
+        found = match(reference, made("m", chains))
+        assert found.how == "sequence" and pairs(found) == [(k, k) for k in range(8)]
+        assert found.identity == (7 / 8 if "R" in chains[1] else 1.0) and found.coverage == 1.0
+    # A name that occurs twice in the model says nothing.
+    twice = made("m", ("A", "ACDEWHIK", 1), ("A", "K", 8))
+    assert match(reference, twice).how == "sequence"
+
+
+def test_insertions_and_deletions_shift_what_follows():
+    reference = made("r", ("A", "MKTAYIAKQRQISFVK", 1))
+    short = made("m", ("A", "MKTAYQRQISFVK", 1))
+    assert pairs(match(reference, short)) == [(k, k if k < 5 else k - 3) for k in range(16) if not 5 <= k < 8]
+    assert match(reference, short).coverage == 13 / 16
+    assert pairs(match(short, reference)) == [(k, k if k < 5 else k + 3) for k in range(13)]
+    assert list(module._cigar("12M3I4D")) == [(12, "M"), (3, "I"), (4, "D")]
+
+
+def test_chains_are_paired_for_the_best_sum_and_a_broken_chain_is_one_sequence():
+    first, second = "MKTAYIAKQR", "WWHHPPGGCC"
+    reference = made("r", ("A", first, 1), ("B", second, 1))
+    swapped = made("m", ("X", second, 5), ("Y", first[:4], 1), ("Y", first[4:], 30))
+    assert pairs(match(reference, swapped)) == [(k, (k + 10) % 20) for k in range(20)]
+    assert module._by_chain(made("m", ("Y", "AwC", 1), ("X", "D", 1), ("Y", "E", 9))) == [[0, 2, 4], [3]]
+
+
+def test_nothing_in_common_is_an_error():
+    with pytest.raises(pc.ProtochainError) as refused:
+        match(made("r", ("A", "w", 1)), made("m", ("A", "w", 1)))
+    assert str(refused.value) == "m: no residue matches r"
+    with pytest.raises(pc.ProtochainError) as refused:
+        deviation(made("r", ("A", "ACD", 1)), made("m", ("A", "ACD", 1), atoms=("N", "C")), "name CA")
+    assert str(refused.value) == "m: no atom of 'name CA' matches r"
+
+
+TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+
+
+def test_atoms_are_superposed_on_one_selection_and_measured_on_another():
+    reference = made("r", ("A", "ACDEF", 1))
+    whole = reference.with_positions(reference.positions @ TURN.T + [1.0, 2.0, 3.0])
+    x = whole.positions.copy()
+    # C of residue 4: 0.4 nm away, the only one of three measured atoms that moved.
+    x[11] += [0.0, 0.0, 0.4]
+    moved = whole.with_positions(x)
+    found = deviation(reference, moved, "name CA", "name C and resid 2:4")
+    assert found.rmsd == pytest.approx(4.0 / np.sqrt(3.0)) and (found.n_aligned, found.n_measured) == (5, 3)
+    off = 10.0 * (x - reference.positions)[[5, 8, 11]]
+    assert found.rmsd_unsuperposed == pytest.approx(np.sqrt((off**2).sum() / 3.0))
+    assert deviation(reference, moved).rmsd == pytest.approx(0.0, abs=1e-9)
+    same = deviation(reference, whole, "name C", "name C")
+    assert same.rmsd == pytest.approx(0.0, abs=1e-9) and same.n_aligned == same.n_measured == 5
+    assert found.tm_score == pytest.approx(1.0, abs=1e-4)
+
+
+def test_atoms_without_a_counterpart_are_left_out():
+    reference = made("r", ("A", "ACDEF", 1))
+    x = np.delete(reference.positions, [0, 1, 2, 7], axis=0)
+    topology = app.Topology()
+    chain = topology.addChain("A")
+    for number, name in enumerate(("CYS", "ASP", "GLU", "PHE"), 2):
+        residue = topology.addResidue(name, chain, str(number))
+        for atom in ("N", "CA", "C"):
+            if (number, atom) != (3, "CA"):
+                topology.addAtom(atom, app.Element.getBySymbol(atom[0]), residue)
+    found = deviation(reference, pc.Structure("m", topology, x), "all", "name CA")
+    assert (found.n_aligned, found.n_measured, found.match.coverage) == (11, 3, 0.8)
+    assert found.rmsd == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_tm_score_is_normalised_by_the_reference_and_needs_three_residues():
+    reference, model = made("r", ("A", "ACDEFGHIKLx", 1)), made("m", ("A", "ACDEFGHI", 1))
+    x, y = (10.0 * s.positions[s.alpha_carbons] for s in (reference, model))
+    theirs = tmtools.tm_align(y, x, "ACDEFGHI", "ACDEFGHIKLX")
+    assert tm_score(reference, model) == theirs.tm_norm_chain2 != theirs.tm_norm_chain1
+    three, two = made("r", ("A", "ACD", 1)), made("m", ("A", "AC", 1))
+    assert tm_score(three, three) == pytest.approx(1.0) and module._trace(reference)[1] == "ACDEFGHIKLX"
+    assert np.isnan(tm_score(three, two)) and np.isnan(tm_score(two, three))
+
+
+def test_a_record_names_its_units():
+    reference = made("r", ("A", "ACw", 1))
+    moved = reference.with_positions(reference.positions + np.array([0.3, 0.0, 0.0]))
+    row = deviation(reference, moved, "all", "name C").record()
+    assert list(row) == [
+        "rmsd_angstrom", "rmsd_unsuperposed_angstrom", "tm_score", "matched_residues", "coverage", "identity",
+        "matched_by", "aligned_atoms", "measured_atoms",
+    ]  # fmt: skip
+    assert row["rmsd_angstrom"] == pytest.approx(0.0, abs=1e-9)
+    assert row["rmsd_unsuperposed_angstrom"] == pytest.approx(3.0)
+    assert list(row.values())[2:] == [None, 2, 1.0, 1.0, "numbers", 6, 2]
+    three = made("r", ("A", "ACD", 1))
+    assert deviation(three, three).record()["tm_score"] == pytest.approx(1.0)
+
+
+def test_a_table_has_a_row_for_each_model_and_each_failure(monkeypatch):
+    reference, other = made("r", ("A", "ACD", 1)), made("w", ("A", "w", 1))
+
+    def numbers(path):
+        if path == "bad":
+            raise StructureError("bad: no")
+        return [2, 5, 9]
+
+    def load(path, model=None):
+        if model == 5:
+            raise StructureError("5: no")
+        return other if model == 9 else reference
+
+    monkeypatch.setattr(module, "model_numbers", numbers)
+    monkeypatch.setattr(module, "load", load)
+    table = rmsd_table("ref", ["bad", "good"], "name CA", "name C")
+    assert table["reference"].tolist() == ["ref"] * 4 and table["file"].tolist() == ["bad"] + ["good"] * 3
+    assert table["model"].isna().tolist() == [True, False, False, False]
+    assert table["model"].tolist()[1:] == [2.0, 5.0, 9.0]
+    assert table["message"].tolist() == ["bad: no", "", "5: no", "w: no residue matches r"]
+    row = table.iloc[1].to_dict()
+    expected = deviation(reference, reference, "name CA", "name C").record()
+    assert {key: row[key] for key in expected} == pytest.approx(expected)
+    assert pd.isna(table.loc[2, "rmsd_angstrom"])
+    monkeypatch.setattr(module, "model_numbers", lambda path: [2])
+    assert rmsd_table("ref", ["good"])["measured_atoms"].tolist() == [3]
+    for selections in (("name QQ", "all"), ("all", "name QQ")):
+        with pytest.raises(pc.ProtochainError, match="'name QQ' selects no atom"):
+            rmsd_table("ref", [], *selections)

@@ -1,0 +1,185 @@
+"""``minimise``: what its settings become, what a checkpoint compares, how an outcome is judged."""
+
+import hashlib
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import chain
+
+import protochain as pc
+from protochain import defaults
+from protochain.chain import pose
+from protochain.minimisers import RECIPES, Status, api
+from protochain.minimisers.api import Minimisation
+from protochain.minimisers.loop import Stop
+from protochain.minimisers.restraints import Hold
+from protochain.minimisers.spaces import spaces
+from protochain.minimisers.stages import Outcome
+from protochain.minimisers.start import Start
+
+LBFGS = RECIPES["lbfgs"]
+
+
+def test_settings_are_the_defaults_where_none_are_given():
+    run = Minimisation(LBFGS)
+    assert run == Minimisation(LBFGS, 1.0, 5000, 0, (), np.inf, None, None)
+    assert (run.hold, Minimisation(LBFGS, restraint="3 1", max_rmsd=2.0).hold) == (
+        Hold(),
+        Hold((3.0, 1.0), 2.0),
+    )
+    assert defaults.TOLERANCE == 1.0 and defaults.MAX_EVALUATIONS == 5000 and defaults.SEED == 0
+
+
+@pytest.mark.parametrize(
+    ("recipe", "settings", "said"),
+    [
+        ("lbfgs", {"tolerance": 0.0}, "tolerance 0: give a number above 0"),
+        ("lbfgs", {"tolerance": np.inf}, "tolerance inf: give a number above 0"),
+        ("lbfgs", {"max_evaluations": 0}, "max-evaluations 0: give at least 1"),
+        ("openmm", {"restraint": 1.0},
+         "method 'openmm' cannot be held near its start; choose cartesian or hybrid"),
+        ("openmm", {"checkpoint": "run.npz"},
+         "method 'openmm' keeps no state to resume from; choose another, or no checkpoint"),
+        ("openmm", {"resume": "run.npz"},
+         "method 'openmm' keeps no state to resume from; choose another, or no checkpoint"),
+    ],
+)  # fmt: skip
+def test_settings_that_make_no_sense_are_refused(recipe, settings, said):
+    with pytest.raises(pc.ProtochainError) as refusal:
+        Minimisation(RECIPES[recipe], **settings)
+    assert str(refusal.value) == said
+
+
+def test_settings_that_make_sense_are_not():
+    Minimisation(RECIPES["openmm"], 1e-9, 1)
+    Minimisation(LBFGS, 1.0, 1, checkpoint="run.npz", resume="run.npz", restraint=1.0)
+
+
+def test_an_unknown_option_is_refused_with_those_there_are():
+    with pytest.raises(pc.ProtochainError) as refusal:
+        pc.minimise(None, max_rmsd=1.0, colour="red")
+    assert str(refusal.value) == (
+        "minimise has no option 'colour'; besides its parameters it takes "
+        "restraint, max_rmsd, checkpoint, resume"
+    )
+
+
+FORCES = np.random.default_rng(0).normal(size=chain("ala10.pdb").structure.positions.shape)
+
+
+def told(engine="native", height=lambda x: -5.0):
+    """An energy that is what it is told, with forces that do not change."""
+    energy = SimpleNamespace(engine=engine, fingerprint="abc", reference=lambda x: (height(x), FORCES))
+    energy.left_out = {"bonds": 1}
+
+    class Told:
+        def __getattr__(self, name):
+            return getattr(energy, name)
+
+        def __call__(self, x):
+            return 2.0 * height(x), FORCES
+
+        def without_constants(self, groups, x):
+            return SimpleNamespace(left_out={"angles": 2}, is_exact=True)
+
+    return Told()
+
+
+def test_a_checkpoint_belongs_to_a_method_its_settings_and_its_start():
+    c = chain("ala10.pdb")
+    run = Minimisation(LBFGS, 2.0, 7, 3, (5.0, 0.0), 0.75, checkpoint="a")
+    assert run.settings(Start(c, told())) == {
+        "method": "lbfgs", "tolerance": 2.0, "restraint": [5.0, 0.0], "max_rmsd": 0.75,
+        "hinges": "phi psi chi", "root": "auto", "move": "all", "seed": 3, "engine": "native",
+        "system": "abc", "start": hashlib.sha256(c.structure.positions.tobytes()).hexdigest(),
+    }  # fmt: skip
+
+
+def judged(done, energy=None, **settings):
+    c = chain("ala10.pdb")
+    record = SimpleNamespace(trace=lambda: "the trace")
+    return api._judged(Start(c, energy or told()), Minimisation(LBFGS, **settings), done, record, 1.5)
+
+
+def test_an_outcome_in_torsions_is_judged_by_its_largest_torque():
+    c = chain("ala10.pdb")
+    torsions, _ = spaces(c)
+    q = c.q0.copy()
+    q[0] += 0.01
+    done = Outcome(Stop.NO_DESCENT, torsions, q, 11, 12)
+    found = judged(done, tolerance=1e-3, seed=4)
+    at = pose(c, q)
+    assert np.array_equal(found.q, q) and np.array_equal(found.x, at.x)
+    size = torsions.residual(torsions.torque(at, FORCES))
+    assert found.end.max_torque == size and found.status == Status.STALLED
+    assert found.message == (
+        "stalled: no step lowers the energy any further: "
+        f"largest torque {size:.4g} kJ/mol/rad for a tolerance of 0.001, in double precision"
+    )
+    assert (found.n_iterations, found.n_evaluations, found.seconds, found.trace) == (11, 12, 1.5, "the trace")
+    assert (found.energy, found.end.energy, found.tolerance, found.seed) == (-10.0, -5.0, 1e-3, 4)
+    assert found.constant_terms == {"angles": 2} and found.hold == Hold() and found.recipe is LBFGS
+    assert 0.0 < found.ca_rmsd_angstrom < 1.0 and found.chain is c
+
+
+def test_an_outcome_meets_the_tolerance_exactly_or_not():
+    c = chain("ala10.pdb")
+    torsions, _ = spaces(c)
+    size = torsions.residual(torsions.torque(pose(c, c.q0), FORCES))
+    done = Outcome(Stop.BUDGET, torsions, c.q0, 1, 2)
+    assert judged(done, tolerance=size).status == Status.CONVERGED
+    assert judged(done, tolerance=0.999 * size).status == Status.BUDGET
+    # What left stages out has not converged.
+    assert judged(replace(done, complete=False), tolerance=size).status == Status.BUDGET
+
+
+def test_an_outcome_of_all_atoms_is_judged_by_its_rms_force_and_rebuilt():
+    c = chain("ala10.pdb")
+    _, atoms = spaces(c)
+    x = 1.002 * c.structure.positions
+    found = judged(Outcome(Stop.BUDGET, atoms, atoms.start(x), 1, 2), told("custom"), tolerance=0.5)
+    size = np.sqrt(np.mean(FORCES**2))
+    assert found.end.rms_force == pytest.approx(size) and found.x == pytest.approx(x, abs=1e-12)
+    assert found.message == (
+        f"budget: 2 evaluations used: RMS force {size:.4g} kJ/mol/nm for a tolerance of 0.5, "
+        "judged by the callable itself"
+    )
+
+
+@pytest.mark.parametrize(("end", "taken"), [(-4.0, True), (-5.0, True), (-3.9, True), (np.nan, False)])
+def test_an_end_above_the_start_gives_way_to_it(end, taken):
+    c = chain("ala10.pdb")
+    start = c.structure.positions
+
+    def height(x):
+        return -3.95 if np.allclose(x, start, atol=1e-9) else end
+
+    q = c.q0.copy()
+    q[0] += 0.01
+    found = judged(Outcome(Stop.BUDGET, spaces(c)[0], q, 1, 2), told(height=height))
+    taken = taken and end <= -3.95
+    assert np.array_equal(found.q, q if taken else c.q0) and found.end.energy == (end if taken else -3.95)
+
+
+def test_restraints_are_judged_and_said():
+    c = chain("ala10.pdb")
+    torsions, _ = spaces(c)
+    done = Outcome(Stop.BUDGET, torsions, c.q0, 1, 2, restraint=lambda x: (7.0, -FORCES))
+    found = judged(done)
+    assert found.end.max_torque == 0.0 and found.status == Status.CONVERGED and found.end.energy == -5.0
+    assert found.message == (
+        "converged: largest torque 0 kJ/mol/rad for a tolerance of 1, restraints included, "
+        "in double precision"
+    )
+
+
+def test_a_start_is_judged_and_reduced_once():
+    c = chain("ala10.pdb")
+    start = Start(c, told())
+    assert start.judgement is start.judgement and start.judgement.energy == -5.0
+    assert start.reduced is start.reduced
+    assert start.energy_of(LBFGS) is start.reduced and start.energy_of(RECIPES["hybrid"]) is start.reduced
+    assert start.energy_of(RECIPES["cartesian"]) is start.energy
+    assert np.array_equal(start.pose.x, pose(c, c.q0).x)

@@ -1,0 +1,255 @@
+"""Where a batch runs, and how its jobs are handed out; no process is started."""
+
+import json
+import os
+import platform
+import signal
+import sys
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+
+import protochain as pc
+from protochain.batches import api, cluster
+from protochain.batches.cluster import Processes, connected
+from protochain.batches.jobs import BatchSettings, Job, Row, failure
+from protochain.batches.supervise import supervise
+from protochain.batches.table import Tables
+
+OWN = version("protochain")
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"time_limit": 0.0}, {"time_limit": float("nan")}, {"threads": 0}, {"workers": 0}]
+)
+def test_numbers_of_processes_are_above_zero(wrong):
+    with pytest.raises(pc.ProtochainError) as refusal:
+        Processes(**wrong)
+    assert str(refusal.value) == "time-limit, threads and workers: give numbers above 0"
+    assert Processes(1, None, 1, 1e-3).workers == 1
+    assert Processes() == Processes(None, None, 1, 3600.0)
+
+
+class Client:
+    """Dask's client as a batch sees it."""
+
+    made = ()
+    answers = ()
+    error = None
+
+    def __init__(self, *given, **options):
+        if self.error:
+            raise self.error
+        type(self).made = (*self.made, (given, options))
+        self.plugins = []
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        type(self).made = (*self.made, "closed")
+
+    def register_plugin(self, plugin):
+        self.plugins.append(plugin)
+
+    def run(self, function):
+        assert function is cluster._version
+        return dict(self.answers)
+
+
+@pytest.fixture
+def dask(monkeypatch):
+    """A client and a cluster that only note what they are given."""
+
+    class Own(Client):
+        pass
+
+    clusters = []
+
+    @contextmanager
+    def local(**options):
+        clusters.append(options)
+        yield "the cluster"
+
+    monkeypatch.setattr(cluster, "Client", Own)
+    monkeypatch.setattr(cluster, "LocalCluster", local)
+    return SimpleNamespace(client=Own, clusters=clusters)
+
+
+@pytest.mark.parametrize(
+    ("processes", "cores", "count"),
+    [
+        (Processes(workers=3), 8, 3), (Processes(), 8, 8), (Processes(threads=3), 8, 2),
+        (Processes(threads=9), 8, 1), (Processes(), None, 1),
+    ],
+)  # fmt: skip
+def test_a_cluster_of_this_machine_is_reached_from_it_only(processes, cores, count, dask, monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    with connected(processes) as client:
+        (plugin,) = client.plugins
+        assert isinstance(plugin, cluster._CalmWorker)
+    assert dask.clusters == [
+        {"n_workers": count, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": "127.0.0.1:0",
+         "memory_limit": 0, "silence_logs": 50}
+    ]  # fmt: skip
+    assert dask.client.made == ((("the cluster",), {}), "closed")
+
+
+@pytest.mark.parametrize("address", ["tcp://there:1", "tls://there:1"])
+def test_a_cluster_that_runs_is_used_where_its_version_is_ours(address, dask):
+    dask.client.answers = [("one", OWN), ("two", OWN)]
+    with connected(Processes(scheduler=address)) as client:
+        assert client.plugins == []
+    (((given,), options), closed) = dask.client.made
+    assert given == address and closed == "closed" and not dask.clusters
+    assert (options["timeout"], options["set_as_default"]) == ("10s", False)
+    assert (options["security"] is None) == address.startswith("tcp")
+    dask.client.answers = [("one", OWN), ("two", "0.0.1")]
+    with pytest.raises(pc.ProtochainError) as refusal, connected(Processes(scheduler=address)):
+        pass
+    assert str(refusal.value) == (
+        f"scheduler {address}: worker two has protochain 0.0.1, and here is {OWN}; "
+        "install one version everywhere"
+    )
+
+
+@pytest.mark.parametrize("error", [OSError("no"), TypeError("no"), ValueError("no")])
+def test_a_cluster_that_does_not_answer_is_named(error, dask):
+    dask.client.error = error
+    with pytest.raises(pc.ProtochainError) as refusal, connected(Processes(scheduler="tcp://there:1")):
+        pass
+    assert str(refusal.value) == "scheduler tcp://there:1: no cluster answers there: no"
+
+
+def test_a_worker_tells_its_version(monkeypatch):
+    assert cluster._version() == OWN
+
+    def none(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(cluster, "version", none)
+    assert cluster._version() == "not installed"
+
+
+def test_a_worker_ignores_what_the_client_handles(monkeypatch):
+    given = []
+    monkeypatch.setattr(signal, "signal", lambda *what: given.append(what))
+    cluster._CalmWorker().setup(None)
+    assert given == [(signal.SIGINT, signal.SIG_IGN)]
+
+
+def jobs_of(n, folder):
+    settings = BatchSettings(methods=("kcm", "lbfgs"))
+    return [Job(f"s{k}", Path(folder) / f"s{k}.pdb", settings, f"key-{k}") for k in range(n)]
+
+
+class Futures:
+    """Dask's client and its futures in one: what was submitted ends in the order of submission."""
+
+    def __init__(self, monkeypatch, n_threads=1, lost_at=None, failed_at=(), usable=()):
+        self.submitted, self.cancelled, self.lost_at = [], None, lost_at
+        self.failed_at, self.usable, self.most = failed_at, usable, 0
+        self.loop, self.cluster, self.dashboard_link = "the loop", None, "http://there"
+        self.nthreads = lambda: {"worker": n_threads}
+        self.futures = []
+        monkeypatch.setattr(api, "as_completed", self.completed)
+
+    def submit(self, function, job, folder, threads, time_limit, pure):
+        assert function is supervise and pure is False
+        self.submitted.append((job, folder, threads, time_limit))
+        number = len(self.submitted) - 1
+        status = "lost" if number == self.lost_at else "error" if number in self.failed_at else "finished"
+        record = {"output": "file"} if number in self.usable else {}
+        rows = [
+            Row(failure(job, method, "budget", "").record | record, []) for method in job.settings.methods
+        ]
+        return SimpleNamespace(key=number, status=status, result=lambda: rows, exception=lambda: "why")
+
+    def completed(self, futures, loop):
+        assert loop == "the loop"
+        self.futures = list(futures)
+        return self
+
+    def add(self, future):
+        self.futures.append(future)
+
+    def __iter__(self):
+        while self.futures:
+            self.most = max(self.most, len(self.futures))
+            yield self.futures.pop(0)
+
+    def cancel(self, futures):
+        self.cancelled = futures
+
+
+@pytest.fixture
+def tables(tmp_path):
+    made = Tables(tmp_path, resume=False)
+    made.finished([])
+    yield made
+    made.close()
+
+
+def test_jobs_are_handed_out_a_few_ahead_and_counted_as_they_end(tables, tmp_path, monkeypatch):
+    client, seen = Futures(monkeypatch, failed_at=(1,), usable=(0, 2, 3, 4, 5)), []
+    clock = iter(range(1000))
+    monkeypatch.setattr(api, "perf_counter", lambda: float(next(clock)))
+    todo = jobs_of(6, tmp_path)
+    assert api._work(client, todo, tables, Processes(threads=2, time_limit=9.0), 3, seen.append) is False
+    assert client.submitted == [(job, tmp_path, 2, 9.0) for job in todo] and client.most == 4
+    assert [(p.total, p.done, p.failed, p.skipped) for p in seen] == [
+        (9, 1, 0, 3), (9, 2, 1, 3), (9, 3, 1, 3), (9, 4, 1, 3), (9, 5, 1, 3), (9, 6, 1, 3),
+    ]  # fmt: skip
+    assert {p.dashboard for p in seen} == {"http://there"}
+    seconds = [p.seconds for p in seen]
+    assert seconds == sorted(seconds) and 0.0 < seconds[0] < 10.0
+    table = tables.read()
+    assert table["structure"].tolist() == [job.name for job in todo for _ in range(2)]
+    assert table["status"].tolist() == ["budget"] * 2 + ["killed"] * 2 + ["budget"] * 8
+    assert table["message"][2] == "no worker finished this structure: why"
+
+
+def test_a_scheduler_that_is_lost_ends_the_batch(tables, tmp_path, monkeypatch):
+    client = Futures(monkeypatch, lost_at=1)
+    assert api._work(client, jobs_of(3, tmp_path), tables, Processes(), 0, None) is True
+    assert tables.read()["structure"].tolist() == ["s0", "s0"] and client.cancelled is None
+
+
+def test_an_interrupt_keeps_what_is_done_and_cancels_the_rest(tables, tmp_path, monkeypatch):
+    client = Futures(monkeypatch)
+
+    def watch(progress):
+        if progress.done == 2:
+            raise KeyboardInterrupt
+
+    assert api._work(client, jobs_of(9, tmp_path), tables, Processes(), 0, watch) is True
+    assert tables.read()["structure"].nunique() == 2
+    assert [future.key for future in client.cancelled] == [future.key for future in client.futures] != []
+
+
+def test_the_summary_of_a_batch(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["protochain", "batch", "in"])
+    jobs, written = jobs_of(2, tmp_path), []
+    monkeypatch.setattr("protochain.batches.report.write_report", lambda *given: written.append(given))
+    made = Tables(tmp_path, resume=False)
+    made.finished([])
+    for job, status in zip(jobs, ("budget", "refused"), strict=True):
+        made.append([failure(job, "kcm", "budget", ""), failure(job, "lbfgs", status, "")])
+    api._finish(tmp_path, jobs)
+    made.close()
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    settings = json.loads(json.dumps(jobs[0].settings.record(), default=str))
+    names = ("protochain", "openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "distributed", "pandas")
+    assert summary == {
+        "n_structures": 2, "n_rows": 4, "status": {"budget": 3, "refused": 1},
+        "command": ["protochain", "batch", "in"], "python": platform.python_version(),
+        "versions": {name: version(name) for name in names}, "settings": settings,
+    }  # fmt: skip
+    ((folder, table, same),) = written
+    assert folder == tmp_path and same["n_rows"] == 4 and len(table) == 4
+    assert pd.read_parquet(tmp_path / "summary.parquet").shape == table.shape
+    assert (tmp_path / "summary.json").read_text().startswith('{\n  "n_structures": 2,\n')

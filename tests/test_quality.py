@@ -1,0 +1,155 @@
+"""Measures of quality on small structures, whose values follow on paper."""
+
+import mdtraj
+import numpy as np
+import pytest
+from conftest import load
+from openmm import app
+from test_write import ring
+
+import protochain as pc
+from protochain.analysis import quality as module
+from protochain.analysis.quality import (
+    displacement,
+    dssp,
+    hydrogen_bonds,
+    quality,
+    radius_of_gyration,
+    ramachandran,
+    ramachandran_outliers,
+    ramachandran_reference,
+)
+
+
+def molecule(elements, x, bonds=()):
+    topology = app.Topology()
+    residue = topology.addResidue("LIG", topology.addChain("A"), "1")
+    atoms = [topology.addAtom(f"{e}{k}", app.Element.getBySymbol(e), residue) for k, e in enumerate(elements)]
+    for first, second in bonds:
+        topology.addBond(atoms[first], atoms[second])
+    return pc.Structure("m", topology, np.array(x, dtype=float))
+
+
+def test_the_radius_of_gyration_weighs_masses():
+    pair = molecule("HO", [[1.0, 2.0, 3.0], [1.0, 2.0, 3.5]])
+    hydrogen, oxygen = pair.atom_mass
+    # Two masses at a distance d: sqrt(m M) / (m + M) d.
+    assert radius_of_gyration(pair) == pytest.approx(5.0 * np.sqrt(hydrogen * oxygen) / (hydrogen + oxygen))
+
+
+L_SHAPE = [(0, 1), (1, 2), (3, 1), (3, 4)]
+CORNER = [[0.1, 0, 0], [0, 0, 0], [0, 0.1, 0], [0, 0, 0.2], [0, 0.1, 0.1]]
+
+
+def test_bonds_and_angles_are_those_of_the_topology():
+    bent = molecule("CCCCC", CORNER, L_SHAPE)
+    assert module._triples(bent).tolist() == [[0, 1, 2], [0, 1, 3], [2, 1, 3], [1, 3, 4]]
+    assert module._bond_lengths(bent) == pytest.approx([0.1, 0.1, 0.2, 0.1 * np.sqrt(2.0)])
+    assert np.degrees(module._bond_angles(bent)) == pytest.approx([90, 90, 90, 45])
+    assert module._triples(molecule("CC", [[0, 0, 0], [1, 0, 0]], [(0, 1)])).shape == (0, 3)
+    assert module._root_mean_square(np.array([3.0, -4.0])) == pytest.approx(np.sqrt(12.5))
+
+
+def test_displacements_are_of_the_c_alphas_after_superposition():
+    s = ring()
+    x = s.positions.copy()
+    x[s.alpha_carbons] = [[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]
+    start = s.with_positions(x)
+    x = x + 5.0
+    x[s.alpha_carbons[1]] += [0, 0.3, 0]
+    # The middle one of three in a row leaves by 0.3 nm: one third of it shifts the centre.
+    assert displacement(s.with_positions(x), start) == pytest.approx([1.0, 2.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def chain():
+    return pc.from_sequence("AGPSA")
+
+
+def test_dihedrals_are_of_residues_that_have_both(chain):
+    residues, angles = ramachandran(chain)
+    assert residues.tolist() == [1, 2, 3] and residues.dtype == np.int64
+    assert angles == pytest.approx(np.array([[-120.0, 140.0], [-70.0, 140.0], [-120.0, 140.0]]), abs=0.01)
+    none, empty = ramachandran(pc.from_sequence("AA"))
+    assert none.tolist() == [] and empty.shape == (0, 2)
+    assert ramachandran_outliers(pc.from_sequence("AA")).tolist() == []
+
+
+def test_outliers_are_where_the_reference_has_hardly_any(chain, monkeypatch):
+    reference = np.full((90, 90), 5.0)
+    # Rows are psi, columns phi, in steps of four degrees from -180.
+    reference[80, 15], reference[0, 89], reference[10, 0] = 0.99, 1.0, 0.0
+    monkeypatch.setattr(module, "ramachandran_reference", lambda: reference)
+    names = chain.residue_name
+
+    def outliers(*angles):
+        residues = np.array([0, 2, 3, 4, 1][: len(angles)])
+        assert names[residues].tolist() == ["ALA", "PRO", "SER", "ALA", "GLY"][: len(angles)]
+        monkeypatch.setattr(module, "ramachandran", lambda s: (residues, np.array(angles, dtype=float)))
+        return ramachandran_outliers(chain).tolist()
+
+    assert outliers((-120, 140), (140, -120), (-116.1, 143.9), (-120.1, 140)) == [True, False, True, False]
+    # 180 degrees are -180; one in the reference is enough; glycine is never an outlier.
+    assert outliers((178, 180), (180, -138), (-178, -140), (-180, -136), (-120, 140)) == [
+        False, True, True, False, False,
+    ]  # fmt: skip
+    assert ramachandran_outliers(chain).dtype == bool
+
+
+def test_the_reference_is_the_one_of_mdanalysis():
+    found = ramachandran_reference()
+    assert found.shape == (90, 90) and found.dtype == float
+    # Helices and strands are common, left-handed turns without glycine rare.
+    assert found[((-45 + 180) // 4), ((-60 + 180) // 4)] > 100 > 1 > found[((0 + 180) // 4), ((0 + 180) // 4)]
+
+
+def test_helices_and_hydrogen_bonds_are_those_of_mdtraj():
+    s = load("1l2y.pdb")
+    frames = pc.to_mdtraj(s)
+    kinds = dssp(s)
+    assert kinds.tolist() == mdtraj.compute_dssp(frames, simplified=True)[0].tolist() and set(kinds) == {
+        "H",
+        "C",
+    }
+    found = mdtraj.baker_hubbard(frames, freq=0.0, periodic=False)
+    assert hydrogen_bonds(s) == len(found) > 5
+    assert np.array_equal(module._trajectory(s).xyz[0], s.positions.astype(np.float32))
+
+
+def test_a_row_of_quality_has_every_measure(chain):
+    x = chain.positions.copy()
+    x[0] += [0.0, 0.0, 0.05]
+    end = chain.with_positions(1.25 * x)
+    row = quality(end, chain)
+    assert list(row) == [
+        "radius_of_gyration_angstrom", "ca_rmsd_to_start_angstrom", "tm_score_to_start",
+        "secondary_structure_kept", "ramachandran_outliers", "overlaps", "hydrogen_bonds",
+        "bond_length_change_rms_angstrom", "bond_angle_change_rms_degrees",
+    ]  # fmt: skip
+    first, second = chain.bonds.T
+    change = [
+        np.linalg.norm(end.positions[i] - end.positions[j])
+        - np.linalg.norm(chain.positions[i] - chain.positions[j])
+        for i, j in zip(first, second, strict=True)
+    ]
+    assert row["bond_length_change_rms_angstrom"] == pytest.approx(10.0 * np.sqrt(np.mean(np.square(change))))
+    assert row["bond_angle_change_rms_degrees"] > 0.1
+    assert row["ca_rmsd_to_start_angstrom"] == pc.ca_rmsd(chain, end.positions, chain.positions)
+    assert row["radius_of_gyration_angstrom"] == radius_of_gyration(end)
+    assert 0.0 < row["tm_score_to_start"] < 1.0 and row["secondary_structure_kept"] == 1.0
+    unchanged = quality(chain, chain)
+    assert list(unchanged.values())[6:] == [hydrogen_bonds(chain), 0.0, 0.0]
+    assert unchanged["ca_rmsd_to_start_angstrom"] < 1e-6 and unchanged["overlaps"] == 0
+    short = pc.from_sequence("AA")
+    assert quality(short, short)["tm_score_to_start"] is None
+    near = chain.positions.copy()
+    near[-1] = near[0] + 0.03
+    assert quality(chain.with_positions(near), chain)["overlaps"] > 0
+
+
+def test_what_is_kept_of_the_structure_is_a_fraction(chain, monkeypatch):
+    kinds = iter([np.array(list("HHECC")), np.array(list("HHHHC"))])
+    monkeypatch.setattr(module, "dssp", lambda s: next(kinds))
+    monkeypatch.setattr(module, "ramachandran_outliers", lambda s: np.array([True, False, True]))
+    row = quality(chain, chain)
+    assert (row["secondary_structure_kept"], row["ramachandran_outliers"]) == (0.6, 2)

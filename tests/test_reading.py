@@ -1,0 +1,350 @@
+"""Reading of molecules made by hand: what is taken, split, converted or left out, and in which words."""
+
+import gemmi
+import numpy as np
+import pytest
+
+import protochain as pc
+from protochain.structure import read as module
+from protochain.structure.draft import Draft, atom
+from protochain.structure.read import Reading, read, read_structure
+
+BACKBONE = ("N", "CA", "C", "O")
+STEP = 3.7
+"""Angstrom between residues whose C and N are 1.3 angstrom apart."""
+
+
+def residue(name, number, at=None, atoms=BACKBONE, code=" "):
+    """N, CA and C in a row from x = at, other atoms above them; an atom may be (name, element)."""
+    made = gemmi.Residue()
+    made.name, made.seqid = name, gemmi.SeqId(number, code)
+    at = STEP * number if at is None else at
+    for k, each in enumerate(atoms):
+        label, element = (each, each[0]) if isinstance(each, str) else each
+        place = {"N": [0, 0, 0], "CA": [1.2, 0, 0], "C": [2.4, 0, 0]}.get(label, [0.1 * k, 1.0, 0])
+        one = atom(label, element, [at + place[0], *place[1:]])
+        one.occ = 1.0
+        made.add_atom(one)
+    return made
+
+
+def structure(*chains, models=(1,)):
+    """Chains (id, residues), the same in every model."""
+    made = gemmi.Structure()
+    for number in models:
+        model = gemmi.Model(number)
+        for name, residues in chains:
+            chain = gemmi.Chain(name)
+            for each in residues:
+                chain.add_residue(each)
+            model.add_chain(chain)
+        made.add_model(model)
+    return made
+
+
+def taken(*residues, chain="A", **options):
+    """The draft of one chain."""
+    return read_structure(structure((chain, residues)), Draft("x", "x"), Reading(**options))
+
+
+def names(draft):
+    return [[f"{m.name}{m.seqid}" for m in part.members] for part in draft.parts]
+
+
+def refused(*residues, chain="A", **options):
+    with pytest.raises(pc.ProtochainError) as error:
+        taken(*residues, chain=chain, **options)
+    return str(error.value)
+
+
+def alanines(n, name="ALA"):
+    return [residue(name, number) for number in range(1, n + 1)]
+
+
+def test_bonded_residues_are_one_part_and_nothing_is_said():
+    draft = taken(residue("ALA", 1), residue("HIE", 2, code="B"), residue("LEU", 3), chain=" A ")
+    assert names(draft) == [["ALA1", "HIS2B", "LEU3"]] and not draft.parts[0].obstacle
+    assert [part.chain_id for part in draft.parts] == ["A"] and not draft.parts[0].cyclic
+    assert [(m.chain_id, m.number, m.insertion_code, m.state) for m in draft.members] == [
+        ("A", "1", "", ""), ("A", "2", "B", "HIE"), ("A", "3", "", ""),
+    ]  # fmt: skip
+    assert draft.repairs == ["residue 2B HIE of chain A: taken as HIS in protonation state HIE"]
+    assert dict(draft.left_out) == {}
+
+
+@pytest.mark.parametrize(("numbers", "said"), [((3, 4, 5), "3 to 5"), ((3, 7), "3, 7"), ((7, 6), "7, 6")])
+def test_models_go_by_their_numbers(numbers, said):
+    many = structure(("A", alanines(2)), models=numbers)
+    many[1].remove_chain("A")
+    many[1].add_chain(structure(("B", alanines(2)))[0][0])
+    draft = read_structure(many, Draft("x", "x"), Reading())
+    n = len(numbers) - 1
+    assert draft.repairs == [f"model {numbers[0]} used, {n} other models left out"]
+    assert dict(draft.left_out) == {"models": n} and draft.parts[0].chain_id == "A"
+    second = read_structure(many, Draft("x", "x"), Reading(model=numbers[1]))
+    assert second.parts[0].chain_id == "B" and second.repairs == [] and dict(second.left_out) == {"models": n}
+    with pytest.raises(pc.ProtochainError) as error:
+        read_structure(many, Draft("x", "x"), Reading(model=1))
+    assert str(error.value) == f"x: has no model 1; its models are {said}"
+
+
+def test_stated_bonds_are_disulfides_and_covalent_links():
+    made = structure(("A ", alanines(2)))
+    for kind in ("Disulf", "Covale", "Hydrog", "MetalC"):
+        link = gemmi.Connection()
+        link.type = getattr(gemmi.ConnectionType, kind)
+        link.partner1 = gemmi.AtomAddress("A ", gemmi.SeqId(1, "B"), "CYS", "SG")
+        link.partner2 = gemmi.AtomAddress("B", gemmi.SeqId(2, " "), "CYS", f"{kind}")
+        made.connections.append(link)
+    stated = read_structure(made, Draft("x", "x"), Reading()).stated
+    assert stated == [(("A", "1B", "SG"), ("B", "2", "Disulf")), (("A", "1B", "SG"), ("B", "2", "Covale"))]
+
+
+def test_a_file_without_a_protein_says_what_there_is():
+    water, iron = residue("HOH", 1, atoms=["O"]), residue("XQQ", 2, atoms=[("FE", "Fe")])
+    heavy, other = residue("DOD", 3, atoms=["O", ("D1", "D")]), residue("XQQ", 4, atoms=["S"])
+    third = residue("SOL", 5, atoms=["O"])
+    assert refused(water, iron, heavy, other) == (
+        "x: no protein found (only 1 deuterium atoms, 2 waters, 2 XQQ); give a file with amino acids"
+    )
+    draft = taken(*alanines(2), water, iron, heavy, other, third)
+    assert dict(draft.left_out) == {"waters": 3, "XQQ": 2, "deuterium atoms": 1}
+    assert sorted(draft.repairs) == ["1 deuterium atoms left out", "2 XQQ left out", "3 waters left out"]
+
+
+def test_a_trace_of_c_alphas_is_refused_though_it_has_a_cap():
+    cap = residue("ACE", 0, atoms=["C", "O", "CH3"])
+    trace = [residue("ALA", number, atoms=["CA"]) for number in (1, 2)]
+    said = "holds only C-alpha atoms; rebuild the other atoms first"
+    assert refused(cap, *trace) == f"x: chain A {said}"
+    assert refused(*trace, chain=" ") == f"x: chain (blank) {said}"
+    draft = taken(trace[0], residue("ALA", 2), residue("ALA", 3))
+    assert names(draft) == [["ALA2", "ALA3"]] and dict(draft.left_out) == {"single residues": 1}
+    assert draft.repairs == [
+        "chain A is broken between 1 and 2 (inf angstrom): split there, with charged termini; "
+        "to avoid it, model the missing residues",
+        "residue 1 ALA of chain A: left out: it is bonded to no other residue",
+    ]
+
+
+def test_alternates_and_repeated_atoms_of_the_protein_are_said():
+    made = [
+        residue(name, k, atoms=(*BACKBONE, "CB", "CB")) for k, name in enumerate(("MSE", "ALA", "HOH"), 1)
+    ]
+    for each in (made[0], made[2]):
+        for one, altloc, occupancy in zip(list(each)[-2:], "AB", (0.25, 0.75), strict=True):
+            one.altloc, one.occ = altloc, occupancy
+    made[2].name = "XQQ"
+    draft = taken(*made[:2], residue("ALA", 3), residue("XQQ", 9, atoms=["O", "O"]))
+    first, second = "residue 1 MSE of chain A", "residue 2 ALA of chain A"
+    assert draft.repairs[:3] == [
+        f"{first}: alternate location B kept (occupancy 0.75), MSE A left out",
+        f"{first}: selenomethionine converted to MET",
+        f"{second}: CB given more than once; the first of each kept",
+    ]
+    assert dict(draft.left_out) == {"alternate locations": 1, "repeated atoms": 1, "XQQ": 1}
+    assert draft.repairs[3:] == ["1 XQQ left out"]
+    assert "A kept (occupancy 0.25), MSE B left out" in taken(*made[:2], altloc="A").repairs[0]
+
+
+def test_heavy_atoms_of_zero_occupancy_are_counted():
+    made = [residue("ALA", k, atoms=(*BACKBONE, "H", "CB")) for k in (1, 2, 3)]
+    made[0][4].occ = 0.0
+    for k in (0, 5):
+        made[1][k].occ = 0.0
+    assert taken(*made).repairs == ["2 atoms of zero occupancy kept, in residue 2 ALA of chain A"]
+    made[2][0].occ = 0.0
+    assert taken(*made).repairs == ["3 atoms of zero occupancy kept, in residue 2 ALA of chain A and 1 more"]
+
+
+def test_elements_of_amino_acids_and_caps_follow_their_names():
+    """As CHARMM writes them, HD1 in columns 13-15 reads as holmium or mercury."""
+    odd = [("HG1", "Hg"), ("1HB", "Hf"), ("CD", "Cd"), ("QX", "C"), ("D1", "D"), ("NE", "Ne"), ("9", "C")]
+    draft = taken(residue("LYS", 1, atoms=(*BACKBONE, *odd)), residue("ALA", 2))
+    assert [a.element.name for a in draft.members[0].atoms][4:] == ["H", "H", "C", "C", "N", "C"]
+    assert draft.left_out == {"deuterium atoms": 1}
+    calcium = taken(*alanines(2), residue("CA", 9, atoms=[("CA", "Ca")]), keep=("ions",))
+    assert calcium.members[-1].atoms[0].element.name == "Ca" and calcium.parts[-1].obstacle
+
+
+def test_d_cysteine_is_no_nucleotide_and_d_glutamine_no_nucleoside():
+    draft = taken(residue("DCY", 1), residue("DGN", 2), residue("HYP", 3), residue("ALA", 4))
+    assert names(draft)[0] == ["CYS1", "GLN2", "HYP3", "ALA4"]
+    assert draft.repairs[:2] == [
+        "residue 1 DCY of chain A: named CYS, its D configuration kept",
+        "residue 2 DGN of chain A: named GLN, its D configuration kept",
+    ]
+    strand = taken(*alanines(2), residue("DC", 9, atoms=["P", "N1"]))
+    assert dict(strand.left_out) == {"DC": 1}
+
+
+def test_caps_have_the_force_fields_names_and_stand_at_the_ends():
+    first = residue("ACE", 0, atoms=["C", "O", "CA"])
+    last = residue("NME", 3, atoms=["N", "CH3", "HN"])
+    draft = taken(first, *alanines(2), last)
+    assert names(draft) == [["ACE0", "ALA1", "ALA2", "NME3"]] and draft.repairs == []
+    assert [[a.name for a in draft.members[k].atoms] for k in (0, 3)] == [["C", "O", "CH3"], ["N", "C", "H"]]
+    amide = taken(*alanines(2), residue("NH2", 3, atoms=["N", "1H"]))
+    assert [a.name for a in amide.members[-1].atoms] == ["N", "HN1"]
+    wrong = taken(residue("NME", 0, atoms=["N"]), *alanines(2), residue("ACE", 3, atoms=["C", "O"]))
+    assert names(wrong) == [["ALA1", "ALA2"]] and dict(wrong.left_out) == {"NME": 1, "ACE": 1}
+    assert wrong.repairs == [
+        "residue 0 NME of chain A: left out: this cap is not at the end of a chain",
+        "residue 3 ACE of chain A: left out: this cap is not at the end of a chain",
+    ]
+    within = [residue("ALA", 1), residue("ALA", 2), residue("ACE", 3, atoms=["C"]), *alanines(5)[3:]]
+    assert names(taken(*within)) == [["ALA1", "ALA2"], ["ACE3", "ALA4", "ALA5"]]
+
+
+def test_what_may_not_be_kept_is_named():
+    ligand = residue("XQQ", 9, atoms=["S"])
+    assert refused(*alanines(2), ligand, keep=("XQQ",)) == (
+        "x: residue 9 XQQ of chain A cannot be kept: the force field has no parameters for it; leave it out"
+    )
+    kept = taken(*alanines(2), residue("WAT", 9, atoms=["O"]), ligand, keep=("all",))
+    assert names(kept) == [["ALA1", "ALA2"], ["HOH9"]] and dict(kept.left_out) == {"XQQ": 1}
+    assert [part.obstacle for part in kept.parts] == [False, True]
+
+
+def test_modified_residues_become_their_parents():
+    selenium = residue("MSE", 1, atoms=(*BACKBONE, "CB", "CG", ("SE", "Se"), "CE"))
+    sulphur = residue("CSO", 2, atoms=(*BACKBONE, "CB", ("S1", "S"), "OD", "HD", "HA"))
+    two = residue("CSO", 3, atoms=(*BACKBONE, ("S1", "S"), ("S2", "S"), "OXT"))
+    methyl = residue("HIC", 4, atoms=(*BACKBONE, "CZ", "HD1", "HE2"))
+    plain = residue("HIC", 5, atoms=(*BACKBONE, "HD1", "HE2", "H", "H1", "H2", "H3", "HQ", "OXT"))
+    draft = taken(selenium, sulphur, two, methyl, plain)
+    assert names(draft) == [["MET1", "CYS2", "CYS3", "HIS4", "HIS5"]]
+    kept = [[a.name for a in m.atoms[4:]] for m in draft.members]
+    assert kept == [
+        ["CB", "CG", "SD", "CE"],
+        ["CB", "SG"],
+        ["OXT"],
+        [],
+        ["HD1", "HE2", "H", "H1", "H2", "H3", "OXT"],
+    ]
+    assert [draft.members[k].atom(s).element.name for k, s in ((0, "SD"), (1, "SG"))] == ["S", "S"]
+    assert draft.repairs == [
+        "residue 1 MSE of chain A: selenomethionine converted to MET",
+        "residue 2 CSO of chain A: converted to its standard parent CYS, OD left out",
+        "residue 3 CSO of chain A: converted to its standard parent CYS, S1, S2 left out",
+        "residue 4 HIC of chain A: converted to its standard parent HIS, CZ left out",
+        "residue 5 HIC of chain A: converted to its standard parent HIS",
+    ]
+
+
+def test_an_unknown_amino_acid_is_refused_in_a_chain_and_left_out_alone():
+    assert refused(residue("ALA", 1), residue("XQQ", 2), residue("ALA", 3)) == (
+        "x: residue 2 XQQ of chain A is an unknown amino acid without a standard parent; "
+        "replace or remove it, or give a force field that defines it"
+    )
+    draft = taken(*alanines(2), residue("XQQ", 9), residue("ALA", 20), residue("ALA", 21))
+    assert names(draft) == [["ALA1", "ALA2"], ["ALA20", "ALA21"]]
+    assert dict(draft.left_out) == {"XQQ": 1} and draft.repairs == ["1 XQQ left out"]
+
+
+def test_a_residue_that_lacks_its_backbone_is_left_out():
+    made = [*alanines(2), residue("ALA", 3, atoms=["CA", "O"]), residue("ALA", 4), residue("ALA", 5)]
+    draft = taken(*made)
+    assert names(draft) == [["ALA1", "ALA2"], ["ALA4", "ALA5"]]
+    assert draft.repairs[0] == "residue 3 ALA of chain A: left out: its backbone atom N is missing"
+    assert dict(draft.left_out) == {"incomplete residues": 1} and len(draft.repairs) == 2
+    assert refused(*made, strict=True) == (
+        "x: residue 3 ALA of chain A: atom N missing; rebuild the backbone or remove the residue"
+    )
+
+
+@pytest.mark.parametrize(("gap", "broken"), [(1.999, False), (2.0, True)])
+def test_a_chain_breaks_where_c_and_n_are_two_angstrom_apart(gap, broken):
+    at = 6.0 - 2.4
+    far = [
+        residue("ALA", 1, at - STEP),
+        residue("ALA", 2, at),
+        *(residue("ALA", k, 6.0 + gap + (k - 3) * STEP) for k in (3, 4)),
+    ]
+    draft = taken(*far, chain="")
+    where = "chain (blank) is broken between 2 and 3 (2.0 angstrom)"
+    assert names(draft) == (
+        [["ALA1", "ALA2"], ["ALA3", "ALA4"]] if broken else [["ALA1", "ALA2", "ALA3", "ALA4"]]
+    )
+    assert (
+        draft.repairs
+        == [f"{where}: split there, with charged termini; to avoid it, model the missing residues"] * broken
+    )
+    if broken:
+        assert (
+            refused(*far, chain="", strict=True)
+            == f"x: {where}; model the missing residues, or omit --strict"
+        )
+
+
+def test_a_break_at_a_terminus_or_a_cap_is_no_surprise():
+    ends = residue("ALA", 2, atoms=(*BACKBONE, "OXT"))
+    amide = residue("NH2", 3, atoms=["N"])
+    again = [residue("ALA", 8), residue("ALA", 9)]
+    start = residue("ACE", 7, atoms=["C", "O", "CH3"])
+    for first in (
+        [residue("ALA", 1), ends],
+        [*alanines(2), amide],
+        [*alanines(2), amide, start],
+        [*alanines(2), start],
+    ):
+        draft = taken(*first, *again, strict=True)
+        assert draft.repairs == [] and len(draft.parts) == 2
+
+
+@pytest.mark.parametrize("n", [3, 4])
+@pytest.mark.parametrize(("gap", "bonded"), [(1.9, True), (2.0, False)])
+def test_four_residues_whose_ends_meet_are_a_ring(n, gap, bonded):
+    ring = alanines(n)
+    ring[0][0].pos = gemmi.Position(STEP * n + 2.4, gap, 0.0)
+    made = structure(("A", ring))
+    draft = read_structure(made, Draft("x", "x"), Reading())
+    closed = bonded and n == 4
+    assert draft.parts[0].cyclic is closed
+    last = f"residue {n} ALA of chain A"
+    assert draft.repairs == [f"chain A is cyclic: {last} is bonded to residue 1 ALA of chain A"] * closed
+    link = gemmi.Connection()
+    link.type = gemmi.ConnectionType.Covale
+    link.partner1 = gemmi.AtomAddress("A", gemmi.SeqId(1, " "), "ALA", "N")
+    link.partner2 = gemmi.AtomAddress("A", gemmi.SeqId(n, " "), "ALA", "C")
+    made.connections.append(link)
+    assert read_structure(made, Draft("x", "x"), Reading()).repairs == []
+
+
+def test_caps_do_not_bond_on_their_far_sides():
+    draft = taken(*alanines(2), residue("NME", 3, atoms=["N", "C"]), residue("ALA", 4))
+    assert np.isinf(module._gap(draft.members[-1], draft.members[0])) and draft.members[-1].name == "NME"
+    assert module._gap(draft.members[0], draft.members[1]) == pytest.approx(1.3)
+    capped = module.Member("ACE", "2", "", "A", draft.members[1].atoms)
+    assert np.isinf(module._gap(draft.members[0], capped))
+    assert [module._parent(name) for name in ("SEP", "ABA", "UNK", "HOH", "XQQ")] == [
+        "SER",
+        "ALA",
+        "",
+        "",
+        "",
+    ]
+
+
+def test_a_name_comes_from_the_file_and_an_end_is_missed(tmp_path, monkeypatch):
+    protein = structure(("A", alanines(3)))
+    text = protein.make_pdb_string(gemmi.PdbWriteOptions(minimal=True, end_record=True))
+    unended = text.replace("TER   ", "REMARK").replace("END   ", "REMARK")
+    for name, stem in (("a.b.pdb", "a.b"), ("c.pdb.GZ", "c")):
+        (tmp_path / name).write_text(text)
+        draft = read(tmp_path / name)
+        assert (draft.name, draft.source, draft.repairs) == (stem, str(tmp_path / name), [])
+    water = "HETATM   99  O   HOH A   9       1.000   9.000   3.000  1.00  0.00           O  \n"
+    oxygen = water.replace("HETATM   99  O   HOH A   9", "ATOM     98  OXT ALA A   3")
+    place = tmp_path / "x.pdb"
+    place.write_text(unended + water)
+    assert read(place, Reading(keep=("water",))).repairs == [
+        "the file ends at residue 3 ALA of chain A without an END record or a terminal oxygen: "
+        "check that it is complete"
+    ]
+    place.write_text(unended + oxygen)
+    assert read(place).repairs == []
+    with place.open() as stream:
+        monkeypatch.setattr("sys.stdin", stream)
+        draft = read("-")
+    assert (draft.name, draft.source) == ("stdin", "standard input")

@@ -1,0 +1,245 @@
+"""What the commands print, to the letter, and what their bars show."""
+
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+
+from protochain.batches.api import BatchProgress
+from protochain.cli import terminal
+from protochain.minimisers.record import SHOWN
+
+
+class Bar:
+    """Stands for rich's Progress; remembers what it is told."""
+
+    made = ()
+
+    def __init__(self, *columns, console, disable):
+        self.columns = [type(column).__name__ for column in columns]
+        self.formats = [getattr(column, "text_format", "") for column in columns]
+        self.console, self.disable = console, disable
+        self.added, self.updates, self.tasks = [], [], [SimpleNamespace(speed=None)]
+        Bar.made = (*Bar.made, self)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.added.append("closed")
+
+    def add_task(self, name, **more):
+        self.added.append((name, more))
+        return 7
+
+    def update(self, task, **more):
+        assert task == 7
+        self.updates.append(more)
+
+
+@pytest.fixture
+def bar(monkeypatch):
+    monkeypatch.setattr("rich.progress.Progress", Bar)
+    monkeypatch.setattr(Bar, "made", ())
+    return lambda: Bar.made[-1]
+
+
+def test_the_bar_of_a_run_shows_evaluations_energy_and_torque(bar):
+    with terminal.run_progress("lbfgs", 500) as watch:
+        row = {"evaluations": 20.0, "energy_kj_mol": -12.345, "max_torque_kj_mol_rad": 1234.5}
+        watch(row, None)
+        watch(row | {"max_torque_kj_mol_rad": float("nan")}, None)
+        made = bar()
+        assert made.disable and made.console.stderr
+        assert made.added == [("lbfgs", {"total": 500, "now": ""})]
+    assert made.columns == ["TextColumn", "BarColumn", "TextColumn", "TimeElapsedColumn"]
+    assert made.formats == ["{task.description}", "", "{task.fields[now]}", ""]
+    assert made.updates == [
+        {"completed": 20.0, "now": "20 evaluations, -12.35 kJ/mol, torque 1.23e+03 kJ/mol/rad"},
+        {"completed": 20.0, "now": "20 evaluations, -12.35 kJ/mol"},
+    ]
+    assert made.added[-1] == "closed"
+
+
+def test_the_bar_of_a_simulation_shows_time_temperature_and_speed(bar):
+    with terminal.simulation_progress("x", 1000, 0.005) as watch:
+        row = {"step": 200, "time_ps": 1.04, "temperature_k": 299.6}
+        watch(row, None)
+        made = bar()
+        # 100 steps a second of 0.005 ps: 0.5 ps/s, 86400 s a day.
+        made.tasks[0].speed = 100.0
+        watch(row, None)
+    assert made.columns == ["TextColumn", "BarColumn", "TextColumn", "TimeRemainingColumn"]
+    assert made.formats == ["{task.description}", "", "{task.fields[now]}", ""]
+    assert made.added[0] == ("x", {"total": 1000, "now": ""}) and made.disable and made.console.stderr
+    assert made.updates == [
+        {"completed": 200, "now": "1.0 ps, 300 K"}, {"completed": 200, "now": "1.0 ps, 300 K, 43.2 ns/day"},
+    ]  # fmt: skip
+
+
+def test_the_bar_of_a_batch_shows_counts_and_the_dashboard_once(bar, capsys):
+    with terminal.batch_progress() as watch:
+        watch(BatchProgress(10, 0, 0, 3, 2.0, ""))
+        for _ in range(2):
+            watch(BatchProgress(10, 4, 1, 3, 60.0, "http://x:8787"))
+        watch(BatchProgress(10, 4, 1, 3, 60.0, "http://other"))
+        made = bar()
+    assert made.columns == ["BarColumn", "TextColumn", "TimeRemainingColumn"]
+    assert made.formats == ["", "{task.fields[now]}", ""] and made.disable and made.console.stderr
+    assert made.added[0] == ("", {"total": None, "now": "starting workers"})
+    assert made.updates == [
+        {"total": 10, "completed": 3, "now": "3 of 10, 0 failed, 0/min"},
+        *[{"total": 10, "completed": 7, "now": "7 of 10, 1 failed, 4/min"}] * 3,
+    ]
+    assert capsys.readouterr().err == "dashboard: http://x:8787\n"
+
+
+def test_a_terminal_gets_a_bar(bar, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    for progress in (
+        terminal.run_progress("x", 1), terminal.simulation_progress("x", 1, 1.0), terminal.batch_progress(),
+    ):  # fmt: skip
+        with progress:
+            assert bar().disable is False
+
+
+def test_a_simulation_is_summed_up_in_a_few_lines(capsys):
+    record = {
+        "structure": "x", "message": "completed", "ns_per_day": 12.34, "accepted": None, "output": "d",
+        "mean_temperature_second_half_k": 301.26, "conserved_drift_kj_mol_ps_per_100_atoms": 0.01234,
+        "ca_rmsd_angstrom": 1.234,
+    }  # fmt: skip
+    terminal.print_simulation(record)
+    terminal.print_simulation(record | {"accepted": 0.456})
+    lines = [
+        "x: completed, 12.3 ns/day",
+        "temperature 301.3 K over the second half, conserved energy drifts 0.012 kJ/mol/ps for 100 atoms{}",
+        "C-alpha RMSD to the start 1.23 angstrom",
+        "written: d",
+    ]
+    text = "\n".join(lines) + "\n"
+    assert capsys.readouterr().out == text.format("") + text.format(", 46 % of trajectories kept")
+
+
+KEYS = [column.key for column in SHOWN]
+TABLE = """\
+                                                 torque    force                        
+                              start       end    kJ/mol   kJ/mol      RMSD              
+       method      status    kJ/mol    kJ/mol      /rad      /nm  angstrom evals seconds
+kcm-stiffness interrupted 123456.78 -98765.43   1234.56 12345.67     12.34  5000 1234.56
+          own   converged         -         -         -        -         -     -       -
+kcm-stiffness: [red]stopped
+own: not 12 done
+"""  # noqa: W291
+
+
+def test_a_table_has_a_row_for_each_record_and_their_messages_below(capsys, monkeypatch):
+    """Headings wrap at blanks; numbers are whole though the terminal has no room."""
+    monkeypatch.setenv("COLUMNS", "80")
+    values = ("interrupted", 123456.781, -98765.432, 1234.561, 12345.671, 12.341, 5000, 1234.561)
+    first = dict(zip(KEYS, ("kcm-stiffness", *values), strict=True)) | {"message": "[red]stopped"}
+    second = dict.fromkeys(KEYS) | {"method": "own", "status": "converged", "message": "not 12 done"}
+    terminal.print_table([first, second])
+    assert capsys.readouterr().out == TABLE
+
+
+def test_jobs_are_listed_with_methods_and_path(capsys):
+    jobs = [
+        SimpleNamespace(name=name, settings=SimpleNamespace(methods=("kcm", "md")), path=f"in/{name}.pdb")
+        for name in "ab"
+    ]
+    terminal.print_jobs(jobs)
+    told = capsys.readouterr()
+    assert told.out == "a  kcm,md  in/a.pdb\nb  kcm,md  in/b.pdb\n" and told.err == "2 structures\n"
+
+
+BATCH = ("structure", "method", "status", "output", "message", "ca_rmsd_angstrom", "seconds")
+
+
+def summary(n_failed):
+    """Two methods; a structure without a result has a row for each."""
+    rows = [
+        dict(zip(BATCH, (s, m, status, output, "", r, t), strict=True))
+        for s, m, status, output, r, t in (
+            ("a", "md", "converged", "a.pdb", 1.0, 2.0), ("b", "md", "converged", "b.pdb", 2.0, 3.0),
+            ("c", "md", "budget", "c.pdb", 6.0, 7.0), ("a", "kcm", "stalled", "a.pdb", 0.125, 9.0),
+        )
+    ]  # fmt: skip
+    for k in range(n_failed):
+        for m in ("md", "kcm", "none"):
+            row = (f"f{k}", m, "refused", None, f"[b]{k}: why", None, None)
+            rows.append(dict(zip(BATCH, row, strict=True)))
+    return pd.DataFrame(rows)
+
+
+def test_a_batch_is_summed_up_by_method_and_lists_ten_failures(capsys):
+    terminal.print_batch(summary(10), "out/report.html")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == [
+        "md: 10 refused, 2 converged, 1 budget; medians: RMSD 2.00 angstrom, 3.00 s",
+        "kcm: 10 refused, 1 stalled; medians: RMSD 0.12 angstrom, 9.00 s",
+        "none: 10 refused",
+        *(f"f{k}: refused: [b]{k}: why" for k in range(10)),
+        "written: out/report.html and the tables, structures and pages beside it",
+    ]
+    terminal.print_batch(summary(12), "r" * 100)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2:] == [
+        "and 2 more without a result", f"written: {'r' * 100} and the tables, structures and pages beside it",
+    ]  # fmt: skip
+    assert sum(": refused: " in line for line in lines) == 10
+    long = summary(1).tail(1).assign(message="w " * 90)
+    terminal.print_batch(long, "r")
+    assert f"f0: refused: {'w ' * 90}".rstrip() in [
+        line.rstrip() for line in capsys.readouterr().out.splitlines()
+    ]
+
+
+def test_many_starts_are_summed_up_in_a_line(capsys):
+    terminal.print_distribution(
+        {
+            "n_starts": 5, "energy_lowest_kj_mol": -3.0, "energy_median_kj_mol": 0.125,
+            "energy_highest_kj_mol": 9.0, "n_within_1_kj_mol_of_lowest": 2,
+        }
+    )  # fmt: skip
+    assert capsys.readouterr().out == (
+        "5 starts: lowest -3.00, median 0.12, highest 9.00 kJ/mol; 2 within 1 kJ/mol of the lowest\n"
+    )
+
+
+def test_deviations_are_a_table_with_failures_below(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    good = {
+        "file": "[b]a.pdb", "model": 3.0, "rmsd_angstrom": 1.23456, "tm_score": 0.56789,
+        "matched_residues": 12.0, "coverage": 0.756, "matched_by": "numbers", "message": "",
+    }  # fmt: skip
+    bad = {"file": "b", "message": f"[b] 12 {'w ' * 90}end"}
+    terminal.print_deviations([good, bad, good | {"tm_score": None, "file": "c"}])
+    lines = capsys.readouterr().out.splitlines()
+    cells = [line.split() for line in lines]
+    assert cells[0] == ["file", "model", "RMSD", "angstrom", "TM-score", "matched", "residues"]
+    assert cells[1] == ["[b]a.pdb", "3", "1.235", "0.5679", "12", "(76", "%)", "by", "numbers"]
+    assert cells[2] == ["c", "3", "1.235", "-", "12", "(76", "%)", "by", "numbers"]
+    assert lines[3] == bad["message"] and len(lines) == 4
+    # Files to the left in 24 columns, numbers to the right.
+    assert lines[1].index("3 ") == 24 + 1 + 4 and len(lines[1].rstrip()) == len(lines[2].rstrip())
+    terminal.print_deviations([bad])
+    assert capsys.readouterr().out == f"{bad['message']}\n"
+
+
+def test_messages_are_printed_as_they_are_in_colour_too(bar, capsys, monkeypatch):
+    """rich would paint numbers and take square brackets for styles."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "200")
+    message = "[b]line 12 is 'odd'"
+    terminal.print_table([dict.fromkeys(KEYS) | {"method": "x", "message": message}])
+    terminal.print_batch(summary(3), "r")
+    terminal.print_deviations([{"message": message}])
+    with terminal.batch_progress() as watch:
+        watch(BatchProgress(10, 4, 1, 3, 60.0, "http://x:8787"))
+    told = capsys.readouterr()
+    lines = told.out.splitlines()
+    assert {f"x: {message}", message, "f0: refused: [b]0: why", "none: 3 refused"} <= set(lines)
+    assert "md: 3 refused, 2 converged, 1 budget; medians: RMSD 2.00 angstrom, 3.00 s" in lines
+    assert told.err == "dashboard: http://x:8787\n"
