@@ -1,6 +1,7 @@
 """Rebuilt side chains: of the right hand, on rotamers, without overlaps; and hands that a run changed."""
 
 from collections import Counter
+from importlib import import_module
 
 import gemmi
 import numpy as np
@@ -133,6 +134,9 @@ def test_random_atoms_cut_from_a_file_come_back_with_the_hand_it_had():
         keep = (*BACKBONE, *random.choice(["CB", "CG", "CG1", "CG2", "OG1", "CD", "CD1"], 4))
         _, whole = rebuilt(STRUCTURES / "1ubq.pdb", lambda k, some=some: some[k], keep)
         assert whole and not changed(whole)
+        for _, was, now in whole:
+            stayed = [name for name in was if name in keep]
+            assert all(now[name] == pytest.approx(was[name], abs=1e-9) for name in stayed)
 
 
 def test_all_side_chains_of_a_crystal_are_found_again_without_overlaps():
@@ -324,6 +328,14 @@ def test_a_minimum_of_the_other_hand_is_no_success_and_not_the_best_of_several()
     assert not solution.to_scipy().success
     kept = pc.minimise(structure, pc.energy(structure), "cartesian", max_evaluations=5)
     assert pc.minimisers.Starts(solution.chain, (solution, kept), (True, True)).best is kept
+
+
+def test_a_simulation_in_which_a_hand_changes_is_not_sound(monkeypatch):
+    """Rigid bodies keep hands; only the ending is made up here."""
+    module = import_module("protochain.dynamics.simulate")
+    monkeypatch.setattr(module, "changed_hands", lambda structure, x, reference: ["CA of residue 2 ALA"])
+    done = pc.simulate(pc.from_sequence("AAA"), n_steps=2)
+    assert not done.is_sound and "CA of residue 2 ALA changed hand" in done.message
 
 
 @pytest.mark.slow
