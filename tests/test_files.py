@@ -234,7 +234,7 @@ def test_waters_and_ions_stay_where_they_are(tmp_path):
     s = pc.load(path, keep=("ions", "water"))
     assert pc.load(path, keep=("ions",)).kept.sum() == 1
     assert pc.load(path, keep=("water",)).obstacle.sum() == 3 * 30
-    assert s.obstacle.sum() == 1 + 3 * 30 and "SO4" in s.left_out and "waters" not in s.left_out
+    assert s.kept.sum() == 1 + 3 * 30 and "SO4" in s.left_out and "waters" not in s.left_out
     chain, energy = pc.build_chain(s), pc.energy(s)
     assert (
         set(chain.atom_body[s.obstacle]) == {chain.atom_body[s.obstacle][0]}

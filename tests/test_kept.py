@@ -288,10 +288,16 @@ def test_heme_sites_stay_together(tmp_path, method):
 
 
 def test_an_ion_beside_a_ligand_stays_with_it(tmp_path):
-    """With waters around it, calcium is an obstacle; held by the protein alone, it moves."""
+    """With a water at it, calcium is an obstacle; held by the protein alone, it moves."""
     path = shared("1ajj_ldlr.pdb")
-    alone, wet = pc.load(path), pc.load(path, keep=("all",))
-    for s, fixed in ((alone, False), (wet, True)):
+    alone = pc.load(path)
+    ion, *donors = (10 * alone.positions[k] for k in site_of(alone)[::-1])
+    away = ion - np.mean(donors, axis=0)
+    x = ion + 2.6 * away / np.linalg.norm(away)
+    water = f"HETATM  999  O   HOH A 999    {x[0]:8.3f}{x[1]:8.3f}{x[2]:8.3f}  1.00  0.00           O\n"
+    beside = written(tmp_path, "".join(records(path)) + water + "END\n")
+    wet, dry = pc.load(beside, keep=("all",)), pc.load(path, keep=("all",))
+    for s, fixed in ((alone, False), (dry, False), (wet, True)):
         assert s.obstacle[s.residue_name[s.atom_residue] == "CA"].tolist() == [fixed]
         assert len([tie for tie in s.ties if len(tie.atoms) == 2]) == 6
     c = pc.build_chain(alone)

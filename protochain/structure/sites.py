@@ -124,7 +124,9 @@ def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
     if len(member.atoms) > 1 or not any(link.other_atom is ion and link.is_metal for link in links):
         return False
     others = (m for part in draft.parts if part.obstacle for m in part.members if m is not member)
-    return all(ion.pos.dist(a.pos) > _STATED for m in others for a in m.atoms)
+    # Hydrogens have no positions yet.
+    heavy = (a for m in others for a in m.atoms if not a.is_hydrogen())
+    return all(ion.pos.dist(a.pos) > _STATED for a in heavy)
 
 
 def _is_bonded(draft: Draft, link: Link) -> bool:
