@@ -437,7 +437,7 @@ def test_the_number_of_threads_changes_no_bit_of_a_result(method):
     [
         ({"restraint": -1.0}, "none below 0"),
         ({"restraint": (1.0, float("nan"))}, "none below 0"),
-        ({"max_rmsd": 0.0}, "max-rmsd 0"),
+        ({"max_rmsd": 0.0}, "max_rmsd 0"),
         ({"method": "openmm", "max_rmsd": 1.0}, "cannot be held"),
     ],
 )

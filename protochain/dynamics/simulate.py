@@ -313,7 +313,7 @@ def _message(ending: Ending, why: str, state: State, settings: SimulationSetting
     done = f"{state.step} steps, {state.step * settings.time_step:g} ps"
     if ending is Ending.UNSTABLE:
         return (
-            f"unstable after {done}: {why}; take a time_step below {settings.time_step:g} ps "
+            f"unstable after {done}: {why}; take a time step below {settings.time_step:g} ps "
             f"({1000 * settings.time_step:g} fs) or heavier hydrogens, or minimise first"
         )
     return f"{ending}: {done}"
