@@ -47,9 +47,9 @@ def test_methods_run_with_the_jobs_settings_openmm_first(given, tmp_path):
     shift[alpha] = 0.01 * (s.positions[alpha] - s.positions[alpha].mean(axis=0))
     given.shifts["kcm"] = shift
     job = job_of("kcm", "openmm", "lbfgs", tolerance=2.0, max_evaluations=9, seed=4)
-    first, *others = list(task.run(job, tmp_path, 3))
+    first, *others = list(task.run(job, tmp_path, 1))
     assert [call[1] for call in given.calls] == ["openmm", "kcm", "lbfgs"]
-    assert all(call[0] == 3 and call[2:] == ((2.0, 9, 4), {"max_rmsd": np.inf}) for call in given.calls)
+    assert all(call[0] == 1 and call[2:] == ((2.0, 9, 4), {"max_rmsd": np.inf}) for call in given.calls)
     assert [row.record["method"] for row in others] == ["kcm", "lbfgs"]
     for row in (first, *others):
         output = f"job.{row.record['method']}.pdb"
