@@ -191,6 +191,8 @@ def test_a_backbone_that_the_file_gives_once_belongs_to_every_alternative():
     assert [(a.name, a.pos.x) for a in found.residue] == [
         ("CA", 0.0), ("CB", 1.0), ("N", 0.0), ("C", 2.0), ("O", 3.0),
     ]  # fmt: skip
+    bare = residue("ALA", ("CB", "B", 0.75))
+    assert sorted(a.name for a in likeliest([first.clone(), bare], "").residue) == ["C", "CA", "CB", "N", "O"]
 
 
 def test_residues_of_one_number_with_alternates_share_a_place():

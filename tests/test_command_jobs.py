@@ -122,6 +122,12 @@ def test_simulate_ends_by_how_the_run_ended(simulated, capsys):
     assert told.err == "protochain: a.pdb: why; the frames until then are in a-simulation/*.part.*\n"
 
 
+def test_json_never_holds_what_json_does_not_know(simulated):
+    simulated.done.record = lambda: {"x": math.nan}
+    with pytest.raises(ValueError, match="JSON compliant"):
+        run("simulate", "a.pdb", "--json")
+
+
 def test_simulate_refuses_before_it_reads(simulated):
     for options in (("--steps", -1), ("--checkpoint-every", 0), ("--time-step", 0), ("--trajectory", "avi")):
         assert refusal("simulate", "a.pdb", *options)

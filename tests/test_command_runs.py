@@ -330,3 +330,11 @@ def test_one_bar_is_shown_at_a_time(monkeypatch):
     with COMPARE._one_bar_each(7) as watch:
         assert watch("a") == "a" and watch("b") == "b" and events == ["a 7", "end a", "b 7"]
     assert events[-1] == "end b"
+
+
+def test_json_never_holds_what_json_does_not_know(compared, asked, monkeypatch):
+    monkeypatch.setattr(Comparison, "summary", lambda self: {"x": math.nan})
+    monkeypatch.setattr(Solution, "record", lambda self: {"status": "converged", "x": math.nan})
+    for command in ("compare", "minimise"):
+        with pytest.raises(ValueError, match="JSON compliant"):
+            run(command, "a.pdb", "--json")

@@ -3,6 +3,7 @@
 import pickle
 import queue
 import sys
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -46,9 +47,9 @@ def test_methods_run_with_the_jobs_settings_openmm_first(given, tmp_path):
     shift[alpha] = 0.01 * (s.positions[alpha] - s.positions[alpha].mean(axis=0))
     given.shifts["kcm"] = shift
     job = job_of("kcm", "openmm", "lbfgs", tolerance=2.0, max_evaluations=9, seed=4)
-    first, *others = list(task.run(job, tmp_path, 2))
+    first, *others = list(task.run(job, tmp_path, 1))
     assert [call[1] for call in given.calls] == ["openmm", "kcm", "lbfgs"]
-    assert all(call[0] == 2 and call[2:] == ((2.0, 9, 4), {"max_rmsd": np.inf}) for call in given.calls)
+    assert all(call[0] == 1 and call[2:] == ((2.0, 9, 4), {"max_rmsd": np.inf}) for call in given.calls)
     assert [row.record["method"] for row in others] == ["kcm", "lbfgs"]
     for row in (first, *others):
         output = f"job.{row.record['method']}.pdb"
@@ -235,19 +236,20 @@ def test_what_a_child_says_is_listened_to_until_it_ends(tmp_path):
 
 
 def test_a_child_is_started_with_its_threads_and_stopped_if_it_does_not_start(monkeypatch):
-    started = {}
+    started, listening = {}, threading.Event()
 
     def popen(command, **options):
         started.update(options, command=command)
         return SimpleNamespace(kill=lambda: started.update(killed=True))
 
     def late(self, deadline, said):
+        assert listening.wait(60.0)
         started.update(deadline=deadline, said=said)
         raise ChildError("time-limit", said)
 
     monkeypatch.setattr(supervise.subprocess, "Popen", popen)
     monkeypatch.setattr(supervise, "perf_counter", lambda: 50.0)
-    monkeypatch.setattr(Child, "_listen", lambda self: None)
+    monkeypatch.setattr(Child, "_listen", lambda self: listening.set())
     monkeypatch.setattr(Child, "_next", late)
     monkeypatch.setattr(Child, "kill", lambda self: (started.update(killed=True), self.said.close()))
     with pytest.raises(ChildError, match="did not start in time"):
