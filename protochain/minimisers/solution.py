@@ -89,7 +89,7 @@ class Recorder:
         """Keep the positions of every n-th row, fewer as the run grows longer, and those of the last."""
         self.last = x
         if row % self.every == 0:
-            self.frames[row] = x.astype(np.float32)
+            self.frames[row] = self.frame(x).astype(np.float32)
         if len(self.frames) > N_FRAMES:
             self.every *= 2
             self.frames = {k: kept for k, kept in self.frames.items() if k % self.every == 0}

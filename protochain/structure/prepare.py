@@ -194,7 +194,7 @@ def _bonds(
 
 
 def _remoteness(bond: tuple[str, str]) -> int:
-    """Order of the bonds at a carbon by which its two hydrogens are named: along the side chain, N and C last."""
+    """Order of bonds at a carbon by which its two hydrogens are named: along the side chain, N and C last."""
     return max("ABGDEZHNC".find(name[1:2] or name) for name in bond)
 
 
