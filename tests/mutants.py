@@ -1,10 +1,11 @@
 """Mutation run: faults put at random into the code, one at a time, and the share that the tests notice.
 
-``python tests/mutants.py -o analysis/results`` takes an hour on two cores. A fault is a comparison, an operator, a
-number, a name or a condition changed, a statement or a keyword left out. The fast tests that reach its line (by
-a coverage run before) are run, quickest first and no longer than ``LONGEST``. Compiled kernels, which coverage
-does not see into, get the test files named in ``FOLDERS``; lines that run on import get the tests that use their
-file. A fault that runs into the time limit is noticed; one that only renames a test is not.
+``python tests/mutants.py -o analysis/results`` takes an hour on two cores. A fault is a comparison, an
+operator, a number, a name or a condition changed, a statement or a keyword left out. The fast tests that
+reach its line (by a coverage run before) are run, quickest first and no longer than ``LONGEST``.
+Compiled kernels, which coverage does not see into, get the test files named in ``FOLDERS``; lines that
+run on import get the tests that use their file. A fault that runs into the time limit is noticed; one
+that only renames a test is not.
 """
 
 import argparse
