@@ -149,6 +149,7 @@ class _Reader:
         run: list[Member] = []
         for group in same_place(chain):
             found = likeliest(group, self.reading.altloc)
+            self.notes: list[str] = []
             if self._is_protein(found.residue.name):
                 self._report_alternates(found)
             else:
