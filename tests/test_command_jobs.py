@@ -28,27 +28,38 @@ def interruptible():
     assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
 
 
+def is_held():
+    return isinstance(signal.getsignal(signal.SIGINT), interrupts._Noted)
+
+
 @pytest.fixture
 def simulated(monkeypatch, tmp_path):
     """What is prepared, minimised and simulated."""
     monkeypatch.chdir(tmp_path)
     done = SimpleNamespace(record=lambda: {"r": 1.0}, is_sound=True, ending="completed", message="why")
     seen = SimpleNamespace(
-        prepared=[], runs=[], shown=[], given=[], done=done, chain=SimpleNamespace(q0="q0"), setups=[]
-    )
+        prepared=[], foretold=[], runs=[], shown=[], given=[], done=done, chain=SimpleNamespace(q0="q0"),
+        setups=[], relaxed="converged",
+    )  # fmt: skip
 
     def prepare(source, setup):
         seen.prepared.append(source)
         seen.setups.append(setup)
         return seen.chain, "energy", 1.5
 
-    def minimise(*given, **more):
+    def foretell(*given):
+        assert not is_held() and seen.prepared[-1] == given[0]
+        seen.foretold.append(given)
+
+    def minimise(*given, watch=None, **more):
+        assert is_held() and len(seen.foretold) == len(seen.prepared)
         seen.runs.append((given, more))
+        watch({"k": 1}, None)
         start, end = SimpleNamespace(energy=5.5), SimpleNamespace(energy=-3.25)
-        return SimpleNamespace(start=start, end=end, ca_rmsd_angstrom=0.125, q="q")
+        return SimpleNamespace(start=start, end=end, ca_rmsd_angstrom=0.125, q="q", status=seen.relaxed)
 
     def simulate(*given, watch=None, **more):
-        assert isinstance(signal.getsignal(signal.SIGINT), interrupts._Noted)
+        assert is_held()
         seen.given.append((given, more))
         watch({}, None)
         return seen.done
@@ -58,6 +69,8 @@ def simulated(monkeypatch, tmp_path):
         yield lambda row, x: seen.shown.append((*given, row))
 
     monkeypatch.setattr(SIMULATE, "prepare", prepare)
+    monkeypatch.setattr(SIMULATE, "foretell", foretell)
+    monkeypatch.setattr(SIMULATE, "run_progress", progress)
     monkeypatch.setattr(SIMULATE, "simulation_progress", progress)
     monkeypatch.setattr(SIMULATE, "print_simulation", lambda record: print("summary", record))
     monkeypatch.setattr("protochain.minimisers.minimise", minimise)
@@ -78,7 +91,8 @@ def test_simulate_minimises_first_and_hands_its_options_on(simulated, capsys):
     assert run("simulate", "in/a.pdb") == 0
     assert simulated.given == [((simulated.chain, "energy", "q"), SIMULATED)]
     assert simulated.runs == [((simulated.chain, "energy", "lbfgs", 10.0), {"seed": 0})]
-    assert simulated.shown == [("a", 10_000, 0.005, {})]
+    assert simulated.foretold == [(Path("in/a.pdb"), simulated.chain, "energy", 10_000, 10_000)]
+    assert simulated.shown == [("lbfgs", 5000, {"k": 1}), ("a", 10_000, 0.005, {})]
     told = capsys.readouterr()
     beside = {"input": "in/a.pdb", "output": "a-simulation", "seconds_preparation": 1.5}
     assert told.out == f"summary { ({'r': 1.0} | beside) }\n"
@@ -95,19 +109,35 @@ def test_simulate_minimises_first_and_hands_its_options_on(simulated, capsys):
         "temperature": 10.0, "time_step": 0.002, "thermostat": "hmc", "friction": 3.0, "fixman": True,
         "hydrogen_mass": 3.0, "trajectory_length": 4, "every": 4, "seed": 6,
     }  # fmt: skip
+    assert simulated.foretold[1][3:] == (40, 40) and simulated.shown[3] == ("a", 40, 0.002, {})
     assert simulated.runs[1][1] == {"seed": 6} and [each.ph for each in simulated.setups] == [7.0, 5.0]
     assert json.loads(capsys.readouterr().out) == {"r": 1.0} | beside | {"output": "out"}
 
 
-def test_simulate_relaxes_open_chains_that_begin(simulated):
+def test_simulate_relaxes_what_begins(simulated, capsys):
     Path("out").mkdir()
     for name in ("log.csv", "checkpoint.npz"):
         (Path("out") / name).write_text("")
     assert "out" in refusal("simulate", "a.pdb", "-o", "out") and simulated.given == simulated.prepared == []
-    for options in (("--no-relax",), ("--loops", "closed"), ("-o", "out", "--resume")):
+    for options in (("--no-relax",), ("-o", "out", "--resume")):
         assert run("simulate", "a.pdb", *options) == 0
         given, more = simulated.given[-1]
         assert given[2] == "q0" and simulated.runs == [] and more["resume"] is ("--resume" in options)
+    capsys.readouterr()
+    assert run("simulate", "a.pdb", "--loops", "closed") == 0
+    given, more = simulated.given[-1]
+    assert given[2] == "q" and len(simulated.runs) == 1 and more["loops"] == "closed"
+    assert capsys.readouterr().err == (
+        "a.pdb: minimised first: 5.5 -> -3.2 kJ/mol, C-alpha RMSD 0.12 angstrom; "
+        "loops are kept closed as they are after it\n"
+    )
+
+
+def test_simulate_does_not_begin_if_interrupted_while_it_relaxes(simulated, capsys):
+    simulated.relaxed = "interrupted"
+    # Typer's status of a KeyboardInterrupt, which the command line puts into words.
+    assert run("simulate", "a.pdb") == 130
+    assert len(simulated.runs) == 1 and simulated.given == [] and "minimised" not in capsys.readouterr().err
 
 
 def test_simulate_ends_by_how_the_run_ended(simulated, capsys):
@@ -177,14 +207,14 @@ def test_batch_hands_its_options_on(batched, capsys):
         "manifest": None, "resume": False, "workers": None, "scheduler": None, "threads": 1,
         "time_limit": 3600.0,
         "methods": ("hybrid",), "tolerance": 1.0, "max_rmsd": math.inf, "max_evaluations": 5000, "seed": 0,
-        "setup": Setup(),
+        "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "setup": Setup(),
     }  # fmt: skip
     assert capsys.readouterr().out == "done 1 'page'\n"
     options = (
         "-o", "out", "--methods", "md, kcm", "--manifest", "m.csv", "--workers", 2, "--scheduler", "s",
         "--threads",
         3, "--time-limit", 4, "--resume", "--tolerance", 5, "--max-evaluations", 6, "--max-rmsd", 7,
-        "--seed", 8,
+        "--seed", 8, "--restrain", "5 0",
         "--json", "--ph", 5,
     )  # fmt: skip
     assert run("batch", *options) == 0
@@ -193,9 +223,15 @@ def test_batch_hands_its_options_on(batched, capsys):
         "manifest": Path("m.csv"), "resume": True, "workers": 2, "scheduler": "s", "threads": 3,
         "time_limit": 4.0,
         "methods": ("md", "kcm"), "tolerance": 5.0, "max_rmsd": 7.0, "max_evaluations": 6, "seed": 8,
+        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "hop_temperature": None,
         "setup": Setup(ph=5.0),
     }  # fmt: skip
     assert capsys.readouterr().out == '{"a": 1}\n'
+    assert run("batch", "a", "--starts", 9, "--spread", 90, "--hop", 300) == 0
+    assert batched.given[2] == (
+        (["a"], Path("batch")),
+        batched.given[0][1] | {"n_starts": 9, "spread": math.pi / 2, "hop_temperature": 300.0},
+    )
 
 
 def test_a_dry_batch_lists_its_jobs(batched, capsys, monkeypatch):
@@ -207,6 +243,11 @@ def test_a_dry_batch_lists_its_jobs(batched, capsys, monkeypatch):
     assert inputs == ["a", "x.pdb", "y", "b"] and (manifest, output) == (Path("m.csv"), Path("out"))
     assert settings == BatchSettings(("md",)) and batched.given == []
     assert capsys.readouterr().out == "found jobs\n"
+    for text, options, expected in (
+        ("x\ny\0 z\0", (), ["x\ny", " z"]), ("x\ny", ("-0",), ["x\ny"]), ("", ("--null",), [])
+    ):  # fmt: skip
+        monkeypatch.setattr("sys.stdin", io.StringIO(text))
+        assert run("batch", "-", "--dry-run", *options) == 0 and batched.found[-1][0] == expected
 
 
 @pytest.mark.parametrize(

@@ -9,32 +9,47 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 
+import mdtraj
+import numpy as np
 import pandas as pd
 import pytest
 from test_commands import refusal, run
 from test_write import ring
 
 from protochain import interrupts
+from protochain.cli.terminal import typical_evaluations
+from protochain.minimisers import METHODS
 from protochain.minimisers.record import SHOWN
+from protochain.structure.write import as_text
 
 MINIMISE, COMPARE = (importlib.import_module(f"protochain.cli.{name}") for name in ("minimise", "compare"))
 S = ring()
+ALL = ", ".join(METHODS)
 KEYS = [column.key for column in SHOWN]
 
 
 class Solution:
-    """Stands for a result; saves its status."""
+    """Stands for a result, whose file tells its status."""
+
+    structure = S
 
     def __init__(self, status="converged", is_usable=True):
         self.status, self.is_usable, self.message = status, is_usable, f"ended {status}"
         self.trace = pd.DataFrame({"iteration": [0, 1]})
 
-    def save(self, path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(self.status)
+    def provenance(self):
+        return (f"STATUS {self.status}",)
 
     def record(self):
-        return dict.fromkeys(KEYS) | {"method": "m", "status": self.status, "message": self.message}
+        beside = {"ca_rmsd_angstrom": 0.125, "ca_rmsd_as_filed_angstrom": 1.5, "frame": "where it was"}
+        return dict.fromkeys(KEYS) | beside | {
+            "method": "m", "status": self.status, "message": self.message,
+        }  # fmt: skip
+
+
+def text_of(status, suffix=".pdb"):
+    """What is written of a result."""
+    return as_text(S, suffix, [f"STATUS {status}"])
 
 
 @pytest.fixture(autouse=True)
@@ -54,6 +69,7 @@ def asked(monkeypatch):
     """What is prepared and minimised; ``ends`` are the solutions, one after the other."""
     seen = SimpleNamespace(
         prepared=[],
+        foretold=[],
         runs=[],
         shown=[],
         ends=iter([Solution()] * 9),
@@ -64,12 +80,23 @@ def asked(monkeypatch):
         seen.prepared.append((source, setup))
         return seen.chain, "energy", 1.5
 
+    def foretell(source, chain, energy, *lengths):
+        assert chain is seen.chain and energy == "energy"
+        assert seen.prepared[-1][0] == source and (seen.runs or not is_held())
+        seen.foretold.append(lengths)
+
     @contextmanager
-    def progress(*given):
-        yield lambda row, x: seen.shown.append((*given, row))
+    def progress(method, n, each=None):
+        def watch(row, x):
+            seen.shown.append((method, n, row))
+            if each:
+                each(x)
+
+        yield watch
 
     def minimise(chain, energy, watch=None, **settings):
         assert chain is seen.chain and energy == "energy" and is_held()
+        assert len(seen.foretold) > len(seen.runs)
         seen.runs.append(settings)
         for k in range(2):
             watch({"k": k}, S.positions + k)
@@ -82,6 +109,7 @@ def asked(monkeypatch):
 
     for module in (MINIMISE, COMPARE):
         monkeypatch.setattr(module, "prepare", prepare)
+        monkeypatch.setattr(module, "foretell", foretell)
         monkeypatch.setattr(module, "run_progress", progress)
     monkeypatch.setattr("protochain.minimisers.minimise", minimise)
     monkeypatch.setattr("protochain.minimisers.explore", explore)
@@ -110,9 +138,13 @@ def test_minimise_hands_its_options_on_and_writes_what_is_asked(asked, tmp_path,
     ]  # fmt: skip
     ((source, setup),) = asked.prepared
     assert (source, setup.ph, setup.model) == (Path("in/a.pdb"), 5.0, 2)
+    assert asked.foretold == [(7, 7)]
     assert asked.shown == [("lbfgs", 7, {"k": 0}), ("lbfgs", 7, {"k": 1})]
-    assert Path("out/b.cif").read_text() == "converged" and Path("t.csv").read_text() == "iteration\n0\n1\n"
-    assert Path("t.dcd").exists() and {path.name for path in tmp_path.iterdir()} == {"out", "t.csv", "t.dcd"}
+    assert Path("out/b.cif").read_text() == text_of("converged", ".cif")
+    assert Path("t.csv").read_text() == "iteration\n0\n1\n"
+    frames = mdtraj.load_dcd("t.dcd", top=mdtraj.Topology.from_openmm(S.topology)).xyz
+    assert frames == pytest.approx(np.array([S.positions, S.positions + 1]), abs=1e-6)
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "t.csv", "t.dcd"}
     assert json.loads(capsys.readouterr().out) == Solution().record() | {
         "input": "in/a.pdb", "output": "out/b.cif", "seconds_preparation": 1.5, "model": 2,
     }  # fmt: skip
@@ -128,11 +160,14 @@ def test_minimise_names_its_output_after_input_and_method(
     monkeypatch.chdir(tmp_path)
     asked.ends = iter([Solution("budget")])
     assert run("minimise", source, "--method", "lbfgs") == 3
-    assert Path(output).read_text() == "budget" and asked.runs == [
+    assert Path(output).read_text() == text_of("budget", Path(output).suffix) and asked.runs == [
         DEFAULTS | {"method": "lbfgs", "checkpoint": None, "resume": None}
     ]
+    assert asked.foretold == [(typical_evaluations("lbfgs", 5000), 5000)]
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-2:] == ["m: ended budget", f"written: {output}"]
+    assert lines[-3:] == [
+        "m: ended budget", "C-alpha RMSD 0.12 angstrom, as filed 1.50: where it was", f"written: {output}"
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -145,6 +180,7 @@ def test_many_starts_are_explored(options, spread, hop, asked, tmp_path, monkeyp
     assert run("minimise", "a.pdb", "--starts", 4, *options) == 0
     assert asked.runs == [DEFAULTS | {"n_starts": 4, "spread": spread, "hop_temperature": hop}]
     assert asked.shown[0][:2] == ("hybrid", 5000)
+    assert asked.foretold == [(4 * typical_evaluations("hybrid", 5000), 20_000)]
     assert capsys.readouterr().out.startswith("distribution {'n': 1}\n")
     assert run("minimise", "a.pdb", "--starts", 2, "--json") == 0
     assert json.loads(capsys.readouterr().out)["starts"] == [1]
@@ -168,42 +204,52 @@ def test_many_starts_are_explored(options, spread, hop, asked, tmp_path, monkeyp
         (("--hop", 300), "hop: needs several minima; give --starts 2 or more"),
         (("--hop", 0), "hop: needs several minima; give --starts 2 or more"),
         (("--trajectory", "t.avi"), "t.avi: unknown trajectory suffix '.avi'; use .dcd or .xtc"),
-        (("-o", "a.xyz"), "a.xyz: unknown suffix '.xyz'; use .pdb or .ent or .cif or .mmcif"),
+        (("-o", "a.xyz"), "a.xyz: unknown suffix '.xyz'; use .pdb or .ent or .cif or .mmcif or .pdbx"),
         (("-o", "t.pdb", "--trace", "t.pdb"), "{}/t.pdb: is given for two outputs; give each its own"),
         (("-o", "in.pdb"), "in.pdb: is the input; give another name, or --force to replace it"),
-        (("--method", "odd"), "method 'odd'"),
-        (("--tolerance", -1), "tolerance -1"),
-        (("--max-evaluations", -1), "max-evaluations -1"),
-        (("--max-rmsd", -1), "max-rmsd -1"),
-        (("--restrain", "odd"), "restrain"),
-        (
-            ("--model", "all", "--trace", "t.csv"),
-            "model all: needs a file, and no trace, trajectory or checkpoint: these belong to one model",
+        (("--method", "odd"), f"method 'odd' is not known; choose from {ALL}, or give module:name"),
+        (("--tolerance", -1), "tolerance -1: give a number above 0"),
+        (("--max-evaluations", -1), "max_evaluations -1: give at least 1"),
+        (("--max-rmsd", -1), "max_rmsd -1: give a number of angstrom above 0"),
+        (("--restrain", "odd"), "restraint 'odd': give strengths in kJ/mol/nm^2, as '1000 100 0'"),
+        *(
+            (("--model", model, *beside), f"model {model}: needs a file, and no trace, "
+             "trajectory, checkpoint or report: these belong to one model")
+            for model, beside in (
+                ("all", ("--trace", "t.csv")), ("1-3", ("--trajectory", "t.dcd")),
+                ("1,3", ("--checkpoint", "c.npz")), ("all", ("--report", "r.html")),
+            )
         ),
+        (("--report", "r.pdf"), "r.pdf: give a name that ends in .html"),
+        (("-o", "r.pdb", "--report", "in.html/r.html", "--trace", "in.html/r.html"),
+         "{}/in.html/r.html: is given for two outputs; give each its own"),
+        (("-o", "-", "--json"),
+         "output -: structure and --json both go to standard output; give a file"),
     ],
-)
+)  # fmt: skip
 def test_minimise_refuses_before_it_reads(options, why, asked, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("in.pdb").write_text("")
     said = refusal("minimise", "in.pdb", *options)
-    assert said == why.format(tmp_path) if ";" in why or "all:" in why else why.split()[0] in said
+    assert said == why.format(tmp_path)
     assert asked.prepared == [] and [path.name for path in tmp_path.iterdir()] == ["in.pdb"]
 
 
 def test_minimise_may_be_forced_and_refuses_what_does_not_fit(asked, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("in.pdb").write_text("")
-    assert (
-        run("minimise", "in.pdb", "-o", "in.pdb", "--force") == 0
-        and Path("in.pdb").read_text() == "converged"
-    )
+    assert run("minimise", "in.pdb", "-o", "in.pdb", "--force") == 0 and Path(
+        "in.pdb"
+    ).read_text() == text_of("converged")
     asked.chain.structure = ring(chain_id="AB")
     assert "'AB' does not fit" in refusal("minimise", "in.pdb", "-o", "b.pdb") and len(asked.runs) == 1
     asked.chain.structure, asked.ends = S, iter([Solution(is_usable=False)])
     capsys.readouterr()
     with pytest.raises(SystemExit) as ended:
         run("minimise", "in.pdb", "-o", "b.pdb", "--trace", "t.csv")
-    assert ended.value.code == 1 and capsys.readouterr().err == "protochain: in.pdb: ended converged\n"
+    assert ended.value.code == 1 and capsys.readouterr().err == (
+        "protochain: in.pdb: ended converged; nothing is better than the start: nothing is written\n"
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["in.pdb"]
 
 
@@ -219,6 +265,9 @@ def test_all_models_have_outputs_of_their_own(ends, status, asked, tmp_path, mon
     records = json.loads(capsys.readouterr().out)["models"]
     done = ["3", "7"][: 1 if ends[0] == "interrupted" else 2]
     assert [record["output"] for record in records] == [f"d/b.{number}.cif" for number in done]
+    assert {path.name: path.read_text() for path in Path("d").iterdir()} == {
+        f"b.{number}.cif": text_of(end, ".cif") for number, end in zip(done, ends, strict=False)
+    }
     assert (
         [record["model"] for record in records]
         == [setup.model for _, setup in asked.prepared]
@@ -242,6 +291,7 @@ class Comparison:
         return tuple(Solution(end.removesuffix("!"), not end.endswith("!")) for end in self.ends)
 
     def report(self, output):
+        assert (output / ".lock").exists()
         return output / "page"
 
     def summary(self):
@@ -255,7 +305,7 @@ def compared(asked, monkeypatch, tmp_path):
     seen = SimpleNamespace(given=[], ends=("converged", "converged"))
 
     def compare(*given, watch=None, **more):
-        assert is_held()
+        assert is_held() and len(asked.foretold) > len(seen.given)
         seen.given.append((given, more))
         for method in ("one", "two"):
             watch(method)({}, None)
@@ -272,6 +322,7 @@ def test_compare_hands_its_options_on(compared, asked, capsys):
     assert run("compare", "in/a.pdb", "--methods", "md,kcm,md", *options, "--json", "-o", "out") == 0
     more = {"reference": "loaded r.pdb", "repeats": 5}
     assert compared.given == [((asked.chain, ("md", "kcm"), "energy", 2.0, 7, 3), more)]
+    assert asked.foretold == [(14, 14)] and not list(Path().iterdir())
     assert asked.shown == [("one", 7, {}), ("two", 7, {})]
     assert json.loads(capsys.readouterr().out) == {
         "results": [{"r": 2}], "origin": {"input": "in/a.pdb", "seconds_preparation": 1.5}, "output": "out",
@@ -281,6 +332,7 @@ def test_compare_hands_its_options_on(compared, asked, capsys):
         (asked.chain, ("md", "kcm"), "energy", 1.0, 5000, 0),
         {"reference": None, "repeats": 3},
     )
+    assert asked.foretold[1] == (sum(typical_evaluations(method, 5000) for method in ("md", "kcm")), 10_000)
     told = capsys.readouterr()
     assert told.err == "" and told.out == (
         "table [{'r': 2}]\nwritten: a-comparison/page and the tables, plots and structures beside it\n"
@@ -309,12 +361,21 @@ def test_compare_ends_by_its_methods_and_names_those_left_out(ends, status, comp
 
 
 def test_compare_refuses_before_it_reads(compared, asked):
-    assert "'nope'" in refusal("compare", "a.pdb", "--methods", "md,nope")
-    assert "tolerance -1" in refusal("compare", "a.pdb", "--tolerance", -1)
-    assert "max-evaluations -1" in refusal("compare", "a.pdb", "--max-evaluations", -1)
+    assert refusal("compare", "a.pdb", "--methods", "md,nope").startswith("method 'nope' is not known; ")
+    assert refusal("compare", "a.pdb", "--tolerance", -1) == "tolerance -1: give a number above 0"
+    assert refusal("compare", "a.pdb", "--max-evaluations", -1) == "max_evaluations -1: give at least 1"
+    assert refusal("compare", "a.pdb", "--repeats", 0) == "repeats 0: give at least 1"
     Path("file").write_text("")
     assert "file is not a folder" in refusal("compare", "a.pdb", "-o", "file")
+    for name, force, why in (
+        ("report.html", (), "a comparison (report.html); give another folder, or force=True to replace it"),
+        ("log.csv", ("--force",), "a batch or simulation (log.csv); give another folder"),
+    ):
+        Path(name).write_text("")
+        assert refusal("compare", "a.pdb", "-o", ".", *force) == f".: holds {why}"
+    Path("log.csv").unlink()
     assert asked.prepared == [] and compared.given == []
+    assert run("compare", "a.pdb", "-o", ".", "--force") == 0 and len(compared.given) == 1
 
 
 def test_one_bar_is_shown_at_a_time(monkeypatch):

@@ -4,6 +4,7 @@ import importlib
 import json
 import signal
 import sys
+from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,33 +16,34 @@ from test_write import ring
 
 import protochain as pc
 from protochain.cli import app, main, options
-from protochain.errors import ProtochainError
+from protochain.errors import ProtochainError, WriteError
 from protochain.setup import Setup
 from protochain.structure.write import as_text
 
 SETUP = {
     "hinges": "phi psi chi", "move": "all", "forcefield": "amber14", "solvent": "obc2", "engine": "auto",
-    "threads": None, "trust_forcefield": False, "model": None, "altloc": "", "keep": None, "disulfide": None,
-    "no_disulfide": False, "ph": 7.0, "strict": False,
+    "threads": None, "trust_forcefield": False, "model": None, "chains": None, "altloc": "", "keep": None,
+    "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
 }  # fmt: skip
 OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}
 MINIMISE = {
     "source": None, **OUTPUT, "method": "hybrid", **RUN, "restrain": "", "max_rmsd": None, "starts": 1,
     "spread": None, "hop": None, "checkpoint": None, "resume": None, "trace": None, "trajectory": None,
-    "seed": 0, **AS_JSON, "force": False, **SETUP,
+    "report": None, "one_file": False, "seed": 0, **AS_JSON, "force": False, **SETUP,
 }  # fmt: skip
-NOT_IN_BATCH = ("disulfide", "no_disulfide", "threads", "trust_forcefield")
+NOT_IN_BATCH = ("threads", "trust_forcefield")
 COMMANDS = {
     "minimise": MINIMISE,
     "minimize": MINIMISE,
     "compare": {
         "source": None, **OUTPUT, "methods": "kcm,md,lbfgs,hybrid,openmm", "repeats": 3, "reference": None,
-        **RUN, "seed": 0, **AS_JSON, **{name: value for name, value in SETUP.items() if name != "move"},
+        **RUN, "seed": 0, **AS_JSON, "force": False, **{k: v for k, v in SETUP.items() if k != "move"},
     },
     "batch": {
         "inputs": None, "output": Path("batch"), "methods": "hybrid", "manifest": None, "workers": None,
-        "scheduler": None, "threads": 1, "time_limit": 3600.0, "resume": False, "dry_run": False, **RUN,
-        "max_rmsd": None, "seed": 0, **AS_JSON,
+        "scheduler": None, "threads": 1, "time_limit": 3600.0, "null": False, "resume": False,
+        "dry_run": False, **RUN, "max_rmsd": None, "restrain": "", "starts": 1, "spread": None, "hop": None,
+        "seed": 0, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_BATCH},
     },
     "simulate": {
@@ -64,9 +66,12 @@ METAVARS = {
     ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
     ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
     "bench"): "[IN...]",
-    ("sequence", "build"): "SEQUENCE", ("disulfide", None): "A:3-A:40",
+    ("sequence", "build"): "SEQUENCE", ("disulfide", None): "A:3-A:40", ("chains", None): "A,B",
 }  # fmt: skip
-FLAGS = {"as_json": ["--json"], "output": ["-o", "--output"]}
+FLAGS = {
+    "as_json": ["--json"], "output": ["-o", "--output"], "chains": ["--chain", "--chains"],
+    "null": ["--null", "-0"],
+}  # fmt: skip
 ARGUMENTS = {
     ("source", None),
     ("inputs", None),
@@ -81,7 +86,10 @@ def test_every_option_has_its_name_default_and_help():
     program = typer.main.get_command(app)
     assert set(program.commands) == set(COMMANDS)
     assert [name for name, each in program.commands.items() if each.hidden] == ["minimize"]
-    assert program.params == [] and not app.pretty_exceptions_enable
+    assert [(each.opts, each.default, each.is_eager) for each in program.params] == [
+        (["--version"], False, True)
+    ]
+    assert not app.pretty_exceptions_enable
     for command, expected in COMMANDS.items():
         found = {each.name: each for each in program.commands[command].params}
         assert {name: each.default for name, each in found.items()} == expected and list(found) == list(
@@ -110,10 +118,17 @@ def refusal(*arguments):
     ("raised", "status", "said"),
     [
         (ProtochainError("two\nlines"), 2, "protochain: two lines\n"),
+        (ProtochainError("n_steps 0: force=True"), 2, "protochain: --steps 0: --force\n"),
+        (
+            WriteError("a", "full", "b", "resume=True"),
+            1,
+            "protochain: a: not written (full); saved: b; --resume\n",
+        ),
         (typer.BadParameter("odd"), 2, "protochain: Invalid value: odd See protochain --help.\n"),
         (FileNotFoundError(2, "gone", "a.pdb"), 1, "protochain: a.pdb: gone\n"),
         (OSError("strange"), 1, "protochain: strange\n"),
         (KeyboardInterrupt(), 1, "protochain: interrupted before there was a result\n"),
+        (130, 1, "protochain: interrupted before there was a result\n"),
         (3, 3, ""),
         (None, 0, ""),
     ],
@@ -143,11 +158,17 @@ def test_every_end_has_a_status_and_at_most_a_line(raised, status, said, monkeyp
     assert capsys.readouterr().err == 2 * said
 
 
+def test_the_version_is_that_of_the_package(capsys):
+    assert run("--version") == 0 and run("--version", "info") == 0
+    assert capsys.readouterr().out == 2 * f"protochain {metadata.version('protochain')}\n"
+
+
 def test_options_make_a_setup():
     assert options._setup() == options._setup(keep=None, disulfide=[], ph=7.0) == Setup()
     assert options._setup(no_disulfide=True).disulfide == () and Setup().disulfide is None
-    chosen = options._setup(disulfide=["A:3-A:40"], keep="water,ZN", threads=2, altloc="")
+    chosen = options._setup(disulfide=["A:3-A:40"], keep="water,ZN", threads=2, altloc="", chains="A, b")
     assert (chosen.disulfide, chosen.keep, chosen.threads) == ((("A:3", "A:40"),), ("water", "ZN"), 2)
+    assert chosen.chains == ("A", "b") and Setup().keep == ("near",)
     with pytest.raises(ProtochainError) as refused:
         options._setup(no_disulfide=True, disulfide=["A:3-A:40"])
     assert (
@@ -174,12 +195,13 @@ def test_outputs_are_named_after_the_input(source, stem, suffix):
 
 
 @pytest.mark.parametrize("n", [0, 5, 6, 8])
-def test_repairs_and_the_first_overlaps_are_said(n, monkeypatch, capsys):
+def test_changes_and_the_first_overlaps_are_said(n, monkeypatch, capsys):
     class Overlap(SimpleNamespace):
         def __str__(self):
             return f"overlap {self.k}"
 
-    structure = SimpleNamespace(repairs=("one", "two"), positions="x")
+    changes = ("lost", "alike")
+    structure = SimpleNamespace(repairs=("lost",) * (n + 2), changes=changes, positions="x")
     found = [Overlap(k=k, remedy=f"mend {k}") for k in range(n)]
     monkeypatch.setattr(
         "protochain.contacts.overlaps", lambda s, x, c: found if (s, x, c) == (structure, "x", "c") else 1
@@ -187,7 +209,8 @@ def test_repairs_and_the_first_overlaps_are_said(n, monkeypatch, capsys):
     monkeypatch.setattr(options, "perf_counter", iter([1.0, 3.5]).__next__)
     setup = SimpleNamespace(prepare=lambda source: (structure, "c", "e") if source == Path("in") else None)
     assert options.prepare(Path("in"), setup) == ("c", "e", 2.5)
-    told = ["one", "two", *(f"overlap {k}; mend {k}" for k in range(min(n, 5)))]
+    told = ["lost", "alike"] + [f"protochain info lists all {n + 2} changes"] * (n > 0)
+    told += [*(f"overlap {k}; mend {k}" for k in range(min(n, 5)))]
     told += [f"and {n - 5} more overlaps"] * (n > 5)
     assert capsys.readouterr().err == "".join(f"in: {line}\n" for line in told)
 
@@ -224,6 +247,10 @@ def test_build_checks_its_file_first_and_writes_it(tmp_path, monkeypatch, capsys
     assert run("build", "GG", "-o", path) is None and built == ["GG"]
     assert path.read_text() == as_text(ring(), ".pdb")
     assert capsys.readouterr().out == f"written: {path} (4 residues, 14 atoms)\n"
+    assert run("build", "GG", "-o", "-") is None
+    told = capsys.readouterr()
+    assert told.out == as_text(ring(), ".pdb")
+    assert told.err == "written: standard output (4 residues, 14 atoms)\n"
 
 
 @pytest.fixture

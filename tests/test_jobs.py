@@ -4,6 +4,7 @@ import gzip
 import hashlib
 import io
 import json
+import math
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -12,15 +13,22 @@ import pytest
 from conftest import STRUCTURES
 
 import protochain as pc
-from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, origin
+from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, listed, origin
 
 PLAIN = {
     "methods": ("hybrid",), "tolerance": 1.0, "max_rmsd": float("inf"), "max_evaluations": 5000, "seed": 0,
+    "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None,
     "hinges": "phi psi chi", "root": "auto", "move": "all", "forcefield": "amber14", "solvent": "obc2",
-    "engine": "auto", "trust_forcefield": False, "model": None, "altloc": "", "keep": (), "disulfide": None,
-    "ph": 7.0, "strict": False,
+    "engine": "auto", "trust_forcefield": False, "model": None, "altloc": "", "keep": ("near",),
+    "disulfide": None, "ph": 7.0, "strict": False, "chains": (),
 }  # fmt: skip
 """All settings by name, at their defaults."""
+
+FIELDS = {
+    "restrain": "restraint", "starts": "n_starts", "hop": "hop_temperature",
+    "hop-temperature": "hop_temperature", "chain": "chains",
+}  # fmt: skip
+"""Fields by names of columns that are others."""
 
 
 def names(inputs, settings=None, **options):
@@ -30,8 +38,9 @@ def names(inputs, settings=None, **options):
 def test_settings_are_recorded_by_name_but_for_threads():
     assert BatchSettings().record() == PLAIN
     assert BatchSettings(setup=pc.Setup(threads=3)).record() == PLAIN
-    assert set(NAMES) == {*PLAIN, "setup", "threads"} and NAMES[:6] == (
-        "methods", "tolerance", "max_rmsd", "max_evaluations", "seed", "setup",
+    assert set(NAMES) == {*PLAIN, "setup", "threads"} and NAMES[:10] == (
+        "methods", "tolerance", "max_rmsd", "max_evaluations", "seed", "setup", "restraint", "n_starts",
+        "spread", "hop_temperature",
     )  # fmt: skip
 
 
@@ -48,11 +57,18 @@ def test_settings_change_by_the_names_of_their_fields_or_of_the_setups():
     [
         ({"methods": ()}, "methods: give at least one"),
         ({"colour": 1}, f"no setting is called 'colour'; choose from {', '.join(NAMES)}"),
-        ({"max_evaluations": 0}, "max-evaluations 0: give at least 1"),
+        ({"max_evaluations": 0}, "max_evaluations 0: give at least 1"),
         ({"tolerance": 0.0}, "tolerance 0: give a number above 0"),
-        ({"max_rmsd": 0.0}, "max-rmsd 0: give a number of angstrom above 0"),
+        ({"max_rmsd": 0.0}, "max_rmsd 0: give a number of angstrom above 0"),
+        ({"n_starts": 0}, "n_starts 0: give at least 1"),
+        ({"n_starts": 2.5}, "n_starts 2.5: give a whole number"),
+        ({"spread": 0.0}, "spread 0: give an angle above 0, in rad"),
+        ({"hop_temperature": 300.0}, "hop: needs several minima; give starts 2 or more"),
+        ({"n_starts": 2, "hop_temperature": -1}, "hop_temperature -1: give a temperature in K, not below 0"),
+        *(({"n_starts": 2, name: value}, "restraint and max_rmsd refer to each start's own structure; "
+           "use one start") for name, value in (("restraint", "5"), ("max_rmsd", 1.0))),
     ],
-)
+)  # fmt: skip
 def test_settings_that_make_no_sense_are_refused(settings, said):
     with pytest.raises(pc.ProtochainError) as refusal:
         BatchSettings().changed(**settings)
@@ -70,18 +86,28 @@ def test_methods_of_one_name_are_refused():
 def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
     row = {
         "methods": "kcm, lbfgs", "tolerance": "2", "max_rmsd": " 0.5 ", "max_evaluations": "7", "seed": "3",
+        "restrain": "5 0",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "model": "2", "altloc": "B", "keep": "ZN,CA", "disulfide": "A:3-A:40",
-        "ph": "6.5", "strict": "Yes",
+        "ph": "6.5", "strict": "Yes", "chain": "A, B",
     }  # fmt: skip
     assert BatchSettings().read(row).record() == {
         "methods": ("kcm", "lbfgs"), "tolerance": 2.0, "max_rmsd": 0.5, "max_evaluations": 7, "seed": 3,
+        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "hop_temperature": None,
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "model": 2, "altloc": "B", "keep": ("ZN", "CA"), "disulfide": (("A:3", "A:40"),),
-        "ph": 6.5, "strict": True, "trust_forcefield": False,
+        "ph": 6.5, "strict": True, "trust_forcefield": False, "chains": ("A", "B"),
     }  # fmt: skip
-    assert set(row) == set(PLAIN) - {"trust_forcefield"}
-    assert BatchSettings(seed=4).read(dict.fromkeys(row, " ")) == BatchSettings(seed=4)
+    # Columns have the names of the options or of the fields, and angles are in degrees.
+    starts = {"n_starts": 4, "spread": math.pi / 2, "hop_temperature": 300.0}
+    for named in (("starts", "spread", "hop"), ("n_starts", "spread", "hop-temperature")):
+        cells = dict(zip(named, ("4", "90", "300"), strict=True))
+        assert BatchSettings().read(cells) == BatchSettings(**starts)
+    assert {FIELDS.get(name, name) for name in (*row, *cells)} == set(PLAIN) - {"trust_forcefield"}
+    assert BatchSettings().read({"model": "1-3, 5", "disulfide": "none"}).setup == pc.Setup(
+        model="1-3,5", disulfide=()
+    )
+    assert BatchSettings(seed=4).read(dict.fromkeys((*row, *cells), " ")) == BatchSettings(seed=4)
     for text, expected in (("true", True), ("1", True), ("FALSE", False), ("no", False), ("0", False)):
         assert (
             BatchSettings(setup=pc.Setup(strict=not expected)).read({"strict": text}).setup.strict is expected
@@ -94,7 +120,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         ({"strict": "maybe"}, "'maybe' is neither true nor false"),
         ({"seed": "1.5"}, "invalid literal for int() with base 10: '1.5'"),
         ({"methods": "a:B"}, "methods: an import path runs code; give it as an option of the batch"),
-        ({"model": "two"}, "model 'two': give its number, or all"),
+        ({"model": "two"}, "model 'two': give its number, or all, or a range such as 1-5"),
         *(({name: "x"}, f"no setting is called {name!r}; choose from ") for name in
           ("setup", "threads", "trust_forcefield", "path")),
     ],
@@ -102,7 +128,8 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
 def test_cells_that_cannot_be_read_are_refused(row, said):
     with pytest.raises(pc.ProtochainError) as refusal:
         BatchSettings().read(row)
-    known = ", ".join(name for name in PLAIN if name != "trust_forcefield")
+    options = {field: name for name, field in FIELDS.items() if "-" not in name}
+    known = ", ".join(options.get(name, name) for name in PLAIN if name != "trust_forcefield")
     assert str(refusal.value) == (said + known if said.endswith("from ") else said)
 
 
@@ -149,6 +176,10 @@ def test_patterns_are_of_files_in_order(here):
 def test_a_list_on_standard_input_has_a_name_on_each_line(here, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("  b.pdb \n\n  \ndeep\n"))
     assert names(["-"]) == ["b", "c", "d", "g"]
+    Path("b.pdb").rename("two\nlines .pdb")
+    for text, by_nul in (("two\nlines .pdb\0\0e.txt", False), ("two\nlines .pdb", True)):
+        monkeypatch.setattr("sys.stdin", io.StringIO(text))
+        assert names(listed(by_nul)) == ["two\nlines ", "e"][: 2 - by_nul]
 
 
 def test_results_are_not_searched_and_no_input_may_lie_among_them(here):
@@ -162,24 +193,34 @@ def test_results_are_not_searched_and_no_input_may_lie_among_them(here):
 
 
 def test_a_manifest_names_files_beside_it_each_with_its_settings(here):
-    listed = here / "deep" / "work.csv"
-    listed.write_text("seed,path\n3, d.mmcif \n,../b.pdb\n3,d.mmcif\n", encoding="utf-8-sig")
-    first, second = find_jobs([], BatchSettings(seed=1), listed)
+    sheet = here / "deep" / "work.csv"
+    sheet.write_text("seed,path\n3, d.mmcif \n,../b.pdb\n3,d.mmcif\n", encoding="utf-8-sig")
+    first, second = find_jobs([], BatchSettings(seed=1), sheet)
     assert [(job.name, job.settings.seed) for job in (first, second)] == [("d", 3), ("b", 1)]
     assert first.path.samefile("deep/d.mmcif") and second.path.samefile("b.pdb")
     # Given names come before those of the manifest.
-    assert names(["e.txt"], manifest=listed) == ["e", "d", "b"]
+    assert names(["e.txt"], manifest=sheet) == ["e", "d", "b"]
     for text, said in (
         ("file\n", ": has no column 'path'"), ("", ": has no column 'path'"),
         ("path\nb.pdb,1\n", ": line 2: more cells than columns"),
         ("path,seed\nb.pdb,1\nb.pdb,x\n", ": line 3: invalid literal for int() with base 10: 'x'"),
     ):  # fmt: skip
-        listed.write_text(text)
+        sheet.write_text(text)
         with pytest.raises(pc.ProtochainError) as refusal:
-            names([], manifest=listed)
-        assert str(refusal.value) == f"{listed}{said}"
-    listed.write_text("path,seed\nb.pdb\n")
-    assert names([], manifest=listed) == ["b"]
+            names([], manifest=sheet)
+        assert str(refusal.value) == f"{sheet}{said}"
+    sheet.write_text("path,seed\nd.mmcif\nb.pdb\n")
+    assert names([], manifest=sheet) == ["d", "b"]
+    with pytest.raises(pc.ProtochainError) as refusal:
+        names([], manifest=here / "none.csv")
+    assert str(refusal.value) == f"{here}/none.csv: not found; give a CSV file with a column 'path'"
+
+
+def test_a_batch_over_nothing_is_refused(here):
+    with pytest.raises(pc.ProtochainError) as refusal:
+        names(["XYZ.pdb", "none.pdb"])
+    assert str(refusal.value) == "XYZ.pdb: not found, nor any other structure; check the names"
+    assert names(["XYZ.pdb", "b.pdb"]) == ["XYZ", "b"]
 
 
 def test_a_key_is_a_hash_of_version_content_settings_and_force_field(here):
@@ -191,7 +232,7 @@ def test_a_key_is_a_hash_of_version_content_settings_and_force_field(here):
     settings = BatchSettings(seed=4)
     (job,) = find_jobs(["b.pdb"], settings)
     assert job.key == key(b"b.pdb", settings) and job.identity == ("b", job.key)
-    assert find_jobs(["none.pdb"], settings)[0].key == key(b"", settings)
+    assert find_jobs(["none.pdb", "b.pdb"], settings)[0].key == key(b"", settings)
     Path("own.xml").write_text("<ForceField/>")
     own = settings.changed(forcefield="own.xml")
     assert find_jobs(["b.pdb"], own)[0].key == key(b"b.pdb", own, b"<ForceField/>")
@@ -223,6 +264,12 @@ def test_each_model_is_a_job_where_all_are_asked_for(here):
     one, two, *_ = jobs
     assert one.key != two.key and origin(two)["model"] == 5 and origin(jobs[2])["model"] == ""
     assert names(["two.pdb.gz"]) == ["two"]
+    # Models asked for by number are not looked for: a job whose model is not there fails.
+    some = find_jobs(["two.pdb.gz"], every.changed(model="5,3-4"))
+    assert [(job.name, job.settings.setup.model) for job in some] == [
+        ("two.5", 5), ("two.3", 3), ("two.4", 4),
+    ]  # fmt: skip
+    assert [job.key for job in some[:2]] == [two.key, one.key]
 
 
 def test_the_row_of_a_failure_says_where_and_why_in_one_line():

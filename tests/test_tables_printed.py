@@ -1,113 +1,20 @@
-"""What the commands print, to the letter, and what their bars show."""
+"""What the commands print, to the letter."""
 
 from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 
-from protochain.batches.api import BatchProgress
 from protochain.cli import terminal
 from protochain.minimisers.record import SHOWN
-
-
-class Bar:
-    """Stands for rich's Progress; remembers what it is told."""
-
-    made = ()
-
-    def __init__(self, *columns, console, disable):
-        self.columns = [type(column).__name__ for column in columns]
-        self.formats = [getattr(column, "text_format", "") for column in columns]
-        self.console, self.disable = console, disable
-        self.added, self.updates, self.tasks = [], [], [SimpleNamespace(speed=None)]
-        Bar.made = (*Bar.made, self)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.added.append("closed")
-
-    def add_task(self, name, **more):
-        self.added.append((name, more))
-        return 7
-
-    def update(self, task, **more):
-        assert task == 7
-        self.updates.append(more)
-
-
-@pytest.fixture
-def bar(monkeypatch):
-    monkeypatch.setattr("rich.progress.Progress", Bar)
-    monkeypatch.setattr(Bar, "made", ())
-    return lambda: Bar.made[-1]
-
-
-def test_the_bar_of_a_run_shows_evaluations_energy_and_torque(bar):
-    with terminal.run_progress("lbfgs", 500) as watch:
-        row = {"evaluations": 20.0, "energy_kj_mol": -12.345, "max_torque_kj_mol_rad": 1234.5}
-        watch(row, None)
-        watch(row | {"max_torque_kj_mol_rad": float("nan")}, None)
-        made = bar()
-        assert made.disable and made.console.stderr
-        assert made.added == [("lbfgs", {"total": 500, "now": ""})]
-    assert made.columns == ["TextColumn", "BarColumn", "TextColumn", "TimeElapsedColumn"]
-    assert made.formats == ["{task.description}", "", "{task.fields[now]}", ""]
-    assert made.updates == [
-        {"completed": 20.0, "now": "20 evaluations, -12.35 kJ/mol, torque 1.23e+03 kJ/mol/rad"},
-        {"completed": 20.0, "now": "20 evaluations, -12.35 kJ/mol"},
-    ]
-    assert made.added[-1] == "closed"
-
-
-def test_the_bar_of_a_simulation_shows_time_temperature_and_speed(bar):
-    with terminal.simulation_progress("x", 1000, 0.005) as watch:
-        row = {"step": 200, "time_ps": 1.04, "temperature_k": 299.6}
-        watch(row, None)
-        made = bar()
-        # 100 steps a second of 0.005 ps: 0.5 ps/s, 86400 s a day.
-        made.tasks[0].speed = 100.0
-        watch(row, None)
-    assert made.columns == ["TextColumn", "BarColumn", "TextColumn", "TimeRemainingColumn"]
-    assert made.formats == ["{task.description}", "", "{task.fields[now]}", ""]
-    assert made.added[0] == ("x", {"total": 1000, "now": ""}) and made.disable and made.console.stderr
-    assert made.updates == [
-        {"completed": 200, "now": "1.0 ps, 300 K"}, {"completed": 200, "now": "1.0 ps, 300 K, 43.2 ns/day"},
-    ]  # fmt: skip
-
-
-def test_the_bar_of_a_batch_shows_counts_and_the_dashboard_once(bar, capsys):
-    with terminal.batch_progress() as watch:
-        watch(BatchProgress(10, 0, 0, 3, 2.0, ""))
-        for _ in range(2):
-            watch(BatchProgress(10, 4, 1, 3, 60.0, "http://x:8787"))
-        watch(BatchProgress(10, 4, 1, 3, 60.0, "http://other"))
-        made = bar()
-    assert made.columns == ["BarColumn", "TextColumn", "TimeRemainingColumn"]
-    assert made.formats == ["", "{task.fields[now]}", ""] and made.disable and made.console.stderr
-    assert made.added[0] == ("", {"total": None, "now": "starting workers"})
-    assert made.updates == [
-        {"total": 10, "completed": 3, "now": "3 of 10, 0 failed, 0/min"},
-        *[{"total": 10, "completed": 7, "now": "7 of 10, 1 failed, 4/min"}] * 3,
-    ]
-    assert capsys.readouterr().err == "dashboard: http://x:8787\n"
-
-
-def test_a_terminal_gets_a_bar(bar, monkeypatch):
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    for progress in (
-        terminal.run_progress("x", 1), terminal.simulation_progress("x", 1, 1.0), terminal.batch_progress(),
-    ):  # fmt: skip
-        with progress:
-            assert bar().disable is False
 
 
 def test_a_simulation_is_summed_up_in_a_few_lines(capsys):
     record = {
         "structure": "x", "message": "completed", "ns_per_day": 12.34, "accepted": None, "output": "d",
         "mean_temperature_second_half_k": 301.26, "conserved_drift_kj_mol_ps_per_100_atoms": 0.01234,
-        "ca_rmsd_angstrom": 1.234,
+        "ca_rmsd_angstrom": 1.234, "ca_rmsd_input_angstrom": 2.345, "ca_rmsd_input_as_filed_angstrom": 30.5,
+        "frame": "where it was",
     }  # fmt: skip
     terminal.print_simulation(record)
     terminal.print_simulation(record | {"accepted": 0.456})
@@ -115,6 +22,7 @@ def test_a_simulation_is_summed_up_in_a_few_lines(capsys):
         "x: completed, 12.3 ns/day",
         "temperature 301.3 K over the second half, conserved energy drifts 0.012 kJ/mol/ps for 100 atoms{}",
         "C-alpha RMSD to the start 1.23 angstrom",
+        "to the input 2.35, as filed 30.50: where it was",
         "written: d",
     ]
     text = "\n".join(lines) + "\n"
@@ -123,24 +31,60 @@ def test_a_simulation_is_summed_up_in_a_few_lines(capsys):
 
 KEYS = [column.key for column in SHOWN]
 TABLE = """\
-                                                 torque    force                        
-                              start       end    kJ/mol   kJ/mol      RMSD              
-       method      status    kJ/mol    kJ/mol      /rad      /nm  angstrom evals seconds
-kcm-stiffness interrupted 123456.78 -98765.43   1234.56 12345.67     12.34  5000 1234.56
-          own   converged         -         -         -        -         -     -       -
+                                            torque  force                      
+                             start      end kJ/mol kJ/mol     RMSD             
+       method      status   kJ/mol   kJ/mol   /rad    /nm angstrom evals time s
+kcm-stiffness interrupted 123456.8 -98765.4 1234.6  12346    12.34  5000 1234.6
+          own   converged        -        -      -      -        -     -      -
 kcm-stiffness: [red]stopped
 own: not 12 done
 """  # noqa: W291
+WIDE = """\
+method    status start kJ/mol end kJ/mol torque kJ/mol/rad force kJ/mol/nm RMSD angstrom evals time s
+    md     clash         1.00      -1.00             1e-03           5e-03         12.34  5000 100.00
+   own converged            -          -                 -               -             -     -      -
+md: [red]stopped
+own: not 12 done
+"""
+LONG = """\
+                                             torque  force                      
+                              start      end kJ/mol kJ/mol     RMSD             
+        method      status   kJ/mol   kJ/mol   /rad    /nm angstrom evals time s
+module.of.ones interrupted 123456.8 -98765.4 1234.6  12346    12.34  5000 1234.6
+   .own:Method                                                                  
+           own   converged        -        -      -      -        -     -      -
+module.of.ones.own:Method: [red]stopped
+own: not 12 done
+"""  # noqa: W291
+LARGE = ("interrupted", 123456.781, -98765.432, 1234.561, 12345.671, 12.341, 5000, 1234.561)
+SMALL = ("clash", 1.0, -1.0, 0.001, 0.004999, 12.341, 5000, 100.0)
 
 
-def test_a_table_has_a_row_for_each_record_and_their_messages_below(capsys, monkeypatch):
-    """Headings wrap at blanks; numbers are whole though the terminal has no room."""
-    monkeypatch.setenv("COLUMNS", "80")
-    values = ("interrupted", 123456.781, -98765.432, 1234.561, 12345.671, 12.341, 5000, 1234.561)
-    first = dict(zip(KEYS, ("kcm-stiffness", *values), strict=True)) | {"message": "[red]stopped"}
+@pytest.mark.parametrize(
+    ("columns", "method", "values", "table"),
+    [
+        (80, "kcm-stiffness", LARGE, TABLE), (60, "kcm-stiffness", LARGE, TABLE),
+        (120, "md", SMALL, WIDE), (80, "module.of.ones.own:Method", LARGE, LONG),
+    ],
+)  # fmt: skip
+def test_a_table_has_a_row_for_each_record_and_their_messages_below(
+    columns, method, values, table, capsys, monkeypatch
+):
+    """Headings wrap at blanks, names anywhere; numbers are whole though the terminal has no room."""
+    monkeypatch.setenv("COLUMNS", str(columns))
+    first = dict(zip(KEYS, (method, *values), strict=True)) | {"message": "[red]stopped"}
     second = dict.fromkeys(KEYS) | {"method": "own", "status": "converged", "message": "not 12 done"}
     terminal.print_table([first, second])
-    assert capsys.readouterr().out == TABLE
+    assert capsys.readouterr().out == table
+
+
+@pytest.mark.parametrize(("output", "said"), [("d/a.pdb", "d/a.pdb"), ("-", "standard output")])
+def test_a_result_is_said_with_both_distances_from_its_start(output, said, capsys):
+    record = {"ca_rmsd_angstrom": 1.234, "ca_rmsd_as_filed_angstrom": 20.5, "frame": "where it was"}
+    terminal.print_written(record | {"output": output})
+    assert capsys.readouterr().out == (
+        f"C-alpha RMSD 1.23 angstrom, as filed 20.50: where it was\nwritten: {said}\n"
+    )
 
 
 def test_jobs_are_listed_with_methods_and_path(capsys):
@@ -227,7 +171,7 @@ def test_deviations_are_a_table_with_failures_below(capsys, monkeypatch):
     assert capsys.readouterr().out == f"{bad['message']}\n"
 
 
-def test_messages_are_printed_as_they_are_in_colour_too(bar, capsys, monkeypatch):
+def test_messages_are_printed_as_they_are_in_colour_too(capsys, monkeypatch):
     """rich would paint numbers and take square brackets for styles."""
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm-256color")
@@ -236,10 +180,6 @@ def test_messages_are_printed_as_they_are_in_colour_too(bar, capsys, monkeypatch
     terminal.print_table([dict.fromkeys(KEYS) | {"method": "x", "message": message}])
     terminal.print_batch(summary(3), "r")
     terminal.print_deviations([{"message": message}])
-    with terminal.batch_progress() as watch:
-        watch(BatchProgress(10, 4, 1, 3, 60.0, "http://x:8787"))
-    told = capsys.readouterr()
-    lines = told.out.splitlines()
+    lines = capsys.readouterr().out.splitlines()
     assert {f"x: {message}", message, "f0: refused: [b]0: why", "none: 3 refused"} <= set(lines)
     assert "md: 3 refused, 2 converged, 1 budget; medians: RMSD 2.00 angstrom, 3.00 s" in lines
-    assert told.err == "dashboard: http://x:8787\n"

@@ -1,8 +1,9 @@
-"""What a long run says: before it begins, of its stage, and how long it will take."""
+"""What a run says: before it begins, of its stage, and how long it will take; what bars show."""
 
 import importlib
 import io
 import re
+from types import SimpleNamespace
 
 import pytest
 from conftest import chain, energy
@@ -10,6 +11,7 @@ from rich.console import Console
 from test_descent import crowded
 
 import protochain as pc
+from protochain.batches.api import BatchProgress
 from protochain.batches.jobs import BatchSettings, Row, failure, find_jobs
 from protochain.cli import terminal
 from protochain.minimisers import METHODS, recipe_of
@@ -31,8 +33,157 @@ def clock(monkeypatch):
     return clock
 
 
+class Bar:
+    """Stands for rich's Progress; remembers what it is told."""
+
+    made = ()
+
+    def __init__(self, *columns, console, disable):
+        self.columns = [type(column).__name__ for column in columns]
+        self.formats = [getattr(column, "text_format", "") for column in columns]
+        self.console, self.disable = console, disable
+        self.added, self.updates, self.tasks = [], [], [SimpleNamespace(speed=None)]
+        Bar.made = (*Bar.made, self)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.added.append("closed")
+
+    def add_task(self, name, **more):
+        self.added.append((name, more))
+        return 7
+
+    def update(self, task, **more):
+        assert task == 7
+        self.updates.append(more)
+
+
+@pytest.fixture
+def bar(monkeypatch):
+    monkeypatch.setattr("rich.progress.Progress", Bar)
+    monkeypatch.setattr(Bar, "made", ())
+    return lambda: Bar.made[-1]
+
+
 def row(evaluations, torque=3.0):
     return {"evaluations": evaluations, "energy_kj_mol": -1234.5, "max_torque_kj_mol_rad": torque}
+
+
+def test_the_bar_of_a_run_shows_stage_evaluations_energy_torque_and_time_left(bar, clock):
+    seen = []
+    with terminal.run_progress("lbfgs", 500, seen.append) as watch:
+        made = bar()
+        assert made.disable and made.console.stderr
+        typical = recipe_of("lbfgs").typical
+        assert made.added == [("lbfgs", {"total": typical, "now": "", "left": ""})] and typical == 150
+
+        def shown(seconds, told):
+            clock.now = seconds
+            told()
+            *_, last = made.updates
+            assert last.pop("total") == (500 if last["completed"] >= typical else typical)
+            return tuple(last.values())
+
+        def told(evaluations, torque=1234.5):
+            return lambda: watch(row(evaluations, torque), evaluations)
+
+        energy = "-1234.50 kJ/mol"
+        assert shown(0.0, told(20.0)) == (
+            "lbfgs", 20.0, f"20 evaluations, {energy}, torque 1.23e+03 kJ/mol/rad", "",
+        )  # fmt: skip
+        # One a second: of 150, 126 are left.
+        at_stage = watch.at_stage
+        assert shown(4.0, lambda: at_stage("parting", 24)) == (
+            "lbfgs: parting", 24, "24 evaluations", "about 2 min left",
+        )  # fmt: skip
+        now = f"60 evaluations, {energy}"
+        assert shown(40.0, told(60.0, float("nan"))) == ("lbfgs: parting", 60.0, now, "about 90 s left")
+        # The energy stays until the next stage begins.
+        assert shown(50.0, lambda: at_stage("parting", 70)) == ("lbfgs: parting", 70, now, "about 80 s left")
+        assert shown(60.0, lambda: at_stage("next", 80)) == (
+            "lbfgs: next", 80, "80 evaluations", "about 70 s left",
+        )  # fmt: skip
+        # Two seconds each from the first on, and none is typical any more.
+        *_, left = shown(260.0, told(150.0))
+        assert left == "at most 12 min left"
+        # The next of many starts is timed by itself.
+        assert shown(300.0, told(10.0))[3] == "" and shown(301.0, told(60.0))[3] == "about 2 s left"
+    assert made.columns == ["TextColumn", "BarColumn", "TextColumn", "TextColumn"]
+    assert made.formats == ["{task.description}", "", "{task.fields[now]}", "{task.fields[left]}"]
+    assert made.added[-1] == "closed" and seen == [20.0, 60.0, 150.0, 10.0, 60.0]
+
+
+def test_the_bar_of_a_simulation_shows_time_temperature_speed_and_time_left(bar, clock):
+    with terminal.simulation_progress("x", 1000, 0.005) as watch:
+        now = {"time_ps": 1.04, "temperature_k": 299.6}
+        watch(now | {"step": 200}, None)
+        # 100 steps a second of 0.005 ps: 0.5 ps/s, 86400 s a day.
+        clock.now = 2.0
+        watch(now | {"step": 400}, None)
+        made = bar()
+    assert made.columns == ["TextColumn", "BarColumn", "TextColumn", "TextColumn"]
+    assert made.formats == ["{task.description}", "", "{task.fields[now]}", "{task.fields[left]}"]
+    assert made.added[0] == ("x", {"total": 1000, "now": "", "left": ""})
+    assert made.disable and made.console.stderr
+    both = {"description": "x", "total": 1000}
+    assert made.updates == [
+        both | {"completed": 200, "now": "1.0 ps, 300 K", "left": ""},
+        both | {"completed": 400, "now": "1.0 ps, 300 K, 43.2 ns/day", "left": "about 6 s left"},
+    ]
+    assert made.added[-1] == "closed"
+
+
+def test_the_bar_of_a_batch_shows_counts_and_the_dashboard_once(bar, capsys):
+    with terminal.batch_progress() as watch:
+        watch(BatchProgress(10, 0, 0, 3, 2.0, ""))
+        for line in ("", "[b]a: 'odd' 12"):
+            watch(BatchProgress(10, 4, 1, 3, 60.0, "http://x:8787", line))
+        watch(BatchProgress(10, 4, 1, 3, 60.0, "http://other"))
+        made = bar()
+    assert made.columns == ["BarColumn", "TextColumn", "TimeRemainingColumn"]
+    assert made.formats == ["", "{task.fields[now]}", ""] and made.disable and made.console.stderr
+    assert made.added == [("", {"total": None, "now": "starting workers"}), "closed"]
+    assert made.updates == [
+        {"total": 10, "completed": 3, "now": "3 of 10, 0 failed, 0/min"},
+        *[{"total": 10, "completed": 7, "now": "7 of 10, 1 failed, 4/min"}] * 3,
+    ]
+    assert capsys.readouterr().err == "dashboard: http://x:8787\n[7 of 10] [b]a: 'odd' 12\n"
+
+
+def test_lines_beside_a_bar_are_printed_as_they_are_in_colour_too(bar, clock, capsys, monkeypatch):
+    """rich would paint numbers and addresses, and take square brackets for styles."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "30")
+    with terminal.batch_progress() as watch:
+        watch(BatchProgress(10, 4, 1, 3, 60.0, "http://x:8787", "[b]a: 'odd' 12 and more"))
+    with terminal.run_progress("lbfgs", 9) as watch:
+        watch.at_stage("interrupted, 'odd' 12 [b]", 3)
+    assert capsys.readouterr().err.splitlines() == [
+        "dashboard: http://x:8787", "[7 of 10] [b]a: 'odd' 12 and more",
+        "lbfgs: interrupted, 'odd' 12 [b]; the best so far will be written",
+    ]  # fmt: skip
+
+
+def test_a_terminal_gets_a_bar_and_no_lines(bar, clock, monkeypatch, capsys):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with terminal.run_progress("lbfgs", 9) as watch:
+        assert bar().disable is False
+        for clock.now in (0.0, 100.0):
+            watch(row(1.0 + clock.now), None)
+    with terminal.simulation_progress("x", 1, 1.0), terminal.batch_progress():
+        assert [made.disable for made in Bar.made] == [False] * 3
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"),
+    [(0.4, "0 s"), (99.4, "99 s"), (100.0, "2 min"), (5999.0, "100 min"), (6000.0, "1.7 h")],
+)
+def test_times_are_in_seconds_minutes_or_hours(seconds, said):
+    assert terminal._clock(seconds) == said
 
 
 def test_without_a_terminal_a_line_comes_every_minute(clock, capsys):
@@ -134,6 +285,3 @@ def test_a_batch_says_a_line_for_each_structure(tmp_path, capsys):
         f"{kept}; refused: a.pdb: holds no atoms",
         f"{kept.replace('.35', '.34')}; refused: a.pdb: holds no atoms",
     )
-    with terminal.batch_progress() as watch:
-        watch(api.BatchProgress(9, 1, 0, 2, 1.0, "", line))
-    assert capsys.readouterr().err == f"[3 of 9] {line}\n"

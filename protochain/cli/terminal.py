@@ -238,7 +238,7 @@ def print_table(records: list[dict[str, Any]]) -> None:
     widths[0] = max(len(headings[0]), min(widths[0], room))
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for heading, width in zip(headings, widths, strict=True):
-        table.add_column(heading, width=width, justify="right", overflow="fold")
+        table.add_column(heading, min_width=width, max_width=width, justify="right", overflow="fold")
     for row in rows:
         table.add_row(*row)
     # In less room than the numbers take rich would cut the last ones off.
