@@ -1,13 +1,16 @@
-"""Disulfides, amide bonds, obstacles and alternates, on residues made by hand."""
+"""Disulfides, amide bonds, what is kept and how it is held, and alternates, on residues made by hand."""
 
 import gemmi
+import numpy as np
 import pytest
 
 import protochain as pc
 from protochain.structure.bridges import disulfides, refuse_crosslinks
 from protochain.structure.conformation import likeliest, same_place
 from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.kept import is_wanted, obstacles
+from protochain.structure.kept import Candidate, by_element, check_words, choose, water_named
+from protochain.structure.sites import find_links, is_metal, measure, moves, ties
+from protochain.structure.templates import Template
 
 
 def member(name, number, *atoms, chain="A", code=""):
@@ -98,37 +101,173 @@ def test_side_chains_joined_by_an_amide_bond_are_refused(amine, nitrogen, acid, 
     refuse_crosslinks(drafted(lone, member(acid, 2, ("CB", 0.1))))
 
 
+CENTRE = 0.5
+
+
 @pytest.mark.parametrize(
-    ("residue", "kinds"),
+    ("residue", "kind"),
     [
-        (member("HOH", 1, ("O", 0.0)), {"water", "all", "HOH"}),
-        (member("ZN", 1, ("Z", 0.0)), {"ions", "all", "ZN"}),
-        (member("DA", 1, ("P", 0.0), ("O", 0.0)), {"nucleic", "all", "DA"}),
-        (member("LIG", 1, ("C", 0.0), ("O", 0.0)), {"all", "LIG"}),
+        (member("HOH", 1, ("O", CENTRE)), "water"),
+        (member("ZN", 1, ("N", CENTRE)), "ions"),
+        (member("DA", 1, ("P", CENTRE), ("O", CENTRE + 1)), "nucleic"),
+        (member("LIG", 1, ("C", CENTRE), ("O", CENTRE + 1)), "ligands"),
     ],
 )
-def test_molecules_are_kept_by_kind_or_name_if_they_have_a_template(residue, kinds):
-    known = {"HOH": 1, "ZN": 1, "DA": 1, "LIG": 1}
-    every = ("water", "ions", "nucleic", "all", "HOH", "ZN", "DA", "LIG", "waterX")
-    assert {kind for kind in every if is_wanted(residue, (kind,), known)} == kinds
-    assert not is_wanted(residue, every, {}) and not is_wanted(residue, (), known)
+def test_molecules_are_kept_by_kind_or_by_either_name(residue, kind):
+    def kept(word):
+        given = Candidate(residue, "OLD", ["noted"])
+        draft = drafted(glycine())
+        parts = choose(draft, [given], (word,), {})
+        assert given.kind == kind and draft.left_out == ({} if parts else {_told(kind): 1})
+        assert ("noted" in draft.repairs) == bool(parts)
+        return [part.members for part in parts] == [[residue]]
+
+    every = ("none", "near", "all", "water", "ions", "nucleic", "ligands", "HOH", "ZN", "DA", "LIG", "OLD")
+    near = {"near"} if kind != "water" else set()
+    assert {word for word in every if kept(word)} == {"all", kind, residue.name, "OLD", *near}
+    assert choose(drafted(glycine()), [Candidate(residue, "OLD")], (), {}) == []
+
+
+def _told(kind):
+    return "waters" if kind == "water" else "OLD"
+
+
+def glycine():
+    return member("GLY", 1, ("N", 0.0), ("CA", 0.0), ("HA", 9.0))
+
+
+def candidates(*places, name="LIG"):
+    return [Candidate(member(name, k, ("C", x), ("H", x + 90.0)), name) for k, x in enumerate(places, 2)]
+
+
+@pytest.mark.parametrize(
+    ("places", "near"),
+    [
+        ((4.9, 5.1, -4.9), (0, 1, 2)),
+        ((5.1, -5.1, -4.9), (1, 2)),
+        # One joins the next, in any order; a gap of 2 angstrom ends the row.
+        ((6.7, 8.6, 4.9, 10.7), (0, 1, 2)),
+        ((6.9, 8.8, 4.8), ()),
+    ],
+)
+def test_near_is_five_angstrom_from_heavy_atoms_of_the_protein_or_joined_to_what_is(places, near):
+    """The protein's heavy atoms are at 0, its hydrogen at 9."""
+    given = candidates(*places)
+    if near == ():
+        given[2].member.atoms[0].pos.y = 1.7
+    draft = drafted(glycine())
+    kept = [part.members[0] for part in choose(draft, given, ("near",), {})]
+    assert kept == [given[k].member for k in near]
+    gone = len(places) - len(near)
+    said = f"{gone} LIG (further than 5 angstrom from the protein) left out; --keep all keeps everything"
+    assert draft.left_out == ({"LIG": gone} if gone else {}) and (draft.repairs[0] == said) == bool(gone)
+
+
+def test_what_is_left_out_is_said_first_and_then_what_is_kept():
+    odd = member("UNX", 9, ("C", 1.0))
+    odd.atoms[0].element = gemmi.Element("X")
+    bare = member("DUM", 9, ("H", 1.0))
+    given = [
+        *candidates(1.0, 40.0, 30.0), *candidates(1.1, name="HOH"), Candidate(odd, "UNX"),
+        Candidate(bare, "DUM"), *candidates(3.0, name="BIG"), *candidates(3.2, name="BIG"),
+    ]  # fmt: skip
+    draft = drafted(glycine())
+    draft.repairs.append("earlier")
+    choose(draft, given, ("near",), {})
+    assert draft.repairs == [
+        "2 LIG (further than 5 angstrom from the protein), 1 waters, 1 UNX (of unknown element), "
+        "1 DUM (of unknown element) left out; --keep all keeps everything",
+        "2 BIG, 1 LIG kept beside the protein (BIG, LIG by element, unless the force field has parameters)",
+        "earlier",
+    ]
+    assert draft.left_out == {"LIG": 2, "waters": 1, "UNX": 1, "DUM": 1}
+    dry = drafted(glycine())
+    choose(dry, candidates(1.0, 2.0, name="HOH"), ("near",), {})
+    assert dry.repairs == ["2 waters left out: the solvent is implicit; --keep all keeps everything"]
+    many = drafted(glycine())
+    choose(many, [each for k in range(9) for each in candidates(1.0, name=f"L{k}")], ("all",), {})
+    names = [f"L{k}" for k in range(8)]
+    assert many.repairs == [
+        f"{', '.join('1 ' + name for name in names)} and 1 more kinds kept beside the protein "
+        f"({', '.join(names)} by element, unless the force field has parameters)"
+    ]
+    silent = drafted(glycine())
+    assert choose(silent, [], ("near",), {}) == [] and silent.repairs == []
+
+
+@pytest.mark.parametrize("word", ["near", "ligands", "LIG", "NA+", "A", "12345"])
+def test_words_that_can_be_a_name_or_are_a_kind_are_taken(word):
+    check_words([word])
+
+
+@pytest.mark.parametrize("word", ["ligand", "lig", "ABCDEF", "", "A B", "ALL*"])
+def test_other_words_are_refused(word):
+    with pytest.raises(pc.ProtochainError) as refused:
+        check_words(["near", word])
+    assert str(refused.value) == (
+        f"keep {word!r} is not known; give none, near, all, water, ions, nucleic, ligands or names of "
+        "residues"
+    )
+
+
+def template(name, *heavy):
+    return Template(name, {**dict.fromkeys(heavy, "C"), "H": "H"}, {}, (), {"O1P": "OP1"})
+
+
+DNA = {
+    "DA5": template("DA5", "O3'"),
+    "DA3": template("DA3", "P", "O3'"),
+    "DAN": template("DAN", "O3'"),
+    "LIG": template("LIG", "C"),
+    "ALA": template("ALA", "C"),
+}
 
 
 @pytest.mark.parametrize(("far", "bonded"), [(2.49, True), (2.5, False)])
 def test_bonded_nucleotides_are_a_strand_and_others_stand_alone(far, bonded):
-    first = member("DA", 1, ("P", -5.0), ("O3'", 0.0))
-    second = member("DC", 2, ("P", far), ("O3'", 9.0))
-    water, last = member("HOH", 3, ("P", 9.1)), member("HOH", 4, ("O", 9.1))
+    first = member("DA", 1, ("P", -5.0), ("O3'", 0.0), chain="B")
+    second = member("DA", 2, ("P", far), ("O3'", 9.0), chain="B")
+    water, last = member("LIG", 3, ("C", 9.1), chain="B"), member("LIG", 4, ("C", 9.1), chain="C")
     draft = Draft("x", "x")
-    parts = obstacles(draft, "B", [first, second, water, last])
-    strands = [[first, second, water], [last]] if bonded else [[first], [second, water], [last]]
-    assert [part.members for part in parts] == strands
-    assert all(part.obstacle and part.chain_id == "B" and not part.cyclic for part in parts)
-    said = "residue {} of chain A: 5' phosphate left out: the force fields do not have it"
-    assert draft.repairs == [said.format("1 DA"), *([] if bonded else [said.format("2 DC")])]
-    assert (
-        (second.atom("P") is not None) is bonded and first.atom("P") is None and water.atom("P") is not None
-    )
+    given = [Candidate(each, each.name) for each in (first, second, water, last)]
+    parts = choose(draft, given, ("all",), DNA)
+    strands = [[first, second]] if bonded else [[first], [second]]
+    assert [part.members for part in parts] == [*strands, [water], [last]]
+    assert all(part.obstacle and not part.cyclic for part in parts)
+    assert [part.chain_id for part in parts] == ["B"] * (len(parts) - 1) + ["C"]
+    said = "residue {} of chain B: 5' phosphate left out: the force fields do not have it"
+    assert draft.repairs == [
+        "2 DA, 2 LIG kept beside the protein",
+        said.format("1 DA"), *([] if bonded else [said.format("2 DA")]),
+    ]  # fmt: skip
+    assert (second.atom("P") is not None) is bonded and first.atom("P") is None
+    assert all(each.own is None for each in (first, second, water, last))
+
+
+def test_a_strand_that_the_templates_do_not_fit_is_kept_whole_and_by_element():
+    first = member("DA", 1, ("P", -5.0), ("O3'", 0.0))
+    second = member("DA", 2, ("P", 1.6), ("O3'", 9.0), ("CX", 10.0))
+    draft = Draft("x", "x")
+    choose(draft, [Candidate(first, "DA"), Candidate(second, "DA")], ("all",), DNA)
+    assert [a.name for a in first.atoms] == ["P", "O3'"] and first.own.element == {"P": "P", "O3'": "O"}
+    assert second.own.element == {"P": "P", "O3'": "O", "CX": "C"}
+    assert draft.repairs == [
+        "2 DA kept beside the protein (DA by element, unless the force field has parameters)"
+    ]
+
+
+def test_a_template_fits_the_same_heavy_atoms_by_any_name_and_no_amino_acid():
+    for name, atoms, fits in (
+        ("LIG", ("C",), True), ("LIG", ("C", "H9"), True), ("LIG", ("C", "O"), False), ("XXX", ("C",), False),
+        ("ALA", ("C",), False), ("DA", ("P", "O3'"), True),
+    ):  # fmt: skip
+        residue = member(name, 1, *((atom_name, float(k)) for k, atom_name in enumerate(atoms)))
+        choose(Draft("x", "x"), [Candidate(residue, name)], ("all",), DNA)
+        assert (residue.own is None) is fits, (name, atoms)
+    known = {"LIG": template("LIG", "OP1")}
+    residue = member("LIG", 1, ("O1P", 0.0))
+    choose(Draft("x", "x"), [Candidate(residue, "LIG")], ("all",), known)
+    assert residue.own is None
 
 
 def test_all_of_a_phosphate_is_left_out_of_the_first_nucleotide_only():
@@ -136,10 +275,186 @@ def test_all_of_a_phosphate_is_left_out_of_the_first_nucleotide_only():
     strand = member("A", 1, *((name, 0.0) for name in names))
     ligand = member("ATP", 2, ("P", 9.0))
     draft = Draft("x", "x")
-    obstacles(draft, "A", [strand, ligand])
+    known = {"AN": template("AN", "O5'", "O3'"), "DGN": template("DGN", "O5'")}
+    choose(draft, [Candidate(strand, "A"), Candidate(ligand, "ATP")], ("all",), known)
     assert [a.name for a in strand.atoms] == ["O5'", "O3'"] and [a.name for a in ligand.atoms] == ["P"]
     clean = Draft("x", "x")
-    assert len(obstacles(clean, "A", [member("DG", 1, ("O5'", 0.0))])) == 1 and clean.repairs == []
+    assert len(choose(clean, [Candidate(member("DG", 1, ("O5'", 0.0)), "DG")], ("all",), known)) == 1
+    assert clean.repairs == ["1 DG kept beside the protein"]
+
+
+def test_molecules_by_element_have_bonds_by_distance():
+    """C-O bonds up to 0.73 + 0.66 + 0.4 = 1.8 angstrom, and not below 0.5."""
+    ligand = member("LIG", 1, ("C1", 0.0), ("O1", 1.7), ("O2", -1.9), ("C2", 0.4), ("H1", 1.8), ("H2", -9.0))
+    reach = [gemmi.Element(e).covalent_r for e in "CO"]
+    assert 1.7 < sum(reach) + 0.4 < 1.9
+    ligand.atoms[1].charge = -1
+    made = by_element(ligand)
+    assert made.name == "LIG" and made.synonyms == {}
+    assert made.element == {"C1": "C", "O1": "O", "O2": "O", "C2": "C", "H1": "H", "H2": "H"}
+    assert made.charge == {"C1": 0.0, "O1": -1.0, "O2": 0.0, "C2": 0.0, "H1": 0.0, "H2": 0.0}
+    # Each hydrogen is bonded to the nearest heavy atom, however far.
+    assert {frozenset(bond) for bond in made.bonds} == {
+        frozenset(pair) for pair in (("C1", "O1"), ("O1", "C2"), ("O1", "H1"), ("O2", "H2"))
+    }
+    assert len(made.bonds) == 4
+
+
+@pytest.mark.parametrize(("given", "name"), [("HOH", "HOH"), ("DOD", "HOH"), ("ATP", "XXX"), ("Q?Q", "XXX")])
+def test_waters_of_the_tables_get_the_name_of_water(given, name):
+    found = water_named(member("XXX", 5, ("O", 1.0), code="B"), given)
+    assert (found.name, found.seqid, found.atoms[0].name) == (name, "5B", "O")
+
+
+# --- Bonds to what is kept
+
+
+def beside(*parts):
+    """A cysteine, a histidine and an aspartate, and molecules beside them."""
+    return Draft(
+        "x", "x", [Part("A", [*parts[0]]), *(Part("B", [each], obstacle=True) for each in parts[1:])]
+    )
+
+
+def ion(symbol, number, *place):
+    return Member(symbol.upper(), str(number), "", "B", [atom(symbol.upper(), symbol, list(place))])
+
+
+def placed(name, number, **atoms):
+    return Member(name, str(number), "", "A", [atom(n, n[0], list(x)) for n, x in atoms.items()])
+
+
+@pytest.mark.parametrize(
+    ("name", "donor", "metal", "limit"),
+    [
+        ("CYS", "SG", "Zn", 1.99 + 0.75), ("HIS", "NE2", "Zn", 1.99 + 0.5), ("ASP", "OD1", "Ca", 2.36 + 0.5),
+        ("ASP", "OD1", "K", 2.74 + 0.5), ("CYS", "SG", "Cd", 2.3 + 0.75), ("HIS", "NE2", "Fe", 2.04 + 0.5),
+    ],
+)  # fmt: skip
+def test_donors_are_bonded_to_a_metal_up_to_its_usual_distance_and_some(name, donor, metal, limit):
+    for far, bonded in ((limit - 0.01, True), (limit + 0.01, False), (0.79, False), (0.81, True)):
+        residue = placed(name, 1, CA=(9.0, 9.0, 0.0), **{donor: (far, 0.0, 0.0)}, H=(0.5, 0.0, 0.0))
+        draft = beside([residue], ion(metal, 7, 0.0, 0.0, 0.0))
+        links = find_links(draft)
+        assert [(each.atom.name, each.is_metal) for each in links] == [(donor, True)] * bonded
+        assert [a.name for a in residue.metals] == [donor] * bonded and residue.links == []
+        said = (
+            f"{metal.upper()} of residue 7 {metal.upper()} of chain B is coordinated by {donor} of "
+            f"residue 1 {name} of chain A ({far:.2f} angstrom): held at these distances by springs, and "
+            "moves with them"
+        )
+        assert draft.repairs == [said] * bonded
+
+
+def test_carbon_and_the_amides_of_a_chain_are_no_donors_unless_the_file_says_so():
+    for names, stated, bonded in (
+        ({"N": 2.0, "CA": 9.0}, False, False), ({"N": 2.0, "CA": 9.0}, True, True), ({"N": 2.0}, False, True),
+        ({"CB": 2.0}, False, False), ({"CB": 3.29}, True, True), ({"CB": 3.31}, True, False),
+        ({"CB": 0.7}, True, False),
+    ):  # fmt: skip
+        residue = placed("ALA", 1, **{name: (x, 0.0, 0.0) for name, x in names.items()})
+        draft = beside([residue], ion("Zn", 7, 0.0, 0.0, 0.0))
+        first = next(iter(names))
+        draft.stated = [(("B", "7", "ZN"), ("A", "1", first))] * stated
+        assert [each.atom.name for each in find_links(draft)] == [first] * bonded, names
+
+
+def test_other_atoms_are_bonded_by_their_covalent_radii_and_waters_never():
+    radius = sum(gemmi.Element(e).covalent_r for e in "NC") + 0.3
+    for far, bonded in ((radius - 0.01, True), (radius + 0.01, False)):
+        residue = placed("ASN", 1, ND2=(far, 0.0, 0.0))
+        sugar = Member("NAG", "5", "", "B", [atom("C1", "C", [0.0] * 3), atom("H1", "H", [far, 0.1, 0.0])])
+        draft = beside([residue], sugar)
+        (link,) = find_links(draft) or [None]
+        assert (link is not None) is bonded
+        if bonded:
+            assert (link.member, link.atom.name, link.other, link.other_atom.name) == (
+                residue, "ND2", sugar, "C1",
+            )  # fmt: skip
+            assert not link.is_metal and [a.name for a in residue.links] == ["ND2"] and residue.metals == []
+            assert draft.repairs == [
+                "C1 of residue 5 NAG of chain B is bonded to ND2 of residue 1 ASN of chain A "
+                f"({far:.2f} angstrom): held at these distances by springs"
+            ]
+    water = Member("HOH", "5", "", "B", [atom("O", "O", [0.0] * 3)])
+    assert find_links(beside([placed("ASN", 1, ND2=(1.4, 0.0, 0.0))], water)) == []
+    assert find_links(beside([placed("ASN", 1, ND2=(1.4, 0.0, 0.0))])) == []
+
+
+@pytest.mark.parametrize(("far", "free"), [(3.31, True), (3.29, False)])
+def test_an_ion_moves_if_the_protein_alone_holds_it(far, free):
+    residue = placed("CYS", 1, SG=(2.3, 0.0, 0.0))
+    zinc, water = ion("Zn", 7, 0.0, 0.0, 0.0), Member("HOH", "8", "", "B", [atom("O", "O", [0.0, far, 0.0])])
+    draft = beside([residue], zinc, water)
+    links = find_links(draft)
+    assert moves(draft, zinc, links) is free and not moves(draft, zinc, [])
+    assert draft.repairs[0].endswith(", and moves with them") is free
+    pair = Member("ZN2", "9", "", "B", [*zinc.atoms, atom("O", "O", [9.0, 9.0, 9.0])])
+    bound = beside([residue], pair)
+    assert len(find_links(bound)) == 1 and not moves(bound, pair, find_links(bound))
+    # Not an ion: a single atom that is no metal.
+    lone = Member("C", "9", "", "B", [atom("C", "C", [3.6, 0.0, 0.0])])
+    covalent = beside([residue], lone)
+    assert len(find_links(covalent)) == 1 and not moves(covalent, lone, find_links(covalent))
+
+
+def test_several_ends_of_a_site_are_one_line():
+    first, second = placed("CYS", 1, SG=(2.3, 0.0, 0.0)), placed("HIS", 2, NE2=(0.0, 2.0, 0.0))
+    draft = beside([first, second], ion("Zn", 7, 0.0, 0.0, 0.0))
+    assert [each.atom.name for each in find_links(draft)] == ["SG", "NE2"]
+    assert draft.repairs == [
+        "ZN of residue 7 ZN of chain B is coordinated by SG of residue 1 CYS of chain A (2.30 angstrom), "
+        "NE2 of residue 2 HIS of chain A (2.00 angstrom): held at these distances by springs, and moves "
+        "with them"
+    ]
+
+
+def tied(draft, bonds):
+    """Springs of a draft whose atoms are numbered in order, by atoms."""
+    links = find_links(draft)
+    at, x, element = {}, [], []
+    for member_ in draft.members:
+        at[id(member_)] = {a.name: len(x) + k for k, a in enumerate(member_.atoms)}
+        x += [a.pos.tolist() for a in member_.atoms]
+        element += [a.element.name for a in member_.atoms]
+    found = ties(links, at, np.array(x) / 10.0, element, np.array(bonds))
+    assert len({tie.atoms for tie in found}) == len(found)
+    return {tie.atoms: (tie.rest, tie.stiffness) for tie in found}
+
+
+def test_springs_hold_distances_and_angles_of_a_metal_site():
+    """CB 0, HB 1, SG 2; CB 3, SG 4; zinc 5: a right angle at zinc, and at the first sulphur."""
+    first = placed("CYS", 1, CB=(2.3, 1.8, 0.0), HB=(2.3, 2.8, 0.0), SG=(2.3, 0.0, 0.0))
+    second = placed("CYS", 2, CB=(0.0, 4.1, 0.0), SG=(0.0, 2.2, 0.0))
+    draft = beside([first, second], ion("Zn", 7, 0.0, 0.0, 0.0))
+    found = tied(draft, [[0, 1], [0, 2], [1, 2], [2, 5], [3, 4], [4, 5]])
+    # The second CB is in line with zinc, whose angle gets no spring, and hydrogens get none.
+    assert found == {
+        (2, 5): (pytest.approx(0.23), 8.0e4), (4, 5): (pytest.approx(0.22), 8.0e4),
+        (0, 2, 5): (pytest.approx(np.pi / 2), 540.0), (2, 5, 4): (pytest.approx(np.pi / 2), 300.0),
+    }  # fmt: skip
+    for degrees, held in ((169.9, True), (170.1, False)):
+        turn = np.radians(180.0 - degrees)
+        second.atom("CB").pos = gemmi.Position(1.9 * np.sin(turn), 2.2 + 1.9 * np.cos(turn), 0.0)
+        assert ((3, 4, 5) in tied(draft, [[0, 1], [0, 2], [2, 5], [3, 4], [4, 5]])) is held
+
+
+def test_springs_of_a_covalent_bond_hold_the_angles_at_both_ends():
+    """CG 0, ND2 1; C1 2, O5 3, H1 4."""
+    residue = placed("ASN", 1, CG=(1.4, 1.3, 0.0), ND2=(1.4, 0.0, 0.0))
+    atoms = [atom("C1", "C", [0.0] * 3), atom("O5", "O", [0.0, 0.0, 1.4]), atom("H1", "H", [-1.0, 0.0, 0.0])]
+    draft = beside([residue], Member("NAG", "5", "", "B", atoms))
+    assert tied(draft, [[0, 1], [1, 2], [2, 3], [2, 4]]) == {
+        (1, 2): (pytest.approx(0.14), 2.7e5), (0, 1, 2): (pytest.approx(np.pi / 2), 500.0),
+        (1, 2, 3): (pytest.approx(np.pi / 2), 500.0),
+    }  # fmt: skip
+
+
+def test_distances_are_in_nm_and_angles_at_the_middle():
+    assert measure(np.array([[0.0, 0.3, 0.0], [0.4, 0.0, 0.0]])) == pytest.approx(0.5)
+    assert measure(np.array([[1.0, 0, 0], [0, 0, 0], [-1.0, 1.0, 0]])) == pytest.approx(0.75 * np.pi)
+    assert measure(np.array([[1.0, 0, 0], [0, 0, 0], [-2.0, 0, 0]])) == pytest.approx(np.pi)
+    assert is_metal("Zn") and is_metal("Na") and not is_metal("S")
 
 
 def residue(name, *atoms, number=1):

@@ -1,4 +1,5 @@
 import csv
+import sys
 from functools import partial
 
 import numpy as np
@@ -8,6 +9,7 @@ from conftest import MORE_STRUCTURES, SAME_KERNEL, STRUCTURES, energy, load
 from openmm import app
 
 import protochain as pc
+from protochain.cli import main
 from protochain.energies import as_energy, factory
 from protochain.structure.templates import _amber
 
@@ -129,13 +131,20 @@ def test_a_force_field_without_the_residue_says_which(tmp_path):
 
 
 @pytest.mark.parametrize("tag", ["Script", "InitializationScript", "Include"])
-def test_a_force_field_that_would_run_code_is_refused_unrun(tag, tmp_path):
+def test_a_force_field_that_would_run_code_is_refused_unrun(tag, tmp_path, monkeypatch, capsys):
     mark = tmp_path / "ran"
     path = tmp_path / "evil.xml"
     body = f"open({str(mark)!r}, 'w')" if "Script" in tag else ""
     path.write_text(f'<ForceField><{tag} file="other.xml">{body}</{tag}></ForceField>')
-    with pytest.raises(pc.ProtochainError, match=f"<{tag}>.*--trust-forcefield"):
+    with pytest.raises(pc.ProtochainError, match=f"<{tag}>.* with trust_forcefield=True$"):
         pc.energy(load("ala10.pdb"), forcefield=str(path), solvent="vacuum")
+    # A command names its option instead.
+    arguments = ["minimise", STRUCTURES / "ala10.pdb", "-o", tmp_path / "a.pdb", "--forcefield", path]
+    monkeypatch.setattr(sys, "argv", ["protochain", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert ended.value.code == 2 and f"<{tag}>" in said and said.endswith(" with --trust-forcefield")
     assert not mark.exists()
 
 

@@ -67,6 +67,7 @@ def test_names_of_files_are_no_options():
     for text in ("a/max_evaluations.pdb: odd", "max_rmsd.pdb: odd", "'time_step' is odd", "in_time_step odd"):
         assert as_options(text) == text
     assert as_options("x: give resume=True; time_step 3") == "x: give --resume; --time-step 3"
+    assert as_options("with trust_forcefield=True") == "with --trust-forcefield"
 
 
 @pytest.mark.parametrize(

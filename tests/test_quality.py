@@ -10,7 +10,6 @@ from test_write import ring
 import protochain as pc
 from protochain.analysis import quality as module
 from protochain.analysis.quality import (
-    displacement,
     dssp,
     hydrogen_bonds,
     quality,
@@ -19,6 +18,7 @@ from protochain.analysis.quality import (
     ramachandran_outliers,
     ramachandran_reference,
 )
+from protochain.structure.superpose import displacements
 
 
 def molecule(elements, x, bonds=()):
@@ -58,7 +58,7 @@ def test_displacements_are_of_the_c_alphas_after_superposition():
     x = x + 5.0
     x[s.alpha_carbons[1]] += [0, 0.3, 0]
     # The middle one of three in a row leaves by 0.3 nm: one third of it shifts the centre.
-    assert displacement(s.with_positions(x), start) == pytest.approx([1.0, 2.0, 1.0])
+    assert displacements(s, x, start.positions) == pytest.approx([1.0, 2.0, 1.0])
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ from conftest import PDB_ROUNDING_NM, STRUCTURES, load, shared
 
 import protochain as pc
 from protochain.chain import dihedral
+from protochain.errors import WriteError
 from protochain.storage import write_atomically
 from protochain.structure.read import read
 from protochain.structure.write import as_text
@@ -357,8 +358,11 @@ def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path):
         target.write_text("half")
         raise OSError("disk full")
 
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(WriteError) as refused:
         write_atomically(path, fails)
+    assert str(refused.value) == (
+        f"{path}: not written (disk full); free space there, or give another place, and run again"
+    )
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 

@@ -62,8 +62,8 @@ def as_options(message: str) -> str:
     options = {name for each in _COMMANDS for name in signature(each).parameters if "_" in name}
     names = "|".join(sorted({*options, *_RENAMED}, key=len, reverse=True))
     # Not in paths and other names.
-    found = re.compile(rf"(?<![\w/.'-])(?:({names})|(\w+)=True)(?![\w/'-]|\.\w)")
-    return found.sub(lambda m: f"--{_RENAMED.get(m[1], m[1] or m[2]).replace('_', '-')}", message)
+    found = re.compile(rf"(?<![\w/.'-])(?:(\w+)=True|({names}))(?![\w/'-]|\.\w)")
+    return found.sub(lambda m: f"--{_RENAMED.get(m[2], m[1] or m[2]).replace('_', '-')}", message)
 
 
 def main() -> None:
