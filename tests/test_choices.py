@@ -149,7 +149,7 @@ def test_a_structure_on_standard_output_is_alone_there(protochain, three):
     assert "budget" in err and "written: standard output" in err
     _, out, _ = protochain(*run, "-o", "-", "--model", "2-3", "--one-file")
     assert len(gemmi.read_pdb_string(out)) == 2
-    _, out, _ = protochain("minimise", STRUCTURES / "1ubq.cif", "--chain", "A", "--max-evaluations", 1,
+    _, out, _ = protochain("minimise", STRUCTURES / "1ubq.cif", "--chain", "A", "--max-evaluations", 5,
                            "--solvent", "vacuum", "--method", "lbfgs", "-o", "-")  # fmt: skip
     assert len(gemmi.make_structure_from_block(gemmi.cif.read_string(out).sole_block())[0]) == 1
     status, out, err = protochain("build", "GPW", "-o", "-")

@@ -19,6 +19,7 @@ import protochain as pc
 from protochain.analysis.deviation import deviation
 from protochain.energies import NativeEnergy
 from protochain.minimisers import KCM, Descent, Fixed
+from protochain.frame import Frame
 from protochain.minimisers.solution import N_FRAMES, Recorder
 
 FILE = STRUCTURES / "ala10.pdb"
@@ -351,7 +352,7 @@ def test_a_solution_has_frames_and_the_displacement_of_each_residue():
 
 @pytest.mark.parametrize("length", [0, 1, 7, 50, 51, 101, 1000])
 def test_frames_are_few_evenly_spaced_and_include_the_ends(length):
-    record = Recorder(S())
+    record = Recorder(S(), Frame(S(), "a test"))
     for k in range(length):
         record(S().positions + k, 0.0, 0.0, k)
     rows = list(record.kept())

@@ -137,9 +137,12 @@ def test_a_run_keeps_its_last_complete_iteration_where_it_is_stopped(monkeypatch
     assert (ending.stop, ending.last.n_iterations, seen) == (Stop.NON_FINITE, 2, [0, 1, 2])
     with pytest.raises(BudgetSpentError):
         ran(budget=0)
-    monkeypatch.setattr(loop, "held_interrupts", lambda: nullcontext([2]))
-    _, ending, seen = ran()
+    signals = []
+    monkeypatch.setattr(loop, "held_interrupts", lambda: nullcontext(signals))
+    _, ending, seen = ran(energy=lambda t: signals.append(2) or -t)
     assert (ending.stop, ending.last.n_iterations, seen) == (Stop.INTERRUPTED, 0, [0])
+    with pytest.raises(KeyboardInterrupt):
+        ran()
 
 
 def test_a_method_that_is_not_begun_when_a_run_stops_is_begun_when_it_goes_on():

@@ -129,10 +129,8 @@ def minimise(
                 break
     with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
         _print(records, as_json, isinstance(setup.model, str))
-    done = len(records) == len(runs) and all(
-        record["status"] == "converged" and "not_written" not in record for record in records
-    )
-    raise typer.Exit(CONVERGED if done else UNCONVERGED)
+    whole = [record["status"] == "converged" and "not_written" not in record for record in records]
+    raise typer.Exit(CONVERGED if len(whole) == len(runs) and all(whole) else UNCONVERGED)
 
 
 def _check_starts(starts: int, hop: float | None, is_single: bool) -> None:

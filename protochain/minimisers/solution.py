@@ -98,7 +98,7 @@ class Recorder:
         """Positions by their row of the trace, the last among them."""
         if self.last is None:
             return self.frames
-        return self.frames | {len(self.rows) - 1: self.last.astype(np.float32)}
+        return self.frames | {len(self.rows) - 1: self.frame(self.last).astype(np.float32)}
 
     def trace(self) -> "pd.DataFrame":
         """Trace, with the columns ``TRACE_COLUMNS``."""
