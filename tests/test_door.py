@@ -18,8 +18,8 @@ from openmm import app, unit
 import protochain as pc
 from protochain.analysis.deviation import deviation
 from protochain.energies import NativeEnergy
-from protochain.minimisers import KCM, Descent, Fixed
 from protochain.frame import Frame
+from protochain.minimisers import KCM, Descent, Fixed
 from protochain.minimisers.solution import N_FRAMES, Recorder
 
 FILE = STRUCTURES / "ala10.pdb"

@@ -221,8 +221,8 @@ def stage_of(method, space=None, energy=lambda t: -t, **settings):
 def test_stages_start_where_the_one_before_ended_and_share_a_budget():
     seen = []
 
-    def record(at, space, n_evaluations):
-        seen.append((at.q[0], at.x[0, 0], space.scale, n_evaluations))
+    def record(at, stage, n_evaluations):
+        seen.append((at.q[0], at.x[0, 0], stage.space.scale, n_evaluations))
 
     one, two = Scaled(scale=1.0), Scaled(scale=10.0)
     plan = [

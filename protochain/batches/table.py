@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from filelock import FileLock, Timeout
 
 from protochain.batches.jobs import Job, Row
+from protochain.batches.settings import NAME as SETTINGS
 from protochain.errors import ProtochainError, WriteError
 from protochain.minimisers import record
 from protochain.storage import check_writable, write_atomically, writing
@@ -145,7 +146,7 @@ class Tables:
         """Remove a new batch without a row, which would keep the next one from the folder."""
         if not self._is_new or next(iter(_whole_lines(self.summary)), None):
             return
-        for file in (self.summary, self.traces, self.folder / ".lock"):
+        for file in (self.summary, self.traces, self.folder / SETTINGS, self.folder / ".lock"):
             file.unlink(missing_ok=True)
         with suppress(OSError):
             for folder in self._made:
