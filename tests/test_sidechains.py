@@ -296,6 +296,17 @@ def test_atoms_within_three_bonds_along_the_chain_do_not_repel():
     assert {(id(before), n) for n in ("C", "CA", "O")} <= packing._joined(Site(one, 1, before, after))["N"]
 
 
+def test_conformers_are_repelled_by_others_and_by_themselves_beyond_three_bonds():
+    one = made("LYS", {"N": [10.0, 1, 0], "CA": [-9.0, 0, 0]})
+    water = made("HOH", {"O": [12.0, 1, 0]}, 2)
+    x = np.array([[[10.0, 0, 0], [12.0, 0, 0]], [[10.0, -50, 0], [12.0, -50, 0]]])
+    felt = packing._Surroundings([one, water]).repulsion(Site(one, 1, None, None), ("CB", "NZ"), x)
+    # N is two bonds from CB and five from NZ, which is four from CB.
+    inside, far = 1.0 - 2.0 / (1.77 + 1.5), np.sqrt(5.0)
+    others = (1.0 - 1.0 / (1.5 + 1.45)) + (1.0 - far / (1.77 + 1.45)) + (1.0 - far / (1.5 + 1.5))
+    assert felt == pytest.approx([30.0 * (inside + others), 30.0 * inside])
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_no_other_choice_of_one_or_of_two_residues_costs_less(seed):
     random = np.random.default_rng(seed)
@@ -358,9 +369,10 @@ def test_rebuilt_cysteines_close_their_bonds():
 # --- Turned out of overlaps
 
 
-def relief_of(number, *built, beside=None, sequence="ASA"):
+def relief_of(number, *built, beside=None, sequence="ASA", away=(0.05, 0.0, 0.0), mirror=1):
     """Positions before and after of a made chain and an oxygen (nm), and the index of each atom."""
     s = pc.from_sequence(sequence)
+    s = s.with_positions(s.positions * [mirror, 1, 1])
     owners, members = [], []
     for r in range(s.n_residues):
         members.append(Member(str(s.residue_name[r]), str(r + 1), "", "A", []))
@@ -371,7 +383,7 @@ def relief_of(number, *built, beside=None, sequence="ASA"):
     x, elements = s.positions, [str(e) for e in s.atom_element]
     at = {(m.seqid, n): i for i, (m, n) in enumerate(owners)}
     if beside is not None:
-        x = np.vstack([x, x[at[beside]] + [0.05, 0.0, 0.0]])
+        x = np.vstack([x, x[at[beside]] + away])
         owners.append((Member("HOH", "9", "", "B", []), "O"))
         elements.append("O")
     rebuilt = {id(members[number - 1]): built}
@@ -390,6 +402,33 @@ def test_a_rebuilt_side_chain_turns_out_of_an_overlap():
     names = ("CB", "CA", "OG", "HB2")
     volumes = [volume(y[[at["2", n] for n in names]]) for y in (x, there)]
     assert volumes[0] == pytest.approx(volumes[1], rel=1e-3)
+
+
+@pytest.mark.parametrize(("fraction", "moved"), [(0.64, True), (0.66, False)])
+def test_an_overlap_is_nearer_than_0_65_of_contact(fraction, moved):
+    x, _, at, _ = relief_of(2, "CB", "OG")
+    way = unit(x[at["2", "OG"]] - x[at["2", "CB"]])
+    x, there, *_ = relief_of(2, "CB", "OG", beside=("2", "OG"), away=fraction * 2 * 0.152 * way)
+    assert bool((x != there).any()) is moved
+
+
+def test_in_a_mirror_the_same_conformers_are_taken():
+    _, there, *_ = relief_of(2, "CB", "CG", "CD1", "CD2", beside=("2", "CG"), sequence="ALA")
+    _, other, *_ = relief_of(
+        2, "CB", "CG", "CD1", "CD2", beside=("2", "CG"), sequence="ALA", away=(-0.05, 0, 0), mirror=-1
+    )
+    assert other == pytest.approx(there * [-1, 1, 1], abs=2e-6)
+
+
+def test_turned_atoms_repel_others_and_each_other_beyond_three_bonds():
+    """Five carbons in a row, whose ends meet, and an oxygen at the middle one."""
+    x = np.array([[0.0, 0, 0], [5, 0, 0], [10, 0, 0], [15, 0, 0], [0.1, 0, 0], [10, 0.1, 0]])
+    owners = [(made("LIG", {}), f"C{k}") for k in range(6)]
+    room = relief._Room(x, owners, [*"CCCCCO"], np.array([[0, 1], [1, 2], [2, 3], [3, 4]]))
+    moved = np.arange(5)
+    felt = room._repulsion(moved, np.stack([x[:5], x[:5] + np.array([0, 0, 40.0])]))
+    ends = 100.0 * (1.0 - 0.1 / (0.7 * 0.34))
+    assert felt == pytest.approx([ends + 100.0 * (1.0 - 0.1 / (0.7 * (0.17 + 0.152))), ends])
 
 
 def test_only_what_was_built_and_overlaps_turns():
