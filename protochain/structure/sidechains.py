@@ -24,8 +24,14 @@ _CHI = {**residues.CHI, "PRO": (("N", "CA", "CB", "CG"), ("CA", "CB", "CG", "CD"
 _CORRECTED = {
     "LEU": {"CA_CB_CG_CD2_diangle": -63.1},
     "LYS": {"CD_CE_length": 1.52, "CE_NZ_length": 1.49, "CD_CE_NZ_angle": 111.7},
-}
-"""Where PeptideBuilder 1.1 differs from crystals: CD1 and CD2 exchanged, and lysine's amine planar."""
+    "TRP": {
+        "CG_CD1_NE1_angle": 110.2, "CG_CD2_CE2_angle": 107.2, "CD2_CE2_CZ2_angle": 122.4,
+        "CE2_CZ2_CH2_angle": 117.5, "CD2_CE3_CZ3_angle": 118.6,
+    },
+    "TYR": {"CG_CD1_CE1_angle": 121.2, "CG_CD2_CE2_angle": 121.2, "CD1_CE1_CZ_angle": 119.6},
+}  # fmt: skip
+"""Where PeptideBuilder 1.1 differs from crystals: CD1 and CD2 exchanged, lysine's amine planar, and rings
+that close by short bonds (their angles here are those of Engh, Huber, Acta Cryst. A47:392, 1991)."""
 _BACKBONE = ("N", "CA", "C", "O")
 
 
