@@ -222,7 +222,8 @@ def test_stages_start_where_the_one_before_ended_and_share_a_budget():
     seen = []
 
     def record(at, stage, n_evaluations):
-        seen.append((at.q[0], at.x[0, 0], stage.space.scale, n_evaluations))
+        if stage.recorded:
+            seen.append((at.q[0], at.x[0, 0], stage.space.scale, n_evaluations))
 
     one, two = Scaled(scale=1.0), Scaled(scale=10.0)
     plan = [

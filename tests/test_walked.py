@@ -18,6 +18,7 @@ from protochain.batches.cluster import Processes
 from protochain.batches.jobs import failure, find_jobs
 from protochain.minimisers import RECIPES, api
 from protochain.minimisers.api import Minimisation
+from protochain.minimisers.loop import Stop
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.start import Start
 
@@ -25,7 +26,7 @@ from protochain.minimisers.start import Start
 @pytest.fixture
 def noted(monkeypatch):
     """Parts of a minimisation that note what they are given."""
-    seen = SimpleNamespace(saved=[], loaded=[], rows=[])
+    seen = SimpleNamespace(saved=[], loaded=[], rows=[], stages=[])
 
     def walk(plan, c, max_evaluations, allowed, note, waypoint):
         seen.walk = SimpleNamespace(
@@ -33,7 +34,8 @@ def noted(monkeypatch):
         )
         for k, space in enumerate(spaces(c), 1):
             at = SimpleNamespace(x=f"x{k}", energy=10.0, restraint=float(k), residual=5.0)
-            note(at, space, k)
+            note(at, SimpleNamespace(space=space, name=f"stage {k}", recorded=True), k)
+            note(at, SimpleNamespace(space=space, name="apart", recorded=False), k)
         return seen.done
 
     def load(*given):
@@ -47,10 +49,23 @@ def noted(monkeypatch):
     return seen
 
 
+class Noting:
+    """A recorder that notes what it is told."""
+
+    def __init__(self, rows, stages):
+        self.rows, self.stages = rows, stages
+
+    def __call__(self, *row):
+        self.rows.append(row)
+
+    def at_stage(self, name, n_evaluations):
+        self.stages.append((name, n_evaluations))
+
+
 def walked(noted, method="lbfgs", **settings):
     start = Start(chain("ala10.pdb"), told())
     run = Minimisation(RECIPES[method], **settings)
-    assert api._walked(start, run, lambda *row: noted.rows.append(row)) is noted.done
+    assert api._walked(start, run, Noting(noted.rows, noted.stages)) is noted.done
     return start, run
 
 
@@ -62,6 +77,7 @@ def test_a_walk_is_of_the_plan_within_the_budget_and_recorded_without_restraints
     assert noted.walk.allowed is None and noted.walk.waypoint is None
     # The largest torque is that of the hinges; where all atoms move it is none.
     assert noted.rows == [("x1", 9.0, 5.0, 1), ("x2", 8.0, pytest.approx(np.nan, nan_ok=True), 2)]
+    assert noted.stages == [("stage 1", 1), ("apart", 1), ("stage 2", 2), ("apart", 2)]
     assert noted.saved == noted.loaded == []
 
 
@@ -92,7 +108,7 @@ def test_checkpoints_are_read_before_and_written_after(noted):
 
 
 def test_openmms_minimiser_gets_the_settings_and_records_no_torques(monkeypatch):
-    given, rows = [], []
+    given, rows, stages = [], [], []
 
     def by_openmm(*parts):
         given.append(parts[:-1])
@@ -102,19 +118,19 @@ def test_openmms_minimiser_gets_the_settings_and_records_no_torques(monkeypatch)
     monkeypatch.setattr(api, "minimise_by_openmm", by_openmm)
     start = Start(chain("ala10.pdb"), told())
     run = Minimisation(RECIPES["openmm"], 2.0, 7, 3)
-    assert api._by_openmm(start, run, lambda *row: rows.append(row)) == "the outcome"
+    assert api._by_openmm(start, run, Noting(rows, stages)) == "the outcome"
     assert given == [(RECIPES["openmm"], start.chain, start.energy, 2.0, 7, 3)]
-    assert rows == [("x", -5.0, pytest.approx(np.nan, nan_ok=True), 3)]
+    assert rows == [("x", -5.0, pytest.approx(np.nan, nan_ok=True), 3)] and stages == [("all atoms", 3)]
 
 
 @pytest.mark.parametrize(("method", "by"), [("lbfgs", "_walked"), ("openmm", "_by_openmm")])
 def test_a_run_is_warmed_up_before_its_clock_starts_and_judged_after_it_stops(method, by, monkeypatch):
-    log = []
+    log, outcome = [], SimpleNamespace(stop=Stop.CONVERGED, n_evaluations=3)
 
     def solved(start, run, record):
         assert {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"} <= {1}
         log.append("run")
-        return "the outcome"
+        return outcome
 
     def judged(start, run, done, record, seconds):
         log.append((done, seconds + record.started, record.structure is start.chain.structure, record.watch))
@@ -124,13 +140,13 @@ def test_a_run_is_warmed_up_before_its_clock_starts_and_judged_after_it_stops(me
     monkeypatch.setattr(api, by, solved)
     monkeypatch.setattr(api, "_judged", judged)
     monkeypatch.setattr(api, "perf_counter", lambda: 12.5)
-    start = Start(chain("ala10.pdb"), SimpleNamespace(system="some"))
+    start = Start(chain("ala10.pdb"), SimpleNamespace(system="some", atoms="amber14"))
     assert api.minimise_from(start, Minimisation(RECIPES[method]), len) == "the solution"
     # The clock began when the record was made, by the true clock.
-    assert log == [("warm", method), "run", ("the outcome", pytest.approx(12.5), True, len)]
+    assert log == [("warm", method), "run", (outcome, pytest.approx(12.5), True, len)]
     with pytest.raises(pc.ProtochainError, match="needs an OpenMM System"):
         api.minimise_from(
-            Start(chain("ala10.pdb"), SimpleNamespace(system=None)), Minimisation(RECIPES["openmm"])
+            Start(chain("ala10.pdb"), SimpleNamespace(system=None, atoms="")), Minimisation(RECIPES["openmm"])
         )
 
 
