@@ -112,7 +112,7 @@ def test_histidines_hydrogen_goes_where_an_acceptor_is_straight_ahead(degrees, b
 @pytest.mark.parametrize(
     ("name", "first", "lines"),
     [
-        ("3i40_insulin.pdb", "left out: 35 waters", 3),
+        ("3i40_insulin.pdb", "35 waters left out: the solvent is implicit", 3),
         ("6lfo_gap_model.pdb", "split at 6 gaps in the chains, with charged termini: R:67-72 (10.7 ang", 4),
     ],
 )

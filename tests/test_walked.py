@@ -125,7 +125,7 @@ def test_openmms_minimiser_gets_the_settings_and_records_no_torques(monkeypatch)
 
 @pytest.mark.parametrize(("method", "by"), [("lbfgs", "_walked"), ("openmm", "_by_openmm")])
 def test_a_run_is_warmed_up_before_its_clock_starts_and_judged_after_it_stops(method, by, monkeypatch):
-    log, outcome = [], SimpleNamespace(stop=Stop.CONVERGED, n_evaluations=3)
+    log, outcome = [], SimpleNamespace(stop=Stop.BUDGET, n_evaluations=3)
 
     def solved(start, run, record):
         assert {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"} <= {1}

@@ -9,6 +9,7 @@ _SHOWN = 8
 
 _RESIDUE = r"residue (?P<number>\S+) (?P<name>\S+) of chain (?P<chain>\S+?)"
 _COUNT = re.compile(r"(?P<count>\d+) (?P<kind>.+) left out")
+_BESIDE = re.compile(r".+ left out.*; --keep all keeps everything")
 _GAP = re.compile(r"chain (?P<chain>\S+) is broken between (?P<a>\S+) and (?P<b>\S+) (?P<far>\(.+?\)): .*")
 _HISTIDINE = re.compile(
     rf"{_RESIDUE}(?: taken as (?P<state>HI[DEP])|: taken as HIS in protonation state (?P<named>HI[DEP]))"
@@ -52,6 +53,8 @@ def summarised(repairs: Iterable[str]) -> tuple[str, ...]:
 
 def _group(line: str) -> tuple[int, str]:
     """Rank of a line in the summary, and what it says, alike for the lines that are told as one."""
+    if _BESIDE.fullmatch(line):
+        return 0, line
     if _COUNT.fullmatch(line):
         return 0, "left out"
     if _GAP.fullmatch(line):
