@@ -29,7 +29,7 @@ OWN = version("protochain")
 def test_numbers_of_processes_are_above_zero(wrong):
     with pytest.raises(pc.ProtochainError) as refusal:
         Processes(**wrong)
-    assert str(refusal.value) == "time-limit, threads and workers: give numbers above 0"
+    assert str(refusal.value) == "time_limit, threads and workers: give numbers above 0"
     assert Processes(1, None, 1, 1e-3).workers == 1
     assert Processes() == Processes(None, None, 1, 3600.0)
 
@@ -45,7 +45,7 @@ class Client:
         if self.error:
             raise self.error
         type(self).made = (*self.made, (given, options))
-        self.plugins = []
+        self.plugins, self.awaited = [], []
 
     def __enter__(self):
         return self
@@ -56,7 +56,11 @@ class Client:
     def register_plugin(self, plugin):
         self.plugins.append(plugin)
 
+    def wait_for_workers(self, count, timeout):
+        self.awaited.append((count, timeout))
+
     def run(self, function):
+        assert self.awaited
         assert function is cluster._version
         return dict(self.answers)
 
@@ -91,7 +95,7 @@ def test_a_cluster_of_this_machine_is_reached_from_it_only(processes, cores, cou
     monkeypatch.setattr(os, "cpu_count", lambda: cores)
     with connected(processes) as client:
         (plugin,) = client.plugins
-        assert isinstance(plugin, cluster._CalmWorker)
+        assert isinstance(plugin, cluster._CalmWorker) and client.awaited == []
     assert dask.clusters == [
         {"n_workers": count, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": "127.0.0.1:0",
          "memory_limit": 0, "silence_logs": 50}
@@ -103,7 +107,7 @@ def test_a_cluster_of_this_machine_is_reached_from_it_only(processes, cores, cou
 def test_a_cluster_that_runs_is_used_where_its_version_is_ours(address, dask):
     dask.client.answers = [("one", OWN), ("two", OWN)]
     with connected(Processes(scheduler=address)) as client:
-        assert client.plugins == []
+        assert client.plugins == [] and client.awaited == [(1, 10.0)]
     (((given,), options), closed) = dask.client.made
     assert given == address and closed == "closed" and not dask.clusters
     assert (options["timeout"], options["set_as_default"]) == ("10s", False)
@@ -147,6 +151,9 @@ def jobs_of(n, folder):
     return [Job(f"s{k}", Path(folder) / f"s{k}.pdb", settings, f"key-{k}") for k in range(n)]
 
 
+RESULT = {"output": "file", "energy_end_reference_kj_mol": -12.25, "ca_rmsd_angstrom": 0.5, "seconds": 2.0}
+
+
 class Futures:
     """Dask's client and its futures in one: what was submitted ends in the order of submission."""
 
@@ -163,7 +170,7 @@ class Futures:
         self.submitted.append((job, folder, threads, time_limit))
         number = len(self.submitted) - 1
         status = "lost" if number == self.lost_at else "error" if number in self.failed_at else "finished"
-        record = {"output": "file"} if number in self.usable else {}
+        record = RESULT if number in self.usable else {}
         rows = [
             Row(failure(job, method, "budget", "").record | record, []) for method in job.settings.methods
         ]
@@ -205,6 +212,10 @@ def test_jobs_are_handed_out_a_few_ahead_and_counted_as_they_end(tables, tmp_pat
         (9, 1, 0, 3), (9, 2, 1, 3), (9, 3, 1, 3), (9, 4, 1, 3), (9, 5, 1, 3), (9, 6, 1, 3),
     ]  # fmt: skip
     assert {p.dashboard for p in seen} == {"http://there"}
+    of = {method: f"{method} budget, -12.25 kJ/mol, RMSD 0.50 angstrom, 2.0 s" for method in ("kcm", "lbfgs")}
+    done = [f"s{k}: {of['kcm']}; {of['lbfgs']}" for k in range(6)]
+    lost = "s1: killed: no worker finished this structure: why"
+    assert [p.line for p in seen] == [done[0], lost, *done[2:]]
     seconds = [p.seconds for p in seen]
     assert seconds == sorted(seconds) and 0.0 < seconds[0] < 10.0
     table = tables.read()
@@ -242,7 +253,9 @@ def test_the_summary_of_a_batch(tmp_path, monkeypatch):
     api._finish(tmp_path, jobs)
     made.close()
     summary = json.loads((tmp_path / "summary.json").read_text())
-    settings = json.loads(json.dumps(jobs[0].settings.record(), default=str))
+    # JSON has no infinity.
+    settings = json.loads(json.dumps(jobs[0].settings.record() | {"max_rmsd": None}, default=str))
+    assert jobs[0].settings.max_rmsd == float("inf") and len(settings) > 20
     names = ("protochain", "openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "distributed", "pandas")
     assert summary == {
         "n_structures": 2, "n_rows": 4, "status": {"budget": 3, "refused": 1},

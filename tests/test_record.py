@@ -4,10 +4,13 @@ from dataclasses import replace
 from importlib.metadata import version
 from types import SimpleNamespace
 
+import gemmi
 import numpy as np
 import pytest
 from conftest import chain
+from scipy.spatial.transform import Rotation
 
+from protochain.frame import Frame
 from protochain.minimisers.recipes import RECIPES
 from protochain.minimisers.record import COLUMNS, SHOWN, Column, flat, heading
 from protochain.minimisers.restraints import Hold
@@ -25,8 +28,8 @@ def solution(**changed):
         recipe=RECIPES["lbfgs"], chain=c, energy_function=ENERGY, constant_terms={"bonds": 3, "angles": 4},
         q=c.q0, x=c.structure.positions, energy=-12.25, status=Status.BUDGET, message="budget: used",
         n_iterations=5, n_evaluations=6, seconds=1.5, trace=None, start=Judgement(-10.0, 300.0, 40.0),
-        end=Judgement(-12.5, 30.0, 4.0), ca_rmsd_angstrom=0.25, tolerance=1.0, hold=Hold((100.0,), 0.5),
-        seed=9,
+        end=Judgement(-12.5, 30.0, 4.0), frame=Frame(c.structure), ca_rmsd_angstrom=0.25, tolerance=1.0,
+        hold=Hold((100.0,), 0.5), seed=9,
     )  # fmt: skip
     return replace(made, **changed)
 
@@ -37,6 +40,7 @@ def test_a_record_holds_each_value_under_its_name():
         "structure": "ala10", "method": "lbfgs", "status": "budget", "message": "budget: used",
         "energy_start_kj_mol": -10.0, "energy_end_kj_mol": -12.25, "energy_end_reference_kj_mol": -12.5,
         "max_torque_end_kj_mol_rad": 30.0, "rms_force_end_kj_mol_nm": 4.0, "ca_rmsd_angstrom": 0.25,
+        "ca_rmsd_as_filed_angstrom": 0.0, "frame": "superposed on the start",
         "iterations": 5, "evaluations": 6, "seconds": 1.5, "n_chains": 1, "n_residues": 10,
         "n_atoms": c.structure.n_atoms, "n_bodies": c.n_bodies, "n_hinges": c.n_hinges,
         "protochain": version("protochain"), "engine": "native", "engine_reason": "two kernels",
@@ -47,6 +51,11 @@ def test_a_record_holds_each_value_under_its_name():
     }  # fmt: skip
     assert solution().record() == expected and list(solution().record()) == list(expected)
     assert type(solution().record()["status"]) is str
+    moved = solution(
+        frame=Frame(c.structure, "a spring"), x=c.structure.positions + np.array([0.03, 0.0, 0.04])
+    ).record()
+    assert moved["ca_rmsd_as_filed_angstrom"] == pytest.approx(0.5) and moved["ca_rmsd_angstrom"] == 0.25
+    assert moved["frame"] == "held by a spring"
     free = solution(recipe=RECIPES["hybrid"], hold=Hold(), end=Judgement(np.inf, np.nan, 4.0)).record()
     assert free["tolerance_unit"] == "kJ/mol/nm" and free["restraint_kj_mol_nm2"] == []
     assert free["max_rmsd_angstrom"] is free["energy_end_reference_kj_mol"] is None
@@ -63,7 +72,7 @@ def test_columns_of_short_tables_have_headings_with_units():
         ("rms_force_end_kj_mol_nm", "RMS force, kJ/mol/nm", "force"),
         ("ca_rmsd_angstrom", "C-alpha RMSD, angstrom", "RMSD"),
         ("evaluations", "evaluations", "evals"),
-        ("seconds", "seconds", ""),
+        ("seconds", "seconds", "time s"),
     ]
     assert all(column in COLUMNS for column in SHOWN)
     units = {column.key: column.unit for column in COLUMNS}
@@ -122,11 +131,10 @@ def test_a_solution_in_scipys_terms():
     assert (solution().to_scipy().success, solution().to_scipy().status) == (False, 2)
 
 
-def test_the_provenance_of_a_structure():
+def test_the_provenance_of_a_structure(tmp_path):
     c = chain("1ejg.pdb")
-    s = solution(chain=c, x=c.structure.positions)
-    kept = [line for line in c.structure.repairs if "alternate location" in line]
-    assert kept and len(kept) < len(c.structure.repairs)
+    start = c.structure.positions
+    s = solution(chain=c, x=start + np.array([0.3, 0.0, -0.4]), frame=Frame(c.structure, "a spring"))
     packages = [f"{name.upper()} {version(name)}" for name in ("openmm", "gemmi", "pdbfixer")]
     assert list(s.provenance()) == [
         f"PROTOCHAIN {version('protochain')}, METHOD lbfgs, STATUS budget",
@@ -134,15 +142,26 @@ def test_the_provenance_of_a_structure():
         "FORCE FIELD amber14, SOLVENT obc2, ENGINE native",
         "ENERGY -12.5000 KJ/MOL BEFORE ROUNDING, AT THE START -10.0000",
         "ENERGIES BY THE OPENMM REFERENCE PLATFORM",
-        *kept,
+        "C-ALPHA RMSD TO THE START 0.250 ANGSTROM, AS FILED 5.000, HELD BY A SPRING",
     ]
+    s = solution(chain=c, x=start, frame=Frame(c.structure))
+    told = "C-ALPHA RMSD TO THE START 0.250 ANGSTROM, AS FILED 0.000, SUPERPOSED ON THE START"
+    assert list(s.provenance())[-1] == told
+    # The file itself lists what was changed, once.
+    s.save(tmp_path / "a.cif")
+    block = gemmi.cif.read(str(tmp_path / "a.cif")).sole_block()
+    for category, lines in (("provenance", s.provenance()), ("repair", c.structure.repairs)):
+        said = [gemmi.cif.as_string(each) for each in block.find_values(f"_protochain_{category}.text")]
+        assert said == list(lines) and said
+    assert any("alternate location" in line for line in c.structure.repairs)
 
 
 def test_a_recorder_numbers_its_rows_and_measures_rmsds_afterwards(monkeypatch):
     s = chain("ala10.pdb").structure
     seen, clock = [], iter((10.0, 12.5, 13.0, 99.0))
     monkeypatch.setattr("protochain.minimisers.solution.perf_counter", lambda: next(clock))
-    recorder = Recorder(s, lambda row, x: seen.append((row, x)), started=8.0)
+    held = Frame(s, "a spring")
+    recorder = Recorder(s, held, lambda row, x: seen.append((row, x)), started=8.0)
     larger = s.positions.copy()
     alpha = s.alpha_carbons
     middle = s.positions[alpha] - s.positions[alpha].mean(axis=0)
@@ -160,3 +179,39 @@ def test_a_recorder_numbers_its_rows_and_measures_rmsds_afterwards(monkeypatch):
     assert trace["seconds"].tolist() == [2.0, 4.5, 5.0]
     size = 10.0 * 0.01 * np.sqrt(np.mean(np.sum(middle**2, axis=1)))
     assert trace["ca_rmsd_angstrom"].tolist() == pytest.approx([0.0, size, np.nan], abs=1e-6, nan_ok=True)
+
+
+def test_a_recorder_shows_and_keeps_positions_in_the_frame_of_the_start():
+    s = chain("ala10.pdb").structure
+    turned = s.positions @ Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix().T + [1.0, 2.0, 3.0]
+    none = np.full_like(turned, np.nan)
+    for held_by, expected in (("", s.positions), ("a spring", turned)):
+        seen = []
+        recorder = Recorder(s, Frame(s, held_by), lambda row, x, seen=seen: seen.append(x))
+        for x in (turned, none, turned):
+            recorder(x, 0.0, 1.0, 1)
+        for x, kept in zip(seen[::2], (recorder.kept()[0], recorder.kept()[2]), strict=True):
+            assert np.abs(x - expected).max() < 1e-12 and np.abs(kept - expected).max() < 1e-6
+        assert seen[1] is none and list(recorder.kept()) == [0, 1, 2]
+        assert recorder.trace()["ca_rmsd_angstrom"].tolist() == pytest.approx(
+            [0.0, np.nan, 0.0], abs=1e-6, nan_ok=True
+        )
+
+
+def test_a_recorder_tells_its_watcher_of_stages_if_it_listens():
+    s, told = chain("ala10.pdb").structure, []
+
+    class Bar:
+        def __call__(self, row, x):
+            told.append(row["evaluations"])
+
+        def at_stage(self, *given):
+            told.append(given)
+
+    recorder = Recorder(s, Frame(s), Bar())
+    recorder.at_stage("torsions", 3)
+    recorder(s.positions, 0.0, 1.0, 4)
+    assert told == [("torsions", 3), 4] and len(recorder.trace()) == 1
+    for watch in (None, lambda row, x: told.append(x)):
+        Recorder(s, Frame(s), watch).at_stage("torsions", 3)
+    assert len(told) == 2

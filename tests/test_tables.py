@@ -59,7 +59,10 @@ def texts(tables):
 
 
 def test_columns_are_those_of_a_record_and_of_a_batch():
-    more = ("ca_rmsd_to_openmm_angstrom", "seconds_preparation", "input", "model", "output", "key")
+    more = (
+        "ca_rmsd_to_openmm_angstrom", "n_starts", "energy_median_kj_mol", "energy_highest_kj_mol",
+        "n_within_1_kj_mol_of_lowest", "seconds_preparation", "input", "model", "output", "key",
+    )  # fmt: skip
     assert (*(column.key for column in record.COLUMNS), *more) == COLUMNS
     assert ",".join(TRACE_COLUMNS) + "\n" == TRACE_HEADER
     assert CIRCUMSTANCES == ("killed", "time-limit", "interrupted")
@@ -146,7 +149,7 @@ def test_a_folder_is_of_one_batch_at_a_time(tables):
     tables.close()
     with pytest.raises(pc.ProtochainError) as refusal:
         Tables(folder, resume=False)
-    said = f"{folder / 'summary.csv'}: holds a batch; --resume continues it, or give another folder"
+    said = f"{folder / 'summary.csv'}: holds a batch; resume=True continues it, or give another folder"
     assert str(refusal.value) == said
     # The refusal leaves no lock behind.
     Tables(folder, resume=True).close()
@@ -165,16 +168,26 @@ def test_a_folder_or_table_of_something_else_is_refused(tmp_path):
     other.close()
 
 
-def test_names_that_look_like_numbers_stay_text(tmp_path):
+def test_names_that_look_like_numbers_stay_text_and_counts_stay_whole(tmp_path):
     path = tmp_path / "summary.csv"
     text = ("structure", "message", "key", "repairs", "left_out", "constant_terms", "restraint_kj_mol_nm2",
-            "output", "model")  # fmt: skip
+            "output")  # fmt: skip
+    integers = (
+        "iteration", "iterations", "evaluations", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges",
+        "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
+    )  # fmt: skip
+    names = (*text, *integers)
     path.write_text(
-        ",".join([*text, "seconds"]) + "\n" + "007," * len(text) + "1.50\n" + "," * len(text) + "\n"
+        ",".join([*names, "seconds"]) + "\n" + "007," * len(names) + "1.50\n" + "," * len(names) + "\n"
     )
     table = read_table(path)
     assert table.loc[0, list(text)].tolist() == ["007"] * len(text) and table.loc[0, "seconds"] == 1.5
-    assert table.loc[1].isna().all()
+    # Whole numbers remain whole beside a failure, which has none; also in Parquet.
+    assert table.loc[0, list(integers)].tolist() == [7] * len(integers) and table.loc[1].isna().all()
+    table.to_parquet(tmp_path / "table.parquet", index=False)
+    for each in (table, pd.read_parquet(tmp_path / "table.parquet")):
+        assert {str(each[name].dtype) for name in integers} == {"Int64"}
+    assert set(integers) - {"iteration"} < set(COLUMNS)
 
 
 def points(*values):

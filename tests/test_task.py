@@ -49,7 +49,8 @@ def test_methods_run_with_the_jobs_settings_openmm_first(given, tmp_path):
     job = job_of("kcm", "openmm", "lbfgs", tolerance=2.0, max_evaluations=9, seed=4)
     first, *others = list(task.run(job, tmp_path, 1))
     assert [call[1] for call in given.calls] == ["openmm", "kcm", "lbfgs"]
-    assert all(call[0] == 1 and call[2:] == ((2.0, 9, 4), {"max_rmsd": np.inf}) for call in given.calls)
+    more = {"restraint": "", "max_rmsd": np.inf}
+    assert all(call[0] == 1 and call[2:] == ((2.0, 9, 4), more) for call in given.calls)
     assert [row.record["method"] for row in others] == ["kcm", "lbfgs"]
     for row in (first, *others):
         output = f"job.{row.record['method']}.pdb"
@@ -58,6 +59,7 @@ def test_methods_run_with_the_jobs_settings_openmm_first(given, tmp_path):
             "structure": "job", "input": str(ALA), "model": "", "key": "the key",
         }  # fmt: skip
         assert row.record["seconds_preparation"] > 0.0 and isinstance(row.record["constant_terms"], str)
+        assert row.record["n_starts"] == 1
     # To openmm's end, not to the start; openmm's own is none.
     size = 0.1 * np.sqrt(np.mean(np.sum((100 * shift[alpha]) ** 2, axis=1)))
     found = [row.record.get("ca_rmsd_to_openmm_angstrom") for row in (first, *others)]
@@ -67,8 +69,8 @@ def test_methods_run_with_the_jobs_settings_openmm_first(given, tmp_path):
 
 def test_a_result_without_a_number_has_a_row_but_no_file(given, tmp_path, monkeypatch):
     monkeypatch.setattr(pc.Solution, "is_usable", False)
-    (row,) = task.run(job_of("kcm", max_rmsd=7.0), tmp_path, 1)
-    assert given.calls[0][3] == {"max_rmsd": 7.0}
+    (row,) = task.run(job_of("cartesian", max_rmsd=7.0, restraint="50 0"), tmp_path, 1)
+    assert given.calls[0][3] == {"restraint": "50 0", "max_rmsd": 7.0}
     assert "output" not in row.record and [path.name for path in tmp_path.iterdir()] == ["pages"]
     assert row.record["message"] and row.trace[0]["iteration"] == 0
 
