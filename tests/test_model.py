@@ -1,6 +1,7 @@
 """A structure made by hand, column by column; superposition, selection and sequences."""
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from test_write import ring
 import protochain as pc
 from protochain.structure import build as build_module
 from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.prepare import _bonds, _refuse_coincident, _remoteness, user_file
+from protochain.structure.model import Tie
+from protochain.structure.prepare import _bonds, _indices, _refuse_coincident, _remoteness, user_file
 from protochain.structure.select import select
+from protochain.structure.sites import Link
 from protochain.structure.superpose import ca_rmsd, motion, rmsd, rmsd_angstrom, superpose
 from protochain.structure.templates import Template
 
@@ -19,7 +22,7 @@ S = ring()
 
 
 def test_columns_are_those_of_the_topology():
-    assert (S.n_atoms, S.n_residues, S.n_chains) == (14, 4, 2)
+    assert (S.n_atoms, S.n_residues, S.n_chains) == (14, 4, 1)
     assert " ".join(S.atom_name) == "N CA C SG N CA C N CA C SG O H1 H2"
     assert "".join(S.atom_element) == "NCCSNCCNCCSOHH"
     assert S.atom_mass[[0, 1, 3, 11, 12]] == pytest.approx([14.007, 12.011, 32.06, 15.999, 1.008], abs=0.01)
@@ -41,6 +44,9 @@ def test_columns_are_those_of_the_topology():
         S.alpha_carbons,
         S.b_factor,
         S.obstacle,
+        S.occupancy,
+        S.kept,
+        S.formal_charge,
     ):
         assert not column.flags.writeable
 
@@ -48,7 +54,7 @@ def test_columns_are_those_of_the_topology():
 def calcium():
     topology = app.Topology()
     residue = topology.addResidue("CA", topology.addChain("A"), "1")
-    topology.addAtom("CA", app.Element.getBySymbol("Ca"), residue)
+    topology.addAtom("CA", app.Element.getBySymbol("Ca"), residue, formalCharge=2)
     return topology
 
 
@@ -56,9 +62,22 @@ def test_what_is_not_given_is_empty():
     bare = pc.Structure("x", calcium(), np.zeros((1, 3)))
     assert bare.b_factor.tolist() == [0.0] and bare.obstacle.tolist() == [False]
     assert bare.obstacle.dtype == bool and dict(bare.left_out) == {} and bare.repairs == ()
+    assert bare.occupancy.tolist() == [1.0] and bare.kept.tolist() == [False]
+    assert (bare.residue_label, bare.header, bare.model_number, bare.ties) == ((), "", 1, ())
     assert bare.bonds.shape == (0, 2) and bare.alpha_carbons.tolist() == []
     with pytest.raises(TypeError):
         bare.left_out["x"] = 1
+
+
+def test_what_springs_hold_is_beside_the_protein():
+    """Of the water, the hydrogens are obstacles; the oxygen and a C-alpha are tied, and may move."""
+    ties = (Tie((3, 11), 0.2, 1.0), Tie((2, 5), 0.2, 1.0), Tie((2, 3, 11), 2.0, 1.0))
+    held = replace(S, obstacle=np.arange(14) >= 12, ties=ties)
+    assert np.flatnonzero(held.kept).tolist() == [5, 11, 12, 13] and held.n_chains == 1
+    assert np.flatnonzero(held.obstacle).tolist() == [12, 13] and held.alpha_carbons.tolist() == [1, 8]
+    assert np.flatnonzero(S.kept).tolist() == [11, 12, 13] and not S.formal_charge.any()
+    assert replace(held, ties=()).n_chains == 2
+    assert pc.Structure("x", calcium(), np.zeros((1, 3))).formal_charge.tolist() == [2]
 
 
 def test_a_structure_says_what_it_is():
@@ -68,12 +87,12 @@ def test_a_structure_says_what_it_is():
     def row(name, value):
         return f"<tr><th>{name}</th><td>{value}</td></tr>"
 
-    facts = [row("chains", 2), row("residues", 4), row("atoms", 14)]
+    facts = [row("residues", 4), row("atoms", 14)]
     told_facts = [row("left out", "3 waters; 1 ZN"), row("repairs", "one; two")]
     caption = "<table><caption>Structure {}</caption>{}</table>"
-    assert told._repr_html_() == caption.format("a&lt;b", "".join([*facts, *told_facts]))
+    assert told._repr_html_() == caption.format("a&lt;b", "".join([row("chains", 2), *facts, *told_facts]))
     nothing = [row("left out", "nothing"), row("repairs", "none")]
-    assert S._repr_html_() == caption.format("ring", "".join([*facts, *nothing]))
+    assert S._repr_html_() == caption.format("ring", "".join([row("chains", 1), *facts, *nothing]))
 
 
 def test_positions_have_their_shape_and_are_numbers():
@@ -88,15 +107,28 @@ def test_positions_have_their_shape_and_are_numbers():
     moved = S.with_positions(S.positions + 1.0)
     assert np.array_equal(moved.positions, S.positions + 1.0) and np.array_equal(moved.b_factor, S.b_factor)
     assert moved.topology is S.topology and moved.name == "ring"
+    told = replace(S, occupancy=S.b_factor, residue_label=(("A", 1),) * 4, header="data_x", model_number=2)
+    told = replace(told, ties=(Tie((3, 11), 0.25, 1.5),))
+    moved = told.with_positions(S.positions + 1.0)
+    assert np.array_equal(moved.occupancy, S.b_factor)
+    for name in ("residue_label", "header", "model_number", "ties"):
+        assert getattr(moved, name) == getattr(told, name), name
 
 
 def test_a_fingerprint_covers_what_determines_an_energy_and_nothing_else():
     seen = hashlib.sha256()
     for column in (
         S.atom_name, S.atom_element, S.atom_residue, S.residue_name, S.residue_chain_index, S.bonds,
-        S.obstacle,
+        S.obstacle, S.formal_charge,
     ):  # fmt: skip
         seen.update(f"{column.dtype.str}{column.shape}".encode() + column.tobytes())
+    ties = (Tie((3, 11), 0.25, 1.5),)
+    tied = seen.copy()
+    tied.update(b"(Tie(atoms=(3, 11), rest=0.25, stiffness=1.5),)")
+    seen.update(b"()")
+    assert replace(S, ties=ties).fingerprint == tied.hexdigest()
+    told = replace(S, occupancy=S.b_factor, residue_label=(("A", 1),) * 4, header="data_x", model_number=2)
+    assert told.fingerprint == S.fingerprint
     assert S.fingerprint == seen.hexdigest() == S.with_positions(S.positions + 1.0).fingerprint
     free = pc.Structure("ring", S.topology, S.positions)
     assert free.fingerprint != S.fingerprint
@@ -198,12 +230,15 @@ def test_bonds_are_of_templates_chains_rings_strands_and_disulfides():
     d, e = made(("P", "O3'")), made(("P", "O3'"))
     parts = [Part("A", [a, b]), Part("A", [c], cyclic=False), Part("A", [d, e], obstacle=True)]
     done = [(m, strand if m in (d, e) else inner) for m in (a, b, c, d, e)]
-    pairs = _bonds(Draft("x", "x", parts), done, [(c, a)]).tolist()
+    at = _indices(done)
+    assert at[id(a)] == {"N": 0, "C": 1, "SG": 2} and at[id(e)] == {"P": 11, "O3'": 12} and len(at) == 5
+    links = [Link(b, b.atoms[1], e, e.atoms[0])]
+    pairs = _bonds(Draft("x", "x", parts), done, [(c, a)], links, at).tolist()
     assert sorted(pairs) == [
-        [0, 1], [0, 2], [1, 3], [2, 8], [3, 4], [3, 5], [6, 7], [6, 8], [9, 10], [10, 11], [11, 12],
+        [0, 1], [0, 2], [1, 3], [2, 8], [3, 4], [3, 5], [4, 11], [6, 7], [6, 8], [9, 10], [10, 11], [11, 12],
     ]  # fmt: skip
     parts[0].cyclic = True
-    assert [0, 4] in _bonds(Draft("x", "x", parts), done, []).tolist()
+    assert [0, 4] in _bonds(Draft("x", "x", parts), done, [], [], at).tolist()
     outward = [("CB", "CA"), ("CB", "CG"), ("CG", "CD1"), ("CA", "N"), ("CA", "C")]
     assert sorted(outward, key=_remoteness) == outward
     assert [_remoteness(("CA", f"C{letter}")) for letter in "ABGDEZH"] == list(range(7))
@@ -211,20 +246,20 @@ def test_bonds_are_of_templates_chains_rings_strands_and_disulfides():
 
 def test_bonded_atoms_in_one_place_are_named():
     one = Member("GLY", "4", "", "A", [atom(name, "C", [0.0] * 3) for name in ("CA", "C", "O")])
-    template = Template("GLY", {}, {}, (), {})
+    owners = [(one, name) for name in ("CA", "C", "O")]
     bonds = np.array([[0, 1], [1, 2]])
     for length, refused in ((0.0199, True), (0.0201, False)):
         x = np.array([[0.0, 0, 0], [0.15, 0, 0], [0.15, length, 0]])
         if refused:
             with pytest.raises(pc.ProtochainError) as error:
-                _refuse_coincident(Draft("x", "x"), [(one, template)], x, bonds)
+                _refuse_coincident(Draft("x", "x"), owners, x, bonds)
             assert (
                 str(error.value)
                 == "x: residue 4 GLY of chain A: atoms C and O coincide; correct their coordinates"
             )
         else:
-            _refuse_coincident(Draft("x", "x"), [(one, template)], x, bonds)
-    _refuse_coincident(Draft("x", "x"), [(one, template)], np.zeros((3, 3)), bonds[:0])
+            _refuse_coincident(Draft("x", "x"), owners, x, bonds)
+    _refuse_coincident(Draft("x", "x"), owners, np.zeros((3, 3)), bonds[:0])
 
 
 def test_a_force_field_is_a_users_if_it_is_a_file(tmp_path):

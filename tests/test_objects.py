@@ -167,7 +167,7 @@ def test_settings_are_divided_between_reading_and_preparation(calls, tmp_path):
     assert calls["prepared"] == (calls["draft"], [("A:1", "A:3B")], 5.0, own)
     pc.as_structure(held)
     assert calls["prepared"] == (calls["draft"], None, 7.0, None) and calls["draft"].name == "structure"
-    assert (calls["reading"].keep, calls["reading"].forcefield) == ((), None)
+    assert (calls["reading"].keep, calls["reading"].forcefield) == (("near",), None)
     for wrong, why in (({"ph": 15.0}, "pH 15"), ({"ph": -1.0}, "pH -1")):
         with pytest.raises(pc.ProtochainError, match=why):
             pc.as_structure(held, **wrong)
@@ -192,12 +192,20 @@ def test_a_file_is_loaded_with_its_settings(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "wrong", [(S.topology,), (1, 2), SimpleNamespace(xyz=1), SimpleNamespace(atoms=1), 7]
+    ("wrong", "said"),
+    [
+        ((S.topology,), "(<Topology; 2 chains, 4 residues, 14 atoms, 8 bonds>,)"),
+        ((1, 2), "(1, 2)"),
+        (SimpleNamespace(xyz=1), "namespace(xyz=1)"),
+        (SimpleNamespace(atoms=1), "namespace(atoms=1)"),
+        (7, "7"),
+        (list(range(99)), "of type list"),
+    ],
 )
-def test_other_objects_are_refused(wrong):
+def test_other_objects_are_refused(wrong, said):
     with pytest.raises(pc.ProtochainError) as refused:
         pc.as_structure(wrong)
     assert str(refused.value) == (
-        f"{type(wrong).__name__}: give a file, a Structure, a gemmi Structure, an mdtraj Trajectory, an "
+        f"{said}: give a file, a Structure, a gemmi Structure, an mdtraj Trajectory, an "
         "MDAnalysis Universe or AtomGroup, or an OpenMM Topology with its positions"
     )

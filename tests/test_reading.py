@@ -88,7 +88,7 @@ def test_models_go_by_their_numbers(numbers, said):
     assert str(error.value) == f"x: has no model 1; its models are {said}"
 
 
-def test_stated_bonds_are_disulfides_and_covalent_links():
+def test_stated_bonds_are_disulfides_covalent_links_and_bonds_to_metals():
     made = structure(("A ", alanines(2)))
     for kind in ("Disulf", "Covale", "Hydrog", "MetalC"):
         link = gemmi.Connection()
@@ -97,7 +97,7 @@ def test_stated_bonds_are_disulfides_and_covalent_links():
         link.partner2 = gemmi.AtomAddress("B", gemmi.SeqId(2, " "), "CYS", f"{kind}")
         made.connections.append(link)
     stated = read_structure(made, Draft("x", "x"), Reading()).stated
-    assert stated == [(("A", "1B", "SG"), ("B", "2", "Disulf")), (("A", "1B", "SG"), ("B", "2", "Covale"))]
+    assert stated == [(("A", "1B", "SG"), ("B", "2", kind)) for kind in ("Disulf", "Covale", "MetalC")]
 
 
 def test_a_file_without_a_protein_says_what_there_is():
@@ -109,7 +109,10 @@ def test_a_file_without_a_protein_says_what_there_is():
     )
     draft = taken(*alanines(2), water, iron, heavy, other, third)
     assert dict(draft.left_out) == {"waters": 3, "XQQ": 2, "deuterium atoms": 1}
-    assert sorted(draft.repairs) == ["1 deuterium atoms left out", "2 XQQ left out", "3 waters left out"]
+    assert draft.repairs == [
+        "3 waters, 2 XQQ left out; --keep all keeps everything",
+        "1 deuterium atoms left out",
+    ]
 
 
 def test_a_trace_of_c_alphas_is_refused_though_it_has_a_cap():
@@ -119,11 +122,12 @@ def test_a_trace_of_c_alphas_is_refused_though_it_has_a_cap():
     assert refused(cap, *trace) == f"x: chain A {said}"
     assert refused(*trace, chain=" ") == f"x: chain (blank) {said}"
     draft = taken(trace[0], residue("ALA", 2), residue("ALA", 3))
-    assert names(draft) == [["ALA2", "ALA3"]] and dict(draft.left_out) == {"single residues": 1}
+    assert names(draft) == [["ALA2", "ALA3"]] and dict(draft.left_out) == {"ALA": 1}
     assert draft.repairs == [
+        "1 ALA left out; --keep all keeps everything",
         "chain A is broken between 1 and 2 (inf angstrom): split there, with charged termini; "
         "to avoid it, model the missing residues",
-        "residue 1 ALA of chain A: left out: it is bonded to no other residue",
+        "residue 1 ALA of chain A: no part of a chain: it is bonded to no other residue",
     ]
 
 
@@ -137,13 +141,13 @@ def test_alternates_and_repeated_atoms_of_the_protein_are_said():
     made[2].name = "XQQ"
     draft = taken(*made[:2], residue("ALA", 3), residue("XQQ", 9, atoms=["O", "O"]))
     first, second = "residue 1 MSE of chain A", "residue 2 ALA of chain A"
-    assert draft.repairs[:3] == [
+    assert draft.repairs == [
+        "1 XQQ left out; --keep all keeps everything",
         f"{first}: alternate location B kept (occupancy 0.75), MSE A left out",
         f"{first}: selenomethionine converted to MET",
         f"{second}: CB given more than once; the first of each kept",
     ]
     assert dict(draft.left_out) == {"alternate locations": 1, "repeated atoms": 1, "XQQ": 1}
-    assert draft.repairs[3:] == ["1 XQQ left out"]
     assert "A kept (occupancy 0.25), MSE B left out" in taken(*made[:2], altloc="A").repairs[0]
 
 
@@ -196,14 +200,23 @@ def test_caps_have_the_force_fields_names_and_stand_at_the_ends():
     assert names(taken(*within)) == [["ALA1", "ALA2"], ["ACE3", "ALA4", "ALA5"]]
 
 
-def test_what_may_not_be_kept_is_named():
-    ligand = residue("XQQ", 9, atoms=["S"])
-    assert refused(*alanines(2), ligand, keep=("XQQ",)) == (
-        "x: residue 9 XQQ of chain A cannot be kept: the force field has no parameters for it; leave it out"
+def test_what_is_kept_is_said_and_what_has_no_element_is_left_out():
+    ligand, odd = residue("XQQ", 9, atoms=["S"]), residue("XQR", 10, atoms=[("Q", "X")])
+    beside = residue("WAT", 9, atoms=["O"]), ligand, odd
+    bare = "(XQQ by element, unless the force field has parameters)"
+    unknown = "1 XQR (of unknown element) left out; --keep all keeps everything"
+    named = taken(*alanines(2), *beside, keep=("XQQ",))
+    assert names(named) == [["ALA1", "ALA2"], ["XQQ9"]] and dict(named.left_out) == {"waters": 1, "XQR": 1}
+    assert named.repairs == [f"1 waters, {unknown}", f"1 XQQ kept beside the protein {bare}"]
+    kept = taken(*alanines(2), *beside, keep=("all",))
+    assert names(kept) == [["ALA1", "ALA2"], ["HOH9"], ["XQQ9"]] and dict(kept.left_out) == {"XQR": 1}
+    assert [part.obstacle for part in kept.parts] == [False, True, True]
+    assert [member.own is not None for member in kept.members] == [False, False, False, True]
+    assert kept.members[-1].own.element == {"S": "S"}
+    assert kept.repairs == [unknown, f"1 waters, 1 XQQ kept beside the protein {bare}"]
+    assert refused(*alanines(2), keep=("XQQ", "salt")) == (
+        "keep 'salt' is not known; give none, near, all, water, ions, nucleic, ligands or names of residues"
     )
-    kept = taken(*alanines(2), residue("WAT", 9, atoms=["O"]), ligand, keep=("all",))
-    assert names(kept) == [["ALA1", "ALA2"], ["HOH9"]] and dict(kept.left_out) == {"XQQ": 1}
-    assert [part.obstacle for part in kept.parts] == [False, True]
 
 
 def test_modified_residues_become_their_parents():
@@ -239,7 +252,8 @@ def test_an_unknown_amino_acid_is_refused_in_a_chain_and_left_out_alone():
     )
     draft = taken(*alanines(2), residue("XQQ", 9), residue("ALA", 20), residue("ALA", 21))
     assert names(draft) == [["ALA1", "ALA2"], ["ALA20", "ALA21"]]
-    assert dict(draft.left_out) == {"XQQ": 1} and draft.repairs == ["1 XQQ left out"]
+    assert dict(draft.left_out) == {"XQQ": 1}
+    assert draft.repairs == ["1 XQQ left out; --keep all keeps everything"]
 
 
 def test_a_residue_that_lacks_its_backbone_is_left_out():
@@ -273,7 +287,7 @@ def test_a_chain_breaks_where_c_and_n_are_two_angstrom_apart(gap, broken):
     if broken:
         assert (
             refused(*far, chain="", strict=True)
-            == f"x: {where}; model the missing residues, or omit --strict"
+            == f"x: {where}; model the missing residues, or leave out strict=True"
         )
 
 
@@ -339,8 +353,9 @@ def test_a_name_comes_from_the_file_and_an_end_is_missed(tmp_path, monkeypatch):
     place = tmp_path / "x.pdb"
     place.write_text(unended + water)
     assert read(place, Reading(keep=("water",))).repairs == [
+        "1 waters kept beside the protein",
         "the file ends at residue 3 ALA of chain A without an END record or a terminal oxygen: "
-        "check that it is complete"
+        "check that it is complete",
     ]
     place.write_text(unended + oxygen)
     assert read(place).repairs == []

@@ -1,11 +1,14 @@
 """Files of structures, to the letter: a ring of three residues, a disulfide and a water, made by hand."""
 
+from dataclasses import replace
+
 import gemmi
 import numpy as np
 import pytest
 from openmm import app
 
 import protochain as pc
+from protochain.structure.header import take_header
 from protochain.structure.write import as_text, check_fits, check_format, common_suffix
 
 WHERE = (("CYS", "1", ""), ("GLY", "2", ""), ("CYS", "3", "B"))
@@ -63,15 +66,20 @@ END
 
 def test_a_pdb_file_has_its_remarks_links_and_atoms_in_their_columns_and_an_end():
     assert as_text(ring(), ".PDB") == RING_PDB
-    remarks = ["one", "", 68 * "x", 68 * "y" + "zz"]
-    expected = ["one", "", 68 * "x", 68 * "y", "zz"]
+    remarks = ["one", "", 68 * "x", 68 * "y" + "zz", " ".join(20 * ["word"])]
+    expected = ["one", "", 68 * "x", 68 * "y", "  zz", " ".join(13 * ["word"]), "  " + " ".join(7 * ["word"])]
     assert as_text(ring(), ".ent", remarks) == "".join(f"REMARK   3 {line}\n" for line in expected) + RING_PDB
+    repaired = replace(ring(), repairs=("two", "three"))
+    head = "REMARK   3 one\nREMARK   3 two\nREMARK   3 three\n"
+    assert as_text(repaired, ".pdb", ["one"]) == head + RING_PDB
+    half = as_text(replace(ring(), occupancy=np.where(np.arange(14) == 5, 0.5, 1.0)), ".pdb")
+    assert half == RING_PDB.replace("  1.00  5.50 ", "  0.50  5.50 ") != RING_PDB
     lighter = as_text(ring(), ".pdb", hydrogens=False)
     assert lighter == RING_PDB.replace(RING_PDB[RING_PDB.index("HETATM   14") : RING_PDB.index("END ")], "")
 
 
 def test_an_mmcif_file_has_its_remarks_entities_links_and_atoms():
-    text = as_text(ring(), ".cif", ["one", "it's two", ""])
+    text = as_text(replace(ring(), repairs=("a repair",)), ".cif", ["one", "it's two", ""])
     # The mark of a whole file of the archive.
     assert text.endswith("\n#\n") and text.count("\n#\n") > 5
     block = gemmi.cif.read_string(text).sole_block()
@@ -81,8 +89,11 @@ def test_an_mmcif_file_has_its_remarks_entities_links_and_atoms():
         return [[gemmi.cif.as_string(cell) for cell in row] for row in block.find(f"_{category}.", names)]
 
     assert rows("protochain_provenance", "ordinal", "text") == [["1", "one"], ["2", "it's two"], ["3", ""]]
-    assert [kind for _, kind in rows("entity", "id", "type")] == ["polymer", "non-polymer"]
-    assert [name for (name,) in rows("struct_asym", "id")] == ["0", "1"]
+    assert rows("protochain_repair", "ordinal", "text") == [["1", "a repair"]]
+    assert rows("entity", "id", "type") == [["A", "polymer"], ["x1", "water"]]
+    assert rows("struct_asym", "id", "entity_id") == [["A", "A"], ["x1", "x1"]]
+    sequence = rows("entity_poly_seq", "entity_id", "num", "mon_id")
+    assert sequence == [["A", str(k), name] for k, (name, _, _) in enumerate(WHERE, 1)]
     links = rows(
         "struct_conn", "id", "conn_type_id", "ptnr1_auth_asym_id", "ptnr1_auth_seq_id", "ptnr1_label_atom_id",
         "ptnr2_auth_seq_id", "pdbx_ptnr2_PDB_ins_code", "ptnr2_label_atom_id",
@@ -96,21 +107,29 @@ def test_an_mmcif_file_has_its_remarks_entities_links_and_atoms():
         "auth_asym_id", "auth_seq_id", "Cartn_x", "Cartn_y", "B_iso_or_equiv",
         "pdbx_PDB_model_num",
     )  # fmt: skip
-    assert atoms[3] == ["ATOM", "S", "SG", "CYS", "0", "A", "1", "0", "0.3", "3.5", "1"]
-    assert atoms[-1] == ["HETATM", "H", "H2", "HOH", "1", " ", "4", "3", "1.3", "13.5", "1"]
-    assert len(atoms) == 14 and text.count("_cell.length_a") == 1
+    assert atoms[3] == ["ATOM", "S", "SG", "CYS", "A", "A", "1", "0", "0.3", "3.5", "1"]
+    assert atoms[-1] == ["HETATM", "H", "H2", "HOH", "x1", " ", "4", "3", "1.3", "13.5", "1"]
+    assert len(atoms) == 14 and "_cell." not in text
+    crystal = gemmi.Structure()
+    crystal.add_model(gemmi.Model(1))
+    crystal.cell.set(20.0, 30.0, 40.0, 90.0, 90.0, 90.0)
+    celled = as_text(replace(ring(), header=take_header(crystal)), ".cif")
+    assert celled.count("_cell.length_a") == 1 and "_cell.length_b 30\n" in celled
 
 
 def test_only_known_suffixes_of_any_case_are_written(tmp_path):
-    for name in ("a.pdb", "a.ENT", "a.cif", "a.mmCIF"):
+    for name in ("a.pdb", "a.ENT", "a.cif", "a.mmCIF", "a.PdbX"):
         check_format(tmp_path / name)
         pc.save(ring(), tmp_path / name, ["a remark"])
         assert (tmp_path / name).read_text() == as_text(ring(), (tmp_path / name).suffix, ["a remark"])
     with pytest.raises(pc.ProtochainError) as refused:
-        pc.save(ring(), tmp_path / "a.pdbx")
+        pc.save(ring(), tmp_path / "a.xyz")
     assert str(refused.value) == (
-        f"{tmp_path}/a.pdbx: unknown suffix '.pdbx'; use .pdb or .ent or .cif or .mmcif"
+        f"{tmp_path}/a.xyz: unknown suffix '.xyz'; use .pdb or .ent or .cif or .mmcif or .pdbx"
     )
+    with pytest.raises(pc.ProtochainError, match=r"a\.pdb\.zip: unknown suffix '\.zip'"):
+        pc.save(ring(), tmp_path / "a.pdb.zip")
+    assert not list(tmp_path.glob("a.xyz*")) + list(tmp_path.glob("*.zip*"))
 
 
 def moved(angstrom, axis=0, atom=1):
