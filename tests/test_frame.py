@@ -163,6 +163,8 @@ def test_the_best_of_many_starts_lies_on_the_input(hop):
         filed, fitted = both(solution.structure.positions, s.positions, s.alpha_carbons)
         assert fitted > 0.1 and filed == pytest.approx(fitted, abs=AGREES)
         assert row["ca_rmsd_angstrom"] == pytest.approx(fitted, abs=1e-6)
+        assert solution.ca_rmsd_angstrom == pytest.approx(fitted, abs=1e-6)
+        assert np.abs(solution.frames[-1] - solution.x).max() < 1e-6
     assert found.overall()["ca_rmsd_as_filed_angstrom"] == pytest.approx(
         found.overall()["ca_rmsd_angstrom"], abs=1e-6
     )

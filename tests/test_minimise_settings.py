@@ -11,6 +11,7 @@ from conftest import chain
 import protochain as pc
 from protochain import defaults
 from protochain.chain import pose
+from protochain.frame import Frame
 from protochain.minimisers import RECIPES, Status, api
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.loop import Stop
@@ -37,7 +38,8 @@ def test_settings_are_the_defaults_where_none_are_given():
     [
         ("lbfgs", {"tolerance": 0.0}, "tolerance 0: give a number above 0"),
         ("lbfgs", {"tolerance": np.inf}, "tolerance inf: give a number above 0"),
-        ("lbfgs", {"max_evaluations": 0}, "max-evaluations 0: give at least 1"),
+        ("lbfgs", {"max_evaluations": 0}, "max_evaluations 0: give at least 1"),
+        ("lbfgs", {"seed": -1}, "seed -1: give 0 or more"),
         ("openmm", {"restraint": 1.0},
          "method 'openmm' cannot be held near its start; choose cartesian or hybrid"),
         ("openmm", {"checkpoint": "run.npz"},
@@ -97,9 +99,13 @@ def test_a_checkpoint_belongs_to_a_method_its_settings_and_its_start():
     }  # fmt: skip
 
 
-def judged(done, energy=None, **settings):
+KEPT = {0: np.zeros((2, 3), dtype=np.float32), 4: np.ones((2, 3), dtype=np.float32)}
+
+
+def judged(done, energy=None, held="", **settings):
     c = chain("ala10.pdb")
-    record = SimpleNamespace(trace=lambda: "the trace")
+    frame = Frame(c.structure, held)
+    record = SimpleNamespace(trace=lambda: "the trace", frame=frame, kept=lambda: KEPT)
     return api._judged(Start(c, energy or told()), Minimisation(LBFGS, **settings), done, record, 1.5)
 
 
@@ -111,7 +117,14 @@ def test_an_outcome_in_torsions_is_judged_by_its_largest_torque():
     done = Outcome(Stop.NO_DESCENT, torsions, q, 11, 12)
     found = judged(done, tolerance=1e-3, seed=4)
     at = pose(c, q)
-    assert np.array_equal(found.q, q) and np.array_equal(found.x, at.x)
+    # In its frame: superposed on the start, or, where something holds the run, as it is.
+    assert np.array_equal(found.q, q) and np.array_equal(found.x, Frame(c.structure)(at.x))
+    assert found.ca_rmsd_as_filed_angstrom == pytest.approx(found.ca_rmsd_angstrom, abs=1e-9)
+    held = judged(done, held="a restraint")
+    assert np.array_equal(held.x, at.x) and str(held.frame) == "held by a restraint"
+    assert held.ca_rmsd_angstrom == pytest.approx(found.ca_rmsd_angstrom, abs=1e-9)
+    assert held.ca_rmsd_as_filed_angstrom > found.ca_rmsd_as_filed_angstrom + 1e-3
+    assert found.frame_rows.tolist() == [0, 4] and np.array_equal(found.frames, list(KEPT.values()))
     size = torsions.residual(torsions.torque(at, FORCES))
     assert found.end.max_torque == size and found.status == Status.STALLED
     assert found.message == (
@@ -139,7 +152,9 @@ def test_an_outcome_of_all_atoms_is_judged_by_its_rms_force_and_rebuilt():
     c = chain("ala10.pdb")
     _, atoms = spaces(c)
     x = 1.002 * c.structure.positions
-    found = judged(Outcome(Stop.BUDGET, atoms, atoms.start(x), 1, 2), told("custom"), tolerance=0.5)
+    found = judged(
+        Outcome(Stop.BUDGET, atoms, atoms.start(x), 1, 2), told("custom"), "springs", tolerance=0.5
+    )
     size = np.sqrt(np.mean(FORCES**2))
     assert found.end.rms_force == pytest.approx(size) and found.x == pytest.approx(x, abs=1e-12)
     assert found.message == (
@@ -161,6 +176,9 @@ def test_an_end_above_the_start_gives_way_to_it(end, taken):
     found = judged(Outcome(Stop.BUDGET, spaces(c)[0], q, 1, 2), told(height=height))
     taken = taken and end <= -3.95
     assert np.array_equal(found.q, q if taken else c.q0) and found.end.energy == (end if taken else -3.95)
+    # The start lies on itself: superposing it would change last digits.
+    x = Frame(c.structure)(pose(c, q).x) if taken else pose(c, c.q0).x
+    assert np.array_equal(found.x, x) and (found.ca_rmsd_angstrom < 1e-9) is not taken
 
 
 def test_restraints_are_judged_and_said():

@@ -39,6 +39,8 @@ TURNING = {
     "lbfgs": (Descent(LBFGS(), StrongWolfe()), True),
 }
 """Methods in torsions: what runs, and whether overlaps are parted before."""
+TYPICAL = {"newton": 400, "lbfgs": 150}
+"""Evaluations they usually take; the others use up all there are."""
 BY_LBFGS = Run(Descent(LBFGS(Stiffness(20), 100), StrongWolfe()))
 ALL_ATOMS = Run(Descent(LBFGS(Stiffness(40), 100), StrongWolfe()), in_torsions=False)
 
@@ -46,7 +48,7 @@ ALL_ATOMS = Run(Descent(LBFGS(Stiffness(40), 100), StrongWolfe()), in_torsions=F
 def test_each_method_in_torsions_is_as_documented():
     for name, (method, parts) in TURNING.items():
         expected = Run(method, True, None, 500, lowest, True)
-        assert RECIPES[name] == Recipe(name, (expected,), parts, False, False)
+        assert RECIPES[name] == Recipe(name, (expected,), parts, False, False, TYPICAL.get(name, 0))
 
 
 def test_dynamics_run_to_their_end_and_end_in_a_minimum():
@@ -55,15 +57,15 @@ def test_dynamics_run_to_their_end_and_end_in_a_minimum():
         ("anneal", Annealing(600.0, 2000, 10.0, 0.004, 0), True),
     ):
         moved = Run(method, True, 0.0, method.n_steps, last, False)
-        assert RECIPES[name] == Recipe(name, (moved, BY_LBFGS), True, random, False)
+        assert RECIPES[name] == Recipe(name, (moved, BY_LBFGS), True, random, False, method.n_steps + 150)
 
 
 def test_the_other_methods_move_all_atoms():
     expected = (
-        Recipe("cartesian", (ALL_ATOMS,), False),
-        Recipe("hybrid", (Run(BY_LBFGS.method, tolerance=300.0), ALL_ATOMS), True),
-        Recipe("openmm", (), False, False, True),
-        Recipe("openmm-md", (), False, True, True),
+        Recipe("cartesian", (ALL_ATOMS,), False, typical=500),
+        Recipe("hybrid", (Run(BY_LBFGS.method, tolerance=300.0), ALL_ATOMS), True, typical=500),
+        Recipe("openmm", (), False, False, True, 1500),
+        Recipe("openmm-md", (), False, True, True, 3000),
     )
     for recipe in expected:
         assert RECIPES[recipe.name] == recipe
@@ -125,6 +127,7 @@ def test_a_plan_is_of_the_recipes_runs_in_their_spaces_on_their_energies():
     assert (first.space, first.energy.name, first.tolerance) == (torsions, "reduced", 300.0)
     assert (second.space, second.energy.name, second.tolerance) == (atoms, "whole", 2.0)
     assert (first.method, second.method) == (BY_LBFGS.method, ALL_ATOMS.method)
+    assert (first.name, second.name) == ("torsions", "all atoms")
     for stage in (first, second):
         assert stage.restraint is None and stage.recorded and stage.after == ()
         assert (stage.patience, stage.answer) == (PATIENCE, lowest)
@@ -157,6 +160,7 @@ def test_overlaps_are_parted_first_by_the_recipes_that_say_so():
     s = c.structure
     first, second = plan_of(RECIPES["lbfgs"], c)
     assert second.energy.name == "reduced" and first.tolerance == 1.0 and not first.recorded
+    assert (first.name, second.name) == ("parting overlaps", "torsions")
     assert first.space is second.space is spaces(c)[0]
     assert first.method == BY_LBFGS.method and first.patience == PATIENCE and first.restraint is None
     soft, tethers = parting(spaces(c)[0]).energy.parts

@@ -115,8 +115,8 @@ def test_what_holds_is_read_from_numbers_words_and_callables():
         ({"restraint": (1.0, np.inf)}, "restraint (1.0, inf): give strengths in kJ/mol/nm^2, none below 0"),
         ({"restraint": "much"}, "restraint 'much': give strengths in kJ/mol/nm^2, as '1000 100 0'"),
         ({"restraint": [[]]}, "restraint [[]]: give strengths in kJ/mol/nm^2, as '1000 100 0'"),
-        ({"restraint": (), "max_rmsd": 0.0}, "max-rmsd 0: give a number of angstrom above 0"),
-        ({"restraint": (), "max_rmsd": np.nan}, "max-rmsd nan: give a number of angstrom above 0"),
+        ({"restraint": (), "max_rmsd": 0.0}, "max_rmsd 0: give a number of angstrom above 0"),
+        ({"restraint": (), "max_rmsd": np.nan}, "max_rmsd nan: give a number of angstrom above 0"),
     ],
 )  # fmt: skip
 def test_what_cannot_hold_is_refused(given, said):

@@ -1,7 +1,8 @@
 """Many starts: which chains are minimised, what is kept, and what is said of all together."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from test_descent import crowded
 import protochain as pc
 from protochain.chain import pose
 from protochain.contacts import overlaps
+from protochain.frame import Frame
 from protochain.minimisers import Starts, Status, starts
 from protochain.minimisers.spaces import Torsions
-from protochain.minimisers.starts import _accept, _chain_at, parted, perturbed
+from protochain.minimisers.starts import _accept, _chain_at, _home, parted, perturbed
 
 
 @dataclass
@@ -26,6 +28,10 @@ class Made:
     n_evaluations: int = 10
     seconds: float = 1.5
     status: Status = Status.CONVERGED
+    frame: Any = None
+    ca_rmsd_as_filed_angstrom: float = 0.0
+    ca_rmsd_angstrom: float = 0.0
+    frames: Any = ()
 
     @property
     def start(self):
@@ -51,13 +57,18 @@ def made():
     solutions = []
     for k, end in enumerate(ends):
         status = Status.BUDGET if k == 2 else Status.CONVERGED
-        solutions.append(Made(end, breathed(0.01 * k)[0], 100.0 + k, 10 + k, 1.0 + k, status))
+        x = breathed(0.01 * k)[0] + [1.0, 2.0, 3.0]
+        solutions.append(Made(end, x, 100.0 + k, 10 + k, 1.0 + k, status, Frame(c.structure), 5.0 + k))
     return Starts(c, tuple(solutions), (True, True, False, True, True))
 
 
 def test_the_best_is_the_first_of_lowest_energy():
     found = made()
     assert found.best is found.solutions[1]
+    solutions = [replace(s, status=Status.INVERTED) if s.energy == -12.0 else s for s in found.solutions]
+    assert replace(found, solutions=tuple(solutions)).best is solutions[4]
+    inverted = tuple(replace(s, status=Status.INVERTED) for s in solutions)
+    assert replace(found, solutions=inverted).best is inverted[1]
 
 
 def test_the_records_of_all_starts():
@@ -87,7 +98,8 @@ def test_entries_over_all_starts_are_sums_and_those_of_the_best():
     found = made()
     assert found.overall() == {
         "energy_start_kj_mol": 100.0, "ca_rmsd_angstrom": found.records()[1]["ca_rmsd_angstrom"],
-        "evaluations": 60, "seconds": 15.0, "starts_summary": found.summary(), "starts": found.records(),
+        "ca_rmsd_as_filed_angstrom": 6.0, "evaluations": 60, "seconds": 15.0,
+        "starts_summary": found.summary(), "starts": found.records(),
     }  # fmt: skip
 
 
@@ -101,6 +113,7 @@ def given(monkeypatch):
         return Made(*ends[len(calls) - 1])
 
     monkeypatch.setattr(starts, "minimise", minimise)
+    monkeypatch.setattr(starts, "_home", lambda solution, chain: replace(solution, frame=chain))
     monkeypatch.setattr(starts, "perturbed", lambda here, spread, random: (here, spread, random.normal()))
     return SimpleNamespace(ends=ends, calls=calls)
 
@@ -114,6 +127,8 @@ def test_independent_starts_are_perturbed_from_the_first_by_streams_of_their_own
     assert all(call[1:] == (e, "kcm", 7, {"tolerance": 2.0}) for call in given.calls)
     assert seen == list(enumerate(found.solutions)) and found.chain is c
     assert found.accepted == (True, True, True) and [s.energy for s in found.solutions] == [-1.0, -3.0, -2.0]
+    # Each is brought home to the chain given.
+    assert all(solution.frame is c for solution in found.solutions)
 
 
 def test_an_interrupt_leaves_out_the_starts_that_follow(given):
@@ -130,6 +145,36 @@ def test_hops_start_from_the_last_accepted_minimum(given, monkeypatch):
     found = pc.explore(c, energy("ala10.pdb"), n_starts=5, hop_temperature=0.0)
     assert [call[0] if call[0] is c else call[0][0] for call in given.calls] == [c, "a", "b", "b", "d"]
     assert found.accepted == (True, True, False, True, True)
+    assert all(solution.frame is c for solution in found.solutions)
+
+
+def test_no_hop_starts_from_a_minimum_of_the_other_hand(given, monkeypatch):
+    given.ends += [(-1.0, "a"), (-9.0, "b", 0.0, 1, 1.0, Status.INVERTED), (-2.0, "c"), (-3.0, "d")]
+    monkeypatch.setattr(starts, "_chain_at", lambda solution: solution.x)
+    found = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), n_starts=4, hop_temperature=0.0)
+    assert [call[0][0] for call in given.calls[1:]] == ["a", "a", "c"]
+    assert found.accepted == (True, False, True, True) and found.best is found.solutions[3]
+
+
+def test_a_solution_from_a_perturbed_start_is_superposed_on_the_structure_given():
+    c = chain("ala10.pdb")
+    s, (x, size) = c.structure, breathed(0.02)
+    turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    away = s.with_positions(s.positions @ turn + [1.0, 2.0, 3.0])
+    frames = np.array([away.positions, x @ turn + [1.0, 2.0, 3.0]], dtype=np.float32)
+    gone = Made(-1.0, x @ turn + [1.0, 2.0, 3.0], frame=Frame(away), frames=frames)
+    home = _home(gone, c)
+    assert home.x == pytest.approx(x, abs=1e-12) and home.frame.start is s and home.energy == -1.0
+    assert home.ca_rmsd_angstrom == pytest.approx(size, abs=1e-9)
+    assert home.frames == pytest.approx(np.array([s.positions, x]), abs=1e-6)
+    assert home.frames.dtype == np.float32 and not home.frames.flags.writeable
+    # What is held stays where it is; what started from the structure given is at home.
+    held = _home(replace(gone, frame=Frame(away, "a fixed root")), c)
+    assert held.x is gone.x and np.array_equal(held.frames, frames)
+    assert held.ca_rmsd_angstrom == pytest.approx(size, abs=1e-9)
+    assert held.frame.start is s and held.frame.held_by == "a fixed root"
+    first = Made(-1.0, gone.x, frame=Frame(s))
+    assert _home(first, c) is first
 
 
 def test_a_rise_is_accepted_with_boltzmanns_chance():
@@ -149,13 +194,14 @@ def test_a_rise_is_accepted_with_boltzmanns_chance():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"n_starts": 0}, "starts 0: give at least 1"),
+        ({"n_starts": 0}, "n_starts 0: give at least 1"),
+        ({"seed": -1}, "seed -1: give 0 or more"),
         ({"spread": 0.0}, "spread 0: give an angle above 0, in rad"),
         ({"spread": np.inf}, "spread inf: give an angle above 0, in rad"),
-        ({"hop_temperature": -1.0}, "temperature -1: give a temperature in K, not below 0"),
-        ({"hop_temperature": np.inf}, "temperature inf: give a temperature in K, not below 0"),
-        ({"restraint": 3.0}, "restrain and max-rmsd refer to each start's own structure; use one start"),
-        ({"max_rmsd": 3.0}, "restrain and max-rmsd refer to each start's own structure; use one start"),
+        ({"hop_temperature": -1.0}, "hop_temperature -1: give a temperature in K, not below 0"),
+        ({"hop_temperature": np.inf}, "hop_temperature inf: give a temperature in K, not below 0"),
+        ({"restraint": 3.0}, "restraint and max_rmsd refer to each start's own structure; use one start"),
+        ({"max_rmsd": 3.0}, "restraint and max_rmsd refer to each start's own structure; use one start"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(options, said):

@@ -1,5 +1,6 @@
 """Verdicts word for word; judgements by hand."""
 
+from threading import current_thread, main_thread
 from types import SimpleNamespace
 
 import numpy as np
@@ -47,13 +48,22 @@ def test_a_judgement_is_of_the_reference_with_restraints_in_the_residuals_only()
     c = chain("ala10.pdb")
     rng = np.random.default_rng(0)
     forces, pull = rng.normal(size=(2, c.structure.n_atoms, 3))
-    energy = SimpleNamespace(reference=lambda x: (-5.0, forces))
+    asked = []
+
+    def reference(x):
+        asked.append((x, current_thread() is main_thread()))
+        return -5.0, forces
+
     at = pose(c, c.q0)
+    energy = SimpleNamespace(reference=reference, engine="native")
     for restraint, total in ((None, forces), (lambda x: (3.0, pull), forces + pull)):
         found = judge(c, energy, at, restraint)
         assert found.energy == -5.0
         assert found.rms_force == pytest.approx(np.sqrt(np.mean(total**2)), rel=1e-12)
         assert found.max_torque == pytest.approx(np.abs(pull_back(c, at, total)).max(), rel=1e-12)
+    assert judge(c, SimpleNamespace(reference=reference, engine="custom"), at).energy == -5.0
+    # On a thread of its own, so that an interrupt is heard; callables may not like that.
+    assert [on_main for _, on_main in asked] == [False, False, True] and all(x is at.x for x, _ in asked)
 
 
 def test_the_judge_is_named():

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from protochain import defaults
+from protochain.arrays import read_only
 from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, pose
 from protochain.checks import WATCHER, checked, function, integer, number, quantity
@@ -246,7 +247,9 @@ def _home(solution: Solution, chain: Chain) -> Solution:
     if solution.frame.start is chain.structure:
         return solution
     frame = replace(solution.frame, start=chain.structure)
-    return replace(solution, x=frame(solution.x), frame=frame)
+    x = frame(solution.x)
+    frames = read_only([frame(each) for each in solution.frames], np.float32)
+    return replace(solution, x=x, frame=frame, ca_rmsd_angstrom=frame.ca_rmsds(x)[0], frames=frames)
 
 
 def _chain_at(solution: Solution) -> Chain:
