@@ -87,7 +87,7 @@ class BatchSettings:
                 restraint=self.restraint, max_rmsd=self.max_rmsd,
             )  # fmt: skip
         if self.hop_temperature is not None and self.n_starts == 1:
-            raise ProtochainError("hop: needs several minima; give starts 2 or more")
+            raise ProtochainError("hop_temperature: needs several minima; give n_starts 2 or more")
         held = {} if self.n_starts == 1 else {"restraint": self.restraint, "max_rmsd": self.max_rmsd}
         check_starts(self.n_starts, self.spread, self.hop_temperature, **held)
 

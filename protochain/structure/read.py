@@ -157,7 +157,8 @@ class _Reader:
             member = self._member(found.residue)
             if member is not None and self._has_backbone(member):
                 run.append(member)
-        if run and all([atom.name for atom in member.atoms] == ["CA"] for member in run if not member.is_cap):
+        bare = [[atom.name for atom in member.atoms] == ["CA"] for member in run if not member.is_cap]
+        if bare and all(bare):
             raise OnlyAlphaError(
                 f"{self.draft.source}: chain {self._chain} holds only C-alpha atoms; "
                 "rebuild the other atoms first"
