@@ -131,6 +131,11 @@ def test_a_trace_of_c_alphas_is_refused_though_it_has_a_cap():
     ]
 
 
+def test_a_cap_alone_in_its_chain_is_no_trace_of_c_alphas():
+    with pytest.raises(pc.ProtochainError, match="no protein found"):
+        taken(residue("ACE", 0, atoms=["C", "O", "CH3"]))
+
+
 def test_alternates_and_repeated_atoms_of_the_protein_are_said():
     made = [
         residue(name, k, atoms=(*BACKBONE, "CB", "CB")) for k, name in enumerate(("MSE", "ALA", "HOH"), 1)

@@ -66,4 +66,5 @@ def refuse_absent(source: str, numbers: Sequence[int], asked: Sequence[int]) -> 
     if absent is not None:
         in_row = list(numbers) == list(range(numbers[0], numbers[-1] + 1))
         listed = f"{numbers[0]} to {numbers[-1]}" if in_row else ", ".join(map(str, numbers))
-        raise StructureError(f"{source}: has no model {absent}; its models are {listed}")
+        its = f"its only model is {numbers[0]}" if len(numbers) == 1 else f"its models are {listed}"
+        raise StructureError(f"{source}: has no model {absent}; {its}")
