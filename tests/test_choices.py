@@ -214,7 +214,7 @@ def test_a_manifest_has_the_options_of_the_command_line(tmp_path):
         ("restrain\nx.pdb,strong", "'strong'"),
         ("starts\nx.pdb,0", "starts 0"),
         ("starts\nx.pdb,two", "two"),
-        ("hop\nx.pdb,300", "hop: needs several minima"),
+        ("hop\nx.pdb,300", "hop_temperature: needs several minima"),
         ("spread\nx.pdb,0", "spread 0"),
         ("restrain,starts\nx.pdb,100,3", "refer to each start's own structure"),
         ("model\nx.pdb,5-1", "model '5-1'"),
