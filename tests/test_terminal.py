@@ -261,6 +261,21 @@ def test_a_long_run_says_so_before_it_begins(monkeypatch, capsys):
     assert "at most 5000 evaluations" in capsys.readouterr().err
 
 
+def test_one_slow_energy_makes_no_run_long(monkeypatch, capsys):
+    # On a busy machine a single call may wait long for the other core.
+    clock = SimpleNamespace(now=0.0, waits=[0.0, 9.0, 0.01, 9.0])
+
+    def slow(x):
+        clock.now += clock.waits.pop(0)
+
+    monkeypatch.setattr(terminal, "monotonic", lambda: clock.now)
+    terminal.foretell("1l2y.pdb", chain("1l2y.pdb"), slow, 100, 5000)
+    assert capsys.readouterr().err == "" and clock.waits == [9.0]
+    clock.waits = [0.0, 2.0, 1.0, 3.0, 1.5, 9.0, 9.0]
+    terminal.foretell("1l2y.pdb", chain("1l2y.pdb"), slow, 100, 5000)
+    assert "1 s an energy" in capsys.readouterr().err and clock.waits == [9.0]
+
+
 def test_what_is_typical_is_within_what_is_allowed():
     for method in METHODS:
         typical = terminal.typical_evaluations(method, 5000)
