@@ -118,6 +118,10 @@ def test_a_solution_shows_itself():
     assert s._repr_html_() == f"<table><caption>ala10 by lbfgs</caption>{cells}</table>"
     assert s.method == "lbfgs" and s.keeps_geometry and s.is_usable
     assert not solution(end=Judgement(np.nan, 1.0, 1.0)).is_usable
+    # Where it began: an end if it converged there, and otherwise no result.
+    there = solution().start
+    assert solution(end=there, status=Status.CONVERGED).is_usable
+    assert not solution(end=there, status=Status.BUDGET).is_usable
     x = s.x + 0.1
     assert np.array_equal(solution(x=x).structure.positions, x)
 
