@@ -23,7 +23,7 @@ class Value:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Fields by which to make it anew."""
-        given = [getattr(self, each.name) for each in fields(self)]  # type: ignore[arg-type]
+        given = [getattr(self, each.name) for each in fields(self)]  # type: ignore[arg-type]  # its subclasses are dataclasses
         made = [dict(value) if isinstance(value, MappingProxyType) else value for value in given]
         return _remade, (type(self), *made)
 

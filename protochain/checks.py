@@ -51,7 +51,7 @@ def check_fields(of: Any, **checks: Check) -> None:
 def number(value: Any, name: str) -> float:
     """Return a real number as it is."""
     if isinstance(value, Real) and not isinstance(value, bool):
-        return value  # type: ignore[return-value]
+        return value  # type: ignore[return-value]  # numpy's numbers, too
     raise ProtochainError(f"{name} {shown(value)}: {_instead(value, name, 'a number')}")
 
 

@@ -2,6 +2,7 @@
 
 import functools
 import os
+import signal
 from pathlib import Path
 
 # Threads of several test processes that spin while they wait take the cores from one another.
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 import protochain as pc
+from protochain import interrupts
 from protochain.multibody import Tree
 
 ROOT = Path(__file__).parent.parent
@@ -100,6 +102,19 @@ def chain(name: str, hinges: str = "phi psi chi", root: str = "auto") -> pc.Chai
 @functools.cache
 def energy(name: str, **options: str):
     return pc.energy(load(name), **options)
+
+
+@pytest.fixture
+def interruptible():
+    """Interrupts as the command line has them."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
+
+
+def is_held() -> bool:
+    """Whether interrupts are noted, not raised."""
+    return isinstance(signal.getsignal(signal.SIGINT), interrupts._Noted)
 
 
 def shared(name: str) -> Path:

@@ -4,32 +4,20 @@ import importlib
 import io
 import json
 import math
-import signal
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
 import pandas as pd
 import pytest
+from conftest import is_held
 from test_commands import refusal, run
 
-from protochain import interrupts
 from protochain.batches import BatchSettings
 from protochain.setup import Setup
 
+pytestmark = pytest.mark.usefixtures("interruptible")
 SIMULATE, BATCH = (importlib.import_module(f"protochain.cli.{name}") for name in ("simulate", "batch"))
-
-
-@pytest.fixture(autouse=True)
-def interruptible():
-    """Interrupts as the command line has them."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
-
-
-def is_held():
-    return isinstance(signal.getsignal(signal.SIGINT), interrupts._Noted)
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 import importlib
 import json
 import math
-import signal
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,15 +12,16 @@ import mdtraj
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import is_held
 from test_commands import refusal, run
 from test_write import ring
 
-from protochain import interrupts
 from protochain.cli.terminal import typical_evaluations
 from protochain.minimisers import METHODS
 from protochain.minimisers.record import SHOWN
 from protochain.structure.write import as_text
 
+pytestmark = pytest.mark.usefixtures("interruptible")
 MINIMISE, COMPARE = (importlib.import_module(f"protochain.cli.{name}") for name in ("minimise", "compare"))
 S = ring()
 ALL = ", ".join(METHODS)
@@ -50,18 +50,6 @@ class Solution:
 def text_of(status, suffix=".pdb"):
     """What is written of a result."""
     return as_text(S, suffix, [f"STATUS {status}"])
-
-
-@pytest.fixture(autouse=True)
-def interruptible():
-    """Interrupts as the command line has them."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
-
-
-def is_held():
-    return isinstance(signal.getsignal(signal.SIGINT), interrupts._Noted)
 
 
 @pytest.fixture

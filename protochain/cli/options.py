@@ -116,7 +116,7 @@ def with_setup(without: str = "") -> Callable[[Callable[..., None]], Callable[..
             chosen = {option.name: given.pop(option.name) for option in options}
             command(**given, setup=_setup(**chosen))
 
-        run.__signature__ = inspect.Signature([*own, *options])  # type: ignore[attr-defined]
+        run.__signature__ = inspect.Signature([*own, *options])  # type: ignore[attr-defined]  # known at run time only
         return run
 
     return decorate

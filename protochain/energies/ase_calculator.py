@@ -12,7 +12,7 @@ from protochain.energies.protocol import Energy
 class EnergyCalculator(Calculator):
     """ASE calculator, in eV and eV/angstrom (Larsen et al., J. Phys.: Condens. Matter 29:273002, 2017)."""
 
-    implemented_properties: list[str] = ["energy", "forces"]  # noqa: RUF012
+    implemented_properties: list[str] = ["energy", "forces"]  # noqa: RUF012 (as ASE declares it)
 
     def __init__(self, energy: Energy) -> None:
         super().__init__()

@@ -1,6 +1,6 @@
 """Which model of a file, and which of its chains, are taken."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import gemmi
 
@@ -46,12 +46,6 @@ def choose_chains(draft: Draft, model: gemmi.Model, names: Sequence[str]) -> lis
     taken = [chain for chain in model if not names or chain.name in names]
     draft.left_out["chains"] = len(there) - len(taken)
     return taken
-
-
-def split_names(given: str | Iterable[str]) -> tuple[str, ...]:
-    """Split a text at its commas; leave a sequence of names as it is."""
-    split = given.split(",") if isinstance(given, str) else given
-    return tuple(name.strip() for name in split if name.strip())
 
 
 def refuse_absent(source: str, numbers: Sequence[int], asked: Sequence[int]) -> None:

@@ -13,7 +13,7 @@ from openmm import app
 
 from protochain import defaults
 from protochain.arrays import Floats, Integers
-from protochain.checks import file_name, pairs
+from protochain.checks import file_name, pairs, words
 from protochain.checks import path as as_path
 from protochain.errors import StructureError
 from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
@@ -86,7 +86,7 @@ def load(
     """
     check_ph(ph)
     residues = user_file(forcefield)
-    reading = Reading(model, altloc, keep, strict, residues, chains)  # type: ignore[arg-type]
+    reading = Reading(model, altloc, words(keep), strict, residues, words(chains, "chains"))
     return prepare(read(as_path(path, "path"), reading), disulfide, ph, residues)
 
 
