@@ -1,16 +1,12 @@
 """The measures of a structure by itself, and its validation: these, and a row for each residue."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from protochain.arrays import Floats, Value, floats
-from protochain.checks import checked, optional
-from protochain.markup import facts
 from protochain.structure.chirality import wrong_atoms
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
@@ -19,11 +15,10 @@ from protochain.validation.layout import layout
 from protochain.validation.omega import Peptides, omegas
 from protochain.validation.ramachandran import Ramachandran, ramachandran
 from protochain.validation.rotamers import SideChains, side_chains
-
-if TYPE_CHECKING:
-    import pandas as pd
+from protochain.validation.violations import Violations, violations
 
 MEASURES = {
+    "violations": "residues with violations, as AlphaFold counts them",
     "ramachandran_outliers": "residues in outlier regions of the Ramachandran plot",
     "ramachandran_favoured_percent": "residues in its favoured regions, per cent",
     "rotamer_outliers": "side chains far from every usual rotamer",
@@ -42,6 +37,11 @@ class Found(Value):
 
     structure: Structure
     x: Floats
+
+    @cached_property
+    def violations(self) -> Violations:
+        """Structural violations."""
+        return violations(self.structure, self.x)
 
     @cached_property
     def ramachandran(self) -> Ramachandran:
@@ -72,6 +72,7 @@ class Found(Value):
         """Count all that is found; see :func:`measures`."""
         peptides, favoured = self.peptides, self.ramachandran.favoured_percent
         return {
+            "violations": len(self.violations.residues),
             "ramachandran_outliers": len(self.ramachandran.outliers),
             "ramachandran_favoured_percent": favoured if np.isfinite(favoured) else None,
             "rotamer_outliers": len(self.side_chains.outliers),
