@@ -7,13 +7,13 @@ import mdtraj
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.analysis.deviation import tm_score
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain
 from protochain.checks import checked, instance
 from protochain.contacts import overlaps
 from protochain.minimisers import Solution
 from protochain.structure import Structure, as_structure, ca_rmsd
+from protochain.structure.matching import tm_score
 from protochain.units import ANGSTROM_PER_NM
 
 _RARE = 1.0
