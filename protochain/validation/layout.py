@@ -69,6 +69,18 @@ def layout(structure: Structure) -> Layout:
     return Layout(amino, atom, read_only(before, np.int64), read_only(after, np.int64), mirrored)
 
 
+@lru_cache(maxsize=16)
+def built(structure: Structure) -> NDArray[np.bool_]:
+    """(na,) bool: heavy atoms that the file lacks, and preparation added."""
+    added = np.zeros(structure.n_atoms, dtype=bool)
+    found = layout(structure)
+    for residue, said in residues_told(structure, r"missing (?P<atoms>.+) added").items():
+        atoms = found.atoms(*said["atoms"].split(", "))[residue]
+        added[atoms[atoms != NONE]] = True
+    added.flags.writeable = False
+    return added
+
+
 def dihedrals(x: Floats, atoms: Integers) -> Floats:
     """Dihedrals of four atoms each, in degrees, from -180 to 180.
 
