@@ -96,8 +96,8 @@ def test_no_ring_of_a_sample_is_threaded(name):
 
 @pytest.mark.parametrize(
     "name",
-    ["1ejg_crambin.pdb", "1as5_conotoxin.cif", "1fas_fasciculin.cif", "1bx8_hirustasin.pdb", "5vav_cyclic.pdb",
-     "neopetrosiamide.pdb", "1v6p_cobrotoxin_amber.pdb", "4cup_missing.cif"],
+    ["1ejg_crambin.pdb", "1as5_conotoxin.cif", "1fas_fasciculin.cif", "1bx8_hirustasin.pdb",
+     "5vav_cyclic.pdb", "neopetrosiamide.pdb", "1v6p_cobrotoxin_amber.pdb", "4cup_missing.cif"],
 )  # fmt: skip
 def test_no_ring_of_a_knotted_or_cyclic_structure_is_threaded(name):
     assert threaded_rings(pc.load(shared(name))) == []

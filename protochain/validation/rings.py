@@ -63,6 +63,7 @@ def threaded_rings(structure: Structure, x: Floats | None = None) -> list[Thread
     Parameters
     ----------
     structure : Structure
+        Structure to measure.
     x : (na, 3) float, nm, optional
         Positions to measure; by default the structure's own.
 
