@@ -63,8 +63,8 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
     """Measure the likeness of a structure to a reference.
 
     Residues are matched as by :func:`protochain.rmsd`. Atoms that preparation added to either are taken for
-    missing; one that the structure lacks keeps no distance. Names of atoms that are each other's image (in Arg,
-    Asp, Glu, Leu, Phe, Tyr, Val) are exchanged in a residue if more distances agree so.
+    missing; one that the structure lacks keeps no distance. Names of atoms that are each other's image (in
+    Arg, Asp, Glu, Leu, Phe, Tyr, Val) are exchanged in a residue if more distances agree so.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
 def _correspondence(
     structure: Structure, reference: Structure, found: Match
 ) -> tuple[Integers, Integers, Integers]:
-    """Heavy atoms of the reference, those of the structure by name (-1: none), and those by their twin's name."""
+    """Heavy atoms of the reference, those of the structure by name (-1: none), and by their twin's name."""
     ours, theirs = layout(structure), layout(reference)
     known = (reference.atom_element != "H") & theirs.amino[reference.atom_residue] & ~built(reference)
     atoms = np.flatnonzero(known)

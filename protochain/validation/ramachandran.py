@@ -17,7 +17,7 @@ REGIONS = ("outlier", "allowed", "favoured")
 
 _FAVOURED = 0.02
 _ALLOWED = np.array([0.0005, 0.001, 0.002, 0.001, 0.001, 0.001])
-"""Least score of a favoured and, by class, of an allowed residue (mmtbx/validation/ramachandran/rama_eval.h)."""
+"""Least score of a favoured and, by class, of an allowed residue, as in mmtbx's ramalyze."""
 _CIS = 90.0
 """Degrees of omega below which a proline counts as cis here, as in ramalyze: there is no third class."""
 _CELL = 2.0

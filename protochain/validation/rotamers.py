@@ -1,8 +1,8 @@
 """Side chains far from every usual rotamer.
 
-The rotamers are those of the Top8000 set (Hintze, Lewis, Richardson, Richardson, Proteins 84:1177, 2016), and what
-counts is the distance to the nearest. MolProbity takes the density of the same set instead, whose contours may
-not be distributed: on 20 structures this finds 253 of its 319 outliers, and 100 more.
+The rotamers are those of the Top8000 set (Hintze, Lewis, Richardson, Richardson, Proteins 84:1177, 2016), and
+what counts is the distance to the nearest. MolProbity takes the density of the same set instead, whose contours
+may not be distributed: on 20 structures this finds 251 of its 319 outliers, and 74 more.
 """
 
 import csv
@@ -19,17 +19,17 @@ from protochain.residues import CHI
 from protochain.structure.model import Structure
 from protochain.validation.layout import NONE, dihedrals, layout
 
-_NARROW = frozenset({"CYS", "ILE", "SER", "THR", "VAL"})
-_LIMITS = (38.0, 26.0)
-"""Degrees from a rotamer within which each dihedral of a side chain must be; of these residues the second."""
-_WIDE = {
-    "ASN": 114.0,
-    "GLN": 152.0,
-    "HIS": 95.0,
-    "TRP": 95.0,
-    **dict.fromkeys(("ASP", "GLU", "PHE", "TYR"), 90.0),
+_LIMITS = {
+    **dict.fromkeys(("CYS", "ILE", "SER", "THR", "VAL"), 26.0),
+    **dict.fromkeys(("ASN", "ASP", "GLU", "HIS", "LEU", "PHE", "TRP", "TYR"), 38.0),
+    **dict.fromkeys(("ARG", "GLN", "LYS", "MET"), 42.0),
 }
-"""The same for the last dihedral, at a planar group; 90 are all angles of a group that is its own image."""
+"""Degrees from a rotamer within which each dihedral of a side chain must be."""
+_WIDE = {
+    **dict.fromkeys(("HIS", "TRP"), 95.0), "ASN": 114.0, "GLN": 152.0,
+    **dict.fromkeys(("ASP", "GLU", "PHE", "TYR"), 90.0),
+}  # fmt: skip
+"""The same for the last dihedral where it is that of a planar group; 90 are all of one that is its own image."""
 _SYMMETRIC = frozenset({"ASP", "GLU", "PHE", "TYR"})
 """Residues whose last dihedral repeats after 180 degrees."""
 
@@ -83,7 +83,7 @@ def side_chains(structure: Structure, x: Floats | None = None) -> SideChains:
         names, usual = rotamers_of(kind)
         chi = dihedrals(x, quadruples.reshape(-1, 4)).reshape(len(its), -1)
         chi *= np.where(mirrored[its], -1.0, 1.0)[:, None]
-        period, limit = np.full(chi.shape[1], 360.0), np.full(chi.shape[1], _LIMITS[kind in _NARROW])
+        period, limit = np.full(chi.shape[1], 360.0), np.full(chi.shape[1], _LIMITS[kind])
         period[-1] = 180.0 if kind in _SYMMETRIC else 360.0
         limit[-1] = _WIDE.get(kind, limit[-1])
         off = (np.abs((chi[:, None] - usual + period / 2) % period - period / 2) / limit).max(axis=2)
