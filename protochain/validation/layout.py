@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers, read_only
-from protochain.residues import STANDARD
+from protochain.residues import BACKBONE
 from protochain.structure.changes import residues_told
 from protochain.structure.model import Structure
 
@@ -21,7 +21,7 @@ class Layout(NamedTuple):
     Parameters
     ----------
     amino : (nr,) bool
-        Amino acids of the protein: no caps, and nothing that is kept beside it.
+        What has a backbone: no caps, and nothing that is kept beside the protein.
     atom : dict of str to (nr,) int
         Index of the atom of that name in each amino acid, -1 where there is none.
     before, after : (nr,) int
@@ -46,8 +46,10 @@ class Layout(NamedTuple):
 def layout(structure: Structure) -> Layout:
     """Find the amino acids of a structure, their atoms and neighbours; the same for all its positions."""
     n, of = structure.n_residues, structure.atom_residue
-    amino = np.isin(structure.residue_name, list(STANDARD))
-    amino[of[structure.kept]] = False
+    backbone = [
+        np.isin(np.arange(n), of[(structure.atom_name == name) & ~structure.kept]) for name in BACKBONE
+    ]
+    amino = np.all(backbone, axis=0)
     own = np.flatnonzero(amino[of])
     names = structure.atom_name[own]
     atom: dict[str, Integers] = {}

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers, read_only
+from protochain.residues import STANDARD
 from protochain.structure.model import Structure
 from protochain.validation.layout import NONE, layout, peptides
 
@@ -70,7 +71,7 @@ def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
     Returns
     -------
     Ramachandran
-        Residues between two amino acids. D-amino acids, if the file names them so, by their mirror image.
+        The 20 amino acids, where they lie between two others. D-amino acids, if the file names them so, by their mirror image.
 
     Notes
     -----
@@ -78,7 +79,8 @@ def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
     """
     found = layout(structure)
     phi, psi, omega = peptides(structure, structure.positions if x is None else x)
-    residue = np.flatnonzero(found.amino & np.isfinite(phi) & np.isfinite(psi))
+    standard = np.isin(structure.residue_name, list(STANDARD))
+    residue = np.flatnonzero(standard & np.isfinite(phi) & np.isfinite(psi))
     kind = _classes(structure, omega)[residue]
     phi, psi = phi[residue], psi[residue]
     hand = np.where(found.mirrored[residue], -1.0, 1.0)
