@@ -26,14 +26,14 @@ _TWINS = {
 }  # fmt: skip
 """Atoms whose names may be exchanged, by residue."""
 LIKENESS = {
-    "lddt": "lDDT of all heavy atoms, 0 to 1",
-    "lddt_ca": "lDDT of the C-alphas, 0 to 1",
-    "tm_score": "TM-score, 0 to 1",
-    "ca_rmsd_to_reference_angstrom": "RMSD of the C-alphas after superposition",
-    "heavy_rmsd_to_reference_angstrom": "RMSD of all heavy atoms after superposition",
-    "matched_percent": "residues of the reference that were matched, per cent",
+    "lddt": ("lDDT", "lDDT of all heavy atoms, 0 to 1"),
+    "lddt_ca": ("C-alphas", "lDDT of the C-alphas, 0 to 1"),
+    "tm_score": ("TM", "TM-score, 0 to 1"),
+    "ca_rmsd_to_reference_angstrom": ("RMSD", "RMSD of the C-alphas after superposition, angstrom"),
+    "heavy_rmsd_to_reference_angstrom": ("heavy", "RMSD of all heavy atoms after superposition, angstrom"),
+    "matched_percent": ("matched %", "residues of the reference that were matched, per cent"),
 }
-"""Keys of ``Likeness.measures``, and what they are."""
+"""Keys of ``Likeness.measures``, with their headings in tables of a terminal, and what they are."""
 
 
 @dataclass(frozen=True, eq=False)

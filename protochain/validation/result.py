@@ -33,8 +33,8 @@ class Validation(Value):
         ``violation``, ``phi_degrees``, ``psi_degrees``, ``ramachandran_class``, ``ramachandran_percent`` (of
         the class are rarer), ``ramachandran`` (favoured, allowed, outlier), ``omega_degrees`` and
         ``peptide_bond`` (of the bond before it), ``rotamer`` (the nearest), ``rotamer_outlier``,
-        ``cbeta_deviation_angstrom``, ``wrong_hands``, ``threaded_rings``, ``atoms_added`` (heavy atoms that the
-        file lacks), with a reference ``lddt``.
+        ``cbeta_deviation_angstrom``, ``wrong_hands``, ``threaded_rings``, ``atoms_added`` (heavy atoms that
+        the file lacks), with a reference ``lddt``.
     violations : Violations
         As AlphaFold counts them.
     findings : tuple of (int, str)
@@ -63,7 +63,9 @@ class Validation(Value):
         heavy = self.residues["atoms_added"]
         hydrogens = [line for line in self.structure.repairs if "hydrogens added" in line]
         lacking = (
-            f"{heavy.sum()} missing heavy atoms of {(heavy > 0).sum()} residues added" if heavy.any() else ""
+            f"heavy atoms missing in {(heavy > 0).sum()} residues added ({heavy.sum()})"
+            if heavy.any()
+            else ""
         )
         return "; ".join(filter(None, [lacking, *hydrogens]))
 
@@ -85,7 +87,8 @@ class Validation(Value):
         return f"<Validation of {self.structure.name}: {'; '.join(wrong) or 'nothing wrong'}>"
 
     def _repr_html_(self) -> str:
-        words = {key: measure.what for key, measure in MEASURES.items()} | LIKENESS
+        words = {key: measure.what for key, measure in MEASURES.items()}
+        words |= {key: what for key, (_, what) in LIKENESS.items()}
         rows = {
             words[key]: f"{value:.4g}" if isinstance(value, float) else "-" if value is None else value
             for key, value in self.measures.items()

@@ -1,8 +1,8 @@
 """Side chains far from every usual rotamer.
 
 The rotamers are those of the Top8000 set (Hintze, Lewis, Richardson, Richardson, Proteins 84:1177, 2016), and
-what counts is the distance to the nearest. MolProbity takes the density of the same set instead, whose contours
-may not be distributed: on 20 structures this finds 251 of its 319 outliers, and 74 more.
+what counts is the distance to the nearest. MolProbity takes the density of the same set instead, whose
+contours may not be distributed: on 20 structures this finds 251 of its 319 outliers, and 74 more.
 """
 
 import csv
@@ -29,7 +29,7 @@ _WIDE = {
     **dict.fromkeys(("HIS", "TRP"), 95.0), "ASN": 114.0, "GLN": 152.0,
     **dict.fromkeys(("ASP", "GLU", "PHE", "TYR"), 90.0),
 }  # fmt: skip
-"""The same for the last dihedral where it is that of a planar group; 90 are all of one that is its own image."""
+"""The same for the last dihedral at a planar group; 90 are all angles of one that is its own image."""
 _SYMMETRIC = frozenset({"ASP", "GLU", "PHE", "TYR"})
 """Residues whose last dihedral repeats after 180 degrees."""
 
