@@ -9,8 +9,7 @@ from openmm import app
 
 import protochain as pc
 from protochain.contacts import joined
-from protochain.validation import clashes as module
-from protochain.validation.clashes import clashes
+from protochain.validation.clashes import _at_clouds, _kinds, clashes
 
 # Pairs with the radii, hydrogen bonds and excluded neighbours of this library, by the DotScorer of Probe 2
 # (mmtbx_probe_ext of cctbx-base 2025.11), all dots, as residue number and atom.
@@ -43,8 +42,8 @@ def test_the_pairs_are_those_of_probe_but_for_contacts_nearly_covered(name, expe
 
 def slow(structure):
     """Clashes by dots all over the atoms, sixteen per square angstrom."""
-    kinds, n = module._kinds(structure), structure.n_atoms
-    x = module._at_clouds(structure, 10 * structure.positions)
+    kinds, n = _kinds(structure), structure.n_atoms
+    x = _at_clouds(structure, 10 * structure.positions)
     is_h = structure.atom_element == "H"
     near = {frozenset(pair) for pair in joined(structure, 3).tolist()}
     near |= {frozenset(pair) for pair in joined(structure, 4).tolist() if is_h[pair].any()}
@@ -157,7 +156,7 @@ def test_molecules_held_fixed_count_against_the_protein_alone():
 
 def test_radii_follow_from_bonds():
     s = load("1ubq.pdb")
-    radius = module._kinds(s).radius
+    radius = _kinds(s).radius
     by_name = {}
     for i in range(s.n_atoms):
         by_name.setdefault((str(s.residue_name[s.atom_residue[i]]), str(s.atom_name[i])), set()).add(
