@@ -1,6 +1,7 @@
 """What is wrong with a structure: violations, clashes, threaded rings, strain, statistical outliers."""
 
 from protochain.validation.api import measures, validate
+from protochain.validation.clashes import Clashes, clashes
 from protochain.validation.found import MEASURES
 from protochain.validation.likeness import LIKENESS, likeness
 from protochain.validation.result import Validation
@@ -10,9 +11,11 @@ from protochain.validation.violations import Violations, violations
 __all__ = [
     "LIKENESS",
     "MEASURES",
+    "Clashes",
     "ThreadedRing",
     "Validation",
     "Violations",
+    "clashes",
     "likeness",
     "measures",
     "threaded_rings",

@@ -11,6 +11,7 @@ from protochain.arrays import Floats, Integers, Value
 from protochain.structure.chirality import wrong_atoms
 from protochain.structure.model import Structure
 from protochain.validation.cbeta import Deviations, cbeta_deviations
+from protochain.validation.clashes import Clashes, clashes
 from protochain.validation.layout import built, layout
 from protochain.validation.omega import Peptides, omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, Ramachandran, ramachandran
@@ -39,6 +40,11 @@ class Found(Value):
     def violations(self) -> Violations:
         """Structural violations."""
         return violations(self.structure, self.x)
+
+    @cached_property
+    def clashes(self) -> Clashes:
+        """Clashes of all atoms."""
+        return clashes(self.structure, self.x)
 
     @cached_property
     def ramachandran(self) -> Ramachandran:
@@ -87,6 +93,7 @@ class Found(Value):
             "residue": np.char.add(s.residue_number, s.residue_insertion_code),
             "name": s.residue_name,
             "violation": self.violations.per_residue,
+            "clashes": np.bincount(of[self.clashes.pairs].ravel(), minlength=s.n_residues),
             "phi_degrees": self._spread(rama.residue, rama.phi),
             "psi_degrees": self._spread(rama.residue, rama.psi),
             "ramachandran_class": self._spread(rama.residue, np.array(CLASSES)[rama.kind]),
@@ -118,6 +125,8 @@ class Found(Value):
         concerned = {name: set(of[atoms].ravel().tolist()) for name, atoms in kinds.items()}
         for r in self.violations.residues.tolist():
             yield r, f"violation ({', '.join(name for name in kinds if r in concerned[name])})"
+        for (i, j), overlap in zip(self.clashes.pairs.tolist(), self.clashes.overlap_angstrom, strict=True):
+            yield int(of[i]), f"{s.atom_name[i]} clashes with {s.describe(j)} by {overlap:.1f} angstrom"
         rama = self.ramachandran
         for k in np.flatnonzero(rama.region == 0).tolist():
             yield int(rama.residue[k]), f"Ramachandran outlier (phi {rama.phi[k]:.0f}, psi {rama.psi[k]:.0f})"
@@ -159,6 +168,9 @@ class Measure(NamedTuple):
 MEASURES = {
     "violations": Measure(
         "residues with violations, as AlphaFold counts them", "viol", lambda f: len(f.violations.residues)
+    ),
+    "clashscore_per_1000_atoms": Measure(
+        "clashes per 1000 atoms", "clash", lambda f: f.clashes.per_1000_atoms, False
     ),
     "ramachandran_outliers": Measure(
         "Ramachandran outliers", "rama", lambda f: len(f.ramachandran.outliers)

@@ -30,7 +30,7 @@ class Validation(Value):
         measured.
     residues : pandas.DataFrame
         A row for each residue of the protein: ``chain``, ``residue`` (number and insertion code), ``name``,
-        ``violation``, ``phi_degrees``, ``psi_degrees``, ``ramachandran_class``, ``ramachandran_percent`` (of
+        ``violation``, ``clashes``, ``phi_degrees``, ``psi_degrees``, ``ramachandran_class``, ``ramachandran_percent`` (of
         the class are rarer), ``ramachandran`` (favoured, allowed, outlier), ``omega_degrees`` and
         ``peptide_bond`` (of the bond before it), ``rotamer`` (the nearest), ``rotamer_outlier``,
         ``cbeta_deviation_angstrom``, ``wrong_hands``, ``threaded_rings``, ``atoms_added`` (heavy atoms that
