@@ -79,8 +79,8 @@ COUNTS = {
     "2beg_abeta_fibril.pdb": (120, 5, 88, 105, 0, 0, 0, 0),
     "3enl_enolase.pdb": (434, 3, 414, 399, 36, 2, 0, 0),
 }
-"""Of cctbx-base 2025.11: residues on the Ramachandran plot, outliers, favoured; C-betas, outliers; cis prolines,
-other cis peptides, twisted peptides."""
+"""Of cctbx-base 2025.11: residues on the Ramachandran plot, outliers, favoured; C-betas, outliers; cis
+prolines, other cis peptides, twisted peptides."""
 
 
 @pytest.mark.parametrize("name", COUNTS)

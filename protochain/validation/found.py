@@ -125,8 +125,12 @@ class Found(Value):
         concerned = {name: set(of[atoms].ravel().tolist()) for name, atoms in kinds.items()}
         for r in self.violations.residues.tolist():
             yield r, f"violation ({', '.join(name for name in kinds if r in concerned[name])})"
-        for (i, j), overlap in zip(self.clashes.pairs.tolist(), self.clashes.overlap_angstrom, strict=True):
-            yield int(of[i]), f"{s.atom_name[i]} clashes with {s.describe(j)} by {overlap:.1f} angstrom"
+        worst: dict[tuple[int, int], float] = {}
+        for (i, j), overlap in zip(of[self.clashes.pairs], self.clashes.overlap_angstrom, strict=True):
+            worst.setdefault((min(i, j), max(i, j)), overlap)
+        for (i, j), overlap in worst.items():
+            other = "within it" if i == j else f"with {s.describe_residue(j)}"
+            yield int(i), f"clash {other} ({overlap:.1f} angstrom)"
         rama = self.ramachandran
         for k in np.flatnonzero(rama.region == 0).tolist():
             yield int(rama.residue[k]), f"Ramachandran outlier (phi {rama.phi[k]:.0f}, psi {rama.psi[k]:.0f})"

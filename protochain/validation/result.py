@@ -30,11 +30,11 @@ class Validation(Value):
         measured.
     residues : pandas.DataFrame
         A row for each residue of the protein: ``chain``, ``residue`` (number and insertion code), ``name``,
-        ``violation``, ``clashes``, ``phi_degrees``, ``psi_degrees``, ``ramachandran_class``, ``ramachandran_percent`` (of
-        the class are rarer), ``ramachandran`` (favoured, allowed, outlier), ``omega_degrees`` and
-        ``peptide_bond`` (of the bond before it), ``rotamer`` (the nearest), ``rotamer_outlier``,
-        ``cbeta_deviation_angstrom``, ``wrong_hands``, ``threaded_rings``, ``atoms_added`` (heavy atoms that
-        the file lacks), with a reference ``lddt``.
+        ``violation``, ``clashes``, ``phi_degrees``, ``psi_degrees``, ``ramachandran_class``,
+        ``ramachandran_percent`` (of the class are rarer), ``ramachandran`` (favoured, allowed, outlier),
+        ``omega_degrees`` and ``peptide_bond`` (of the bond before it), ``rotamer`` (the nearest),
+        ``rotamer_outlier``, ``cbeta_deviation_angstrom``, ``wrong_hands``, ``threaded_rings``,
+        ``atoms_added`` (heavy atoms that the file lacks), with a reference ``lddt``.
     violations : Violations
         As AlphaFold counts them.
     findings : tuple of (int, str)
@@ -61,13 +61,13 @@ class Validation(Value):
     def added(self) -> str:
         """What preparation added to the file, in words; empty if nothing."""
         heavy = self.residues["atoms_added"]
-        hydrogens = [line for line in self.structure.repairs if "hydrogens added" in line]
-        lacking = (
-            f"heavy atoms missing in {(heavy > 0).sum()} residues added ({heavy.sum()})"
-            if heavy.any()
-            else ""
-        )
-        return "; ".join(filter(None, [lacking, *hydrogens]))
+        told = [line for line in self.structure.repairs if "hydrogens added" in line]
+        if heavy.any():
+            told = [
+                f"{heavy.sum()} heavy atoms added that the file lacks, in {(heavy > 0).sum()} residues",
+                *told,
+            ]
+        return "; ".join(told)
 
     def record(self) -> dict[str, Any]:
         """Flat row: name, model and size, what was added, and the measures."""
