@@ -2,6 +2,16 @@
 
 from protochain.validation.clashes import Clashes, clashes
 from protochain.validation.rings import ThreadedRing, threaded_rings
+from protochain.validation.strain import Strain, strain
 from protochain.validation.violations import Violations, violations
 
-__all__ = ["Clashes", "ThreadedRing", "Violations", "clashes", "threaded_rings", "violations"]
+__all__ = [
+    "Clashes",
+    "Strain",
+    "ThreadedRing",
+    "Violations",
+    "clashes",
+    "strain",
+    "threaded_rings",
+    "violations",
+]
