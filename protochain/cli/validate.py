@@ -28,9 +28,7 @@ def validate(
     reference: Annotated[
         Path | None, typer.Option(help="Structure to compare with: lDDT, TM-score and RMSDs to it.")
     ] = None,
-    csv: Annotated[
-        Path | None, typer.Option("--csv", "-o", help="CSV to write: a row for each structure.")
-    ] = None,
+    csv: Annotated[Path | None, typer.Option(help="CSV to write: a row for each structure.")] = None,
     residues: Annotated[
         Path | None, typer.Option(help="CSV to write: a row for each residue of each structure.")
     ] = None,
@@ -46,8 +44,8 @@ def validate(
     from protochain.structure.matching import measurable
 
     outputs = [path for path in (csv, residues) if path]
-    if outputs:
-        check_outputs(Path(inputs[0]), outputs, force=False)
+    for each in inputs if outputs else ():
+        check_outputs(Path(each), outputs, force=False)
     compared = measurable(reference) if reference else None
     done: list[tuple[str, Validation]] = []
     rows: list[dict[str, Any]] = []

@@ -17,6 +17,7 @@ from protochain.validation.omega import Peptides, omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, Ramachandran, ramachandran
 from protochain.validation.rings import ThreadedRing, threaded_rings
 from protochain.validation.rotamers import SideChains, side_chains
+from protochain.validation.strain import Strain, strain
 from protochain.validation.violations import Violations, violations
 
 if TYPE_CHECKING:
@@ -76,6 +77,11 @@ class Found(Value):
         """Rings that a bond goes through."""
         return threaded_rings(self.structure, self.x)
 
+    @cached_property
+    def strain(self) -> Strain:
+        """Bonds and angles far from the force field's."""
+        return strain(self.structure, self.x)
+
     def measures(self) -> dict[str, Any]:
         """Values of all ``MEASURES``; None where nothing can be measured."""
         values = {key: measure.value(self) for key, measure in MEASURES.items()}
@@ -93,7 +99,7 @@ class Found(Value):
             "residue": np.char.add(s.residue_number, s.residue_insertion_code),
             "name": s.residue_name,
             "violation": self.violations.per_residue,
-            "clashes": np.bincount(of[self.clashes.pairs].ravel(), minlength=s.n_residues),
+            "clashes": self._count(self.clashes.pairs),
             "phi_degrees": self._spread(rama.residue, rama.phi),
             "psi_degrees": self._spread(rama.residue, rama.psi),
             "ramachandran_class": self._spread(rama.residue, np.array(CLASSES)[rama.kind]),
@@ -105,10 +111,18 @@ class Found(Value):
             "rotamer_outlier": np.isin(np.arange(s.n_residues), sides.outliers),
             "cbeta_deviation_angstrom": self._spread(self.cbeta.residue, self.cbeta.deviation),
             "wrong_hands": np.bincount(of[self.wrong_hands], minlength=s.n_residues),
+            "bond_outliers": self._count(self.strain.bonds),
+            "angle_outliers": self._count(self.strain.angles),
             "threaded_rings": np.bincount([ring.residue for ring in self.rings], minlength=s.n_residues),
             "atoms_added": np.bincount(of[built(s)], minlength=s.n_residues),
         }
         return pd.DataFrame(columns).loc[np.unique(of[~s.kept])]
+
+    def _count(self, atoms: Integers) -> Integers:
+        """(nr,) int: how many rows of atoms touch each residue."""
+        residues = np.sort(self.structure.atom_residue[atoms], axis=1)
+        first = np.diff(residues, axis=1, prepend=-1) > 0
+        return np.bincount(residues[first], minlength=self.structure.n_residues)
 
     def _spread(self, residue: Integers, values: Any) -> Any:
         """(nr,): values of some residues; empty text or NaN for the others."""
@@ -144,6 +158,10 @@ class Found(Value):
                 yield int(r), f"{'cis' if cis else 'twisted'} peptide bond before it (omega {omega:.0f})"
         for atom in self.wrong_hands.tolist():
             yield int(of[atom]), f"{s.atom_name[atom]} of the wrong hand"
+        for what, atoms in (("bond", self.strain.bonds), ("angle", self.strain.angles)):
+            first, counts = np.unique(of[atoms].min(axis=1), return_counts=True)
+            for r, count in zip(first.tolist(), counts.tolist(), strict=True):
+                yield r, f"{count} {what}{'s' * (count > 1)} strained"
         for ring in self.rings:
             yield ring.residue, str(ring)
 
@@ -197,6 +215,12 @@ MEASURES = {
         "twisted peptide bonds", "twist", lambda f: int(f.peptides.twisted.sum())
     ),
     "wrong_hands": Measure("chiral atoms of the wrong hand", "hand", lambda f: len(f.wrong_hands)),
+    "bond_outliers": Measure(
+        "bonds beyond 4 sigma of the force field's", "bond", lambda f: len(f.strain.bonds)
+    ),
+    "angle_outliers": Measure(
+        "angles beyond 4 sigma of the force field's", "angle", lambda f: len(f.strain.angles)
+    ),
     "threaded_rings": Measure("rings that a bond goes through", "ring", lambda f: len(f.rings)),
 }  # fmt: skip
 """All that :func:`measures` returns, by key."""

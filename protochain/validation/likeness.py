@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from protochain.arrays import Floats, Integers, Value, read_only
+from protochain.residues import STANDARD
 from protochain.structure.matching import Match, match, tm_score
 from protochain.structure.model import Structure
 from protochain.structure.superpose import rmsd_angstrom
@@ -115,8 +116,11 @@ def _correspondence(
     structure: Structure, reference: Structure, found: Match
 ) -> tuple[Integers, Integers, Integers]:
     """Heavy atoms of the reference, those of the structure by name (-1: none), and by their twin's name."""
-    ours, theirs = layout(structure), layout(reference)
-    known = (reference.atom_element != "H") & theirs.amino[reference.atom_residue] & ~built(reference)
+    ours, kinds = layout(structure), reference.residue_name[reference.atom_residue]
+    # Of a reference of C-alphas nothing has a backbone.
+    known = (
+        (reference.atom_element != "H") & np.isin(kinds, list(STANDARD)) & ~reference.kept & ~built(reference)
+    )
     atoms = np.flatnonzero(known)
     counterpart = np.full(reference.n_residues, NONE)
     counterpart[found.reference] = found.model
@@ -132,8 +136,8 @@ def _correspondence(
         return at
 
     both = {kind: twins | {b: a for a, b in twins.items()} for kind, twins in _TWINS.items()}
-    kinds = reference.residue_name[reference.atom_residue[atoms]].tolist()
-    other = [both.get(kind, {}).get(each, each) for kind, each in zip(kinds, name.tolist(), strict=True)]
+    its_kind = zip(kinds[atoms].tolist(), name.tolist(), strict=True)
+    other = [both.get(kind, {}).get(each, each) for kind, each in its_kind]
     return atoms, named(name), named(np.array(other, dtype=name.dtype))
 
 

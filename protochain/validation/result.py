@@ -33,8 +33,9 @@ class Validation(Value):
         ``violation``, ``clashes``, ``phi_degrees``, ``psi_degrees``, ``ramachandran_class``,
         ``ramachandran_percent`` (of the class are rarer), ``ramachandran`` (favoured, allowed, outlier),
         ``omega_degrees`` and ``peptide_bond`` (of the bond before it), ``rotamer`` (the nearest),
-        ``rotamer_outlier``, ``cbeta_deviation_angstrom``, ``wrong_hands``, ``threaded_rings``,
-        ``atoms_added`` (heavy atoms that the file lacks), with a reference ``lddt``.
+        ``rotamer_outlier``, ``cbeta_deviation_angstrom``, ``wrong_hands``, ``bond_outliers``,
+        ``angle_outliers``, ``threaded_rings``, ``atoms_added`` (heavy atoms that the file lacks), with a
+        reference ``lddt``.
     violations : Violations
         As AlphaFold counts them.
     findings : tuple of (int, str)
