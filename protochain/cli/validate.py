@@ -78,20 +78,28 @@ def _validated(
     inputs: Sequence[str], setup: Setup, reference: "Structure | None"
 ) -> Iterator[tuple[str, "Validation | ProtochainError"]]:
     """Name and validation of each structure, or why there is none."""
-    from protochain.batches.jobs import BatchSettings, find_jobs
     from protochain.validation import validate
 
-    given = [each for each in inputs if each != "-"]
-    jobs = find_jobs(given, BatchSettings(setup=setup)) if given else []
-    of_file = [(_name(job.path), job.path, job.settings.setup) for job in jobs]
-    if len(given) < len(inputs):
-        of_file.append(("standard input", Path("-"), setup))
-    for name, path, own in of_file:
+    for name, path, own in _files(inputs, setup):
         named = f"{name}, model {own.model}" if own.model is not None else name
         try:
             yield named, validate(own.load(path), reference)
         except ProtochainError as error:
             yield named, error
+
+
+def _files(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup]]:
+    """Name, path and setup of each structure."""
+    given = [each for each in inputs if each != "-"]
+    if all(Path(each).is_file() for each in given) and not isinstance(setup.model, str):
+        found = [(each, Path(each), setup) for each in given]
+    else:
+        # Only here, as it takes a second to load.
+        from protochain.batches.jobs import BatchSettings, find_jobs
+
+        jobs = find_jobs(given, BatchSettings(setup=setup))
+        found = [(_name(job.path), job.path, job.settings.setup) for job in jobs]
+    return found + [("standard input", Path("-"), setup)] * (len(given) < len(inputs))
 
 
 def _name(path: Path) -> str:

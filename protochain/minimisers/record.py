@@ -1,6 +1,6 @@
 """Columns of a solution's record: the one table behind terminal, CSV, JSON and pages."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
@@ -72,10 +72,13 @@ def heading(name: str) -> str:
     return words + (" " if words[-1].isdigit() else ", ") + UNITS[ending] if ending else words
 
 
-def _of_measures(ends: Callable[[Any], dict[str, Any]], when: str) -> Iterator[Column]:
-    """Columns of what is wrong with the structure at one end of a run."""
-    for key in MEASURES:
-        yield Column(f"{key}_{when}", lambda s, key=key: ends(s)[key])
+def _of_measure(key: str, when: str) -> Column:
+    """Column of what is wrong with the structure at the ``start`` or ``end`` of a run."""
+
+    def value(solution: Any) -> Any:
+        return getattr(solution, f"measures_{when}")[key]
+
+    return Column(f"{key}_{when}", value)
 
 
 COLUMNS = (
@@ -91,8 +94,7 @@ COLUMNS = (
     Column("ca_rmsd_angstrom", lambda s: s.ca_rmsd_angstrom, "C-alpha RMSD", "RMSD", 6),
     Column("ca_rmsd_as_filed_angstrom", lambda s: s.ca_rmsd_as_filed_angstrom),
     Column("frame", lambda s: str(s.frame)),
-    *_of_measures(lambda s: s.measures_start, "start"),
-    *_of_measures(lambda s: s.measures_end, "end"),
+    *(_of_measure(key, when) for key in MEASURES for when in ("start", "end")),
     Column("iterations", lambda s: s.n_iterations),
     Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals"),
     Column("seconds", lambda s: s.seconds, "seconds", "time s", 6),

@@ -75,6 +75,7 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
     Returns
     -------
     Likeness
+        Numbers, lDDT by residue, and the residues matched.
 
     Raises
     ------
