@@ -37,12 +37,13 @@ def solution(**changed):
 
 def test_a_record_holds_each_value_under_its_name():
     c = chain("ala10.pdb")
+    found = measures(c.structure)
     expected = {
         "structure": "ala10", "method": "lbfgs", "status": "budget", "message": "budget: used",
         "energy_start_kj_mol": -10.0, "energy_end_kj_mol": -12.25, "energy_end_reference_kj_mol": -12.5,
         "max_torque_end_kj_mol_rad": 30.0, "rms_force_end_kj_mol_nm": 4.0, "ca_rmsd_angstrom": 0.25,
         "ca_rmsd_as_filed_angstrom": 0.0, "frame": "superposed on the start",
-        **{f"{key}_{when}": value for key, value in measures(c.structure).items() for when in ("start", "end")},
+        **{f"{key}_{when}": value for key, value in found.items() for when in ("start", "end")},
         "iterations": 5, "evaluations": 6, "seconds": 1.5, "n_chains": 1, "n_residues": 10,
         "n_atoms": c.structure.n_atoms, "n_bodies": c.n_bodies, "n_hinges": c.n_hinges,
         "protochain": version("protochain"), "engine": "native", "engine_reason": "two kernels",
