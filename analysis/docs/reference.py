@@ -14,7 +14,15 @@ import pdoc
 import protochain
 
 PACKAGES = ("analysis", "batches", "dynamics", "energies", "minimisers", "structure", "validation")
-SHADOWED = ("dynamics.fixman", "dynamics.simulate", "multibody.random_tree")
+SHADOWED = (
+    "dynamics.fixman",
+    "dynamics.simulate",
+    "multibody.random_tree",
+    "validation.clashes",
+    "validation.likeness",
+    "validation.strain",
+    "validation.violations",
+)
 """Modules that share their name with a function of the package; the page is about the function."""
 PAGES = (
     "protochain",

@@ -214,7 +214,7 @@ def _excluded(structure: Structure) -> Integers:
     """Pairs (n,) up to three bonds apart, four if one is a hydrogen, each as one number, ascending."""
     near, far = joined(structure, 3), joined(structure, 4)
     far = far[(structure.atom_element == "H")[far].any(axis=1)]
-    return np.union1d(near @ [structure.n_atoms, 1], far @ [structure.n_atoms, 1])
+    return np.sort(np.concatenate([near, far]) @ np.array([structure.n_atoms, 1]))
 
 
 def _is_seen(structure: Structure, tree: cKDTree, pairs: Integers) -> NDArray[np.bool_]:

@@ -198,8 +198,10 @@ def _near(structure: Structure, x: Floats) -> tuple[Integers, Integers]:
         float(np.sqrt(((its - at) ** 2).sum(axis=1).max())) + 0.5 * _LONG
         for its, at in zip(corners, centre, strict=True)
     ]
-    close = cKDTree(middle[short]).query_ball_point(centre, reach) if len(short) else [[] for _ in every]
-    held = structure.obstacle[bonds].all(axis=1)
+    close: list[list[int]] = [[] for _ in every]
+    if len(short):
+        close = cKDTree(middle[short]).query_ball_point(centre, reach).tolist()
+    held = np.asarray(structure.obstacle[bonds].all(axis=1))
     which, found = [], []
     for ring, (atoms, barred) in enumerate(zip(every, _barred(structure), strict=True)):
         near = np.concatenate([short[np.sort(np.array(close[ring], dtype=np.int64))], long])
@@ -237,11 +239,11 @@ def _least_area(corners: Floats) -> Integers:
             cost[i, j] = total.min()
     found, ahead = [], [(0, n - 1)]
     while ahead:
-        i, j = ahead.pop()
-        if j - i > 1:
-            k = int(best[i, j])
-            found.append((i, k, j))
-            ahead += [(i, k), (k, j)]
+        first, last = ahead.pop()
+        if last - first > 1:
+            middle = int(best[first, last])
+            found.append((first, middle, last))
+            ahead += [(first, middle), (middle, last)]
     return read_only(found, np.int64)
 
 

@@ -20,7 +20,7 @@ _THERMAL = 8.314462618e-3 * 300.0
 
 @dataclass(frozen=True, eq=False)
 class Strain(Value):
-    """Bond lengths and angles more than four standard deviations from those of the force field.
+    """Bond lengths and angles of heavy atoms more than four standard deviations from the force field's.
 
     Parameters
     ----------
@@ -78,7 +78,8 @@ def strain(structure: Structure, x: Floats | None = None) -> Strain:
     11:3696, 2015), whatever field a run has. The standard deviation is that of a free bond or angle at 300 K,
     sqrt(RT/k): 0.03 angstrom and 3 to 4 degrees for most; an outlier holds more than 8 RT, 20 kJ/mol. The
     deviations among small-molecule crystals, in which MolProbity counts, are about two thirds as large.
-    Hydrogens are included, molecules beside the protein left out.
+    Hydrogens are left out, whose bonds are shorter in many files by convention, as are molecules beside the
+    protein.
 
     Parameters
     ----------
@@ -133,7 +134,7 @@ class _Terms:
 
 
 @lru_cache(maxsize=16)
-def _terms(structure: Structure) -> _Terms:
+def _terms(structure: Structure, hydrogens: bool = False) -> _Terms:
     names, kind = np.unique(_types(structure), return_inverse=True)
     lengths, angles = _parameters()
     bonds, triples = structure.bonds, _triples(structure.bonds, structure.n_atoms)
@@ -144,6 +145,8 @@ def _terms(structure: Structure) -> _Terms:
         norms = np.array([table.get(tuple(names[each].tolist()), (np.nan, np.nan)) for each in kinds])
         own = norms.reshape(-1, 2)[which.ravel()]
         known = np.isfinite(own).all(axis=1)
+        if not hydrogens:
+            known &= (structure.atom_element[atoms] != "H").all(axis=1)
         found += [atoms[known], own[known]]
     return _Terms(*found)
 

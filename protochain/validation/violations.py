@@ -155,11 +155,15 @@ def violations(structure: Structure, x: Floats | None = None) -> Violations:
     """
     x = structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
     x = ANGSTROM_PER_NM * x
-    found = (*_connections(structure, x), _clashes(structure, x), _within(structure, x))
+    found = [
+        read_only(atoms, np.int64)
+        for atoms in (*_connections(structure, x), _clashes(structure, x), _within(structure, x))
+    ]
     concerned = np.zeros(structure.n_residues, dtype=bool)
     for atoms in found:
         concerned[structure.atom_residue[atoms]] = True
-    return Violations(*(read_only(atoms, np.int64) for atoms in found), read_only(concerned, np.bool_))
+    bonds, ca_c_n, c_n_ca, clashes, within = found
+    return Violations(bonds, ca_c_n, c_n_ca, clashes, within, read_only(concerned, np.bool_))
 
 
 def _connections(structure: Structure, x: Floats) -> tuple[Integers, Integers, Integers]:
@@ -271,8 +275,8 @@ def _contacts(structure: Structure) -> tuple[Integers, Floats, Integers]:
     at, _ = places(structure)
     atoms = np.sort(at[at >= 0])
     radius = np.array([_RADIUS.get(name[:1], 0.0) for name in structure.atom_name.tolist()])
-    bonded = np.sort(_joints(structure)[0][:, 1:3], axis=1) @ [structure.n_atoms, 1]
-    return atoms, radius, bonded
+    bonded = np.sort(_joints(structure)[0][:, 1:3], axis=1) @ np.array([structure.n_atoms, 1])
+    return read_only(atoms, np.int64), read_only(radius), read_only(bonded, np.int64)
 
 
 def _counted(n: int, what: str, several: str = "") -> str:
