@@ -138,6 +138,19 @@ def test_the_structure_that_alphafold_names_after_its_violations_has_some():
     assert found and len(found.clashing_atoms) == 17 and connected(s, found) == [59, 60]
 
 
+@pytest.mark.parametrize(
+    ("name", "residues", "clashing", "within"),
+    [("3enl_enolase.pdb", 6, 0, 0), ("1ajj_ldlr.pdb", 0, 0, 2), ("5pti_bpti.cif", 0, 0, 2),
+     ("boltz2_5ht2c.cif", 0, 2, 0), ("1bhl_gap_cas.pdb", 0, 0, 0)],
+)  # fmt: skip
+def test_counts_are_those_of_alphafolds_own_code(name, residues, clashing, within):
+    """Residues of wrong connections, atoms in clashes, atoms of wrong distances: alphafold-colabfold 2.3.27."""
+    s = pc.load(shared(name))
+    found = violations(s)
+    counts = (len(connected(s, found)), len(found.clashing_atoms), len(np.unique(found.within)))
+    assert counts == (residues, clashing, within)
+
+
 @pytest.mark.parametrize("name", ["1l2y.pdb", "4pti.pdb"])
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.04])
 def test_equals_the_slow_oracle_with_and_without_noise(name, noise):
@@ -209,6 +222,15 @@ def test_chains_are_compared_with_one_another():
     x = moved(s, s.residue_chain[s.atom_residue] == "A", s.positions[j] + [0.1, 0, 0] - s.positions[i])
     assert sorted((i, j)) in violations(s, x).clashes.tolist()
     assert not violations(s)
+
+
+def test_a_bond_between_residues_whose_numbers_do_not_follow_is_no_clash():
+    """AlphaFold, which goes by the numbers, calls it one."""
+    s = pc.load(shared("6lfo_gap_model.pdb"))
+    jump = [r for r in range(s.n_residues - 1) if int(s.residue_number[r + 1]) > int(s.residue_number[r]) + 1]
+    c, n = zip(*((atom(s, r, "C"), atom(s, r + 1, "N")) for r in jump), strict=True)
+    apart = np.linalg.norm(s.positions[list(c)] - s.positions[list(n)], axis=1)
+    assert (apart < 0.15).any() and not len(violations(s).clashes)
 
 
 def test_a_chain_split_at_a_long_bond_violates_it(tmp_path):
