@@ -127,6 +127,8 @@ def test_alphafold_finds_the_same_on_its_own_test_structure():
     assert found.clashing_atoms.tolist() == expected and len(expected) == 37
     assert connected(s, found) == PUBLISHED_CONNECTIONS
     assert found.counts["within"] == 0
+    kinds = [line.split(":")[0] for line in found.lines(s)]
+    assert kinds == ["bond"] + 2 * ["angle"] + found.counts["clashes"] * ["clash"]
     assert set(found.residues.tolist()) == {r for r, _ in PUBLISHED_CLASHES} | set(PUBLISHED_CONNECTIONS)
     assert found.per_residue.sum() == len(found.residues) == 24
 
@@ -227,7 +229,8 @@ def test_chains_are_compared_with_one_another():
 def test_a_bond_between_residues_whose_numbers_do_not_follow_is_no_clash():
     """AlphaFold, which goes by the numbers, calls it one."""
     s = pc.load(shared("6lfo_gap_model.pdb"))
-    jump = [r for r in range(s.n_residues - 1) if int(s.residue_number[r + 1]) > int(s.residue_number[r]) + 1]
+    number = [int(each) for each in s.residue_number]
+    jump = [r for r in range(s.n_residues - 1) if number[r + 1] > number[r] + 1]
     c, n = zip(*((atom(s, r, "C"), atom(s, r + 1, "N")) for r in jump), strict=True)
     apart = np.linalg.norm(s.positions[list(c)] - s.positions[list(n)], axis=1)
     assert (apart < 0.15).any() and not len(violations(s).clashes)
