@@ -146,7 +146,7 @@ def test_the_structure_that_alphafold_names_after_its_violations_has_some():
      ("boltz2_5ht2c.cif", 0, 2, 0), ("1bhl_gap_cas.pdb", 0, 0, 0)],
 )  # fmt: skip
 def test_counts_are_those_of_alphafolds_own_code(name, residues, clashing, within):
-    """Residues of wrong connections, atoms in clashes, atoms of wrong distances: alphafold-colabfold 2.3.27."""
+    """Residues of wrong connections, atoms in clashes and of wrong distances: alphafold-colabfold 2.3.27."""
     s = pc.load(shared(name))
     found = violations(s)
     counts = (len(connected(s, found)), len(found.clashing_atoms), len(np.unique(found.within)))
