@@ -127,6 +127,8 @@ def test_alphafold_finds_the_same_on_its_own_test_structure():
     assert found.clashing_atoms.tolist() == expected and len(expected) == 37
     assert connected(s, found) == PUBLISHED_CONNECTIONS
     assert found.counts["within"] == 0
+    kinds = [line.split(":")[0] for line in found.lines(s)]
+    assert kinds == ["bond"] + 2 * ["angle"] + found.counts["clashes"] * ["clash"]
     assert set(found.residues.tolist()) == {r for r, _ in PUBLISHED_CLASHES} | set(PUBLISHED_CONNECTIONS)
     assert found.per_residue.sum() == len(found.residues) == 24
 
@@ -136,6 +138,19 @@ def test_the_structure_that_alphafold_names_after_its_violations_has_some():
     found = violations(s)
     assert as_sets(found) == slow(s, s.positions)
     assert found and len(found.clashing_atoms) == 17 and connected(s, found) == [59, 60]
+
+
+@pytest.mark.parametrize(
+    ("name", "residues", "clashing", "within"),
+    [("3enl_enolase.pdb", 6, 0, 0), ("1ajj_ldlr.pdb", 0, 0, 2), ("5pti_bpti.cif", 0, 0, 2),
+     ("boltz2_5ht2c.cif", 0, 2, 0), ("1bhl_gap_cas.pdb", 0, 0, 0)],
+)  # fmt: skip
+def test_counts_are_those_of_alphafolds_own_code(name, residues, clashing, within):
+    """Residues of wrong connections, atoms in clashes and of wrong distances: alphafold-colabfold 2.3.27."""
+    s = pc.load(shared(name))
+    found = violations(s)
+    counts = (len(connected(s, found)), len(found.clashing_atoms), len(np.unique(found.within)))
+    assert counts == (residues, clashing, within)
 
 
 @pytest.mark.parametrize("name", ["1l2y.pdb", "4pti.pdb"])
@@ -209,6 +224,16 @@ def test_chains_are_compared_with_one_another():
     x = moved(s, s.residue_chain[s.atom_residue] == "A", s.positions[j] + [0.1, 0, 0] - s.positions[i])
     assert sorted((i, j)) in violations(s, x).clashes.tolist()
     assert not violations(s)
+
+
+def test_a_bond_between_residues_whose_numbers_do_not_follow_is_no_clash():
+    """AlphaFold, which goes by the numbers, calls it one."""
+    s = pc.load(shared("6lfo_gap_model.pdb"))
+    number = [int(each) for each in s.residue_number]
+    jump = [r for r in range(s.n_residues - 1) if number[r + 1] > number[r] + 1]
+    c, n = zip(*((atom(s, r, "C"), atom(s, r + 1, "N")) for r in jump), strict=True)
+    apart = np.linalg.norm(s.positions[list(c)] - s.positions[list(n)], axis=1)
+    assert (apart < 0.15).any() and not len(violations(s).clashes)
 
 
 def test_a_chain_split_at_a_long_bond_violates_it(tmp_path):

@@ -106,22 +106,25 @@ class Violations(Value):
             The positions measured; by default the structure's own.
         """
         x = ANGSTROM_PER_NM * (structure.positions if x is None else x)
-        found = []
-        for what, pairs in (("bond", self.bonds), ("clash", self.clashes), ("distance", self.within)):
-            apart = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-            found += [
-                f"{what}: {structure.describe(i)} and {structure.describe(j)} are {r:.2f} angstrom apart"
-                for (i, j), r in zip(pairs.tolist(), apart.tolist(), strict=True)
-            ]
         angles = np.vstack([self.angles_ca_c_n, self.angles_c_n_ca])
         cosine = _cosine(*(x[angles[:, k]] for k in range(3)))
         degrees = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        bent = []
         for triple, value in zip(angles.tolist(), degrees.tolist(), strict=True):
             name = "-".join(structure.atom_name[triple].tolist())
             ends = sorted({int(structure.atom_residue[atom]) for atom in triple})
             where = " and ".join(structure.describe_residue(each) for each in ends)
-            found.insert(len(self.bonds), f"angle: {name} of {where} is {value:.0f} degrees")
-        return found
+            bent.append(f"angle: {name} of {where} is {value:.0f} degrees")
+        bonds, clashes, within = (
+            [
+                f"{what}: {structure.describe(i)} and {structure.describe(j)} are {r:.2f} angstrom apart"
+                for (i, j), r in zip(
+                    pairs.tolist(), np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1), strict=True
+                )
+            ]
+            for what, pairs in (("bond", self.bonds), ("clash", self.clashes), ("distance", self.within))
+        )
+        return [*bonds, *bent, *clashes, *within]
 
 
 def violations(structure: Structure, x: Floats | None = None) -> Violations:
