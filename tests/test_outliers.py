@@ -321,8 +321,20 @@ def test_a_dihedral_has_the_sign_of_iupac_and_none_without_its_atoms():
     assert found[:2] == pytest.approx(np.degrees(mdtraj.compute_dihedrals(frame, atoms[:2])[0]), abs=1e-3)
 
 
-def test_atoms_that_a_file_lacks_are_known_as_added():
-    s = pc.load(shared("trpcage_d9e_missing.pdb"))
+@pytest.mark.parametrize(("chain_id", "code"), [("A", " "), (" ", " "), ("B", "C")])
+def test_atoms_that_a_file_lacks_are_known_as_added(chain_id, code, tmp_path):
+    lines = shared("trpcage_d9e_missing.pdb").read_text().splitlines()
+    atoms = [line for line in lines if line.startswith("ATOM")]
+    # Residue 9 with an insertion code follows one of the same number without.
+    own = [
+        line[:21]
+        + chain_id
+        + ("   8" + code if code != " " and line[22:26] == "   9" else line[22:27])
+        + line[27:]
+        for line in atoms
+    ]
+    (tmp_path / "m.pdb").write_text("\n".join([*own, "END\n"]))
+    s = pc.load(tmp_path / "m.pdb")
     assert s.atom_name[built(s)].tolist() == ["CB", "CG", "CD", "OE1", "OE2"]
-    assert set(s.residue_number[s.atom_residue[built(s)]]) == {"9"}
+    assert set(s.atom_residue[built(s)].tolist()) == {8}
     assert not built(load("1ubq.pdb")).any()

@@ -13,6 +13,9 @@ from protochain.errors import ProtochainError
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+    from rich.table import Table
+
     from protochain.structure import Structure
     from protochain.validation import Validation
 
@@ -47,28 +50,29 @@ def validate(
     for each in inputs if outputs else ():
         check_outputs(Path(each), outputs, force=False)
     compared = measurable(reference) if reference else None
-    done: list[tuple[str, Validation]] = []
     rows: list[dict[str, Any]] = []
+    tables: list[DataFrame] = []
+    # Structures are not kept: there may be thousands.
     for name, result in _validated(inputs, setup, compared):
         if isinstance(result, ProtochainError):
             print(result, file=sys.stderr)
             rows.append({"file": name, "message": str(result)})
             continue
-        done.append((name, result))
-        rows.append({"file": name, **result.record(), "message": ""})
+        told = {"added": result.added, "findings": result.listing(), "message": ""}
+        rows.append({"file": name, **result.record(), **told})
+        if residues:
+            tables.append(result.residues.assign(file=name, model=result.structure.model_number))
     if outputs:
         import pandas as pd
     if csv:
-        table = pd.DataFrame(rows).convert_dtypes()
+        table = pd.DataFrame(rows).drop(columns="findings", errors="ignore").convert_dtypes()
         write_atomically(csv, lambda to: table.to_csv(to, index=False))
     if residues:
-        every = [each.residues.assign(file=name, model=each.structure.model_number) for name, each in done]
-        whole = pd.concat(every) if every else pd.DataFrame()
-        write_atomically(residues, lambda to: whole.to_csv(to, index=False))
+        every = pd.concat(tables) if tables else pd.DataFrame()
+        write_atomically(residues, lambda to: every.to_csv(to, index=False))
+    done = [row for row in rows if not row["message"]]
     if as_json:
-        said = {name: {"added": each.added, "findings": each.listing()} for name, each in done}
-        results = [row | said.get(row["file"], {}) for row in rows]
-        print(json.dumps({"reference": str(reference) if reference else None, "results": results}))
+        print(json.dumps({"reference": str(reference) if reference else None, "results": rows}))
     elif done:
         _print(done)
     raise typer.Exit(CONVERGED if len(done) == len(rows) else BAD_INPUT)
@@ -107,7 +111,7 @@ def _name(path: Path) -> str:
     return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
 
 
-def _print(done: Sequence[tuple[str, "Validation"]]) -> None:
+def _print(rows: Sequence[dict[str, Any]]) -> None:
     """Print the numbers of all structures, then the residues concerned in words."""
     from rich.console import Console
 
@@ -115,18 +119,18 @@ def _print(done: Sequence[tuple[str, "Validation"]]) -> None:
 
     console = Console()
     headings = {key: measure.heading for key, measure in MEASURES.items() if measure.heading}
-    console.print(_table(done, headings), crop=False)
-    if set(LIKENESS) & set(done[0][1].measures):
-        console.print(_table(done, {key: heading for key, (heading, _) in LIKENESS.items()}), crop=False)
-    for name, each in done:
-        lines = each.listing()
+    console.print(_table(rows, headings), crop=False)
+    if LIKENESS.keys() & rows[0].keys():
+        console.print(_table(rows, {key: heading for key, (heading, _) in LIKENESS.items()}), crop=False)
+    for row in rows:
+        lines = row["findings"]
         more = [f"and {len(lines) - _SHOWN} more residues; --residues FILE lists all"] * (len(lines) > _SHOWN)
-        told = [f"  {line}" for line in [*filter(None, [each.added]), *lines[:_SHOWN], *more]]
-        for line in [f"{name}:", *told] if told else []:
+        told = [f"  {line}" for line in [*filter(None, [row["added"]]), *lines[:_SHOWN], *more]]
+        for line in [f"{row['file']}:", *told] if told else []:
             console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def _table(done: Sequence[tuple[str, "Validation"]], headings: dict[str, str]) -> Any:
+def _table(rows: Sequence[dict[str, Any]], headings: dict[str, str]) -> "Table":
     from rich.markup import escape
     from rich.table import Table
 
@@ -134,8 +138,8 @@ def _table(done: Sequence[tuple[str, "Validation"]], headings: dict[str, str]) -
     table.add_column("file", overflow="fold", min_width=14)
     for heading in headings.values():
         table.add_column(heading, justify="right")
-    for name, each in done:
-        table.add_row(escape(Path(name).name), *(_number(each.measures[key]) for key in headings))
+    for row in rows:
+        table.add_row(escape(Path(row["file"]).name), *(_number(row[key]) for key in headings))
     return table
 
 
