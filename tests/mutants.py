@@ -37,6 +37,7 @@ FOLDERS = {
     "neighbours": (["energies/native/neighbours.py"], ["native", "neighbours"]),
     "batches": (["batches"], ["batches", "processes"]),
     "cli": (["cli"], ["cli", "commands", "command_runs", "command_jobs"]),
+    "validation": (["validation"], []),
     "analysis": (["analysis/deviation.py", "analysis/quality.py"], []),
     "mechanics": (["multibody", "dynamics", "chain.py"], ["multibody", "mass", "chain", "dynamics"]),
     "kernels": (["energies/native"], ["native", "energy"]),

@@ -32,6 +32,7 @@ MINIMISE = {
     "report": None, "one_file": False, "seed": 0, **AS_JSON, "force": False, **SETUP,
 }  # fmt: skip
 NOT_IN_BATCH = ("threads", "trust_forcefield")
+NOT_IN_VALIDATE = ("hinges", "move", "forcefield", "solvent", "engine", *NOT_IN_BATCH)
 COMMANDS = {
     "minimise": MINIMISE,
     "minimize": MINIMISE,
@@ -53,6 +54,10 @@ COMMANDS = {
         "trajectory_length": 10, "every": 100, "trajectory": "dcd", "checkpoint_every": 10, "relax": True,
         "resume": False, "force": False, "seed": 0, **AS_JSON, **SETUP,
     },
+    "validate": {
+        "inputs": None, "reference": None, "csv": None, "residues": None, **AS_JSON,
+        **{k: v for k, v in SETUP.items() if k not in NOT_IN_VALIDATE},
+    },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
     "bench": {"name": "all", "inputs": None, "output": Path("bench")},
     "info": {
@@ -62,7 +67,8 @@ COMMANDS = {
     "build": {"sequence": None, **OUTPUT},
 }  # fmt: skip
 METAVARS = {
-    ("source", None): "IN", ("inputs", "batch"): "IN...", ("output", "batch"): "DIR",
+    ("source", None): "IN", ("inputs", "batch"): "IN...", ("inputs", "validate"): "IN...",
+    ("output", "batch"): "DIR",
     ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
     ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
     "bench"): "[IN...]",

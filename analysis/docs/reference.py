@@ -13,8 +13,16 @@ import pdoc
 
 import protochain
 
-PACKAGES = ("analysis", "batches", "dynamics", "energies", "minimisers", "structure")
-SHADOWED = ("dynamics.fixman", "dynamics.simulate", "multibody.random_tree")
+PACKAGES = ("analysis", "batches", "dynamics", "energies", "minimisers", "structure", "validation")
+SHADOWED = (
+    "dynamics.fixman",
+    "dynamics.simulate",
+    "multibody.random_tree",
+    "validation.clashes",
+    "validation.likeness",
+    "validation.strain",
+    "validation.violations",
+)
 """Modules that share their name with a function of the package; the page is about the function."""
 PAGES = (
     "protochain",

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from protochain.validation.found import MEASURES
+
 UNITS = {
     "_kj_mol_rad": "kJ/mol/rad", "_kj_mol_nm2": "kJ/mol/nm^2", "_kj_mol_nm": "kJ/mol/nm", "_kj_mol": "kJ/mol",
     "_kj_mol_per_residue": "kJ/mol per residue", "_angstrom": "angstrom", "_degrees": "degrees", "_nm": "nm",
@@ -70,6 +72,15 @@ def heading(name: str) -> str:
     return words + (" " if words[-1].isdigit() else ", ") + UNITS[ending] if ending else words
 
 
+def _of_measure(key: str, when: str) -> Column:
+    """Column of what is wrong with the structure at the ``start`` or ``end`` of a run."""
+
+    def value(solution: Any) -> Any:
+        return getattr(solution, f"measures_{when}")[key]
+
+    return Column(f"{key}_{when}", value)
+
+
 COLUMNS = (
     Column("structure", lambda s: s.chain.structure.name),
     Column("method", lambda s: s.method, "method"),
@@ -83,6 +94,7 @@ COLUMNS = (
     Column("ca_rmsd_angstrom", lambda s: s.ca_rmsd_angstrom, "C-alpha RMSD", "RMSD", 6),
     Column("ca_rmsd_as_filed_angstrom", lambda s: s.ca_rmsd_as_filed_angstrom),
     Column("frame", lambda s: str(s.frame)),
+    *(_of_measure(key, when) for key in MEASURES for when in ("start", "end")),
     Column("iterations", lambda s: s.n_iterations),
     Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals"),
     Column("seconds", lambda s: s.seconds, "seconds", "time s", 6),

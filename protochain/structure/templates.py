@@ -4,7 +4,7 @@ Names, elements, charges and bonds are read from the files; scripts in them are 
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from xml.etree import ElementTree
@@ -17,6 +17,8 @@ from protochain.residues import CAPS, NUCLEOTIDES, STANDARD, STATE_PARENT
 from protochain.structure.draft import Part
 
 _DATA = Path(app.__file__).parent / "data"
+PROTEIN = _DATA / "amber14" / "protein.ff14SB.xml"
+"""The default force field of proteins."""
 _BONDED = 2.2
 """Angstrom: no bond of an amino acid is longer (C-S 1.8, S-S 2.0)."""
 _FILES = ("protein.ff14SB.xml", "DNA.OL15.xml", "RNA.OL3.xml", "tip3p.xml")
@@ -37,6 +39,8 @@ class Template:
         Bonds within the residue.
     synonyms : mapping of str to str
         PDB name of every other name of an atom.
+    type : mapping of str to str
+        Atom type of each atom in the force field, by PDB name.
     """
 
     name: str
@@ -44,6 +48,7 @@ class Template:
     charge: Mapping[str, float]
     bonds: tuple[tuple[str, str], ...]
     synonyms: Mapping[str, str]
+    type: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def heavy(self) -> list[str]:
@@ -130,6 +135,7 @@ def _template(node: ElementTree.Element, elements: Mapping[str | None, str]) -> 
         {called[given]: float(atom.get("charge", 0.0)) for given, atom in zip(order, atoms, strict=True)},
         tuple(bonds),
         {other: pdb_name for other, pdb_name in synonyms.items() if other not in set(called.values())},
+        {called[given]: atom.get("type", "") for given, atom in zip(order, atoms, strict=True)},
     )
 
 

@@ -1,0 +1,153 @@
+"""``protochain validate``."""
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from protochain.cli.options import BAD_INPUT, CONVERGED, AsJson, check_outputs, with_setup
+from protochain.errors import ProtochainError
+from protochain.setup import Setup
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from rich.table import Table
+
+    from protochain.structure import Structure
+    from protochain.validation import Validation
+
+_SHOWN = 10
+"""Residues listed of each structure; the tables have all."""
+
+
+@with_setup(without="hinges move forcefield solvent engine threads trust_forcefield")
+def validate(
+    inputs: Annotated[
+        list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns; - is standard input.")
+    ],
+    reference: Annotated[
+        Path | None, typer.Option(help="Structure to compare with: lDDT, TM-score and RMSDs to it.")
+    ] = None,
+    csv: Annotated[Path | None, typer.Option(help="CSV to write: a row for each structure.")] = None,
+    residues: Annotated[
+        Path | None, typer.Option(help="CSV to write: a row for each residue of each structure.")
+    ] = None,
+    as_json: AsJson = False,
+    *,
+    setup: Setup,
+) -> None:
+    """Say what is wrong with structures: violations, clashes, outliers, cis and twisted peptide bonds.
+
+    Heavy atoms are measured where the file has them; those that are missing, and hydrogens, are added first.
+    """
+    from protochain.storage import write_atomically
+    from protochain.structure.matching import measurable
+
+    outputs = [path for path in (csv, residues) if path]
+    for each in inputs if outputs else ():
+        check_outputs(Path(each), outputs, force=False)
+    compared = measurable(reference) if reference else None
+    rows: list[dict[str, Any]] = []
+    tables: list[DataFrame] = []
+    # Structures are not kept: there may be thousands.
+    for name, result in _validated(inputs, setup, compared):
+        if isinstance(result, ProtochainError):
+            print(result, file=sys.stderr)
+            rows.append({"file": name, "message": str(result)})
+            continue
+        told = {"added": result.added, "findings": result.listing(), "message": ""}
+        rows.append({"file": name, **result.record(), **told})
+        if residues:
+            tables.append(result.residues.assign(file=name, model=result.structure.model_number))
+    if outputs:
+        import pandas as pd
+    if csv:
+        table = pd.DataFrame(rows).drop(columns="findings", errors="ignore").convert_dtypes()
+        write_atomically(csv, lambda to: table.to_csv(to, index=False))
+    if residues:
+        every = pd.concat(tables) if tables else pd.DataFrame()
+        write_atomically(residues, lambda to: every.to_csv(to, index=False))
+    done = [row for row in rows if not row["message"]]
+    if as_json:
+        print(json.dumps({"reference": str(reference) if reference else None, "results": rows}))
+    elif done:
+        _print(done)
+    raise typer.Exit(CONVERGED if len(done) == len(rows) else BAD_INPUT)
+
+
+def _validated(
+    inputs: Sequence[str], setup: Setup, reference: "Structure | None"
+) -> Iterator[tuple[str, "Validation | ProtochainError"]]:
+    """Name and validation of each structure, or why there is none."""
+    from protochain.validation import validate
+
+    for name, path, own in _files(inputs, setup):
+        named = f"{name}, model {own.model}" if own.model is not None else name
+        try:
+            yield named, validate(own.load(path), reference)
+        except ProtochainError as error:
+            yield named, error
+
+
+def _files(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup]]:
+    """Name, path and setup of each structure."""
+    given = [each for each in inputs if each != "-"]
+    if all(Path(each).is_file() for each in given) and not isinstance(setup.model, str):
+        found = [(each, Path(each), setup) for each in given]
+    else:
+        # Only here, as it takes a second to load.
+        from protochain.batches.jobs import BatchSettings, find_jobs
+
+        jobs = find_jobs(given, BatchSettings(setup=setup))
+        found = [(_name(job.path), job.path, job.settings.setup) for job in jobs]
+    return found + [("standard input", Path("-"), setup)] * (len(given) < len(inputs))
+
+
+def _name(path: Path) -> str:
+    """Path as a user would write it: relative to the folder he is in, if it lies there."""
+    return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
+
+
+def _print(rows: Sequence[dict[str, Any]]) -> None:
+    """Print the numbers of all structures, then the residues concerned in words."""
+    from rich.console import Console
+
+    from protochain.validation import LIKENESS, MEASURES
+
+    console = Console()
+    headings = {key: measure.heading for key, measure in MEASURES.items() if measure.heading}
+    console.print(_table(rows, headings), crop=False)
+    if LIKENESS.keys() & rows[0].keys():
+        console.print(_table(rows, {key: heading for key, (heading, _) in LIKENESS.items()}), crop=False)
+    for row in rows:
+        lines = row["findings"]
+        more = [f"and {len(lines) - _SHOWN} more residues; --residues FILE lists all"] * (len(lines) > _SHOWN)
+        told = [f"  {line}" for line in [*filter(None, [row["added"]]), *lines[:_SHOWN], *more]]
+        for line in [f"{row['file']}:", *told] if told else []:
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _table(rows: Sequence[dict[str, Any]], headings: dict[str, str]) -> "Table":
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("file", overflow="fold", min_width=14)
+    for heading in headings.values():
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(escape(Path(row["file"]).name), *(_number(row[key]) for key in headings))
+    return table
+
+
+def _number(value: Any) -> str:
+    return (
+        "-"
+        if value is None
+        else f"{value:.2f}"
+        if isinstance(value, float) and value < 10
+        else f"{value:.0f}"
+    )

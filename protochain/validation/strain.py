@@ -1,0 +1,216 @@
+"""Strain: bond lengths and angles far from those of the force field."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from xml.etree import ElementTree
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers, Value, floats, read_only
+from protochain.structure.model import Structure
+from protochain.structure.templates import PROTEIN, Template, standard_name, templates
+from protochain.units import ANGSTROM_PER_NM
+
+BEYOND = 4.0
+"""Standard deviations."""
+_THERMAL = 8.314462618e-3 * 300.0
+"""kJ/mol: RT at 300 K."""
+
+
+@dataclass(frozen=True, eq=False)
+class Strain(Value):
+    """Bond lengths and angles of heavy atoms more than four standard deviations from the force field's.
+
+    Parameters
+    ----------
+    bonds : (n, 2) int
+        Atoms of the bonds, the worst first.
+    bond_deviations : (n,) float
+        In standard deviations; negative if the bond is too short.
+    angles : (m, 3) int
+        Atoms of the angles, the worst first.
+    angle_deviations : (m,) float
+        In standard deviations; negative if the angle is too small.
+    n_bonds, n_angles : int
+        Numbers of bonds and angles compared.
+    """
+
+    bonds: Integers
+    bond_deviations: Floats
+    angles: Integers
+    angle_deviations: Floats
+    n_bonds: int
+    n_angles: int
+
+    def lines(self, structure: Structure, x: Floats | None = None) -> list[str]:
+        """Describe each bond and angle in a line.
+
+        Parameters
+        ----------
+        structure : Structure
+        x : (na, 3) float, nm, optional
+            The positions measured; by default the structure's own.
+        """
+        x = structure.positions if x is None else x
+        lengths = ANGSTROM_PER_NM * _lengths(self.bonds, x)
+        degrees = np.degrees(_angles(self.angles, x))
+        found = [
+            f"bond of {structure.describe(i)} and {structure.describe(j)} is {value:.2f} angstrom long, "
+            f"{by:+.1f} standard deviations"
+            for (i, j), value, by in zip(
+                self.bonds.tolist(), lengths.tolist(), self.bond_deviations.tolist(), strict=True
+            )
+        ]
+        for atoms, value, by in zip(
+            self.angles.tolist(), degrees.tolist(), self.angle_deviations.tolist(), strict=True
+        ):
+            name = "-".join(structure.atom_name[atoms].tolist())
+            where = structure.describe_residue(int(structure.atom_residue[atoms[1]]))
+            found.append(f"angle {name} of {where} is {value:.0f} degrees, {by:+.1f} standard deviations")
+        return found
+
+
+def strain(structure: Structure, x: Floats | None = None) -> Strain:
+    """Find bonds and angles of the protein more than four standard deviations from the force field's values.
+
+    Equilibrium values and force constants k are those of Amber ff14SB (Maier et al., J. Chem. Theory Comput.
+    11:3696, 2015), whatever field a run has. The standard deviation is that of a free bond or angle at 300 K,
+    sqrt(RT/k): 0.03 angstrom and 3 to 4 degrees for most; an outlier holds more than 8 RT, 20 kJ/mol. The
+    deviations among small-molecule crystals, in which MolProbity counts, are about two thirds as large.
+    Hydrogens are left out, whose bonds are shorter in many files by convention, as are molecules beside the
+    protein.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure to measure.
+    x : (na, 3) float, nm, optional
+        Positions to measure; by default the structure's own.
+
+    Returns
+    -------
+    Strain
+        Bonds and angles, each the worst first.
+
+    Raises
+    ------
+    ProtochainError
+        If x has another shape.
+    """
+    x = structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
+    terms = _terms(structure)
+    bonds, by_bond = _outliers(terms.bonds, _lengths(terms.bonds, x), terms.lengths)
+    angles, by_angle = _outliers(terms.triples, _angles(terms.triples, x), terms.angles)
+    return Strain(bonds, by_bond, angles, by_angle, len(terms.bonds), len(terms.triples))
+
+
+def _outliers(atoms: Integers, values: Floats, norms: Floats) -> tuple[Integers, Floats]:
+    off = (values - norms[:, 0]) / norms[:, 1]
+    far = np.flatnonzero(np.abs(off) > BEYOND)
+    far = far[np.argsort(-np.abs(off[far]), kind="stable")]
+    return read_only(atoms[far], np.int64), read_only(off[far])
+
+
+def _lengths(bonds: Integers, x: Floats) -> Floats:
+    return np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1)
+
+
+def _angles(triples: Integers, x: Floats) -> Floats:
+    """Angles (n,) at the middle atoms, rad."""
+    u, v = (x[triples[:, k]] - x[triples[:, 1]] for k in (0, 2))
+    across = np.linalg.norm(np.cross(u, v), axis=1)
+    return np.arctan2(across, (u * v).sum(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Terms:
+    """Bonds (n, 2) and angles (m, 3), each with its value and standard deviation (n, 2), nm or rad."""
+
+    bonds: Integers
+    lengths: Floats
+    triples: Integers
+    angles: Floats
+
+
+@lru_cache(maxsize=16)
+def _terms(structure: Structure, hydrogens: bool = False) -> _Terms:
+    names, kind = np.unique(_types(structure), return_inverse=True)
+    lengths, angles = _parameters()
+    bonds, triples = structure.bonds, _triples(structure.bonds, structure.n_atoms)
+    found = []
+    for atoms, table in ((bonds, lengths), (triples, angles)):
+        # Few kinds of terms, many terms.
+        kinds, which = np.unique(kind[atoms], axis=0, return_inverse=True)
+        norms = np.array([table.get(tuple(names[each].tolist()), (np.nan, np.nan)) for each in kinds])
+        own = norms.reshape(-1, 2)[which.ravel()]
+        known = np.isfinite(own).all(axis=1)
+        if not hydrogens:
+            known &= (structure.atom_element[atoms] != "H").all(axis=1)
+        found += [atoms[known], own[known]]
+    return _Terms(*found)
+
+
+def _types(structure: Structure) -> list[str]:
+    """Atom types of the force field; empty where it has none."""
+    beside = structure.kept.tolist()
+    names: list[list[str]] = [[] for _ in range(structure.n_residues)]
+    residue = structure.atom_residue.tolist()
+    for atom, name in enumerate(structure.atom_name.tolist()):
+        names[residue[atom]].append("" if beside[atom] else name)
+    found: list[str] = []
+    for residue_name, its in zip(structure.residue_name.tolist(), names, strict=True):
+        types = _residue_types(residue_name, tuple(its))
+        found += [types.get(name, "") for name in its]
+    return found
+
+
+@cache
+def _by_residue() -> Mapping[str, list[Template]]:
+    found: dict[str, list[Template]] = {}
+    for template in templates().values():
+        found.setdefault(standard_name(template.name)[0], []).append(template)
+    return found
+
+
+@lru_cache(maxsize=1024)
+def _residue_types(residue: str, names: tuple[str, ...]) -> Mapping[str, str]:
+    """Atom types of a residue: of the template with these atoms, or with the fewest more."""
+    wanted = set(names) - {""}
+    name = standard_name(residue)[0]
+    every = [each for each in _by_residue().get(name, ()) if wanted and wanted <= each.element.keys()]
+    # Of two with the same atoms, a disulfide's is meant, not that of a thiolate.
+    best = min(every, key=lambda each: (len(each.element) - len(wanted), "CYM" in each.name), default=None)
+    return best.type if best is not None else {}
+
+
+@cache
+def _parameters() -> tuple[Mapping[tuple[str, ...], tuple[float, float]], ...]:
+    """Equilibrium values of bonds and angles, nm and rad, with their thermal widths, by atom types."""
+    root = ElementTree.parse(PROTEIN).getroot()
+    found: list[dict[tuple[str, ...], tuple[float, float]]] = []
+    for path, value, n in (("HarmonicBondForce/Bond", "length", 2), ("HarmonicAngleForce/Angle", "angle", 3)):
+        table: dict[tuple[str, ...], tuple[float, float]] = {}
+        for node in root.iterfind(path):
+            types = tuple(node.get(f"type{k + 1}", "") for k in range(n))
+            norm = float(node.get(value, "nan")), float(np.sqrt(_THERMAL / float(node.get("k", "nan"))))
+            table[types] = table[types[::-1]] = norm
+        found.append(table)
+    return tuple(found)
+
+
+def _triples(bonds: Integers, n: int) -> Integers:
+    """Atoms (n, 3) of every bond angle, its vertex in the middle."""
+    ends = np.vstack([bonds, bonds[:, ::-1]])
+    ends = ends[np.lexsort((ends[:, 1], ends[:, 0]))]
+    degree = np.bincount(ends[:, 0], minlength=n)
+    start = np.concatenate([[0], np.cumsum(degree)[:-1]])
+    found = []
+    for first in range(int(degree.max(initial=0))):
+        for second in range(first + 1, int(degree.max())):
+            middle = np.flatnonzero(degree > second)
+            found.append(
+                np.column_stack([ends[start[middle] + first, 1], middle, ends[start[middle] + second, 1]])
+            )
+    every = np.vstack(found) if found else np.zeros((0, 3), dtype=np.int64)
+    return np.asarray(every[np.lexsort((every[:, 2], every[:, 0], every[:, 1]))])
