@@ -236,8 +236,10 @@ def chosen_tests(
         named = {f"tests/test_{name}.py" for name in files}
         found = found | {test for test in seconds if test.split("::")[0] in named}
     if not found:
-        # A line that runs on import: the tests that use its file.
+        # A line that runs on import: the tests that use its file, or are named after it.
+        own = f"tests/test_{Path(fault.file).stem}.py"
         found = set().union(*(tests for (file, _), tests in reached.items() if file == fault.file))
+        found |= {test for test in seconds if test.split("::")[0] == own}
     chosen, spent = [], 0.0
     for test in sorted(found & seconds.keys(), key=lambda test: seconds[test]):
         spent += seconds[test]

@@ -207,6 +207,12 @@ def test_openmms_dynamics_are_recorded_every_twenty_steps_up_to_the_budget():
     assert rows[0][1] == pytest.approx(energy("ala10.pdb").reference(rows[0][0])[0], abs=1e-6)
 
 
+def test_openmms_dynamics_run_for_a_thousand_steps(monkeypatch):
+    monkeypatch.setattr(openmm.LangevinMiddleIntegrator, "step", lambda self, n: None)
+    stop, _, iterations, evaluations, rows = recorded(langevin_dynamics, max_evaluations=5000, seed=1)
+    assert (stop, iterations, evaluations, len(rows)) == (Stop.NO_DESCENT, 1000, 1000, 50)
+
+
 def test_openmms_dynamics_depend_on_their_seed_and_repeat():
     """In velocities, and in the noise of the integrator, for which a seed of 0 would be one of the clock."""
     ends = [recorded(langevin_dynamics, max_evaluations=3, seed=seed)[1] for seed in (0, 0, 1)]

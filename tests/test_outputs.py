@@ -12,6 +12,7 @@ import pytest
 from conftest import STRUCTURES, load, shared
 
 import protochain as pc
+from protochain.structure import header
 from protochain.structure.files import parse
 from protochain.structure.write import as_text
 
@@ -330,3 +331,19 @@ def test_the_suffix_decides_format_and_packing(name, tmp_path):
     assert unpack(data).startswith(b"data_" if "cif" in name or "pdbx" in name else b"REMARK")
     with pytest.raises(pc.ProtochainError, match=r"unknown suffix '\.xyz'"):
         pc.save(s, tmp_path / "a.xyz.gz")
+
+
+def test_two_names_at_one_place_of_a_sequence_stand_with_a_comma_between():
+    """As mmCIF writes microheterogeneity; an entity without that place does not fit."""
+    entity = gemmi.Entity("1")
+    entity.entity_type, entity.subchains = gemmi.EntityType.Polymer, ["A"]
+    entity.full_sequence = ["GLY", "UNK", "ALA"]
+    there = []
+    for place, name in ((1, "GLY"), (2, "SER"), (2, "PRO"), (2, "SER")):
+        residue = gemmi.Residue()
+        residue.name, residue.label_seq, residue.entity_type = name, place, gemmi.EntityType.Polymer
+        there.append(residue)
+    assert header._fits(entity, {"A": there})
+    assert list(entity.full_sequence) == ["GLY", "SER,PRO", "ALA"]
+    there[0].label_seq = 4
+    assert not header._fits(entity, {"A": there})

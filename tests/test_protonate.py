@@ -184,3 +184,18 @@ def test_a_ph_is_between_0_and_14():
         with pytest.raises(pc.ProtochainError) as refused:
             check_ph(wrong)
         assert str(refused.value) == f"pH {wrong:g}: give a number from 0 to 14"
+
+
+@pytest.mark.parametrize(
+    ("name", "metal", "linked", "state"),
+    [
+        ("HIS", ["ND1"], [], "HIE"), ("HIS", ["NE2"], [], "HID"), ("HIS", [], ["ND1"], "HIE"),
+        ("HIS", ["ND1", "NE2"], [], "HIE"), ("HIS", ["O"], [], ""), ("CYS", ["SG"], [], "CYM"),
+        ("CYS", [], ["SG"], "CYM"), ("CYS", ["O"], [], ""), ("LYS", ["NZ"], [], "LYN"),
+        ("LYS", [], ["NZ"], ""), ("ASP", ["OD1"], [], ""),
+    ],
+)  # fmt: skip
+def test_a_pair_of_electrons_that_is_bonded_bears_no_hydrogen(name, metal, linked, state):
+    one = named(name, *metal, *linked)
+    one.metals, one.links = one.atoms[: len(metal)], one.atoms[len(metal) :]
+    assert module._free_pair(one) == state

@@ -431,6 +431,23 @@ def test_turned_atoms_repel_others_and_each_other_beyond_three_bonds():
     assert felt == pytest.approx([ends + 100.0 * (1.0 - 0.1 / (0.7 * (0.17 + 0.152))), ends])
 
 
+def test_dihedrals_tried_are_those_of_now_and_around_each_rotamer():
+    """The cost of a dihedral is that of its rotamer, and half the square of its distance in widths."""
+    x, _, at, bonds = relief_of(2, "CB", "CG", "CD1", "CD2", sequence="ALA")
+    quartet = tuple(at["2", name] for name in ("N", "CA", "CB", "CG"))
+    turns, width = np.deg2rad([0.0, -12, 12, -24, 24]), np.deg2rad(20.0)
+    rotamer = np.deg2rad([[60.0], [-170.0]])
+    arm = relief.Arm(rotamer, np.array([1.0, 3.0]), (quartet,), (np.array([0]),))
+    room = relief._Room(x, [(made("LIG", {}), str(k)) for k in range(len(x))], ["C"] * len(x), bonds)
+    chi, cost = room._tried(arm)
+    now = float(dihedral(*x[list(quartet)]))
+    assert chi[:, 0] == pytest.approx([now, *(rotamer[0] + turns), *(rotamer[1] + turns)])
+    away = np.abs((rotamer[:, 0] - now + np.pi) % (2 * np.pi) - np.pi)
+    strain = np.array([1.0, 3.0]) + 0.5 * (away / width) ** 2
+    around = 0.5 * (turns / width) ** 2
+    assert cost == pytest.approx([strain.min(), *(1.0 + around), *(3.0 + around)])
+
+
 def test_only_what_was_built_and_overlaps_turns():
     for built, beside, sequence in (
         (("CB", "OG"), None, "ASA"), (("CB",), ("2", "OG"), "ASA"), (("CB",), ("2", "CB"), "AAA"),
