@@ -196,12 +196,16 @@ def test_a_force_field_that_knows_the_ligand_is_used(tmp_path):
         '<Atom type="l-O" sigma="0.3" epsilon="0.5"/></NonbondedForce>',
     )
     path = written(tmp_path, text, "own.xml")
+    with pytest.raises(pc.ProtochainError, match=r"bond of atom S of .* SO4 .* to O1 has no parameters"):
+        pc.energy(pc.load(shared("1bx8_hirustasin.pdb"), forcefield=path), str(path))
+    bond = '<Bond type1="l-S" type2="l-O" length="0.149" k="400000"/>'
+    written(tmp_path, text.replace("</HarmonicBondForce>", f"{bond}</HarmonicBondForce>"), "own.xml")
     s = pc.load(shared("1bx8_hirustasin.pdb"), forcefield=path)
     assert not any("by element" in line for line in s.repairs)
     nonbonded = next(
         f for f in pc.energy(s, str(path)).system.getForces() if isinstance(f, openmm.NonbondedForce)
     )
-    rows = [[v._value for v in nonbonded.getParticleParameters(i)] for i in np.flatnonzero(s.obstacle)]
+    rows = [[v._value for v in nonbonded.getParticleParameters(i)] for i in np.flatnonzero(s.mobile)]
     assert rows[0] == [1.4, 0.36, 1.0] and rows[1:] == [[-0.85, 0.3, 0.5]] * 4
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from protochain.batches.jobs import BatchSettings, Job
 from protochain.errors import ProtochainError
 from protochain.storage import write_atomically
-from protochain.structure.prepare import user_file
+from protochain.structure.prepare import user_files
 
 NAME = "settings.json"
 
@@ -50,9 +50,10 @@ def keep_settings(folder: Path, common: BatchSettings, jobs: Sequence[Job]) -> N
 def _plain(settings: BatchSettings) -> dict[str, Any]:
     """Settings as JSON reads them back, with all else that makes results differ."""
     values = settings.record() | {"protochain": version("protochain")}
-    file = user_file(settings.setup.forcefield)
-    if file:
-        values["content of the force field"] = hashlib.sha256(file.read_bytes()).hexdigest()[:12]
+    files = user_files(settings.setup.forcefield)
+    if files:
+        content = b"".join(file.read_bytes() for file in files)
+        values["content of the force field"] = hashlib.sha256(content).hexdigest()[:12]
     finite = {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in values.items()

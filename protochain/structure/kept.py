@@ -18,7 +18,7 @@ from protochain.structure.templates import Template, base_template
 
 KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
 """Words that choose molecules by kind; any other word is the name of a residue."""
-_JOINED = 2.0
+JOINED = 2.0
 """Angstrom: molecules with atoms nearer than this are parts of one, as the sugars of a glycan (1.4)."""
 _PHOSPHATE_BREAK = 2.5
 """Angstrom: O3' and P further apart than this are not bonded (1.6)."""
@@ -127,7 +127,7 @@ def _near(draft: Draft, candidates: Sequence[Candidate]) -> set[int]:
     x = np.array([a.pos.tolist() for candidate in dry for a in candidate.member.atoms])
     owner = np.repeat(np.arange(len(dry)), [len(candidate.member.atoms) for candidate in dry])
     distance, _ = KDTree(protein).query(x, distance_upper_bound=defaults.KEEP_WITHIN)
-    pairs = owner[KDTree(x).query_pairs(_JOINED, output_type="ndarray")]
+    pairs = owner[KDTree(x).query_pairs(JOINED, output_type="ndarray")]
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(dry), len(dry)))
     group = connected_components(graph, directed=False)[1]
     touching = np.unique(group[owner[np.isfinite(distance)]])
@@ -150,7 +150,10 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
         whole = [*first.atoms]
         if first.name in residues.NUCLEOTIDES and gone:
             first.atoms = [atom for atom in first.atoms if atom.name not in gone]
-        if not all(_fits(member, base_template(known, part, i)) for i, member in enumerate(part.members)):
+        found = [base_template(known, part, i) for i in range(len(part.members))]
+        fits = all(_fits(member, its) for member, its in zip(part.members, found, strict=True))
+        part.mobile = fits and all(its is not None and its.is_users for its in found)
+        if not fits:
             first.atoms = whole
             for member in part.members:
                 member.own = by_element(member)

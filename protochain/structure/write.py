@@ -174,7 +174,7 @@ def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
     Where the file has none, the parts of a broken chain are different molecules: no program bonds them.
     """
     known = structure.residue_label or (NO_LABEL,) * structure.n_residues
-    held = {int(r) for r in structure.atom_residue[structure.obstacle]}
+    held = {int(r) for r in structure.atom_residue[structure.kept]}
     chains = [str(chain_id) for chain_id in structure.residue_chain]
     of_chain: dict[str, set[str]] = {}
     parts: dict[str, list[int]] = {}
