@@ -8,6 +8,9 @@ from conftest import NATIVE_FORCE, STRUCTURES
 
 import protochain as pc
 from protochain.multibody import HingeKind
+from protochain.structure.draft import Member
+from protochain.structure.recognise import recognised
+from protochain.structure.templates import Template
 from protochain.units import ANGSTROM_PER_NM
 
 TYPES = {"C1": ("lig-C1", "C"), "C2": ("lig-C2", "C"), "O1": ("lig-O", "O"), "HO1": ("lig-H", "H")}
@@ -42,7 +45,7 @@ def ligand_xml(name: str = "LIG", called=lambda atom: atom) -> str:
     )
     pairs = "".join(f'<Atom type="{TYPES[a][0]}" sigma="{SIGMA[a]}" epsilon="0.4"/>' for a in TYPES)
     return (
-    """Trp-cage with a ligand, its first atom ``gap`` angstrom beyond the outermost one of the protein."""
+    """Trp-cage and a ligand whose first atom is ``gap`` angstrom beyond the outermost one."""
         f"</Residues><HarmonicBondForce>{bonds}</HarmonicBondForce><HarmonicAngleForce>{angles}"
         '</HarmonicAngleForce><NonbondedForce coulomb14scale="0.8333333333333334" lj14scale="0.5">'
         f'<UseAttributeFromResidue name="charge"/>{pairs}</NonbondedForce></ForceField>'
@@ -212,3 +215,68 @@ def test_files_of_openff_and_gaff_themselves_are_refused_with_the_way(tmp_path, 
         said = str(refused.value)
         assert said.startswith(f"{path}: ") and "openmmforcefields" in said and "amber14,ligand.xml" in said
         assert ("OpenFF toolkit" in said) == (text is OFFXML)
+
+
+@pytest.mark.parametrize("hydrogen", [False, True])
+def test_a_ligand_is_recognised_by_its_bonds_under_any_names(tmp_path, hydrogen):
+    """As openmmforcefields writes them: the residue is named by a SMILES, the atoms by their order."""
+    path = tmp_path / "lig.xml"
+    names = {"C1": "C1x", "C2": "C2x", "O1": "O3x", "HO1": "H4x"}
+    path.write_text(ligand_xml("[H]OCC", names.__getitem__))
+    file = with_ligand(tmp_path, atoms=("C9", "C7", "O5"), name="UNL")
+    if hydrogen:
+        (oxygen,) = [line for line in file.read_text().splitlines() if " O5  UNL" in line]
+        x = float(oxygen[30:38]) - 0.96
+        file.write_text(
+            file.read_text().replace("END\n", f"HETATM  950  HQ  UNL B   1    {x:8.3f}{oxygen[38:54]}"
+                                     "  1.00 20.00           H\nEND\n")
+        )  # fmt: skip
+    s = pc.load(file, forcefield=f"amber14,{path}")
+    assert s.atom_name[s.mobile].tolist() == ["C9", "C7", "O5", "HQ" if hydrogen else "H4x"]
+    assert not s.obstacle.any() and not any("by element" in line for line in s.repairs)
+    e = pc.energy(s, f"amber14,{path}", "vacuum")
+    nonbonded = next(f for f in e.system.getForces() if isinstance(f, openmm.NonbondedForce))
+    own = [nonbonded.getParticleParameters(int(k))[0]._value for k in np.flatnonzero(s.mobile)]
+    assert own == list(CHARGE.values())
+
+
+def molecule(bonds: str, elements: dict[str, str]) -> Template:
+    return Template(
+        "X", elements, dict.fromkeys(elements, 0.0), tuple(map(tuple, map(str.split, bonds.split(",")))), {}
+    )
+
+
+@pytest.mark.parametrize(
+    ("bonds", "same"),
+    [
+        ("C1 C2,C2 C3,C3 C4,C4 C5,C5 C6,C6 C1,C1 O", True),
+        ("C1 C2,C2 C3,C3 C1,C4 C5,C5 C6,C6 C4,C1 O", False),  # two rings of three
+        ("C1 C2,C2 C3,C3 C4,C4 C5,C5 C6,C6 C2,C1 O", False),
+        ("C1 C2,C2 C3,C3 C4,C4 C5,C5 C6,C6 C1,C4 O", True),
+        ("C1 C2,C2 C3,C3 C4,C4 C5,C5 C6,C6 C1", False),
+    ],
+)
+def test_bonds_and_elements_decide_what_is_recognised(bonds, same):
+    """A ring of six carbons with an oxygen, against others of as many atoms."""
+    atoms = {f"A{k}": "C" for k in range(6)} | {"Z": "O"}
+    ring = molecule("A0 A3,A3 A1,A1 A5,A5 A2,A2 A4,A4 A0,A5 Z", atoms)
+    elements = {f"C{k}": "C" for k in range(1, 7)} | ({"O": "O"} if " O" in bonds else {"O": "N"})
+    member = Member("LIG", "1", "", "A", [])
+    found = recognised(member, ring, [molecule(bonds, elements)])
+    assert (found is not None) == same
+    if found is not None:
+        assert {frozenset(pair) for pair in found.bonds} == {frozenset(pair) for pair in ring.bonds}
+        assert found.name == "LIG" and found.element["Z"] == "O" and found.is_users
+
+
+def test_hydrogens_of_the_file_choose_among_states(tmp_path):
+    """Of an acid and its anion the one whose hydrogens are there; without any, the first."""
+    heavy = {"C": "C", "O1": "O", "O2": "O"}
+    anion = molecule("C O1,C O2", heavy)
+    acid = molecule("C O1,C O2,O1 H", heavy | {"H": "H"})
+    member = Member("FMT", "1", "", "A", [])
+    seen = molecule("A OA,A OB,OB HB", {"A": "C", "OA": "O", "OB": "O", "HB": "H"})
+    bare = molecule("A OA,A OB", {"A": "C", "OA": "O", "OB": "O"})
+    assert recognised(member, seen, [anion, acid]).hydrogens == {"OB": ["HB"]}
+    assert recognised(member, bare, [anion, acid]).hydrogens == {}
+    assert list(recognised(member, bare, [acid, anion]).hydrogens.values()) == [["H"]]

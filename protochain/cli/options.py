@@ -66,7 +66,7 @@ _SETUP = {
     "hinges": _option(str, "Degrees of freedom: any of phi psi omega chi rotors angles."),
     "move": _option(str, "What may move, in MDAnalysis's selection language: 'resid 5:20', 'not backbone'."),
     "forcefield": _option(
-        str, "amber14, amber19, amber99sb, amber99sbildn, charmm36, an OpenMM XML file, or several with commas."
+        str, "amber14, amber19, amber99sb, amber99sbildn, charmm36, an OpenMM XML file, or several (a,b)."
     ),
     "solvent": _option(str, "vacuum, obc2 or gbn2."),
     "engine": _option(str, "auto, native or openmm."),

@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from protochain import defaults, residues
 from protochain.errors import StructureError
 from protochain.structure.draft import Draft, Member, Part
+from protochain.structure.recognise import recognised
 from protochain.structure.templates import Template, base_template
 
 KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
@@ -157,6 +158,10 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
             first.atoms = whole
             for member in part.members:
                 member.own = by_element(member)
+            if len(part.members) == 1:
+                users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)
+                known_as = recognised(first, first.own, users) if first.own else None
+                first.own, part.mobile = known_as or first.own, known_as is not None
         elif len(whole) > len(first.atoms):
             draft.repairs.append(f"{first}: 5' phosphate left out: the force fields do not have it")
     return parts
@@ -225,7 +230,7 @@ def _report(draft: Draft, gone: Mapping[tuple[str, str], int], chosen: Sequence[
         names = [f"{number} {name}" for name, number in count.most_common()]
         more = f" and {len(names) - _SHOWN} more kinds" if len(names) > _SHOWN else ""
         line = f"{', '.join(names[:_SHOWN])}{more} kept beside the protein"
-        bare = sorted({each.given for each in chosen if each.member.own is not None})
+        bare = sorted({each.given for each in chosen if each.member.own and not each.member.own.is_users})
         if bare:
             line += f" ({', '.join(bare[:_SHOWN])} by element, unless the force field has parameters)"
         lines.append(line)

@@ -216,7 +216,7 @@ def _topology(parts: list[Part], bonds: Integers) -> app.Topology:
             residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
             for atom in member.atoms:
                 element = app.Element.getBySymbol(atom.element.name)
-                charge = atom.charge if member.own is not None else None
+                charge = atom.charge if member.own and not member.own.is_users else None
                 atoms.append(topology.addAtom(atom.name, element, residue, formalCharge=charge))
     for first, second in bonds.tolist():
         topology.addBond(atoms[first], atoms[second])
