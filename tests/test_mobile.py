@@ -45,7 +45,7 @@ def ligand_xml(name: str = "LIG", called=lambda atom: atom) -> str:
     )
     pairs = "".join(f'<Atom type="{TYPES[a][0]}" sigma="{SIGMA[a]}" epsilon="0.4"/>' for a in TYPES)
     return (
-    """Trp-cage and a ligand whose first atom is ``gap`` angstrom beyond the outermost one."""
+        f'<ForceField><AtomTypes>{types}</AtomTypes><Residues><Residue name="{name}">{atoms}{inside}</Residue>'
         f"</Residues><HarmonicBondForce>{bonds}</HarmonicBondForce><HarmonicAngleForce>{angles}"
         '</HarmonicAngleForce><NonbondedForce coulomb14scale="0.8333333333333334" lj14scale="0.5">'
         f'<UseAttributeFromResidue name="charge"/>{pairs}</NonbondedForce></ForceField>'
@@ -53,7 +53,7 @@ def ligand_xml(name: str = "LIG", called=lambda atom: atom) -> str:
 
 
 def with_ligand(tmp_path, gap: float = 3.8, atoms: tuple[str, ...] = ("C1", "C2", "O1"), name: str = "LIG"):
-    """Trp-cage with a ligand's heavy atoms, the first ``gap`` angstrom beyond the outermost atom."""
+    """Trp-cage and a ligand whose first atom is ``gap`` angstrom beyond the outermost one."""
     residue_atoms = [a for r in gemmi.read_structure(str(STRUCTURES / "1l2y.pdb"))[0][0] for a in r]
     x = np.array([a.pos.tolist() for a in residue_atoms if not a.is_hydrogen()])
     far = x[np.argmax(np.linalg.norm(x - x.mean(axis=0), axis=1))]
