@@ -10,6 +10,7 @@ import pytest
 from conftest import NATIVE_ENERGY, NATIVE_FORCE, STRUCTURES, shared
 from openmm import app
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.energies.elements import lennard_jones
@@ -51,6 +52,48 @@ def globin(tmp_path: Path) -> Path:
     if not path.exists():
         pytest.skip("2gtl.pdb is not here")
     return written(tmp_path, "".join(records(path, lambda line: line[21] == "A")) + "END\n")
+
+
+CUBE = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+CLUSTERS = {
+    "SF4": (0.962 * CUBE, -1.308 * CUBE, 2.290 * CUBE),
+    "FES": (
+        np.array([[0.0, 0.0, 1.35], [0.0, 0.0, -1.35]]),
+        np.array([[1.75, 0.0, 0.0], [-1.75, 0.0, 0.0]]),
+        np.array([[0.0, y, z] for z in (2.65, -2.65) for y in (1.897, -1.897)]),
+    ),
+}
+"""Angstrom: irons 2.7 apart, sulphides 2.2 to 2.3 from them, and cysteines' sulphurs 2.3 from their iron."""
+
+
+def iron_sulphur(tmp_path: Path, name: str) -> Path:
+    """A cluster that four peptides GCG, each a chain, hold by their cysteines."""
+    peptide = pc.from_sequence("GCG")
+    x, sulphur = 10 * peptide.positions, peptide.atom_name.tolist().index("SG")
+    irons, sulphides, holders = CLUSTERS[name]
+    lines = []
+
+    def add(record, atom, residue, chain, number, at, element):
+        lines.append(
+            f"{record:<6}{len(lines) + 1:5d} {atom:<4} {residue:>3} {chain}{number:4d}    "
+            f"{at[0]:8.3f}{at[1]:8.3f}{at[2]:8.3f}  1.00  0.00          {element:>2}\n"
+        )
+
+    for chain, target in zip("ABCD", holders, strict=True):
+        iron = irons[np.argmin(np.linalg.norm(irons - target, axis=1))]
+        # The peptide beyond its sulphur, which bends as one does: C-S-Fe of some 110 degrees.
+        out, inward = target - iron, x[sulphur] - x.mean(axis=0)
+        turn, _ = Rotation.align_vectors([out / np.linalg.norm(out)], [-inward / np.linalg.norm(inward)])
+        placed = turn.apply(x - x[sulphur]) + target
+        for k in np.flatnonzero(peptide.atom_element != "H"):
+            r = peptide.atom_residue[k]
+            add("ATOM", f" {peptide.atom_name[k]}", peptide.residue_name[r], chain, r + 1, placed[k],
+                peptide.atom_element[k])  # fmt: skip
+        lines.append("TER\n")
+    for kind, places in (("FE", irons), ("S", sulphides)):
+        for k, at in enumerate(places, 1):
+            add("HETATM", f"{kind}{k}" if kind == "FE" else f" {kind}{k}", name, "E", 1, at, kind)
+    return written(tmp_path, "".join(lines) + "END\n", f"{name}.pdb")
 
 
 def site_of(s: pc.Structure) -> list[int]:
@@ -289,6 +332,36 @@ def test_heme_sites_stay_together(tmp_path, method):
     r = pc.minimise(pc.build_chain(s), pc.energy(s), method, max_evaluations=1000)
     heme = np.flatnonzero(s.residue_name[s.atom_residue] == "HEM").tolist()
     assert moved(s, r.x, sorted({*site_of(s), *heme})) < SITE_NM
+
+
+@pytest.mark.parametrize(("name", "n"), [("SF4", 8), ("FES", 4)])
+def test_iron_sulphur_clusters_are_prepared_as_sites(tmp_path, name, n):
+    s = pc.load(iron_sulphur(tmp_path, name))
+    assert s.obstacle.sum() == n and np.array_equal(s.kept, s.obstacle)
+    bonds = [tie for tie in s.ties if len(tie.atoms) == 2]
+    ends = [(str(s.atom_name[i]), str(s.atom_name[j])[:2]) for i, j in (tie.atoms for tie in bonds)]
+    assert ends == [("SG", "FE")] * 4 and len({tie.atoms[0] for tie in bonds}) == 4
+    assert [tie.rest for tie in bonds] == pytest.approx([0.23] * 4, abs=5e-4)
+    assert not any("disulfide" in line for line in s.repairs)
+    hydrogens = {str(h) for h in s.atom_name[s.atom_element == "H"]}
+    assert "HB2" in hydrogens and "HG" not in hydrogens
+    # Their iron is no bond of the cluster's own sulphides, and sulphides hold no hydrogens.
+    assert {str(e) for e in s.atom_element[s.kept]} == {"Fe", "S"}
+    system = pc.energy(s).system
+    nonbonded = next(f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    q = np.array([nonbonded.getParticleParameters(i)[0]._value for i in range(s.n_atoms)])
+    sulphurs = [tie.atoms[0] for tie in bonds]
+    assert np.all(q[sulphurs] < -0.5) and q.sum() == pytest.approx(round(q.sum()), abs=1e-6)
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "hybrid"])
+@pytest.mark.parametrize("name", ["SF4", "FES"])
+def test_iron_sulphur_clusters_stay_together(tmp_path, name, method):
+    s = pc.load(iron_sulphur(tmp_path, name))
+    r = pc.minimise(pc.build_chain(s), pc.energy(s), method, max_evaluations=300)
+    cluster = np.flatnonzero(s.kept).tolist()
+    assert moved(s, r.x, sorted({*site_of(s), *cluster})) < SITE_NM
+    assert np.linalg.norm(r.x - s.positions, axis=1).max() > SITE_NM
 
 
 def test_an_ion_beside_a_ligand_stays_with_it(tmp_path):

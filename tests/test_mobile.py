@@ -45,8 +45,8 @@ def ligand_xml(name: str = "LIG", called=lambda atom: atom) -> str:
     )
     pairs = "".join(f'<Atom type="{TYPES[a][0]}" sigma="{SIGMA[a]}" epsilon="0.4"/>' for a in TYPES)
     return (
-        f'<ForceField><AtomTypes>{types}</AtomTypes><Residues><Residue name="{name}">{atoms}{inside}</Residue>'
-        f"</Residues><HarmonicBondForce>{bonds}</HarmonicBondForce><HarmonicAngleForce>{angles}"
+        f'<ForceField><AtomTypes>{types}</AtomTypes><Residues><Residue name="{name}">{atoms}{inside}'
+        f"</Residue></Residues><HarmonicBondForce>{bonds}</HarmonicBondForce><HarmonicAngleForce>{angles}"
         '</HarmonicAngleForce><NonbondedForce coulomb14scale="0.8333333333333334" lj14scale="0.5">'
         f'<UseAttributeFromResidue name="charge"/>{pairs}</NonbondedForce></ForceField>'
     )
