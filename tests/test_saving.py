@@ -4,7 +4,9 @@ import json
 import resource
 import sys
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mdtraj
 import numpy as np
@@ -13,6 +15,7 @@ import pytest
 from conftest import STRUCTURES, chain, energy
 
 import protochain as pc
+from protochain.analysis.folder import clear
 from protochain.batches import table as tables
 from protochain.cli import main
 from protochain.errors import WriteError
@@ -179,6 +182,61 @@ def test_a_comparison_is_replaced_only_when_asked_and_whole(tmp_path, monkeypatc
     assert {path.stem for path in out.glob("*.pdb")} == {"ala10.kcm", "ala10.start"}
     assert (out / "summary.csv").read_text() != "old" and not (out / ".lock").exists()
     assert (out / "notes.txt").read_text() == "old" and (tmp_path / "notes.pdb").exists()
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A method that finds nothing."""
+
+    states = ()
+
+    def init(self, problem, at):
+        return self._State(at)
+
+    def step(self, problem, state):
+        return None
+
+    @dataclass(frozen=True)
+    class _State:
+        at: Any
+
+
+def test_an_end_that_is_no_result_is_not_among_the_structures(tmp_path):
+    """Its file would be the start under the name of a method."""
+    k = pc.compare(chain("ala10.pdb"), (Standing(), "lbfgs"), energy("ala10.pdb"), max_evaluations=20)
+    standing, lbfgs = k.records()
+    assert standing["output"] is None and lbfgs["output"] == "ala10.lbfgs.pdb"
+    assert standing["message"].endswith("nothing is better than the start: no structure is written")
+    assert "no structure" not in lbfgs["message"]
+    page = k.report(tmp_path).read_text()
+    assert {path.stem for path in tmp_path.glob("*.pdb")} == {"ala10.start", "ala10.lbfgs"}
+    assert "<strong>Standing</strong>: " + standing["message"] in page
+    # What it wrote is known, and deleted with it.
+    clear(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_comparison_without_any_result_is_cleared_whole(tmp_path):
+    k = pc.compare(chain("ala10.pdb"), (Standing(),), energy("ala10.pdb"))
+    k.report(tmp_path)
+    assert [path.name for path in tmp_path.glob("*.pdb")] == ["ala10.start.pdb"]
+    clear(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("evaluations", [1, 30])
+def test_a_trajectory_stays_only_beside_a_result(evaluations, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    frames = tmp_path / "t.dcd"
+    frames.write_text("old")
+    status = run(monkeypatch, "minimise", SAMPLE, "-o", "o.pdb", "--trajectory", "t.dcd", "--force",
+                 "--method", "lbfgs", "--max-evaluations", evaluations)  # fmt: skip
+    if evaluations == 1:
+        assert status == 1 and "nothing is written" in capsys.readouterr().err
+        assert frames.read_text() == "old"
+    else:
+        assert status in (0, 3) and frames.stat().st_size > 1000
+    assert not list(tmp_path.glob("*.part*")) and (tmp_path / "o.pdb").exists() == (evaluations > 1)
 
 
 def test_a_comparison_does_not_share_its_folder(tmp_path, monkeypatch, capsys):
