@@ -137,10 +137,10 @@ def test_words_choose_what_is_kept():
         "ligands": ["SO4"], "SO4 water": ["HOH", "SO4"],
     }  # fmt: skip
     s = pc.load(path, keep=("none",))
-    assert s.repairs[0] == "1 SO4, 1 CA, 30 waters left out; --keep all keeps everything"
+    assert s.repairs[0] == '1 SO4, 1 CA, 30 waters left out; keep="all" keeps everything'
     assert dict(s.left_out) == {"SO4": 1, "CA": 1, "waters": 30} and not s.ties
     assert (
-        pc.load(path).repairs[0] == "30 waters left out: the solvent is implicit; --keep all keeps everything"
+        pc.load(path).repairs[0] == '30 waters left out: the solvent is implicit; keep="all" keeps everything'
     )
     assert pc.Setup().keep == ("near",) and pc.Setup(keep="none").load(path).left_out["SO4"] == 1
     with pytest.raises(pc.ProtochainError, match=r"keep 'ligand' is not known; give none, near, all, water"):

@@ -50,6 +50,11 @@ def test_python_hears_of_its_arguments(call, words, tmp_path, monkeypatch):
     ("arguments", "words"),
     [
         (("minimise", SAMPLE, "--max-evaluations", 0), "--max-evaluations 0: give at least 1"),
+        (("minimise", SAMPLE, "--restrain", "-1"), "--restrain (-1.0,): give strengths in kJ/mol/nm^2"),
+        (("minimise", SAMPLE, "--restrain", "strong"), "--restrain 'strong': give strengths"),
+        (("minimise", SAMPLE, "--starts", 3, "--restrain", 10), ": --restrain and --max-rmsd refer to"),
+        (("minimise", SAMPLE, "--starts", 3, "--spread", "-30"), "--spread -30: give an angle above 0, in"),
+        (("batch", SAMPLE, "--starts", 3, "--spread", 0), "--spread 0: give an angle above 0, in degrees"),
         (("simulate", SAMPLE, "--steps", 0), "--steps 0: "),
         (("simulate", SAMPLE, "--resume"), "leave out --resume"),
         (("simulate", SAMPLE, "--time-step", "0.002"), "0.002 fs: give femtoseconds: 2 are 0.002 ps"),
@@ -68,6 +73,29 @@ def test_names_of_files_are_no_options():
         assert as_options(text) == text
     assert as_options("x: give resume=True; time_step 3") == "x: give --resume; --time-step 3"
     assert as_options("with trust_forcefield=True") == "with --trust-forcefield"
+    for text in (
+        "20 restraints, restraint: held",
+        "a restraint of the start",
+        "a/restraint 3: odd",
+        "spread 3",
+    ):
+        assert as_options(text) == text
+    assert as_options("m.csv: row 2: spread 0.5: give an angle above 0, in rad") == (
+        "m.csv: row 2: --spread 28.6479: give an angle above 0, in degrees"
+    )
+
+
+def test_what_is_left_out_is_told_with_the_words_of_whoever_asks(monkeypatch, capsys):
+    assert (
+        pc.load(STRUCTURES / "1ubq.pdb")
+        .changes[0]
+        .endswith('left out: the solvent is implicit; keep="all" keeps everything')
+    )
+    monkeypatch.setattr(sys, "argv", ["protochain", "info", str(STRUCTURES / "1ubq.pdb")])
+    with pytest.raises(SystemExit):
+        main()
+    told = capsys.readouterr()
+    assert "--keep all keeps everything" in told.out + told.err and "keep=" not in told.out + told.err
 
 
 @pytest.mark.parametrize(

@@ -224,7 +224,7 @@ def _report(draft: Draft, gone: Mapping[tuple[str, str], int], chosen: Sequence[
         )
         dry = any(kind != "waters" for kind, _ in gone)
         why = "" if dry else ": the solvent is implicit"
-        lines.append(f"{said} left out{why}; --keep all keeps everything")
+        lines.append(f'{said} left out{why}; keep="all" keeps everything')
     if chosen:
         count = Counter("waters" if each.kind == "water" else each.given for each in chosen)
         names = [f"{number} {name}" for name, number in count.most_common()]
