@@ -11,7 +11,6 @@ from distributed import LocalCluster
 import protochain as pc
 from protochain.batches import cluster
 from protochain.cli import as_options, main
-from protochain.cli.terminal import print_table
 
 SAMPLE = STRUCTURES / "ala10.pdb"
 
@@ -135,25 +134,6 @@ def test_an_alternate_location_that_no_atom_has_is_refused(name):
 def test_an_alternate_location_that_some_atoms_have_is_preferred():
     kept = [line for line in pc.load(STRUCTURES / "1ejg.pdb", altloc="B").repairs if "alternate" in line]
     assert len(kept) > 5 and all("location B kept" in line for line in kept)
-
-
-@pytest.mark.parametrize("method", ["lbfgs", "kcm-stiffness"])
-@pytest.mark.parametrize("status", ["converged", "interrupted"])
-def test_the_table_fits_80_columns(method, status, monkeypatch, capsys):
-    monkeypatch.delenv("COLUMNS", raising=False)
-    record = {
-        "method": method, "status": status, "message": "budget", "energy_start_kj_mol": 123456789012.25,
-        "energy_end_reference_kj_mol": -123456.785, "max_torque_end_kj_mol_rad": 1234567.1,
-        "rms_force_end_kj_mol_nm": 2e-6, "ca_rmsd_angstrom": 12.25, "evaluations": 50000, "seconds": 3612.25,
-    }  # fmt: skip
-    print_table([record, record | {"max_torque_end_kj_mol_rad": None, "energy_start_kj_mol": -12.25}])
-    *head, first, second = capsys.readouterr().out.splitlines()[:-2]
-    assert max(map(len, [*head, first, second])) <= 80
-    assert first.split() == [
-        method, status, "1.2e+11", "-123457", "1e+06", "2e-06", "12.25", "50000", "3612.2",
-    ]  # fmt: skip
-    assert second.split()[2:5] == ["-12.25", "-123457", "-"]
-    assert all(unit in " ".join(head) for unit in ("kJ/mol", "/rad", "/nm", "angstrom", "time", "s "))
 
 
 def test_what_is_no_checkpoint_is_said_to_be_none(tmp_path, monkeypatch, capsys):

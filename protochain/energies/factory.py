@@ -174,9 +174,32 @@ def build_system(
         raise ForceFieldError(
             f"{structure.name}: force field {forcefield!r} with solvent {solvent!r} does not fit: {reason}"
         ) from None
+    _number_types(system)
     for atom in np.flatnonzero(structure.obstacle).tolist():
         system.setParticleMass(atom, 0.0)
     return system
+
+
+def _number_types(system: openmm.System) -> None:
+    """Number the types of a table of pairs in the order of the atoms.
+
+    OpenMM takes the order of a set of text, which no two processes share, and no fingerprint would.
+    """
+    for force in system.getForces():
+        if not isinstance(force, openmm.CustomNonbondedForce) or force.getName() != _TABULATED:
+            continue
+        types = [int(force.getParticleParameters(i)[0]) for i in range(force.getNumParticles())]
+        order = list(dict.fromkeys(types))
+        for i, old in enumerate(types):
+            force.setParticleParameters(i, [order.index(old)])
+        for k in range(force.getNumTabulatedFunctions()):
+            table = force.getTabulatedFunction(k)
+            n, _, values = table.getFunctionParameters()
+            table.setFunctionParameters(n, n, np.reshape(values, (n, n))[np.ix_(order, order)].ravel())
+
+
+_TABULATED = "LennardJones"
+"""Name of the force that OpenMM makes of a table of pairs."""
 
 
 def _by_engine(engine: str, by_openmm: OpenMMEnergy) -> Energy:
