@@ -115,7 +115,7 @@ def test_a_simulation_without_a_checkpoint_leaves_nothing(tmp_path):
     c, e = chain("ala10.pdb"), energy("ala10.pdb")
     with full_above(10_000), pytest.raises(WriteError, match=r"trajectory\.dcd: not written") as raised:
         pc.simulate(c, e, n_steps=300, every=2, output=tmp_path / "run")
-    assert "saved: nothing" in str(raised.value) and not list(tmp_path.glob("run/*"))
+    assert "saved: nothing" in str(raised.value) and not list(tmp_path.iterdir())
 
 
 def test_a_trajectory_that_cannot_begin_leaves_nothing(tmp_path):
@@ -140,6 +140,18 @@ def test_a_row_of_a_batch_is_whole_or_not_there(tmp_path):
     with full_above(1000), pytest.raises(WriteError, match=r"summary\.csv: .*resume=True"):
         tables._append(path, "y" * 200 + "\n")
     assert path.read_text() == "x" * 900
+
+
+@pytest.mark.parametrize("suffix", ["dcd", "xtc"])
+def test_what_a_killed_run_left_is_replaced(suffix, tmp_path):
+    """A trajectory begins anew, though a part of another is there."""
+    stale = tmp_path / f"t.part.{suffix}"
+    stale.write_bytes(b"x" * 100_000)
+    c = chain("ala10.pdb")
+    with TrajectoryFile(tmp_path / f"t.{suffix}", c.structure) as file:
+        file.append(c.structure.positions)
+    frames = mdtraj.load(str(tmp_path / f"t.{suffix}"), top=mdtraj.Topology.from_openmm(c.structure.topology))
+    assert frames.n_frames == 1 and not stale.exists()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
