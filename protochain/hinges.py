@@ -64,9 +64,7 @@ def cross_links(structure: Structure) -> np.ndarray:
     r1, r2 = structure.atom_residue[first], structure.atom_residue[second]
     peptide = (r2 == r1 + 1) & (structure.atom_name[first] == "C") & (structure.atom_name[second] == "N")
     beside = structure.kept[first] | structure.kept[second]
-    # A molecule that moves is rigid.
-    own = structure.mobile[first] & structure.mobile[second]
-    cut = (r1 != r2) & (beside | ~peptide) & ~own
+    cut = (r1 != r2) & (beside | ~peptide)
     held = np.flatnonzero(cut & structure.kept[second] & ~structure.obstacle[second] & ~structure.kept[first])
     _, rows = np.unique(second[held], return_index=True)
     cut[held[rows]] = False

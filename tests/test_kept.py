@@ -13,7 +13,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
+from protochain.contacts import overlaps
 from protochain.energies.elements import lennard_jones
+from protochain.multibody import HingeKind
 from protochain.structure.files import parse
 from protochain.structure.superpose import superpose
 
@@ -200,6 +202,57 @@ def test_a_ligand_pushes_as_its_elements_do(tmp_path):
     depth = np.sqrt(epsilon[here][:, None] * epsilon[there])
     own = (4 * depth * ((mean / r) ** 12 - (mean / r) ** 6)).sum()
     assert e(s.positions)[0] - e(away)[0] == pytest.approx(own, rel=1e-6)
+
+
+def crowded(tmp_path: Path) -> Path:
+    """Insulin's two chains, and two phosphorous oxides at its outside that lie on one another."""
+    lines = records(STRUCTURES / "3i40.pdb", lambda line: line[17:20] != "HOH")
+    x = np.array([[float(line[k : k + 8]) for k in (30, 38, 46)] for line in lines])
+    out = x[np.argmax(x[:, 0])] + [4.0, 0.0, 0.0]
+    for number, shift in ((901, 0.0), (902, 0.3)):
+        for k, name in enumerate(("P", "O1")):
+            at = out + np.array([1.5 * k, shift, 0.0])
+            lines.append(
+                f"HETATM{number:5d}  {name:<3} PO1 C {number}    {at[0]:8.3f}{at[1]:8.3f}{at[2]:8.3f}"
+                f"  1.00  0.00           {name[0]}\n"
+            )
+    return written(tmp_path, "".join(lines) + "END\n")
+
+
+def test_obstacles_are_one_thing_that_stands_still(tmp_path):
+    """They do not push one another, nor do their overlaps count; the largest chain stays with them."""
+    s = pc.load(crowded(tmp_path))
+    still = np.flatnonzero(s.obstacle)
+    assert len(still) == 4 and s.n_chains == 2
+    e = pc.energy(s, solvent="vacuum")
+    nonbonded = next(f for f in e.system.getForces() if isinstance(f, openmm.NonbondedForce))
+    silent = {
+        tuple(sorted(nonbonded.getExceptionParameters(k)[:2]))
+        for k in range(nonbonded.getNumExceptions())
+        if nonbonded.getExceptionParameters(k)[4]._value == 0.0
+    }
+    assert {(int(i), int(j)) for i in still for j in still if i < j} <= silent
+    assert [e.system.getParticleMass(int(k))._value for k in still] == [0.0] * 4
+    assert not {a for pair in overlaps(s, s.positions) for a in (pair.first, pair.second) if "PO1" in a}
+    c = pc.build_chain(s)
+    kinds = [
+        str(HingeKind(kind).name)
+        for kind, parent in zip(c.tree.kind, c.tree.parent, strict=True)
+        if parent < 0
+    ]
+    assert sorted(kinds) == ["FIXED", "FIXED", "FREE"]
+    size = np.bincount(s.residue_chain_index[s.atom_residue])
+    (free,) = {int(s.residue_chain_index[r]) for r in s.atom_residue[_of_root(c, HingeKind.FREE)]}
+    assert size[free] == sorted(size[:2])[0]
+
+
+def _of_root(c: pc.Chain, kind: HingeKind) -> np.ndarray:
+    """Atoms of the trees whose root is of a kind."""
+    root = np.arange(c.n_bodies)
+    for b in range(c.n_bodies):
+        if c.tree.parent[b] >= 0:
+            root[b] = root[c.tree.parent[b]]
+    return np.flatnonzero(c.tree.kind[root[c.atom_body]] == kind)
 
 
 def test_charges_of_the_file_are_used(tmp_path):

@@ -96,7 +96,7 @@ def choose(
     gone: Counter[tuple[str, str]] = Counter()
     for candidate in candidates:
         words = {"all", candidate.kind, candidate.member.name, candidate.given}
-        if id(candidate) in near and candidate.kind != "water":
+        if id(candidate) in near:
             words.add("near")
         if words & {*keep} and _is_usable(candidate.member):
             chosen.append(candidate)
@@ -153,7 +153,8 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
             first.atoms = [atom for atom in first.atoms if atom.name not in gone]
         found = [base_template(known, part, i) for i in range(len(part.members))]
         fits = all(_fits(member, its) for member, its in zip(part.members, found, strict=True))
-        part.mobile = fits and all(its is not None and its.is_users for its in found)
+        # Of a strand bonds would have to hold, which torsions do not know.
+        part.mobile = fits and len(found) == 1 and found[0] is not None and found[0].is_users
         if not fits:
             first.atoms = whole
             for member in part.members:

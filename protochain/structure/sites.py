@@ -150,7 +150,7 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
                 "to another molecule"
             )
         else:
-            names["-".join(m.name for m in part.members)] += 1
+            names[part.members[0].name] += 1
     if names:
         said = ", ".join(f"{count} {name}" for name, count in names.items())
         draft.repairs.append(
