@@ -280,3 +280,18 @@ def test_hydrogens_of_the_file_choose_among_states(tmp_path):
     assert recognised(member, seen, [anion, acid]).hydrogens == {"OB": ["HB"]}
     assert recognised(member, bare, [anion, acid]).hydrogens == {}
     assert list(recognised(member, bare, [acid, anion]).hydrogens.values()) == [["H"]]
+
+
+def test_its_labels_are_those_of_an_obstacle(tmp_path):
+    """In a chain of the protein's id it is another molecule, as ligands are in the archive."""
+    file = with_ligand(tmp_path)
+    file.write_text(file.read_text().replace("LIG B", "LIG A"))
+    (tmp_path / "lig.xml").write_text(ligand_xml())
+    labels = []
+    for given in (None, f"amber14,{tmp_path / 'lig.xml'}"):
+        s = pc.load(file, forcefield=given)
+        assert s.mobile.any() == bool(given)
+        pc.save(s, tmp_path / "out.cif")
+        read = gemmi.read_structure(str(tmp_path / "out.cif"))
+        labels.append([(r.name, r.subchain, r.label_seq) for chain in read[0] for r in chain])
+    assert labels[0] == labels[1] and len({subchain for _, subchain, _ in labels[0]}) == 2

@@ -153,7 +153,6 @@ def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.
             made.seqid = _seqid(structure, residue.index)
             kept = structure.kept[next(residue.atoms()).index]
             is_polymer = not kept or residue.name in NUCLEOTIDES
-            made.het_flag = "A" if is_polymer else "H"
             made.entity_type = gemmi.EntityType.Polymer if is_polymer else gemmi.EntityType.NonPolymer
             made.subchain, made.label_seq = labels[residue.index]
             for atom in residue.atoms():
