@@ -18,6 +18,7 @@ import protochain as pc
 from protochain.analysis.folder import clear
 from protochain.batches import table as tables
 from protochain.cli import main
+from protochain.cli.minimise import _frames
 from protochain.errors import WriteError
 from protochain.storage import claimed, read_arrays, write_arrays, write_atomically
 from protochain.structure.trajectory import TrajectoryFile
@@ -70,6 +71,51 @@ def test_a_trajectory_that_fills_the_disk_does_not_cost_the_result(suffix, tmp_p
     said = capsys.readouterr()
     assert status == 3 and json.loads(said.out)["status"] == "converged"
     assert f"t.{suffix}: not written (" in said.err and "saved: out.pdb" in said.err
+    assert [path.name for path in tmp_path.iterdir()] == ["out.pdb"]
+
+
+@pytest.mark.parametrize("suffix", ["dcd", "xtc"])
+def test_a_trajectory_that_fills_the_disk_makes_room_at_once(suffix, tmp_path):
+    """The space may save the result, so that it is not kept until the run has ended."""
+    c, lost = chain("ala10.pdb"), []
+    with full_above(20_000), _frames(tmp_path / f"t.{suffix}", c.structure, lost) as frames:
+        while not lost:
+            frames(c.structure.positions)
+            assert lost or list(tmp_path.iterdir())
+        assert not list(tmp_path.iterdir())
+        frames(c.structure.positions)
+    assert len(lost) == 1 and not list(tmp_path.iterdir())
+
+
+def test_a_trajectory_that_cannot_end_does_not_cost_the_result(tmp_path, monkeypatch, capsys):
+    def fails(self):
+        raise WriteError(self.path, "full")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(TrajectoryFile, "finish", fails)
+    assert run(monkeypatch, "minimise", SAMPLE, "-o", "out.pdb", "--trajectory", "t.dcd") == 3
+    said = capsys.readouterr()
+    assert "t.dcd: not written (full)" in said.err and "converged" in said.out
+    assert [path.name for path in tmp_path.iterdir()] == ["out.pdb"]
+
+
+def test_a_trace_that_fills_the_disk_does_not_cost_the_result(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    work = (
+        "minimise",
+        SAMPLE,
+        "-o",
+        "out.pdb",
+        "--trace",
+        "t.csv",
+        "--method",
+        "kcm",
+        "--max-evaluations",
+        400,
+    )
+    with full_above(13_000):
+        assert run(monkeypatch, *work) == 3
+    assert "t.csv: not written (File too large)" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["out.pdb"]
 
 
