@@ -312,9 +312,10 @@ class _Frames:
         self.file, self.lost = file, lost
 
     def __call__(self, x: Any) -> None:
+        if self.file is None or self.lost:
+            return
         try:
-            if self.file and not self.lost:
-                self.file.append(x)
+            self.file.append(x)
         except WriteError as error:
             self.file.discard()
             self.lost.append(str(error))
