@@ -163,8 +163,8 @@ def test_settings_are_divided_between_reading_and_preparation(calls, tmp_path):
     assert pc.as_structure(held, "held", **settings, forcefield=own, ph=5.0, disulfide=[("A:1", "A:3B")]) is S
     reading = calls["reading"]
     assert (reading.keep, reading.altloc, reading.model, reading.strict) == (("water",), "B", 3, True)
-    assert reading.forcefield == own and (calls["draft"].name, calls["draft"].source) == ("held", "held")
-    assert calls["prepared"] == (calls["draft"], [("A:1", "A:3B")], 5.0, own)
+    assert reading.forcefield == (own,) and (calls["draft"].name, calls["draft"].source) == ("held", "held")
+    assert calls["prepared"] == (calls["draft"], [("A:1", "A:3B")], 5.0, (own,))
     pc.as_structure(held)
     assert calls["prepared"] == (calls["draft"], None, 7.0, None) and calls["draft"].name == "structure"
     assert (calls["reading"].keep, calls["reading"].forcefield) == (("near",), None)
