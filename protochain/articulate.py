@@ -90,7 +90,8 @@ def build_chain(
     chains = [
         i
         for i, atoms in enumerate(parts)
-        if not structure.obstacle[atoms].all() and not _is_straight(structure.positions[atoms])
+        if not structure.obstacle[atoms].all()
+        and not (structure.mobile[atoms].all() and _is_straight(structure.positions[atoms]))
     ]
     loose = root == "free" or (root == "auto" and len(chains) > 1)
     free = [loose and i in chains and bool(moving[atoms].all()) for i, atoms in enumerate(parts)]
