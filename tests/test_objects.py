@@ -167,7 +167,7 @@ def test_settings_are_divided_between_reading_and_preparation(calls, tmp_path):
     assert calls["prepared"] == (calls["draft"], [("A:1", "A:3B")], 5.0, (own,))
     pc.as_structure(held)
     assert calls["prepared"] == (calls["draft"], None, 7.0, ()) and calls["draft"].name == "structure"
-    assert (calls["reading"].keep, calls["reading"].forcefield) == (("near",), None)
+    assert (calls["reading"].keep, calls["reading"].forcefield) == (("near",), ())
     for wrong, why in (({"ph": 15.0}, "pH 15"), ({"ph": -1.0}, "pH -1")):
         with pytest.raises(pc.ProtochainError, match=why):
             pc.as_structure(held, **wrong)
