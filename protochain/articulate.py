@@ -40,8 +40,8 @@ def build_chain(
         angles at N and C-alpha, wherever the phi or psi beside them turns. Rings are always rigid.
     root : str
         ``fixed``, ``free``, or ``auto``: free if there are several chains, which then move relative to one
-        another; beside obstacles the largest chain stays in place. A chain with atoms outside the selection
-        is always fixed.
+        another, as do molecules beside them that the force field has parameters for; beside obstacles the
+        largest chain stays in place. A chain with atoms outside the selection is always fixed.
     move : str
         Selection of mobile residues or atoms, in the selection language of MDAnalysis: a hinge turns if the
         third atom of its dihedral is selected (``resid 5:20``: all dihedrals of these residues; ``not
@@ -87,9 +87,14 @@ def build_chain(
     parts = [np.flatnonzero(molecule == m) for m in range(molecule.max() + 1)]
     roots = [_root_atom(structure, atoms, moving, group) for atoms in parts]
     # A molecule with fixed atoms cannot translate or rotate as a whole.
-    chains = [i for i, atoms in enumerate(parts) if not structure.obstacle[atoms].all()]
+    chains = [
+        i
+        for i, atoms in enumerate(parts)
+        if not structure.obstacle[atoms].all()
+        and not (structure.mobile[atoms].all() and _is_straight(structure.positions[atoms]))
+    ]
     loose = root == "free" or (root == "auto" and len(chains) > 1)
-    free = [loose and bool(moving[atoms].all()) for atoms in parts]
+    free = [loose and i in chains and bool(moving[atoms].all()) for i, atoms in enumerate(parts)]
     if root == "auto" and len(chains) < len(parts):
         # Kept molecules hold the frame: the largest chain must not drift away from them.
         free[max(chains, key=lambda i: len(parts[i]))] = False
@@ -111,6 +116,16 @@ def build_chain(
         moving=read_only(moving, np.bool_),
         hydrogen_mass=hydrogen_mass,
     )
+
+
+def _is_straight(x: Floats) -> bool:
+    """Whether positions (n, 3) are one point or nearly on a line, about which a body could turn freely."""
+    across = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
+    return len(x) < 3 or bool(across[1] <= _STRAIGHT * across[0])
+
+
+_STRAIGHT = 0.05
+"""Carbon dioxide with rounded coordinates is straight, water (0.5) is not."""
 
 
 def as_chain(source: Any) -> Chain:

@@ -119,6 +119,11 @@ def file_name(value: Any, name: str) -> str:
     return text(str(value) if isinstance(value, Path) else value, name)
 
 
+def force_field_parts(given: str) -> list[str]:
+    """Names and paths of a force field that is given in parts, with commas between."""
+    return [given] if Path(given).exists() else [name.strip() for name in given.split(",") if name.strip()]
+
+
 def pairs(given: Any, name: str) -> tuple[tuple[str, str], ...] | None:
     """Read bonds, each ``("A:3", "A:40")`` or ``"A:3-A:40"``, or all in one text with commas; None stays."""
     if given is None:

@@ -58,7 +58,7 @@ class Setup:
         Alternate location to prefer, which some atom must have; by default, and where it is absent, the one
         of highest occupancy.
     keep : tuple of str
-        Molecules to keep as fixed obstacles, as in :func:`protochain.load`, or their names in one text with
+        Molecules to keep beside the protein, as in :func:`protochain.load`, or their names in one text with
         commas between.
     disulfide : tuple of pairs of str, optional
         Disulfide bonds, each ``("A:3", "A:40")`` or ``"A:3-A:40"``, or ``"none"``; by default, where

@@ -56,6 +56,21 @@ def start_without_work(files, output, monkeypatch, **settings):
     return given
 
 
+def test_results_without_their_settings_are_not_continued(tmp_path, monkeypatch):
+    """Of an older version, or deleted: nobody knows what they are results of."""
+    files, usual = (STRUCTURES / "ala10.pdb",), {"methods": "lbfgs", "max_evaluations": 5}
+    start_without_work(files, tmp_path, monkeypatch, **usual)
+    (tmp_path / "settings.json").unlink()
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(pc.ProtochainError, match=r"holds results without settings\.json .*another folder"):
+        start_without_work(files, tmp_path, monkeypatch, resume=True, **usual)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    # The folder is not left locked, and without results there is nothing to doubt.
+    header = (tmp_path / "summary.csv").read_text().splitlines(True)[0]
+    (tmp_path / "summary.csv").write_text(header)
+    assert start_without_work(files, tmp_path, monkeypatch, resume=True, **usual) == ["ala10"]
+
+
 def test_a_manifest_is_resumed_with_its_own_settings_only(tmp_path, monkeypatch):
     first, second = STRUCTURES / "ala10.pdb", STRUCTURES / "1l2y.pdb"
     manifest, output = tmp_path / "work.csv", tmp_path / "out"

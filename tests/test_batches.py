@@ -20,6 +20,7 @@ from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.jobs import Row, failure, origin
 from protochain.batches.page import curves, write_page
 from protochain.batches.report import statistics, worst_first, write_report
+from protochain.batches.settings import keep_settings
 from protochain.batches.supervise import Child
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables
 from protochain.batches.task import run
@@ -471,6 +472,11 @@ def test_a_failed_start_leaves_an_earlier_batch_as_it_is(folder, tmp_path):
     tables.finished([job])
     tables.append([Row(origin(job) | {"method": "hybrid", "status": "converged"}, [])])
     tables.close()
+    # As the batch itself does, before any result.
+    rows = (tmp_path / "summary.csv").read_bytes()
+    (tmp_path / "summary.csv").unlink()
+    keep_settings(tmp_path, BatchSettings(), [job])
+    (tmp_path / "summary.csv").write_bytes(rows)
     with pytest.raises(pc.ProtochainError, match="no cluster answers"):
         pc.batch(folder, tmp_path, resume=True, scheduler="tcp://127.0.0.1:9")
     assert "converged" in (tmp_path / "summary.csv").read_text()

@@ -159,7 +159,7 @@ def test_near_is_five_angstrom_from_heavy_atoms_of_the_protein_or_joined_to_what
     kept = [part.members[0] for part in choose(draft, given, ("near",), {})]
     assert kept == [given[k].member for k in near]
     gone = len(places) - len(near)
-    said = f"{gone} LIG (further than 5 angstrom from the protein) left out; --keep all keeps everything"
+    said = f'{gone} LIG (further than 5 angstrom from the protein) left out; keep="all" keeps everything'
     assert draft.left_out == ({"LIG": gone} if gone else {}) and (draft.repairs[0] == said) == bool(gone)
 
 
@@ -176,14 +176,14 @@ def test_what_is_left_out_is_said_first_and_then_what_is_kept():
     choose(draft, given, ("near",), {})
     assert draft.repairs == [
         "2 LIG (further than 5 angstrom from the protein), 1 waters, 1 UNX (of unknown element), "
-        "1 DUM (of unknown element) left out; --keep all keeps everything",
+        '1 DUM (of unknown element) left out; keep="all" keeps everything',
         "2 BIG, 1 LIG kept beside the protein (BIG, LIG by element, unless the force field has parameters)",
         "earlier",
     ]
     assert draft.left_out == {"LIG": 2, "waters": 1, "UNX": 1, "DUM": 1}
     dry = drafted(glycine())
     choose(dry, candidates(1.0, 2.0, name="HOH"), ("near",), {})
-    assert dry.repairs == ["2 waters left out: the solvent is implicit; --keep all keeps everything"]
+    assert dry.repairs == ['2 waters left out: the solvent is implicit; keep="all" keeps everything']
     many = drafted(glycine())
     choose(many, [each for k in range(9) for each in candidates(1.0, name=f"L{k}")], ("all",), {})
     names = [f"L{k}" for k in range(8)]

@@ -1,11 +1,13 @@
 import csv
+import os
+import subprocess
 import sys
 from functools import partial
 
 import numpy as np
 import openmm
 import pytest
-from conftest import MORE_STRUCTURES, SAME_KERNEL, STRUCTURES, energy, load
+from conftest import MORE_STRUCTURES, ROOT, SAME_KERNEL, STRUCTURES, energy, load
 from openmm import app
 
 import protochain as pc
@@ -42,6 +44,55 @@ def test_other_solvents_are_openmms_own(solvent, files):
     theirs, _ = by_the_force_field("1l2y.pdb", "amber14/protein.ff14SB.xml", *files)(x)
     # The same forces through the same library: only round-off may differ.
     assert ours == pytest.approx(theirs, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_a_system_is_the_same_in_every_process():
+    """OpenMM numbers the types of a table of pairs in the order of a set of text."""
+    code = (
+        "import sys, protochain as pc\n"
+        "e = pc.energy(pc.load(sys.argv[1]), 'charmm36', 'vacuum', engine='openmm')\n"
+        "print(e.fingerprint, e.reference(pc.load(sys.argv[1]).positions)[0])"
+    )
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", code, str(STRUCTURES / "ala10.pdb")], capture_output=True, text=True,
+            check=True, env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": seed},
+        ).stdout
+        for seed in ("1", "2")
+    }  # fmt: skip
+    assert len(found) == 1
+
+
+def test_types_of_a_table_are_numbered_by_the_atoms():
+    """However they were numbered, the System is the same, with the same coefficient of each pair."""
+    table = np.array([[1.0, 2.0, 3.0], [2.0, 5.0, 6.0], [3.0, 6.0, 9.0]])
+    texts = set()
+    for order in ([0, 1, 2], [2, 0, 1], [1, 0, 2]):
+        force = openmm.CustomNonbondedForce("acoef(type1, type2)/r^12")
+        force.setName("LennardJones")
+        force.addPerParticleParameter("type")
+        renumbered = np.empty((3, 3))
+        renumbered[np.ix_(order, order)] = table
+        force.addTabulatedFunction("acoef", openmm.Discrete2DFunction(3, 3, renumbered.ravel()))
+        system = openmm.System()
+        for kind in (1, 0, 1, 2):
+            system.addParticle(1.0)
+            force.addParticle([order[kind]])
+        system.addForce(force)
+        factory._number_types(system)
+        texts.add(openmm.XmlSerializer.serialize(system))
+    assert len(texts) == 1
+    own = force.getTabulatedFunction(0).getFunctionParameters()
+    assert np.reshape(own[2], (3, 3)).tolist() == table[np.ix_([1, 0, 2], [1, 0, 2])].tolist()
+    assert [force.getParticleParameters(i) for i in range(4)] == [(0.0,), (1.0,), (0.0,), (2.0,)]
+
+
+def test_numbering_the_types_of_a_table_changes_no_energy():
+    s = load("ala10.pdb")
+    value, forces = pc.energy(s, "charmm36", "vacuum").reference(s.positions)
+    true, exact = by_the_force_field("ala10.pdb", "charmm36.xml")(s.positions)
+    assert value == pytest.approx(true, rel=1e-12) and np.allclose(forces, exact, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("forcefield", ["amber14", "amber19", "amber99sb", "amber99sbildn", "charmm36"])

@@ -116,6 +116,15 @@ def odd(lines):
     }
 
 
+def test_a_last_line_may_lack_its_end(tmp_path):
+    """Of a file whose lines end with the coordinates, and of one with elements."""
+    lines = atoms_of("1ubq.pdb")
+    for columns in (54, 66, 80):
+        text = "".join(line[:columns].rstrip() + "\n" for line in lines)
+        whole, cut = (pc.load(written(tmp_path, each)) for each in (text, text[:-1]))
+        assert np.array_equal(whole.positions, cut.positions) and whole.repairs == cut.repairs
+
+
 @pytest.mark.parametrize("kind", list(odd([])))
 def test_the_same_atoms_written_otherwise_are_the_same_structure(kind, tmp_path):
     lines = atoms_of("1ubq.pdb")

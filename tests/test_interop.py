@@ -136,12 +136,24 @@ def test_a_bar_counts_what_was_done_and_ends(kind, monkeypatch):
     assert said in last and last.endswith("\n") and ("kJ/mol" in last or " K" in last)
 
 
+def test_a_bar_names_the_stage(monkeypatch):
+    shown = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", shown)
+    watch = pc.progress("mine")
+    pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "hybrid", watch=watch, max_evaluations=60)
+    said = shown.getvalue()
+    assert all(f"mine: {stage}: " in said for stage in ("torsions", "all atoms", "judging the end"))
+    untitled = pc.progress()
+    untitled.at_stage("torsions", 0)
+    assert shown.getvalue().split("\r")[-1].startswith("torsions: ")
+
+
 def test_compare_gives_each_method_a_bar(capsys):
     pc.compare(
         chain("ala10.pdb"), ("kcm", "lbfgs"), energy("ala10.pdb"), max_evaluations=5, watch=pc.progress
     )
     shown = capsys.readouterr().err
-    assert "kcm: 5 evaluations" in shown and "lbfgs: 5 evaluations" in shown
+    assert all(f"{name}: judging the end: 5 evaluations" in shown for name in ("kcm", "lbfgs"))
 
 
 def test_values_show_themselves_in_notebooks_and_escape_names():

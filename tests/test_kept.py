@@ -10,9 +10,12 @@ import pytest
 from conftest import NATIVE_ENERGY, NATIVE_FORCE, STRUCTURES, shared
 from openmm import app
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 import protochain as pc
+from protochain.contacts import overlaps
 from protochain.energies.elements import lennard_jones
+from protochain.multibody import HingeKind
 from protochain.structure.files import parse
 from protochain.structure.superpose import superpose
 
@@ -51,6 +54,48 @@ def globin(tmp_path: Path) -> Path:
     if not path.exists():
         pytest.skip("2gtl.pdb is not here")
     return written(tmp_path, "".join(records(path, lambda line: line[21] == "A")) + "END\n")
+
+
+CUBE = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+CLUSTERS = {
+    "SF4": (0.962 * CUBE, -1.308 * CUBE, 2.290 * CUBE),
+    "FES": (
+        np.array([[0.0, 0.0, 1.35], [0.0, 0.0, -1.35]]),
+        np.array([[1.75, 0.0, 0.0], [-1.75, 0.0, 0.0]]),
+        np.array([[0.0, y, z] for z in (2.65, -2.65) for y in (1.897, -1.897)]),
+    ),
+}
+"""Angstrom: irons 2.7 apart, sulphides 2.2 to 2.3 from them, and cysteines' sulphurs 2.3 from their iron."""
+
+
+def iron_sulphur(tmp_path: Path, name: str) -> Path:
+    """A cluster that four peptides GCG, each a chain, hold by their cysteines."""
+    peptide = pc.from_sequence("GCG")
+    x, sulphur = 10 * peptide.positions, peptide.atom_name.tolist().index("SG")
+    irons, sulphides, holders = CLUSTERS[name]
+    lines = []
+
+    def add(record, atom, residue, chain, number, at, element):
+        lines.append(
+            f"{record:<6}{len(lines) + 1:5d} {atom:<4} {residue:>3} {chain}{number:4d}    "
+            f"{at[0]:8.3f}{at[1]:8.3f}{at[2]:8.3f}  1.00  0.00          {element:>2}\n"
+        )
+
+    for chain, target in zip("ABCD", holders, strict=True):
+        iron = irons[np.argmin(np.linalg.norm(irons - target, axis=1))]
+        # The peptide beyond its sulphur, which bends as one does: C-S-Fe of some 110 degrees.
+        out, inward = target - iron, x[sulphur] - x.mean(axis=0)
+        turn, _ = Rotation.align_vectors([out / np.linalg.norm(out)], [-inward / np.linalg.norm(inward)])
+        placed = turn.apply(x - x[sulphur]) + target
+        for k in np.flatnonzero(peptide.atom_element != "H"):
+            r = peptide.atom_residue[k]
+            add("ATOM", f" {peptide.atom_name[k]}", peptide.residue_name[r], chain, r + 1, placed[k],
+                peptide.atom_element[k])  # fmt: skip
+        lines.append("TER\n")
+    for kind, places in (("FE", irons), ("S", sulphides)):
+        for k, at in enumerate(places, 1):
+            add("HETATM", f"{kind}{k}" if kind == "FE" else f" {kind}{k}", name, "E", 1, at, kind)
+    return written(tmp_path, "".join(lines) + "END\n", f"{name}.pdb")
 
 
 def site_of(s: pc.Structure) -> list[int]:
@@ -94,10 +139,10 @@ def test_words_choose_what_is_kept():
         "ligands": ["SO4"], "SO4 water": ["HOH", "SO4"],
     }  # fmt: skip
     s = pc.load(path, keep=("none",))
-    assert s.repairs[0] == "1 SO4, 1 CA, 30 waters left out; --keep all keeps everything"
+    assert s.repairs[0] == '1 SO4, 1 CA, 30 waters left out; keep="all" keeps everything'
     assert dict(s.left_out) == {"SO4": 1, "CA": 1, "waters": 30} and not s.ties
     assert (
-        pc.load(path).repairs[0] == "30 waters left out: the solvent is implicit; --keep all keeps everything"
+        pc.load(path).repairs[0] == '30 waters left out: the solvent is implicit; keep="all" keeps everything'
     )
     assert pc.Setup().keep == ("near",) and pc.Setup(keep="none").load(path).left_out["SO4"] == 1
     with pytest.raises(pc.ProtochainError, match=r"keep 'ligand' is not known; give none, near, all, water"):
@@ -159,6 +204,59 @@ def test_a_ligand_pushes_as_its_elements_do(tmp_path):
     assert e(s.positions)[0] - e(away)[0] == pytest.approx(own, rel=1e-6)
 
 
+def crowded(tmp_path: Path) -> Path:
+    """Insulin, and beside it two molecules of two atoms far apart, which lie on one another."""
+    lines = records(STRUCTURES / "3i40.pdb", lambda line: line[17:20] != "HOH")
+    x = np.array([[float(line[k : k + 8]) for k in (30, 38, 46)] for line in lines])
+    out = x[np.argmax(x[:, 0])] + [4.0, 0.0, 0.0]
+    for number, shift in ((901, 0.0), (902, 0.3)):
+        for k, name in enumerate(("P", "O1")):
+            at = out + np.array([5.0 * k, shift, 0.0])
+            lines.append(
+                f"HETATM{number:5d}  {name:<3} PO1 C {number}    {at[0]:8.3f}{at[1]:8.3f}{at[2]:8.3f}"
+                f"  1.00  0.00           {name[0]}\n"
+            )
+    return written(tmp_path, "".join(lines) + "END\n")
+
+
+def test_obstacles_are_one_thing_that_stands_still(tmp_path):
+    """They do not push one another, nor do their overlaps count; the largest chain stays with them."""
+    s = pc.load(crowded(tmp_path))
+    still = np.flatnonzero(s.obstacle)
+    assert len(still) == 4 and s.n_chains == 2
+    e = pc.energy(s, solvent="vacuum")
+    nonbonded = next(f for f in e.system.getForces() if isinstance(f, openmm.NonbondedForce))
+    silent = {
+        tuple(sorted(nonbonded.getExceptionParameters(k)[:2]))
+        for k in range(nonbonded.getNumExceptions())
+        if nonbonded.getExceptionParameters(k)[4]._value == 0.0
+    }
+    # Of one molecule, and touching ones; P of one and O1 of the other are 5 angstrom apart.
+    p1, o1, p2, o2 = still.tolist()
+    assert {(p1, o1), (p2, o2), (p1, p2), (o1, o2)} <= silent and not {(p1, o2), (o1, p2)} & silent
+    assert [e.system.getParticleMass(int(k))._value for k in still] == [0.0] * 4
+    assert not {a for pair in overlaps(s, s.positions) for a in (pair.first, pair.second) if "PO1" in a}
+    c = pc.build_chain(s)
+    kinds = [
+        str(HingeKind(kind).name)
+        for kind, parent in zip(c.tree.kind, c.tree.parent, strict=True)
+        if parent < 0
+    ]
+    assert sorted(kinds) == ["FIXED", "FIXED", "FREE"]
+    size = np.bincount(s.residue_chain_index[s.atom_residue])
+    (free,) = {int(s.residue_chain_index[r]) for r in s.atom_residue[_of_root(c, HingeKind.FREE)]}
+    assert size[free] == sorted(size[:2])[0]
+
+
+def _of_root(c: pc.Chain, kind: HingeKind) -> np.ndarray:
+    """Atoms of the trees whose root is of a kind."""
+    root = np.arange(c.n_bodies)
+    for b in range(c.n_bodies):
+        if c.tree.parent[b] >= 0:
+            root[b] = root[c.tree.parent[b]]
+    return np.flatnonzero(c.tree.kind[root[c.atom_body]] == kind)
+
+
 def test_charges_of_the_file_are_used(tmp_path):
     lines = records(shared("1bx8_hirustasin.pdb"))
     charged = [
@@ -196,12 +294,16 @@ def test_a_force_field_that_knows_the_ligand_is_used(tmp_path):
         '<Atom type="l-O" sigma="0.3" epsilon="0.5"/></NonbondedForce>',
     )
     path = written(tmp_path, text, "own.xml")
+    with pytest.raises(pc.ProtochainError, match=r"bond of atom S of .* SO4 .* to O1 has no parameters"):
+        pc.energy(pc.load(shared("1bx8_hirustasin.pdb"), forcefield=path), str(path))
+    bond = '<Bond type1="l-S" type2="l-O" length="0.149" k="400000"/>'
+    written(tmp_path, text.replace("</HarmonicBondForce>", f"{bond}</HarmonicBondForce>"), "own.xml")
     s = pc.load(shared("1bx8_hirustasin.pdb"), forcefield=path)
     assert not any("by element" in line for line in s.repairs)
     nonbonded = next(
         f for f in pc.energy(s, str(path)).system.getForces() if isinstance(f, openmm.NonbondedForce)
     )
-    rows = [[v._value for v in nonbonded.getParticleParameters(i)] for i in np.flatnonzero(s.obstacle)]
+    rows = [[v._value for v in nonbonded.getParticleParameters(i)] for i in np.flatnonzero(s.mobile)]
     assert rows[0] == [1.4, 0.36, 1.0] and rows[1:] == [[-0.85, 0.3, 0.5]] * 4
 
 
@@ -285,6 +387,36 @@ def test_heme_sites_stay_together(tmp_path, method):
     r = pc.minimise(pc.build_chain(s), pc.energy(s), method, max_evaluations=1000)
     heme = np.flatnonzero(s.residue_name[s.atom_residue] == "HEM").tolist()
     assert moved(s, r.x, sorted({*site_of(s), *heme})) < SITE_NM
+
+
+@pytest.mark.parametrize(("name", "n"), [("SF4", 8), ("FES", 4)])
+def test_iron_sulphur_clusters_are_prepared_as_sites(tmp_path, name, n):
+    s = pc.load(iron_sulphur(tmp_path, name))
+    assert s.obstacle.sum() == n and np.array_equal(s.kept, s.obstacle)
+    bonds = [tie for tie in s.ties if len(tie.atoms) == 2]
+    ends = [(str(s.atom_name[i]), str(s.atom_name[j])[:2]) for i, j in (tie.atoms for tie in bonds)]
+    assert ends == [("SG", "FE")] * 4 and len({tie.atoms[0] for tie in bonds}) == 4
+    assert [tie.rest for tie in bonds] == pytest.approx([0.23] * 4, abs=5e-4)
+    assert not any("disulfide" in line for line in s.repairs)
+    hydrogens = {str(h) for h in s.atom_name[s.atom_element == "H"]}
+    assert "HB2" in hydrogens and "HG" not in hydrogens
+    # Their iron is no bond of the cluster's own sulphides, and sulphides hold no hydrogens.
+    assert {str(e) for e in s.atom_element[s.kept]} == {"Fe", "S"}
+    system = pc.energy(s).system
+    nonbonded = next(f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    q = np.array([nonbonded.getParticleParameters(i)[0]._value for i in range(s.n_atoms)])
+    sulphurs = [tie.atoms[0] for tie in bonds]
+    assert np.all(q[sulphurs] < -0.5) and q.sum() == pytest.approx(round(q.sum()), abs=1e-6)
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "hybrid"])
+@pytest.mark.parametrize("name", ["SF4", "FES"])
+def test_iron_sulphur_clusters_stay_together(tmp_path, name, method):
+    s = pc.load(iron_sulphur(tmp_path, name))
+    r = pc.minimise(pc.build_chain(s), pc.energy(s), method, max_evaluations=300)
+    cluster = np.flatnonzero(s.kept).tolist()
+    assert moved(s, r.x, sorted({*site_of(s), *cluster})) < SITE_NM
+    assert np.linalg.norm(r.x - s.positions, axis=1).max() > SITE_NM
 
 
 def test_an_ion_beside_a_ligand_stays_with_it(tmp_path):

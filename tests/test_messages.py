@@ -11,7 +11,6 @@ from distributed import LocalCluster
 import protochain as pc
 from protochain.batches import cluster
 from protochain.cli import as_options, main
-from protochain.cli.terminal import print_table
 
 SAMPLE = STRUCTURES / "ala10.pdb"
 
@@ -50,6 +49,11 @@ def test_python_hears_of_its_arguments(call, words, tmp_path, monkeypatch):
     ("arguments", "words"),
     [
         (("minimise", SAMPLE, "--max-evaluations", 0), "--max-evaluations 0: give at least 1"),
+        (("minimise", SAMPLE, "--restrain", "-1"), "--restrain (-1.0,): give strengths in kJ/mol/nm^2"),
+        (("minimise", SAMPLE, "--restrain", "strong"), "--restrain 'strong': give strengths"),
+        (("minimise", SAMPLE, "--starts", 3, "--restrain", 10), ": --restrain and --max-rmsd refer to"),
+        (("minimise", SAMPLE, "--starts", 3, "--spread", "-30"), "--spread -30: give an angle above 0, in"),
+        (("batch", SAMPLE, "--starts", 3, "--spread", 0), "--spread 0: give an angle above 0, in degrees"),
         (("simulate", SAMPLE, "--steps", 0), "--steps 0: "),
         (("simulate", SAMPLE, "--resume"), "leave out --resume"),
         (("simulate", SAMPLE, "--time-step", "0.002"), "0.002 fs: give femtoseconds: 2 are 0.002 ps"),
@@ -68,6 +72,29 @@ def test_names_of_files_are_no_options():
         assert as_options(text) == text
     assert as_options("x: give resume=True; time_step 3") == "x: give --resume; --time-step 3"
     assert as_options("with trust_forcefield=True") == "with --trust-forcefield"
+    for text in (
+        "20 restraints, restraint: held",
+        "a restraint of the start",
+        "a/restraint 3: odd",
+        "spread 3",
+    ):
+        assert as_options(text) == text
+    assert as_options("m.csv: row 2: spread 0.5: give an angle above 0, in rad") == (
+        "m.csv: row 2: --spread 28.6479: give an angle above 0, in degrees"
+    )
+
+
+def test_what_is_left_out_is_told_with_the_words_of_whoever_asks(monkeypatch, capsys):
+    assert (
+        pc.load(STRUCTURES / "1ubq.pdb")
+        .changes[0]
+        .endswith('left out: the solvent is implicit; keep="all" keeps everything')
+    )
+    monkeypatch.setattr(sys, "argv", ["protochain", "info", str(STRUCTURES / "1ubq.pdb")])
+    with pytest.raises(SystemExit):
+        main()
+    told = capsys.readouterr()
+    assert "--keep all keeps everything" in told.out + told.err and "keep=" not in told.out + told.err
 
 
 @pytest.mark.parametrize(
@@ -107,25 +134,6 @@ def test_an_alternate_location_that_no_atom_has_is_refused(name):
 def test_an_alternate_location_that_some_atoms_have_is_preferred():
     kept = [line for line in pc.load(STRUCTURES / "1ejg.pdb", altloc="B").repairs if "alternate" in line]
     assert len(kept) > 5 and all("location B kept" in line for line in kept)
-
-
-@pytest.mark.parametrize("method", ["lbfgs", "kcm-stiffness"])
-@pytest.mark.parametrize("status", ["converged", "interrupted"])
-def test_the_table_fits_80_columns(method, status, monkeypatch, capsys):
-    monkeypatch.delenv("COLUMNS", raising=False)
-    record = {
-        "method": method, "status": status, "message": "budget", "energy_start_kj_mol": 123456789012.25,
-        "energy_end_reference_kj_mol": -123456.785, "max_torque_end_kj_mol_rad": 1234567.1,
-        "rms_force_end_kj_mol_nm": 2e-6, "ca_rmsd_angstrom": 12.25, "evaluations": 50000, "seconds": 3612.25,
-    }  # fmt: skip
-    print_table([record, record | {"max_torque_end_kj_mol_rad": None, "energy_start_kj_mol": -12.25}])
-    *head, first, second = capsys.readouterr().out.splitlines()[:-2]
-    assert max(map(len, [*head, first, second])) <= 80
-    assert first.split() == [
-        method, status, "1.2e+11", "-123457", "1e+06", "2e-06", "12.25", "50000", "3612.2",
-    ]  # fmt: skip
-    assert second.split()[2:5] == ["-12.25", "-123457", "-"]
-    assert all(unit in " ".join(head) for unit in ("kJ/mol", "/rad", "/nm", "angstrom", "time", "s "))
 
 
 def test_what_is_no_checkpoint_is_said_to_be_none(tmp_path, monkeypatch, capsys):

@@ -12,7 +12,7 @@ import protochain as pc
 from protochain.structure import build as build_module
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.model import Tie
-from protochain.structure.prepare import _bonds, _indices, _refuse_coincident, _remoteness, user_file
+from protochain.structure.prepare import _bonds, _indices, _refuse_coincident, _remoteness, user_files
 from protochain.structure.select import select
 from protochain.structure.sites import Link
 from protochain.structure.superpose import ca_rmsd, motion, rmsd, rmsd_angstrom, superpose
@@ -264,5 +264,8 @@ def test_bonded_atoms_in_one_place_are_named():
 
 def test_a_force_field_is_a_users_if_it_is_a_file(tmp_path):
     (tmp_path / "own.xml").write_text("")
-    assert user_file(str(tmp_path / "own.xml")) == tmp_path / "own.xml"
-    assert user_file("amber14-all") is user_file(None) is user_file(tmp_path) is None
+    (tmp_path / "own,or.xml").write_text("")
+    assert user_files(str(tmp_path / "own.xml")) == (tmp_path / "own.xml",)
+    assert user_files(f"amber14, {tmp_path}/own.xml,{tmp_path}/no.xml") == (tmp_path / "own.xml",)
+    assert user_files(tmp_path / "own,or.xml") == (tmp_path / "own,or.xml",)
+    assert user_files("amber14-all") == user_files(None) == user_files(tmp_path) == ()

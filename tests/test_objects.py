@@ -163,11 +163,11 @@ def test_settings_are_divided_between_reading_and_preparation(calls, tmp_path):
     assert pc.as_structure(held, "held", **settings, forcefield=own, ph=5.0, disulfide=[("A:1", "A:3B")]) is S
     reading = calls["reading"]
     assert (reading.keep, reading.altloc, reading.model, reading.strict) == (("water",), "B", 3, True)
-    assert reading.forcefield == own and (calls["draft"].name, calls["draft"].source) == ("held", "held")
-    assert calls["prepared"] == (calls["draft"], [("A:1", "A:3B")], 5.0, own)
+    assert reading.forcefield == (own,) and (calls["draft"].name, calls["draft"].source) == ("held", "held")
+    assert calls["prepared"] == (calls["draft"], [("A:1", "A:3B")], 5.0, (own,))
     pc.as_structure(held)
-    assert calls["prepared"] == (calls["draft"], None, 7.0, None) and calls["draft"].name == "structure"
-    assert (calls["reading"].keep, calls["reading"].forcefield) == (("near",), None)
+    assert calls["prepared"] == (calls["draft"], None, 7.0, ()) and calls["draft"].name == "structure"
+    assert (calls["reading"].keep, calls["reading"].forcefield) == (("near",), ())
     for wrong, why in (({"ph": 15.0}, "pH 15"), ({"ph": -1.0}, "pH -1")):
         with pytest.raises(pc.ProtochainError, match=why):
             pc.as_structure(held, **wrong)

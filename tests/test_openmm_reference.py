@@ -7,6 +7,7 @@ import openmm
 import pytest
 from conftest import chain, energy
 
+import protochain as pc
 from protochain.energies import OpenMMEnergy
 from protochain.minimisers import RECIPES, openmm_reference
 from protochain.minimisers.loop import Stop
@@ -89,6 +90,18 @@ def test_the_minimiser_goes_on_in_double_precision_where_forces_are_left(stop, m
 def test_a_run_that_was_stopped_stays_so(stop, monkeypatch):
     story = Story(monkeypatch, (stop, -8.0, 7, 20), force=9.0)
     assert story.run("openmm") == (stop, -8.0, 7, 21)
+
+
+@pytest.mark.parametrize("method", ["openmm", "openmm-md"])
+def test_a_start_without_an_energy_is_said_to_be_one(method):
+    c = chain("ala10.pdb")
+    system, force = openmm.System(), openmm.CustomExternalForce("sqrt(-1-x^2)")
+    for k in range(c.n_atoms):
+        system.addParticle(12.0)
+        force.addParticle(k, [])
+    system.addForce(force)
+    r = pc.minimise(c, pc.energy(c, system=system), method, max_evaluations=50)
+    assert r.status == "non-finite" and r.n_evaluations == 1 and not r.is_usable
 
 
 def test_a_spent_budget_ends_the_run(monkeypatch):

@@ -110,7 +110,7 @@ def test_a_file_without_a_protein_says_what_there_is():
     draft = taken(*alanines(2), water, iron, heavy, other, third)
     assert dict(draft.left_out) == {"waters": 3, "XQQ": 2, "deuterium atoms": 1}
     assert draft.repairs == [
-        "3 waters, 2 XQQ left out; --keep all keeps everything",
+        '3 waters, 2 XQQ left out; keep="all" keeps everything',
         "1 deuterium atoms left out",
     ]
 
@@ -124,7 +124,7 @@ def test_a_trace_of_c_alphas_is_refused_though_it_has_a_cap():
     draft = taken(trace[0], residue("ALA", 2), residue("ALA", 3))
     assert names(draft) == [["ALA2", "ALA3"]] and dict(draft.left_out) == {"ALA": 1}
     assert draft.repairs == [
-        "1 ALA left out; --keep all keeps everything",
+        '1 ALA left out; keep="all" keeps everything',
         "chain A is broken between 1 and 2 (inf angstrom): split there, with charged termini; "
         "to avoid it, model the missing residues",
         "residue 1 ALA of chain A: no part of a chain: it is bonded to no other residue",
@@ -147,7 +147,7 @@ def test_alternates_and_repeated_atoms_of_the_protein_are_said():
     draft = taken(*made[:2], residue("ALA", 3), residue("XQQ", 9, atoms=["O", "O"]))
     first, second = "residue 1 MSE of chain A", "residue 2 ALA of chain A"
     assert draft.repairs == [
-        "1 XQQ left out; --keep all keeps everything",
+        '1 XQQ left out; keep="all" keeps everything',
         f"{first}: alternate location B kept (occupancy 0.75), MSE A left out",
         f"{first}: selenomethionine converted to MET",
         f"{second}: CB given more than once; the first of each kept",
@@ -209,7 +209,7 @@ def test_what_is_kept_is_said_and_what_has_no_element_is_left_out():
     ligand, odd = residue("XQQ", 9, atoms=["S"]), residue("XQR", 10, atoms=[("Q", "X")])
     beside = residue("WAT", 9, atoms=["O"]), ligand, odd
     bare = "(XQQ by element, unless the force field has parameters)"
-    unknown = "1 XQR (of unknown element) left out; --keep all keeps everything"
+    unknown = '1 XQR (of unknown element) left out; keep="all" keeps everything'
     named = taken(*alanines(2), *beside, keep=("XQQ",))
     assert names(named) == [["ALA1", "ALA2"], ["XQQ9"]] and dict(named.left_out) == {"waters": 1, "XQR": 1}
     assert named.repairs == [f"1 waters, {unknown}", f"1 XQQ kept beside the protein {bare}"]
@@ -258,7 +258,7 @@ def test_an_unknown_amino_acid_is_refused_in_a_chain_and_left_out_alone():
     draft = taken(*alanines(2), residue("XQQ", 9), residue("ALA", 20), residue("ALA", 21))
     assert names(draft) == [["ALA1", "ALA2"], ["ALA20", "ALA21"]]
     assert dict(draft.left_out) == {"XQQ": 1}
-    assert draft.repairs == ["1 XQQ left out; --keep all keeps everything"]
+    assert draft.repairs == ['1 XQQ left out; keep="all" keeps everything']
 
 
 def test_a_residue_that_lacks_its_backbone_is_left_out():

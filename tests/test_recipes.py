@@ -206,6 +206,10 @@ NAMES = ", ".join(METHODS)
         (":Thing", "method ':Thing' cannot be imported: Empty module name"),
         ("math:Thing", "method 'math:Thing' cannot be imported: module 'math' has no attribute 'Thing'"),
         (3, "method 3: give a name, or an object with init and step, as Descent(direction, rule)"),
+        (Fixed(1.0), "method Fixed(length=1.0) is a step rule: give it with a direction, as "
+                     "Descent(direction, Fixed(length=1.0))"),
+        (StrongWolfe(), "method StrongWolfe() is a step rule: give it with a direction, as "
+                        "Descent(direction, StrongWolfe())"),
         (SimpleNamespace(init=1), "method namespace(init=1): give a name, or an object with init and step, "
                                   "as Descent(direction, rule)"),
         (SimpleNamespace(step=1), "method namespace(step=1): give a name, or an object with init and step, "

@@ -4,7 +4,9 @@ import json
 import resource
 import sys
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import mdtraj
 import numpy as np
@@ -13,8 +15,10 @@ import pytest
 from conftest import STRUCTURES, chain, energy
 
 import protochain as pc
+from protochain.analysis.folder import clear
 from protochain.batches import table as tables
 from protochain.cli import main
+from protochain.cli.minimise import _frames
 from protochain.errors import WriteError
 from protochain.storage import claimed, read_arrays, write_arrays, write_atomically
 from protochain.structure.trajectory import TrajectoryFile
@@ -70,6 +74,51 @@ def test_a_trajectory_that_fills_the_disk_does_not_cost_the_result(suffix, tmp_p
     assert [path.name for path in tmp_path.iterdir()] == ["out.pdb"]
 
 
+@pytest.mark.parametrize("suffix", ["dcd", "xtc"])
+def test_a_trajectory_that_fills_the_disk_makes_room_at_once(suffix, tmp_path):
+    """The space may save the result, so that it is not kept until the run has ended."""
+    c, lost = chain("ala10.pdb"), []
+    with full_above(20_000), _frames(tmp_path / f"t.{suffix}", c.structure, lost) as frames:
+        while not lost:
+            frames(c.structure.positions)
+            assert lost or list(tmp_path.iterdir())
+        assert not list(tmp_path.iterdir())
+        frames(c.structure.positions)
+    assert len(lost) == 1 and not list(tmp_path.iterdir())
+
+
+def test_a_trajectory_that_cannot_end_does_not_cost_the_result(tmp_path, monkeypatch, capsys):
+    def fails(self):
+        raise WriteError(self.path, "full")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(TrajectoryFile, "finish", fails)
+    assert run(monkeypatch, "minimise", SAMPLE, "-o", "out.pdb", "--trajectory", "t.dcd") == 3
+    said = capsys.readouterr()
+    assert "t.dcd: not written (full)" in said.err and "converged" in said.out
+    assert [path.name for path in tmp_path.iterdir()] == ["out.pdb"]
+
+
+def test_a_trace_that_fills_the_disk_does_not_cost_the_result(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    work = (
+        "minimise",
+        SAMPLE,
+        "-o",
+        "out.pdb",
+        "--trace",
+        "t.csv",
+        "--method",
+        "kcm",
+        "--max-evaluations",
+        400,
+    )
+    with full_above(13_000):
+        assert run(monkeypatch, *work) == 3
+    assert "t.csv: not written (File too large)" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["out.pdb"]
+
+
 def test_a_checkpoint_that_fills_the_disk_does_not_cost_the_result(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with full_above(12_000):
@@ -112,7 +161,7 @@ def test_a_simulation_without_a_checkpoint_leaves_nothing(tmp_path):
     c, e = chain("ala10.pdb"), energy("ala10.pdb")
     with full_above(10_000), pytest.raises(WriteError, match=r"trajectory\.dcd: not written") as raised:
         pc.simulate(c, e, n_steps=300, every=2, output=tmp_path / "run")
-    assert "saved: nothing" in str(raised.value) and not list(tmp_path.glob("run/*"))
+    assert "saved: nothing" in str(raised.value) and not list(tmp_path.iterdir())
 
 
 def test_a_trajectory_that_cannot_begin_leaves_nothing(tmp_path):
@@ -137,6 +186,18 @@ def test_a_row_of_a_batch_is_whole_or_not_there(tmp_path):
     with full_above(1000), pytest.raises(WriteError, match=r"summary\.csv: .*resume=True"):
         tables._append(path, "y" * 200 + "\n")
     assert path.read_text() == "x" * 900
+
+
+@pytest.mark.parametrize("suffix", ["dcd", "xtc"])
+def test_what_a_killed_run_left_is_replaced(suffix, tmp_path):
+    """A trajectory begins anew, though a part of another is there."""
+    stale = tmp_path / f"t.part.{suffix}"
+    stale.write_bytes(b"x" * 100_000)
+    c = chain("ala10.pdb")
+    with TrajectoryFile(tmp_path / f"t.{suffix}", c.structure) as file:
+        file.append(c.structure.positions)
+    frames = mdtraj.load(str(tmp_path / f"t.{suffix}"), top=mdtraj.Topology.from_openmm(c.structure.topology))
+    assert frames.n_frames == 1 and not stale.exists()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
@@ -179,6 +240,61 @@ def test_a_comparison_is_replaced_only_when_asked_and_whole(tmp_path, monkeypatc
     assert {path.stem for path in out.glob("*.pdb")} == {"ala10.kcm", "ala10.start"}
     assert (out / "summary.csv").read_text() != "old" and not (out / ".lock").exists()
     assert (out / "notes.txt").read_text() == "old" and (tmp_path / "notes.pdb").exists()
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A method that finds nothing."""
+
+    states = ()
+
+    def init(self, problem, at):
+        return self._State(at)
+
+    def step(self, problem, state):
+        return None
+
+    @dataclass(frozen=True)
+    class _State:
+        at: Any
+
+
+def test_an_end_that_is_no_result_is_not_among_the_structures(tmp_path):
+    """Its file would be the start under the name of a method."""
+    k = pc.compare(chain("ala10.pdb"), (Standing(), "lbfgs"), energy("ala10.pdb"), max_evaluations=20)
+    standing, lbfgs = k.records()
+    assert standing["output"] is None and lbfgs["output"] == "ala10.lbfgs.pdb"
+    assert standing["message"].endswith("nothing is better than the start: no structure is written")
+    assert "no structure" not in lbfgs["message"]
+    page = k.report(tmp_path).read_text()
+    assert {path.stem for path in tmp_path.glob("*.pdb")} == {"ala10.start", "ala10.lbfgs"}
+    assert "<strong>Standing</strong>: " + standing["message"] in page
+    # What it wrote is known, and deleted with it.
+    clear(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_comparison_without_any_result_is_cleared_whole(tmp_path):
+    k = pc.compare(chain("ala10.pdb"), (Standing(),), energy("ala10.pdb"))
+    k.report(tmp_path)
+    assert [path.name for path in tmp_path.glob("*.pdb")] == ["ala10.start.pdb"]
+    clear(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("evaluations", [1, 30])
+def test_a_trajectory_stays_only_beside_a_result(evaluations, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    frames = tmp_path / "t.dcd"
+    frames.write_text("old")
+    status = run(monkeypatch, "minimise", SAMPLE, "-o", "o.pdb", "--trajectory", "t.dcd", "--force",
+                 "--method", "lbfgs", "--max-evaluations", evaluations)  # fmt: skip
+    if evaluations == 1:
+        assert status == 1 and "nothing is written" in capsys.readouterr().err
+        assert frames.read_text() == "old"
+    else:
+        assert status in (0, 3) and frames.stat().st_size > 1000
+    assert not list(tmp_path.glob("*.part*")) and (tmp_path / "o.pdb").exists() == (evaluations > 1)
 
 
 def test_a_comparison_does_not_share_its_folder(tmp_path, monkeypatch, capsys):

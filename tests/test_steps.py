@@ -115,6 +115,25 @@ def test_a_line_search_that_fails_takes_the_lowest_point_it_met():
     assert inside == [problem.energy.asked[-1]]
 
 
+@pytest.mark.parametrize("wall", [0.3, 1e-3, 1e-6])
+@pytest.mark.parametrize("torque", [np.nan, 1.0, -1.0, 0.0])
+def test_the_line_search_ends_at_no_point_without_an_energy(wall, torque):
+    """NaN is neither higher nor lower than the start: the search must not take it for a fall."""
+    problem, at, direction = along(
+        lambda t: -t if t < wall else np.nan, lambda t: 1.0 if t < wall else torque
+    )
+    length, found, _ = StrongWolfe().step(problem, at, direction, None)
+    assert 0.0 < length < wall and found.energy == -length and found.is_finite
+    problem, at, direction = along(lambda t: np.nan if t else 0.0, lambda t: torque if t else 1.0)
+    assert StrongWolfe().step(problem, at, direction, None) is None
+
+
+def test_a_fall_without_an_end_is_followed_for_ten_doublings():
+    problem, at, direction = along(lambda t: -t, lambda t: 1.0)
+    length, found, _ = StrongWolfe().step(problem, at, direction, None)
+    assert problem.energy.asked == [2.0**k for k in range(11)] and (length, found.energy) == (1024.0, -1024.0)
+
+
 def test_a_line_search_that_fails_beside_a_lower_point_takes_that_point():
     # Falls steeply at all lengths, against a slope that claims to rise beyond 0.5: no Wolfe point.
     def energy(t):

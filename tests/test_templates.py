@@ -28,7 +28,7 @@ OWN = """\
 
 def test_a_force_field_of_ones_own_is_added_under_the_archives_names(tmp_path):
     (tmp_path / "own.xml").write_text(OWN.replace("NILE", "NQQQ"))
-    known = templates(tmp_path / "own.xml")
+    known = templates([tmp_path / "own.xml"])
     made = known["QQQ"]
     assert made.name == "QQQ" and dict(made.element) == {"N": "N", "H": "H", "CA": "C", "O": "O"}
     assert dict(made.charge) == {"N": -0.5, "H": 0.25, "CA": 0.0, "O": 0.0}
@@ -71,7 +71,7 @@ def test_a_file_that_is_no_force_field_is_refused(text, why, tmp_path):
     if text is not None:
         path.write_text(text)
     with pytest.raises(pc.ProtochainError) as refused:
-        templates(path)
+        templates([path])
     assert str(refused.value).startswith(f"{path}: {why}")
 
 

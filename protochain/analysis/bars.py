@@ -1,9 +1,9 @@
 """A progress bar for notebooks and terminals."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from protochain.arrays import Floats
+from protochain.arrays import Floats, Watcher
 
 _SHOWN = {
     "energy_kj_mol": "{:.1f} kJ/mol",
@@ -14,8 +14,8 @@ _SHOWN = {
 """Values shown beside the bar, where a row has them; the torque is nan where all atoms move."""
 
 
-def progress(title: str = "") -> Callable[[Mapping[str, float], Floats], None]:
-    """Show a progress bar: ``minimise(..., watch=pc.progress("lbfgs"))``.
+def progress(title: str = "") -> Watcher:
+    """Show a progress bar, with the stage of the run: ``minimise(..., watch=pc.progress("lbfgs"))``.
 
     Parameters
     ----------
@@ -28,16 +28,27 @@ def progress(title: str = "") -> Callable[[Mapping[str, float], Floats], None]:
         Watcher for :func:`protochain.minimise` and :func:`protochain.simulate`. The bar closes when the
         watcher is no longer referenced.
     """
-    from tqdm.auto import tqdm
+    return _Bar(title)
 
-    # The number of evaluations is not known in advance.
-    bar: Any = tqdm(desc=title, unit=" evaluations")
 
-    def watch(row: Mapping[str, float], x: Floats) -> None:
+class _Bar:
+    """Watcher of a run; the number of evaluations is not known in advance."""
+
+    def __init__(self, title: str) -> None:
+        from tqdm.auto import tqdm
+
+        self.title = title
+        self.bar: Any = tqdm(desc=title, unit=" evaluations")
+
+    def at_stage(self, name: str, evaluations: int) -> None:
+        """Show the stage of the run before the bar."""
+        said = f"{self.title}: {name}" if self.title else name
+        self.bar.set_description_str(said, refresh=not self.bar.desc.startswith(said))
+        self.bar.update(evaluations - self.bar.n)
+
+    def __call__(self, row: Mapping[str, float], x: Floats) -> None:
         if "step" in row:
-            bar.unit = " steps"
+            self.bar.unit = " steps"
         said = [text.format(row[key]) for key, text in _SHOWN.items() if row.get(key, 0.0) == row.get(key)]
-        bar.set_postfix_str(", ".join(said), refresh=False)
-        bar.update(row.get("evaluations", row.get("step", 0)) - bar.n)
-
-    return watch
+        self.bar.set_postfix_str(", ".join(said), refresh=False)
+        self.bar.update(row.get("evaluations", row.get("step", 0)) - self.bar.n)

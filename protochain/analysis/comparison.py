@@ -82,11 +82,20 @@ class Comparison:
         return pd.DataFrame([{key: flat(value) for key, value in row.items()} for row in self.records()])
 
     def records(self) -> list[dict[str, Any]]:
-        """JSON record of each solution, with its origin and the name of its file."""
+        """JSON record of each solution, with its origin and the name of its file; none where it has none."""
         return [
-            {**s.record(), **self.origin, "output": f"{self.structure.name}.{s.method}{self.suffix}"}
+            {**s.record(), **self.origin, "message": self.message(s), "output": self.file_of(s)}
             for s in self.solutions
         ]
+
+    def file_of(self, solution: Solution) -> str | None:
+        """Name of a solution's file; None if nothing is better than the start, which has its own."""
+        return f"{self.structure.name}.{solution.method}{self.suffix}" if solution.is_usable else None
+
+    def message(self, solution: Solution) -> str:
+        """Message of a solution, and whether it has no file."""
+        none = "; nothing is better than the start: no structure is written"
+        return solution.message + ("" if solution.is_usable else none)
 
     @cached_property
     def traces(self) -> pd.DataFrame:

@@ -9,6 +9,7 @@ from protochain.storage import check_writable
 TABLES = ("summary", "equal_cost", "work", "spread", "displacement", "traces", "quality")
 FIGURES = ("energy", "work_precision", "torque", "rmsd", "displacement", "ramachandran")
 _PAGE, _SUMMARY = "report.html", "summary.json"
+_SUFFIXES = (".pdb", ".cif")
 _OF_OTHERS = ("pages", "summary.parquet", "checkpoint.npz", "log.csv", "log.part.csv")
 """What batches and simulations leave in their folders."""
 
@@ -53,8 +54,8 @@ def _structures(folder: Path) -> list[str]:
     """Names of the structures that the summary of a comparison names, each in this folder."""
     try:
         summary = json.loads((folder / _SUMMARY).read_text(encoding="utf-8"))
-        ends = [Path(row["output"]) for row in summary["results"]]
-        starts = [Path(f"{summary['structure']}.start{end.suffix}") for end in ends]
+        ends = [Path(row["output"]) for row in summary["results"] if row["output"]]
+        starts = [Path(f"{summary['structure']}.start{suffix}") for suffix in _SUFFIXES]
     except (OSError, ValueError, KeyError, TypeError):
         return []
-    return [path.name for path in (*ends, *starts) if path.suffix in (".pdb", ".cif")]
+    return [path.name for path in (*ends, *starts) if path.suffix in _SUFFIXES]

@@ -52,7 +52,9 @@ def _write_files(comparison: "Comparison", directory: Path) -> Path:
     _write_text(directory / "quality.csv", comparison.quality.to_csv())
     save(comparison.structure, directory / f"{name}.start{suffix}")
     for solution in comparison.solutions:
-        solution.save(directory / f"{name}.{solution.method}{suffix}")
+        file = comparison.file_of(solution)
+        if file:
+            solution.save(directory / file)
     figures = _figures(comparison)
     for stem, figure in figures.items():
         write_atomically(directory / f"{stem}.png", partial(figure.savefig, dpi=150))
@@ -105,6 +107,7 @@ def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str,
         title=f"{comparison.structure.name}{f' by {method}' if of_one else ': comparison of minimisers'}",
         structure=comparison.structure,
         solutions=comparison.solutions,
+        message=comparison.message,
         shown=SHOWN,
         rows=comparison.table.to_dict("records"),
         rmsd=comparison.rmsd,

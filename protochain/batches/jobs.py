@@ -22,7 +22,7 @@ from protochain.minimisers.recipes import recipe_of
 from protochain.minimisers.starts import check_starts
 from protochain.setup import ALL_MODELS, Setup, models_asked
 from protochain.structure.files import format_of, split_name
-from protochain.structure.prepare import user_file
+from protochain.structure.prepare import user_files
 from protochain.structure.read import model_numbers
 
 _GLOB = frozenset("*?[")
@@ -351,8 +351,8 @@ def _hash(path: Path) -> str:
 
 
 def _key(found: _Found) -> str:
-    own = user_file(found.settings.setup.forcefield)
-    parts = [version("protochain"), found.content, found.settings.record(), _hash(own) if own else ""]
+    own = "".join(map(_hash, user_files(found.settings.setup.forcefield)))
+    parts = [version("protochain"), found.content, found.settings.record(), own]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 

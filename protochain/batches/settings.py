@@ -5,13 +5,14 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from protochain.batches.jobs import BatchSettings, Job
 from protochain.errors import ProtochainError
 from protochain.storage import write_atomically
-from protochain.structure.prepare import user_file
+from protochain.structure.prepare import user_files
 
 NAME = "settings.json"
 
@@ -31,7 +32,7 @@ def keep_settings(folder: Path, common: BatchSettings, jobs: Sequence[Job]) -> N
     Raises
     ------
     ProtochainError
-        Naming the first setting that differs from that of the results in the folder.
+        Naming the first setting that differs from that of the results in the folder, or if these have none.
     """
     path = folder / NAME
     settings, own = _plain(common), _of_structures(common, jobs)
@@ -43,16 +44,31 @@ def keep_settings(folder: Path, common: BatchSettings, jobs: Sequence[Job]) -> N
                 if given not in own[structure]:
                     _refuse_others(folder, f" for {structure}", before | given, before | own[structure][0])
         own = known | own
+    elif _holds_results(folder):
+        raise ProtochainError(
+            f"{folder}: holds results without {NAME} (deleted, or of an older version), so that their "
+            "settings are not known; give another folder"
+        )
     text = json.dumps({"settings": settings, "structures": own}, indent=1, allow_nan=False)
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
+
+
+def _holds_results(folder: Path) -> bool:
+    """Whether the table of a folder has a row below its headings."""
+    try:
+        with (folder / "summary.csv").open("rb") as file:
+            return len([*islice(file, 2)]) > 1
+    except FileNotFoundError:
+        return False
 
 
 def _plain(settings: BatchSettings) -> dict[str, Any]:
     """Settings as JSON reads them back, with all else that makes results differ."""
     values = settings.record() | {"protochain": version("protochain")}
-    file = user_file(settings.setup.forcefield)
-    if file:
-        values["content of the force field"] = hashlib.sha256(file.read_bytes()).hexdigest()[:12]
+    files = user_files(settings.setup.forcefield)
+    if files:
+        content = b"".join(file.read_bytes() for file in files)
+        values["content of the force field"] = hashlib.sha256(content).hexdigest()[:12]
     finite = {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in values.items()

@@ -1,6 +1,7 @@
 """Parse, call, print. Heavy imports wait until a command runs, so that --help answers at once."""
 
 import errno
+import math
 import os
 import re
 import signal
@@ -17,7 +18,7 @@ from protochain.cli.bench import bench
 from protochain.cli.compare import compare
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
-from protochain.cli.options import BAD_INPUT, fail
+from protochain.cli.options import BAD_INPUT, fail, with_options
 from protochain.cli.rmsd import rmsd
 from protochain.cli.simulate import simulate
 from protochain.cli.validate import validate
@@ -57,11 +58,19 @@ app.command("minimize", hidden=True)(minimise)
 _RENAMED = {"n_steps": "steps", "n_starts": "starts", "hop_temperature": "hop"}
 """Options with other names than the arguments of the library."""
 
+_SPREAD = re.compile(r"\bspread (\S+): give an angle above 0, in rad\b")
+_RESTRAINT = re.compile(r"(^|: )restraint(?= )")
+"""Names that are also words, where they are arguments: the one in rad, where the option is in degrees."""
+
 
 def as_options(message: str) -> str:
     """Message of the library, which names its arguments, in the words of the command line."""
     options = {name for each in _COMMANDS for name in signature(each).parameters if "_" in name}
     names = "|".join(sorted({*options, *_RENAMED}, key=len, reverse=True))
+    message = _RESTRAINT.sub(r"\1--restrain", with_options(message))
+    message = _SPREAD.sub(
+        lambda m: f"--spread {math.degrees(float(m[1])):g}: give an angle above 0, in degrees", message
+    )
     # Not in paths and other names.
     found = re.compile(rf"(?<![\w/.'-])(?:(\w+)=True|({names}))(?![\w/'-]|\.\w)")
     return found.sub(lambda m: f"--{_RENAMED.get(m[2], m[1] or m[2]).replace('_', '-')}", message)

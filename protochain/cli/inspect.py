@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, with_setup
+from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, with_options, with_setup
 from protochain.setup import Setup
 
 
@@ -58,7 +58,7 @@ def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
         if isinstance(value, list):
             print(f"{key}: {len(value)}")
             for line in value:
-                print(f"  {line}")
+                print(f"  {with_options(line)}")
         elif isinstance(value, dict):
             print(f"{key}: {', '.join(f'{count} {name}' for name, count in value.items()) or 'nothing'}")
         else:

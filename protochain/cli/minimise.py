@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from protochain.energies import Energy
     from protochain.minimisers import Solution
     from protochain.structure import Structure
+    from protochain.structure.trajectory import TrajectoryFile
 
 Output = Annotated[
     Path | None,
@@ -279,11 +280,12 @@ def _once(
 
     lost: list[str] = []
     with (
-        _frames(trajectory, chain.structure, lost) as append,
-        run_progress(settings["method"], settings["max_evaluations"], append) as watch,
+        _frames(trajectory, chain.structure, lost) as frames,
+        run_progress(settings["method"], settings["max_evaluations"], frames) as watch,
         _warnings(lost),
     ):
         solution = minimise(chain, energy, watch=watch, **settings)
+        frames.wanted = solution.is_usable
     return solution, {"not_written": lost} if lost else {}
 
 
@@ -300,29 +302,38 @@ def _warnings(lost: list[str]) -> Iterator[None]:
             warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
 
 
+class _Frames:
+    """Writer of frames; on a full disk it stops and says so: its space may save the result."""
+
+    wanted = True
+    """Whether the run has a result, beside which the trajectory belongs."""
+
+    def __init__(self, file: "TrajectoryFile | None", lost: list[str]) -> None:
+        self.file, self.lost = file, lost
+
+    def __call__(self, x: Any) -> None:
+        if self.file is None or self.lost:
+            return
+        try:
+            self.file.append(x)
+        except WriteError as error:
+            self.file.discard()
+            self.lost.append(str(error))
+
+
 @contextmanager
-def _frames(path: Path | None, structure: "Structure", lost: list[str]) -> Iterator[Callable[[Any], None]]:
-    """Write frames; on a full disk leave the trajectory out and say so: its space may save the result."""
+def _frames(path: Path | None, structure: "Structure", lost: list[str]) -> Iterator[_Frames]:
+    """Write frames to a trajectory, if there is one; what could not be written is added to ``lost``."""
     from protochain.structure.trajectory import TrajectoryFile
 
-    if path is None:
-        yield lambda x: None
-        return
+    file = TrajectoryFile(path, structure) if path else None
+    frames = _Frames(file, lost)
     with ExitStack() as opened:
-        file = TrajectoryFile(path, structure)
-        opened.callback(file.discard)
-
-        def append(x: Any) -> None:
-            try:
-                if not lost:
-                    file.append(x)
-            except WriteError as error:
-                file.discard()
-                lost.append(str(error))
-
-        yield append
+        if file:
+            opened.callback(file.discard)
+        yield frames
         try:
-            if not lost:
+            if file and frames.wanted and not lost:
                 file.finish()
         except WriteError as error:
             lost.append(str(error))

@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import re
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -66,7 +67,7 @@ _SETUP = {
     "hinges": _option(str, "Degrees of freedom: any of phi psi omega chi rotors angles."),
     "move": _option(str, "What may move, in MDAnalysis's selection language: 'resid 5:20', 'not backbone'."),
     "forcefield": _option(
-        str, "amber14, amber19, amber99sb, amber99sbildn, charmm36, or an OpenMM XML file."
+        str, "amber14, amber19, amber99sb, amber99sbildn, charmm36, an OpenMM XML file, or several (a,b)."
     ),
     "solvent": _option(str, "vacuum, obc2 or gbn2."),
     "engine": _option(str, "auto, native or openmm."),
@@ -164,9 +165,14 @@ def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
 def print_changes(source: Path, structure: "Structure") -> None:
     """Say on standard error what was changed to prepare a file, losses first."""
     for line in structure.changes:
-        print(f"{source}: {line}", file=sys.stderr)
+        print(f"{source}: {with_options(line)}", file=sys.stderr)
     if len(structure.changes) < len(structure.repairs):
         print(f"{source}: protochain info lists all {len(structure.repairs)} changes", file=sys.stderr)
+
+
+def with_options(line: str) -> str:
+    """Line of the library in which arguments with values, as ``keep="all"``, are options."""
+    return re.sub(r'\b(\w+)="(\w+)"', r"--\1 \2", line)
 
 
 def check_outputs(source: Path, outputs: list[Path], force: bool) -> None:

@@ -1,6 +1,6 @@
 """Parameters of molecules that a force field does not know: by element, without internal energy.
 
-They are kept as fixed obstacles, so that only their interaction with the protein matters: Lennard-Jones by
+These are kept as fixed obstacles, so that only their interaction with the protein matters: Lennard-Jones by
 element, the formal charges of the file if it has any, and the radii that the solvent models give to elements.
 """
 
@@ -87,9 +87,11 @@ def create_system(
     Raises
     ------
     ForceFieldError
-        If a residue that is bonded to an obstacle has no template.
+        If a residue that is bonded to an obstacle, or a molecule that moves, has no template, or a bond of
+        the latter no parameters.
     """
     topology, unknown = _recognised(force_field, structure)
+    _refuse_unknown_mobile(structure, unknown)
     linked = _linked(structure)
     if unknown or linked:
         force_field = fresh()
@@ -100,6 +102,7 @@ def create_system(
     system = force_field.createSystem(
         topology, nonbondedMethod=app.NoCutoff, rigidWater=False, residueTemplates=chosen
     )
+    _refuse_unheld(structure, system)
     by_element = np.isin(structure.atom_residue, list(unknown))
     _exclude(system, _not_interacting(structure, by_element))
     _share_charges(system, structure)
@@ -124,6 +127,30 @@ def _recognised(force_field: app.ForceField, structure: Structure) -> tuple[app.
         # A strand with an unknown nucleotide falls apart.
         light = (structure.atom_element[bonds] == "H").any(axis=1)
         bonds = bonds[light | ~np.isin(residue[bonds], list(unknown)).any(axis=1)]
+
+
+def _refuse_unknown_mobile(structure: Structure, unknown: Iterable[int]) -> None:
+    """Refuse a molecule that moves and has no parameters: nothing would hold it together."""
+    free = {*structure.atom_residue[structure.mobile].tolist()} & {*unknown}
+    if free:
+        raise ForceFieldError(
+            f"{structure.describe_residue(min(free))} moves and has no parameters here; give the force field "
+            "with which the structure was loaded, or load it without"
+        )
+
+
+def _refuse_unheld(structure: Structure, system: openmm.System) -> None:
+    """Refuse a molecule that moves and has a bond without a term, which OpenMM leaves out silently."""
+    held = {tuple(sorted(system.getConstraintParameters(k)[:2])) for k in range(system.getNumConstraints())}
+    for force in system.getForces():
+        if isinstance(force, openmm.HarmonicBondForce | openmm.CustomBondForce):
+            held |= {tuple(sorted(force.getBondParameters(k)[:2])) for k in range(force.getNumBonds())}
+    for i, j in structure.bonds[structure.mobile[structure.bonds].all(axis=1)].tolist():
+        if (i, j) not in held:
+            raise ForceFieldError(
+                f"the bond of {structure.describe(i)} to {structure.atom_name[j]} has no parameters, and the "
+                "molecule moves: add them to its file (HarmonicBondForce)"
+            )
 
 
 def _topology(structure: Structure, bonds: Integers, only: Any = None) -> app.Topology:

@@ -10,7 +10,7 @@ import openmm
 from openmm import app, unit
 
 from protochain import defaults
-from protochain.checks import checked, file_name, flag, instance, integer, optional, text
+from protochain.checks import checked, file_name, flag, force_field_parts, instance, integer, optional, text
 from protochain.energies.elements import create_system
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.implicit import COULOMB, COULOMB_CUSTOM, OBC_OFFSET
@@ -19,6 +19,7 @@ from protochain.energies.protocol import Energy
 from protochain.errors import ForceFieldError
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
+from protochain.structure.templates import CONVERT, NO_OPENMM, NO_XML, SMIRNOFF
 
 DATA = Path(app.__file__).parent / "data"
 """Files bundled with OpenMM, named by full path: OpenMM looks for a bare name in the working directory first,
@@ -71,7 +72,8 @@ def energy(
         Structure whose energy to build.
     forcefield : str
         ``amber14`` (ff14SB), ``amber19`` (ff19SB), ``amber99sb``, ``amber99sbildn``, ``charmm36``, the
-        name of an XML file bundled with OpenMM, or the path of an XML file.
+        name of an XML file bundled with OpenMM, or the path of an XML file; or several of them with commas
+        between, as ``amber14,ligand.xml``.
     solvent : str
         ``vacuum``, ``obc2`` (Onufriev, Bashford, Case, Proteins 55:383, 2004) or ``gbn2`` (Nguyen, Roe,
         Simmerling, J. Chem. Theory Comput. 9:2020, 2013), without a cutoff.
@@ -145,17 +147,22 @@ def build_system(
     """
     if solvent not in SOLVENTS:
         raise ForceFieldError(f"solvent {solvent!r} is not known; choose from {', '.join(SOLVENTS)}")
-    bundled = _bundled_file(forcefield)
-    if bundled is None:
-        _check_file(Path(forcefield), trust_forcefield)
-    files = [bundled or str(Path(forcefield).resolve())]
+    files, own = [], False
+    parts = force_field_parts(forcefield)
+    for part in parts:
+        bundled = _bundled_file(part)
+        if bundled is None:
+            own = True
+            _check_file(Path(part), trust_forcefield)
+        files.append(bundled or str(Path(part).resolve()))
     if structure.kept.any():
-        files += [str(DATA / name) for name in _BESIDE.get(forcefield, ()) if (DATA / name).exists()]
+        beside = [str(DATA / name) for part in parts for name in _BESIDE.get(part, ())]
+        files += [name for name in dict.fromkeys(beside) if Path(name).exists()]
     if SOLVENTS[solvent] is not None:
         files.append(str(DATA / str(SOLVENTS[solvent])))
     try:
         # A user's file may change between calls, and a trusted one may raise anything.
-        force_field = _bundled_force_field(*files) if bundled else app.ForceField(*files)
+        force_field = app.ForceField(*files) if own else _bundled_force_field(*files)
         if structure.kept.any():
             system = create_system(structure, force_field, lambda: app.ForceField(*files))
         else:
@@ -167,9 +174,32 @@ def build_system(
         raise ForceFieldError(
             f"{structure.name}: force field {forcefield!r} with solvent {solvent!r} does not fit: {reason}"
         ) from None
+    _number_types(system)
     for atom in np.flatnonzero(structure.obstacle).tolist():
         system.setParticleMass(atom, 0.0)
     return system
+
+
+def _number_types(system: openmm.System) -> None:
+    """Number the types of a table of pairs in the order of the atoms.
+
+    OpenMM takes the order of a set of text, which no two processes share, and no fingerprint would.
+    """
+    for force in system.getForces():
+        if not isinstance(force, openmm.CustomNonbondedForce) or force.getName() != _TABULATED:
+            continue
+        types = [int(force.getParticleParameters(i)[0]) for i in range(force.getNumParticles())]
+        order = list(dict.fromkeys(types))
+        for i, old in enumerate(types):
+            force.setParticleParameters(i, [order.index(old)])
+        for k in range(force.getNumTabulatedFunctions()):
+            table = force.getTabulatedFunction(k)
+            n, _, values = table.getFunctionParameters()
+            table.setFunctionParameters(n, n, np.reshape(values, (n, n))[np.ix_(order, order)].ravel())
+
+
+_TABULATED = "LennardJones"
+"""Name of the force that OpenMM makes of a table of pairs."""
 
 
 def _by_engine(engine: str, by_openmm: OpenMMEnergy) -> Energy:
@@ -205,7 +235,9 @@ def _check_file(path: Path, trusted: bool) -> None:
         known = ", ".join(FORCE_FIELDS)
         raise ForceFieldError(f"force field {str(path)!r} not found; give a file or one of {known}") from None
     except ElementTree.ParseError as error:
-        raise ForceFieldError(f"{path}: not a force-field XML file ({error})") from None
+        raise ForceFieldError(f"{path}: {NO_XML} ({error}); {CONVERT}") from None
+    if root.tag == SMIRNOFF:
+        raise ForceFieldError(f"{path}: {NO_OPENMM}; {CONVERT}")
     active = sorted(
         {node.tag for node in root.iter() if node.tag in ("Script", "InitializationScript", "Include")}
     )

@@ -135,18 +135,7 @@ class OpenMMEnergy:
         return float(value), np.asarray(forces, dtype=np.float64)
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
-        """Evaluate energies by force of the System, as ``HarmonicBondForce``, and forces.
-
-        Parameters
-        ----------
-        x : (na, 3) float, nm
-            Positions.
-
-        Returns
-        -------
-        dict of str to float, (na, 3) float
-            Energies in kJ/mol, those of equal names added; forces of all in kJ/mol/nm.
-        """
+        """Evaluate energies by force of the System, as ``HarmonicBondForce``: see :meth:`Energy.parts`."""
         x = floats(x, (self.system.getNumParticles(), 3), "x", "nanometer")
         found: dict[str, float] = {}
         names = [force.getName() for force in self.system.getForces()]

@@ -67,7 +67,18 @@ class Energy(Protocol):
         """Build its neighbour lists at positions x (na, 3) in nm."""
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
-        """Energies in kJ/mol by kind or force, and forces (na, 3) in kJ/mol/nm; x (na, 3) in nm."""
+        """Evaluate energies by kind, or by force of the System, and the forces of all.
+
+        Parameters
+        ----------
+        x : (na, 3) float, nm
+            Positions.
+
+        Returns
+        -------
+        dict of str to float, (na, 3) float
+            Energies in kJ/mol, those of equal names added; forces in kJ/mol/nm.
+        """
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""

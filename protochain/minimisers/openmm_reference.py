@@ -33,7 +33,8 @@ def minimise_by_openmm(
     """
     x = chain.structure.positions
     n_iterations, n_evaluations, stop, settled = 0, 1, Stop.BUDGET, x
-    record(x, energy(x)[0], 1)
+    value = energy(x)[0]
+    record(x, value, 1)
 
     def outcome(x: Floats) -> Outcome:
         atoms = spaces(chain)[1]
@@ -42,6 +43,9 @@ def minimise_by_openmm(
     def note(x: Floats, value: float, evaluations: int, before: int) -> None:
         record(x, value, before + evaluations)
 
+    if np.isnan(value):
+        stop = Stop.NON_FINITE
+        return outcome(x)
     if recipe.draws_random:
         settle = partial(local_energy_minimizer, tolerance=_SETTLED)
         for part in (settle, partial(langevin_dynamics, seed=seed)):

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
+from inspect import signature
 from types import MappingProxyType
 from typing import Any
 
@@ -246,6 +247,10 @@ def recipe_of(method: Any) -> Recipe:
         except (ImportError, AttributeError, ValueError) as error:
             raise ProtochainError(f"method {method!r} cannot be imported: {error}") from None
         return recipe_of(found() if isinstance(found, type) else found)
+    if callable(getattr(method, "step", None)) and "direction" in signature(method.step).parameters:
+        raise ProtochainError(
+            f"method {method!r} is a step rule: give it with a direction, as Descent(direction, {method!r})"
+        )
     if not (hasattr(method, "init") and hasattr(method, "step")):
         raise ProtochainError(
             f"method {method!r}: give a name, or an object with init and step, as Descent(direction, rule)"

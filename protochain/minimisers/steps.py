@@ -172,7 +172,9 @@ class StrongWolfe:
             return tried[key]
 
         def height(length: Floats) -> float:
-            return point(length).energy
+            # NaN would be neither higher nor lower than the start, and pass for a fall.
+            found = point(length)
+            return found.energy if found.is_finite else np.inf
 
         def slope(length: Floats) -> Floats:
             return np.array([-point(length).torque @ direction])

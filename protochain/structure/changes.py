@@ -17,7 +17,7 @@ _SHOWN = 8
 
 _RESIDUE = r"residue (?P<number>\S+) (?P<name>\S+) of chain (?P<chain>\S+?)"
 _COUNT = re.compile(r"(?P<count>\d+) (?P<kind>.+) left out")
-_BESIDE = re.compile(r".+ left out.*; --keep all keeps everything")
+_BESIDE = re.compile(r'.+ left out.*; keep="all" keeps everything')
 _GAP = re.compile(r"chain (?P<chain>\S+) is broken between (?P<a>\S+) and (?P<b>\S+) (?P<far>\(.+?\)): .*")
 _HISTIDINE = re.compile(
     rf"{_RESIDUE}(?: taken as (?P<state>HI[DEP])|: taken as HIS in protonation state (?P<named>HI[DEP]))"

@@ -15,7 +15,7 @@ from protochain.errors import StructureError
 from protochain.structure.draft import Draft, atom
 from protochain.structure.files import check
 from protochain.structure.model import Structure
-from protochain.structure.prepare import load, prepare, user_file
+from protochain.structure.prepare import load, prepare, user_files
 from protochain.structure.protonate import check_ph
 from protochain.structure.read import Reading, read_structure
 from protochain.units import ANGSTROM_PER_NM
@@ -58,7 +58,7 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     made = _as_gemmi(source)
     made.merge_chain_parts()
     check(made, name)
-    forcefield, ph = user_file(settings.pop("forcefield", None)), settings.pop("ph", defaults.PH)
+    forcefield, ph = user_files(settings.pop("forcefield", None)), settings.pop("ph", defaults.PH)
     disulfide = settings.pop("disulfide", None)
     settings.setdefault("keep", defaults.KEEP)
     check_ph(ph)

@@ -69,14 +69,16 @@ class Member:
 
 @dataclass(eq=False)
 class Part:
-    """Unbroken chain, or a molecule kept as a fixed obstacle.
+    """Unbroken chain, or a molecule kept beside the protein.
 
     Parameters
     ----------
     chain_id : str
     members : list of Member
     obstacle : bool
-        Whether it is held fixed.
+        Whether it is kept beside the protein: fixed, unless it is mobile.
+    mobile : bool
+        Whether the user's force field has its parameters.
     cyclic : bool
         Whether the last residue is bonded to the first.
     """
@@ -84,6 +86,7 @@ class Part:
     chain_id: str
     members: list[Member]
     obstacle: bool = False
+    mobile: bool = False
     cyclic: bool = False
 
 

@@ -83,7 +83,8 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
             _refuse_cut_pdb(text, source)
             text = _corrected(_ascii(text, source, _USED), source, overlooked)
             ends = any(line.startswith("END") for line in text.splitlines())
-            structure = gemmi.read_pdb_string(text)
+            # gemmi takes a short last line without an end for an incomplete one.
+            structure = gemmi.read_pdb_string(f"{text}\n")
     except StructureError:
         raise
     except (RuntimeError, ValueError, IndexError) as error:

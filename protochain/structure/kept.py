@@ -14,11 +14,12 @@ from scipy.spatial import KDTree
 from protochain import defaults, residues
 from protochain.errors import StructureError
 from protochain.structure.draft import Draft, Member, Part
+from protochain.structure.recognise import recognised
 from protochain.structure.templates import Template, base_template
 
 KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
 """Words that choose molecules by kind; any other word is the name of a residue."""
-_JOINED = 2.0
+JOINED = 2.0
 """Angstrom: molecules with atoms nearer than this are parts of one, as the sugars of a glycan (1.4)."""
 _PHOSPHATE_BREAK = 2.5
 """Angstrom: O3' and P further apart than this are not bonded (1.6)."""
@@ -95,7 +96,7 @@ def choose(
     gone: Counter[tuple[str, str]] = Counter()
     for candidate in candidates:
         words = {"all", candidate.kind, candidate.member.name, candidate.given}
-        if id(candidate) in near and candidate.kind != "water":
+        if id(candidate) in near:
             words.add("near")
         if words & {*keep} and _is_usable(candidate.member):
             chosen.append(candidate)
@@ -127,7 +128,7 @@ def _near(draft: Draft, candidates: Sequence[Candidate]) -> set[int]:
     x = np.array([a.pos.tolist() for candidate in dry for a in candidate.member.atoms])
     owner = np.repeat(np.arange(len(dry)), [len(candidate.member.atoms) for candidate in dry])
     distance, _ = KDTree(protein).query(x, distance_upper_bound=defaults.KEEP_WITHIN)
-    pairs = owner[KDTree(x).query_pairs(_JOINED, output_type="ndarray")]
+    pairs = owner[KDTree(x).query_pairs(JOINED, output_type="ndarray")]
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(dry), len(dry)))
     group = connected_components(graph, directed=False)[1]
     touching = np.unique(group[owner[np.isfinite(distance)]])
@@ -150,10 +151,18 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
         whole = [*first.atoms]
         if first.name in residues.NUCLEOTIDES and gone:
             first.atoms = [atom for atom in first.atoms if atom.name not in gone]
-        if not all(_fits(member, base_template(known, part, i)) for i, member in enumerate(part.members)):
+        found = [base_template(known, part, i) for i in range(len(part.members))]
+        fits = all(_fits(member, its) for member, its in zip(part.members, found, strict=True))
+        # Of a strand bonds would have to hold, which torsions do not know.
+        part.mobile = fits and len(found) == 1 and found[0] is not None and found[0].is_users
+        if not fits:
             first.atoms = whole
             for member in part.members:
                 member.own = by_element(member)
+            if len(part.members) == 1:
+                users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)
+                known_as = recognised(first, first.own, users) if first.own else None
+                first.own, part.mobile = known_as or first.own, known_as is not None
         elif len(whole) > len(first.atoms):
             draft.repairs.append(f"{first}: 5' phosphate left out: the force fields do not have it")
     return parts
@@ -216,13 +225,13 @@ def _report(draft: Draft, gone: Mapping[tuple[str, str], int], chosen: Sequence[
         )
         dry = any(kind != "waters" for kind, _ in gone)
         why = "" if dry else ": the solvent is implicit"
-        lines.append(f"{said} left out{why}; --keep all keeps everything")
+        lines.append(f'{said} left out{why}; keep="all" keeps everything')
     if chosen:
         count = Counter("waters" if each.kind == "water" else each.given for each in chosen)
         names = [f"{number} {name}" for name, number in count.most_common()]
         more = f" and {len(names) - _SHOWN} more kinds" if len(names) > _SHOWN else ""
         line = f"{', '.join(names[:_SHOWN])}{more} kept beside the protein"
-        bare = sorted({each.given for each in chosen if each.member.own is not None})
+        bare = sorted({each.given for each in chosen if each.member.own and not each.member.own.is_users})
         if bare:
             line += f" ({', '.join(bare[:_SHOWN])} by element, unless the force field has parameters)"
         lines.append(line)

@@ -66,6 +66,8 @@ class Structure(Value):
         Number of the model in the file.
     ties : tuple of Tie
         Springs between the protein and these molecules, part of every energy.
+    mobile : (na,) bool
+        Atoms of molecules beside the protein that move, because the user's force field has their parameters.
 
     Raises
     ------
@@ -85,6 +87,7 @@ class Structure(Value):
     header: str = ""
     model_number: int = 1
     ties: tuple[Tie, ...] = ()
+    mobile: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions))
@@ -93,6 +96,8 @@ class Structure(Value):
         obstacle = self.obstacle if len(self.obstacle) else np.zeros(self.n_atoms, dtype=bool)
         object.__setattr__(self, "b_factor", read_only(b_factor))
         object.__setattr__(self, "obstacle", read_only(obstacle, np.bool_))
+        mobile = self.mobile if len(self.mobile) else np.zeros(self.n_atoms, dtype=bool)
+        object.__setattr__(self, "mobile", read_only(mobile, np.bool_))
         occupancy = self.occupancy if len(self.occupancy) else np.ones(self.n_atoms)
         object.__setattr__(self, "occupancy", read_only(occupancy))
         if self.positions.shape != (self.n_atoms, 3):
@@ -177,8 +182,8 @@ class Structure(Value):
 
     @cached_property
     def kept(self) -> NDArray[np.bool_]:
-        """(na,) bool: atoms beside the protein: obstacles, and ions that move with what holds them."""
-        beside = self.obstacle.copy()
+        """(na,) bool: atoms beside the protein: obstacles, mobile ones, ions that move with the protein."""
+        beside = self.obstacle | self.mobile
         beside[[tie.atoms[1] for tie in self.ties if len(tie.atoms) == 2]] = True
         return read_only(beside, np.bool_)
 
@@ -197,6 +202,8 @@ class Structure(Value):
         ):  # fmt: skip
             seen.update(f"{values.dtype.str}{values.shape}".encode() + values.tobytes())
         seen.update(repr(self.ties).encode())
+        if self.mobile.any():
+            seen.update(self.mobile.tobytes())
         return seen.hexdigest()
 
     @cached_property

@@ -13,7 +13,7 @@ from openmm import app
 
 from protochain import defaults
 from protochain.arrays import Floats, Integers
-from protochain.checks import file_name, pairs, words
+from protochain.checks import file_name, force_field_parts, pairs, words
 from protochain.checks import path as as_path
 from protochain.errors import StructureError
 from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
@@ -24,7 +24,7 @@ from protochain.structure.model import Structure
 from protochain.structure.protonate import check_ph, protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.relief import relieved
-from protochain.structure.sites import Link, find_links, moves, ties
+from protochain.structure.sites import Link, find_links, moves, settle_mobile, ties
 from protochain.structure.templates import Template, templates
 from protochain.units import ANGSTROM_PER_NM
 
@@ -43,7 +43,7 @@ def load(
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
-    Waters and other alternate locations are left out, molecules near the protein kept as fixed obstacles;
+    Waters and other alternate locations are left out, molecules near the protein kept beside it;
     chains are split at breaks, head-to-tail cyclic peptides closed; modified residues become their standard
     parents; missing side-chain atoms are built on rotamers, of the hand that the residue's name says;
     disulfides and metal sites are found by distance, missing hydrogens placed by geometry. The same file
@@ -59,9 +59,10 @@ def load(
         Preferred alternate location, which some atom must have; by default, and where it is absent, the one
         of highest occupancy.
     keep : str or sequence of str
-        Molecules to keep as fixed obstacles: ``near`` for all but waters that have an atom within 5 angstrom
+        Molecules to keep beside the protein: ``near`` for all but waters that have an atom within 5 angstrom
         of the protein, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``, or residue names.
-        Those that the force field has no parameters for are kept as they are, by element.
+        They are fixed obstacles, unless ``forcefield`` has their parameters; those that no force field has
+        parameters for are kept as they are, by element.
     disulfide : sequence of pairs of str, or str, optional
         Exactly these disulfide bonds, as ``[("A:3", "A:40")]`` or ``"A:3-A:40"``; by default, between
         sulphurs that are close.
@@ -70,7 +71,8 @@ def load(
     strict : bool
         Refuse chain breaks and incomplete backbones.
     forcefield : path-like, optional
-        Force-field file whose residues are kept unmodified.
+        Force-field file whose residues are kept unmodified, or several with commas between, among names of
+        bundled ones. A molecule beside the protein whose parameters it has moves.
     chains : str or sequence of str
         Chains to take, as ``"A,B"`` or ``("A", "B")``; all by default.
 
@@ -85,22 +87,22 @@ def load(
         If the file cannot be used: one line naming the file, the place and the remedy.
     """
     check_ph(ph)
-    residues = user_file(forcefield)
+    residues = user_files(forcefield)
     reading = Reading(model, altloc, words(keep), strict, residues, words(chains, "chains"))
     return prepare(read(as_path(path, "path"), reading), disulfide, ph, residues)
 
 
-def user_file(forcefield: str | Path | None) -> Path | None:
-    """Path of a force field that is a user's file; None for the name of a bundled one."""
-    own = None if forcefield is None else Path(file_name(forcefield, "forcefield"))
-    return own if own is not None and own.is_file() else None
+def user_files(forcefield: str | Path | None) -> tuple[Path, ...]:
+    """Paths of those parts of a force field that are a user's files, not names of bundled ones."""
+    given = () if forcefield is None else force_field_parts(file_name(forcefield, "forcefield"))
+    return tuple(Path(name) for name in given if Path(name).is_file())
 
 
 def prepare(
     draft: Draft,
     disulfide: str | Sequence[tuple[str, str]] | None = None,
     ph: float = defaults.PH,
-    forcefield: Path | None = None,
+    forcefield: Sequence[Path] = (),
 ) -> Structure:
     """Complete a draft: heavy atoms, disulfides, hydrogens.
 
@@ -112,6 +114,7 @@ def prepare(
     wanted = pairs(disulfide, "disulfide")
     known = templates(forcefield)
     links = find_links(draft)
+    settle_mobile(draft, links)
     add_heavy_atoms(draft, known)
     refuse_crosslinks(draft)
     bridges = disulfides(draft, wanted)
@@ -129,10 +132,15 @@ def prepare(
     owners = [(member, atom.name) for member, _ in done for atom in member.atoms]
     x = relieved(x, owners, elements, bonds, draft.rebuilt)
     _refuse_coincident(draft, owners, x, bonds)
-    fixed = [
-        part.obstacle and not moves(draft, member, links) for part in draft.parts for member in part.members
-    ]
-    obstacle = np.repeat(fixed, [len(member.atoms) for member, _ in done])
+    fixed, mobile = np.repeat(
+        [
+            (part.obstacle and not part.mobile and not moves(draft, member, links), part.mobile)
+            for part in draft.parts
+            for member in part.members
+        ],
+        [len(member.atoms) for member, _ in done],
+        axis=0,
+    ).T
     return Structure(
         draft.name,
         _topology(draft.parts, bonds),
@@ -140,12 +148,13 @@ def prepare(
         tuple(draft.repairs),
         dict(draft.left_out),
         np.array([atom.b_iso for atom in atoms]),
-        obstacle,
+        fixed,
         _occupancies(atoms),
         tuple(member.label for member in draft.members),
         draft.header,
         draft.model_number,
         ties(links, at, x, elements, bonds),
+        mobile,
     )
 
 
@@ -207,7 +216,7 @@ def _topology(parts: list[Part], bonds: Integers) -> app.Topology:
             residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
             for atom in member.atoms:
                 element = app.Element.getBySymbol(atom.element.name)
-                charge = atom.charge if member.own is not None else None
+                charge = atom.charge if member.own and not member.own.is_users else None
                 atoms.append(topology.addAtom(atom.name, element, residue, formalCharge=charge))
     for first, second in bonds.tolist():
         topology.addBond(atoms[first], atoms[second])

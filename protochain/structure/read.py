@@ -45,8 +45,8 @@ class Reading:
         Molecules kept as fixed obstacles, as in :func:`protochain.load`; none by default.
     strict : bool
         Refuse chain breaks and residues that would be left out of a chain.
-    forcefield : Path, optional
-        Force-field file whose residues are recognised besides the bundled ones.
+    forcefield : tuple of Path
+        Force-field files whose residues are recognised besides the bundled ones.
     chains : tuple of str
         Names of the chains to take; all by default.
     """
@@ -55,7 +55,7 @@ class Reading:
     altloc: str = ""
     keep: tuple[str, ...] = ()
     strict: bool = False
-    forcefield: Path | None = None
+    forcefield: tuple[Path, ...] = ()
     chains: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -4,6 +4,7 @@ Force fields have no parameters for them. Each is held at the input's distance a
 atoms it joins do not repel one another.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -14,6 +15,7 @@ from scipy.spatial import KDTree
 
 from protochain.arrays import Floats, Integers
 from protochain.structure.draft import Draft, Member
+from protochain.structure.kept import JOINED
 from protochain.structure.model import Tie
 
 _OXYGEN_DISTANCE = {
@@ -85,7 +87,7 @@ def find_links(draft: Draft) -> list[Link]:
     beside = [
         (member, a)
         for part in draft.parts if part.obstacle for member in part.members if member.name != "HOH"
-        for a in member.atoms if not a.is_hydrogen()
+        for a in _heavy(member)
     ]  # fmt: skip
     if not beside:
         return []
@@ -127,6 +129,37 @@ def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
     # Hydrogens have no positions yet.
     heavy = (a for m in others for a in m.atoms if not a.is_hydrogen())
     return all(ion.pos.dist(a.pos) > _STATED for a in heavy)
+
+
+def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
+    """Leave mobile only molecules that are whole, not bonded to the protein or another, and report them."""
+    tied = {id(link.other) for link in links}
+    beside = [(part, a) for part in draft.parts if part.obstacle for m in part.members for a in _heavy(m)]
+    tree = KDTree([a.pos.tolist() for _, a in beside]) if beside else None
+    names: Counter[str] = Counter()
+    for part in draft.parts:
+        if tree is None or not part.mobile:
+            continue
+        near = {
+            k for m in part.members for a in _heavy(m) for k in tree.query_ball_point(a.pos.tolist(), JOINED)
+        }
+        if any(beside[k][0] is not part for k in near) or tied & {id(m) for m in part.members}:
+            part.mobile = False
+            draft.repairs.append(
+                f"{part.members[0]} stays in place, though the force field has its parameters: it is bonded "
+                "to another molecule"
+            )
+        else:
+            names[part.members[0].name] += 1
+    if names:
+        said = ", ".join(f"{count} {name}" for name, count in names.items())
+        draft.repairs.append(
+            f"{said} with parameters of the force field: free to move, in torsions as a rigid body"
+        )
+
+
+def _heavy(member: Member) -> list[gemmi.Atom]:
+    return [a for a in member.atoms if not a.is_hydrogen()]
 
 
 def _is_bonded(draft: Draft, link: Link) -> bool:

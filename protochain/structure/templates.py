@@ -3,7 +3,7 @@
 Names, elements, charges and bonds are read from the files; scripts in them are never run.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -21,6 +21,14 @@ PROTEIN = _DATA / "amber14" / "protein.ff14SB.xml"
 """The default force field of proteins."""
 _BONDED = 2.2
 """Angstrom: no bond of an amino acid is longer (C-S 1.8, S-S 2.0)."""
+SMIRNOFF = "SMIRNOFF"
+"""Root of OpenFF's .offxml files."""
+NO_XML = "not a force-field XML file"
+NO_OPENMM = "an OpenFF (SMIRNOFF) file, which only the OpenFF toolkit can apply"
+CONVERT = (
+    "give OpenMM XML: for a ligand with GAFF or OpenFF parameters that which openmmforcefields writes "
+    "(debug_ffxml_filename), as amber14,ligand.xml"
+)
 _FILES = ("protein.ff14SB.xml", "DNA.OL15.xml", "RNA.OL3.xml", "tip3p.xml")
 
 
@@ -41,6 +49,8 @@ class Template:
         PDB name of every other name of an atom.
     type : mapping of str to str
         Atom type of each atom in the force field, by PDB name.
+    is_users : bool
+        Whether it is from a file of the user's.
     """
 
     name: str
@@ -49,6 +59,7 @@ class Template:
     bonds: tuple[tuple[str, str], ...]
     synonyms: Mapping[str, str]
     type: Mapping[str, str] = field(default_factory=dict)
+    is_users: bool = False
 
     @cached_property
     def heavy(self) -> list[str]:
@@ -72,43 +83,48 @@ class Template:
         return found
 
 
-def templates(user_file: Path | None = None) -> Mapping[str, Template]:
+def templates(user_files: Sequence[Path] = ()) -> Mapping[str, Template]:
     """Templates by name: proteins, caps, nucleic acids, water and ions.
 
     Parameters
     ----------
-    user_file : Path, optional
-        Force-field file of the user, whose residues are added.
+    user_files : sequence of Path
+        Force-field files of the user, whose residues are added; one may have the atom types of another.
 
     Raises
     ------
     StructureError
-        If that file cannot be read.
+        If a file cannot be read.
     """
-    if user_file is None:
-        return _amber()
     # A user's file may change between calls.
-    return {**_read(user_file), **_amber()}
+    own = {name: replace(each, is_users=True) for name, each in _read(user_files).items()}
+    return {**own, **_amber()}
 
 
 @cache
 def _amber() -> Mapping[str, Template]:
     known: dict[str, Template] = {}
     for name in _FILES:
-        known = {**_read(_DATA / "amber14" / name), **known}
+        known = {**_read([_DATA / "amber14" / name]), **known}
     return known
 
 
-def _read(file: Path) -> dict[str, Template]:
-    try:
-        root = ElementTree.parse(file).getroot()
-    except (OSError, ElementTree.ParseError) as error:
-        raise StructureError(f"{file}: not a force-field XML file ({error})") from None
-    elements = {node.get("name"): node.get("element", "") for node in root.iter("Type")}
-    try:
-        made = [_template(node, elements) for node in root.iterfind("Residues/Residue")]
-    except (KeyError, ValueError, IndexError) as error:
-        raise StructureError(f"{file}: a residue in it cannot be read ({error!r})") from None
+def _read(files: Sequence[Path]) -> dict[str, Template]:
+    roots = {}
+    for file in files:
+        try:
+            roots[file] = ElementTree.parse(file).getroot()
+        except (OSError, ElementTree.ParseError) as error:
+            raise StructureError(f"{file}: {NO_XML} ({error}); {CONVERT}") from None
+        if roots[file].tag == SMIRNOFF:
+            raise StructureError(f"{file}: {NO_OPENMM}; {CONVERT}")
+    elements = {node.get("name"): node.get("element", "") for r in roots.values() for node in r.iter("Type")}
+    made = []
+    for file, root in roots.items():
+        try:
+            made += [_template(node, elements) for node in root.iterfind("Residues/Residue")]
+        except (KeyError, ValueError, IndexError) as error:
+            raise StructureError(f"{file}: a residue in it cannot be read ({error!r})") from None
     return {template.name: template for template in made}
 
 
@@ -116,7 +132,7 @@ def _template(node: ElementTree.Element, elements: Mapping[str | None, str]) -> 
     name = node.get("name", "")
     atoms = [atom for atom in node.iterfind("Atom") if elements.get(atom.get("type"), "")]
     order = [atom.get("name", "") for atom in atoms]
-    primary, others = _names(standard_name(name)[0])
+    primary, others = _names(standard_name(name)[0]) if _is_listed(name, order) else ({}, {})
     called = {given: _called(given, primary) for given in order}
     synonyms: dict[str, str] = {}
     for given in order:
@@ -137,6 +153,12 @@ def _template(node: ElementTree.Element, elements: Mapping[str | None, str]) -> 
         {other: pdb_name for other, pdb_name in synonyms.items() if other not in set(called.values())},
         {called[given]: atom.get("type", "") for given, atom in zip(order, atoms, strict=True)},
     )
+
+
+def _is_listed(name: str, atoms: Sequence[str]) -> bool:
+    """Whether atoms may have the other names of amino acids and nucleotides: a ligand's O1 is not its O."""
+    is_terminal = len(name) == 4 and name[0] in "NC"
+    return is_terminal or standard_name(name)[0] in _alternatives() or {"N", "CA"} <= {*atoms}
 
 
 def _called(given: str, primary: Mapping[str, str]) -> str:

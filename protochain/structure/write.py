@@ -153,7 +153,6 @@ def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.
             made.seqid = _seqid(structure, residue.index)
             kept = structure.kept[next(residue.atoms()).index]
             is_polymer = not kept or residue.name in NUCLEOTIDES
-            made.het_flag = "A" if is_polymer else "H"
             made.entity_type = gemmi.EntityType.Polymer if is_polymer else gemmi.EntityType.NonPolymer
             made.subchain, made.label_seq = labels[residue.index]
             for atom in residue.atoms():
@@ -174,7 +173,7 @@ def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
     Where the file has none, the parts of a broken chain are different molecules: no program bonds them.
     """
     known = structure.residue_label or (NO_LABEL,) * structure.n_residues
-    held = {int(r) for r in structure.atom_residue[structure.obstacle]}
+    held = {int(r) for r in structure.atom_residue[structure.kept]}
     chains = [str(chain_id) for chain_id in structure.residue_chain]
     of_chain: dict[str, set[str]] = {}
     parts: dict[str, list[int]] = {}

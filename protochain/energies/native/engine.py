@@ -110,20 +110,10 @@ class NativeEnergy:
         return sum(parts.values()) + self._constant, forces
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
-        """Evaluate energies by kind, without the constant of terms left out, and forces.
+        """Evaluate energies by kind, without the constant of terms left out, as :meth:`Energy.parts`.
 
         Kinds are ``bonds``, ``angles``, ``torsions``, ``impropers``, ``maps`` (CMAP), ``nonbonded`` (Coulomb,
         Lennard-Jones), ``polar`` (generalised Born) and ``surface``; those that the System has not are 0.
-
-        Parameters
-        ----------
-        x : (na, 3) float, nm
-            Positions.
-
-        Returns
-        -------
-        dict of str to float, (na, 3) float
-            Energies in kJ/mol, forces in kJ/mol/nm.
         """
         x = floats(x, (self._layout.terms.n_atoms, 3), "x", "nanometer")
         if not np.isfinite(x).all():
