@@ -1,7 +1,8 @@
 """Damaged models of real structures, for tests and benchmarks, reproduced by their seeds.
 
-A model is a Structure with other positions and the same atoms. Damage is like that of predicted and rebuilt models: atoms and
-dihedrals off, side chains in wrong rotamers, peptide bonds broken, and bonds threaded through rings.
+A model is a Structure with other positions and the same atoms. Damage is like that of predicted and rebuilt
+models: atoms and dihedrals off, side chains in wrong rotamers, peptide bonds broken, and bonds threaded
+through rings.
 """
 
 from collections.abc import Iterator, Sequence
