@@ -46,11 +46,15 @@ class Relaxation(Value):
     x : (na, 3) float, nm
         Positions at the end, in the frame of the start.
     settings : Relaxing
+        How it was relaxed.
     energy_function : Energy
+        What was minimised, with springs.
     rounds : tuple of Round
+        Minimisations, one after the other.
     best : int
         Index of the round whose end is the result: the one with the fewest residues in trouble.
     status : Status
+        How it ended, as judged; ``violations`` if it converged with some left.
     message : str
         Status, what is left to mend, and the residual, in words.
     energy_start, energy_end : float, kJ/mol

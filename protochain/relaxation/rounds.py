@@ -61,7 +61,9 @@ class Round:
     overlaps : int
         Pairs of atoms that overlap at its end.
     iterations, evaluations : int
+        Steps, and energies computed.
     seconds : float
+        Wall time.
     """
 
     let_go: int
