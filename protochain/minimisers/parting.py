@@ -34,7 +34,7 @@ from protochain.minimisers.steps import StrongWolfe
 from protochain.minimisers.unthread import freeing
 from protochain.minimisers.verdict import rebuilt
 from protochain.structure.model import Structure
-from protochain.validation import threaded_rings
+from protochain.validation.rings import threaded_rings
 
 UNUSUAL = 1e5
 """kJ/mol/rad. Largest torque from which on a start counts as strained; of the crystal and NMR structures among

@@ -15,7 +15,7 @@ from protochain.minimisers.problem import Force, Placement
 from protochain.minimisers.restraints import SOFT_SHARE, SoftRepulsion, Sum
 from protochain.minimisers.stages import Stage
 from protochain.structure.model import Structure
-from protochain.validation import ThreadedRing, threaded_rings
+from protochain.validation.rings import ThreadedRing, threaded_rings
 
 ATTEMPTS = 5
 """Sides of a ring that are tried, one after the other."""
