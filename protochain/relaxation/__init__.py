@@ -1,0 +1,1 @@
+"""Predicted and damaged models made clean, the fold kept."""
