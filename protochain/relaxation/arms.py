@@ -15,12 +15,12 @@ from protochain.structure.rotamers import rotamers
 from protochain.structure.sidechains import dihedral
 from protochain.structure.turning import beyond, turned
 
-_KT = 2.5
-"""kJ/mol at 300 K: of the logarithm of a rotamer's frequency."""
+_RARITY = 5.0
+"""kJ/mol: of the logarithm of a rotamer's frequency, twice kT."""
 _RAREST = 10.0
 """Rarity of the input's dihedrals, at most: an outlier is no worse than the rarest rotamers."""
 _TURNS = np.deg2rad([0.0, -12.0, 12.0])
-"""About chi1 and chi2 of a rotamer."""
+"""About chi1 of a rotamer."""
 _HALF_TURNS = {"ASP": 1, "GLU": 2, "PHE": 1, "TYR": 1}
 """Place of the chi whose half turn exchanges equal atoms."""
 _STAGGERED, _PLANAR = np.deg2rad([60.0, 180.0, -60.0]), np.deg2rad([0.0, 180.0])
@@ -98,7 +98,7 @@ class Arms:
         x = turned(self.x, axes, outward, chi, moved)
         # Those of the input stay bit for bit.
         x[0] = self.x[moved]
-        return Arm(residue, chi, n_chi, Rotamers(moved, x, _KT * rarity))
+        return Arm(residue, chi, n_chi, Rotamers(moved, x, _RARITY * rarity))
 
     def _hand(self, at: dict[str, int]) -> int:
         names = ("CA", "N", "C", "CB")
@@ -114,9 +114,8 @@ def _tried(name: str, now: Floats, library: Floats, rarity: Floats) -> tuple[Flo
         flipped = wrapped(off[:, last] + np.pi)
         off[:, last] = np.where(np.abs(flipped) < np.abs(off[:, last]), flipped, off[:, last])
     unlikely = rarity + 0.5 * ((off / WIDTH) ** 2).sum(axis=1)
-    n_turned = min(2, len(now))
-    steps = np.zeros((len(_TURNS) ** n_turned, len(now)))
-    steps[:, :n_turned] = np.stack(np.meshgrid(*[_TURNS] * n_turned), axis=-1).reshape(len(steps), -1)
+    steps = np.zeros((len(_TURNS), len(now)))
+    steps[:, 0] = _TURNS
     chi = (now + off[:, None] + steps).reshape(-1, len(now))
     cost = (rarity[:, None] + 0.5 * ((steps / WIDTH) ** 2).sum(axis=1)).ravel()
     return np.vstack([now, chi]), np.append(min(float(unlikely.min()), _RAREST), cost)

@@ -17,11 +17,13 @@ from protochain.compilation import njit
 from protochain.energies.native.terms import Bonded, Terms
 from protochain.structure.sidechains import dihedral
 
+_TWIST = 0.5
+"""Of the torsions, which the frequencies of rotamers tell too."""
 _SOFT = 0.9
 """Of the radii."""
 _LINEAR = 0.6
 """Of the distance of the minimum: within, repulsion is linear."""
-_CUTOFF = 0.8
+_CUTOFF = 0.6
 """nm: Lennard-Jones and Coulomb energies are shifted to zero there."""
 _DIELECTRIC = 40.0
 """1/nm: relative permittivity over distance."""
@@ -135,7 +137,7 @@ class Interactions:
         place = place.reshape(atoms.shape)
         phi = dihedral(*(at[:, place[:, k]] for k in range(4)))
         times, phase, height = parameters.T
-        return np.asarray((height * (1.0 + np.cos(times * phi - phase))).sum(axis=1))
+        return np.asarray((_TWIST * height * (1.0 + np.cos(times * phi - phase))).sum(axis=1))
 
 
 def _by_atom(exceptions: Bonded) -> dict[int, list[tuple[int, list[float]]]]:
