@@ -21,7 +21,8 @@ Pairs = dict[tuple[int, int], Floats]
 
 _LARGEST = 1_000_000
 """Entries of a table in the elimination of sites; beyond, branches are smaller."""
-_MOST_BRANCHES = 20_000
+_MOST_TABLES = 200_000
+"""Looked at in all branches, some ten seconds."""
 _ROUNDS = 30
 """Rounds of message passing for a bound; they end when it hardly rises."""
 _RISE = 1e-3
@@ -52,7 +53,7 @@ class Assignment(NamedTuple):
 
 def best(
     own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats],
-    largest: int = _LARGEST, most_branches: int = _MOST_BRANCHES,
+    largest: int = _LARGEST, most_tables: int = _MOST_TABLES,
 ) -> Assignment:  # fmt: skip
     """Find the states of lowest energy; the same tables give the same states.
 
@@ -62,8 +63,8 @@ def best(
         Energy of each state of each site.
     pairs : mapping of (int, int) to (n_i, n_j) float
         Energy between the states of sites i < j.
-    largest, most_branches : int
-        Entries of a table of the elimination, and branches of the search.
+    largest, most_tables : int
+        Entries of a table in the elimination, and tables looked at in all branches.
 
     Returns
     -------
@@ -74,12 +75,10 @@ def best(
         tuple(np.arange(len(each)) for each in own),
         {ij: np.array(table, dtype=float) for ij, table in pairs.items()}, 0.0,
     )  # fmt: skip
-    states = np.array([int(np.argmin(each)) for each in own], dtype=np.int64)
-    states = _descended(own, pairs, states)
-    search = _Search(largest, most_branches)
-    found = search.below(everything, _energy(own, pairs, states) - _SLIGHT)
-    for site, state in (found[1] if found else {}).items():
-        states[site] = state
+    search = _Search(largest, most_tables)
+    found = search.below(everything, np.inf)
+    assert found is not None
+    states = np.array([found[1][site] for site in range(len(own))], dtype=np.int64)
     return Assignment(states, _energy(own, pairs, states), not search.is_spent)
 
 
@@ -159,37 +158,44 @@ class _Part:
 
 
 class _Search:
-    """Branch and bound, counting its branches."""
+    """Branch and bound, counting the tables that it looks at."""
 
-    def __init__(self, largest: int, most_branches: int) -> None:
-        self.largest, self.left = largest, most_branches
+    def __init__(self, largest: int, most_tables: int) -> None:
+        self.largest, self.left = largest, most_tables
         self.is_spent = False
 
     def below(self, part: _Part, limit: float) -> _Found | None:
         """Lowest energy and its states, if that is below a limit."""
+        found: _Found | None = None
         decided: dict[int, int] = {}
         while True:
             part, more = part.kept(_undominated(part)).undecided()
             part, decided = _bounded(part), decided | more
+            energy, states = _guessed(part)
+            if energy < limit:
+                found, limit = (energy, decided | states), energy - _SLIGHT
             bound = part.bound
             if bound >= limit:
-                return None
+                return found
             # With any state, the energy is at least the bound and what the state costs more than the best.
             alive = [bound + own - own.min() < limit for own in part.own]
             if all(each.all() for each in alive):
                 break
             part = part.kept(alive)
-        energy = part.constant
+        better = self._in_components(part, limit)
+        return (better[0], decided | better[1]) if better else found
+
+    def _in_components(self, part: _Part, limit: float) -> _Found | None:
+        energy, states, slack = part.constant, dict[int, int](), limit - part.bound
         parts = [replace(part.only(places), constant=0.0) for places in part.components()]
-        slack = limit - bound
-        for each in parts:
+        # What costs little to know leaves less to search in the others.
+        for each in sorted(parts, key=lambda some: len(some.sites)):
             found = self._of_component(each, each.bound + slack)
             if found is None:
                 return None
+            energy, states = energy + found[0], states | found[1]
             slack -= found[0] - each.bound
-            energy += found[0]
-            decided = decided | found[1]
-        return energy, decided
+        return energy, states
 
     def _of_component(self, part: _Part, limit: float) -> _Found | None:
         order, size = _order(part)
@@ -200,7 +206,7 @@ class _Search:
         degree = [sum(k in edge for edge in part.pairs) for k in range(len(part.sites))]
         site = max(range(len(part.sites)), key=lambda k: (degree[k], len(part.own[k]), -k))
         for state in np.argsort(part.own[site], kind="stable").tolist():
-            self.left -= 1
+            self.left -= len(part.pairs)
             self.is_spent = self.is_spent or self.left < 0
             if self.is_spent:
                 break
@@ -210,6 +216,14 @@ class _Search:
             if found_here is not None:
                 best_one, limit = found_here, found_here[0]
         return best_one
+
+
+def _guessed(part: _Part) -> _Found:
+    """A good energy and its states; it spares most branches."""
+    states = _descended(part.own, part.pairs)
+    taken = zip(part.sites, part.states, states.tolist(), strict=True)
+    energy = part.constant + _energy(part.own, part.pairs, states)
+    return energy, {site: int(its[state]) for site, its, state in taken}
 
 
 def _undominated(part: _Part) -> list[np.ndarray]:
@@ -269,31 +283,62 @@ def _goldstein(own: Floats, rows: Floats, starts: Integers) -> np.ndarray:
 
 def _bounded(part: _Part) -> _Part:
     """The same energies, moved between tables so that the sum of their minima rises."""
-    own, pairs = list(part.own), dict(part.pairs)
+    if not part.pairs:
+        return part
+    first = np.cumsum([0, *map(len, part.own)])
+    start = np.cumsum([0, *(table.size for table in part.pairs.values())])
+    own = np.concatenate(part.own)
+    tables = np.concatenate([table.ravel() for table in part.pairs.values()])
+    _pass_messages(own, first, tables, start, np.array(list(part.pairs)))
+    pairs = {
+        (i, j): tables[begin:end].reshape(len(part.own[i]), len(part.own[j]))
+        for (i, j), begin, end in zip(part.pairs, start, start[1:], strict=False)
+        if tables[begin:end].max() >= _SLIGHT
+    }
+    return _Part(part.sites, tuple(np.split(own, first[1:-1])), part.states, pairs, part.constant)
+
+
+@njit(cache=True)
+def _pass_messages(own: Floats, first: Integers, tables: Floats, start: Integers, edges: Integers) -> None:
+    """Share what each table and its two sites have together equally between the sites, again and again.
+
+    The energies of site i are own[first[i]:first[i + 1]], the table of an edge begins at its start. In the end,
+    the least of each row and column of a table is its sites', so that a separable table is zero.
+    """
     before = -np.inf
-    for _ in range(_ROUNDS):
-        for (i, j), table in pairs.items():
-            # Separable parts of a table belong to its sites.
-            rows = table.min(axis=1)
-            table = table - rows[:, None]
-            columns = table.min(axis=0)
-            own[i], own[j] = own[i] + rows, own[j] + columns
-            both = table - columns + own[i][:, None] + own[j]
-            own[i], own[j] = 0.5 * both.min(axis=1), 0.5 * both.min(axis=0)
-            pairs[i, j] = both - own[i][:, None] - own[j]
-        bound = sum(float(each.min()) for each in (*own, *pairs.values()))
-        if bound < before + _RISE:
+    for turn in range(_ROUNDS + 1):
+        bound, is_last = 0.0, turn == _ROUNDS
+        for e in range(len(edges)):
+            one = own[first[edges[e, 0]] : first[edges[e, 0] + 1]]
+            other = own[first[edges[e, 1]] : first[edges[e, 1] + 1]]
+            table = tables[start[e] : start[e + 1]].reshape(len(one), len(other))
+            if not is_last:
+                for r in range(len(one)):
+                    for s in range(len(other)):
+                        table[r, s] += one[r] + other[s]
+                least = np.full(len(other), np.inf)
+                for r in range(len(one)):
+                    low = np.inf
+                    for s in range(len(other)):
+                        low, least[s] = min(low, table[r, s]), min(least[s], table[r, s])
+                    one[r] = 0.5 * low
+                other[:] = 0.5 * least
+                for r in range(len(one)):
+                    for s in range(len(other)):
+                        table[r, s] -= one[r] + other[s]
+            for r in range(len(one)):
+                low = table[r].min()
+                table[r] -= low
+                one[r] += low
+            for s in range(len(other)):
+                low = table[:, s].min()
+                table[:, s] -= low
+                other[s] += low
+        for i in range(len(first) - 1):
+            bound += own[first[i] : first[i + 1]].min()
+        if is_last or bound < before + _RISE:
             break
         before = bound
-    constant = part.constant
-    for (i, j), table in list(pairs.items()):
-        rows = table.min(axis=1)
-        table = table - rows[:, None]
-        columns = table.min(axis=0)
-        own[i], own[j], pairs[i, j] = own[i] + rows, own[j] + columns, table - columns
-        if pairs[i, j].max() < _SLIGHT:
-            del pairs[i, j]
-    return _Part(part.sites, tuple(own), part.states, pairs, constant)
 
 
 def _order(part: _Part) -> tuple[list[int], int]:
@@ -340,19 +385,21 @@ def _eliminated(part: _Part, order: Sequence[int]) -> _Found:
     return energy, {part.sites[k]: int(part.states[k][state]) for k, state in taken.items()}
 
 
-def _descended(own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats], states: Integers) -> Integers:
-    """States that no change of a single site improves."""
+def _descended(own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -> Integers:
+    """States that no change of a single site improves, from the best of each beside those before it."""
     beside: list[list[tuple[int, Floats]]] = [[] for _ in own]
     for (i, j), table in pairs.items():
         beside[i].append((j, table))
         beside[j].append((i, table.T))
-    states, improves = states.copy(), True
+    states, improves = np.full(len(own), -1), True
     while improves:
         improves = False
         for i, mine in enumerate(own):
-            cost = mine + sum((table[:, states[j]] for j, table in beside[i]), np.zeros(len(mine)))
+            cost = mine + sum(
+                (table[:, states[j]] for j, table in beside[i] if states[j] >= 0), np.zeros(len(mine))
+            )
             k = int(np.argmin(cost))
-            if cost[k] < cost[states[i]] - _SLIGHT:
+            if states[i] < 0 or cost[k] < cost[states[i]] - _SLIGHT:
                 states[i], improves = k, True
     return states
 
