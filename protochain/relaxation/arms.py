@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain import residues
-from protochain.arrays import Floats, Integers
+from protochain.arrays import Floats
 from protochain.relaxation.rotamer_energies import Rotamers
 from protochain.structure.chirality import volume
 from protochain.structure.model import Structure
@@ -54,7 +54,8 @@ class Arm:
         if (before == after).all():
             return "polar hydrogen turned"
         old, new = (
-            " ".join(f"chi{k} {value}" for k, value in enumerate(each.tolist(), 1)) for each in (before, after)
+            " ".join(f"chi{k} {value}" for k, value in enumerate(each.tolist(), 1))
+            for each in (before, after)
         )
         return f"side chain turned from {old} to {new}"
 
