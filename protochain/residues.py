@@ -84,6 +84,10 @@ ROTOR_N_TERMINAL = ("C", "CA", "N", "H1")
 """The charged amine at the start of a chain."""
 
 
+BLANK = "(blank)"
+"""What a chain without an id is called."""
+
+
 def describe(number: str, name: str, chain_id: str) -> str:
     """Describe a residue: ``residue 17 GLU of chain A``."""
-    return f"residue {number} {name} of chain {chain_id or '(blank)'}"
+    return f"residue {number} {name} of chain {chain_id or BLANK}"

@@ -30,12 +30,13 @@ LAYERS = [
     {"multibody", "structure", "energies"},
     {"chain", "hinges", "articulate", "contacts", "frame", "setup"},
     {"dynamics"},
+    {"validation"},
     {"minimisers"},
     {"analysis"},
     {"batches"},
     {"cli"},
 ]
-OPEN = ("analysis", "batches", "dynamics", "energies", "minimisers", "multibody", "structure")
+OPEN = ("analysis", "batches", "dynamics", "energies", "minimisers", "multibody", "structure", "validation")
 PACKAGES = (protochain, *(importlib.import_module(f"protochain.{name}") for name in OPEN))
 PUBLIC = {
     f"{package.__name__}.{name}": getattr(package, name)

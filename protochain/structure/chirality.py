@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers
 from protochain.structure.draft import Member
@@ -76,6 +77,25 @@ def changed_hands(structure: Structure, x: Floats, reference: Floats) -> list[st
         return []
     flipped = np.sign(volume(x[atoms])) != np.sign(volume(reference[atoms]))
     return [structure.describe(int(atom)).removeprefix("atom ") for atom in atoms[flipped, 0]]
+
+
+def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) -> Integers:
+    """Find the chiral atoms whose hand is not that of an L-amino acid, or of D where the residue is mirrored.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm
+    mirrored : (nr,) bool
+        Residues that are D-amino acids.
+
+    Returns
+    -------
+    (n,) int
+    """
+    atoms = _chiral(structure)
+    hands = np.where(mirrored[structure.atom_residue[atoms[:, 0]]], -1.0, 1.0)
+    return np.asarray(atoms[hands * volume(x[atoms]) < 0.0, 0])
 
 
 def listed(places: Sequence[str]) -> str:

@@ -1,0 +1,75 @@
+"""Measures of a structure by itself, and its validation."""
+
+from typing import Any
+
+import numpy as np
+
+from protochain.arrays import Floats, floats
+from protochain.structure.convert import as_structure
+from protochain.structure.matching import measurable
+from protochain.validation.found import MEASURES, Found
+from protochain.validation.likeness import likeness
+from protochain.validation.result import Validation
+
+
+def measures(structure: Any, x: Floats | None = None) -> dict[str, Any]:
+    """Measure what is wrong with a structure by itself.
+
+    Parameters
+    ----------
+    structure : Structure, or anything that :func:`protochain.as_structure` takes
+        Structure to measure.
+    x : (na, 3) float, nm, optional
+        Other positions of its atoms.
+
+    Returns
+    -------
+    dict of str to int or float
+        The keys of ``MEASURES``; None where nothing can be measured, or positions are not finite.
+
+    Raises
+    ------
+    ProtochainError
+        If x has another shape.
+    """
+    structure = as_structure(structure)
+    x = structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nanometer")
+    if not np.isfinite(x).all():
+        return dict.fromkeys(MEASURES)
+    return Found(structure, x).measures()
+
+
+def validate(source: Any, reference: Any = None, **settings: Any) -> Validation:
+    """Find what is wrong with a structure by itself, and how like a reference it is.
+
+    Heavy atoms are measured where the file has them. Those that it lacks are added, as by
+    :func:`protochain.load`, and so are hydrogens, which clashes need; both are told.
+
+    Parameters
+    ----------
+    source : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
+        Structure to validate; of a solution, its end.
+    reference : the same, optional
+        Structure to compare with; residues are matched as by :func:`protochain.rmsd`. A file may hold only
+        C-alphas.
+    **settings
+        Options of :func:`protochain.load`, for the source.
+
+    Returns
+    -------
+    Validation
+        Numbers, a row for each residue, and what is wrong in words.
+
+    Raises
+    ------
+    ProtochainError
+        If a file cannot be used, or no residue matches.
+    """
+    structure = as_structure(source, **settings)
+    found = Found(structure, structure.positions)
+    values, table = found.measures(), found.table()
+    if reference is not None:
+        alike = likeness(structure, measurable(reference))
+        values |= alike.measures
+        table["lddt"] = alike.lddt[table.index]
+    return Validation(structure, values, table, found.violations, tuple(found.listing()))

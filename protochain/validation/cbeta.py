@@ -1,0 +1,92 @@
+"""Deviation of C-beta from where the backbone says it should be."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.arrays import Floats, Integers
+from protochain.structure.model import Structure
+from protochain.units import ANGSTROM_PER_NM
+from protochain.validation.layout import NONE, layout
+
+LIMIT = 0.25
+"""Angstrom from which a deviation is an outlier."""
+
+_IDEAL = {
+    "ALA": (1.536, 110.1, 122.9, 110.6, -122.6),
+    "PRO": (1.530, 112.2, 115.1, 103.0, -120.7),
+    "VAL": (1.540, 109.1, 123.4, 111.5, -122.0),
+    "": (1.530, 110.1, 122.8, 110.5, -122.6),
+}
+"""CA-CB in angstrom; in degrees C-CA-CB and the dihedral N-C-CA-CB, N-CA-CB and the dihedral C-N-CA-CB."""
+_CLASS = {"ALA": "ALA", "PRO": "PRO", "VAL": "VAL", "THR": "VAL", "ILE": "VAL"}
+
+
+class Deviations(NamedTuple):
+    """C-beta deviations of the residues that have one.
+
+    Parameters
+    ----------
+    residue : (n,) int
+    deviation : (n,) float, angstrom
+    """
+
+    residue: Integers
+    deviation: Floats
+
+    @property
+    def outliers(self) -> NDArray[np.int64]:
+        """Residues whose deviation is 0.25 angstrom or more."""
+        return self.residue[self.deviation >= LIMIT]
+
+
+def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviations:
+    """Measure how far each C-beta is from its ideal place.
+
+    That place is the mean of two, built with ideal bond, angle and dihedral from either side of the backbone,
+    at the ideal distance from C-alpha. A D-amino acid that the file names so is measured by its mirror image;
+    any other has a deviation of some 2 angstrom.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm, optional
+        Other positions of its atoms.
+
+    Returns
+    -------
+    Deviations
+
+    Notes
+    -----
+    Lovell et al., Proteins 50:437 (2003); ideal values as in mmtbx's cbetadev.
+    """
+    found = layout(structure)
+    atoms = found.atoms("N", "CA", "C", "CB")
+    residue = np.flatnonzero((atoms != NONE).all(axis=1) & (structure.residue_name != "GLY"))
+    n, alpha, c, beta = ANGSTROM_PER_NM * (structure.positions if x is None else x)[atoms[residue].T]
+    ideal = [_IDEAL[_CLASS.get(name, "")] for name in structure.residue_name[residue].tolist()]
+    length, from_c, round_c, from_n, round_n = np.array(ideal).reshape(-1, 5).T
+    hand = np.where(found.mirrored[residue], -1.0, 1.0)
+    middle = 0.5 * (
+        _placed(n, c, alpha, length, from_c, hand * round_c)
+        + _placed(c, n, alpha, length, from_n, hand * round_n)
+    )
+    out = middle - alpha
+    out *= (length / np.linalg.norm(out, axis=1))[:, None]
+    return Deviations(residue, np.linalg.norm(beta - alpha - out, axis=1))
+
+
+def _placed(a: Floats, b: Floats, c: Floats, length: Floats, angle: Floats, dihedral: Floats) -> Floats:
+    """Points (n, 3) at a distance from c, with an angle to b and a dihedral to a, both in degrees."""
+    theta, phi = np.radians(angle)[:, None], np.radians(dihedral)[:, None]
+    back = _unit(b - c)
+    up = _unit(np.cross(a - b, back))
+    aside = np.cross(up, back)
+    way = np.cos(theta) * back + np.sin(theta) * (np.cos(phi) * -aside + np.sin(phi) * up)
+    return np.asarray(c + length[:, None] * way)
+
+
+def _unit(v: Floats) -> Floats:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), np.finfo(float).tiny))

@@ -1,0 +1,127 @@
+"""Bond lengths and angles of the amino acids, from data/geometry.csv, and the heavy atoms that it names."""
+
+import csv
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers, frozen, read_only
+from protochain.residues import STANDARD, STATE_PARENT
+from protochain.structure.model import Structure
+
+WIDTH = 14
+"""Heavy atoms of the largest amino acid, without the second oxygen of a terminus."""
+TYPES = tuple(STANDARD)
+"""Amino acids, in the order of the tables below."""
+
+_TABLE = Path(__file__).parent / "data" / "geometry.csv"
+
+
+@dataclass(frozen=True)
+class Norm:
+    """Usual value of a bond length or angle within a residue.
+
+    Parameters
+    ----------
+    residue : str
+    atoms : tuple of str
+        Two of a bond, three of an angle.
+    mean, sigma : float, angstrom or degrees
+    """
+
+    residue: str
+    atoms: tuple[str, ...]
+    mean: float
+    sigma: float
+
+
+@cache
+def norms() -> tuple[Norm, ...]:
+    """Rows of the table of bond lengths and angles within residues."""
+    with _TABLE.open(newline="") as file:
+        rows = list(csv.reader(file))[1:]
+    return tuple(Norm(row[0], tuple(row[1].split("-")), float(row[2]), float(row[3])) for row in rows)
+
+
+@cache
+def slots() -> dict[tuple[str, str], int]:
+    """Place (0 to 13) of each heavy atom in its residue, by names of residue and atom: N, CA, C, O first."""
+    found: dict[tuple[str, str], int] = {}
+    for residue in TYPES:
+        first = dict.fromkeys(("N", "CA", "C", "O"))
+        its = first | dict.fromkeys(name for row in norms() if row.residue == residue for name in row.atoms)
+        found |= {(residue, name): place for place, name in enumerate(its)}
+    return found
+
+
+@cache
+def distances() -> tuple[Floats, Floats]:
+    """Usual distances between atoms of a residue, one or two bonds apart, and their standard deviations.
+
+    Angles become distances by the law of cosines, and their errors are propagated as if independent.
+
+    Returns
+    -------
+    (20, 14, 14) float, angstrom
+        By type, and by the places of two atoms; NaN for other pairs.
+    (20, 14, 14) float, angstrom
+    """
+    shape = (len(TYPES), WIDTH, WIDTH)
+    mean, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
+    for wanted in (2, 3):
+        for row in norms():
+            if len(row.atoms) != wanted:
+                continue
+            kind, places = TYPES.index(row.residue), [slots()[row.residue, name] for name in row.atoms]
+            value = (row.mean, row.sigma)
+            if wanted == 3:
+                i, j, k = places
+                arms = ((mean[kind, i, j], sigma[kind, i, j]), (mean[kind, j, k], sigma[kind, j, k]))
+                value = _opposite(*arms, (np.radians(row.mean), np.radians(row.sigma)))
+            first, last = places[0], places[-1]
+            mean[kind, first, last] = mean[kind, last, first] = value[0]
+            sigma[kind, first, last] = sigma[kind, last, first] = value[1]
+    return frozen(mean), frozen(sigma)
+
+
+def _opposite(
+    a: tuple[float, float], b: tuple[float, float], angle: tuple[float, float]
+) -> tuple[float, float]:
+    """Side of a triangle opposite to the angle between sides a and b, each with its standard deviation."""
+    cosine, sine = np.cos(angle[0]), np.sin(angle[0])
+    side = np.sqrt(a[0] ** 2 + b[0] ** 2 - 2 * a[0] * b[0] * cosine)
+    parts = (
+        (a[0] - b[0] * cosine) * a[1],
+        (b[0] - a[0] * cosine) * b[1],
+        a[0] * b[0] * sine * angle[1],
+    )
+    return float(side), float(np.sqrt(sum(part**2 for part in parts)) / side)
+
+
+@lru_cache(maxsize=16)
+def places(structure: Structure) -> tuple[Integers, Integers]:
+    """Where the heavy atoms of a structure's amino acids are.
+
+    Returns
+    -------
+    (nr, 14) int
+        Atom in each place of each residue, -1 if there is none; a terminus' second oxygen has no place.
+    (nr,) int
+        Type of each residue; -1 for caps and molecules beside the protein.
+    """
+    names = [STATE_PARENT.get(name, (name, ""))[0] for name in structure.residue_name.tolist()]
+    kind = np.array([TYPES.index(name) if name in STANDARD else -1 for name in names], dtype=np.int64)
+    kind[structure.atom_residue[structure.kept]] = -1
+    at = np.full((structure.n_residues, WIDTH), -1, dtype=np.int64)
+    residue = structure.atom_residue
+    heavy = np.flatnonzero((structure.atom_element != "H") & (kind[residue] >= 0))
+    table = slots()
+    for atom, its, name in zip(
+        heavy.tolist(), residue[heavy].tolist(), structure.atom_name[heavy].tolist(), strict=True
+    ):
+        place = table.get((names[its], name))
+        if place is not None:
+            at[its, place] = atom
+    return read_only(at, np.int64), read_only(kind, np.int64)

@@ -1,0 +1,120 @@
+"""Where the atoms of each residue are, which residues a peptide bond joins, and dihedrals of many at once."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.arrays import Floats, Integers, read_only
+from protochain.residues import BACKBONE
+from protochain.structure.changes import residues_told
+from protochain.structure.model import Structure
+
+NONE = -1
+"""Index where there is no such atom or residue."""
+
+
+class Layout(NamedTuple):
+    """Amino acids of a structure, their atoms and neighbours.
+
+    Parameters
+    ----------
+    amino : (nr,) bool
+        What has a backbone: no caps, and nothing that is kept beside the protein.
+    atom : dict of str to (nr,) int
+        Index of the atom of that name in each amino acid, -1 where there is none.
+    before, after : (nr,) int
+        Amino acids that a peptide bond joins to N and to C, -1 where there is none.
+    mirrored : (nr,) bool
+        Residues that the file names as D-amino acids; the structure has the name of their mirror image.
+    """
+
+    amino: NDArray[np.bool_]
+    atom: dict[str, Integers]
+    before: Integers
+    after: Integers
+    mirrored: NDArray[np.bool_]
+
+    def atoms(self, *names: str) -> Integers:
+        """(nr, len(names)) int: atoms of these names in each residue."""
+        absent = np.full(len(self.amino), NONE)
+        return np.stack([self.atom.get(name, absent) for name in names], axis=1)
+
+
+@lru_cache(maxsize=16)
+def layout(structure: Structure) -> Layout:
+    """Find the amino acids of a structure, their atoms and neighbours; the same for all its positions."""
+    n, of = structure.n_residues, structure.atom_residue
+    backbone = [
+        np.isin(np.arange(n), of[(structure.atom_name == name) & ~structure.kept]) for name in BACKBONE
+    ]
+    amino = np.all(backbone, axis=0)
+    own = np.flatnonzero(amino[of])
+    names = structure.atom_name[own]
+    atom: dict[str, Integers] = {}
+    for name in np.unique(names).tolist():
+        index = np.full(n, NONE)
+        its = own[names == name]
+        index[of[its]] = its
+        atom[name] = read_only(index, np.int64)
+    before, after = np.full(n, NONE), np.full(n, NONE)
+    kind = structure.atom_name[structure.bonds]
+    # Also within one residue; and the smaller index comes first, but for the bond that closes a ring.
+    for c, n_ in ((0, 1), (1, 0)):
+        pairs = structure.bonds[(kind[:, c] == "C") & (kind[:, n_] == "N")]
+        first, second = of[pairs[:, c]], of[pairs[:, n_]]
+        real = amino[first] & amino[second] & (first != second)
+        after[first[real]], before[second[real]] = second[real], first[real]
+    mirrored = np.zeros(n, dtype=bool)
+    mirrored[list(residues_told(structure, r"named \S+, its D configuration kept"))] = True
+    return Layout(amino, atom, read_only(before, np.int64), read_only(after, np.int64), mirrored)
+
+
+@lru_cache(maxsize=16)
+def built(structure: Structure) -> NDArray[np.bool_]:
+    """(na,) bool: heavy atoms that the file lacks, and preparation added."""
+    added = np.zeros(structure.n_atoms, dtype=bool)
+    found = layout(structure)
+    for residue, said in residues_told(structure, r"missing (?P<atoms>.+) added").items():
+        atoms = found.atoms(*said["atoms"].split(", "))[residue]
+        added[atoms[atoms != NONE]] = True
+    added.flags.writeable = False
+    return added
+
+
+def dihedrals(x: Floats, atoms: Integers) -> Floats:
+    """Dihedrals of four atoms each, in degrees, from -180 to 180.
+
+    Parameters
+    ----------
+    x : (na, 3) float
+    atoms : (n, 4) int
+        Indices; where one is -1 the result is NaN.
+
+    Returns
+    -------
+    (n,) float
+        IUPAC-IUB: positive if, seen along the middle bond, the far bond lies clockwise of the near one.
+    """
+    a, b, c, d = x[atoms.T]
+    axis = c - b
+    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), np.finfo(float).tiny)
+    near, far = a - b, d - c
+    near -= np.sum(near * axis, axis=1, keepdims=True) * axis
+    far -= np.sum(far * axis, axis=1, keepdims=True) * axis
+    found = np.degrees(np.arctan2(np.sum(np.cross(near, far) * axis, axis=1), np.sum(near * far, axis=1)))
+    return np.where((atoms == NONE).any(axis=1), np.nan, found)
+
+
+def peptides(structure: Structure, x: Floats) -> tuple[Floats, Floats, Floats]:
+    """phi, psi, and omega of the bond before each residue (nr,), in degrees; NaN where there is none."""
+    found = layout(structure)
+    own = found.atoms("N", "CA", "C")
+    before, after = own[found.before], own[found.after]
+    before[found.before == NONE], after[found.after == NONE] = NONE, NONE
+    return (
+        dihedrals(x, np.column_stack([before[:, 2], own])),
+        dihedrals(x, np.column_stack([own, after[:, 0]])),
+        dihedrals(x, np.column_stack([before[:, 1:], own[:, :2]])),
+    )

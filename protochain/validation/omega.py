@@ -1,0 +1,60 @@
+"""Peptide bonds that are not trans."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.arrays import Floats, Integers
+from protochain.structure.model import Structure
+from protochain.validation.layout import peptides
+
+_PLANAR = 30.0
+"""Degrees from planarity beyond which a peptide bond is twisted, as in mmtbx's omegalyze."""
+
+
+class Peptides(NamedTuple):
+    """Peptide bonds, each named after the residue of its nitrogen.
+
+    Parameters
+    ----------
+    residue : (n,) int
+    omega : (n,) float, degrees
+    proline : (n,) bool
+        Whether that residue is a proline.
+    cis, twisted : (n,) bool
+        Within 30 degrees of 0, and farther than that from both 0 and 180.
+    """
+
+    residue: Integers
+    omega: Floats
+    proline: NDArray[np.bool_]
+    cis: NDArray[np.bool_]
+    twisted: NDArray[np.bool_]
+
+
+def omegas(structure: Structure, x: Floats | None = None) -> Peptides:
+    """Measure the dihedral omega of every peptide bond, CA-C-N-CA.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm, optional
+        Other positions of its atoms.
+
+    Returns
+    -------
+    Peptides
+        Bonds between two amino acids.
+
+    Notes
+    -----
+    Source of the limits: Williams et al., Protein Sci. 27:293 (2018).
+    """
+    omega = peptides(structure, structure.positions if x is None else x)[2]
+    residue = np.flatnonzero(np.isfinite(omega))
+    omega = omega[residue]
+    size = np.abs(omega)
+    proline = structure.residue_name[residue] == "PRO"
+    cis = size < _PLANAR
+    return Peptides(residue, omega, proline, cis, ~cis & (size <= 180.0 - _PLANAR))

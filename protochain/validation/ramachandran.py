@@ -1,0 +1,141 @@
+"""Ramachandran plot: favoured, allowed and outlier regions of six classes of residues."""
+
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.arrays import Floats, Integers, read_only
+from protochain.residues import STANDARD
+from protochain.structure.model import Structure
+from protochain.validation.layout import NONE, layout, peptides
+
+CLASSES = ("general", "glycine", "cis_proline", "trans_proline", "pre_proline", "ile_val")
+"""Classes of residues, as their tables are called."""
+REGIONS = ("outlier", "allowed", "favoured")
+
+FAVOURED = 0.02
+ALLOWED = np.array([0.0005, 0.001, 0.002, 0.001, 0.001, 0.001])
+"""Least score of a favoured and, by class, of an allowed residue, as in mmtbx's ramalyze."""
+_CIS = 90.0
+"""Degrees of omega below which a proline counts as cis here, as in ramalyze: there is no third class."""
+_CELL = 2.0
+"""Degrees between the points of the tables, which lie at odd degrees."""
+_TABLES = Path(__file__).parent / "data" / "ramachandran.npz"
+
+
+class Ramachandran(NamedTuple):
+    """Residues with both phi and psi on the Ramachandran plot.
+
+    Parameters
+    ----------
+    residue : (n,) int
+    phi, psi : (n,) float, degrees
+    kind : (n,) int
+        Index of the class in ``CLASSES``.
+    score : (n,) float
+        Share of the residues of its class that are rarer, from 0 to 1.
+    region : (n,) int
+        0 outlier, 1 allowed, 2 favoured.
+    """
+
+    residue: Integers
+    phi: Floats
+    psi: Floats
+    kind: Integers
+    score: Floats
+    region: Integers
+
+    @property
+    def outliers(self) -> Integers:
+        """Residues that are outliers."""
+        return self.residue[self.region == 0]
+
+    @property
+    def favoured_percent(self) -> float:
+        """Percentage of residues in favoured regions; NaN if there are none at all."""
+        return 100.0 * float(np.mean(self.region == 2)) if len(self.region) else float("nan")
+
+
+def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
+    """Place the residues of a structure on the Ramachandran plot, as MolProbity does.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm, optional
+        Other positions of its atoms.
+
+    Returns
+    -------
+    Ramachandran
+        The 20 amino acids, where they lie between two others. D-amino acids, if the file names them so, by
+        their mirror image.
+
+    Notes
+    -----
+    Tables: Top8000 (Williams et al., Protein Sci. 27:293, 2018), as in mmtbx's ramalyze.
+    """
+    found = layout(structure)
+    phi, psi, omega = peptides(structure, structure.positions if x is None else x)
+    standard = np.isin(structure.residue_name, list(STANDARD))
+    residue = np.flatnonzero(standard & np.isfinite(phi) & np.isfinite(psi))
+    kind = _classes(structure, omega)[residue]
+    phi, psi = phi[residue], psi[residue]
+    hand = np.where(found.mirrored[residue], -1.0, 1.0)
+    values = score(kind, hand * phi, hand * psi)
+    region = (values >= ALLOWED[kind]).astype(np.int64) + (values >= FAVOURED)
+    return Ramachandran(residue, phi, psi, kind, values, region)
+
+
+def score(kind: Integers, phi: Floats, psi: Floats) -> Floats:
+    """Interpolate the tables between their four nearest points.
+
+    Parameters
+    ----------
+    kind : (n,) int
+        Index of the class in ``CLASSES``.
+    phi, psi : (n,) float, degrees
+
+    Returns
+    -------
+    (n,) float
+    """
+    table = tables()
+    n = table.shape[1]
+    (i, a), (j, b) = (_cell(angle) for angle in (phi, psi))
+    return np.asarray(
+        (1 - a) * (1 - b) * table[kind, i % n, j % n]
+        + a * (1 - b) * table[kind, (i + 1) % n, j % n]
+        + (1 - a) * b * table[kind, i % n, (j + 1) % n]
+        + a * b * table[kind, (i + 1) % n, (j + 1) % n]
+    )
+
+
+@cache
+def tables() -> Floats:
+    """(6, 180, 180) float: score by class, phi and psi, at -179, -177, ... degrees."""
+    with np.load(_TABLES) as stored:
+        return read_only([stored[name] for name in CLASSES])
+
+
+def _cell(angle: Floats) -> tuple[Integers, Floats]:
+    """Index of the point at or below an angle, and how far the angle lies on the way to the next."""
+    place = (angle + 179.0) / _CELL
+    below = np.floor(place)
+    return below.astype(np.int64), place - below
+
+
+def _classes(structure: Structure, omega: Floats) -> NDArray[np.int64]:
+    """Class of each residue (nr,): glycine and proline come first, then what precedes a proline."""
+    name, after = structure.residue_name, layout(structure).after
+    before_proline = (after != NONE) & (name[after] == "PRO")
+    cis = np.abs(omega) < _CIS
+    proline = name == "PRO"
+    return np.select(
+        [name == "GLY", proline & cis, proline, before_proline, np.isin(name, ("ILE", "VAL"))],
+        [1, 2, 3, 4, 5],
+        0,
+    )

@@ -1,0 +1,279 @@
+"""Structural violations as AlphaFold counts them, also across chains.
+
+Jumper et al., Nature 596:583 (2021), supplement 1.9.11, equations 44 to 46: ``find_structural_violations``
+with a tolerance of 12 standard deviations for bonds and angles and of 1.5 angstrom for contacts.
+"""
+
+from dataclasses import dataclass
+from functools import cache, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from protochain.arrays import Floats, Integers, Value, floats, read_only
+from protochain.structure.model import Structure
+from protochain.units import ANGSTROM_PER_NM
+from protochain.validation.geometry import TYPES, distances, places, slots
+
+_SIGMAS = 12.0
+_OVERLAP = 1.5
+"""Angstrom by which two atoms may overlap."""
+_RADIUS = {"C": 1.7, "N": 1.55, "O": 1.52, "S": 1.8}
+"""Angstrom; AlphaFold's van der Waals radii."""
+
+_BOND, _BOND_PROLINE = (1.329, 0.014), (1.341, 0.016)
+"""Angstrom: length of C-N and its standard deviation, and where N is a proline's."""
+_CA_C_N = (-0.4473, 0.014)
+"""Cosine and standard deviation. AlphaFold up to 2.3, ColabFold and OpenFold take the deviation of the
+bond for that of this cosine; AlphaFold takes 0.0311 since September 2025. The former, stricter, is kept."""
+_C_N_CA = (-0.5203, 0.0353)
+_SOFT = 1e-6
+"""Added to squares under a root; AlphaFold's counts include it."""
+_CA, _C, _N = 1, 2, 0
+"""Places of backbone atoms in a residue."""
+
+
+@dataclass(frozen=True, eq=False)
+class Violations(Value):
+    """Violations of a structure; true if there is one.
+
+    Parameters
+    ----------
+    bonds : (n, 2) int
+        Atoms C and N of peptide bonds of wrong length.
+    angles_ca_c_n, angles_c_n_ca : (n, 3) int
+        Atoms of wrong angles at these bonds.
+    clashes : (n, 2) int
+        Atoms of different residues that overlap.
+    within : (n, 2) int
+        Atoms of one residue that are too near to one another or, one or two bonds apart, too far.
+    per_residue : (nr,) bool
+        Residues with an atom among these; of a wrong bond or angle both residues.
+    """
+
+    bonds: Integers
+    angles_ca_c_n: Integers
+    angles_c_n_ca: Integers
+    clashes: Integers
+    within: Integers
+    per_residue: NDArray[np.bool_]
+
+    @property
+    def residues(self) -> Integers:
+        """(n,) int: indices of the residues concerned, ascending."""
+        return np.flatnonzero(self.per_residue)
+
+    @property
+    def clashing_atoms(self) -> Integers:
+        """(n,) int: atoms that overlap with one of another residue, ascending."""
+        return np.unique(self.clashes)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Numbers of wrong bonds and angles, of pairs that clash, of wrong distances within residues."""
+        return {
+            "bonds": len(self.bonds),
+            "angles_ca_c_n": len(self.angles_ca_c_n),
+            "angles_c_n_ca": len(self.angles_c_n_ca),
+            "clashes": len(self.clashes),
+            "within": len(self.within),
+        }
+
+    def __bool__(self) -> bool:
+        return bool(self.per_residue.any())
+
+    def __str__(self) -> str:
+        if not self:
+            return "no violations"
+        angles = len(self.angles_ca_c_n) + len(self.angles_c_n_ca)
+        parts = [
+            _counted(len(self.bonds), "peptide bond"),
+            _counted(angles, "angle at a peptide bond", "angles at peptide bonds"),
+            _counted(len(self.clashing_atoms), "atom in clashes", "atoms in clashes"),
+            _counted(len(self.within), "distance within a residue", "distances within residues"),
+        ]
+        concerned = _counted(len(self.residues), "residue")
+        return f"violations in {concerned}: {', '.join(part for part in parts if part)}"
+
+    def lines(self, structure: Structure, x: Floats | None = None) -> list[str]:
+        """Describe each violation in a line: bonds, angles, clashes, distances within residues.
+
+        Parameters
+        ----------
+        structure : Structure
+        x : (na, 3) float, nm, optional
+            The positions measured; by default the structure's own.
+        """
+        x = ANGSTROM_PER_NM * (structure.positions if x is None else x)
+        found = []
+        for what, pairs in (("bond", self.bonds), ("clash", self.clashes), ("distance", self.within)):
+            apart = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+            found += [
+                f"{what}: {structure.describe(i)} and {structure.describe(j)} are {r:.2f} angstrom apart"
+                for (i, j), r in zip(pairs.tolist(), apart.tolist(), strict=True)
+            ]
+        angles = np.vstack([self.angles_ca_c_n, self.angles_c_n_ca])
+        cosine = _cosine(*(x[angles[:, k]] for k in range(3)))
+        degrees = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        for triple, value in zip(angles.tolist(), degrees.tolist(), strict=True):
+            name = "-".join(structure.atom_name[triple].tolist())
+            ends = sorted({int(structure.atom_residue[atom]) for atom in triple})
+            where = " and ".join(structure.describe_residue(each) for each in ends)
+            found.insert(len(self.bonds), f"angle: {name} of {where} is {value:.0f} degrees")
+        return found
+
+
+def violations(structure: Structure, x: Floats | None = None) -> Violations:
+    """Find the structural violations that AlphaFold counts.
+
+    Heavy atoms of the 20 amino acids alone, without the second oxygen of a terminus, are looked at; caps
+    and molecules beside the protein are not. Residues are neighbours if they are bonded, or follow one
+    another in a chain with consecutive numbers: a chain that was split where its C-N bond is far too long
+    violates that bond.
+
+    AlphaFold goes by the number alone, in a file of several chains too: it compares no two residues of one
+    number, and spares C and N of consecutive numbers in any chains. Here residues are told apart by what they
+    are, so that all contacts between chains are seen; in a single chain the counts are AlphaFold's.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure to measure.
+    x : (na, 3) float, nm, optional
+        Positions to measure; by default the structure's own.
+
+    Returns
+    -------
+    Violations
+        By kind, and the residues concerned.
+
+    Raises
+    ------
+    ProtochainError
+        If x has another shape.
+    """
+    x = structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
+    x = ANGSTROM_PER_NM * x
+    found = (*_connections(structure, x), _clashes(structure, x), _within(structure, x))
+    concerned = np.zeros(structure.n_residues, dtype=bool)
+    for atoms in found:
+        concerned[structure.atom_residue[atoms]] = True
+    return Violations(*(read_only(atoms, np.int64) for atoms in found), read_only(concerned, np.bool_))
+
+
+def _connections(structure: Structure, x: Floats) -> tuple[Integers, Integers, Integers]:
+    """Wrong bonds (n, 2), angles CA-C-N (n, 3) and angles C-N-CA (n, 3)."""
+    joints, proline = _joints(structure)
+    mean, sigma = np.where(proline[:, None], _BOND_PROLINE, _BOND).T
+    ca, c, n, next_ca = (x[joints[:, k]] for k in range(4))
+    return (
+        joints[_is_off(_length(n - c), mean, sigma)][:, 1:3],
+        joints[_is_off(_cosine(ca, c, n), *_CA_C_N)][:, :3],
+        joints[_is_off(_cosine(c, n, next_ca), *_C_N_CA)][:, 1:],
+    )
+
+
+def _is_off(value: Floats, mean: Floats | float, sigma: Floats | float) -> NDArray[np.bool_]:
+    return np.asarray(np.sqrt(_SOFT + (value - mean) ** 2) > _SIGMAS * sigma)
+
+
+def _length(v: Floats) -> Floats:
+    return np.asarray(np.sqrt(_SOFT + (v**2).sum(axis=-1)))
+
+
+def _cosine(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Cosines (n,) of the angles at b."""
+    u, v = a - b, c - b
+    return np.asarray((u * v).sum(axis=-1) / (_length(u) * _length(v)))
+
+
+def _clashes(structure: Structure, x: Floats) -> Integers:
+    """Atoms (n, 2) of different residues that overlap."""
+    atoms, radius, bonded = _contacts(structure)
+    reach = 2 * max(_RADIUS.values()) - _OVERLAP
+    pairs = cKDTree(x[atoms]).query_pairs(reach, output_type="ndarray") if len(atoms) else np.empty((0, 2))
+    pairs = np.sort(atoms[pairs.astype(np.int64)], axis=1)
+    residue, sulphur = structure.atom_residue, radius == _RADIUS["S"]
+    apart = residue[pairs[:, 0]] != residue[pairs[:, 1]]
+    # AlphaFold spares all pairs of SG, bonded or not.
+    named = structure.atom_name[pairs] == "SG" if len(pairs) else np.zeros((0, 2), dtype=bool)
+    spared = (named & sulphur[pairs]).all(axis=1)
+    spared |= np.isin(pairs @ [structure.n_atoms, 1], bonded)
+    distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    pairs = pairs[apart & ~spared & (distance < radius[pairs].sum(axis=1) - _OVERLAP)]
+    return np.asarray(pairs[np.lexsort(pairs.T[::-1])])
+
+
+def _within(structure: Structure, x: Floats) -> Integers:
+    """Atoms (n, 2) of one residue at a wrong distance."""
+    pairs, lower, upper = _neighbours(structure)
+    distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    return np.asarray(pairs[(distance < lower) | (distance > upper)])
+
+
+@lru_cache(maxsize=16)
+def _neighbours(structure: Structure) -> tuple[Integers, Floats, Floats]:
+    """Atoms (n, 2) of one residue, and the least and greatest distances allowed (n,), angstrom."""
+    at, kind = places(structure)
+    lower, upper = _bounds()
+    i, j = np.triu_indices(at.shape[1], 1)
+    first, second = at[:, i], at[:, j]
+    residue, pair = np.nonzero((first >= 0) & (second >= 0))
+    row = kind[residue], i[pair], j[pair]
+    pairs = np.sort(np.column_stack([first[residue, pair], second[residue, pair]]), axis=1)
+    return pairs, lower[row], upper[row]
+
+
+@cache
+def _bounds() -> tuple[Floats, Floats]:
+    """Least and greatest distances (20, 14, 14) allowed within a residue, angstrom."""
+    mean, sigma = distances()
+    radius = np.zeros(mean.shape[:2])
+    for (residue, name), place in slots().items():
+        radius[TYPES.index(residue), place] = _RADIUS[name[0]]
+    known = np.isfinite(mean)
+    apart = radius[:, :, None] + radius[:, None] - _OVERLAP
+    return np.where(known, mean - _SIGMAS * sigma, apart), np.where(known, mean + _SIGMAS * sigma, np.inf)
+
+
+@lru_cache(maxsize=16)
+def _joints(structure: Structure) -> tuple[Integers, NDArray[np.bool_]]:
+    """Atoms CA, C, N, CA (n, 4) of neighbours in a chain, and whether N is a proline's."""
+    at, kind = places(structure)
+    carbon, nitrogen = at[:, _C], at[:, _N]
+    residue, bonds = structure.atom_residue, structure.bonds
+    is_c, is_n = np.zeros(structure.n_atoms, dtype=bool), np.zeros(structure.n_atoms, dtype=bool)
+    is_c[carbon[carbon >= 0]] = is_n[nitrogen[nitrogen >= 0]] = True
+    bonded = [residue[ends[is_c[ends[:, 0]] & is_n[ends[:, 1]]]] for ends in (bonds, bonds[:, ::-1])]
+    number = np.array([_as_number(text) for text in structure.residue_number.tolist()])
+    follows = (structure.residue_chain[1:] == structure.residue_chain[:-1]) & (np.diff(number) == 1)
+    here = np.flatnonzero(follows & (kind[1:] >= 0) & (kind[:-1] >= 0))
+    pairs = np.unique(np.vstack([*bonded, np.column_stack([here, here + 1])]), axis=0)
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+    joints = np.column_stack([at[pairs[:, 0]][:, [_CA, _C]], at[pairs[:, 1]][:, [_N, _CA]]])
+    there = (joints >= 0).all(axis=1)
+    proline = kind[pairs[:, 1]] == TYPES.index("PRO")
+    return read_only(joints[there], np.int64), read_only(proline[there], np.bool_)
+
+
+def _as_number(text: str) -> float:
+    """Residue number; NaN if it is none, which follows nothing."""
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
+
+
+@lru_cache(maxsize=16)
+def _contacts(structure: Structure) -> tuple[Integers, Floats, Integers]:
+    """Atoms (n,) that may clash, radii (na,), and joined pairs C-N, each as one number."""
+    at, _ = places(structure)
+    atoms = np.sort(at[at >= 0])
+    radius = np.array([_RADIUS.get(name[:1], 0.0) for name in structure.atom_name.tolist()])
+    bonded = np.sort(_joints(structure)[0][:, 1:3], axis=1) @ [structure.n_atoms, 1]
+    return atoms, radius, bonded
+
+
+def _counted(n: int, what: str, several: str = "") -> str:
+    return f"{n} {what if n == 1 else several or what + 's'}" if n else ""
