@@ -1,9 +1,9 @@
 """Choice of one state for each of several sites: the global minimum of own and pair energies.
 
-Goldstein's dead-end elimination (Biophys. J. 66:1335, 1994) and bounds by message passing (Globerson, Jaakkola,
-NIPS 2007) rule out states that the minimum cannot have; what is left falls into components, which are solved
-by elimination of sites, as along a tree decomposition, where its tables are small enough, and else by branch
-and bound, with both again in every branch.
+Goldstein's dead-end elimination (Biophys. J. 66:1335, 1994) and bounds by message passing (Globerson,
+Jaakkola, NIPS 2007) rule out states that the minimum cannot have; what is left falls into components, which
+are solved by elimination of sites, as along a tree decomposition, where its tables are small enough, and else
+by branch and bound, with both again in every branch.
 """
 
 from collections.abc import Mapping, Sequence
@@ -302,8 +302,8 @@ def _bounded(part: _Part) -> _Part:
 def _pass_messages(own: Floats, first: Integers, tables: Floats, start: Integers, edges: Integers) -> None:
     """Share what each table and its two sites have together equally between the sites, again and again.
 
-    The energies of site i are own[first[i]:first[i + 1]], the table of an edge begins at its start. In the end,
-    the least of each row and column of a table is its sites', so that a separable table is zero.
+    The energies of site i are own[first[i]:first[i + 1]], the table of an edge begins at its start. In the
+    end, the least of each row and column of a table is its sites', so that a separable table is zero.
     """
     before = -np.inf
     for turn in range(_ROUNDS + 1):

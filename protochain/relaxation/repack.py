@@ -15,9 +15,13 @@ from protochain.relaxation.arms import Arm, arms
 from protochain.relaxation.assignment import best
 from protochain.relaxation.rotamer_energies import Interactions
 from protochain.structure.model import Structure
+from protochain.validation.rotamers import side_chains
+from protochain.validation.violations import violations
 
 _NEAR = 0.6
 """Of the sum of the van der Waals radii: nearer atoms are in each other's way. Hydrogen bonds are longer."""
+_STAYING = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "CB", "C", "O", "OXT")
+"""Atoms of a residue that no chi turns."""
 _ROUNDS = 3
 """With the residues that are still in the way, as often."""
 
@@ -44,7 +48,7 @@ def repacked(
     Returns
     -------
     Structure
-        Its ``repairs`` end with a line for each residue that was turned. The structure itself if there is none.
+        Its ``repairs`` end with a line for each residue that was turned; the structure itself if none was.
 
     Raises
     ------
@@ -78,15 +82,21 @@ def troubled(structure: Structure, x: Floats | None = None) -> Integers:
     ----------
     structure : Structure
     x : (na, 3) float, nm, optional
+        Positions to look at; by default the structure's own.
 
     Returns
     -------
     (n,) int
-        Sorted indices of residues with atoms too near to others.
+        Sorted indices of residues whose side chain overlaps, clashes or violates a distance, or is far from
+        every rotamer.
     """
     x = structure.positions if x is None else x
-    pairs, _ = near_pairs(structure, x, _NEAR)
-    return np.unique(structure.atom_residue[pairs])
+    found = violations(structure, x)
+    atoms = np.concatenate(
+        [pairs.ravel() for pairs in (near_pairs(structure, x, _NEAR)[0], found.clashes, found.within)]
+    )
+    turning = atoms[~np.isin(structure.atom_name[atoms], _STAYING) & ~structure.kept[atoms]]
+    return np.union1d(structure.atom_residue[turning], side_chains(structure, x).outliers)
 
 
 def _checked(structure: Structure, residues: Iterable[int]) -> Integers:
