@@ -19,6 +19,8 @@ _RARITY = 5.0
 """kJ/mol: of the logarithm of a rotamer's frequency, twice kT."""
 _RAREST = 10.0
 """Rarity of the input's dihedrals, at most: an outlier is no worse than the rarest rotamers."""
+_STAYING = 10.0
+"""kJ/mol that a turn must gain: what relaxing can mend stays."""
 _TURNS = np.deg2rad([0.0, -12.0, 12.0])
 """About chi1 of a rotamer."""
 _HALF_TURNS = {"ASP": 1, "GLU": 2, "PHE": 1, "TYR": 1}
@@ -99,7 +101,9 @@ class Arms:
         x = turned(self.x, axes, outward, chi, moved)
         # Those of the input stay bit for bit.
         x[0] = self.x[moved]
-        return Arm(residue, chi, n_chi, Rotamers(moved, x, _RARITY * rarity))
+        cost = _RARITY * rarity
+        cost[0] -= _STAYING
+        return Arm(residue, chi, n_chi, Rotamers(moved, x, cost))
 
     def _hand(self, at: dict[str, int]) -> int:
         names = ("CA", "N", "C", "CB")

@@ -15,6 +15,7 @@ from protochain.relaxation.arms import Arm, arms
 from protochain.relaxation.assignment import best
 from protochain.relaxation.rotamer_energies import Interactions
 from protochain.structure.model import Structure
+from protochain.validation.clashes import clashes
 from protochain.validation.rotamers import side_chains
 from protochain.validation.violations import violations
 
@@ -92,9 +93,8 @@ def troubled(structure: Structure, x: Floats | None = None) -> Integers:
     """
     x = structure.positions if x is None else x
     found = violations(structure, x)
-    atoms = np.concatenate(
-        [pairs.ravel() for pairs in (near_pairs(structure, x, _NEAR)[0], found.clashes, found.within)]
-    )
+    crowded = near_pairs(structure, x, _NEAR)[0], clashes(structure, x).pairs
+    atoms = np.concatenate([pairs.ravel() for pairs in (*crowded, found.clashes, found.within)])
     turning = atoms[~np.isin(structure.atom_name[atoms], _STAYING) & ~structure.kept[atoms]]
     return np.union1d(structure.atom_residue[turning], side_chains(structure, x).outliers)
 
