@@ -61,7 +61,7 @@ def repacked(
     Rotamers are those of Lovell, Word, Richardson, Richardson, Proteins 40:389 (2000).
     """
     chosen = troubled(structure) if residues is None else _checked(structure, residues)
-    x, told = structure.positions, ()
+    x, told = structure.positions, tuple[str, ...]()
     terms = None
     for _ in range(_ROUNDS):
         turning = arms(structure, structure.positions, chosen.tolist())
