@@ -32,6 +32,7 @@ LAYERS = [
     {"dynamics"},
     {"validation"},
     {"minimisers"},
+    {"relaxation"},
     {"analysis"},
     {"batches"},
     {"cli"},

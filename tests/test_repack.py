@@ -344,3 +344,22 @@ def test_by_default_those_turn_that_are_in_the_way():
 def test_a_residue_that_is_not_there_is_refused():
     with pytest.raises(StructureError, match=r"no residue of index 99; give indices from 0 to 19"):
         repacked(load("1l2y.pdb"), [1, 99])
+
+
+# --- Before relaxing
+
+
+def test_relaxing_turns_them_first_and_tells():
+    given, chosen = scrambled(load("1l2y.pdb"), 6, seed=1)
+    plain = pc.relax(given, solvent="vacuum", max_iterations=20)
+    done = pc.relax(given, solvent="vacuum", max_iterations=20, repack=True)
+    assert plain.turned == () and plain.record()["side_chains_turned"] == []
+    expected = repacked(given, energy=done.energy_function)
+    assert done.turned == expected.repairs[len(given.repairs) :] != ()
+    assert done.record()["side_chains_turned"] == list(done.turned)
+    assert done.structure.repairs == expected.repairs and done.start is given
+    # The springs lead to the turned side chains.
+    turned_atoms = (expected.positions != given.positions).any(axis=1) & (given.atom_element != "H")
+    away = [np.linalg.norm((done.x - s.positions)[turned_atoms], axis=1).mean() for s in (expected, given)]
+    assert away[0] < 0.03 < 0.1 < away[1]
+    assert "turned" in done._repr_html_() and "turned" not in plain._repr_html_()

@@ -1,7 +1,7 @@
 """Result of a relaxation: structure, rounds, measures before and after, and a record for tables and JSON."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -19,6 +19,7 @@ from protochain.minimisers.verdict import Status
 from protochain.relaxation.rounds import Round
 from protochain.relaxation.settings import Relaxing
 from protochain.structure import Structure, save
+from protochain.structure.changes import summarised
 from protochain.structure.superpose import displacements
 from protochain.units import ANGSTROM_PER_NM
 from protochain.validation import MEASURES, measures
@@ -66,6 +67,8 @@ class Relaxation(Value):
         Wall time of all rounds, without preparation and measures.
     trace : (n, 5) float
         A row for each iteration, with columns ``TRACE_COLUMNS``; energies without springs.
+    turned : tuple of str
+        Side chains put into other rotamers first, each in words.
     """
 
     start: Structure
@@ -83,11 +86,12 @@ class Relaxation(Value):
     frame: Frame
     seconds: float
     trace: Floats
+    turned: tuple[str, ...] = ()
 
     @cached_property
     def structure(self) -> Structure:
-        """Structure at the end, with all its hydrogens."""
-        return self.start.with_positions(self.x)
+        """Structure at the end, with all its hydrogens; its repairs tell of side chains turned."""
+        return replace(self.start, positions=self.x, repairs=(*self.start.repairs, *self.turned))
 
     @cached_property
     def measures_start(self) -> dict[str, Any]:
@@ -199,6 +203,7 @@ class Relaxation(Value):
             "exclude": own.exclude,
             "hydrogens": "kept" if own.keep_hydrogens else "stripped",
             "repacked": own.repack,
+            "side_chains_turned": list(self.turned),
             "left_out": dict(s.left_out),
             "repairs": list(s.repairs),
             "threads": e.threads,
@@ -225,6 +230,7 @@ class Relaxation(Value):
                 "status": self.message,
                 "energy": f"{self.energy_start:.2f} to {self.energy_end:.2f} kJ/mol",
                 "C-alpha RMSD to the start": f"{self.ca_rmsd_angstrom:.3f} angstrom",
+                **({"side chains": "; ".join(summarised(self.turned))} if self.turned else {}),
                 **rows,
                 "work": f"{len(self.rounds)} rounds, {self.seconds:.2f} s",
             },
