@@ -350,7 +350,7 @@ def test_a_residue_that_is_not_there_is_refused():
 
 
 def test_relaxing_turns_them_first_and_tells():
-    given, chosen = scrambled(load("1l2y.pdb"), 6, seed=1)
+    given, _ = scrambled(load("1l2y.pdb"), 6, seed=1)
     plain = pc.relax(given, solvent="vacuum", max_iterations=20)
     done = pc.relax(given, solvent="vacuum", max_iterations=20, repack=True)
     assert plain.turned == () and plain.record()["side_chains_turned"] == []
