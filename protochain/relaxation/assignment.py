@@ -161,7 +161,8 @@ def _order(part: Part) -> tuple[list[int], int]:
 
 def _eliminated(part: Part, order: Sequence[int]) -> _Found:
     """Lowest energy and its states, by minimising over one site after the other."""
-    factors = [((k,), own) for k, own in enumerate(part.own)] + list(part.pairs.items())
+    factors: list[tuple[tuple[int, ...], Floats]] = [((k,), own) for k, own in enumerate(part.own)]
+    factors += part.pairs.items()
     steps: list[tuple[int, tuple[int, ...], Integers]] = []
     energy = part.constant
     for k in order:

@@ -34,15 +34,15 @@ def repacked(
 
     Each may stay as it is, or take the dihedrals of a rotamer, turned by up to 12 degrees; bond lengths,
     bond angles and the backbone stay. The choice is the global minimum of the force field's energy between
-    them and with all that stays, softened as is usual for rigid rotamers. Where atoms are still too near,
-    the residues in the way may turn as well.
+    them and with all that stays, softened as is usual for rigid rotamers.
 
     Parameters
     ----------
     structure : Structure
     residues : iterable of int, optional
-        Indices of the residues that may turn; by default :func:`troubled`. Those without a chi stay, as do
-        proline and those whose side chain is bonded to anything: disulfides, metals, ligands.
+        Indices of the residues that may turn; by default those :func:`troubled`, and where they are still
+        too near to others, these too. Those without a chi stay, as do proline and those whose side chain is
+        bonded to anything: disulfides, metals, ligands.
     energy : Energy, optional
         Energy of the structure, whose terms are used; by default that of the default force field.
 
@@ -70,7 +70,7 @@ def repacked(
         terms = terms or _terms(structure, energy)
         x, told = _settled(structure, terms, turning)
         more = np.union1d(chosen, _in_the_way(structure, x, chosen))
-        if len(more) == len(chosen):
+        if residues is not None or len(more) == len(chosen):
             break
         chosen = more
     return replace(structure, positions=x, repairs=(*structure.repairs, *told)) if told else structure
