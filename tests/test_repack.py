@@ -5,6 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 from conftest import load, shared
+from models import planted_rings
 
 import protochain as pc
 from protochain import residues
@@ -19,6 +20,7 @@ from protochain.relaxation.rotamer_energies import Interactions
 from protochain.structure.packing import wrapped
 from protochain.structure.sidechains import dihedral
 from protochain.structure.turning import turned
+from protochain.validation import threaded_rings
 
 # --- The search
 
@@ -301,6 +303,10 @@ def test_the_same_is_found_again_by_either_engine():
     assert np.array_equal(first.positions, again.positions)
     assert first.repairs == again.repairs
     assert np.array_equal(first.positions, repacked(given, chosen).positions)
+    # An energy that leaves out what is constant in a chain still has all terms.
+    whole = pc.energy(given)
+    groups = pc.build_chain(given).rigid_groups
+    assert whole.without_constants(groups, given.positions).terms is whole.terms
 
 
 def test_a_molecule_kept_beside_is_kept_clear_of(tmp_path):
@@ -340,6 +346,14 @@ def test_by_default_those_turn_that_are_in_the_way():
     found = repacked(given)
     assert not len(near_pairs(found, found.positions, OVERLAP)[0])
     assert len(troubled(found)) < len(troubled(given))
+
+
+def test_threaded_rings_are_freed():
+    for planted in planted_rings([load("1ubq.pdb")], 2, seed=0):
+        given = planted.structure
+        assert threaded_rings(given)
+        assert {planted.ring_residue, planted.threading_residue} & set(troubled(given).tolist())
+        assert not threaded_rings(repacked(given))
 
 
 def test_a_residue_that_is_not_there_is_refused():

@@ -16,6 +16,7 @@ from protochain.relaxation.assignment import best
 from protochain.relaxation.rotamer_energies import Interactions
 from protochain.structure.model import Structure
 from protochain.validation.clashes import clashes
+from protochain.validation.rings import threaded_rings
 from protochain.validation.rotamers import side_chains
 from protochain.validation.violations import violations
 
@@ -88,13 +89,17 @@ def troubled(structure: Structure, x: Floats | None = None) -> Integers:
     Returns
     -------
     (n,) int
-        Sorted indices of residues whose side chain overlaps, clashes or violates a distance, or is far from
-        every rotamer.
+        Sorted indices of residues whose side chain overlaps, clashes, violates a distance, threads a ring or
+        has one that is threaded, or is far from every rotamer.
     """
     x = structure.positions if x is None else x
     found = violations(structure, x)
     crowded = near_pairs(structure, x, _NEAR)[0], clashes(structure, x).pairs
-    atoms = np.concatenate([pairs.ravel() for pairs in (*crowded, found.clashes, found.within)])
+    threaded = [(*ring.atoms, *ring.bond) for ring in threaded_rings(structure, x)]
+    atoms = np.concatenate(
+        [pairs.ravel() for pairs in (*crowded, found.clashes, found.within)]
+        + [np.array(each, dtype=np.int64) for each in threaded]
+    )
     turning = atoms[~np.isin(structure.atom_name[atoms], _STAYING) & ~structure.kept[atoms]]
     return np.union1d(structure.atom_residue[turning], side_chains(structure, x).outliers)
 
