@@ -103,7 +103,7 @@ class Relaxer:
     Parameters
     ----------
     structure : Structure
-        The input, to which all springs lead.
+        The input, or that with side chains turned: all springs lead to it.
     energy : Energy
     strength : Preset
     max_iterations : int
