@@ -16,7 +16,7 @@ from protochain.energies.bonded import bonded_part
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Stop, run
-from protochain.minimisers.parting import Held
+from protochain.minimisers.parting import Held, unthreading
 from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Problem
 from protochain.minimisers.recipes import SINGLE_PRECISION_ENDS
 from protochain.minimisers.restraints import SoftRepulsion, Sum, Tethers
@@ -25,7 +25,7 @@ from protochain.minimisers.stages import PATIENCE, lowest
 from protochain.minimisers.steps import StrongWolfe
 from protochain.relaxation.presets import Preset
 from protochain.structure import Structure
-from protochain.validation import violations
+from protochain.validation import threaded_rings, violations
 
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
 _MEMORY = 8
@@ -43,6 +43,9 @@ _SOFTENED = 60
 _WEAKER = 0.1
 """Share of their springs that residues with violations keep at first; the next time they lose them all.
 Without any at once, more of the fold gives way than has to."""
+
+GENTLE = "parting overlaps"
+"""Name of stages whose energy is not the force field's."""
 
 Note = Callable[[str, Evaluation, int], None]
 """Told each point accepted: name of the stage, the point, evaluations so far."""
@@ -130,9 +133,15 @@ class Relaxer:
             Rounds at most.
         """
         share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
+        threaded, spent = threaded_rings(self.structure, x), 0
+        if threaded:
+            x, spent = self._unthreaded(x)
+            share[[ring.residue for ring in threaded]] = 0.0
+            share[self.structure.atom_residue[[atom for ring in threaded for atom in ring.bond]]] = 0.0
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
         while True:
-            done.append(self._round(x, share, strengths, soften=self.strength.softened and not done))
+            soften = self.strength.softened and not done
+            done.append(self._round(x, share, strengths, soften, 0 if done else spent))
             last = done[-1]
             x, strengths = last.x, strengths[-1:]
             less = np.where(self._near(last.concerned), np.where(share == 1.0, _WEAKER, 0.0), share)
@@ -141,9 +150,11 @@ class Relaxer:
                 return done
             share = less
 
-    def _round(self, x: Floats, share: Floats, strengths: list[tuple[float, float]], soften: bool) -> Ended:
+    def _round(
+        self, x: Floats, share: Floats, strengths: list[tuple[float, float]], soften: bool, spent: int
+    ) -> Ended:
         began, structure = perf_counter(), self.structure
-        work = _Work(0, 0)
+        work = _Work(0, spent)
         bonded = bonded_part(self.energy) if soften and len(_overlapping(structure, x)) else None
         if bonded is not None:
             gentle = Sum([bonded, SoftRepulsion(structure)])
@@ -171,7 +182,7 @@ class Relaxer:
         held = Held(springs.weight + _STIFFER, is_soft, _REFRESH)
         method = Descent(LBFGS(held, _MEMORY), StrongWolfe())
         problem = Problem(space, energy, _ENDLESS, springs)
-        name, seen = "parting overlaps" if is_soft else "all atoms", count()
+        name, seen = GENTLE if is_soft else "all atoms", count()
 
         def record(at: Evaluation) -> None:
             self.note(name, at, work.evaluations + problem.n_evaluations)
@@ -189,6 +200,23 @@ class Relaxer:
         x = space.place(lowest(problem, ending, q)).x
         done = _Work(work.iterations + ending.last.n_iterations, work.evaluations + problem.n_evaluations)
         return x, ending.stop, done
+
+    def _unthreaded(self, x: Floats) -> tuple[Floats, int]:
+        """Positions with bonds drawn out of rings, as far as that is possible, and evaluations."""
+        space, spent = Cartesian(self.structure, ~self.structure.obstacle), 0
+        for stage in unthreading(space, self.energy):
+            q = space.start(x)
+            if stage.ready and not stage.ready(stage, space.place(q)):
+                continue
+            own = stage.fit(stage, x) if stage.fit else stage
+            problem = Problem(space, own.energy, _ENDLESS)
+
+            def record(at: Evaluation, before: int = spent, problem: Problem = problem) -> None:
+                self.note(GENTLE, at, before + problem.n_evaluations)
+
+            ending = run(problem, own.method, q, own.tolerance, own.patience, record)
+            x, spent = space.place(own.answer(problem, ending, q)).x, spent + problem.n_evaluations
+        return x, spent
 
     def _springs(self, share: Floats, backbone: float, side_chains: float) -> Tethers:
         """Springs of the heavy atoms; each residue (nr,) has its share of their strength."""
