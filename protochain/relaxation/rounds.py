@@ -33,8 +33,8 @@ _MEMORY = 8
 """Pairs of L-BFGS: while overlaps part, the curvature changes so much that older ones mislead."""
 _REFRESH = 20
 """Iterations between two models of the Hessian."""
-_STIFFER = 40e3
-"""kJ/mol/nm^2, added to the model of the Hessian for every atom: under springs steps are short. With 40
+_STIFFER = 60e3
+"""kJ/mol/nm^2, added to the model of the Hessian for every atom: under springs steps are short. With 60
 times 1000 in place of 8 the number of evaluations falls by half."""
 _HIGH = 1000.0
 """kJ/mol/nm, RMS force from which on a rough energy does the first part of the way, several times as fast."""
@@ -258,7 +258,7 @@ class _Stage(NamedTuple):
 
 
 _SOFT = _Stage(GENTLE, 20.0, 60)
-_ROUGH = _Stage(GENTLE, 100.0, PATIENCE)
+_ROUGH = _Stage(GENTLE, 30.0, PATIENCE)
 
 
 @lru_cache(maxsize=4)
