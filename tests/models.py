@@ -68,7 +68,7 @@ def with_random_side_chains(
 
 
 def broken(structure: pc.Structure, angstrom: float, seed: int, n: int = 1, longest: int = 8) -> pc.Structure:
-    """Segments of 2 to ``longest`` residues shifted as they are, so that the peptide bonds at both ends break.
+    """Segments of at most ``longest`` residues shifted as they are: the peptide bonds at both ends break.
 
     The shift is within 60 degrees of the first of the two bonds, which becomes longer.
     """
