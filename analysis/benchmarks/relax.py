@@ -6,8 +6,8 @@
 Each model is relaxed from shell to shell by relax_openmm.py (AlphaFold's protocol as published), by
 `protochain relax` and by `protochain relax --protocol alphafold`, one after the other, on two cores and two
 threads; seconds are medians of the repeats, those of OpenMM without counting violations. Models: the files
-given, and N damaged copies of samples, heavy atoms alone. What is left is judged by one counter in all results
-(protochain.validation), and energies without springs on the same atoms: in amber99sb and vacuum (OpenMM's
+given, and N damaged copies of samples, heavy atoms alone. What is left is judged by one counter in all
+results (protochain.validation), and energies without springs on the same atoms: in amber99sb and vacuum (OpenMM's
 result against --protocol alphafold), and in ff14SB and OBC2 (against the default). Atoms that a result lacks,
 hydrogens of another tautomer, are added and alone minimised.
 

@@ -3,7 +3,7 @@
     python analysis/benchmarks/relax_openmm.py IN OUT [--threads 2] [--rounds 3]
 
 As alphafold/relax in AlphaFold 2 (Jumper et al., Nature 596:583, 2021; settings of run_alphafold.py): heavy
-atoms of the amino acids alone; PDBFixer (nonstandard residues, heterogens, missing atoms, hydrogens at pH 7);
+atoms of amino acids alone; PDBFixer (nonstandard residues, heterogens, missing atoms, hydrogens at pH 7);
 amber99sb in vacuum without cutoff, bonds to hydrogen constrained; E = k/2 r^2, k = 10 kcal/mol/angstrom^2, on
 heavy atoms; L-BFGS to 2.39 kcal/mol/nm (10 kJ/mol/nm); while violations are left, rounds of the same from the
 last result, hydrogens anew, the residues concerned without springs.
