@@ -36,3 +36,5 @@ from .structure import load as load
 from .structure import save as save
 from .structure import to_mdanalysis as to_mdanalysis
 from .structure import to_mdtraj as to_mdtraj
+from .validation import Validation as Validation
+from .validation import validate as validate

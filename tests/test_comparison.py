@@ -318,23 +318,23 @@ def test_quality_is_what_other_programs_measure(comparison):
 
 
 def test_backbone_dihedrals_equal_those_of_the_chain_and_outliers_are_found():
-    from protochain.analysis.quality import ramachandran, ramachandran_outliers
+    from protochain.validation.ramachandran import ramachandran
 
     s = load("1ubq.pdb")
     c = chain("1ubq.pdb")
-    residues, angles = ramachandran(s)
+    found = ramachandran(s)
     phi = {int(h.residue_number): q for h, q in zip(c.hinges, c.q0, strict=True) if h.kind == "phi"}
-    own = {int(s.residue_number[r]): a for r, a in zip(residues, angles[:, 0], strict=True)}
+    own = {int(s.residue_number[r]): a for r, a in zip(found.residue, found.phi, strict=True)}
     assert len(own) == 74
     for number, value in phi.items():
         if number in own:
             assert np.degrees(value) == pytest.approx(own[number], abs=1e-3)
-    assert not ramachandran_outliers(s).any()
+    assert not len(found.outliers)
     q = c.q0.copy()
     (place,) = [i for i, h in enumerate(c.hinges) if (h.kind, h.residue_number) == ("phi", "30")]
     q[c.tree.q_start[c.hinge_body[place]]] = np.radians(0.0)
     bent = s.with_positions(pc.pose(c, q).x)
-    assert [int(s.residue_number[r]) for r in residues[ramachandran_outliers(bent)]] == [30]
+    assert [int(s.residue_number[r]) for r in ramachandran(bent).outliers] == [30]
 
 
 def test_ends_are_measured_against_another_structure():

@@ -10,8 +10,9 @@ from conftest import RMSD_ANGSTROM, STRUCTURES, load, shared
 from test_cli import COMMAND, protochain
 
 import protochain as pc
-from protochain.analysis.deviation import deviation, match, rmsd_table
+from protochain.analysis.deviation import deviation, rmsd_table
 from protochain.structure.files import parse
+from protochain.structure.matching import match
 from protochain.structure.trace import alpha_trace
 
 PAIRS = [

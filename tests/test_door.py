@@ -21,6 +21,7 @@ from protochain.energies import NativeEnergy
 from protochain.frame import Frame
 from protochain.minimisers import KCM, Descent, Fixed
 from protochain.minimisers.solution import N_FRAMES, Recorder
+from protochain.validation import MEASURES
 
 FILE = STRUCTURES / "ala10.pdb"
 S, C = partial(load, "ala10.pdb"), partial(chain, "ala10.pdb")
@@ -73,6 +74,7 @@ REQUIRED = {
     "to_ase": lambda: (S(), vacuum()),
     "to_mdanalysis": lambda: (S(),),
     "to_mdtraj": lambda: (S(),),
+    "validate": lambda: (S(),),
     "view": lambda: (S(),),
 }
 """Arguments with which each public function works, and which are replaced by wrong ones in turn."""
@@ -331,7 +333,7 @@ def test_rmsd_and_quality_take_what_users_have():
     row = pc.quality(r)
     assert row == pc.quality(r.structure, s, C()) and row["ca_rmsd_to_start_angstrom"] == r.ca_rmsd_angstrom
     alone = pc.quality(r.structure)
-    assert alone == {key: row[key] for key in alone} and len(alone) == 4
+    assert alone == {key: row[key] for key in alone} and len(alone) == 3 + len(MEASURES)
     with pytest.raises(pc.ProtochainError, match="other atoms than"):
         pc.quality(s, load("1l2y.pdb"))
 

@@ -10,10 +10,11 @@ import tmtools
 from openmm import app
 
 import protochain as pc
-from protochain.analysis import deviation as module
-from protochain.analysis.deviation import deviation, match, rmsd_table, tm_score
+from protochain.analysis.deviation import deviation, rmsd_table
 from protochain.errors import OnlyAlphaError, StructureError
 from protochain.residues import STANDARD
+from protochain.structure import matching as module
+from protochain.structure.matching import match, tm_score
 
 NAMES = {letter: name for name, letter in STANDARD.items()} | {"w": "HOH", "x": "HYP"}
 

@@ -14,11 +14,9 @@ from protochain.analysis.quality import (
     hydrogen_bonds,
     quality,
     radius_of_gyration,
-    ramachandran,
-    ramachandran_outliers,
-    ramachandran_reference,
 )
 from protochain.structure.superpose import displacements
+from protochain.validation import MEASURES, measures
 
 
 def molecule(elements, x, bonds=()):
@@ -66,43 +64,6 @@ def chain():
     return pc.from_sequence("AGPSA")
 
 
-def test_dihedrals_are_of_residues_that_have_both(chain):
-    residues, angles = ramachandran(chain)
-    assert residues.tolist() == [1, 2, 3] and residues.dtype == np.int64
-    assert angles == pytest.approx(np.array([[-120.0, 140.0], [-70.0, 140.0], [-120.0, 140.0]]), abs=0.01)
-    none, empty = ramachandran(pc.from_sequence("AA"))
-    assert none.tolist() == [] and empty.shape == (0, 2)
-    assert ramachandran_outliers(pc.from_sequence("AA")).tolist() == []
-
-
-def test_outliers_are_where_the_reference_has_hardly_any(chain, monkeypatch):
-    reference = np.full((90, 90), 5.0)
-    # Rows are psi, columns phi, in steps of four degrees from -180.
-    reference[80, 15], reference[0, 89], reference[10, 0] = 0.99, 1.0, 0.0
-    monkeypatch.setattr(module, "ramachandran_reference", lambda: reference)
-    names = chain.residue_name
-
-    def outliers(*angles):
-        residues = np.array([0, 2, 3, 4, 1][: len(angles)])
-        assert names[residues].tolist() == ["ALA", "PRO", "SER", "ALA", "GLY"][: len(angles)]
-        monkeypatch.setattr(module, "ramachandran", lambda s: (residues, np.array(angles, dtype=float)))
-        return ramachandran_outliers(chain).tolist()
-
-    assert outliers((-120, 140), (140, -120), (-116.1, 143.9), (-120.1, 140)) == [True, False, True, False]
-    # 180 degrees are -180; one in the reference is enough; glycine is never an outlier.
-    assert outliers((178, 180), (180, -138), (-178, -140), (-180, -136), (-120, 140)) == [
-        False, True, True, False, False,
-    ]  # fmt: skip
-    assert ramachandran_outliers(chain).dtype == bool
-
-
-def test_the_reference_is_the_one_of_mdanalysis():
-    found = ramachandran_reference()
-    assert found.shape == (90, 90) and found.dtype == float
-    # Helices and strands are common, left-handed turns without glycine rare.
-    assert found[((-45 + 180) // 4), ((-60 + 180) // 4)] > 100 > 1 > found[((0 + 180) // 4), ((0 + 180) // 4)]
-
-
 def test_helices_and_hydrogen_bonds_are_those_of_mdtraj():
     s = load("1l2y.pdb")
     frames = pc.to_mdtraj(s)
@@ -123,7 +84,7 @@ def test_a_row_of_quality_has_every_measure(chain):
     row = quality(end, chain)
     assert list(row) == [
         "radius_of_gyration_angstrom", "ca_rmsd_to_start_angstrom", "tm_score_to_start",
-        "secondary_structure_kept", "ramachandran_outliers", "overlaps", "hydrogen_bonds",
+        "secondary_structure_kept", "overlaps", "hydrogen_bonds", *MEASURES,
         "bond_length_change_rms_angstrom", "bond_angle_change_rms_degrees",
     ]  # fmt: skip
     first, second = chain.bonds.T
@@ -138,7 +99,9 @@ def test_a_row_of_quality_has_every_measure(chain):
     assert row["radius_of_gyration_angstrom"] == radius_of_gyration(end)
     assert 0.0 < row["tm_score_to_start"] < 1.0 and row["secondary_structure_kept"] == 1.0
     unchanged = quality(chain, chain)
-    assert list(unchanged.values())[6:] == [hydrogen_bonds(chain), 0.0, 0.0]
+    names = ("hydrogen_bonds", "bond_length_change_rms_angstrom", "bond_angle_change_rms_degrees")
+    assert [unchanged[name] for name in names] == [hydrogen_bonds(chain), 0.0, 0.0]
+    assert {key: row[key] for key in MEASURES} == measures(end) != measures(chain)
     assert unchanged["ca_rmsd_to_start_angstrom"] < 1e-6 and unchanged["overlaps"] == 0
     short = pc.from_sequence("AA")
     assert quality(short, short)["tm_score_to_start"] is None
@@ -150,6 +113,4 @@ def test_a_row_of_quality_has_every_measure(chain):
 def test_what_is_kept_of_the_structure_is_a_fraction(chain, monkeypatch):
     kinds = iter([np.array(list("HHECC")), np.array(list("HHHHC"))])
     monkeypatch.setattr(module, "dssp", lambda s: next(kinds))
-    monkeypatch.setattr(module, "ramachandran_outliers", lambda s: np.array([True, False, True]))
-    row = quality(chain, chain)
-    assert (row["secondary_structure_kept"], row["ramachandran_outliers"]) == (0.6, 2)
+    assert quality(chain, chain)["secondary_structure_kept"] == 0.6

@@ -16,6 +16,7 @@ from protochain.minimisers.record import COLUMNS, SHOWN, Column, flat, heading
 from protochain.minimisers.restraints import Hold
 from protochain.minimisers.solution import TRACE_COLUMNS, Recorder, Solution
 from protochain.minimisers.verdict import Judgement, Status
+from protochain.validation import MEASURES, measures
 
 ENERGY = SimpleNamespace(
     engine="native", reason="two kernels", forcefield="amber14", solvent="obc2", threads=2
@@ -41,6 +42,8 @@ def test_a_record_holds_each_value_under_its_name():
         "energy_start_kj_mol": -10.0, "energy_end_kj_mol": -12.25, "energy_end_reference_kj_mol": -12.5,
         "max_torque_end_kj_mol_rad": 30.0, "rms_force_end_kj_mol_nm": 4.0, "ca_rmsd_angstrom": 0.25,
         "ca_rmsd_as_filed_angstrom": 0.0, "frame": "superposed on the start",
+        **{f"{key}_start": value for key, value in measures(c.structure).items()},
+        **{f"{key}_end": value for key, value in measures(c.structure).items()},
         "iterations": 5, "evaluations": 6, "seconds": 1.5, "n_chains": 1, "n_residues": 10,
         "n_atoms": c.structure.n_atoms, "n_bodies": c.n_bodies, "n_hinges": c.n_hinges,
         "protochain": version("protochain"), "engine": "native", "engine_reason": "two kernels",
@@ -56,6 +59,10 @@ def test_a_record_holds_each_value_under_its_name():
     ).record()
     assert moved["ca_rmsd_as_filed_angstrom"] == pytest.approx(0.5) and moved["ca_rmsd_angstrom"] == 0.25
     assert moved["frame"] == "held by a spring"
+    turned = c.structure.positions * [-1.0, 1.0, 1.0]
+    mirrored = solution(x=turned).record()
+    assert mirrored["wrong_hands_start"] == 0 and mirrored["wrong_hands_end"] == 10
+    assert {key: mirrored[f"{key}_end"] for key in MEASURES} == measures(c.structure, turned)
     free = solution(recipe=RECIPES["hybrid"], hold=Hold(), end=Judgement(np.inf, np.nan, 4.0)).record()
     assert free["tolerance_unit"] == "kJ/mol/nm" and free["restraint_kj_mol_nm2"] == []
     assert free["max_rmsd_angstrom"] is free["energy_end_reference_kj_mol"] is None

@@ -10,10 +10,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 
 from protochain.analysis.deviation import deviation
-from protochain.analysis.quality import quality, ramachandran
+from protochain.analysis.quality import quality
 from protochain.analysis.spread import spreads
 from protochain.analysis.work import at_equal_cost, work_to_reach
 from protochain.errors import ProtochainError
@@ -24,6 +25,7 @@ from protochain.minimisers.verdict import judge_of
 from protochain.structure import Structure, ca_rmsd
 from protochain.structure.superpose import displacements
 from protochain.structure.write import common_suffix
+from protochain.validation.ramachandran import ramachandran
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -202,7 +204,8 @@ class Comparison:
         """Ramachandran plots of the start and of every end."""
         from protochain.analysis.plots import plot_ramachandran
 
-        angles = {name: ramachandran(end)[1] for name, end in self.ends().items()}
+        found = {name: ramachandran(end) for name, end in self.ends().items()}
+        angles = {name: np.column_stack([its.phi, its.psi]) for name, its in found.items()}
         return plot_ramachandran(angles, self.structure.name, ax)
 
     def summary(self) -> dict[str, Any]:

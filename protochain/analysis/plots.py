@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as PlainFigure
 from matplotlib.ticker import MaxNLocator
 
-from protochain.analysis.quality import ramachandran_reference
 from protochain.arrays import Floats
 from protochain.errors import ProtochainError
+from protochain.validation.ramachandran import ALLOWED, FAVOURED, tables
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's palette, dark colours first."""
@@ -280,17 +280,17 @@ def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> 
     Returns
     -------
     matplotlib.figure.Figure
-        One panel each, over the allowed and marginally allowed regions of MDAnalysis' reference.
+        One panel each, over the favoured and allowed regions of most residues (Top8000).
     """
     columns = min(3, len(angles))
     rows = -(-len(angles) // columns)
     shape = (rows, columns) if ax is None else len(angles)
     size = (3.4 * columns, 3.3 * rows)
     _, axes = panels(ax, shape, size, least=len(angles), sharex=True, sharey=True)
-    reference = ramachandran_reference()
-    grid = np.linspace(-180.0, 180.0, len(reference) + 1)[:-1]
+    most = tables()[0].T
+    grid = np.linspace(-179.0, 179.0, len(most))
     for panel, (name, values) in zip(axes, angles.items(), strict=False):
-        panel.contourf(grid, grid, reference, levels=[1, 17, 15000], colors=["#dddddd", "#aaaaaa"])
+        panel.contourf(grid, grid, most, levels=[ALLOWED[0], FAVOURED, 1.0], colors=["#dddddd", "#aaaaaa"])
         panel.scatter(values[:, 0], values[:, 1], s=9, color=COLOURS[0])
         ticks = range(-180, 181, 90)
         panel.set(xlim=(-180, 180), ylim=(-180, 180), xticks=ticks, yticks=ticks)
@@ -304,7 +304,7 @@ def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> 
         if ax is not None or k % columns == 0:
             panel.set_ylabel("psi, degrees")
     if ax is None:
-        said = "phi and psi; dark grey allowed, light grey marginally allowed"
+        said = "phi and psi; dark grey favoured, light grey allowed, but for Gly, Pro, pre-Pro, Ile, Val"
         return _titled(axes, ax, f"{_plain_text(title)}: {said}")
     figure: PlainFigure = axes[0].figure
     return figure

@@ -1,26 +1,20 @@
 """Quality of a structure: size, secondary structure, outliers, overlaps, hydrogen bonds, geometry."""
 
-from functools import cache
 from typing import Any
 
 import mdtraj
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.analysis.deviation import tm_score
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain
 from protochain.checks import checked, instance
 from protochain.contacts import overlaps
 from protochain.minimisers import Solution
 from protochain.structure import Structure, as_structure, ca_rmsd
+from protochain.structure.matching import tm_score
 from protochain.units import ANGSTROM_PER_NM
-
-_RARE = 1.0
-"""Count in MDAnalysis' reference below which phi and psi are an outlier: the limit of "marginally allowed" in
-its Ramachandran plot (after Lovell et al., Proteins 50:437, 2003)."""
-_CELL = 4.0
-"""Degrees, grid spacing of that reference."""
+from protochain.validation import measures
 
 
 @checked(chain=instance(Chain, "pc.build_chain(structure)"))
@@ -39,11 +33,10 @@ def quality(structure: Any, start: Any = None, chain: Chain | None = None) -> di
     Returns
     -------
     dict of str to float
-        ``radius_of_gyration_angstrom``; ``ramachandran_outliers``, residues whose phi and psi MDAnalysis'
-        reference calls rarer than marginally allowed; ``overlaps`` of nonbonded atoms; ``hydrogen_bonds``
-        (Baker, Hubbard, 1984). With a start also ``ca_rmsd_to_start_angstrom``, ``tm_score_to_start``,
-        ``secondary_structure_kept`` (fraction of residues, by DSSP), ``bond_length_change_rms_angstrom`` and
-        ``bond_angle_change_rms_degrees``.
+        ``radius_of_gyration_angstrom``; ``overlaps`` of nonbonded atoms; ``hydrogen_bonds`` (Baker, Hubbard,
+        1984); and all of :func:`protochain.validation.measures`. With a start also
+        ``ca_rmsd_to_start_angstrom``, ``tm_score_to_start``, ``secondary_structure_kept`` (fraction of
+        residues, by DSSP), ``bond_length_change_rms_angstrom`` and ``bond_angle_change_rms_degrees``.
 
     Raises
     ------
@@ -76,9 +69,9 @@ def _alone(structure: Structure, chain: Chain | None) -> dict[str, Any]:
     """Measures that need no start."""
     return {
         "radius_of_gyration_angstrom": radius_of_gyration(structure),
-        "ramachandran_outliers": int(ramachandran_outliers(structure).sum()),
         "overlaps": len(overlaps(structure, structure.positions, chain)),
         "hydrogen_bonds": hydrogen_bonds(structure),
+        **measures(structure),
     }
 
 
@@ -97,44 +90,6 @@ def dssp(structure: Structure) -> NDArray[np.str_]:
 def hydrogen_bonds(structure: Structure) -> int:
     """Number of hydrogen bonds by mdtraj's Baker-Hubbard criterion (120 degrees, 2.5 angstrom)."""
     return len(mdtraj.baker_hubbard(_trajectory(structure), freq=0.0, periodic=False))
-
-
-def ramachandran(structure: Structure) -> tuple[Integers, Floats]:
-    """Residues with both phi and psi, and these angles in degrees.
-
-    Returns
-    -------
-    (n,) int, (n, 2) float
-    """
-    trajectory = _trajectory(structure)
-    angles: dict[int, dict[str, float]] = {}
-    residue = structure.atom_residue
-    for name, compute, own in (("phi", mdtraj.compute_phi, 1), ("psi", mdtraj.compute_psi, 0)):
-        atoms, values = compute(trajectory, periodic=False)
-        for quadruple, value in zip(atoms, values[0], strict=True):
-            angles.setdefault(int(residue[quadruple[own]]), {})[name] = float(np.degrees(value))
-    both = sorted(r for r, its in angles.items() if len(its) == 2)
-    return np.array(both, dtype=np.int64), np.array(
-        [(angles[r]["phi"], angles[r]["psi"]) for r in both]
-    ).reshape(-1, 2)
-
-
-def ramachandran_outliers(structure: Structure) -> NDArray[np.bool_]:
-    """Whether each pair (n,) of phi and psi is a Ramachandran outlier; glycine never is."""
-    residues, angles = ramachandran(structure)
-    if not len(residues):
-        return np.zeros(0, dtype=bool)
-    cell = np.floor((angles + 180.0) / _CELL).astype(int) % len(ramachandran_reference())
-    rare = ramachandran_reference()[cell[:, 1], cell[:, 0]] < _RARE
-    return np.asarray(rare & (structure.residue_name[residues] != "GLY"))
-
-
-@cache
-def ramachandran_reference() -> Floats:
-    """Counts (90, 90) at psi (rows) and phi (columns) from -180 degrees in steps of 4."""
-    from MDAnalysis.analysis.data.filenames import Rama_ref
-
-    return np.asarray(np.load(Rama_ref), dtype=float)
 
 
 def _trajectory(structure: Structure) -> Any:

@@ -17,6 +17,7 @@ from protochain.batches.settings import NAME as SETTINGS
 from protochain.errors import ProtochainError, WriteError
 from protochain.minimisers import record
 from protochain.storage import check_writable, write_atomically, writing
+from protochain.validation import MEASURES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,6 +32,7 @@ COLUMNS = (
 INTEGERS = (
     "iteration", "iterations", "evaluations", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges",
     "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
+    *(f"{key}_{when}" for key, each in MEASURES.items() if each.whole for when in ("start", "end")),
 )  # fmt: skip
 """Columns of integers, which a failure lacks: they remain integers, with missing values."""
 

@@ -20,6 +20,7 @@ from protochain.cli.minimise import minimise
 from protochain.cli.options import BAD_INPUT, fail
 from protochain.cli.rmsd import rmsd
 from protochain.cli.simulate import simulate
+from protochain.cli.validate import validate
 from protochain.errors import ProtochainError, WriteError
 
 __all__ = ["main"]
@@ -33,7 +34,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-_COMMANDS = (minimise, compare, batch, simulate, rmsd, bench, info, build)
+_COMMANDS = (minimise, compare, batch, simulate, validate, rmsd, bench, info, build)
 
 
 @app.callback(invoke_without_command=True)

@@ -1,11 +1,13 @@
 """Columns of a solution's record: the one table behind terminal, CSV, JSON and pages."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
+
+from protochain.validation.found import MEASURES
 
 UNITS = {
     "_kj_mol_rad": "kJ/mol/rad", "_kj_mol_nm2": "kJ/mol/nm^2", "_kj_mol_nm": "kJ/mol/nm", "_kj_mol": "kJ/mol",
@@ -70,6 +72,12 @@ def heading(name: str) -> str:
     return words + (" " if words[-1].isdigit() else ", ") + UNITS[ending] if ending else words
 
 
+def _of_measures(ends: Callable[[Any], dict[str, Any]], when: str) -> Iterator[Column]:
+    """Columns of what is wrong with the structure at one end of a run."""
+    for key in MEASURES:
+        yield Column(f"{key}_{when}", lambda s, key=key: ends(s)[key])
+
+
 COLUMNS = (
     Column("structure", lambda s: s.chain.structure.name),
     Column("method", lambda s: s.method, "method"),
@@ -83,6 +91,8 @@ COLUMNS = (
     Column("ca_rmsd_angstrom", lambda s: s.ca_rmsd_angstrom, "C-alpha RMSD", "RMSD", 6),
     Column("ca_rmsd_as_filed_angstrom", lambda s: s.ca_rmsd_as_filed_angstrom),
     Column("frame", lambda s: str(s.frame)),
+    *_of_measures(lambda s: s.measures_start, "start"),
+    *_of_measures(lambda s: s.measures_end, "end"),
     Column("iterations", lambda s: s.n_iterations),
     Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals"),
     Column("seconds", lambda s: s.seconds, "seconds", "time s", 6),

@@ -22,6 +22,7 @@ from protochain.minimisers.restraints import Hold
 from protochain.minimisers.verdict import Judgement, Status
 from protochain.structure import Structure, save
 from protochain.structure.superpose import displacements, rmsd_angstrom
+from protochain.validation import measures
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -199,6 +200,16 @@ class Solution(Value):
         start = self.chain.structure
         away = displacements(start, self.x, start.positions)
         return alpha_residues(start).assign(displacement_angstrom=away)
+
+    @cached_property
+    def measures_start(self) -> dict[str, Any]:
+        """What is wrong with the start: :func:`protochain.validation.measures`."""
+        return measures(self.chain.structure)
+
+    @cached_property
+    def measures_end(self) -> dict[str, Any]:
+        """What is wrong with the end."""
+        return measures(self.chain.structure, self.x)
 
     @property
     def method(self) -> str:

@@ -19,7 +19,7 @@ _IDEAL = {
     "VAL": (1.540, 109.1, 123.4, 111.5, -122.0),
     "": (1.530, 110.1, 122.8, 110.5, -122.6),
 }
-"""CA-CB in angstrom, angle C-CA-CB and dihedral N-C-CA-CB, angle N-CA-CB and dihedral C-N-CA-CB in degrees."""
+"""CA-CB in angstrom; in degrees C-CA-CB and the dihedral N-C-CA-CB, N-CA-CB and the dihedral C-N-CA-CB."""
 _CLASS = {"ALA": "ALA", "PRO": "PRO", "VAL": "VAL", "THR": "VAL", "ILE": "VAL"}
 
 

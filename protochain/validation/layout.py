@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers, read_only
-from protochain.residues import STANDARD
+from protochain.residues import BACKBONE
 from protochain.structure.changes import residues_told
 from protochain.structure.model import Structure
 
@@ -21,7 +21,7 @@ class Layout(NamedTuple):
     Parameters
     ----------
     amino : (nr,) bool
-        Amino acids of the protein: no caps, and nothing that is kept beside it.
+        What has a backbone: no caps, and nothing that is kept beside the protein.
     atom : dict of str to (nr,) int
         Index of the atom of that name in each amino acid, -1 where there is none.
     before, after : (nr,) int
@@ -46,8 +46,10 @@ class Layout(NamedTuple):
 def layout(structure: Structure) -> Layout:
     """Find the amino acids of a structure, their atoms and neighbours; the same for all its positions."""
     n, of = structure.n_residues, structure.atom_residue
-    amino = np.isin(structure.residue_name, list(STANDARD))
-    amino[of[structure.kept]] = False
+    backbone = [
+        np.isin(np.arange(n), of[(structure.atom_name == name) & ~structure.kept]) for name in BACKBONE
+    ]
+    amino = np.all(backbone, axis=0)
     own = np.flatnonzero(amino[of])
     names = structure.atom_name[own]
     atom: dict[str, Integers] = {}
@@ -67,6 +69,18 @@ def layout(structure: Structure) -> Layout:
     mirrored = np.zeros(n, dtype=bool)
     mirrored[list(residues_told(structure, r"named \S+, its D configuration kept"))] = True
     return Layout(amino, atom, read_only(before, np.int64), read_only(after, np.int64), mirrored)
+
+
+@lru_cache(maxsize=16)
+def built(structure: Structure) -> NDArray[np.bool_]:
+    """(na,) bool: heavy atoms that the file lacks, and preparation added."""
+    added = np.zeros(structure.n_atoms, dtype=bool)
+    found = layout(structure)
+    for residue, said in residues_told(structure, r"missing (?P<atoms>.+) added").items():
+        atoms = found.atoms(*said["atoms"].split(", "))[residue]
+        added[atoms[atoms != NONE]] = True
+    added.flags.writeable = False
+    return added
 
 
 def dihedrals(x: Floats, atoms: Integers) -> Floats:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers, read_only
+from protochain.residues import STANDARD
 from protochain.structure.model import Structure
 from protochain.validation.layout import NONE, layout, peptides
 
@@ -15,9 +16,9 @@ CLASSES = ("general", "glycine", "cis_proline", "trans_proline", "pre_proline", 
 """Classes of residues, as their tables are called."""
 REGIONS = ("outlier", "allowed", "favoured")
 
-_FAVOURED = 0.02
-_ALLOWED = np.array([0.0005, 0.001, 0.002, 0.001, 0.001, 0.001])
-"""Least score of a favoured and, by class, of an allowed residue (mmtbx/validation/ramachandran/rama_eval.h)."""
+FAVOURED = 0.02
+ALLOWED = np.array([0.0005, 0.001, 0.002, 0.001, 0.001, 0.001])
+"""Least score of a favoured and, by class, of an allowed residue, as in mmtbx's ramalyze."""
 _CIS = 90.0
 """Degrees of omega below which a proline counts as cis here, as in ramalyze: there is no third class."""
 _CELL = 2.0
@@ -70,7 +71,8 @@ def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
     Returns
     -------
     Ramachandran
-        Residues between two amino acids. D-amino acids, if the file names them so, by their mirror image.
+        The 20 amino acids, where they lie between two others. D-amino acids, if the file names them so, by
+        their mirror image.
 
     Notes
     -----
@@ -78,12 +80,13 @@ def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
     """
     found = layout(structure)
     phi, psi, omega = peptides(structure, structure.positions if x is None else x)
-    residue = np.flatnonzero(found.amino & np.isfinite(phi) & np.isfinite(psi))
+    standard = np.isin(structure.residue_name, list(STANDARD))
+    residue = np.flatnonzero(standard & np.isfinite(phi) & np.isfinite(psi))
     kind = _classes(structure, omega)[residue]
     phi, psi = phi[residue], psi[residue]
     hand = np.where(found.mirrored[residue], -1.0, 1.0)
     values = score(kind, hand * phi, hand * psi)
-    region = (values >= _ALLOWED[kind]).astype(np.int64) + (values >= _FAVOURED)
+    region = (values >= ALLOWED[kind]).astype(np.int64) + (values >= FAVOURED)
     return Ramachandran(residue, phi, psi, kind, values, region)
 
 

@@ -139,12 +139,14 @@ def violations(structure: Structure, x: Floats | None = None) -> Violations:
     Parameters
     ----------
     structure : Structure
+        Structure to measure.
     x : (na, 3) float, nm, optional
         Positions to measure; by default the structure's own.
 
     Returns
     -------
     Violations
+        By kind, and the residues concerned.
 
     Raises
     ------

@@ -1,0 +1,192 @@
+"""Likeness of a structure to a reference: lDDT, TM-score, RMSDs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from protochain.arrays import Floats, Integers, Value, read_only
+from protochain.structure.matching import Match, match, tm_score
+from protochain.structure.model import Structure
+from protochain.structure.superpose import rmsd_angstrom
+from protochain.units import ANGSTROM_PER_NM
+from protochain.validation.layout import NONE, built, layout
+
+RADIUS = 15.0
+"""Angstrom within which distances of the reference count."""
+_TOLERANCES = (0.5, 1.0, 2.0, 4.0)
+"""Angstrom by which a distance may differ to count as kept; the score is the mean over the four."""
+_TWINS = {
+    "ARG": {"NH1": "NH2"}, "ASP": {"OD1": "OD2"}, "GLU": {"OE1": "OE2"}, "LEU": {"CD1": "CD2"},
+    "PHE": {"CD1": "CD2", "CE1": "CE2"}, "TYR": {"CD1": "CD2", "CE1": "CE2"}, "VAL": {"CG1": "CG2"},
+}  # fmt: skip
+"""Atoms whose names may be exchanged, by residue."""
+LIKENESS = {
+    "lddt": ("lDDT", "lDDT of all heavy atoms, 0 to 1"),
+    "lddt_ca": ("C-alphas", "lDDT of the C-alphas, 0 to 1"),
+    "tm_score": ("TM", "TM-score, 0 to 1"),
+    "ca_rmsd_to_reference_angstrom": ("RMSD", "RMSD of the C-alphas after superposition, angstrom"),
+    "heavy_rmsd_to_reference_angstrom": ("heavy", "RMSD of all heavy atoms after superposition, angstrom"),
+    "matched_percent": ("matched %", "residues of the reference that were matched, per cent"),
+}
+"""Keys of ``Likeness.measures``, with their headings in tables of a terminal, and what they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Likeness(Value):
+    """Likeness of a structure to a reference.
+
+    Parameters
+    ----------
+    measures : mapping of str to float
+        The keys of ``LIKENESS``; None where nothing can be measured.
+    lddt : (nr,) float
+        lDDT of each residue of the structure, NaN where it matches none.
+    match : Match
+        Residues of both.
+    """
+
+    measures: Mapping[str, Any]
+    lddt: Floats
+    match: Match
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "measures", MappingProxyType(dict(self.measures)))
+        object.__setattr__(self, "lddt", read_only(self.lddt))
+
+
+def likeness(structure: Structure, reference: Structure) -> Likeness:
+    """Measure the likeness of a structure to a reference.
+
+    Residues are matched as by :func:`protochain.rmsd`. Atoms that preparation added to either are taken for
+    missing; one that the structure lacks keeps no distance. Names of atoms that are each other's image (in
+    Arg, Asp, Glu, Leu, Phe, Tyr, Val) are exchanged in a residue if more distances agree so.
+
+    Parameters
+    ----------
+    structure, reference : Structure
+        The reference may hold C-alphas only.
+
+    Returns
+    -------
+    Likeness
+
+    Raises
+    ------
+    ProtochainError
+        If no residue matches.
+
+    Notes
+    -----
+    lDDT: Mariani, Biasini, Barbato, Schwede, Bioinformatics 29:2722 (2013). Each distance of the reference
+    below 15 angstrom between atoms of different residues counts once.
+    """
+    found = match(reference, structure)
+    atoms, own, twin = _correspondence(structure, reference, found)
+    place = ANGSTROM_PER_NM * reference.positions[atoms]
+    residue = reference.atom_residue[atoms]
+    pairs = _near(place, residue)
+    own = _named_alike(structure, place, residue, pairs, own, twin)
+    kept = _kept(structure, place, pairs, own)
+    of_residue = _by_residue(residue[pairs], kept, reference.n_residues)
+    lddt = np.full(structure.n_residues, np.nan)
+    lddt[found.model] = of_residue[found.reference]
+    alpha = reference.atom_name[atoms] == "CA"
+    of_alphas = alpha[pairs].all(axis=1)
+    there = own != NONE
+    score = tm_score(reference, structure)
+    values = {
+        "lddt": _mean(kept),
+        "lddt_ca": _mean(kept[of_alphas]),
+        "tm_score": score,
+        "ca_rmsd_to_reference_angstrom": _rmsd(structure, reference, atoms, own, there & alpha),
+        "heavy_rmsd_to_reference_angstrom": _rmsd(structure, reference, atoms, own, there),
+        "matched_percent": 100.0 * found.coverage,
+    }
+    plain = {name: float(value) if np.isfinite(value) else None for name, value in values.items()}
+    return Likeness(plain, lddt, found)
+
+
+def _correspondence(
+    structure: Structure, reference: Structure, found: Match
+) -> tuple[Integers, Integers, Integers]:
+    """Heavy atoms of the reference, those of the structure by name (-1: none), and by their twin's name."""
+    ours, theirs = layout(structure), layout(reference)
+    known = (reference.atom_element != "H") & theirs.amino[reference.atom_residue] & ~built(reference)
+    atoms = np.flatnonzero(known)
+    counterpart = np.full(reference.n_residues, NONE)
+    counterpart[found.reference] = found.model
+    residue, name = counterpart[reference.atom_residue[atoms]], reference.atom_name[atoms]
+    absent = built(structure)
+
+    def named(names: NDArray[np.str_]) -> Integers:
+        at = np.full(len(atoms), NONE)
+        for each in np.unique(names).tolist():
+            its = names == each
+            at[its] = ours.atoms(each)[residue[its], 0]
+        at[(residue == NONE) | absent[at]] = NONE
+        return at
+
+    both = {kind: twins | {b: a for a, b in twins.items()} for kind, twins in _TWINS.items()}
+    kinds = reference.residue_name[reference.atom_residue[atoms]].tolist()
+    other = [both.get(kind, {}).get(each, each) for kind, each in zip(kinds, name.tolist(), strict=True)]
+    return atoms, named(name), named(np.array(other, dtype=name.dtype))
+
+
+def _near(place: Floats, residue: Integers) -> Integers:
+    """Pairs (n, 2) of atoms of different residues within the radius."""
+    pairs = cKDTree(place).query_pairs(RADIUS, output_type="ndarray")
+    return np.asarray(pairs[residue[pairs[:, 0]] != residue[pairs[:, 1]]], dtype=np.int64)
+
+
+def _kept(structure: Structure, place: Floats, pairs: Integers, own: Integers) -> Floats:
+    """Fraction (n,) of the tolerances within which the distance of each pair agrees."""
+    x = ANGSTROM_PER_NM * structure.positions
+    i, j = pairs.T
+    off = np.abs(_apart(x[own[i]], x[own[j]]) - _apart(place[i], place[j]))
+    off[(own[i] == NONE) | (own[j] == NONE)] = np.inf
+    return np.asarray(sum((off <= tolerance) * 0.25 for tolerance in _TOLERANCES), dtype=float)
+
+
+def _apart(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.sqrt(((a - b) ** 2).sum(axis=1)))
+
+
+def _named_alike(
+    structure: Structure, place: Floats, residue: Integers, pairs: Integers, own: Integers, twin: Integers
+) -> Integers:
+    """Atoms of the structure (n,), with twins exchanged in the residues that agree better so.
+
+    Only distances to atoms that have no twin count in this.
+    """
+    ambiguous = own != twin
+    told = pairs[ambiguous[pairs].sum(axis=1) == 1]
+    its = residue[np.where(ambiguous[told[:, 0]], told[:, 0], told[:, 1])]
+    n = int(residue.max(initial=-1)) + 1
+    as_named, exchanged = (
+        np.bincount(its, _kept(structure, place, told, names), minlength=n) for names in (own, twin)
+    )
+    return np.where((exchanged > as_named)[residue], twin, own)
+
+
+def _by_residue(residues: Integers, kept: Floats, n: int) -> Floats:
+    """Mean (n,) over the pairs of each residue; NaN where there is none."""
+    counts = np.bincount(residues.ravel(), minlength=n)
+    sums = np.bincount(residues.ravel(), np.repeat(kept, 2), minlength=n)
+    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def _rmsd(
+    structure: Structure, reference: Structure, atoms: Integers, own: Integers, which: NDArray[np.bool_]
+) -> float:
+    if not which.any():
+        return float("nan")
+    return rmsd_angstrom(structure.positions[own[which]], reference.positions[atoms[which]])

@@ -1,0 +1,96 @@
+"""Result of a validation: numbers, a row for each residue, and what is wrong in words."""
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from protochain.arrays import Value
+from protochain.markup import facts
+from protochain.structure.model import Structure
+from protochain.validation.found import MEASURES
+from protochain.validation.likeness import LIKENESS
+from protochain.validation.violations import Violations
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False)
+class Validation(Value):
+    """What is wrong with a structure, and how like a reference it is.
+
+    Parameters
+    ----------
+    structure : Structure
+        As prepared; its heavy atoms are where the file has them.
+    measures : mapping of str to int or float
+        The keys of ``MEASURES``, with a reference also those of ``LIKENESS``; None where nothing can be
+        measured.
+    residues : pandas.DataFrame
+        A row for each residue of the protein: ``chain``, ``residue`` (number and insertion code), ``name``,
+        ``violation``, ``phi_degrees``, ``psi_degrees``, ``ramachandran_class``, ``ramachandran_percent`` (of
+        the class are rarer), ``ramachandran`` (favoured, allowed, outlier), ``omega_degrees`` and
+        ``peptide_bond`` (of the bond before it), ``rotamer`` (the nearest), ``rotamer_outlier``,
+        ``cbeta_deviation_angstrom``, ``wrong_hands``, ``threaded_rings``, ``atoms_added`` (heavy atoms that
+        the file lacks), with a reference ``lddt``.
+    violations : Violations
+        As AlphaFold counts them.
+    findings : tuple of (int, str)
+        Index of a residue, and what is wrong with it.
+    """
+
+    structure: Structure
+    measures: Mapping[str, Any]
+    residues: "pd.DataFrame"
+    violations: Violations
+    findings: tuple[tuple[int, str], ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "measures", MappingProxyType(dict(self.measures)))
+
+    def listing(self) -> list[str]:
+        """List the residues with which something is wrong, in words, in the order of the file."""
+        of: dict[int, list[str]] = defaultdict(list)
+        for residue, what in self.findings:
+            of[residue].append(what)
+        return [f"{self.structure.describe_residue(r)}: {', '.join(of[r])}" for r in sorted(of)]
+
+    @property
+    def added(self) -> str:
+        """What preparation added to the file, in words; empty if nothing."""
+        heavy = self.residues["atoms_added"]
+        hydrogens = [line for line in self.structure.repairs if "hydrogens added" in line]
+        lacking = (
+            f"heavy atoms missing in {(heavy > 0).sum()} residues added ({heavy.sum()})"
+            if heavy.any()
+            else ""
+        )
+        return "; ".join(filter(None, [lacking, *hydrogens]))
+
+    def record(self) -> dict[str, Any]:
+        """Flat row: name, model and size, what was added, and the measures."""
+        s = self.structure
+        return {
+            "structure": s.name, "model": s.model_number, "n_chains": s.n_chains,
+            "n_residues": len(self.residues), "n_atoms": s.n_atoms,
+            "heavy_atoms_added": int(self.residues["atoms_added"].sum()), **self.measures,
+        }  # fmt: skip
+
+    def __repr__(self) -> str:
+        wrong = [
+            f"{self.measures[key]} {measure.what}"
+            for key, measure in MEASURES.items()
+            if measure.whole and measure.heading and self.measures[key]
+        ]
+        return f"<Validation of {self.structure.name}: {'; '.join(wrong) or 'nothing wrong'}>"
+
+    def _repr_html_(self) -> str:
+        words = {key: measure.what for key, measure in MEASURES.items()}
+        words |= {key: what for key, (_, what) in LIKENESS.items()}
+        rows = {
+            words[key]: f"{value:.4g}" if isinstance(value, float) else "-" if value is None else value
+            for key, value in self.measures.items()
+        }
+        return facts(f"Validation of {self.structure.name}", rows)

@@ -1,0 +1,275 @@
+"""Threaded rings: a bond that goes through a ring, which no minimiser can undo without breaking a bond."""
+
+from collections import deque
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from protochain.arrays import Floats, Integers, floats, read_only
+from protochain.structure.model import Structure
+
+LARGEST = 20
+"""Atoms of the largest ring looked at: none so small lets a chain through. Macrocycles that are threaded in
+nature, as those of lasso peptides are, have more."""
+_SMALL = 7
+"""Atoms of the largest ring that is nearly flat; its surface is spanned from its centre."""
+_LONG = 0.25
+"""nm; bonds that are longer are compared with every ring."""
+
+Neighbours = tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True)
+class ThreadedRing:
+    """A ring, and a bond that goes through it.
+
+    Parameters
+    ----------
+    residue : int
+        Residue of the ring; the first one, if several form it.
+    atoms : tuple of int
+        Atoms of the ring, in their order around it.
+    bond : tuple of int
+        Atoms of the bond.
+    ring, through : str
+        Both in words.
+    """
+
+    residue: int
+    atoms: tuple[int, ...]
+    bond: tuple[int, int]
+    ring: str
+    through: str
+
+    def __str__(self) -> str:
+        return f"{self.through} goes through {self.ring}"
+
+
+def threaded_rings(structure: Structure, x: Floats | None = None) -> list[ThreadedRing]:
+    """Find the rings that a bond goes through.
+
+    Covered are rings of at most 20 atoms: those within residues (Phe, Tyr, Trp, His, Pro, and of molecules
+    beside the protein), and the smallest one that holds each bond between side chains, as of a disulfide, or
+    between the ends of a chain. Larger loops, those of most disulfides among them, can be threaded in nature,
+    as in cystine knots, and are not looked at. A ring of up to seven atoms is spanned by triangles from its
+    centre, a larger one by the triangles of least total area.
+
+    Every bond is compared, to hydrogens too, but for those that begin at the ring, those between residues of
+    a ring of several residues, and those within molecules held fixed if the ring is held fixed too.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure to measure.
+    x : (na, 3) float, nm, optional
+        Positions to measure; by default the structure's own.
+
+    Returns
+    -------
+    list of ThreadedRing
+        In the order of the rings' first atoms.
+
+    Raises
+    ------
+    ProtochainError
+        If x has another shape.
+    """
+    x = structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
+    which, bonds = _near(structure, x)
+    if not len(which):
+        return []
+    every, (own, row) = rings(structure), np.unique(which, return_inverse=True)
+    triangles = np.zeros((len(own), LARGEST, 3, 3))  # those of no size are crossed by nothing
+    for k, ring in enumerate(own.tolist()):
+        corners = x[list(every[ring])]
+        spanned = _fan(corners) if len(corners) <= _SMALL else corners[_least_area(corners)]
+        triangles[k, : len(spanned)] = spanned
+    crossed = _crossed(triangles[row], x[bonds[:, 0]], x[bonds[:, 1]])
+    return [
+        _named(structure, every[ring], (i, j))
+        for ring, (i, j) in zip(which[crossed].tolist(), bonds[crossed].tolist(), strict=True)
+    ]
+
+
+@lru_cache(maxsize=16)
+def rings(structure: Structure) -> tuple[tuple[int, ...], ...]:
+    """Rings of at most 20 atoms within residues or closed by bonds between side chains or ends of a chain.
+
+    Parameters
+    ----------
+    structure : Structure
+
+    Returns
+    -------
+    tuple of tuple of int
+        Atoms of each ring, in their order around it.
+    """
+    of = structure.atom_residue
+    heavy = (structure.atom_element != "H")[structure.bonds].all(axis=1)
+    bonds = structure.bonds[heavy]
+    inside = of[bonds[:, 0]] == of[bonds[:, 1]]
+    found: list[tuple[int, ...]] = []
+    n = structure.n_residues
+    atoms = np.bincount(of[structure.atom_element != "H"], minlength=n)
+    edges = np.bincount(of[bonds[inside, 0]], minlength=n)
+    # As many bonds as atoms: a ring. Molecules in several pieces would have fewer bonds.
+    start = np.searchsorted(of, np.arange(n))
+    its = bonds[inside]
+    for residue in np.flatnonzero(edges >= atoms).tolist():
+        own = its[of[its[:, 0]] == residue] - start[residue]
+        local = _cycles(tuple(map(tuple, own.tolist())))
+        found += [tuple(int(start[residue]) + atom for atom in ring) for ring in local]
+    found += _closed(structure, bonds, bonds[~inside])
+    return tuple(sorted(found))
+
+
+def _closed(structure: Structure, bonds: Integers, between: Integers) -> list[tuple[int, ...]]:
+    """Smallest ring through each bond between residues that does not follow the chain."""
+    metal = ~np.isin(structure.atom_element, ["C", "N", "O", "S"])
+    residue, name = structure.atom_residue[between], structure.atom_name[between]
+    follows = (np.abs(residue[:, 0] - residue[:, 1]) == 1) & (np.sort(name, axis=1) == ["C", "N"]).all(axis=1)
+    closing = between[~follows & ~metal[between].any(axis=1)]
+    if not len(closing):
+        return []
+    near = _neighbours(bonds[~metal[bonds].any(axis=1)], structure.n_atoms)
+    cycles = (_cycle(near, int(i), int(j)) for i, j in closing)
+    return list({frozenset(ring): ring for ring in cycles if ring}.values())
+
+
+@lru_cache(maxsize=256)
+def _cycles(bonds: tuple[tuple[int, int], ...]) -> tuple[tuple[int, ...], ...]:
+    """Smallest ring through each bond of a molecule, each ring once."""
+    near = _neighbours(np.array(bonds), 1 + max(map(max, bonds)))
+    cycles = (_cycle(near, i, j) for i, j in bonds)
+    return tuple({frozenset(ring): ring for ring in cycles if ring}.values())
+
+
+def _neighbours(bonds: Integers, n: int) -> Neighbours:
+    near: list[list[int]] = [[] for _ in range(n)]
+    for i, j in bonds.tolist():
+        near[i].append(j)
+        near[j].append(i)
+    return tuple(map(tuple, near))
+
+
+def _cycle(near: Neighbours, i: int, j: int) -> tuple[int, ...]:
+    """Smallest ring through the bond of i and j; empty if it has more than LARGEST atoms."""
+    before, ahead, size = {i: i}, deque([(i, 1)]), 0
+    while ahead and j not in before:
+        atom, size = ahead.popleft()
+        if size == LARGEST:
+            return ()
+        for other in near[atom]:
+            if other not in before and {atom, other} != {i, j}:
+                before[other] = atom
+                ahead.append((other, size + 1))
+    if j not in before:
+        return ()
+    path = [j]
+    while path[-1] != i:
+        path.append(before[path[-1]])
+    return tuple(path[::-1])
+
+
+@lru_cache(maxsize=16)
+def _barred(structure: Structure) -> tuple[frozenset[int], ...]:
+    """Atoms of each ring, and of all residues of a ring of several: their bonds do not go through it."""
+    of, found = structure.atom_residue, []
+    for ring in rings(structure):
+        its = np.unique(of[list(ring)])
+        found.append(frozenset(ring if len(its) == 1 else np.flatnonzero(np.isin(of, its)).tolist()))
+    return tuple(found)
+
+
+def _near(structure: Structure, x: Floats) -> tuple[Integers, Integers]:
+    """Indices (n,) of rings, and bonds (n, 2) that are near enough to go through them."""
+    every, bonds = rings(structure), structure.bonds
+    if not every:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
+    middle = 0.5 * (x[bonds[:, 0]] + x[bonds[:, 1]])
+    is_long = np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1) > _LONG
+    short, long = np.flatnonzero(~is_long), np.flatnonzero(is_long)
+    corners = [x[list(ring)] for ring in every]
+    centre = np.array([its.mean(axis=0) for its in corners])
+    reach = [
+        float(np.sqrt(((its - at) ** 2).sum(axis=1).max())) + 0.5 * _LONG
+        for its, at in zip(corners, centre, strict=True)
+    ]
+    close = cKDTree(middle[short]).query_ball_point(centre, reach) if len(short) else [[] for _ in every]
+    held = structure.obstacle[bonds].all(axis=1)
+    which, found = [], []
+    for ring, (atoms, barred) in enumerate(zip(every, _barred(structure), strict=True)):
+        near = np.concatenate([short[np.sort(np.array(close[ring], dtype=np.int64))], long])
+        if structure.obstacle[list(atoms)].all():
+            near = near[~held[near]]
+        ends = [pair for pair in bonds[near].tolist() if not barred.intersection(pair)]
+        which += [ring] * len(ends)
+        found += ends
+    return np.array(which, dtype=np.int64), np.array(found, dtype=np.int64).reshape(-1, 2)
+
+
+def _fan(corners: Floats) -> Floats:
+    """Triangles (n, 3, 3) from a point near the centre of a ring to its sides.
+
+    Not from the very centre: round-off would decide whether a bond through a corner of triangles meets one.
+    """
+    weights = 1.0 + 0.03 * np.arange(len(corners))
+    apex = np.broadcast_to(weights @ corners / weights.sum(), corners.shape)
+    return np.stack([apex, corners, np.roll(corners, -1, axis=0)], axis=1)
+
+
+def _least_area(corners: Floats) -> Integers:
+    """Corners (n - 2, 3) of the triangles of least total area that a polygon can be cut into.
+
+    By dynamic programming over the sides and diagonals: G. T. Klincsek, Ann. Discrete Math. 9:121 (1980).
+    """
+    n = len(corners)
+    cost, best = np.zeros((n, n)), np.zeros((n, n), dtype=np.int64)
+    for width in range(2, n):
+        for i in range(n - width):
+            k, j = np.arange(i + 1, i + width), i + width
+            area = 0.5 * np.linalg.norm(np.cross(corners[k] - corners[i], corners[j] - corners[i]), axis=1)
+            total = cost[i, k] + cost[k, j] + area
+            best[i, j] = k[np.argmin(total)]
+            cost[i, j] = total.min()
+    found, ahead = [], [(0, n - 1)]
+    while ahead:
+        i, j = ahead.pop()
+        if j - i > 1:
+            k = int(best[i, j])
+            found.append((i, k, j))
+            ahead += [(i, k), (k, j)]
+    return read_only(found, np.int64)
+
+
+def _crossed(triangles: Floats, start: Floats, end: Floats) -> NDArray[np.bool_]:
+    """Whether lines (n,) from start to end go through an odd number of their triangles (n, m, 3, 3).
+
+    By volumes: the ends lie on two sides of the triangle, and the line on one side of its three edges.
+    """
+    along = (end - start)[:, None]
+    a, b, c = (triangles[:, :, k] - start[:, None] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    apart = (normal * a).sum(axis=-1) * (normal * (a - along)).sum(axis=-1) < 0
+    turns = np.stack([(np.cross(p, q) * along).sum(axis=-1) for p, q in ((a, b), (b, c), (c, a))])
+    within = (turns > 0).all(axis=0) | (turns <= 0).all(axis=0)
+    return np.asarray((apart & within).sum(axis=1) % 2 == 1)
+
+
+def _named(structure: Structure, atoms: tuple[int, ...], bond: tuple[int, int]) -> ThreadedRing:
+    of, name = structure.atom_residue, structure.atom_name
+    its = list(dict.fromkeys(of[list(atoms)].tolist()))
+    if len(its) == 1:
+        ring = f"the ring {'-'.join(name[list(atoms)].tolist())} of {structure.describe_residue(its[0])}"
+    else:
+        first, last = structure.describe(atoms[0]), structure.describe(atoms[-1])
+        ring = f"the ring of {len(atoms)} atoms that the bond between {first} and {last} closes"
+    i, j = bond
+    if of[i] == of[j]:
+        through = f"bond {name[i]}-{name[j]} of {structure.describe_residue(int(of[i]))}"
+    else:
+        through = f"the bond between {structure.describe(i)} and {structure.describe(j)}"
+    return ThreadedRing(int(of[list(atoms)].min()), atoms, bond, ring, through)
