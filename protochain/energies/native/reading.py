@@ -1,5 +1,6 @@
 """Helpers for reading a System: plain numbers, expressions, and refusals."""
 
+from functools import lru_cache
 from typing import Any
 
 from openmm import unit
@@ -13,7 +14,13 @@ class UnsupportedForceError(ForceFieldError):
 
 def plain(value: Any) -> float:
     """Return a quantity as a number in OpenMM's units (nm, ps, amu, kJ/mol, e, rad)."""
-    return float(value.value_in_unit_system(unit.md_unit_system) if unit.is_quantity(value) else value)
+    # Tens of thousands are read, all in a few units: OpenMM's own conversion compares units each time.
+    return float(value._value * _factor(value.unit) if isinstance(value, unit.Quantity) else value)
+
+
+@lru_cache(maxsize=64)
+def _factor(its_unit: unit.Unit) -> float:
+    return float(unit.Quantity(1.0, its_unit).value_in_unit_system(unit.md_unit_system))
 
 
 def bare(expression: str) -> str:
