@@ -206,7 +206,9 @@ def _frame(start: Start, run: Minimisation) -> Frame:
 def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     """Walk through the stages of a recipe."""
     chain, energy, hold = start.chain, start.energy, run.hold
-    plan = run.recipe.plan(chain, energy, start.energy_of(run.recipe), run.tolerance, hold, run.seed)
+    reduced = start.energy_of(run.recipe)
+    torque = start.judgement.max_torque
+    plan = run.recipe.plan(chain, energy, reduced, run.tolerance, hold, run.seed, torque)
     waypoint = load_checkpoint(Path(run.resume), plan, run.settings(start)) if run.resume else None
     allowed = Leash(chain.structure, hold.max_rmsd).allows if hold.max_rmsd < np.inf else None
     if not plan[0].recorded:
@@ -242,7 +244,11 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     """Judge an outcome; the start itself is the result where the end is no better."""
     chain, energy, structure = start.chain, start.energy, start.chain.structure
     turned = isinstance(done.space, Torsions)
-    end_chain, at = (chain, pose(chain, done.q)) if turned else _reposed(chain, done)
+    if isinstance(done.space, Torsions):
+        end_chain = done.space.chain
+        at = pose(end_chain, done.q)
+    else:
+        end_chain, at = _reposed(chain, done)
     end = judge(end_chain, energy, at, done.restraint)
     if not end.energy <= start.judgement.energy:
         at, end = start.pose, judge(chain, energy, start.pose, done.restraint)

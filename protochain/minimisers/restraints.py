@@ -55,6 +55,28 @@ class Tethers:
 
 
 @dataclass(frozen=True, eq=False)
+class Bound:
+    """Wall around the initial position of every atom: E = k/2 sum (d - limit)^2 over those beyond it.
+
+    Parameters
+    ----------
+    home : (na, 3) float, nm
+    limit : float, nm
+    """
+
+    home: Floats
+    limit: float
+
+    def __call__(self, x: Floats) -> tuple[float, Floats]:
+        """Energy and forces."""
+        away = x - self.home
+        distance = np.linalg.norm(away, axis=1)
+        beyond = np.maximum(0.0, distance - self.limit)
+        pull = (-SOFT_STIFFNESS * beyond / np.maximum(distance, 1e-9))[:, None] * away
+        return float(0.5 * SOFT_STIFFNESS * np.sum(beyond**2)), pull
+
+
+@dataclass(frozen=True, eq=False)
 class Leash:
     """Harmonic wall that begins at 0.9 of the limit of the C-alpha RMSD to the start, superposed.
 

@@ -27,6 +27,7 @@ class Status(StrEnum):
     NON_FINITE = "non-finite"
     INTERRUPTED = "interrupted"
     INVERTED = "inverted"
+    VIOLATIONS = "violations"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,223 @@
+"""Rounds of a relaxation: minimised under springs to the input, and let go where that does not suffice."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import count
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.arrays import Floats, Integers, read_only
+from protochain.contacts import OVERLAP, near_pairs
+from protochain.energies import Energy
+from protochain.energies.bonded import bonded_part
+from protochain.minimisers.descent import Descent
+from protochain.minimisers.lbfgs import LBFGS
+from protochain.minimisers.loop import Stop, run
+from protochain.minimisers.parting import Held
+from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Problem
+from protochain.minimisers.recipes import SINGLE_PRECISION_ENDS
+from protochain.minimisers.restraints import SoftRepulsion, Sum, Tethers
+from protochain.minimisers.spaces import Cartesian
+from protochain.minimisers.stages import PATIENCE, lowest
+from protochain.minimisers.steps import StrongWolfe
+from protochain.relaxation.presets import Preset
+from protochain.structure import Structure
+from protochain.validation import violations
+
+_BACKBONE = ("N", "CA", "C", "O", "OXT")
+_MEMORY = 8
+"""Pairs of L-BFGS: while overlaps part, the curvature changes so much that older ones mislead."""
+_REFRESH = 20
+"""Iterations between two models of the Hessian."""
+_STIFFER = 24e3
+"""kJ/mol/nm^2, added to the model of the Hessian for every atom: under springs, steps need not be far. With 8 to
+40 times 1000 the number of evaluations falls by half, from 24 on by little."""
+_SOFT_ENOUGH = 20.0
+"""kJ/mol/nm, RMS force at which soft repulsion ends."""
+_SOFTENED = 60
+"""Evaluations of soft repulsion without a lower energy."""
+
+Note = Callable[[str, Evaluation, int], None]
+"""Told each point accepted: name of the stage, the point, evaluations so far."""
+
+
+@dataclass(frozen=True)
+class Round:
+    """One minimisation.
+
+    Parameters
+    ----------
+    free : int
+        Residues without springs.
+    violations : int
+        Residues with violations at its end.
+    overlaps : int
+        Pairs of atoms that overlap at its end.
+    iterations, evaluations : int
+    seconds : float
+    """
+
+    free: int
+    violations: int
+    overlaps: int
+    iterations: int
+    evaluations: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """Where a round ended.
+
+    Parameters
+    ----------
+    x : (na, 3) float, nm
+    stop : Stop
+    springs : Tethers
+        Those of its last stage.
+    concerned : (n,) int
+        Residues with violations or overlaps.
+    round : Round
+    """
+
+    x: Floats
+    stop: Stop
+    springs: Tethers
+    concerned: Integers
+    round: Round
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxer:
+    """What all rounds share.
+
+    Parameters
+    ----------
+    structure : Structure
+        The input, to which all springs lead.
+    energy : Energy
+    strength : Preset
+    max_iterations : int
+        Of each minimisation; 0 for no limit.
+    note : callable
+    """
+
+    structure: Structure
+    energy: Energy
+    strength: Preset
+    max_iterations: int
+    note: Note
+
+    def rounds(self, x: Floats, excluded: NDArray[np.bool_], most: int) -> list[Ended]:
+        """Minimise from x, and again with fewer springs while there are violations or overlaps.
+
+        Parameters
+        ----------
+        x : (na, 3) float, nm
+            Where the first begins.
+        excluded : (nr,) bool
+            Residues without springs.
+        most : int
+            Rounds at most.
+        """
+        free, done = excluded, list[Ended]()
+        strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
+        while True:
+            done.append(self._round(x, free, strengths, soften=self.strength.softened and not done))
+            last = done[-1]
+            x, strengths = last.x, strengths[-1:]
+            more = free | self._near(last.concerned)
+            still = last.stop in _FINAL or not any(strengths[0])
+            if still or not len(last.concerned) or len(done) == most or (more == free).all():
+                return done
+            free = more
+
+    def _round(
+        self, x: Floats, free: NDArray[np.bool_], strengths: list[tuple[float, float]], soften: bool
+    ) -> Ended:
+        began, structure = perf_counter(), self.structure
+        work = _Work(0, 0)
+        bonded = bonded_part(self.energy) if soften and len(_overlapping(structure, x)) else None
+        if bonded is not None:
+            gentle = Sum([bonded, SoftRepulsion(structure)])
+            x, stop, work = self._minimised(gentle, self._springs(free, *strengths[0]), x, work, is_soft=True)
+        for strength in strengths:
+            springs = self._springs(free, *strength)
+            x, stop, work = self._minimised(self.energy, springs, x, work)
+            if not self.energy.is_exact and stop in SINGLE_PRECISION_ENDS:
+                x, stop, work = self._minimised(self.energy.reference, springs, x, work)
+            if stop in _FINAL:
+                break
+        found, pairs = violations(structure, x), _overlapping(structure, x)
+        concerned = np.union1d(found.residues, structure.atom_residue[pairs]).astype(np.int64)
+        seconds = perf_counter() - began
+        told = Round(int(free.sum()), len(found.residues), len(pairs), *work, seconds)
+        return Ended(read_only(x), stop, springs, concerned, told)
+
+    def _minimised(
+        self, energy: Force, springs: Tethers, x: Floats, work: "_Work", is_soft: bool = False
+    ) -> "tuple[Floats, Stop, _Work]":
+        """Positions, why it ended, and the work with that of the stages before."""
+        space = Cartesian(self.structure, ~self.structure.obstacle)
+        held = Held(springs.weight + _STIFFER, is_soft, _REFRESH)
+        method = Descent(LBFGS(held, _MEMORY), StrongWolfe())
+        problem = Problem(space, energy, _ENDLESS, springs)
+        name, seen = "parting overlaps" if is_soft else "all atoms", count()
+
+        def record(at: Evaluation) -> None:
+            self.note(name, at, work.evaluations + problem.n_evaluations)
+            if next(seen) >= (self.max_iterations or _ENDLESS):
+                raise BudgetSpentError
+
+        tolerance, patience = (_SOFT_ENOUGH, _SOFTENED) if is_soft else (self.strength.tolerance, PATIENCE)
+        q = space.start(x)
+        try:
+            ending = run(problem, method, q, tolerance, patience, record)
+        except KeyboardInterrupt:
+            if not work.evaluations:
+                raise
+            return x, Stop.INTERRUPTED, work
+        x = space.place(lowest(problem, ending, q)).x
+        done = _Work(work.iterations + ending.last.n_iterations, work.evaluations + problem.n_evaluations)
+        return x, ending.stop, done
+
+    def _springs(self, free: NDArray[np.bool_], backbone: float, side_chains: float) -> Tethers:
+        """Springs of the heavy atoms of all residues but the free ones."""
+        structure = self.structure
+        weight = np.where(np.isin(structure.atom_name, _BACKBONE), backbone, side_chains)
+        without = (structure.atom_element == "H") | structure.obstacle | free[structure.atom_residue]
+        return Tethers(structure.positions, np.where(without, 0.0, weight))
+
+    def _near(self, residues: Integers) -> NDArray[np.bool_]:
+        """(nr,) bool: residues, and those bonded to them: neighbours in sequence, and by disulfides."""
+        concerned = np.zeros(self.structure.n_residues, dtype=bool)
+        concerned[residues] = True
+        ends = self.structure.atom_residue[self.structure.bonds]
+        near = concerned.copy()
+        for a, b in ((0, 1), (1, 0)):
+            near[ends[concerned[ends[:, a]], b]] = True
+        return near
+
+
+class _Work(NamedTuple):
+    """Iterations and evaluations of a round so far."""
+
+    iterations: int
+    evaluations: int
+
+
+_ENDLESS = 1_000_000_000
+_FINAL = (Stop.INTERRUPTED, Stop.NON_FINITE)
+
+
+def _overlapping(structure: Structure, x: Floats) -> Integers:
+    """(n, 2) int: pairs of atoms that overlap."""
+    return near_pairs(structure, x, OVERLAP)[0]
+
+
+def fewest_left(done: Sequence[Ended]) -> Ended:
+    """Round after which the fewest residues have violations or overlaps, the first of equals."""
+    return min(done, key=lambda each: len(each.concerned))
