@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from protochain.batches.jobs import BatchSettings, Job
+from protochain.batches.jobs import Job, JobSettings
 from protochain.errors import ProtochainError
 from protochain.storage import write_atomically
 from protochain.structure.prepare import user_file
@@ -16,14 +16,14 @@ from protochain.structure.prepare import user_file
 NAME = "settings.json"
 
 
-def keep_settings(folder: Path, common: BatchSettings, jobs: Sequence[Job]) -> None:
+def keep_settings(folder: Path, common: JobSettings, jobs: Sequence[Job]) -> None:
     """Write the settings of a batch to its folder, or refuse to go on with other ones.
 
     Parameters
     ----------
     folder : Path
         Folder of the batch.
-    common : BatchSettings
+    common : BatchSettings, or others alike
         Settings of all structures; a manifest may give some of them others.
     jobs : sequence of Job
         Structures. New ones may be added, and any left out.
@@ -47,7 +47,7 @@ def keep_settings(folder: Path, common: BatchSettings, jobs: Sequence[Job]) -> N
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
 
 
-def _plain(settings: BatchSettings) -> dict[str, Any]:
+def _plain(settings: JobSettings) -> dict[str, Any]:
     """Settings as JSON reads them back, with all else that makes results differ."""
     values = settings.record() | {"protochain": version("protochain")}
     file = user_file(settings.setup.forcefield)
@@ -61,7 +61,7 @@ def _plain(settings: BatchSettings) -> dict[str, Any]:
     return plain
 
 
-def _of_structures(common: BatchSettings, jobs: Sequence[Job]) -> dict[str, list[dict[str, Any]]]:
+def _of_structures(common: JobSettings, jobs: Sequence[Job]) -> dict[str, list[dict[str, Any]]]:
     """What each structure has other than the common settings; several where a manifest names it again."""
     usual = _plain(common)
     found: dict[str, list[dict[str, Any]]] = {}

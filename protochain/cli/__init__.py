@@ -18,6 +18,7 @@ from protochain.cli.compare import compare
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
 from protochain.cli.options import BAD_INPUT, fail
+from protochain.cli.relax import relax
 from protochain.cli.rmsd import rmsd
 from protochain.cli.simulate import simulate
 from protochain.cli.validate import validate
@@ -34,7 +35,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-_COMMANDS = (minimise, compare, batch, simulate, validate, rmsd, bench, info, build)
+_COMMANDS = (minimise, relax, compare, batch, simulate, validate, rmsd, bench, info, build)
 
 
 @app.callback(invoke_without_command=True)

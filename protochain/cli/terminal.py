@@ -120,6 +120,14 @@ def run_progress(
 
 
 @contextmanager
+def evaluations_progress(name: str, typical: int) -> Iterator["Watcher"]:
+    """Show stage, energy and evaluations of what usually takes so many of them."""
+    progress = _RunProgress(name, typical, 3 * typical)
+    with progress.bar:
+        yield progress
+
+
+@contextmanager
 def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["Watcher"]:
     """Show time, temperature, nanoseconds a day and the time left of a simulation."""
     progress = _Progress(name, n_steps, n_steps)

@@ -35,7 +35,7 @@ def relax(
     """Relax a structure: overlaps, broken bonds and strain gone, the fold kept.
 
     All atoms move, the heavy ones held by springs to the input. While violations (as AlphaFold counts them) or
-    overlaps are left, the residues concerned and their neighbours are let go, and all is minimised again; the
+    overlaps are left, the residues concerned and their neighbours are let go by and by, and all is minimised again; the
     springs of the others lead to the first input always, so that drift cannot add up.
 
     Parameters

@@ -1,7 +1,7 @@
 """Result of a relaxation: structure, rounds, measures before and after, and a record for tables and JSON."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from protochain.arrays import Floats, Value
-from protochain.contacts import overlaps
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
 from protochain.markup import facts
 from protochain.minimisers.solution import alpha_residues
 from protochain.minimisers.verdict import Status
+from protochain.relaxation.record import COLUMNS, METHOD
 from protochain.relaxation.rounds import Round
 from protochain.relaxation.settings import Relaxing
 from protochain.structure import Structure, save
@@ -26,7 +26,6 @@ from protochain.validation import MEASURES, measures
 if TYPE_CHECKING:
     import pandas as pd
 
-METHOD = "relax"
 NATIVE, REFERENCE = "the native engine, in double precision", "OpenMM's Reference platform, in double precision"
 """Who judges. The native engine equals the Reference platform to 1e-10 and is much faster."""
 
@@ -97,11 +96,6 @@ class Relaxation(Value):
         return measures(self.start, self.x)
 
     @cached_property
-    def overlaps_start(self) -> int:
-        """Pairs of atoms that overlap at the start."""
-        return len(overlaps(self.start, self.start.positions))
-
-    @cached_property
     def displacements(self) -> "pd.DataFrame":
         """Displacement of each C-alpha from the start, superposed on all: a row a residue.
 
@@ -152,58 +146,7 @@ class Relaxation(Value):
 
     def record(self) -> dict[str, Any]:
         """Flat record behind JSON and tables, named as that of a solution; None where there is no number."""
-        s, e, own, strength = self.start, self.energy_function, self.settings, self.settings.strength
-        values = {
-            "structure": s.name,
-            "method": METHOD,
-            "status": str(self.status),
-            "message": self.message,
-            "energy_start_kj_mol": self.energy_start,
-            "energy_end_reference_kj_mol": self.energy_end,
-            "rms_force_end_kj_mol_nm": self.rms_force,
-            "judge": self.judge,
-            "ca_rmsd_angstrom": self.ca_rmsd_angstrom,
-            "ca_rmsd_as_filed_angstrom": self.frame.ca_rmsds(self.x)[1],
-            "farthest_atom_angstrom": self.farthest_angstrom,
-            "frame": str(self.frame),
-            **{f"{key}_start": value for key, value in self.measures_start.items()},
-            **{f"{key}_end": value for key, value in self.measures_end.items()},
-            "overlaps_start": self.overlaps_start,
-            "overlaps_end": self.rounds[self.best].overlaps,
-            "n_rounds": len(self.rounds),
-            "n_residues_freed": self.rounds[self.best].free,
-            "rounds": [asdict(each) for each in self.rounds],
-            "iterations": sum(each.iterations for each in self.rounds),
-            "evaluations": sum(each.evaluations for each in self.rounds),
-            "seconds": self.seconds,
-            "n_chains": s.n_chains,
-            "n_residues": s.n_residues,
-            "n_atoms": s.n_atoms,
-            "protochain": version("protochain"),
-            "engine": e.engine,
-            "engine_reason": e.reason,
-            "forcefield": e.forcefield,
-            "solvent": e.solvent,
-            "preset": "" if own.protocol else own.preset,
-            "protocol": own.protocol,
-            "bonds_to_hydrogen": "free",
-            "tolerance": strength.tolerance,
-            "tolerance_unit": "kJ/mol/nm",
-            "springs_backbone_kj_mol_nm2": list(strength.backbone),
-            "springs_side_chains_kj_mol_nm2": list(strength.side_chains),
-            "max_iterations": own.max_iterations,
-            "max_outer_iterations": own.max_outer_iterations,
-            "exclude": own.exclude,
-            "hydrogens": "kept" if own.keep_hydrogens else "stripped",
-            "repacked": own.repack,
-            "left_out": dict(s.left_out),
-            "repairs": list(s.repairs),
-            "threads": e.threads,
-        }
-        return {
-            key: None if isinstance(value, float) and not np.isfinite(value) else value
-            for key, value in values.items()
-        }
+        return {key: _finite(value(self)) for key, value in COLUMNS.items()}
 
     def __repr__(self) -> str:
         before, after = self.measures_start["violations"], self.measures_end["violations"]
@@ -228,6 +171,10 @@ class Relaxation(Value):
                 "work": f"{len(self.rounds)} rounds, {self.seconds:.2f} s",
             },
         )
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _said(value: Any) -> str:

@@ -32,13 +32,17 @@ _MEMORY = 8
 """Pairs of L-BFGS: while overlaps part, the curvature changes so much that older ones mislead."""
 _REFRESH = 20
 """Iterations between two models of the Hessian."""
-_STIFFER = 24e3
-"""kJ/mol/nm^2, added to the model of the Hessian for every atom: under springs, steps need not be far. With 8 to
-40 times 1000 the number of evaluations falls by half, from 24 on by little."""
+_STIFFER = 40e3
+"""kJ/mol/nm^2, added to the model of the Hessian for every atom: under springs, steps need not be far. With 40 times
+1000 in place of 8 the number of evaluations falls by half."""
 _SOFT_ENOUGH = 20.0
 """kJ/mol/nm, RMS force at which soft repulsion ends."""
 _SOFTENED = 60
 """Evaluations of soft repulsion without a lower energy."""
+
+_WEAKER = 0.1
+"""Share of their springs that residues with violations keep at first; the next time they lose them all. Without any
+at once, more of the fold gives way than has to."""
 
 Note = Callable[[str, Evaluation, int], None]
 """Told each point accepted: name of the stage, the point, evaluations so far."""
@@ -50,8 +54,8 @@ class Round:
 
     Parameters
     ----------
-    free : int
-        Residues without springs.
+    let_go : int
+        Residues whose springs were weakened, or taken away.
     violations : int
         Residues with violations at its end.
     overlaps : int
@@ -60,7 +64,7 @@ class Round:
     seconds : float
     """
 
-    free: int
+    let_go: int
     violations: int
     overlaps: int
     iterations: int
@@ -123,29 +127,29 @@ class Relaxer:
         most : int
             Rounds at most.
         """
-        free, done = excluded, list[Ended]()
+        share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
         while True:
-            done.append(self._round(x, free, strengths, soften=self.strength.softened and not done))
+            done.append(self._round(x, share, strengths, soften=self.strength.softened and not done))
             last = done[-1]
             x, strengths = last.x, strengths[-1:]
-            more = free | self._near(last.concerned)
+            less = np.where(self._near(last.concerned), np.where(share == 1.0, _WEAKER, 0.0), share)
             still = last.stop in _FINAL or not any(strengths[0])
-            if still or not len(last.concerned) or len(done) == most or (more == free).all():
+            if still or not len(last.concerned) or len(done) == most or (less == share).all():
                 return done
-            free = more
+            share = less
 
     def _round(
-        self, x: Floats, free: NDArray[np.bool_], strengths: list[tuple[float, float]], soften: bool
+        self, x: Floats, share: Floats, strengths: list[tuple[float, float]], soften: bool
     ) -> Ended:
         began, structure = perf_counter(), self.structure
         work = _Work(0, 0)
         bonded = bonded_part(self.energy) if soften and len(_overlapping(structure, x)) else None
         if bonded is not None:
             gentle = Sum([bonded, SoftRepulsion(structure)])
-            x, stop, work = self._minimised(gentle, self._springs(free, *strengths[0]), x, work, is_soft=True)
+            x, stop, work = self._minimised(gentle, self._springs(share, *strengths[0]), x, work, is_soft=True)
         for strength in strengths:
-            springs = self._springs(free, *strength)
+            springs = self._springs(share, *strength)
             x, stop, work = self._minimised(self.energy, springs, x, work)
             if not self.energy.is_exact and stop in SINGLE_PRECISION_ENDS:
                 x, stop, work = self._minimised(self.energy.reference, springs, x, work)
@@ -154,7 +158,7 @@ class Relaxer:
         found, pairs = violations(structure, x), _overlapping(structure, x)
         concerned = np.union1d(found.residues, structure.atom_residue[pairs]).astype(np.int64)
         seconds = perf_counter() - began
-        told = Round(int(free.sum()), len(found.residues), len(pairs), *work, seconds)
+        told = Round(int((share < 1.0).sum()), len(found.residues), len(pairs), *work, seconds)
         return Ended(read_only(x), stop, springs, concerned, told)
 
     def _minimised(
@@ -184,11 +188,12 @@ class Relaxer:
         done = _Work(work.iterations + ending.last.n_iterations, work.evaluations + problem.n_evaluations)
         return x, ending.stop, done
 
-    def _springs(self, free: NDArray[np.bool_], backbone: float, side_chains: float) -> Tethers:
-        """Springs of the heavy atoms of all residues but the free ones."""
+    def _springs(self, share: Floats, backbone: float, side_chains: float) -> Tethers:
+        """Springs of the heavy atoms; each residue (nr,) has its share of their strength."""
         structure = self.structure
         weight = np.where(np.isin(structure.atom_name, _BACKBONE), backbone, side_chains)
-        without = (structure.atom_element == "H") | structure.obstacle | free[structure.atom_residue]
+        without = (structure.atom_element == "H") | structure.obstacle
+        weight = weight * share[structure.atom_residue]
         return Tethers(structure.positions, np.where(without, 0.0, weight))
 
     def _near(self, residues: Integers) -> NDArray[np.bool_]:

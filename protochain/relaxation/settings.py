@@ -33,7 +33,7 @@ class Relaxing:
         Iterations of each minimisation; 0 for no limit.
     max_outer_iterations : int
         Rounds at most: in each but the first, residues that still have violations or overlaps, and their
-        neighbours, are let go of their springs.
+        neighbours, are held less: by a tenth of their springs, and the next time by none.
     exclude : str
         Residues without springs from the first round on, in the selection language of MDAnalysis.
     keep_hydrogens : bool
