@@ -31,8 +31,10 @@ from protochain.minimisers.spaces import Cartesian, Torsions
 from protochain.minimisers.springs import Springs, contacts
 from protochain.minimisers.stages import Stage
 from protochain.minimisers.steps import StrongWolfe
+from protochain.minimisers.unthread import freeing
 from protochain.minimisers.verdict import rebuilt
 from protochain.structure.model import Structure
+from protochain.validation.rings import threaded_rings
 
 UNUSUAL = 1e5
 """kJ/mol/rad. Largest torque from which on a start counts as strained; of the crystal and NMR structures among
@@ -116,7 +118,7 @@ def parting_in_torsions(space: Torsions, energy: Energy, restraint: Force | None
 def parting_in_all_atoms(
     torsions: Torsions, space: Cartesian, energy: Energy, restraint: Force | None, overlap: bool
 ) -> list[Stage]:
-    """Stages that part overlaps by moving all atoms, then let the force field take over.
+    """Stages that free threaded rings and part overlaps, moving all atoms, then let the force field take over.
 
     Parameters
     ----------
@@ -127,13 +129,19 @@ def parting_in_all_atoms(
     """
     structure = space.structure
     plan = []
-    if overlap:
+    threaded = bool(threaded_rings(structure))
+    if overlap or threaded:
         bonded, gentle = bonded_part(energy), [SoftRepulsion(structure), *_leashes(structure)]
         soft = _soft(torsions, Sum(gentle), 1.0)
         if bonded is not None:
             soft = _soft(space, Sum([bonded, *gentle]), _PARTED_ENOUGH)
-        plan.append(soft)
+        plan += [*freeing(soft, _where_atoms_overlap), soft] if threaded else [soft]
     return [*plan, _held(Stage(space, Descent(LBFGS(), StrongWolfe()), energy, _HELD_ENOUGH, restraint), SPRING)]
+
+
+def _where_atoms_overlap(stage: Stage) -> Stage:
+    structure = _structure(stage.space)
+    return replace(stage, ready=lambda stage, at: bool(overlaps(structure, at.x)))
 
 
 def soft_tethers(structure: Structure) -> Floats:

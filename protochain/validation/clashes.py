@@ -1,0 +1,276 @@
+"""Clashscore: pairs of atoms that overlap by 0.4 angstrom or more, hydrogens included, per 1000 atoms."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from protochain.arrays import Floats, Integers, Value, floats, read_only
+from protochain.contacts import joined
+from protochain.structure.model import Structure
+from protochain.units import ANGSTROM_PER_NM
+from protochain.validation.rings import rings
+
+OVERLAP = 0.4
+"""Angstrom of overlap that make a clash."""
+_BOND, _CHARGED_BOND = 0.6, 0.8
+"""Angstrom by which a hydrogen bond may overlap more, the second between opposite charges."""
+
+_RADIUS = {
+    "H": 1.22, "C": 1.70, "N": 1.55, "O": 1.40, "S": 1.80, "P": 1.80, "SE": 1.90, "F": 1.30, "CL": 1.77,
+    "BR": 1.95, "I": 2.10, "LI": 0.60, "NA": 0.95, "K": 1.33, "RB": 1.48, "CS": 1.69, "MG": 0.65, "CA": 0.99,
+    "SR": 1.10, "BA": 1.29, "MN": 0.80, "FE": 0.74, "CO": 0.70, "NI": 0.66, "CU": 0.72, "ZN": 0.71,
+    "CD": 0.91, "HG": 1.00,
+}  # fmt: skip
+"""Angstrom; those of Probe, ions by Pauling."""
+_RADIUS_UNKNOWN = 1.00
+_DOTS = 24
+"""On each side of a contact."""
+_RIM = 0.85
+"""Share of the area of a contact that they cover: Probe has seldom a dot at its very rim."""
+_POLAR_OR_AROMATIC_H, _CARBONYL, _AROMATIC = 1.05, 1.65, 1.75
+
+_LENGTH = {"C": 0.97, "N": 0.86, "O": 0.84, "S": 1.20}
+_LENGTH_AROMATIC, _LENGTH_AMMONIUM = 0.93, 0.89
+"""Angstrom from an atom to the centre of the electron cloud of its hydrogen, as Reduce places it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clashes(Value):
+    """Clashes of a structure.
+
+    Parameters
+    ----------
+    pairs : (n, 2) int
+        Atoms that clash, the worst first.
+    overlap_angstrom : (n,) float
+        Overlaps of their radii.
+    n_atoms : int
+        Number of atoms, hydrogens included.
+    """
+
+    pairs: Integers
+    overlap_angstrom: Floats
+    n_atoms: int
+
+    @property
+    def per_1000_atoms(self) -> float:
+        """The clashscore."""
+        return 1000.0 * len(self.pairs) / max(self.n_atoms, 1)
+
+    def lines(self, structure: Structure) -> list[str]:
+        """Describe each clash in a line, the worst first."""
+        return [
+            f"{structure.describe(i)} and {structure.describe(j)} overlap by {by:.2f} angstrom"
+            for (i, j), by in zip(self.pairs.tolist(), self.overlap_angstrom.tolist(), strict=True)
+        ]
+
+
+def clashes(structure: Structure, x: Floats | None = None) -> Clashes:
+    """Find the clashes that MolProbity counts: overlaps of 0.4 angstrom or more between atoms not bonded.
+
+    As in MolProbity (Word et al., J. Mol. Biol. 285:1711, 1999; Williams et al., Protein Sci. 27:293, 2018)
+    hydrogens are taken at the centres of their electron clouds, that is, nearer to their atoms than their
+    nuclei, with the radii for these; pairs up to three bonds apart, four if one is a hydrogen, and hydrogen
+    bonds are excepted: a hydrogen at N, O or S with an O, S, free N or aromatic ring, unless nearer by 0.4
+    angstrom than a hydrogen bond may be. As Probe does, a contact is given to the pair whose overlap is
+    deepest there, and is none within an atom bonded to either.
+
+    What differs: Probe covers all atoms with dots, here only contacts have some. MolProbity places
+    hydrogens anew, and may turn amides and histidines, before it counts. Contacts within molecules held
+    fixed beside the protein are not counted here.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure to measure.
+    x : (na, 3) float, nm, optional
+        Positions to measure; by default the structure's own.
+
+    Returns
+    -------
+    Clashes
+        Pairs, the worst first, and the clashscore.
+
+    Raises
+    ------
+    ProtochainError
+        If x has another shape.
+    """
+    x = structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
+    kinds = _kinds(structure)
+    x = _at_clouds(structure, ANGSTROM_PER_NM * x)
+    tree = cKDTree(x)
+    pairs = tree.query_pairs(2 * kinds.radius.max() - OVERLAP, output_type="ndarray").astype(np.int64)
+    pairs = np.sort(pairs[~structure.obstacle[pairs].all(axis=1)], axis=1)
+    apart = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    overlap = kinds.radius[pairs].sum(axis=1) - apart
+    deep = overlap - _allowance(kinds, pairs) >= OVERLAP
+    pairs, overlap = pairs[deep], overlap[deep]
+    free = ~_is_excluded(structure, *pairs.T)
+    pairs, overlap = pairs[free], overlap[free]
+    seen = _is_seen(structure, tree, pairs)
+    pairs, overlap = pairs[seen], overlap[seen]
+    order = np.lexsort((pairs[:, 1], pairs[:, 0], -overlap))
+    return Clashes(read_only(pairs[order], np.int64), read_only(overlap[order]), structure.n_atoms)
+
+
+@dataclass(frozen=True, eq=False)
+class _Kinds:
+    """Radii; which atoms give or take hydrogen bonds; charges; hydrogens, their parents and how far off."""
+
+    radius: Floats
+    donor: NDArray[np.bool_]
+    acceptor: NDArray[np.bool_]
+    charge: Integers
+    hydrogens: Integers
+    parents: Integers
+    lengths: Floats
+
+
+@lru_cache(maxsize=16)
+def _kinds(structure: Structure) -> _Kinds:
+    element = np.char.upper(structure.atom_element)
+    n, bonds = structure.n_atoms, structure.bonds
+    ends = np.vstack([bonds, bonds[:, ::-1]])
+    is_h = element == "H"
+    degree = np.bincount(ends[:, 0], minlength=n)
+    n_hydrogens = np.bincount(ends[is_h[ends[:, 1]], 0], minlength=n)
+    carbonyl, aromatic, six = (np.zeros(n, dtype=bool) for _ in range(3))
+    end_oxygen = (element == "O") & (degree == 1)
+    carbonyl[ends[end_oxygen[ends[:, 1]], 0]] = True
+    flat = ~is_h & ((element != "C") | (degree == 3))
+    for ring in rings(structure):
+        atoms = list(ring)
+        if len(atoms) in (5, 6) and flat[atoms].all():
+            aromatic[atoms] = True
+            six[atoms] |= len(atoms) == 6
+    radius = np.array([_RADIUS.get(symbol, _RADIUS_UNKNOWN) for symbol in element.tolist()])
+    radius[(element == "C") & aromatic] = _AROMATIC
+    radius[(element == "C") & carbonyl] = _CARBONYL
+    # A hydrogen has one bond; one without any, or a second, is taken as it is.
+    own = ends[is_h[ends[:, 0]] & ~is_h[ends[:, 1]]]
+    hydrogens, first = np.unique(own[:, 0], return_index=True)
+    parents = own[first, 1]
+    polar = np.isin(element[parents], ["N", "O", "S"])
+    radius[hydrogens[polar | aromatic[parents]]] = _POLAR_OR_AROMATIC_H
+    lengths = np.array([_LENGTH.get(symbol, np.nan) for symbol in element[parents].tolist()])
+    lengths[aromatic[parents] & (element[parents] == "C")] = _LENGTH_AROMATIC
+    lengths[(element[parents] == "N") & (degree[parents] == 4)] = _LENGTH_AMMONIUM
+    donor = np.zeros(n, dtype=bool)
+    donor[hydrogens[polar]] = True
+    acceptor = np.isin(element, ["O", "S"]) | ((element == "C") & six)
+    acceptor |= (element == "N") & (n_hydrogens == 0) & (degree <= 2)
+    charge = _charges(structure, ends, degree)
+    charge[hydrogens] = charge[parents]
+    return _Kinds(radius, donor, acceptor, charge, hydrogens, parents, lengths)
+
+
+def _charges(structure: Structure, ends: Integers, degree: Integers) -> Integers:
+    """Signs of charge: of ammonium and guanidinium nitrogens, of carboxylate oxygens, as their bonds say."""
+    element, n = np.char.upper(structure.atom_element), structure.n_atoms
+    end_oxygen = (element == "O") & (degree == 1)
+    charge = np.sign(structure.formal_charge)
+    charge[(element == "N") & (degree == 4)] = 1
+    nitrogens = np.bincount(ends[(element == "N")[ends[:, 1]], 0], minlength=n)
+    oxygens = np.bincount(ends[end_oxygen[ends[:, 1]], 0], minlength=n)
+    guanidinium, carboxylate = (element == "C") & (nitrogens == 3), (element == "C") & (oxygens == 2)
+    of_arginine, of_acid = ends[guanidinium[ends[:, 0]], 1], ends[carboxylate[ends[:, 0]], 1]
+    charge[of_arginine[element[of_arginine] == "N"]] = 1
+    charge[of_acid[end_oxygen[of_acid]]] = -1
+    return np.asarray(charge)
+
+
+def _at_clouds(structure: Structure, x: Floats) -> Floats:
+    """Positions (na, 3) with hydrogens at the centres of their electron clouds, angstrom."""
+    kinds, moved = _kinds(structure), np.array(x)
+    arm = x[kinds.hydrogens] - x[kinds.parents]
+    length = np.linalg.norm(arm, axis=1)
+    known = np.isfinite(kinds.lengths) & (length > 0)
+    share = kinds.lengths[known] / length[known]
+    moved[kinds.hydrogens[known]] = x[kinds.parents[known]] + share[:, None] * arm[known]
+    return moved
+
+
+def _allowance(kinds: _Kinds, pairs: Integers) -> Floats:
+    """Overlaps (n,) that hydrogen bonds may have beside, 0 for other pairs, angstrom."""
+    i, j = pairs.T
+    bonded = (kinds.donor[i] & kinds.acceptor[j]) | (kinds.acceptor[i] & kinds.donor[j])
+    product = kinds.charge[i] * kinds.charge[j]
+    return np.where(bonded & (product <= 0), np.where(product < 0, _CHARGED_BOND, _BOND), 0.0)
+
+
+def _is_excluded(structure: Structure, i: Integers, j: Integers) -> NDArray[np.bool_]:
+    """Whether atoms i and j (n,) are too few bonds apart to clash."""
+    code, known = np.minimum(i, j) * structure.n_atoms + np.maximum(i, j), _excluded(structure)
+    at = np.minimum(np.searchsorted(known, code), len(known) - 1)
+    return known[at] == code if len(known) else np.zeros(len(code), dtype=bool)
+
+
+@lru_cache(maxsize=16)
+def _excluded(structure: Structure) -> Integers:
+    """Pairs (n,) up to three bonds apart, four if one is a hydrogen, each as one number, ascending."""
+    near, far = joined(structure, 3), joined(structure, 4)
+    far = far[(structure.atom_element == "H")[far].any(axis=1)]
+    return np.union1d(near @ [structure.n_atoms, 1], far @ [structure.n_atoms, 1])
+
+
+def _is_seen(structure: Structure, tree: cKDTree, pairs: Integers) -> NDArray[np.bool_]:
+    """Whether the contact of a pair (n, 2) can be seen from one of its atoms: in the middle, or around it."""
+    seen = np.zeros(len(pairs), dtype=bool)
+    for share in (np.zeros(1), np.sqrt(_RIM * np.arange(1, _DOTS) / (_DOTS - 1))):
+        for way in (pairs, pairs[:, ::-1]):
+            left = np.flatnonzero(~seen)
+            seen[left] = _has_free_dot(structure, tree, way[left], share)
+    return seen
+
+
+def _has_free_dot(structure: Structure, tree: cKDTree, pairs: Integers, share: Floats) -> NDArray[np.bool_]:
+    """Whether a dot on the first atom deep in the second is in none bonded to it, and deeper in no other.
+
+    Parameters
+    ----------
+    structure : Structure
+    tree : cKDTree
+        Of all positions, angstrom.
+    pairs : (n, 2) int
+    share : (m,) float
+        How far a dot is from the line between the atoms, 1 where it is just deep enough; on a golden spiral.
+    """
+    x, kinds = np.asarray(tree.data), _kinds(structure)
+    first, second = pairs.T
+    dots = _dots(x[first], x[second], kinds.radius[pairs], _allowance(kinds, pairs) + OVERLAP, share)
+    reach = kinds.radius[second][:, None] - np.linalg.norm(dots - x[second][:, None], axis=-1)
+    near = tree.query_ball_point(dots.reshape(-1, 3), kinds.radius.max())
+    count = np.array([len(each) for each in near], dtype=np.int64)
+    hidden = np.zeros(dots.shape[0] * dots.shape[1], dtype=bool)
+    if count.sum():
+        dot, other = np.repeat(np.arange(len(near)), count), np.concatenate(near).astype(np.int64)
+        row = dot // len(share)
+        depth = kinds.radius[other] - np.linalg.norm(x[other] - dots.reshape(-1, 3)[dot], axis=1)
+        own, stranger = (
+            _is_excluded(structure, first[row], other),
+            (other != first[row]) & (other != second[row]),
+        )
+        hidden[dot[np.where(own, depth > 0, stranger & (depth > reach.ravel()[dot]))]] = True
+    return np.asarray(~hidden.reshape(reach.shape).all(axis=1))
+
+
+def _dots(a: Floats, b: Floats, radius: Floats, depth: Floats, share: Floats) -> Floats:
+    """Dots (n, m, 3) on spheres about a (n, 3), in spheres about b by at least a depth (n,); radii (n, 2)."""
+    arm = b - a
+    apart = np.maximum(np.linalg.norm(arm, axis=1), 1e-6)
+    axis = arm / apart[:, None]
+    inner = np.maximum(radius[:, 1] - depth, 0.0)
+    limit = (apart**2 + radius[:, 0] ** 2 - inner**2) / (2 * apart * radius[:, 0])
+    cosine = 1.0 - share**2 * (1.0 - np.clip(limit, -1.0, 1.0)[:, None])
+    sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
+    aside = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
+    aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-9)
+    other, turn = np.cross(axis, aside), np.pi * (3.0 - np.sqrt(5.0)) * np.arange(len(share))
+    around = np.cos(turn)[:, None] * aside[:, None] + np.sin(turn)[:, None] * other[:, None]
+    return np.asarray(
+        a[:, None] + radius[:, :1, None] * (cosine[..., None] * axis[:, None] + sine[..., None] * around)
+    )
