@@ -23,9 +23,10 @@ from protochain.minimisers.restraints import SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import PATIENCE, lowest
 from protochain.minimisers.steps import StrongWolfe
+from protochain.minimisers.unthread import ATTEMPTS, push_of
 from protochain.relaxation.presets import Preset
 from protochain.structure import Structure
-from protochain.validation import violations
+from protochain.validation import threaded_rings, violations
 
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
 _MEMORY = 8
@@ -83,7 +84,7 @@ class Ended:
     springs : Tethers
         Those of its last stage.
     concerned : (n,) int
-        Residues with violations or overlaps.
+        Residues with violations, overlaps or threaded rings.
     round : Round
     """
 
@@ -130,6 +131,7 @@ class Relaxer:
         share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
         while True:
+            share = np.where(self._threaded(x), 0.0, share)
             done.append(self._round(x, share, strengths, soften=self.strength.softened and not done))
             last = done[-1]
             x, strengths = last.x, strengths[-1:]
@@ -144,8 +146,11 @@ class Relaxer:
     ) -> Ended:
         began, structure = perf_counter(), self.structure
         work = _Work(0, 0)
-        bonded = bonded_part(self.energy) if soften and len(_overlapping(structure, x)) else None
+        soften = soften and len(_overlapping(structure, x)) > 0
+        bonded = bonded_part(self.energy) if soften or threaded_rings(structure, x) else None
         if bonded is not None:
+            x, work = self._freed(bonded, self._springs(share, *strengths[0]), x, work)
+        if bonded is not None and soften:
             gentle = Sum([bonded, SoftRepulsion(structure)])
             x, stop, work = self._minimised(gentle, self._springs(share, *strengths[0]), x, work, is_soft=True)
         for strength in strengths:
@@ -156,10 +161,11 @@ class Relaxer:
             if stop in _FINAL:
                 break
         found, pairs = violations(structure, x), _overlapping(structure, x)
-        concerned = np.union1d(found.residues, structure.atom_residue[pairs]).astype(np.int64)
+        wrong = found.per_residue | self._threaded(x)
+        wrong[structure.atom_residue[pairs]] = True
         seconds = perf_counter() - began
         told = Round(int((share < 1.0).sum()), len(found.residues), len(pairs), *work, seconds)
-        return Ended(read_only(x), stop, springs, concerned, told)
+        return Ended(read_only(x), stop, springs, np.flatnonzero(wrong), told)
 
     def _minimised(
         self, energy: Force, springs: Tethers, x: Floats, work: "_Work", is_soft: bool = False
@@ -187,6 +193,28 @@ class Relaxer:
         x = space.place(lowest(problem, ending, q)).x
         done = _Work(work.iterations + ending.last.n_iterations, work.evaluations + problem.n_evaluations)
         return x, ending.stop, done
+
+    def _freed(self, bonded: Force, springs: Tethers, x: Floats, work: "_Work") -> "tuple[Floats, _Work]":
+        """Positions with bonds drawn out of the rings that they go through, over one side after the other."""
+        structure = self.structure
+        for attempt in range(ATTEMPTS):
+            rings = threaded_rings(structure, x)
+            if not rings:
+                break
+            pairs = [(ring.residue, int(structure.atom_residue[atom])) for ring in rings for atom in ring.bond]
+            passing = SoftRepulsion(structure, read_only(pairs, np.int64))
+            pushes = [push_of(structure, x, ring, attempt) for ring in rings]
+            # Once out, the two residues repel each other again.
+            for gentle in (Sum([bonded, passing, *pushes]), Sum([bonded, SoftRepulsion(structure)])):
+                x, _, work = self._minimised(gentle, springs, x, work, is_soft=True)
+        return x, work
+
+    def _threaded(self, x: Floats) -> NDArray[np.bool_]:
+        """(nr,) bool: residues of rings that a bond goes through, and of these bonds."""
+        concerned = np.zeros(self.structure.n_residues, dtype=bool)
+        for ring in threaded_rings(self.structure, x):
+            concerned[self.structure.atom_residue[[*ring.atoms, *ring.bond]]] = True
+        return concerned
 
     def _springs(self, share: Floats, backbone: float, side_chains: float) -> Tethers:
         """Springs of the heavy atoms; each residue (nr,) has its share of their strength."""
