@@ -130,11 +130,14 @@ class Relaxer:
         """
         share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
+        strongest = strengths[-1:]
         while True:
             share = np.where(self._threaded(x), 0.0, share)
             done.append(self._round(x, share, strengths, soften=self.strength.softened and not done))
             last = done[-1]
-            x, strengths = last.x, strengths[-1:]
+            x = last.x
+            # As weak as springs in series: those of other programs lead to the end of the round before.
+            strengths = [(own / (len(done) + 1), beside / (len(done) + 1)) for own, beside in strongest]
             less = np.where(self._near(last.concerned), np.where(share == 1.0, _WEAKER, 0.0), share)
             still = last.stop in _FINAL or not any(strengths[0])
             if still or not len(last.concerned) or len(done) == most or (less == share).all():
