@@ -250,7 +250,7 @@ def test_the_summary_of_a_batch(tmp_path, monkeypatch):
     made.finished([])
     for job, status in zip(jobs, ("budget", "refused"), strict=True):
         made.append([failure(job, "kcm", "budget", ""), failure(job, "lbfgs", status, "")])
-    api._finish(tmp_path, jobs)
+    api._finish(made, jobs)
     made.close()
     summary = json.loads((tmp_path / "summary.json").read_text())
     # JSON has no infinity.

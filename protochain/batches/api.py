@@ -260,8 +260,12 @@ def _line(rows: Sequence[Row]) -> str:
     said: list[str] = []
     for record in (row.record for row in rows):
         if "output" in record:
+            of_relaxed = "n_rounds" in record
+            before, after = (record.get(f"violations_{when}") for when in ("start", "end"))
+            mended = f"violations {before} to {after}, " if of_relaxed else ""
             told = (
-                f"{record['method']} {record['status']}, violations {record['violations_start']} to {record['violations_end']}, {record['energy_end_reference_kj_mol']:.2f} kJ/mol, "
+                f"{record['method']} {record['status']}, {mended}"
+                f"{record['energy_end_reference_kj_mol']:.2f} kJ/mol, "
                 f"RMSD {record['ca_rmsd_angstrom']:.2f} angstrom, {record['seconds']:.1f} s"
             )
         else:

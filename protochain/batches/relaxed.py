@@ -99,5 +99,7 @@ def relaxed(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Struct
         output = folder / f"{relaxed_stem(job.name)}{suffix}"
         result.save(output)
         record["output"] = output.name
-    trace = pd.DataFrame(result.trace, columns=list(TRACE_COLUMNS)).astype({"iteration": int, "evaluations": int})
+    trace = pd.DataFrame(result.trace, columns=list(TRACE_COLUMNS)).astype(
+        {"iteration": int, "evaluations": int}
+    )
     yield Row(record, thinned(trace)), structure

@@ -51,7 +51,8 @@ def relax_files(
     Raises
     ------
     ProtochainError
-        If there is nothing to do, settings differ from those of the folder to be resumed, or it cannot be used.
+        If there is nothing to do, settings differ from those of the folder to be resumed, or it cannot be
+        used.
 
     Notes
     -----

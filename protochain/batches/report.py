@@ -79,8 +79,12 @@ def statistics(table: "pd.DataFrame") -> "pd.DataFrame":
         **{
             name: usable[name]
             for name in (
-                "ca_rmsd_angstrom", "ca_rmsd_to_openmm_angstrom", "violations_start", "violations_end",
-                "evaluations", "seconds",
+                "ca_rmsd_angstrom",
+                "ca_rmsd_to_openmm_angstrom",
+                "violations_start",
+                "violations_end",
+                "evaluations",
+                "seconds",
             )
             if name in usable
         },

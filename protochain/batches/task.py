@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from protochain.minimisers import Solution
     from protochain.structure import Structure
 
+
 def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
     """Minimise a structure by all methods of a job; write its structures and its page.
 

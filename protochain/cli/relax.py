@@ -28,23 +28,31 @@ if TYPE_CHECKING:
 
 Inputs = Annotated[
     list[str],
-    typer.Argument(metavar="IN...", help="PDB or mmCIF files, packed or not, folders, patterns; - is standard input."),
+    typer.Argument(
+        metavar="IN...", help="PDB or mmCIF files, packed or not, folders, patterns; - is standard input."
+    ),
 ]
 Output = Annotated[
     Path | None,
     typer.Option(
-        "-o", "--output", help="File, or folder for several [default: NAME.relaxed.pdb, or the folder relaxed]."
+        "-o",
+        "--output",
+        help="File, or folder for several [default: NAME.relaxed.pdb, or the folder relaxed].",
     ),
 ]
 Preset = Annotated[str, typer.Option(help="Springs to the input: predicted, crystal or design.")]
 Protocol = Annotated[
     str,
-    typer.Option(help="alphafold: amber99sb in vacuum, to compare with; its X-H bonds are constrained, here not."),
+    typer.Option(
+        help="alphafold: amber99sb in vacuum, to compare with; its X-H bonds are constrained, here not."
+    ),
 ]
 Tolerance = Annotated[float | None, typer.Option(help="RMS force at the end, kJ/mol/nm [default: 10].")]
 Stiffness = Annotated[
     float | None,
-    typer.Option(help="Springs, kJ/mol/nm^2 [default: of the preset, 4184, AlphaFold's 10 kcal/mol/angstrom^2]."),
+    typer.Option(
+        help="Springs, kJ/mol/nm^2 [default: of the preset, 4184, AlphaFold's 10 kcal/mol/angstrom^2]."
+    ),
 ]
 MaxIterations = Annotated[int, typer.Option(help="Iterations of each minimisation; 0 for no limit.")]
 MaxOuter = Annotated[
@@ -61,7 +69,9 @@ Repack = Annotated[
 ]
 Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
 Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
-Workers = Annotated[int | None, typer.Option(help="Of several: processes on this machine [default: all cores].")]
+Workers = Annotated[
+    int | None, typer.Option(help="Of several: processes on this machine [default: all cores].")
+]
 TimeLimit = Annotated[float, typer.Option(help="Of several: seconds after which a structure is given up.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Of several: continue in the folder.")]
 
@@ -104,7 +114,9 @@ def relax(
             raise ProtochainError(f"resume: {inputs[0]} is one file, which is not resumed; leave it out")
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, as_json, force))
     if report:
-        raise ProtochainError(f"report {report}: several structures have report.html in their folder; leave it out")
+        raise ProtochainError(
+            f"report {report}: several structures have report.html in their folder; leave it out"
+        )
     raise typer.Exit(_several(inputs, output, relaxing, setup, as_json, workers, time_limit, resume))
 
 
@@ -214,7 +226,14 @@ def _several(
         raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
     with batch_progress() as watch:
         done = relax_files(
-            inputs, folder, relaxing, setup, resume=resume, watch=watch, workers=workers, time_limit=time_limit
+            inputs,
+            folder,
+            relaxing,
+            setup,
+            resume=resume,
+            watch=watch,
+            workers=workers,
+            time_limit=time_limit,
         )
     if as_json:
         print((folder / "summary.json").read_text())

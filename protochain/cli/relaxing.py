@@ -1,8 +1,9 @@
 """What ``protochain relax`` says: first what it will do, then what became better."""
 
 import sys
-from contextlib import contextmanager
+import textwrap
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 _EVALUATIONS = 90
 """That relaxations usually take."""
+_WIDTH = 80
+"""Characters of the narrowest terminal."""
 _SHOWN = 10
 """Structures without a result, or with something left to mend, that are listed."""
 _SHOW_FROM = 5.0
@@ -53,7 +56,11 @@ def _breaks(structure: "Structure") -> list[str]:
     mine = sorted({*structure.atom_residue[~structure.kept].tolist()})
     parts, chains = {*structure.residue_chain_index[mine].tolist()}, {*structure.residue_chain[mine].tolist()}
     n = len(parts) - len(chains)
-    return [f"{n} chain break{'s' * (n > 1)}, which stay{'s' * (n == 1)} as {'they are' if n > 1 else 'it is'}"] if n > 0 else []
+    return (
+        [f"{n} chain break{'s' * (n > 1)}, which stay{'s' * (n == 1)} as {'they are' if n > 1 else 'it is'}"]
+        if n > 0
+        else []
+    )
 
 
 @contextmanager
@@ -70,31 +77,23 @@ def progress(seconds: float) -> Iterator["Watcher | None"]:
 
 def print_relaxed(record: dict[str, Any]) -> None:
     """Print what is wrong before and after, how far the structure moved, and where it is."""
-    from protochain.validation import MEASURES
+    from protochain.relaxation.record import before_and_after
 
-    rows = [(measure.what, record[f"{key}_start"], record[f"{key}_end"]) for key, measure in MEASURES.items()]
-    rows = [row for row in rows if not (row[1] in (0, None) and row[2] in (0, None))]
-    rows.append(("overlapping pairs of atoms", record["overlaps_start"], record["overlaps_end"]))
-    rows.append(("energy, kJ/mol", record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))
+    rows = before_and_after(record)
     wide = max(len(what) for what, _, _ in rows)
     print(f"{'':{wide}} {'before':>12} {'after':>12}")
     for what, before, after in rows:
-        print(f"{what:{wide}} {_said(before):>12} {_said(after):>12}")
-    print(
+        print(f"{what:{wide}} {before:>12} {after:>12}")
+    rounds = record["n_rounds"]
+    moved = (
         f"C-alpha RMSD to the input {record['ca_rmsd_angstrom']:.2f} angstrom, farthest atom "
-        f"{record['farthest_atom_angstrom']:.2f}; {record['n_rounds']} round{'s' * (record['n_rounds'] > 1)}, "
+        f"{record['farthest_atom_angstrom']:.2f}; {rounds} round{'s' * (rounds > 1)}, "
         f"{record['evaluations']} evaluations, {record['seconds']:.1f} s"
     )
-    print(record["message"])
+    print("\n".join([*textwrap.wrap(moved, _WIDTH), *textwrap.wrap(record["message"], _WIDTH)]))
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
     if "report" in record:
         print(f"written: {record['report']}")
-
-
-def _said(value: Any) -> str:
-    if not isinstance(value, float):
-        return "-" if value is None else str(value)
-    return f"{value:.3g}" if abs(value) >= 1e7 else f"{value:.1f}"
 
 
 def print_folder(table: "DataFrame", folder: Path) -> None:

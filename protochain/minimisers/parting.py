@@ -92,7 +92,9 @@ def _soft_springs(structure: Structure, x: Floats, bonds: int) -> Springs:
     return Springs(pairs, np.full(len(pairs), SOFT_STIFFNESS))
 
 
-def parting_in_torsions(space: Torsions, energy: Energy, restraint: Force | None, overlap: bool) -> list[Stage]:
+def parting_in_torsions(
+    space: Torsions, energy: Energy, restraint: Force | None, overlap: bool
+) -> list[Stage]:
     """Stages that part overlaps in torsions, then let the force field take over by and by.
 
     Parameters
@@ -136,7 +138,10 @@ def parting_in_all_atoms(
         if bonded is not None:
             soft = _soft(space, Sum([bonded, *gentle]), _PARTED_ENOUGH)
         plan += [*freeing(soft, _where_atoms_overlap), soft] if threaded else [soft]
-    return [*plan, _held(Stage(space, Descent(LBFGS(), StrongWolfe()), energy, _HELD_ENOUGH, restraint), SPRING)]
+    return [
+        *plan,
+        _held(Stage(space, Descent(LBFGS(), StrongWolfe()), energy, _HELD_ENOUGH, restraint), SPRING),
+    ]
 
 
 def _where_atoms_overlap(stage: Stage) -> Stage:

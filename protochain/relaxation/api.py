@@ -10,7 +10,6 @@ from threadpoolctl import threadpool_limits
 from protochain import defaults
 from protochain.arrays import Floats, Watcher, read_only
 from protochain.checks import WATCHER, checked
-from protochain.contacts import overlaps
 from protochain.energies import Energy
 from protochain.frame import Frame
 from protochain.interrupts import answering, held_interrupts
@@ -34,9 +33,9 @@ def relax(
 ) -> Relaxation:
     """Relax a structure: overlaps, broken bonds and strain gone, the fold kept.
 
-    All atoms move, the heavy ones held by springs to the input. While violations (as AlphaFold counts them) or
-    overlaps are left, the residues concerned and their neighbours are let go by and by, and all is minimised again; the
-    springs of the others lead to the first input always, so that drift cannot add up.
+    All atoms move, the heavy ones held by springs to the input. While violations (as AlphaFold counts them)
+    or overlaps are left, the residues concerned and their neighbours are let go by and by, and all is
+    minimised again; the springs of the others lead to the first input always, so that drift cannot add up.
 
     Parameters
     ----------
@@ -166,9 +165,7 @@ def _verdict(
     by = NATIVE if energy.is_exact else REFERENCE
     springs = ", springs included" if end.springs.weight.any() else ""
     measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {by}"
-    status, message = verdict(
-        end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations
-    )
+    status, message = verdict(end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations)
     left = left_in_words(structure, end.x)
     if left and status is Status.CONVERGED:
         return Status.VIOLATIONS, f"violations: {left}; {measured}"
@@ -182,5 +179,9 @@ def left_in_words(structure: Structure, x: Floats) -> str:
         return ""
     named = [structure.describe_residue(residue) for residue in residues[:_NAMED]]
     more = f" and {len(residues) - _NAMED} more" if len(residues) > _NAMED else ""
-    left = "1 residue is left with violations" if len(residues) == 1 else f"{len(residues)} residues are left with violations"
+    left = (
+        "1 residue is left with violations"
+        if len(residues) == 1
+        else f"{len(residues)} residues are left with violations"
+    )
     return f"{left}: {', '.join(named)}{more}"

@@ -67,3 +67,22 @@ COLUMNS: Mapping[str, _Value] = MappingProxyType({
     "threads": lambda r: r.energy_function.threads,
 })  # fmt: skip
 """In the order in which a reader looks at them."""
+
+
+def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Return what is compared in words, before and after; measures that are 0 in both are left out."""
+    rows = [(measure.what, record[f"{key}_start"], record[f"{key}_end"]) for key, measure in MEASURES.items()]
+    rows = [row for row in rows if not {row[1], row[2]} <= {0, None}]
+    rows.append(("overlapping pairs of atoms", record["overlaps_start"], record["overlaps_end"]))
+    rows.append(("energy, kJ/mol", record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))
+    return [(what, _said(before), _said(after)) for what, before, after in rows]
+
+
+def _said(value: Any) -> str:
+    if not isinstance(value, float):
+        return "-" if value is None else str(value)
+    return f"{value:.3g}" if abs(value) >= _LARGE else f"{value:.1f}"
+
+
+_LARGE = 1e7
+"""Numbers from which on are written with an exponent: energies of overlapping atoms."""

@@ -26,7 +26,10 @@ from protochain.validation import MEASURES, measures
 if TYPE_CHECKING:
     import pandas as pd
 
-NATIVE, REFERENCE = "the native engine, in double precision", "OpenMM's Reference platform, in double precision"
+NATIVE, REFERENCE = (
+    "the native engine, in double precision",
+    "OpenMM's Reference platform, in double precision",
+)
 """Who judges. The native engine equals the Reference platform to 1e-10 and is much faster."""
 
 TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", "rms_force_kj_mol_nm")
@@ -136,7 +139,8 @@ class Relaxation(Value):
         yield f"PROTOCHAIN {version('protochain')}, METHOD {METHOD.upper()}, STATUS {self.status}"
         yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}, PDBFIXER {version('pdbfixer')}"
         yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
-        yield f"{'PROTOCOL' if own.protocol else 'PRESET'} {own.strength.name.upper()}, {len(self.rounds)} ROUNDS"
+        kind = "PROTOCOL" if own.protocol else "PRESET"
+        yield f"{kind} {own.strength.name.upper()}, {len(self.rounds)} ROUNDS"
         yield f"ENERGY {self.energy_end:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.energy_start:.4f}"
         yield f"ENERGIES BY {self.judge.upper()}"
         yield (
@@ -158,9 +162,7 @@ class Relaxation(Value):
 
     def _repr_html_(self) -> str:
         start, end = self.measures_start, self.measures_end
-        rows = {
-            MEASURES[key].what: f"{_said(start[key])} to {_said(end[key])}" for key in MEASURES
-        }
+        rows = {MEASURES[key].what: f"{_said(start[key])} to {_said(end[key])}" for key in MEASURES}
         return facts(
             f"{self.start.name} relaxed",
             {

@@ -34,16 +34,16 @@ _MEMORY = 8
 _REFRESH = 20
 """Iterations between two models of the Hessian."""
 _STIFFER = 40e3
-"""kJ/mol/nm^2, added to the model of the Hessian for every atom: under springs, steps need not be far. With 40 times
-1000 in place of 8 the number of evaluations falls by half."""
+"""kJ/mol/nm^2, added to the model of the Hessian for every atom: under springs steps are short. With 40
+times 1000 in place of 8 the number of evaluations falls by half."""
 _SOFT_ENOUGH = 20.0
 """kJ/mol/nm, RMS force at which soft repulsion ends."""
 _SOFTENED = 60
 """Evaluations of soft repulsion without a lower energy."""
 
 _WEAKER = 0.1
-"""Share of their springs that residues with violations keep at first; the next time they lose them all. Without any
-at once, more of the fold gives way than has to."""
+"""Share of their springs that residues with violations keep at first; the next time they lose them all.
+Without any at once, more of the fold gives way than has to."""
 
 Note = Callable[[str, Evaluation, int], None]
 """Told each point accepted: name of the stage, the point, evaluations so far."""
@@ -144,9 +144,7 @@ class Relaxer:
                 return done
             share = less
 
-    def _round(
-        self, x: Floats, share: Floats, strengths: list[tuple[float, float]], soften: bool
-    ) -> Ended:
+    def _round(self, x: Floats, share: Floats, strengths: list[tuple[float, float]], soften: bool) -> Ended:
         began, structure = perf_counter(), self.structure
         work = _Work(0, 0)
         soften = soften and len(_overlapping(structure, x)) > 0
@@ -155,7 +153,9 @@ class Relaxer:
             x, work = self._freed(bonded, self._springs(share, *strengths[0]), x, work)
         if bonded is not None and soften:
             gentle = Sum([bonded, SoftRepulsion(structure)])
-            x, stop, work = self._minimised(gentle, self._springs(share, *strengths[0]), x, work, is_soft=True)
+            x, stop, work = self._minimised(
+                gentle, self._springs(share, *strengths[0]), x, work, is_soft=True
+            )
         for strength in strengths:
             springs = self._springs(share, *strength)
             x, stop, work = self._minimised(self.energy, springs, x, work)

@@ -68,7 +68,9 @@ class Relaxing:
             if given not in known and (given or name == "preset"):
                 raise ProtochainError(f"{name} {given!r} is not known; choose from {', '.join(known)}")
         if self.protocol and self.preset != defaults.PRESET:
-            raise ProtochainError(f"preset {self.preset}: protocol {self.protocol} has its own; give one of them")
+            raise ProtochainError(
+                f"preset {self.preset}: protocol {self.protocol} has its own; give one of them"
+            )
         if self.tolerance is not None and not 0 < self.tolerance < np.inf:
             raise ProtochainError(f"tolerance {self.tolerance:g}: give an RMS force above 0, in kJ/mol/nm")
         if self.stiffness is not None and not 0 <= self.stiffness < np.inf:
@@ -86,7 +88,9 @@ class Relaxing:
             own = replace(own, tolerance=self.tolerance)
         if self.stiffness is not None:
             share = self.stiffness / max(own.backbone)
-            scaled = {kind: tuple(share * k for k in getattr(own, kind)) for kind in ("backbone", "side_chains")}
+            scaled = {
+                kind: tuple(share * k for k in getattr(own, kind)) for kind in ("backbone", "side_chains")
+            }
             own = replace(own, **scaled)
         return own
 
@@ -102,7 +106,9 @@ class Relaxing:
         for name, usual in (("forcefield", defaults.FORCEFIELD), ("solvent", defaults.SOLVENT)):
             asked, fixed = getattr(given, name), getattr(own, name)
             if fixed and asked not in (usual, fixed):
-                raise ProtochainError(f"{name} {asked}: protocol {self.protocol} is {fixed}; leave one of them out")
+                raise ProtochainError(
+                    f"{name} {asked}: protocol {self.protocol} is {fixed}; leave one of them out"
+                )
         return replace(
             given, forcefield=own.forcefield or given.forcefield, solvent=own.solvent or given.solvent
         )
@@ -122,9 +128,7 @@ def split(options: dict[str, Any]) -> tuple[Relaxing, Setup]:
     of_setup = tuple(each.name for each in fields(Setup) if each.name not in _WITHOUT)
     unknown = next((name for name in options if name not in (*NAMES, *of_setup)), None)
     if unknown is not None:
-        raise ProtochainError(
-            f"relax has no option {unknown!r}; it takes {', '.join((*NAMES, *of_setup))}"
-        )
+        raise ProtochainError(f"relax has no option {unknown!r}; it takes {', '.join((*NAMES, *of_setup))}")
     relaxing = Relaxing(**{name: value for name, value in options.items() if name in NAMES})
     return relaxing, relaxing.setup(
         Setup(**{name: value for name, value in options.items() if name in of_setup})

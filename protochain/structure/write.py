@@ -26,9 +26,7 @@ _CIS = 30.0
 """Degrees: a peptide bond with an omega below this is cis, as in the PDB archive's CISPEP records."""
 
 
-def save(
-    structure: Any, path: str | Path, remarks: Iterable[str] = (), *, hydrogens: bool = True
-) -> None:
+def save(structure: Any, path: str | Path, remarks: Iterable[str] = (), *, hydrogens: bool = True) -> None:
     """Write a structure to a file, with what its source said of it.
 
     Chain ids, numbers, insertion codes, occupancies, B factors, title, unit cell, sequences, helices and

@@ -1,6 +1,5 @@
 """Helpers for reading a System: plain numbers, expressions, and refusals."""
 
-from functools import lru_cache
 from typing import Any
 
 from openmm import unit
@@ -13,14 +12,11 @@ class UnsupportedForceError(ForceFieldError):
 
 
 def plain(value: Any) -> float:
-    """Return a quantity as a number in OpenMM's units (nm, ps, amu, kJ/mol, e, rad)."""
-    # Tens of thousands are read, all in a few units: OpenMM's own conversion compares units each time.
-    return float(value._value * _factor(value.unit) if isinstance(value, unit.Quantity) else value)
+    """Return what a getter of OpenMM returns as a number in OpenMM's units (nm, ps, amu, kJ/mol, e, rad).
 
-
-@lru_cache(maxsize=64)
-def _factor(its_unit: unit.Unit) -> float:
-    return float(unit.Quantity(1.0, its_unit).value_in_unit_system(unit.md_unit_system))
+    Its quantities are in these units; to convert each of some hundred thousand would take a second.
+    """
+    return float(value._value if isinstance(value, unit.Quantity) else value)
 
 
 def bare(expression: str) -> str:
