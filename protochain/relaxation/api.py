@@ -21,7 +21,7 @@ from protochain.relaxation.rounds import Ended, Relaxer, fewest_left
 from protochain.relaxation.settings import Relaxing, split
 from protochain.structure import Structure
 from protochain.structure.select import select
-from protochain.validation import violations
+from protochain.validation import measures, threaded_rings, violations
 
 _NAMED = 5
 """Residues that a message names."""
@@ -165,7 +165,10 @@ def _verdict(
     by = NATIVE if energy.is_exact else REFERENCE
     springs = ", springs included" if end.springs.weight.any() else ""
     measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {by}"
-    status, message = verdict(end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations)
+    # A hand that was wrong and is right at the end is no fault.
+    right = not measures(structure, end.x)["wrong_hands"]
+    hands = structure.with_positions(end.x) if right else structure
+    status, message = verdict(end.stop, force <= tolerance, measured, hands, end.x, end.round.evaluations)
     left = left_in_words(structure, end.x)
     if left and status is Status.CONVERGED:
         return Status.VIOLATIONS, f"violations: {left}; {measured}"
@@ -173,10 +176,11 @@ def _verdict(
 
 
 def left_in_words(structure: Structure, x: Floats) -> str:
-    """Residues with violations at positions x (na, 3), by name; empty if there are none."""
+    """Threaded rings and residues with violations at positions x (na, 3), by name; empty if there are none."""
+    rings = "; ".join(map(str, threaded_rings(structure, x)))
     residues = violations(structure, x).residues.tolist()
     if not residues:
-        return ""
+        return rings
     named = [structure.describe_residue(residue) for residue in residues[:_NAMED]]
     more = f" and {len(residues) - _NAMED} more" if len(residues) > _NAMED else ""
     left = (
@@ -184,4 +188,4 @@ def left_in_words(structure: Structure, x: Floats) -> str:
         if len(residues) == 1
         else f"{len(residues)} residues are left with violations"
     )
-    return f"{left}: {', '.join(named)}{more}"
+    return "; ".join([*([rings] if rings else []), f"{left}: {', '.join(named)}{more}"])

@@ -204,7 +204,9 @@ class Relaxer:
             rings = threaded_rings(structure, x)
             if not rings:
                 break
-            pairs = [(ring.residue, int(structure.atom_residue[atom])) for ring in rings for atom in ring.bond]
+            pairs = [
+                (ring.residue, int(structure.atom_residue[atom])) for ring in rings for atom in ring.bond
+            ]
             passing = SoftRepulsion(structure, read_only(pairs, np.int64))
             pushes = [push_of(structure, x, ring, attempt) for ring in rings]
             # Once out, the two residues repel each other again.
