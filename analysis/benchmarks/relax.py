@@ -5,7 +5,7 @@
 
 Each model is relaxed from shell to shell by relax_openmm.py (AlphaFold's protocol as published), by
 `protochain relax` and by `protochain relax --protocol alphafold`, one after the other, on two cores and two
-threads; seconds are medians of the repeats, those of OpenMM without counting violations. Models: the files
+threads; figures are medians of the repeats, OpenMM's seconds without counting violations. Models: the files
 given, and N damaged copies of samples, heavy atoms alone. What is left is judged by one counter in all
 results (protochain.validation), and energies without springs on the same atoms: in amber99sb and vacuum
 (OpenMM's result against --protocol alphafold), and in ff14SB and OBC2 (against the default). Atoms that a
@@ -147,29 +147,19 @@ def _carried(before: np.ndarray, after: np.ndarray, frame: list[int], atom: int)
     return b[0] + (before[atom] - a[0]) @ u @ v
 
 
-def judged(model: Path, ends: dict[str, Path]) -> dict[str, object]:
-    """What the results have in common: violations, RMSD and energies."""
-    structure = pc.load(model, keep="none")
-    row: dict[str, object] = {"residues": structure.n_residues, "atoms": structure.n_atoms}
-    row |= {f"{key}_start": value for key, value in measures(structure).items()}
-    x, notes = {}, []
-    for way, path in ends.items():
-        if not path.exists():
-            notes.append(f"{way}: no result")
-            continue
-        end = pc.load(path, keep="none")
-        row |= {f"{key}_{way}": value for key, value in measures(end).items()}
-        row[f"ca_rmsd_angstrom_{way}"] = pc.rmsd(structure, end)
-        try:
-            x[way], lacked = on_same_atoms(structure, end)
-            if lacked:
-                notes.append(f"{way}: {lacked} hydrogens added")
-        except ValueError as error:
-            notes.append(f"{way}: no energy, {error}")
-    for field, (ways, options) in SAME_FIELD.items():
-        energy = pc.energy(structure, **options)
-        row |= {f"energy_{field}_{way}": energy(x[way])[0] for way in ways if way in x}
-    return row | {"notes": "; ".join(notes)}
+def judged(structure: pc.Structure, path: Path) -> dict[str, object]:
+    """Violations and other measures of a result, its RMSD from the input, and its energies."""
+    if not path.exists():
+        return {"notes": "no result"}
+    end = pc.load(path, keep="none")
+    row: dict[str, object] = {**measures(end), "ca_rmsd_angstrom": pc.rmsd(structure, end)}
+    try:
+        x, lacked = on_same_atoms(structure, end)
+    except ValueError as error:
+        return row | {"notes": f"no energy, {error}"}
+    for field, (_, options) in SAME_FIELD.items():
+        row[f"energy_{field}"] = pc.energy(structure, **options)(x)[0]
+    return row | ({"notes": f"{lacked} hydrogens added"} if lacked else {})
 
 
 def compare(files: list[Path], repeats: int, scratch: Path) -> pd.DataFrame:
@@ -179,29 +169,55 @@ def compare(files: list[Path], repeats: int, scratch: Path) -> pd.DataFrame:
         for model in files:
             for k in range(len(WAYS)):
                 way = WAYS[(k + repeat) % len(WAYS)]
-                end = scratch / way / f"{model.name.split('.')[0]}.pdb"
+                end = place_of(scratch, way, repeat, model)
                 end.parent.mkdir(parents=True, exist_ok=True)
                 runs.setdefault((model, way), []).append(run(command(way, model, end)))
     rows = []
     for model in files:
-        stem = model.name.split(".")[0]
-        row: dict[str, object] = {"model": stem}
+        structure = pc.load(model, keep="none")
+        row: dict[str, object] = {"model": stem_of(model), "residues": structure.n_residues}
+        row |= {"atoms": structure.n_atoms, "violations_start": measures(structure)["violations"]}
         for way in WAYS:
-            each = runs[model, way]
-            row[f"seconds_{way}"] = statistics.median(r.seconds for r in each)
-            row[f"cpu_seconds_{way}"] = statistics.median(r.cpu_seconds for r in each)
-            row[f"exit_{way}"] = max(r.status for r in each)
+            # OpenMM's sums have no fixed order, and its results differ; ours repeat bit for bit.
+            ends = [judged(structure, place_of(scratch, way, k, model)) for k in range(repeats)]
+            row |= _of_way(way, runs[model, way], ends if way == "openmm" else ends[:1])
         row["times_sooner"] = row["seconds_openmm"] / row["seconds_relax"]
         row["times_less_cpu"] = row["cpu_seconds_openmm"] / row["cpu_seconds_relax"]
-        row["seconds_openmm_last_cleaning"] = statistics.median(
-            r.told.get("seconds_last_cleaning", 0.0) for r in runs[model, "openmm"]
-        )
-        row["rounds_openmm"] = runs[model, "openmm"][0].told.get("rounds")
-        row["evaluations_relax"] = runs[model, "relax"][0].told.get("n_evaluations")
-        row |= judged(model, {way: scratch / way / f"{stem}.pdb" for way in WAYS})
+        told = [r.told.get("seconds_last_cleaning", 0.0) for r in runs[model, "openmm"]]
+        row["seconds_openmm_last_cleaning"] = statistics.median(told)
         rows.append(row)
         print(_line(row), flush=True)
     return pd.DataFrame(rows)
+
+
+def stem_of(model: Path) -> str:
+    return model.name.split(".")[0]
+
+
+def place_of(scratch: Path, way: str, repeat: int, model: Path) -> Path:
+    return scratch / way / str(repeat) / f"{stem_of(model)}.pdb"
+
+
+def _of_way(way: str, runs: list[Run], ends: list[dict[str, object]]) -> dict[str, object]:
+    """Columns of a way: medians of its runs and results, and the range of what varies."""
+    row: dict[str, object] = {
+        f"seconds_{way}": statistics.median(r.seconds for r in runs),
+        f"cpu_seconds_{way}": statistics.median(r.cpu_seconds for r in runs),
+        f"exit_{way}": max(r.status for r in runs),
+        f"rounds_{way}": statistics.median(_rounds(r.told) for r in runs),
+        f"notes_{way}": "; ".join(dict.fromkeys(str(end["notes"]) for end in ends if "notes" in end)),
+    }
+    for key in dict.fromkeys(key for end in ends for key in end if key != "notes"):
+        values = [end[key] for end in ends if end.get(key) is not None]
+        row[f"{key}_{way}"] = statistics.median(values) if values else None
+        if len(ends) > 1 and values and key in ("violations", "ca_rmsd_angstrom"):
+            row |= {f"{key}_{way}_least": min(values), f"{key}_{way}_most": max(values)}
+    return row
+
+
+def _rounds(told: dict) -> float:
+    rounds = told.get("rounds", float("nan"))
+    return len(rounds) if isinstance(rounds, list) else rounds
 
 
 def _without_last_cleaning(table: pd.DataFrame) -> pd.Series:
@@ -213,7 +229,7 @@ def _line(row: dict[str, object]) -> str:
         value = row.get(key)
         return "-" if value is None else f"{value:.{digits}f}"
 
-    cells = [str(row["model"]), str(row["residues"]), of("seconds_openmm", 1), of("seconds_relax", 1)]
+    cells = [str(row["model"]), str(row["residues"]), of("seconds_openmm", 1), of("seconds_relax", 2)]
     cells += [f"{of('times_sooner', 1)}x", f"{of('times_less_cpu', 1)}x"]
     for key, digits in (("violations", 0), ("ca_rmsd_angstrom", 2)):
         cells += [of(f"{key}_start", digits)] if key == "violations" else []
