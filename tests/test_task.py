@@ -15,6 +15,7 @@ import protochain as pc
 from protochain.batches import api, supervise, task
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import Child, ChildError
+from protochain.batches.thinning import thinned
 from protochain.minimisers.api import minimise
 
 ALA = STRUCTURES / "ala10.pdb"
