@@ -21,6 +21,7 @@ from protochain.cli.options import BAD_INPUT, fail
 from protochain.cli.relax import relax
 from protochain.cli.rmsd import rmsd
 from protochain.cli.simulate import simulate
+from protochain.cli.terminal import in_commands
 from protochain.cli.validate import validate
 from protochain.errors import ProtochainError, WriteError
 
@@ -65,7 +66,8 @@ def as_options(message: str) -> str:
     names = "|".join(sorted({*options, *_RENAMED}, key=len, reverse=True))
     # Not in paths and other names.
     found = re.compile(rf"(?<![\w/.'-])(?:(\w+)=True|({names}))(?![\w/'-]|\.\w)")
-    return found.sub(lambda m: f"--{_RENAMED.get(m[2], m[1] or m[2]).replace('_', '-')}", message)
+    named = found.sub(lambda m: f"--{_RENAMED.get(m[2], m[1] or m[2]).replace('_', '-')}", message)
+    return in_commands(named)
 
 
 def main() -> None:

@@ -40,10 +40,10 @@ UNUSUAL = 1e5
 """kJ/mol/rad. Largest torque from which on a start counts as strained; of the crystal and NMR structures among
 the samples none has more than 6e4."""
 
-ORDINARY = 1e4
+ORDINARY = 1e3
 """kJ/mol/rad. Largest torque with which torsions go on by themselves from a start that was parted."""
 
-FIRM = 500.0
+FIRM = 2000.0
 """kJ/mol/nm^2 on each heavy atom of the backbone while overlaps are parted: side chains are to yield."""
 
 FARTHEST = 0.6

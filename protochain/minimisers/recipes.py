@@ -24,6 +24,7 @@ from protochain.minimisers.restraints import Hold
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import PATIENCE, Answer, Stage, last, lowest
 from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
+from protochain.validation.rings import threaded_rings
 
 SINGLE_PRECISION_ENDS = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
 """Endings that single precision may cause: by its noise, or by numbers beyond 1e38 where atoms overlap."""
@@ -157,6 +158,8 @@ class Recipe:
         restraints = hold.restraints(chain.structure)
         overlap = self.parts_overlaps and bool(overlaps(chain.structure, chain.structure.positions))
         parts = overlap or (self.parts_overlaps and not max_torque <= UNUSUAL)
+        # Not even free atoms come out of a ring by themselves.
+        parts |= bool(self.runs) and not self.in_torsions and bool(threaded_rings(chain.structure))
         plan: list[Stage] = []
         if parts and self.keeps_geometry:
             plan += parting_in_torsions(torsions, reduced, restraints[0], overlap)

@@ -15,6 +15,7 @@ from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
 from protochain.structure.chirality import changed_hands, listed
 from protochain.structure.model import Structure
+from protochain.validation.rings import threaded_rings
 
 
 class Status(StrEnum):
@@ -101,14 +102,17 @@ def verdict(
         if stop is not Stop.INTERRUPTED:
             return Status.INVERTED, f"inverted: {measured}"
         met = False
-    # A minimum with overlapping atoms is no usable result.
-    overlap = overlaps(structure, x)
-    if met and not overlap:
+    # A minimum with overlapping atoms, or with a bond through a ring, is no usable result.
+    overlap, threaded = overlaps(structure, x), threaded_rings(structure, x)
+    if met and not (overlap or threaded):
         return Status.CONVERGED, f"converged: {measured}"
     if stop is Stop.INTERRUPTED:
         return Status.INTERRUPTED, f"interrupted after {n_evaluations} evaluations: {measured}"
     if overlap:
         return Status.CLASH, f"clash: {overlap[0]}; {measured}"
+    if threaded:
+        remedy = "hybrid and pc.relax try to draw it out; otherwise build these side chains anew"
+        return Status.CLASH, f"clash: {threaded[0]}; {remedy}; {measured}"
     if stop is Stop.NON_FINITE:
         return (
             Status.NON_FINITE,
