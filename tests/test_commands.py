@@ -53,6 +53,12 @@ COMMANDS = {
         "trajectory_length": 10, "every": 100, "trajectory": "dcd", "checkpoint_every": 10, "relax": True,
         "resume": False, "force": False, "seed": 0, **AS_JSON, **SETUP,
     },
+    "relax": {
+        "inputs": None, **OUTPUT, "preset": "predicted", "protocol": "", "tolerance": None, "stiffness": None,
+        "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
+        "repack": False, "report": None, "workers": None, "time_limit": 3600.0, "resume": False, **AS_JSON,
+        "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "move")},
+    },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
     "bench": {"name": "all", "inputs": None, "output": Path("bench")},
     "info": {
@@ -62,7 +68,8 @@ COMMANDS = {
     "build": {"sequence": None, **OUTPUT},
 }  # fmt: skip
 METAVARS = {
-    ("source", None): "IN", ("inputs", "batch"): "IN...", ("output", "batch"): "DIR",
+    ("source", None): "IN", ("inputs", "batch"): "IN...",
+    ("inputs", "relax"): "IN...", ("output", "batch"): "DIR",
     ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
     ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
     "bench"): "[IN...]",
@@ -72,6 +79,7 @@ FLAGS = {
     "as_json": ["--json"], "output": ["-o", "--output"], "chains": ["--chain", "--chains"],
     "null": ["--null", "-0"],
 }  # fmt: skip
+SECONDARY = {"relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"]}
 ARGUMENTS = {
     ("source", None),
     ("inputs", None),
@@ -101,7 +109,7 @@ def test_every_option_has_its_name_default_and_help():
             opts = [name] if is_argument else FLAGS.get(name, [f"--{name.replace('_', '-')}"])
             assert each.opts == opts, (command, name)
             assert each.metavar == METAVARS.get((name, command), METAVARS.get((name, None))), (command, name)
-            assert each.secondary_opts == (["--no-relax"] if name == "relax" else [])
+            assert each.secondary_opts == SECONDARY.get(name, [])
 
 
 def run(*arguments):

@@ -13,7 +13,7 @@ import pdoc
 
 import protochain
 
-PACKAGES = ("analysis", "batches", "dynamics", "energies", "minimisers", "structure")
+PACKAGES = ("analysis", "batches", "dynamics", "energies", "minimisers", "relaxation", "structure")
 SHADOWED = ("dynamics.fixman", "dynamics.simulate", "multibody.random_tree")
 """Modules that share their name with a function of the package; the page is about the function."""
 PAGES = (

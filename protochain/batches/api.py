@@ -313,8 +313,8 @@ def _finish(tables: Tables, jobs: Sequence[Job]) -> None:
         "pandas",
     )
     summary = {
-        "table": f"{tables.name}.csv",
         "n_structures": len(jobs),
+        "table": f"{tables.name}.csv",
         "n_rows": len(table),
         "status": {str(name): int(n) for name, n in Counter(table["status"]).items()},
         "command": sys.argv,

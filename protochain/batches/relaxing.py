@@ -34,8 +34,9 @@ def relax_files(
     output : path-like
         Folder for the structures, ``relaxed.csv`` with a row for each, and pages.
     relaxing : Relaxing, optional
+        How firmly, and how far.
     setup : Setup, optional
-        Its threads are those of each structure; one by default.
+        How structures are read, and their energy. Its threads are those of each structure; one by default.
     resume : bool
         Continue in a folder with the same settings: structures are skipped that are finished and unchanged.
     watch : callable, optional

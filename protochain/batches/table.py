@@ -180,6 +180,7 @@ def read_table(path: Path) -> "pd.DataFrame":
         "message",
         "key",
         "repairs",
+        "side_chains_turned",
         "left_out",
         "constant_terms",
         "restraint_kj_mol_nm2",

@@ -78,6 +78,7 @@ def progress(seconds: float) -> Iterator["Watcher | None"]:
 def print_relaxed(record: dict[str, Any]) -> None:
     """Print what is wrong before and after, how far the structure moved, and where it is."""
     from protochain.relaxation.record import before_and_after
+    from protochain.structure.changes import summarised
 
     rows = before_and_after(record)
     wide = max(len(what) for what, _, _ in rows)
@@ -90,7 +91,11 @@ def print_relaxed(record: dict[str, Any]) -> None:
         f"{record['farthest_atom_angstrom']:.2f}; {rounds} round{'s' * (rounds > 1)}, "
         f"{record['evaluations']} evaluations, {record['seconds']:.1f} s"
     )
-    print("\n".join([*textwrap.wrap(moved, _WIDTH), *textwrap.wrap(record["message"], _WIDTH)]))
+    said = [moved, record["message"]]
+    if record["repacked"]:
+        told = summarised(record["side_chains_turned"]) or ("no side chain is better turned",)
+        said.insert(1, f"repacked first: {'; '.join(told)}")
+    print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
     if "report" in record:
         print(f"written: {record['report']}")

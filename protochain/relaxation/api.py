@@ -75,7 +75,7 @@ def relax_structure(
     held_by = _held_by(structure, settings)
     first = _repacked(structure, energy) if settings.repack else structure
     trace = _Trace(watch)
-    relaxer = Relaxer(structure, energy, settings.strength, settings.max_iterations, trace)
+    relaxer = Relaxer(first, energy, settings.strength, settings.max_iterations, trace)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with threadpool_limits(1, "blas"):
         done = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
@@ -86,6 +86,7 @@ def relax_structure(
     status, message = _verdict(structure, energy, settings, end, force)
     return Relaxation(
         start=structure,
+        turned=first.repairs[len(structure.repairs) :],
         x=frame(end.x),
         settings=settings,
         energy_function=energy,

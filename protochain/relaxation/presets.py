@@ -15,6 +15,7 @@ class Preset:
     Parameters
     ----------
     name : str
+        By which it is chosen.
     backbone, side_chains : tuple of float, kJ/mol/nm^2
         Springs E = k/2 d^2 from heavy atoms to the input, one strength after the other; hydrogens have none.
     tolerance : float, kJ/mol/nm

@@ -1,7 +1,7 @@
 """Result of a relaxation: structure, rounds, measures before and after, and a record for tables and JSON."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -19,6 +19,7 @@ from protochain.relaxation.record import COLUMNS, METHOD
 from protochain.relaxation.rounds import Round
 from protochain.relaxation.settings import Relaxing
 from protochain.structure import Structure, save
+from protochain.structure.changes import summarised
 from protochain.structure.superpose import displacements
 from protochain.units import ANGSTROM_PER_NM
 from protochain.validation import MEASURES, measures
@@ -46,11 +47,15 @@ class Relaxation(Value):
     x : (na, 3) float, nm
         Positions at the end, in the frame of the start.
     settings : Relaxing
+        How it was relaxed.
     energy_function : Energy
+        What was minimised, with springs.
     rounds : tuple of Round
+        Minimisations, one after the other.
     best : int
         Index of the round whose end is the result: the one with the fewest residues in trouble.
     status : Status
+        How it ended, as judged; ``violations`` if it converged with some left.
     message : str
         Status, what is left to mend, and the residual, in words.
     energy_start, energy_end : float, kJ/mol
@@ -65,6 +70,8 @@ class Relaxation(Value):
         Wall time of all rounds, without preparation and measures.
     trace : (n, 5) float
         A row for each iteration, with columns ``TRACE_COLUMNS``; energies without springs.
+    turned : tuple of str
+        Side chains put into other rotamers first, each in words.
     """
 
     start: Structure
@@ -82,11 +89,12 @@ class Relaxation(Value):
     frame: Frame
     seconds: float
     trace: Floats
+    turned: tuple[str, ...] = ()
 
     @cached_property
     def structure(self) -> Structure:
-        """Structure at the end, with all its hydrogens."""
-        return self.start.with_positions(self.x)
+        """Structure at the end, with all its hydrogens; its repairs tell of side chains turned."""
+        return replace(self.start, positions=self.x, repairs=(*self.start.repairs, *self.turned))
 
     @cached_property
     def measures_start(self) -> dict[str, Any]:
@@ -169,6 +177,7 @@ class Relaxation(Value):
                 "status": self.message,
                 "energy": f"{self.energy_start:.2f} to {self.energy_end:.2f} kJ/mol",
                 "C-alpha RMSD to the start": f"{self.ca_rmsd_angstrom:.3f} angstrom",
+                **({"side chains": "; ".join(summarised(self.turned))} if self.turned else {}),
                 **rows,
                 "work": f"{len(self.rounds)} rounds, {self.seconds:.2f} s",
             },

@@ -62,7 +62,9 @@ class Round:
     overlaps : int
         Pairs of atoms that overlap at its end.
     iterations, evaluations : int
+        Steps, and energies computed.
     seconds : float
+        Wall time.
     """
 
     let_go: int
@@ -102,7 +104,7 @@ class Relaxer:
     Parameters
     ----------
     structure : Structure
-        The input, to which all springs lead.
+        The input, or that with side chains turned: all springs lead to it.
     energy : Energy
     strength : Preset
     max_iterations : int

@@ -16,7 +16,7 @@ from protochain.energies.native import pairs
 from protochain.energies.native.evaluate import Layout, born_integrals, evaluate, lists_of
 from protochain.energies.native.neighbours import Lists, partners
 from protochain.energies.native.reading import UnsupportedForceError
-from protochain.energies.native.terms import Bonded, compile_system
+from protochain.energies.native.terms import Bonded, Terms, compile_system
 from protochain.energies.openmm_engine import OpenMMEnergy
 
 _LOG = logging.getLogger(__name__)
@@ -82,6 +82,11 @@ class NativeEnergy:
                 f"{n} {kind}" for kind, n in self.left_out.items()
             )
         return f"{text}; {self.by_openmm.note}" if self.by_openmm.note else text
+
+    @property
+    def terms(self) -> Terms:
+        """All terms of the System as arrays, those left out too."""
+        return (self._layout if self._all is None else self._all[0]).terms
 
     @property
     def reference(self) -> OpenMMEnergy:
