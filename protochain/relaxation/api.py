@@ -177,7 +177,7 @@ def _verdict(
 
 
 def left_in_words(structure: Structure, x: Floats) -> str:
-    """Threaded rings and residues with violations at positions x (na, 3), by name; empty if there are none."""
+    """Threaded rings and residues with violations at positions x (na, 3), by name; empty without."""
     rings = "; ".join(map(str, threaded_rings(structure, x)))
     residues = violations(structure, x).residues.tolist()
     if not residues:

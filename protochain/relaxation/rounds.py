@@ -141,6 +141,9 @@ class Relaxer:
             # As weak as springs in series: those of other programs lead to the end of the round before.
             strengths = [(own / (len(done) + 1), beside / (len(done) + 1)) for own, beside in strongest]
             less = np.where(self._near(last.concerned), np.where(share == 1.0, _WEAKER, 0.0), share)
+            # Where that did not help, what lies against them is in the way.
+            still_wrong = last.concerned[share[last.concerned] < 1.0]
+            less[self._touching(still_wrong, x) & (less == 1.0)] = _WEAKER
             still = last.stop in _FINAL or not any(strengths[0])
             if still or not len(last.concerned) or len(done) == most or (less == share).all():
                 return done
@@ -240,6 +243,13 @@ class Relaxer:
         for a, b in ((0, 1), (1, 0)):
             near[ends[concerned[ends[:, a]], b]] = True
         return near
+
+    def _touching(self, residues: Integers, x: Floats) -> NDArray[np.bool_]:
+        """(nr,) bool: residues with atoms in contact with others."""
+        pairs = self.structure.atom_residue[near_pairs(self.structure, x, 1.0)[0]]
+        touching = np.zeros(self.structure.n_residues, dtype=bool)
+        touching[pairs[np.isin(pairs, residues).any(axis=1)]] = True
+        return touching
 
 
 class _Work(NamedTuple):
