@@ -14,11 +14,13 @@ import protochain as pc
 from protochain.contacts import joined, overlaps
 from protochain.minimisers.loop import Stop
 from protochain.relaxation import PRESETS, PROTOCOLS, Relaxing, rounds
-from protochain.relaxation.api import relax_structure
+from protochain.relaxation.api import _spoiled, relax_structure
 from protochain.relaxation.names import relaxed_name
 from protochain.relaxation.rounds import Relaxer
 from protochain.residues import VAN_DER_WAALS
-from protochain.validation import violations
+from protochain.structure.chirality import wrong_atoms
+from protochain.validation import threaded_rings, violations
+from protochain.validation.layout import layout
 
 STIFF = 4184.0
 
@@ -308,6 +310,30 @@ def test_an_interrupt_keeps_the_best_so_far(monkeypatch):
     assert r.status is pc.Status.INTERRUPTED and len(r.rounds) == 1
     assert r.energy_end <= r.energy_start
     assert Stop.INTERRUPTED in rounds._FINAL
+
+
+def test_only_hands_that_became_wrong_are_inverted():
+    """A model with noise, in which hands were wrong, ends with right ones: that is no fault."""
+    shaken = models.shaken(load("1l2y.pdb"), 0.6, seed=2)
+    x, mirrored = shaken.positions, layout(shaken).mirrored
+    wrong = wrong_atoms(shaken, x, mirrored)
+    assert len(wrong) >= 1
+    r = pc.relax(shaken, threads=1, solvent="vacuum")
+    left = wrong_atoms(shaken, r.x, mirrored)
+    assert len(left) < len(wrong) and (r.status is pc.Status.INVERTED) == bool(set(left) - set(wrong))
+    right = load("1l2y.pdb")
+    mirror = right.positions * [1.0, 1.0, -1.0]
+    spoiled = _spoiled(right, mirror)
+    assert len(spoiled) >= 16 and spoiled[0] == "CA of residue 1 ASN of chain A"
+
+
+def test_threaded_rings_are_freed():
+    (planted,) = models.planted_rings([load("1l2y.pdb")], 1, seed=1)
+    s = planted.structure
+    assert [ring.residue for ring in threaded_rings(s)] == [planted.ring_residue]
+    r = pc.relax(s, threads=1, solvent="vacuum")
+    assert r.status is pc.Status.CONVERGED and not threaded_rings(s, r.x)
+    assert r.rounds[0].let_go == 2 and r.ca_rmsd_angstrom < 0.5
 
 
 @pytest.mark.slow

@@ -65,7 +65,11 @@ Hydrogens = Annotated[
     bool, typer.Option("--keep-hydrogens/--strip-hydrogens", help="Whether the output has hydrogens.")
 ]
 Repack = Annotated[
-    bool, typer.Option("--repack", help="First put side chains that clash, or are far from every rotamer, into the best rotamers.")
+    bool,
+    typer.Option(
+        "--repack",
+        help="First put side chains that clash, or are far from every rotamer, into the best rotamers.",
+    ),
 ]
 Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
 Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]

@@ -30,7 +30,7 @@ _SHOW_FROM = 5.0
 def tell_plan(source: Path, structure: "Structure", energy: "Energy") -> float:
     """Say what will be done to a file, and how long it may take; return that in seconds."""
     from protochain.contacts import overlaps
-    from protochain.validation import violations
+    from protochain.validation import threaded_rings, violations
 
     print_changes(source, structure)
     x = structure.positions
@@ -39,11 +39,12 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy") -> float:
     energy(x)
     seconds = _EVALUATIONS * (monotonic() - began)
     n_residues = len({*structure.atom_residue[~structure.kept].tolist()})
-    found = overlaps(structure, x)
+    found, rings = overlaps(structure, x), threaded_rings(structure)
     said = [
         f"{n_residues} residues, {structure.n_atoms} atoms",
         f"{len(found) or 'no'} pair{'s' * (len(found) != 1)} of atoms overlap{'s' * (len(found) == 1)}",
         str(violations(structure, x)),
+        *(["threaded rings, to be freed first: " + ", ".join(map(str, rings))] if rings else []),
         *_breaks(structure),
         f"about {max(seconds, 1.0):.0f} s",
     ]

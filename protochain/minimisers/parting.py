@@ -144,6 +144,16 @@ def parting_in_all_atoms(
     ]
 
 
+def unthreading(space: Cartesian, energy: Energy) -> list[Stage]:
+    """Stages that free threaded rings alone, moving all atoms; none if nothing is known of an energy's bonds."""
+    bonded = bonded_part(energy)
+    if bonded is None:
+        return []
+    gentle = Sum([bonded, SoftRepulsion(space.structure), *_leashes(space.structure)])
+    soft = _soft(space, gentle, _PARTED_ENOUGH)
+    return [*freeing(soft, _where_atoms_overlap), _where_atoms_overlap(soft)]
+
+
 def _where_atoms_overlap(stage: Stage) -> Stage:
     structure = _structure(stage.space)
     return replace(stage, ready=lambda stage, at: bool(overlaps(structure, at.x)))

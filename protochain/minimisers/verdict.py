@@ -1,5 +1,6 @@
 """Status of a result, from energy and forces recomputed on OpenMM's Reference platform."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -75,7 +76,13 @@ def rebuilt(chain: Chain, x: Floats) -> Chain:
 
 
 def verdict(
-    stop: Stop, met: bool, measured: str, structure: Structure, x: Floats, n_evaluations: int
+    stop: Stop,
+    met: bool,
+    measured: str,
+    structure: Structure,
+    x: Floats,
+    n_evaluations: int,
+    inverted: Sequence[str] | None = None,
 ) -> tuple[Status, str]:
     """Status and message, from the reason a run ended and the residual that the judge measured.
 
@@ -91,12 +98,15 @@ def verdict(
         The start.
     x : (na, 3) float, nm
     n_evaluations : int
+    inverted : sequence of str, optional
+        Atoms that changed hand and should not have; by default all that did.
 
     Returns
     -------
     Status, str
     """
-    inverted = changed_hands(structure, x, structure.positions)
+    if inverted is None:
+        inverted = changed_hands(structure, x, structure.positions)
     if inverted:
         measured = f"{listed(inverted)} changed hand; lbfgs keeps hands: it turns bonds only; {measured}"
         if stop is not Stop.INTERRUPTED:

@@ -17,11 +17,13 @@ from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.verdict import Status, verdict
 from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
-from protochain.relaxation.rounds import Ended, Relaxer, fewest_left
+from protochain.relaxation.rounds import GENTLE, Ended, Relaxer, fewest_left
 from protochain.relaxation.settings import Relaxing, split
 from protochain.structure import Structure
+from protochain.structure.chirality import wrong_atoms
 from protochain.structure.select import select
-from protochain.validation import measures, threaded_rings, violations
+from protochain.validation import threaded_rings, violations
+from protochain.validation.layout import layout
 
 _NAMED = 5
 """Residues that a message names."""
@@ -115,7 +117,7 @@ class _Trace:
     def __call__(self, stage: str, at: Evaluation, evaluations: int) -> None:
         if self.tell:
             self.tell(stage, evaluations)
-        if stage == "parting overlaps":  # Its energy is not the force field's.
+        if stage == GENTLE:  # Its energy is not the force field's.
             return
         energy = at.energy - at.restraint
         self.rows.append((len(self.rows), evaluations, perf_counter() - self.began, energy, at.residual))
@@ -166,14 +168,23 @@ def _verdict(
     by = NATIVE if energy.is_exact else REFERENCE
     springs = ", springs included" if end.springs.weight.any() else ""
     measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {by}"
-    # A hand that was wrong and is right at the end is no fault.
-    right = not measures(structure, end.x)["wrong_hands"]
-    hands = structure.with_positions(end.x) if right else structure
-    status, message = verdict(end.stop, force <= tolerance, measured, hands, end.x, end.round.evaluations)
+    status, message = verdict(
+        end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
+        inverted=_spoiled(structure, end.x),
+    )  # fmt: skip
     left = left_in_words(structure, end.x)
     if left and status is Status.CONVERGED:
         return Status.VIOLATIONS, f"violations: {left}; {measured}"
     return status, f"{message}; {left}" if left and status is not Status.CLASH else message
+
+
+def _spoiled(structure: Structure, x: Floats) -> list[str]:
+    """Chiral atoms whose hand was right, and is wrong now; that others became right is as it should be."""
+    mirrored = layout(structure).mirrored
+    wrong = np.setdiff1d(
+        wrong_atoms(structure, x, mirrored), wrong_atoms(structure, structure.positions, mirrored)
+    )
+    return [structure.describe(atom).removeprefix("atom ") for atom in wrong.tolist()]
 
 
 def left_in_words(structure: Structure, x: Floats) -> str:

@@ -16,17 +16,17 @@ from protochain.energies.bonded import bonded_part
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Stop, run
-from protochain.minimisers.parting import Held
+from protochain.minimisers.parting import Held, unthreading
 from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Problem
 from protochain.minimisers.recipes import SINGLE_PRECISION_ENDS
 from protochain.minimisers.restraints import SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import PATIENCE, lowest
 from protochain.minimisers.steps import StrongWolfe
-from protochain.minimisers.unthread import ATTEMPTS, push_of
 from protochain.relaxation.presets import Preset
 from protochain.structure import Structure
 from protochain.validation import threaded_rings, violations
+from protochain.validation.rings import ThreadedRing
 
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
 _MEMORY = 8
@@ -44,6 +44,9 @@ _SOFTENED = 60
 _WEAKER = 0.1
 """Share of their springs that residues with violations keep at first; the next time they lose them all.
 Without any at once, more of the fold gives way than has to."""
+
+GENTLE = "parting overlaps"
+"""Name of stages whose energy is not the force field's."""
 
 Note = Callable[[str, Evaluation, int], None]
 """Told each point accepted: name of the stage, the point, evaluations so far."""
@@ -134,8 +137,9 @@ class Relaxer:
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
         strongest = strengths[-1:]
         while True:
-            share = np.where(self._threaded(x), 0.0, share)
-            done.append(self._round(x, share, strengths, soften=self.strength.softened and not done))
+            x, share, spent = self._freed(x, share)
+            soften = self.strength.softened and not done
+            done.append(self._round(x, share, strengths, soften, spent))
             last = done[-1]
             x = last.x
             # As weak as springs in series: those of other programs lead to the end of the round before.
@@ -149,14 +153,13 @@ class Relaxer:
                 return done
             share = less
 
-    def _round(self, x: Floats, share: Floats, strengths: list[tuple[float, float]], soften: bool) -> Ended:
+    def _round(
+        self, x: Floats, share: Floats, strengths: list[tuple[float, float]], soften: bool, spent: int
+    ) -> Ended:
         began, structure = perf_counter(), self.structure
-        work = _Work(0, 0)
-        soften = soften and len(_overlapping(structure, x)) > 0
-        bonded = bonded_part(self.energy) if soften or threaded_rings(structure, x) else None
+        work = _Work(0, spent)
+        bonded = bonded_part(self.energy) if soften and len(_overlapping(structure, x)) else None
         if bonded is not None:
-            x, work = self._freed(bonded, self._springs(share, *strengths[0]), x, work)
-        if bonded is not None and soften:
             gentle = Sum([bonded, SoftRepulsion(structure)])
             x, stop, work = self._minimised(
                 gentle, self._springs(share, *strengths[0]), x, work, is_soft=True
@@ -169,7 +172,8 @@ class Relaxer:
             if stop in _FINAL:
                 break
         found, pairs = violations(structure, x), _overlapping(structure, x)
-        wrong = found.per_residue | self._threaded(x)
+        wrong = found.per_residue.copy()
+        wrong[self._of_rings(threaded_rings(structure, x))] = True
         wrong[structure.atom_residue[pairs]] = True
         seconds = perf_counter() - began
         told = Round(int((share < 1.0).sum()), len(found.residues), len(pairs), *work, seconds)
@@ -183,7 +187,7 @@ class Relaxer:
         held = Held(springs.weight + _STIFFER, is_soft, _REFRESH)
         method = Descent(LBFGS(held, _MEMORY), StrongWolfe())
         problem = Problem(space, energy, _ENDLESS, springs)
-        name, seen = "parting overlaps" if is_soft else "all atoms", count()
+        name, seen = GENTLE if is_soft else "all atoms", count()
 
         def record(at: Evaluation) -> None:
             self.note(name, at, work.evaluations + problem.n_evaluations)
@@ -202,29 +206,36 @@ class Relaxer:
         done = _Work(work.iterations + ending.last.n_iterations, work.evaluations + problem.n_evaluations)
         return x, ending.stop, done
 
-    def _freed(self, bonded: Force, springs: Tethers, x: Floats, work: "_Work") -> "tuple[Floats, _Work]":
-        """Positions with bonds drawn out of the rings that they go through, over one side after the other."""
-        structure = self.structure
-        for attempt in range(ATTEMPTS):
-            rings = threaded_rings(structure, x)
-            if not rings:
-                break
-            pairs = [
-                (ring.residue, int(structure.atom_residue[atom])) for ring in rings for atom in ring.bond
-            ]
-            passing = SoftRepulsion(structure, read_only(pairs, np.int64))
-            pushes = [push_of(structure, x, ring, attempt) for ring in rings]
-            # Once out, the two residues repel each other again.
-            for gentle in (Sum([bonded, passing, *pushes]), Sum([bonded, SoftRepulsion(structure)])):
-                x, _, work = self._minimised(gentle, springs, x, work, is_soft=True)
-        return x, work
+    def _freed(self, x: Floats, share: Floats) -> tuple[Floats, Floats, int]:
+        """Positions without threaded rings, springs that do not draw the bonds back, and evaluations."""
+        threaded = threaded_rings(self.structure, x)
+        if not threaded:
+            return x, share, 0
+        let_go = share.copy()
+        let_go[self._of_rings(threaded)] = 0.0
+        x, spent = self._unthreaded(x)
+        return x, let_go, spent
 
-    def _threaded(self, x: Floats) -> NDArray[np.bool_]:
-        """(nr,) bool: residues of rings that a bond goes through, and of these bonds."""
-        concerned = np.zeros(self.structure.n_residues, dtype=bool)
-        for ring in threaded_rings(self.structure, x):
-            concerned[self.structure.atom_residue[[*ring.atoms, *ring.bond]]] = True
-        return concerned
+    def _of_rings(self, threaded: Sequence[ThreadedRing]) -> list[int]:
+        """Residues of rings and of the bonds that go through them."""
+        return [int(self.structure.atom_residue[i]) for ring in threaded for i in (*ring.atoms, *ring.bond)]
+
+    def _unthreaded(self, x: Floats) -> tuple[Floats, int]:
+        """Positions with bonds drawn out of rings, as far as that is possible, and evaluations."""
+        space, spent = Cartesian(self.structure, ~self.structure.obstacle), 0
+        for stage in unthreading(space, self.energy):
+            q = space.start(x)
+            if stage.ready and not stage.ready(stage, space.place(q)):
+                continue
+            own = stage.fit(stage, x) if stage.fit else stage
+            problem = Problem(space, own.energy, _ENDLESS)
+
+            def record(at: Evaluation, before: int = spent, problem: Problem = problem) -> None:
+                self.note(GENTLE, at, before + problem.n_evaluations)
+
+            ending = run(problem, own.method, q, own.tolerance, own.patience, record)
+            x, spent = space.place(own.answer(problem, ending, q)).x, spent + problem.n_evaluations
+        return x, spent
 
     def _springs(self, share: Floats, backbone: float, side_chains: float) -> Tethers:
         """Springs of the heavy atoms; each residue (nr,) has its share of their strength."""
