@@ -28,9 +28,16 @@ _PLANAR = ("CD", "NE", "CZ", "NH1")
 
 
 def shaken(structure: pc.Structure, angstrom: float, seed: int) -> pc.Structure:
-    """Every atom moved by Gaussian noise of a standard deviation in each direction."""
+    """Heavy atoms moved by Gaussian noise of a standard deviation in each direction, hydrogens with them.
+
+    From 0.3 angstrom on, some bonded atoms coincide and some chiral atoms change hand.
+    """
     noise = np.random.default_rng(seed).normal(scale=angstrom / 10.0, size=structure.positions.shape)
-    return structure.with_positions(structure.positions + noise)
+    parent = np.arange(structure.n_atoms)
+    is_hydrogen = structure.atom_element == "H"
+    for i, j in structure.bonds[is_hydrogen[structure.bonds].any(axis=1)].tolist():
+        parent[i if is_hydrogen[i] else j] = j if is_hydrogen[i] else i
+    return structure.with_positions(structure.positions + noise[parent])
 
 
 def turned(structure: pc.Structure, degrees: float, seed: int, hinges: str = "phi psi chi") -> pc.Structure:
@@ -61,7 +68,7 @@ def with_random_side_chains(
 
 
 def broken(structure: pc.Structure, angstrom: float, seed: int, n: int = 1, longest: int = 8) -> pc.Structure:
-    """Segments of 2 to ``longest`` residues shifted as they are, so that the peptide bonds at both ends break.
+    """Segments of at most ``longest`` residues shifted as they are: the peptide bonds at both ends break.
 
     The shift is within 60 degrees of the first of the two bonds, which becomes longer.
     """
@@ -156,12 +163,12 @@ def nmr_models(path: Path, models: Sequence[int]) -> list[pc.Structure]:
 def damaged(structures: Sequence[pc.Structure], n: int, seed: int) -> Iterator[tuple[str, pc.Structure]]:
     """n damaged models with their names: the kinds and the structures take turns."""
     kinds = {
-        "shaken02": lambda s, k: shaken(s, 0.2, k),
+        "shaken01": lambda s, k: shaken(s, 0.1, k),
         "chi1": lambda s, k: with_random_side_chains(s, k, chis=1),
         "broken": lambda s, k: broken(s, 0.5 + 1.0 * (k % 5) / 4.0, k, n=1 + k % 2),
         "turned": lambda s, k: turned(s, 2.0, k),
         "chis": lambda s, k: with_random_side_chains(s, k),
-        "shaken05": lambda s, k: shaken(s, 0.5, k),
+        "shaken025": lambda s, k: shaken(s, 0.25, k),
         "mixed": lambda s, k: broken(with_random_side_chains(shaken(s, 0.1, k), k, share=0.3), 1.0, k),
     }
     names = list(kinds)

@@ -10,9 +10,8 @@ from functools import partial
 import numpy as np
 
 from protochain.arrays import Floats, Integers, read_only
-from protochain.contacts import near_pairs
 from protochain.minimisers.problem import Force, Placement
-from protochain.minimisers.restraints import SOFT_SHARE, SoftRepulsion, Sum
+from protochain.minimisers.restraints import SoftRepulsion, Sum
 from protochain.minimisers.stages import Stage
 from protochain.structure.model import Structure
 from protochain.validation.rings import ThreadedRing, threaded_rings

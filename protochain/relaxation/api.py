@@ -22,7 +22,7 @@ from protochain.relaxation.settings import Relaxing, split
 from protochain.structure import Structure
 from protochain.structure.chirality import wrong_atoms
 from protochain.structure.select import select
-from protochain.validation import violations
+from protochain.validation import threaded_rings, violations
 from protochain.validation.layout import layout
 
 _NAMED = 5
@@ -188,10 +188,11 @@ def _spoiled(structure: Structure, x: Floats) -> list[str]:
 
 
 def left_in_words(structure: Structure, x: Floats) -> str:
-    """Residues with violations at positions x (na, 3), by name; empty if there are none."""
+    """Threaded rings and residues with violations at positions x (na, 3), by name; empty without."""
+    rings = "; ".join(map(str, threaded_rings(structure, x)))
     residues = violations(structure, x).residues.tolist()
     if not residues:
-        return ""
+        return rings
     named = [structure.describe_residue(residue) for residue in residues[:_NAMED]]
     more = f" and {len(residues) - _NAMED} more" if len(residues) > _NAMED else ""
     left = (
@@ -199,4 +200,4 @@ def left_in_words(structure: Structure, x: Floats) -> str:
         if len(residues) == 1
         else f"{len(residues)} residues are left with violations"
     )
-    return f"{left}: {', '.join(named)}{more}"
+    return "; ".join([*([rings] if rings else []), f"{left}: {', '.join(named)}{more}"])

@@ -27,6 +27,7 @@ from protochain.minimisers.steps import StrongWolfe
 from protochain.relaxation.presets import Preset
 from protochain.structure import Structure
 from protochain.validation import threaded_rings, violations
+from protochain.validation.rings import ThreadedRing
 
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
 _MEMORY = 8
@@ -87,7 +88,7 @@ class Ended:
     springs : Tethers
         Those of its last stage.
     concerned : (n,) int
-        Residues with violations or overlaps.
+        Residues with violations, overlaps or threaded rings.
     round : Round
     """
 
@@ -132,25 +133,28 @@ class Relaxer:
             Rounds at most.
         """
         share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
-        for ring in threaded_rings(self.structure, x):
-            share[[ring.residue, *self.structure.atom_residue[list(ring.bond)]]] = 0.0
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
-        x, work = self._begun(x, self._springs(share, *strengths[0]))
+        strongest = strengths[-1:]
         while True:
+            x, share, work = self._freed(x, share)
+            if not done:
+                x, work = self._begun(x, self._springs(share, *strengths[0]), work)
             done.append(self._round(x, share, strengths, work))
             last = done[-1]
-            x, strengths, work = last.x, strengths[-1:], _Work(0, 0)
+            x = last.x
+            # As weak as springs in series: those of other programs lead to the end of the round before.
+            strengths = [(own / (len(done) + 1), beside / (len(done) + 1)) for own, beside in strongest]
             less = np.where(self._near(last.concerned), np.where(share == 1.0, _WEAKER, 0.0), share)
+            # Where that did not help, what lies against them is in the way.
+            still_wrong = last.concerned[share[last.concerned] < 1.0]
+            less[self._touching(still_wrong, x) & (less == 1.0)] = _WEAKER
             still = last.stop in _FINAL or not any(strengths[0])
             if still or not len(last.concerned) or len(done) == most or (less == share).all():
                 return done
             share = less
 
-    def _begun(self, x: Floats, springs: Tethers) -> "tuple[Floats, _Work]":
+    def _begun(self, x: Floats, springs: Tethers, work: "_Work") -> "tuple[Floats, _Work]":
         """Positions from which the force field takes over, and the work so far."""
-        work = _Work(0, 0)
-        if threaded_rings(self.structure, x):
-            x, work = self._unthreaded(x)
         if self.strength.softened and len(_overlapping(self.structure, x)):
             bonded = bonded_part(self.energy)
             if bonded is not None:
@@ -171,10 +175,12 @@ class Relaxer:
             if stop in _FINAL:
                 break
         found, pairs = violations(structure, x), _overlapping(structure, x)
-        concerned = np.union1d(found.residues, structure.atom_residue[pairs]).astype(np.int64)
+        wrong = found.per_residue.copy()
+        wrong[self._of_rings(threaded_rings(structure, x))] = True
+        wrong[structure.atom_residue[pairs]] = True
         seconds = perf_counter() - began
         told = Round(int((share < 1.0).sum()), len(found.residues), len(pairs), *work, seconds)
-        return Ended(read_only(x), stop, springs, concerned, told)
+        return Ended(read_only(x), stop, springs, np.flatnonzero(wrong), told)
 
     def _minimised(
         self, energy: Force, springs: Tethers, x: Floats, work: "_Work", stage: "_Stage | None" = None
@@ -205,6 +211,20 @@ class Relaxer:
 
     def _space(self) -> Cartesian:
         return _cartesian(self.structure)
+
+    def _freed(self, x: Floats, share: Floats) -> "tuple[Floats, Floats, _Work]":
+        """Positions without threaded rings, springs that do not draw the bonds back, and the work."""
+        threaded = threaded_rings(self.structure, x)
+        if not threaded:
+            return x, share, _Work(0, 0)
+        let_go = share.copy()
+        let_go[self._of_rings(threaded)] = 0.0
+        x, work = self._unthreaded(x)
+        return x, let_go, work
+
+    def _of_rings(self, threaded: Sequence[ThreadedRing]) -> list[int]:
+        """Residues of rings and of the bonds that go through them."""
+        return [int(self.structure.atom_residue[i]) for ring in threaded for i in (*ring.atoms, *ring.bond)]
 
     def _unthreaded(self, x: Floats) -> "tuple[Floats, _Work]":
         """Positions with bonds drawn out of rings, as far as that is possible, and the work."""
@@ -240,6 +260,13 @@ class Relaxer:
         for a, b in ((0, 1), (1, 0)):
             near[ends[concerned[ends[:, a]], b]] = True
         return near
+
+    def _touching(self, residues: Integers, x: Floats) -> NDArray[np.bool_]:
+        """(nr,) bool: residues with atoms in contact with others."""
+        pairs = self.structure.atom_residue[near_pairs(self.structure, x, 1.0)[0]]
+        touching = np.zeros(self.structure.n_residues, dtype=bool)
+        touching[pairs[np.isin(pairs, residues).any(axis=1)]] = True
+        return touching
 
 
 class _Work(NamedTuple):
