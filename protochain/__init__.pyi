@@ -27,6 +27,8 @@ from .minimisers import Status as Status
 from .minimisers import explore as explore
 from .minimisers import minimise as minimise
 from .minimisers import minimize as minimize
+from .relaxation import Relaxation as Relaxation
+from .relaxation import relax as relax
 from .setup import Setup as Setup
 from .structure import Structure as Structure
 from .structure import as_structure as as_structure

@@ -20,6 +20,9 @@ REPEATS = 3
 TOLERANCE = 1.0  # kJ/mol/rad of the largest torque, or kJ/mol/nm of the RMS force
 MAX_EVALUATIONS = 5000
 SEED = 0
+PRESET = "predicted"
+MAX_ITERATIONS = 2000  # of a relaxation, as ColabFold has it
+MAX_OUTER_ITERATIONS = 3
 N_STARTS = 10
 SPREAD = 0.2  # rad, standard deviation of a perturbed dihedral
 

@@ -41,6 +41,10 @@ class WriteWarning(RuntimeWarning):
     """A file beside a result could not be written; the result itself is there."""
 
 
+class StrayWarning(RuntimeWarning):
+    """A run has gone far from a start whose atoms overlapped; it goes on."""
+
+
 class StructureError(ProtochainError):
     """A structure file that cannot be read or prepared."""
 

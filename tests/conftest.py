@@ -75,6 +75,9 @@ precision, some million terms, polynomials of 1e-14."""
 NATIVE_FORCE = 1e-10
 """Of the norm of the forces."""
 
+SPRING_ENERGY = 1e-12
+"""Relative. A sum of a few hundred squares."""
+
 LEFT_OUT = 1e-10
 """Of the norm of the torques, with constant terms left out: their forces cancel to round-off."""
 

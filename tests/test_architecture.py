@@ -32,11 +32,22 @@ LAYERS = [
     {"dynamics"},
     {"validation"},
     {"minimisers"},
+    {"relaxation"},
     {"analysis"},
     {"batches"},
     {"cli"},
 ]
-OPEN = ("analysis", "batches", "dynamics", "energies", "minimisers", "multibody", "structure", "validation")
+OPEN = (
+    "analysis",
+    "batches",
+    "dynamics",
+    "energies",
+    "minimisers",
+    "multibody",
+    "relaxation",
+    "structure",
+    "validation",
+)
 PACKAGES = (protochain, *(importlib.import_module(f"protochain.{name}") for name in OPEN))
 PUBLIC = {
     f"{package.__name__}.{name}": getattr(package, name)

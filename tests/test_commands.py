@@ -58,6 +58,12 @@ COMMANDS = {
         "inputs": None, "reference": None, "csv": None, "residues": None, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_VALIDATE},
     },
+    "relax": {
+        "inputs": None, **OUTPUT, "preset": "predicted", "protocol": "", "tolerance": None, "stiffness": None,
+        "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
+        "repack": False, "report": None, "workers": None, "time_limit": 3600.0, "resume": False, **AS_JSON,
+        "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "move")},
+    },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
     "bench": {"name": "all", "inputs": None, "output": Path("bench")},
     "info": {
@@ -68,7 +74,7 @@ COMMANDS = {
 }  # fmt: skip
 METAVARS = {
     ("source", None): "IN", ("inputs", "batch"): "IN...", ("inputs", "validate"): "IN...",
-    ("output", "batch"): "DIR",
+    ("inputs", "relax"): "IN...", ("output", "batch"): "DIR",
     ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
     ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
     "bench"): "[IN...]",
@@ -78,6 +84,7 @@ FLAGS = {
     "as_json": ["--json"], "output": ["-o", "--output"], "chains": ["--chain", "--chains"],
     "null": ["--null", "-0"],
 }  # fmt: skip
+SECONDARY = {"relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"]}
 ARGUMENTS = {
     ("source", None),
     ("inputs", None),
@@ -107,7 +114,7 @@ def test_every_option_has_its_name_default_and_help():
             opts = [name] if is_argument else FLAGS.get(name, [f"--{name.replace('_', '-')}"])
             assert each.opts == opts, (command, name)
             assert each.metavar == METAVARS.get((name, command), METAVARS.get((name, None))), (command, name)
-            assert each.secondary_opts == (["--no-relax"] if name == "relax" else [])
+            assert each.secondary_opts == SECONDARY.get(name, [])
 
 
 def run(*arguments):

@@ -67,6 +67,7 @@ REQUIRED = {
     "pose": lambda: (C(), C().q0),
     "pull_back": lambda: (C(), at(), np.zeros((C().n_atoms, 3))),
     "quality": lambda: (S(),),
+    "relax": lambda: (S(),),
     "rmsd": lambda: (S(), S()),
     "save": lambda: (S(), "never-written.pdb"),
     "simulate": lambda: (C(), vacuum()),
@@ -96,6 +97,18 @@ FURTHER = {
         "hinges",
     ),
     "explore": ("tolerance", "max_evaluations", "watch"),
+    "relax": (
+        "protocol",
+        "tolerance",
+        "stiffness",
+        "max_iterations",
+        "max_outer_iterations",
+        "exclude",
+        "keep_hydrogens",
+        "repack",
+        "threads",
+        "ph",
+    ),
     "EveryFrame": ("hinges", "ph", "threads", "keep"),
 }
 """Names that a function takes by ``**``."""

@@ -94,7 +94,9 @@ def test_a_watcher_that_asks_is_told_every_stage():
     c = crowded()
     r = pc.minimise(c, energy("1l2y.pdb"), "hybrid", tolerance=50.0, watch=Watch())
     names = list(dict.fromkeys(each[0] for each in seen if each))
-    assert names == ["parting overlaps", "torsions", "all atoms", "judging the end"]
+    assert [name for name in names if name != "torsions"] == [
+        "parting overlaps", "held by springs", "all atoms", "judging the end",
+    ]  # fmt: skip
     assert sum(each is None for each in seen) == len(r.trace)
     counts = [each[1] for each in seen if each]
     assert counts == sorted(counts) and counts[-1] == r.n_evaluations

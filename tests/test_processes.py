@@ -250,7 +250,7 @@ def test_the_summary_of_a_batch(tmp_path, monkeypatch):
     made.finished([])
     for job, status in zip(jobs, ("budget", "refused"), strict=True):
         made.append([failure(job, "kcm", "budget", ""), failure(job, "lbfgs", status, "")])
-    api._finish(tmp_path, jobs)
+    api._finish(made, jobs)
     made.close()
     summary = json.loads((tmp_path / "summary.json").read_text())
     # JSON has no infinity.
@@ -258,7 +258,7 @@ def test_the_summary_of_a_batch(tmp_path, monkeypatch):
     assert jobs[0].settings.max_rmsd == float("inf") and len(settings) > 20
     names = ("protochain", "openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "distributed", "pandas")
     assert summary == {
-        "n_structures": 2, "n_rows": 4, "status": {"budget": 3, "refused": 1},
+        "table": "summary.csv", "n_structures": 2, "n_rows": 4, "status": {"budget": 3, "refused": 1},
         "command": ["protochain", "batch", "in"], "python": platform.python_version(),
         "versions": {name: version(name) for name in names}, "settings": settings,
     }  # fmt: skip

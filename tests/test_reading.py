@@ -272,18 +272,23 @@ def test_a_residue_that_lacks_its_backbone_is_left_out():
     )
 
 
-@pytest.mark.parametrize(("gap", "broken"), [(1.999, False), (2.0, True)])
-def test_a_chain_breaks_where_c_and_n_are_two_angstrom_apart(gap, broken):
+def apart(gap, second):
+    """Four alanines with C and N in the middle this far apart, angstrom; the number of the third."""
     at = 6.0 - 2.4
-    far = [
+    return [
         residue("ALA", 1, at - STEP),
         residue("ALA", 2, at),
-        *(residue("ALA", k, 6.0 + gap + (k - 3) * STEP) for k in (3, 4)),
+        *(residue("ALA", second + k, 6.0 + gap + k * STEP) for k in (0, 1)),
     ]
+
+
+@pytest.mark.parametrize(("gap", "broken"), [(1.999, False), (2.0, True)])
+def test_a_chain_breaks_where_c_and_n_are_two_angstrom_apart(gap, broken):
+    far = apart(gap, 4)
     draft = taken(*far, chain="")
-    where = "chain (blank) is broken between 2 and 3 (2.0 angstrom)"
+    where = "chain (blank) is broken between 2 and 4 (2.0 angstrom)"
     assert names(draft) == (
-        [["ALA1", "ALA2"], ["ALA3", "ALA4"]] if broken else [["ALA1", "ALA2", "ALA3", "ALA4"]]
+        [["ALA1", "ALA2"], ["ALA4", "ALA5"]] if broken else [["ALA1", "ALA2", "ALA4", "ALA5"]]
     )
     assert (
         draft.repairs
@@ -294,6 +299,17 @@ def test_a_chain_breaks_where_c_and_n_are_two_angstrom_apart(gap, broken):
             refused(*far, chain="", strict=True)
             == f"x: {where}; model the missing residues, or leave out strict=True"
         )
+
+
+@pytest.mark.parametrize(("gap", "torn"), [(1.999, False), (2.0, True), (2.999, True), (3.0, None)])
+def test_a_bond_of_consecutive_numbers_is_torn_before_it_is_a_break(gap, torn):
+    draft = taken(*apart(gap, 3), strict=torn is not None)
+    if torn is None:
+        assert len(names(draft)) == 2 and "broken between 2 and 3 (3.0 angstrom)" in draft.repairs[0]
+    else:
+        assert names(draft) == [["ALA1", "ALA2", "ALA3", "ALA4"]]
+        where = f"the bond of residue 2 ALA of chain A and residue 3 ALA of chain A is {gap:.1f} angstrom long"
+        assert draft.repairs == [f"{where}: kept as a peptide bond"] * torn
 
 
 def test_a_break_at_a_terminus_or_a_cap_is_no_surprise():

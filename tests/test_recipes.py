@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import chain
+from conftest import chain, energy
 from test_descent import crowded
 
 import protochain as pc
@@ -18,9 +18,10 @@ from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.metrics import Euclidean, Mass, Stiffness
 from protochain.minimisers.newton import Newton, PseudoTransient, PseudoTransientState
-from protochain.minimisers.restraints import SOFT_TETHER, Hold, SoftRepulsion, Tethers
+from protochain.minimisers.parting import FIRM, once_ordinary
+from protochain.minimisers.restraints import SOFT_TETHER, Bound, Hold, SoftRepulsion, Tethers
 from protochain.minimisers.spaces import spaces
-from protochain.minimisers.stages import PATIENCE, last, lowest, parting
+from protochain.minimisers.stages import PATIENCE, Stage, last, lowest
 from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
 
 TURNING = {
@@ -155,19 +156,76 @@ def test_the_last_run_is_repeated_for_each_restraint():
     assert [stage.space for stage in stages] == [spaces(c)[0], *[spaces(c)[1]] * 3]
 
 
-def test_overlaps_are_parted_first_by_the_recipes_that_say_so():
+def test_overlaps_are_parted_in_torsions_and_springs_let_go_one_after_the_other():
     c = crowded()
-    s = c.structure
-    first, second = plan_of(RECIPES["lbfgs"], c)
-    assert second.energy.name == "reduced" and first.tolerance == 1.0 and not first.recorded
-    assert (first.name, second.name) == ("parting overlaps", "torsions")
-    assert first.space is second.space is spaces(c)[0]
-    assert first.method == BY_LBFGS.method and first.patience == PATIENCE and first.restraint is None
-    soft, tethers = parting(spaces(c)[0]).energy.parts
-    assert [type(part) for part in first.energy.parts] == [SoftRepulsion, Tethers] and soft.structure is s
-    assert tethers.weight.tolist() == [SOFT_TETHER] * s.n_atoms == [10.0] * s.n_atoms
-    assert np.array_equal(tethers.home, s.positions)
+    s, (torsions, _) = c.structure, spaces(c)
+    soft, *held, free = plan_of(RECIPES["lbfgs"], c)
+    assert [stage.name for stage in (soft, free)] == ["parting overlaps", "torsions"]
+    assert [stage.name for stage in held] == ["held by springs"] * 3
+    assert all(stage.space is torsions for stage in (soft, *held, free))
+    assert not soft.recorded and all(stage.recorded for stage in (*held, free))
+    assert {stage.energy.name for stage in (*held, free)} == {"reduced"} and free.method == BY_LBFGS.method
+    repulsion, tethers, bound = soft.energy.parts
+    assert [type(part) for part in soft.energy.parts] == [SoftRepulsion, Tethers, Bound]
+    assert repulsion.structure is s and not len(repulsion.passing)
+    backbone = np.isin(s.atom_name, ["N", "CA", "C", "O"])
+    assert set(tethers.weight[backbone]) == {FIRM} and set(tethers.weight[~backbone]) == {SOFT_TETHER}
+    assert np.array_equal(tethers.home, s.positions) and np.array_equal(bound.home, s.positions)
+    # Springs to where the stage before ended, beside the restraint that the user gives.
+    x = s.positions + 0.1
+    assert [stage.fit(stage, x).restraint.parts[0].weight.max() for stage in held] == [4184.0, 400.0, 40.0]
+    user = plan_of(RECIPES["lbfgs"], c, Hold(term=term))[1]
+    springs, own = user.fit(user, x).restraint.parts
+    assert np.array_equal(springs.home, x) and own.parts == [term]
+    assert not springs.weight[s.atom_element == "H"].any()
     assert len(plan_of(RECIPES["kcm"], c)) == 1 and len(plan_of(RECIPES["lbfgs"], chain("1l2y.pdb"))) == 1
+
+
+def term(x):
+    return 0.0, np.zeros_like(x)
+
+
+def test_methods_that_may_move_all_atoms_part_overlaps_with_all_atoms():
+    c, e = crowded(), energy("1l2y.pdb")
+    torsions, atoms = spaces(c)
+    soft, held, turned, free = RECIPES["hybrid"].plan(c, e, e, 2.0, Hold(), 0)
+    assert [stage.space for stage in (soft, held, turned, free)] == [atoms, atoms, torsions, atoms]
+    assert soft.energy.parts[0].forcefield == "amber14" and held.energy is e and held.tolerance == 10.0
+    bonded = soft.energy.parts[0].parts(c.structure.positions)[0]
+    assert bonded["nonbonded"] == 0.0 and bonded["bonds"] == e.parts(c.structure.positions)[0]["bonds"]
+    # Torsions go on from a chain rebuilt where the atoms are, if anything overlaps not at all.
+    x = held.space.structure.positions + 0.001 * np.arange(3)
+    fitted = turned.fit(turned, x)
+    assert np.array_equal(fitted.space.chain.structure.positions, x) and fitted.energy.left_out
+    assert not turned.ready(turned, atoms.place(atoms.start(c.structure.positions)))
+    # A callable has no bonds to hold the molecule together: torsions part the atoms.
+    own = pc.energies.as_energy(lambda x: (0.0, 0.0 * x), c.structure)
+    assert RECIPES["hybrid"].plan(c, own, own, 2.0, Hold(), 0)[0].space is torsions
+
+
+@pytest.mark.parametrize(("torque", "parts"), [(9e4, False), (2e5, True), (np.nan, True), (np.inf, True)])
+def test_strain_without_overlaps_is_held_too(torque, parts):
+    c = chain("1l2y.pdb")
+    whole = SimpleNamespace(is_exact=True, name="whole", system=None)
+    for name, stages in (("hybrid", 2), ("lbfgs", 1)):
+        plan = RECIPES[name].plan(c, whole, whole, 2.0, Hold(), 0, torque)
+        assert (plan[0].name == "held by springs") is parts
+        assert len(plan) == stages + parts * (3 if name == "lbfgs" else 1)
+    assert len(RECIPES["kcm"].plan(c, whole, whole, 2.0, Hold(), 0, torque)) == 1
+
+
+@pytest.mark.parametrize(("torque", "runs"), [(900.0, True), (1100.0, False)])
+def test_torsions_take_over_once_the_largest_torque_is_ordinary(torque, runs):
+    c = chain("ala10.pdb")
+    space = spaces(c)[0]
+    at = space.place(c.q0)
+    pull = np.random.default_rng(0).normal(size=at.x.shape)
+    size = space.residual(space.torque(at, pull))
+    stage = once_ordinary(Stage(space, None, lambda x: (0.0, torque / size * pull), 1.0))
+    assert stage.ready(stage, at) is runs
+    crowd = spaces(crowded())[0]
+    calm = once_ordinary(Stage(crowd, None, lambda x: (0.0, 0.0 * x), 1.0))
+    assert not calm.ready(calm, crowd.place(crowd.chain.q0))
 
 
 @dataclass(frozen=True)

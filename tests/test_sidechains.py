@@ -8,7 +8,7 @@ from conftest import STRUCTURES, load
 
 import protochain as pc
 from protochain import residues
-from protochain.structure import packing, relief
+from protochain.structure import packing, relief, turning
 from protochain.structure.chirality import centres, changed_hands, hand, listed, volume, wrong_hands
 from protochain.structure.draft import Member, atom
 from protochain.structure.packing import Choices, Site, choosable, packed, wrapped
@@ -468,7 +468,7 @@ def test_only_what_was_built_and_overlaps_turns():
 def test_rotation_adds_to_a_dihedral():
     a, start, end = np.array([1.0, 0, 0]), ORIGIN, np.array([0, 0, 1.0])
     x = np.array([[[0.5, 0.5, 2.0]], [[0.5, 0.5, 2.0]]])
-    turned = relief._rotated(x, start, end, np.deg2rad([90.0, -45.0]))
+    turned = turning.rotated(x, start, end, np.deg2rad([90.0, -45.0]))
     assert np.rad2deg(dihedral(a, start, end, turned[:, 0])) == pytest.approx([135.0, 0.0], abs=1e-9)
     assert turned[0, 0] == pytest.approx([-0.5, 0.5, 2.0])
 

@@ -15,6 +15,7 @@ import protochain as pc
 from protochain.batches import api, supervise, task
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import Child, ChildError
+from protochain.batches.thinning import thinned
 from protochain.minimisers.api import minimise
 
 ALA = STRUCTURES / "ala10.pdb"
@@ -109,11 +110,9 @@ def test_a_file_that_is_missing_is_refused(tmp_path):
 
 def test_a_trace_is_thinned_to_fifty_points_with_both_ends():
     for n in (1, 2, 49, 50):
-        assert [row["iteration"] for row in task._thin(pd.DataFrame({"iteration": range(n)}))] == list(
-            range(n)
-        )
+        assert [row["iteration"] for row in thinned(pd.DataFrame({"iteration": range(n)}))] == list(range(n))
     for n in (51, 400, 5000):
-        places = [row["iteration"] for row in task._thin(pd.DataFrame({"iteration": range(n), "e": 1.0}))]
+        places = [row["iteration"] for row in thinned(pd.DataFrame({"iteration": range(n), "e": 1.0}))]
         assert places[0] == 0 and places[-1] == n - 1 and 30 <= len(places) <= 50
         assert places == sorted(set(places)) and places[:4] == [0, 1, 2, 3]
         # Evenly in the logarithm: no gap is much wider than another.

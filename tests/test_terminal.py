@@ -239,10 +239,10 @@ def test_on_a_terminal_the_bar_names_the_stage_and_the_time_left(clock, monkeypa
 
         pc.minimise(c, energy("1l2y.pdb"), "hybrid", tolerance=200.0, watch=Both())
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue())
-    for stage in ("parting overlaps", "torsions", "all atoms", "judging the end"):
+    for stage in ("parting overlaps", "held by springs", "all atoms", "judging the end"):
         assert f"hybrid: {stage}" in plain, stage
     assert re.search(r"hybrid: parting overlaps .* \d+ evaluations +about \d+ (s|min) left", plain)
-    assert re.search(r"hybrid: torsions .* kJ/mol, torque .* about \d+ (s|min) left", plain)
+    assert re.search(r"hybrid: held by springs .* kJ/mol +about \d+ (s|min) left", plain)
 
 
 def test_a_long_run_says_so_before_it_begins(monkeypatch, capsys):

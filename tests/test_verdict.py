@@ -22,6 +22,11 @@ MESSAGES = {
         "non-finite",
         "non-finite: the energy or a torque is not a number; the last structure before it is kept: so far",
     ),
+    Stop.STRAINED: (
+        "stalled",
+        "stalled: bonds, angles and contacts are strained beyond what turning bonds can relieve without "
+        "unfolding the chain; pc.relax moves all atoms and keeps the fold: so far",
+    ),
     Stop.INTERRUPTED: ("interrupted", "interrupted after 7 evaluations: so far"),
 }
 

@@ -13,7 +13,7 @@ import pdoc
 
 import protochain
 
-PACKAGES = ("analysis", "batches", "dynamics", "energies", "minimisers", "structure", "validation")
+PACKAGES = ("analysis", "batches", "dynamics", "energies", "minimisers", "relaxation", "structure", "validation")
 SHADOWED = (
     "dynamics.fixman",
     "dynamics.simulate",

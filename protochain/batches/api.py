@@ -18,10 +18,19 @@ from distributed.client import Client, Future
 
 from protochain import defaults
 from protochain.batches.cluster import Processes, connected
-from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, refuse_unknown
+from protochain.batches.jobs import (
+    NAMES,
+    BatchSettings,
+    Job,
+    JobSettings,
+    Row,
+    failure,
+    find_jobs,
+    refuse_unknown,
+)
 from protochain.batches.settings import keep_settings
 from protochain.batches.supervise import supervise
-from protochain.batches.table import Tables, read_table
+from protochain.batches.table import SUMMARY, Tables, read_table
 from protochain.checks import checked, flag, function, number, path, several
 from protochain.interrupts import held_interrupts
 from protochain.storage import json_text, write_atomically
@@ -71,15 +80,18 @@ class Batch:
         Folder of the batch.
     interrupted : bool
         Whether it was stopped before all structures were done.
+    name : str
+        Stem of the table's name: ``relaxed`` where structures were relaxed.
     """
 
     folder: Path
     interrupted: bool = False
+    name: str = SUMMARY
 
     @cached_property
     def table(self) -> "pd.DataFrame":
         """``summary.csv``: a row a structure and method, failures among them."""
-        return read_table(self.folder / "summary.csv")
+        return read_table(self.folder / f"{self.name}.csv")
 
     @cached_property
     def traces(self) -> "pd.DataFrame":
@@ -161,9 +173,20 @@ def batch(
     common = BatchSettings(tuple(methods)).changed(**settings)
     folder = Path(output)
     jobs = find_jobs(given, common, Path(manifest) if manifest else None, folder)
-    tables = Tables(folder, resume)
+    return run_jobs(jobs, common, Tables(folder, resume), processes, watch)
+
+
+def run_jobs(
+    jobs: Sequence[Job],
+    common: JobSettings,
+    tables: Tables,
+    processes: Processes,
+    watch: Callable[[BatchProgress], None] | None,
+) -> Batch:
+    """Run the jobs that are not finished; write tables, structures and pages."""
+    folder = tables.folder
     try:
-        keep_settings(folder, common, jobs)
+        keep_settings(folder, common, jobs, tables.summary.name)
         done = tables.finished(jobs)
         todo = [job for job in jobs if job.identity not in done]
         interrupted = False
@@ -172,13 +195,13 @@ def batch(
                 interrupted = _work(client, todo, tables, processes, len(done), watch)
         with held_interrupts():
             tables.sort(jobs)
-            _finish(folder, jobs)
+            _finish(tables, jobs)
     except BaseException:
         tables.abandon()
         raise
     finally:
         tables.close()
-    return Batch(folder, interrupted)
+    return Batch(folder, interrupted, tables.name)
 
 
 def _work(
@@ -237,8 +260,12 @@ def _line(rows: Sequence[Row]) -> str:
     said: list[str] = []
     for record in (row.record for row in rows):
         if "output" in record:
+            of_relaxed = "n_rounds" in record
+            before, after = (record.get(f"violations_{when}") for when in ("start", "end"))
+            mended = f"violations {before} to {after}, " if of_relaxed else ""
             told = (
-                f"{record['method']} {record['status']}, {record['energy_end_reference_kj_mol']:.2f} kJ/mol, "
+                f"{record['method']} {record['status']}, {mended}"
+                f"{record['energy_end_reference_kj_mol']:.2f} kJ/mol, "
                 f"RMSD {record['ca_rmsd_angstrom']:.2f} angstrom, {record['seconds']:.1f} s"
             )
         else:
@@ -268,12 +295,12 @@ def _rows(future: Future, job: Job) -> list[Row]:
     return [failure(job, method, "killed", message) for method in job.settings.methods]
 
 
-def _finish(folder: Path, jobs: Sequence[Job]) -> None:
+def _finish(tables: Tables, jobs: Sequence[Job]) -> None:
     """Write the summaries and pages of the whole table."""
     from protochain.batches.report import write_report
 
-    table = read_table(folder / "summary.csv")
-    write_atomically(folder / "summary.parquet", lambda to: table.to_parquet(to, index=False))
+    folder, table = tables.folder, tables.read()
+    write_atomically(folder / f"{tables.name}.parquet", lambda to: table.to_parquet(to, index=False))
     packages = (
         "protochain",
         "openmm",
@@ -287,6 +314,7 @@ def _finish(folder: Path, jobs: Sequence[Job]) -> None:
     )
     summary = {
         "n_structures": len(jobs),
+        "table": f"{tables.name}.csv",
         "n_rows": len(table),
         "status": {str(name): int(n) for name, n in Counter(table["status"]).items()},
         "command": sys.argv,

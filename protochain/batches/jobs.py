@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, Self
 
 from protochain import defaults
 from protochain.checks import check_fields, integer, number, optional, several, words
@@ -115,6 +115,24 @@ class BatchSettings:
         return {name: value for name, value in values.items() if name not in ("setup", "threads")}
 
 
+class JobSettings(Protocol):
+    """Settings of a job: those of a batch, or of a folder to relax."""
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Names of the runs of each structure; each is a row."""
+
+    @property
+    def setup(self) -> Setup:
+        """How the structure is prepared."""
+
+    def changed(self, **settings: Any) -> Self:
+        """Return these settings with some replaced."""
+
+    def record(self) -> dict[str, Any]:
+        """Return plain values by name: all that results depend on."""
+
+
 def refuse_unknown(given: Iterable[str], known: Sequence[str]) -> None:
     """Refuse the first name that is not known, and list those that are."""
     unknown = next((name for name in given if name not in known), None)
@@ -165,7 +183,7 @@ class Job:
         Unique in the batch; its files are named after it.
     path : Path
         Absolute.
-    settings : BatchSettings
+    settings : BatchSettings, or others alike
         The setup's model is a number, or None for the first.
     key : str
         SHA-256 of the file's content, the settings, and the version of protochain.
@@ -173,7 +191,7 @@ class Job:
 
     name: str
     path: Path
-    settings: BatchSettings
+    settings: JobSettings
     key: str
 
     @property
@@ -218,7 +236,7 @@ def origin(job: Job) -> dict[str, Any]:
 @dataclass(frozen=True)
 class _Found:
     path: Path
-    settings: BatchSettings
+    settings: JobSettings
     content: str = field(default="", compare=False)
 
     @property
@@ -229,7 +247,7 @@ class _Found:
 
 def find_jobs(
     inputs: Iterable[str | Path],
-    settings: BatchSettings,
+    settings: JobSettings,
     manifest: Path | None = None,
     output: Path | None = None,
 ) -> list[Job]:
@@ -257,7 +275,7 @@ def find_jobs(
         If there is nothing to do, no file exists, the manifest makes no sense, or an input might be replaced.
     """
     found = [_Found(path, settings) for given in inputs for path in _paths(str(given), output)]
-    if manifest:
+    if manifest and isinstance(settings, BatchSettings):
         found += _from_manifest(manifest, settings)
     found = [each for one in dict.fromkeys(found) for each in _models(one)]
     for each in found:

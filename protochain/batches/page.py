@@ -8,13 +8,16 @@ import numpy as np
 from jinja2 import Template
 
 from protochain.batches.jobs import Job, Row
+from protochain.minimisers.record import SHOWN, Column
 from protochain.storage import write_atomically
 
 WIDTH, HEIGHT = 640, 240
 """Size of the drawing, in units of the SVG."""
 
 
-def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[str]) -> None:
+def write_page(
+    folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[str], shown: Sequence[Column] = SHOWN
+) -> None:
     """Write ``pages/NAME.html``.
 
     Parameters
@@ -27,12 +30,12 @@ def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[st
         One a method.
     repairs : sequence of str
         Changes made to prepare it.
+    shown : sequence of Column
+        Columns of its table.
     """
-    from protochain.minimisers.record import SHOWN
-
     text = _template().render(
         job=job,
-        shown=SHOWN,
+        shown=shown,
         records=[row.record for row in rows],
         repairs=repairs,
         curves=curves(rows),

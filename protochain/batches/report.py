@@ -78,7 +78,15 @@ def statistics(table: "pd.DataFrame") -> "pd.DataFrame":
         "energy_drop_kj_mol_per_residue": _drop(usable),
         **{
             name: usable[name]
-            for name in ("ca_rmsd_angstrom", "ca_rmsd_to_openmm_angstrom", "evaluations", "seconds")
+            for name in (
+                "ca_rmsd_angstrom",
+                "ca_rmsd_to_openmm_angstrom",
+                "violations_start",
+                "violations_end",
+                "evaluations",
+                "seconds",
+            )
+            if name in usable
         },
     }
     quantiles = {"first_quartile": 0.25, "median": 0.5, "third_quartile": 0.75, "highest": 1.0}

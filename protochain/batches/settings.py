@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from protochain.batches.jobs import BatchSettings, Job
+from protochain.batches.jobs import Job, JobSettings
 from protochain.errors import ProtochainError
 from protochain.storage import write_atomically
 from protochain.structure.prepare import user_files
@@ -17,17 +17,21 @@ from protochain.structure.prepare import user_files
 NAME = "settings.json"
 
 
-def keep_settings(folder: Path, common: BatchSettings, jobs: Sequence[Job]) -> None:
+def keep_settings(
+    folder: Path, common: JobSettings, jobs: Sequence[Job], table: str = "summary.csv"
+) -> None:
     """Write the settings of a batch to its folder, or refuse to go on with other ones.
 
     Parameters
     ----------
     folder : Path
         Folder of the batch.
-    common : BatchSettings
+    common : BatchSettings, or others alike
         Settings of all structures; a manifest may give some of them others.
     jobs : sequence of Job
         Structures. New ones may be added, and any left out.
+    table : str
+        Name of the table of results in the folder.
 
     Raises
     ------
@@ -44,7 +48,7 @@ def keep_settings(folder: Path, common: BatchSettings, jobs: Sequence[Job]) -> N
                 if given not in own[structure]:
                     _refuse_others(folder, f" for {structure}", before | given, before | own[structure][0])
         own = known | own
-    elif _holds_results(folder):
+    elif _holds_results(folder / table):
         raise ProtochainError(
             f"{folder}: holds results without {NAME} (deleted, or of an older version), so that their "
             "settings are not known; give another folder"
@@ -53,16 +57,16 @@ def keep_settings(folder: Path, common: BatchSettings, jobs: Sequence[Job]) -> N
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
 
 
-def _holds_results(folder: Path) -> bool:
-    """Whether the table of a folder has a row below its headings."""
+def _holds_results(table: Path) -> bool:
+    """Whether a table has a row below its headings."""
     try:
-        with (folder / "summary.csv").open("rb") as file:
+        with table.open("rb") as file:
             return len([*islice(file, 2)]) > 1
     except FileNotFoundError:
         return False
 
 
-def _plain(settings: BatchSettings) -> dict[str, Any]:
+def _plain(settings: JobSettings) -> dict[str, Any]:
     """Settings as JSON reads them back, with all else that makes results differ."""
     values = settings.record() | {"protochain": version("protochain")}
     files = user_files(settings.setup.forcefield)
@@ -77,7 +81,7 @@ def _plain(settings: BatchSettings) -> dict[str, Any]:
     return plain
 
 
-def _of_structures(common: BatchSettings, jobs: Sequence[Job]) -> dict[str, list[dict[str, Any]]]:
+def _of_structures(common: JobSettings, jobs: Sequence[Job]) -> dict[str, list[dict[str, Any]]]:
     """What each structure has other than the common settings; several where a manifest names it again."""
     usual = _plain(common)
     found: dict[str, list[dict[str, Any]]] = {}

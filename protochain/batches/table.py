@@ -32,6 +32,7 @@ COLUMNS = (
 INTEGERS = (
     "iteration", "iterations", "evaluations", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges",
     "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
+    "overlaps_start", "overlaps_end", "n_rounds", "n_residues_let_go",
     *(f"{key}_{when}" for key, each in MEASURES.items() if each.whole for when in ("start", "end")),
 )  # fmt: skip
 """Columns of integers, which a failure lacks: they remain integers, with missing values."""
@@ -45,6 +46,10 @@ TRACE_COLUMNS = (
 )  # fmt: skip
 
 
+SUMMARY = "summary"
+"""Stem of the name of a batch's table."""
+
+
 class Tables:
     """``summary.csv`` and ``traces.csv`` of a folder, written by one process at a time.
 
@@ -54,6 +59,10 @@ class Tables:
         Created if it does not exist.
     resume : bool
         Continue the batch in it; otherwise it may not hold one.
+    name : str
+        Stem of the name of the table.
+    columns : sequence of str
+        Its columns.
 
     Raises
     ------
@@ -66,13 +75,16 @@ class Tables:
     written all of them or none. A loss of power may leave an incomplete row, which is discarded on resuming.
     """
 
-    def __init__(self, folder: Path, resume: bool) -> None:
-        check_writable(folder / "summary.csv")
-        self._is_new = not (folder / "summary.csv").exists()
+    def __init__(
+        self, folder: Path, resume: bool, name: str = SUMMARY, columns: Sequence[str] = COLUMNS
+    ) -> None:
+        self.name, self.columns = name, columns
+        self.summary, self.traces = folder / f"{name}.csv", folder / "traces.csv"
+        check_writable(self.summary)
+        self._is_new = not self.summary.exists()
         self._made = [each for each in (folder, *folder.absolute().parents) if not each.exists()]
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
-        self.summary, self.traces = folder / "summary.csv", folder / "traces.csv"
         self.lock = FileLock(folder / ".lock")
         try:
             self.lock.acquire(timeout=0)
@@ -115,7 +127,7 @@ class Tables:
             kept += rows
         whole = {(row["structure"], row["key"]) for row in kept}
         traces = [row for row in _whole_lines(self.traces) if (row["structure"], row["key"]) in whole]
-        _replace(self.summary, COLUMNS, kept)
+        _replace(self.summary, self.columns, kept)
         _replace(self.traces, TRACE_COLUMNS, traces)
         return done
 
@@ -125,7 +137,7 @@ class Tables:
         own = {name: rows[0].record[name] for name in ("structure", "key")}
         traces = [own | {"method": row.record["method"]} | point for row in rows for point in row.trace]
         _append(self.traces, _lines(TRACE_COLUMNS, traces))
-        _append(self.summary, _lines(COLUMNS, [row.record for row in rows]))
+        _append(self.summary, _lines(self.columns, [row.record for row in rows]))
 
     def sort(self, jobs: Sequence[Job]) -> None:
         """Sort the rows by job and method: they were appended as they arrived."""
@@ -135,7 +147,7 @@ class Tables:
             for m, method in enumerate(job.settings.methods)
         }
         last = (len(jobs), 0)
-        for path, columns in ((self.summary, COLUMNS), (self.traces, TRACE_COLUMNS)):
+        for path, columns in ((self.summary, self.columns), (self.traces, TRACE_COLUMNS)):
             rows = list(_whole_lines(path))
             rows.sort(key=lambda row: order.get((row["structure"], row["key"], row["method"]), last))
             _replace(path, columns, rows)
@@ -168,9 +180,12 @@ def read_table(path: Path) -> "pd.DataFrame":
         "message",
         "key",
         "repairs",
+        "side_chains_turned",
         "left_out",
         "constant_terms",
         "restraint_kj_mol_nm2",
+        "springs_backbone_kj_mol_nm2",
+        "springs_side_chains_kj_mol_nm2",
         "output",
     )
     return pd.read_csv(path, dtype=dict.fromkeys(text, "string") | dict.fromkeys(INTEGERS, "Int64"))

@@ -6,22 +6,18 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from protochain.batches.jobs import BatchSettings, Job, Row, failure, origin
 from protochain.batches.page import write_page
+from protochain.batches.relaxed import SHOWN_RELAXED, RelaxSettings, relaxed
+from protochain.batches.thinning import thinned
 from protochain.errors import ProtochainError, WriteError
+from protochain.minimisers.record import SHOWN
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from protochain.chain import Chain
     from protochain.energies import Energy
     from protochain.minimisers import Solution
     from protochain.structure import Structure
-
-TRACE_POINTS = 50
-"""Rows kept of a trace: the first, the last, and others spaced evenly in the logarithm of their index."""
 
 
 def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
@@ -43,12 +39,13 @@ def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
     """
     began = perf_counter()
     done: list[Row] = []
+    solve, shown = (relaxed, SHOWN_RELAXED) if isinstance(job.settings, RelaxSettings) else (_solve, SHOWN)
     try:
-        for row, structure in _solve(job, folder, threads):
+        for row, structure in solve(job, folder, threads):
             done.append(row)
             repairs = structure.repairs
             yield row
-        write_page(folder, job, done, repairs)
+        write_page(folder, job, done, repairs, shown)
     except WriteError as error:  # With space it may be done: not what is wrong with this structure.
         yield from _rest(job, done, "killed", str(error), perf_counter() - began)
     except ProtochainError as error:
@@ -76,6 +73,7 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
     from protochain.structure.write import common_suffix
 
     s = job.settings
+    assert isinstance(s, BatchSettings)
     began = perf_counter()
     setup = replace(s.setup, threads=threads)
     structure, chain, energy = setup.prepare(job.path, build_energy=shared_energy)
@@ -95,7 +93,7 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
         if reference and method != "openmm":
             apart = ca_rmsd(structure, solution.x, reference.x)
             record["ca_rmsd_to_openmm_angstrom"] = apart
-        yield Row(record, _thin(solution.trace)), structure
+        yield Row(record, thinned(solution.trace)), structure
 
 
 def _run(
@@ -116,11 +114,3 @@ def _run(
     )  # fmt: skip
     overall = found.overall()
     return found.best, overall.pop("starts_summary") | overall
-
-
-def _thin(trace: "pd.DataFrame") -> list[dict[str, float]]:
-    n = len(trace)
-    if n > TRACE_POINTS:
-        places = np.unique(np.geomspace(1, n, TRACE_POINTS).astype(int)) - 1
-        trace = trace.iloc[places]
-    return [{str(key): value for key, value in row.items()} for row in trace.to_dict("records")]

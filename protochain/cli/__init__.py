@@ -19,8 +19,10 @@ from protochain.cli.compare import compare
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
 from protochain.cli.options import BAD_INPUT, fail, with_options
+from protochain.cli.relax import relax
 from protochain.cli.rmsd import rmsd
 from protochain.cli.simulate import simulate
+from protochain.cli.terminal import in_commands
 from protochain.cli.validate import validate
 from protochain.errors import ProtochainError, WriteError
 
@@ -35,7 +37,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-_COMMANDS = (minimise, compare, batch, simulate, validate, rmsd, bench, info, build)
+_COMMANDS = (minimise, relax, compare, batch, simulate, validate, rmsd, bench, info, build)
 
 
 @app.callback(invoke_without_command=True)
@@ -73,7 +75,8 @@ def as_options(message: str) -> str:
     )
     # Not in paths and other names.
     found = re.compile(rf"(?<![\w/.'-])(?:(\w+)=True|({names}))(?![\w/'-]|\.\w)")
-    return found.sub(lambda m: f"--{_RENAMED.get(m[2], m[1] or m[2]).replace('_', '-')}", message)
+    named = found.sub(lambda m: f"--{_RENAMED.get(m[2], m[1] or m[2]).replace('_', '-')}", message)
+    return in_commands(named)
 
 
 def main() -> None:

@@ -37,6 +37,7 @@ from protochain.cli.options import (
 from protochain.cli.terminal import (
     foretell,
     print_distribution,
+    print_outlook,
     print_table,
     print_written,
     run_progress,
@@ -52,6 +53,9 @@ if TYPE_CHECKING:
     from protochain.minimisers import Solution
     from protochain.structure import Structure
     from protochain.structure.trajectory import TrajectoryFile
+
+TROUBLED = 3
+"""Times as many evaluations as usual from starts with overlaps or violations, measured on predicted models."""
 
 Output = Annotated[
     Path | None,
@@ -125,7 +129,7 @@ def minimise(
     records: list[dict[str, Any]] = []
     with _Writer(output, suffix, one_file, trace, report) as write:
         for own, path in runs:
-            records.append(_solved(context, source, own, path, solve, lengths, write))
+            records.append(_solved(context, source, own, path, method, solve, lengths, write))
             if records[-1]["status"] == "interrupted":
                 break
     with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
@@ -249,6 +253,7 @@ def _solved(
     source: Path,
     setup: Setup,
     output: Path,
+    method: str,
     solve: "Callable[[Chain, Energy], tuple[Solution, dict[str, Any]]]",
     lengths: tuple[int, int],
     write: _Writer,
@@ -258,7 +263,9 @@ def _solved(
 
     chain, energy, preparation = prepare(source, setup)
     check_fits(chain.structure, output)
-    foretell(source, chain, energy, *lengths)
+    troubled = print_outlook(source, chain.structure, method)
+    typical, most = lengths
+    foretell(source, chain, energy, min(most, (TROUBLED if troubled else 1) * typical), most)
     context.with_resource(held_interrupts())
     solution, beside = solve(chain, energy)
     if not solution.is_usable:

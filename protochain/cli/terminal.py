@@ -1,6 +1,7 @@
 """Output of the command line: a bar while it computes, a table when it is done."""
 
 import math
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from protochain.batches.jobs import Job
     from protochain.chain import Chain
     from protochain.energies import Energy
+    from protochain.structure import Structure
 
 _WIDTH = 80
 """Characters of the narrowest terminal that holds the table of results."""
@@ -28,6 +30,11 @@ _LINE_EVERY = 60.0
 """s between lines where there is no terminal."""
 _LONG = 30.0
 """s. A run that is expected to take longer says so before it begins."""
+
+
+def in_commands(message: str) -> str:
+    """Message of the library, which names its calls, in the words of the command line."""
+    return re.sub(r"\bpc\.(relax|validate)\b(?!\()", r"protochain \1", message)
 
 
 class _Progress:
@@ -98,6 +105,10 @@ class _RunProgress(_Progress):
                 self.say(f"{self.name}: {name}; the best so far will be written")
         self.show(evaluations, f"{evaluations} evaluations" if self.counts else None)
 
+    def at_warning(self, line: str) -> None:
+        """Print what the user should know at once."""
+        self.say(f"{self.name}: {in_commands(line)}")
+
     def __call__(self, row: "Mapping[str, float]", x: Any) -> None:
         torque = row["max_torque_kj_mol_rad"]
         size = "" if torque != torque else f", torque {torque:.3g} kJ/mol/rad"
@@ -115,6 +126,14 @@ def run_progress(
     """Show stage, energy, torque, evaluations and the time left of a run; ``each`` gets all positions."""
     progress = _RunProgress(method, typical_evaluations(method, max_evaluations), max_evaluations)
     progress.each = each
+    with progress.bar:
+        yield progress
+
+
+@contextmanager
+def evaluations_progress(name: str, typical: int) -> Iterator["Watcher"]:
+    """Show stage, energy and evaluations of what usually takes so many of them."""
+    progress = _RunProgress(name, typical, 3 * typical)
     with progress.bar:
         yield progress
 
@@ -141,6 +160,17 @@ def typical_evaluations(method: str, max_evaluations: int) -> int:
     from protochain.minimisers.recipes import recipe_of
 
     return min(recipe_of(method).typical or max_evaluations, max_evaluations)
+
+
+def print_outlook(source: object, structure: "Structure", method: str) -> bool:
+    """Say on standard error what is wrong with a start and what will be done; return whether anything is."""
+    from protochain.minimisers.outlook import outlook
+    from protochain.minimisers.recipes import recipe_of
+
+    lines = outlook(structure, recipe_of(method))
+    for line in lines:
+        print(f"{source}: {in_commands(line)}", file=sys.stderr)
+    return bool(lines)
 
 
 _CALLS = 5
@@ -251,7 +281,8 @@ def print_table(records: list[dict[str, Any]]) -> None:
     # In less room than the numbers take rich would cut the last ones off.
     console.print(table, crop=False)
     for record in records:
-        console.print(f"{record['method']}: {record['message']}", markup=False, highlight=False)
+        message = in_commands(record["message"])
+        console.print(f"{record['method']}: {message}", markup=False, highlight=False)
 
 
 def print_written(record: dict[str, Any]) -> None:

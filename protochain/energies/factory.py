@@ -115,7 +115,7 @@ def energy(
             f"the System has {system.getNumParticles()} particles but {structure.name} has "
             f"{structure.n_atoms} atoms; build it from structure.topology"
         )
-    return _by_engine(engine, by_openmm)
+    return by_engine(engine, by_openmm)
 
 
 def build_system(
@@ -202,7 +202,7 @@ _TABULATED = "LennardJones"
 """Name of the force that OpenMM makes of a table of pairs."""
 
 
-def _by_engine(engine: str, by_openmm: OpenMMEnergy) -> Energy:
+def by_engine(engine: str, by_openmm: OpenMMEnergy) -> Energy:
     """Choose the engine; ``auto`` falls back on OpenMM and notes why."""
     if engine == "openmm":
         return by_openmm

@@ -2,6 +2,7 @@
 
 import hashlib
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -22,6 +23,7 @@ from protochain.interrupts import held_interrupts, open_to_interrupts
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import minimise_by_openmm
+from protochain.minimisers.outlook import Straying, strayed
 from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
@@ -79,7 +81,9 @@ def minimise(
     watch : callable, optional
         Called with every trace row and its positions (in the frame of the start), to show progress or write a
         trajectory. Its method ``at_stage``, if it has one, is called with the stage (``parting overlaps``,
-        ``torsions``, ``all atoms`` ...) and the evaluations so far.
+        ``held by springs``, ``torsions``, ``all atoms`` ...) and the evaluations so far; ``at_warning`` with a
+        line once a run from a start with overlaps is 2 angstrom (C-alpha RMSD) away, or else
+        :class:`protochain.errors.StrayWarning` says so.
     **options
         ``restraint`` : float, sequence of float (kJ/mol/nm^2), or callable. Springs from the heavy atoms to
         their initial positions: one strength after the other, each until it converges; a final 0 releases
@@ -206,14 +210,19 @@ def _frame(start: Start, run: Minimisation) -> Frame:
 def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     """Walk through the stages of a recipe."""
     chain, energy, hold = start.chain, start.energy, run.hold
-    plan = run.recipe.plan(chain, energy, start.energy_of(run.recipe), run.tolerance, hold, run.seed)
+    reduced = start.energy_of(run.recipe)
+    torque = start.judgement.max_torque
+    plan = run.recipe.plan(chain, energy, reduced, run.tolerance, hold, run.seed, torque)
     waypoint = load_checkpoint(Path(run.resume), plan, run.settings(start)) if run.resume else None
     allowed = Leash(chain.structure, hold.max_rmsd).allows if hold.max_rmsd < np.inf else None
     if not plan[0].recorded:
         record(start.pose.x, start.judgement.energy, start.judgement.max_torque, 0)
 
+    look = _watch_over(start, record)
+
     def note(at: Evaluation, stage: Stage, n_evaluations: int) -> None:
         record.at_stage(stage.name, n_evaluations)
+        look(at.x)
         torque = at.residual if isinstance(stage.space, Torsions) else np.nan
         if stage.recorded:
             record(at.x, at.energy - at.restraint, torque, n_evaluations)
@@ -228,9 +237,17 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     return done
 
 
+def _watch_over(start: Start, record: Recorder) -> Callable[[Floats], None]:
+    """Say when a run from a crowded start goes far; nothing watches others."""
+    return Straying(start.chain.structure, record.warn) if start.is_crowded else lambda x: None
+
+
 def _by_openmm(start: Start, run: Minimisation, record: Recorder) -> Outcome:
+    look = _watch_over(start, record)
+
     def note(x: Floats, energy: float, n_evaluations: int) -> None:
         record.at_stage("all atoms", n_evaluations)
+        look(x)
         record(x, energy, np.nan, n_evaluations)
 
     return minimise_by_openmm(
@@ -242,7 +259,11 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     """Judge an outcome; the start itself is the result where the end is no better."""
     chain, energy, structure = start.chain, start.energy, start.chain.structure
     turned = isinstance(done.space, Torsions)
-    end_chain, at = (chain, pose(chain, done.q)) if turned else _reposed(chain, done)
+    if isinstance(done.space, Torsions):
+        end_chain = done.space.chain
+        at = pose(end_chain, done.q)
+    else:
+        end_chain, at = _reposed(chain, done)
     end = judge(end_chain, energy, at, done.restraint)
     if not end.energy <= start.judgement.energy:
         at, end = start.pose, judge(chain, energy, start.pose, done.restraint)
@@ -252,6 +273,8 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     met = done.complete and residual <= run.tolerance
     judged = "judged by the callable itself" if energy.engine == "custom" else "in double precision"
     status, message = verdict(done.stop, met, f"{measured}, {judged}", structure, at.x, done.n_evaluations)
+    if start.is_crowded and (far := strayed(structure, at.x)):
+        message = f"{message}; {far}"
     x = at.x if at is start.pose else record.frame(at.x)
     return Solution(
         recipe=run.recipe,

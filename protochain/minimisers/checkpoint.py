@@ -54,6 +54,9 @@ def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any]) 
     arrays, tree = read_arrays(path, settings, "minimisation", remedy)
     try:
         stage = plan[tree["fields"]["stage"]]
+        place = tree["fields"].get("at")
+        if stage.fit is not None and place is not None:
+            stage = stage.fit(stage, _value(place, arrays, stage))
         waypoint: Waypoint = _value(tree, arrays, stage)
         return waypoint
     except (KeyError, IndexError, TypeError, AttributeError) as error:

@@ -19,6 +19,10 @@ class Stop(Enum):
     BUDGET = "the evaluations allowed are used up"
     NON_FINITE = "the energy or a torque is not a number"
     INTERRUPTED = "interrupted"
+    STRAINED = (
+        "bonds, angles and contacts are strained beyond what turning bonds can relieve without unfolding the "
+        "chain; pc.relax moves all atoms and keeps the fold"
+    )
 
 
 class State(Protocol):

@@ -94,7 +94,10 @@ class Space(Protocol):
         """Coordinates after a step (n_v,)."""
 
     def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solver for a model of the Hessian made at a point: torques (n_v,) -> step (n_v,)."""
+        """Solver for a model of the Hessian made at a point: torques (n_v,) -> step (n_v,).
+
+        Those of proteins also take how nearby atoms are coupled, and springs to fixed points.
+        """
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the mass matrix at a point: torques (n_v,) -> accelerations (n_v,)."""

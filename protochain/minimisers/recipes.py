@@ -19,11 +19,13 @@ from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Method, Stop
 from protochain.minimisers.metrics import Mass, Stiffness
 from protochain.minimisers.newton import Newton, PseudoTransient
+from protochain.minimisers.parting import UNUSUAL, once_ordinary, parting_in_all_atoms, parting_in_torsions
 from protochain.minimisers.problem import Force, Space
 from protochain.minimisers.restraints import Hold
 from protochain.minimisers.spaces import spaces
-from protochain.minimisers.stages import PATIENCE, Answer, Stage, last, lowest, parting
+from protochain.minimisers.stages import PATIENCE, Answer, Stage, last, lowest
 from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
+from protochain.validation.rings import threaded_rings
 
 SINGLE_PRECISION_ENDS = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
 """Endings that single precision may cause: by its noise, or by numbers beyond 1e38 where atoms overlap."""
@@ -81,8 +83,8 @@ class Recipe:
     runs : tuple of Run
         One after the other, the last once for each restraint; none for methods of OpenMM.
     parts_overlaps : bool
-        Whether overlapping atoms are separated first. KCM is left as published; with all atoms free they
-        separate by themselves.
+        Whether overlapping atoms are separated first, while springs hold all others. KCM is left as
+        published; with all atoms free they separate by themselves.
     draws_random : bool
         Whether its result depends on the seed.
     by_openmm : bool
@@ -139,21 +141,42 @@ class Recipe:
             )
 
     def plan(
-        self, chain: Chain, energy: Energy, reduced: Energy, tolerance: float, hold: Hold, seed: int
+        self,
+        chain: Chain,
+        energy: Energy,
+        reduced: Energy,
+        tolerance: float,
+        hold: Hold,
+        seed: int,
+        max_torque: float = 0.0,
     ) -> list[Stage]:
-        """Stages of this recipe; ``reduced`` is the energy without terms that are constant in the chain."""
+        """Stages of this recipe.
+
+        ``reduced`` is the energy without terms that are constant in the chain, ``max_torque`` the largest
+        torque at the start.
+        """
         torsions, atoms = spaces(chain)
         restraints = hold.restraints(chain.structure)
+        overlap = self.parts_overlaps and bool(overlaps(chain.structure, chain.structure.positions))
+        parts = overlap or (self.parts_overlaps and not max_torque <= UNUSUAL)
+        # Not even free atoms come out of a ring by themselves.
+        parts |= bool(self.runs) and not self.in_torsions and bool(threaded_rings(chain.structure))
         plan: list[Stage] = []
-        if self.parts_overlaps and overlaps(chain.structure, chain.structure.positions):
-            plan.append(parting(torsions))
+        if parts and self.keeps_geometry:
+            plan += parting_in_torsions(torsions, reduced, restraints[0], overlap)
+        elif parts:
+            plan += parting_in_all_atoms(torsions, atoms, energy, restraints[0], overlap)
         for run in self.runs:
             space, own = (torsions, reduced) if run.in_torsions else (atoms, energy)
             method: Any = run.method
             if hasattr(method, "seed") and hasattr(method, "__dataclass_fields__"):
                 method = replace(method, seed=seed)
             for restraint in restraints if run is self.runs[-1] else restraints[:1]:
-                plan += replace(run, method=method).stages(space, own, tolerance, restraint)
+                stages = replace(run, method=method).stages(space, own, tolerance, restraint)
+                if parts and run.in_torsions:
+                    whole = None if self.keeps_geometry else energy
+                    stages = [once_ordinary(stage, whole) for stage in stages]
+                plan += stages
         return plan
 
 

@@ -1,12 +1,12 @@
 """Restraints: energies that hold a run near its start or separate overlaps; no result contains them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.arrays import Floats, Integers
 from protochain.contacts import near_pairs
 from protochain.energies.custom import name_of
 from protochain.errors import ProtochainError
@@ -55,6 +55,28 @@ class Tethers:
 
 
 @dataclass(frozen=True, eq=False)
+class Bound:
+    """Wall around the initial position of every atom: E = k/2 sum (d - limit)^2 over those beyond it.
+
+    Parameters
+    ----------
+    home : (na, 3) float, nm
+    limit : float, nm
+    """
+
+    home: Floats
+    limit: float
+
+    def __call__(self, x: Floats) -> tuple[float, Floats]:
+        """Energy and forces."""
+        away = x - self.home
+        distance = np.linalg.norm(away, axis=1)
+        beyond = np.maximum(0.0, distance - self.limit)
+        pull = (-SOFT_STIFFNESS * beyond / np.maximum(distance, 1e-9))[:, None] * away
+        return float(0.5 * SOFT_STIFFNESS * np.sum(beyond**2)), pull
+
+
+@dataclass(frozen=True, eq=False)
 class Leash:
     """Harmonic wall that begins at 0.9 of the limit of the C-alpha RMSD to the start, superposed.
 
@@ -99,13 +121,21 @@ class SoftRepulsion:
     Parameters
     ----------
     structure : Structure
+    passing : (n, 2) int
+        Pairs of residues whose atoms do not repel each other.
     """
 
     structure: Structure
+    passing: Integers = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces; none between atoms at one point, where the direction is undefined."""
         pairs, touch = near_pairs(self.structure, x, SOFT_SHARE)
+        if len(self.passing):
+            residue, n = self.structure.atom_residue, self.structure.n_residues
+            both, passing = np.sort(residue[pairs], axis=1), np.sort(self.passing, axis=1)
+            repel = ~np.isin(both @ [n, 1], passing @ [n, 1])
+            pairs, touch = pairs[repel], touch[repel]
         across = x[pairs[:, 0]] - x[pairs[:, 1]]
         distance = np.linalg.norm(across, axis=1)
         short = SOFT_SHARE * touch - distance

@@ -1,5 +1,6 @@
 """Result of a minimisation: final structure, trace, and a record for tables and JSON."""
 
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from protochain.arrays import Floats, Integers, Value, Watcher
 from protochain.chain import Chain
 from protochain.energies.protocol import Energy
+from protochain.errors import StrayWarning
 from protochain.frame import Frame
 from protochain.markup import facts
 from protochain.minimisers.recipes import Recipe
@@ -85,6 +87,14 @@ class Recorder:
         tell = getattr(self.watch, "at_stage", None)
         if tell:
             tell(name, evaluations)
+
+    def warn(self, line: str) -> None:
+        """Tell a watcher that has a method ``at_warning`` what the user should know at once; or else warn."""
+        tell = getattr(self.watch, "at_warning", None)
+        if tell:
+            tell(line)
+        else:
+            warnings.warn(line, StrayWarning, stacklevel=2)
 
     def _frame(self, row: int, x: Floats) -> None:
         """Keep the positions of every n-th row, fewer as the run grows longer, and those of the last."""

@@ -77,11 +77,13 @@ class Torsions:
         """Coordinates after a step (n_v,)."""
         return multibody.integrate(self.chain.tree, q, self.scale * step)
 
-    def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solver for J^T C J of the contacts, by Cholesky factorisation."""
+    def stiffness(
+        self, at: Evaluation, near_by: springs.Near = springs.contacts, tether: Floats | None = None
+    ) -> Callable[[Floats], Floats]:
+        """Solver for J^T C J of the contacts (of tethers too), by Cholesky factorisation."""
 
         def factorised() -> Any:
-            matrix = springs.torsion_stiffness(self.chain, _pose(at.pose))
+            matrix = springs.torsion_stiffness(self.chain, _pose(at.pose), near_by, tether)
             matrix *= np.outer(self.scale, self.scale)
             matrix[np.diag_indices_from(matrix)] += springs.TORSION_FLOOR
             return cho_factor(matrix, lower=True, check_finite=False)
@@ -162,9 +164,13 @@ class Cartesian:
         """Coordinates after a step (3 na,)."""
         return np.asarray(q + step)
 
-    def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solver for a sparse matrix of bonds, angles, dihedrals and contacts."""
-        make = partial(springs.cartesian_solver, self.structure, self._springs, at.x, self.moving)
+    def stiffness(
+        self, at: Evaluation, near_by: springs.Near = springs.contacts, tether: Floats | None = None
+    ) -> Callable[[Floats], Floats]:
+        """Solver for a sparse matrix of bonds, angles, dihedrals and contacts (of tethers too)."""
+        make = partial(
+            springs.cartesian_solver, self.structure, self._springs, at.x, self.moving, near_by, tether
+        )
         return make() if len(self.moving) < _LARGE else answering(make, held=True)
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:

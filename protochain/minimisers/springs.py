@@ -85,13 +85,23 @@ def covalent(structure: Structure) -> Springs:
     return Springs(pairs, np.select(near, [BOND, ANGLE], DIHEDRAL))
 
 
-def torsion_stiffness(chain: Chain, at: Pose) -> Floats:
+Near = Callable[[Structure, Floats, int], Springs]
+"""Springs between atoms at positions that are more than a number of bonds apart: :func:`contacts`, or softer."""
+
+
+def torsion_stiffness(
+    chain: Chain, at: Pose, near_by: Near = contacts, tether: Floats | None = None
+) -> Floats:
     """Stiffness K = J^T C J of the contacts of a chain, in its torsions.
 
     Parameters
     ----------
     chain : Chain
     at : Pose
+    near_by : callable
+        Makes the springs.
+    tether : (na,) float, kJ/mol/nm^2, optional
+        Springs of the atoms to fixed points.
 
     Returns
     -------
@@ -99,7 +109,7 @@ def torsion_stiffness(chain: Chain, at: Pose) -> Floats:
         Column k is the response of the springs to a unit turn of freedom k: one outward sweep, the spring
         forces, one inward sweep. O(n_v (bodies + springs)).
     """
-    near = contacts(chain.structure, at.x, 2)
+    near = near_by(chain.structure, at.x, 2)
     # Springs within a rigid group keep their length.
     groups = chain.rigid_groups
     apart = np.ones(len(near.pairs), dtype=bool)
@@ -114,16 +124,22 @@ def torsion_stiffness(chain: Chain, at: Pose) -> Floats:
     for k in range(chain.n_v):
         unit[k] = 1.0
         wrench = np.zeros((chain.n_bodies, 6))
-        _spring_loads(
-            chain.atom_body, arms, at.x, pairs, stiffness, velocities(chain.tree, at.frames, unit), wrench
-        )
+        twists = velocities(chain.tree, at.frames, unit)
+        _spring_loads(chain.atom_body, arms, at.x, pairs, stiffness, twists, wrench)
+        if tether is not None:
+            _tether_loads(chain.atom_body, arms, tether, twists, wrench)
         columns[k] = pull_back(chain.tree, at.frames, wrench)
         unit[k] = 0.0
     return 0.5 * (columns + columns.T)
 
 
 def cartesian_solver(
-    structure: Structure, bonded: Springs, x: Floats, moving: NDArray[np.bool_]
+    structure: Structure,
+    bonded: Springs,
+    x: Floats,
+    moving: NDArray[np.bool_],
+    near_by: Near = contacts,
+    tether: Floats | None = None,
 ) -> Callable[[Floats], Floats]:
     """Solver for the sparse stiffness of bonds, angles, dihedrals and contacts, in Cartesian coordinates.
 
@@ -135,6 +151,10 @@ def cartesian_solver(
     x : (na, 3) float, nm
     moving : (na,) bool
         Atoms that may move.
+    near_by : callable
+        Makes the springs between atoms that are near each other.
+    tether : (na,) float, kJ/mol/nm^2, optional
+        Springs of the atoms to fixed points.
 
     Returns
     -------
@@ -142,9 +162,10 @@ def cartesian_solver(
         (3 na,) float, kJ/mol/nm -> (3 na,) float, nm. Contacts enter by their diagonal blocks only, so that
         the matrix and its factors stay as sparse as the bonds.
     """
-    near = contacts(structure, x, 3)
+    near = near_by(structure, x, 3)
     matrix = _sparse(structure.n_atoms, bonded, x, True) + _sparse(structure.n_atoms, near, x, False)
-    matrix.setdiag(matrix.diagonal() + CARTESIAN_FLOOR)
+    floor = CARTESIAN_FLOOR if tether is None else np.repeat(CARTESIAN_FLOOR + tether, 3)
+    matrix.setdiag(matrix.diagonal() + floor)
     free = np.flatnonzero(np.repeat(moving, 3))
     factors = splu(
         csc_array(matrix[free][:, free]), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
@@ -210,3 +231,16 @@ def _spring_loads(
             back = scale(-1.0, force)
             add_pair(cross(at_i, force), force, wrench, a)
             add_pair(cross(at_j, back), back, wrench, b)
+
+
+@kernel
+def _tether_loads(
+    atom_body: Integers, arms: Floats, stiffness: Floats, twists: Floats, wrench: Floats
+) -> None:
+    """Add the wrenches of springs to fixed points, stretched by the twists of a unit turn of one freedom."""
+    for i in range(len(atom_body)):
+        b = atom_body[i]
+        omega, u = pair(twists, b)
+        at = vector(arms, i)
+        force = scale(stiffness[i], add(u, cross(omega, at)))
+        add_pair(cross(at, force), force, wrench, b)

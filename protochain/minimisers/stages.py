@@ -10,7 +10,15 @@ from protochain.chain import Chain
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Ending, Method, Snapshot, Stop, run
-from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Problem, Space, Tally
+from protochain.minimisers.problem import (
+    BudgetSpentError,
+    Evaluation,
+    Force,
+    Placement,
+    Problem,
+    Space,
+    Tally,
+)
 from protochain.minimisers.restraints import SOFT_TETHER, SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.steps import StrongWolfe
@@ -60,6 +68,10 @@ class Stage:
         Endings of the stage before after which this one runs; empty for always.
     name : str
         What it does, for whoever watches.
+    ready : callable, optional
+        Whether to run it from where the stage before ended; otherwise it is left out.
+    fit : callable, optional
+        The stage as it runs from the positions (na, 3) where the one before ended.
     """
 
     space: Space
@@ -72,6 +84,8 @@ class Stage:
     answer: Answer = lowest
     after: tuple[Stop, ...] = ()
     name: str = ""
+    ready: "Callable[[Stage, Placement], bool] | None" = None
+    fit: "Callable[[Stage, Floats], Stage] | None" = None
 
 
 def parting(space: Torsions) -> Stage:
@@ -94,11 +108,14 @@ class Waypoint:
         Iterations of the stages before.
     last : Snapshot
         Of the loop.
+    at : (na, 3) float, nm, or None
+        Positions that the stage was fitted to, if it was.
     """
 
     stage: int
     before: int
     last: Snapshot
+    at: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,15 +183,23 @@ def walk(
     first, n_iterations, waiting = 0, 0, None
     if resume is not None:
         first, n_iterations, waiting = resume.stage, resume.before, resume.last
+    space, home, left_out = plan[first].space, None, False
     q, waypoint = plan[0].space.start(chain.structure.positions), resume
     stop, n_evaluations = Stop.BUDGET, 0
     for i, stage in enumerate(plan[first:], first):
         if waiting is not None:
+            stage, home = _fitted(stage, resume.at if resume else None)
             q = waiting.start.q
         elif stage.after and stop not in stage.after:
             continue
-        elif i and plan[i - 1].space is not stage.space:
-            q = stage.space.start(plan[i - 1].space.place(q).x)
+        else:
+            left_out = stage.ready is not None and not stage.ready(stage, space.place(q))
+            if left_out:
+                continue
+            stage, home = _fitted(stage, space.place(q).x)
+            if stage.space is not space:
+                q = stage.space.start(space.place(q).x)
+        space = stage.space
         problem = Problem(stage.space, stage.energy, max_evaluations, stage.restraint, allowed)
         problem.restore(Tally(n_evaluations, None, n_evaluations), stage.space.place(q).x)
 
@@ -188,12 +213,19 @@ def walk(
             stop = Stop.BUDGET if isinstance(error, BudgetSpentError) else Stop.INTERRUPTED
             break
         stop, waiting, n_evaluations = ending.stop, None, problem.n_evaluations
-        waypoint = Waypoint(i, n_iterations, ending.last)
+        waypoint = Waypoint(i, n_iterations, ending.last, home)
         n_iterations += ending.last.n_iterations
         q = stage.answer(problem, ending, q)
         if stop in (Stop.BUDGET, Stop.INTERRUPTED):
             break
         if stop is Stop.NON_FINITE and not (plan[i + 1 :] and stop in plan[i + 1].after):
             break
-    complete = all(left.after for left in plan[i + 1 :])
-    return Outcome(stop, stage.space, q, n_iterations, n_evaluations, stage.restraint, complete, waypoint)
+    if left_out:
+        stop = Stop.STRAINED
+    complete = not left_out and all(left.after for left in plan[i + 1 :])
+    return Outcome(stop, space, q, n_iterations, n_evaluations, stage.restraint, complete, waypoint)
+
+
+def _fitted(stage: Stage, x: Floats | None) -> tuple[Stage, Floats | None]:
+    """Stage as it runs from positions, and these, for its waypoint; as it is, if it needs no fit."""
+    return (stage, None) if stage.fit is None or x is None else (stage.fit(stage, x), x)

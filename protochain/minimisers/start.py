@@ -7,6 +7,7 @@ import numpy as np
 
 from protochain.chain import Chain, Pose, pose
 from protochain.energies.protocol import Energy
+from protochain.minimisers.outlook import is_crowded
 from protochain.minimisers.problem import Evaluation, Problem, evaluate
 from protochain.minimisers.recipes import Recipe
 from protochain.minimisers.spaces import spaces
@@ -31,6 +32,11 @@ class Start:
     def pose(self) -> Pose:
         """Pose of the chain at its start."""
         return pose(self.chain, self.chain.q0)
+
+    @cached_property
+    def is_crowded(self) -> bool:
+        """Whether atoms overlap at the start, or a bond goes through a ring."""
+        return is_crowded(self.chain.structure)
 
     @cached_property
     def judgement(self) -> Judgement:

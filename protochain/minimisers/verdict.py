@@ -1,5 +1,6 @@
 """Status of a result, from energy and forces recomputed on OpenMM's Reference platform."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -15,6 +16,7 @@ from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
 from protochain.structure.chirality import changed_hands, listed
 from protochain.structure.model import Structure
+from protochain.validation.rings import threaded_rings
 
 
 class Status(StrEnum):
@@ -27,6 +29,7 @@ class Status(StrEnum):
     NON_FINITE = "non-finite"
     INTERRUPTED = "interrupted"
     INVERTED = "inverted"
+    VIOLATIONS = "violations"
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,13 @@ def rebuilt(chain: Chain, x: Floats) -> Chain:
 
 
 def verdict(
-    stop: Stop, met: bool, measured: str, structure: Structure, x: Floats, n_evaluations: int
+    stop: Stop,
+    met: bool,
+    measured: str,
+    structure: Structure,
+    x: Floats,
+    n_evaluations: int,
+    inverted: Sequence[str] | None = None,
 ) -> tuple[Status, str]:
     """Status and message, from the reason a run ended and the residual that the judge measured.
 
@@ -89,25 +98,31 @@ def verdict(
         The start.
     x : (na, 3) float, nm
     n_evaluations : int
+    inverted : sequence of str, optional
+        Atoms that changed hand and should not have; by default all that did.
 
     Returns
     -------
     Status, str
     """
-    inverted = changed_hands(structure, x, structure.positions)
+    if inverted is None:
+        inverted = changed_hands(structure, x, structure.positions)
     if inverted:
         measured = f"{listed(inverted)} changed hand; lbfgs keeps hands: it turns bonds only; {measured}"
         if stop is not Stop.INTERRUPTED:
             return Status.INVERTED, f"inverted: {measured}"
         met = False
-    # A minimum with overlapping atoms is no usable result.
-    overlap = overlaps(structure, x)
-    if met and not overlap:
+    # A minimum with overlapping atoms, or with a bond through a ring, is no usable result.
+    overlap, threaded = overlaps(structure, x), threaded_rings(structure, x)
+    if met and not (overlap or threaded):
         return Status.CONVERGED, f"converged: {measured}"
     if stop is Stop.INTERRUPTED:
         return Status.INTERRUPTED, f"interrupted after {n_evaluations} evaluations: {measured}"
     if overlap:
         return Status.CLASH, f"clash: {overlap[0]}; {measured}"
+    if threaded:
+        remedy = "hybrid and pc.relax try to draw it out; otherwise build these side chains anew"
+        return Status.CLASH, f"clash: {threaded[0]}; {remedy}; {measured}"
     if stop is Stop.NON_FINITE:
         return (
             Status.NON_FINITE,

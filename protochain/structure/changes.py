@@ -35,6 +35,8 @@ _ALIKE: tuple[tuple[str, str], ...] = (
     (r"missing OXT added", "missing OXT added"),
     (r"missing .+ added", "missing atoms added"),
     (r"\d+ hydrogens left out: .+", "hydrogens left out that do not belong to the state"),
+    (r"side chain turned from .+", "side chains turned"),
+    (r"polar hydrogen turned", "polar hydrogens turned"),
     (r"converted to its standard parent .+", "modified residues converted to their standard parents"),
 )
 """What a line says of one residue, and what is said of many."""

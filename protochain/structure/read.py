@@ -25,6 +25,9 @@ from protochain.structure.templates import other_names, rename, standard_name, t
 
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""
+PEPTIDE_TORN = 3.0
+"""Angstrom: C and N of consecutive numbers are bonded up to here, as in models whose bonds are off. Atoms of
+two chain ends do not come that near: C and N that are not bonded touch at 3.25."""
 SMALLEST_RING = 4
 """Fewest residues of a head-to-tail cyclic peptide."""
 _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.ConnectionType.MetalC)
@@ -287,7 +290,10 @@ class _Reader:
         for member in run:
             if part:
                 gap = _gap(part[-1], member)
-                if gap >= PEPTIDE_BREAK:
+                if gap >= PEPTIDE_BREAK and _is_torn(part[-1], member, gap):
+                    where = f"the bond of {part[-1]} and {member}"
+                    self._report(f"{where} is {gap:.1f} angstrom long: kept as a peptide bond")
+                elif gap >= PEPTIDE_BREAK:
                     self._break(part[-1], member, gap)
                     self._add(part)
                     part = []
@@ -371,6 +377,12 @@ def _gap(last: Member, first: Member) -> float:
     if end is None or start is None or last.name in ("NME", "NH2") or first.name == "ACE":
         return np.inf
     return float(end.pos.dist(start.pos))
+
+
+def _is_torn(last: Member, first: Member, gap: float) -> bool:
+    """Whether two residues, too far apart, are nevertheless bonded."""
+    follows = int(first.number) == int(last.number) + 1
+    return follows and gap < PEPTIDE_TORN and not last.atom("OXT") and not last.is_cap and not first.is_cap
 
 
 def _report_left_out(draft: Draft) -> None:

@@ -14,7 +14,8 @@ from protochain.arrays import Floats, Integers
 from protochain.structure.chirality import hand
 from protochain.structure.draft import Member
 from protochain.structure.packing import WIDTH, wrapped
-from protochain.structure.sidechains import conformers, dihedral, unit
+from protochain.structure.sidechains import conformers, dihedral
+from protochain.structure.turning import beyond, turned
 
 _NEAR = 0.65
 """Fraction of the sum of the van der Waals radii: nearer atoms are moved. Hydrogen bonds are longer."""
@@ -123,11 +124,11 @@ class _Room:
         axes, outward, columns = [], [], []
         for k, quartet in enumerate(residues.CHI.get(member.name, ())):
             atoms = tuple(at[name] for name in quartet)
-            turned = self._beyond(atoms[1], atoms[2])
-            heavy = {i for i in turned if self.radius[i] != residues.VAN_DER_WAALS["H"]}
+            its = beyond(self.bonded, atoms[1], atoms[2])
+            heavy = {i for i in its if self.radius[i] != residues.VAN_DER_WAALS["H"]}
             if heavy <= built:
                 axes.append(atoms)
-                outward.append(np.array(sorted(turned), dtype=np.int64))
+                outward.append(np.array(sorted(its), dtype=np.int64))
                 columns.append(k)
         chi, frequency = conformers(member.name)
         columns = [k for k in columns if k < chi.shape[1]]
@@ -136,15 +137,6 @@ class _Room:
         chosen = hand(member) * chi[:, columns]
         n = len(columns)
         return Arm(chosen, -np.log(np.maximum(frequency, 1e-6)), tuple(axes[:n]), tuple(outward[:n]))
-
-    def _beyond(self, first: int, second: int) -> set[int]:
-        """Atoms on the second's side of a bond, without the second."""
-        found, ahead = {first, second}, [second]
-        while ahead:
-            fresh = [i for i in self.bonded[ahead.pop()] if i not in found]
-            found.update(fresh)
-            ahead += fresh
-        return found - {first, second}
 
     def crowded(self, arms: dict[int, Arm]) -> list[int]:
         """Residues that can turn and have an atom too near to another."""
@@ -163,13 +155,7 @@ class _Room:
         """Give a side chain the conformer of lowest cost."""
         moved = arm.outward[0]
         chi, cost = self._tried(arm)
-        tried = np.repeat(self.x[moved][None], len(chi), axis=0)
-        row = {int(atom): k for k, atom in enumerate(moved)}
-        for k, (quartet, outward) in enumerate(zip(arm.axes, arm.outward, strict=True)):
-            at = [tried[:, row[i]] if i in row else self.x[i] for i in quartet]
-            angle = chi[:, k] - dihedral(*at)
-            rows = [row[int(i)] for i in outward]
-            tried[:, rows] = _rotated(tried[:, rows], at[1], at[2], angle)
+        tried = turned(self.x, arm.axes, arm.outward, chi, moved)
         cost = cost + self._repulsion(moved, tried)
         best = int(np.argmin(np.round(cost, 6)))
         if best:
@@ -209,13 +195,3 @@ class _Room:
         apart = np.sqrt(np.einsum("...i,...i", way, way))
         contact = _FIRM * (self.radius[atom] + self.radius[others])
         return np.asarray((_STEEPNESS * np.maximum(0.0, 1.0 - apart / contact)).sum(axis=1))
-
-
-def _rotated(x: Floats, start: Floats, end: Floats, angle: Floats) -> Floats:
-    """Rotate positions (n, k, 3) about the axis from start to end, (3,) or (n, 3), by angles (n,)."""
-    axis = np.broadcast_to(unit(end - start), (len(angle), 3))[:, None]
-    arm = x - np.broadcast_to(end, (len(angle), 3))[:, None]
-    c, s = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
-    along = axis * (axis * arm).sum(axis=-1, keepdims=True)
-    turned = along + c * (arm - along) + s * np.cross(axis, arm)
-    return np.asarray(np.broadcast_to(end, (len(angle), 3))[:, None] + turned)

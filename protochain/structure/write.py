@@ -8,6 +8,7 @@ from typing import Any
 import gemmi
 import numpy as np
 
+from protochain.checks import flag
 from protochain.checks import path as as_path
 from protochain.errors import StructureError
 from protochain.residues import NUCLEOTIDES
@@ -25,7 +26,7 @@ _CIS = 30.0
 """Degrees: a peptide bond with an omega below this is cis, as in the PDB archive's CISPEP records."""
 
 
-def save(structure: Any, path: str | Path, remarks: Iterable[str] = ()) -> None:
+def save(structure: Any, path: str | Path, remarks: Iterable[str] = (), *, hydrogens: bool = True) -> None:
     """Write a structure to a file, with what its source said of it.
 
     Chain ids, numbers, insertion codes, occupancies, B factors, title, unit cell, sequences, helices and
@@ -41,20 +42,22 @@ def save(structure: Any, path: str | Path, remarks: Iterable[str] = ()) -> None:
         ``.bz2`` or ``.xz`` follows.
     remarks : iterable of str
         Lines of provenance, written as REMARK 3 or in the category ``_protochain_provenance``.
+    hydrogens : bool
+        Whether to write them.
 
     Raises
     ------
     StructureError
         If the suffix is unknown, or the structure does not fit the format.
     """
-    path = as_path(path, "path")
+    path, hydrogens = as_path(path, "path"), flag(hydrogens, "hydrogens")
     check_format(path)
     several = isinstance(structure, list | tuple)
     models = [as_structure(each) for each in (structure if several else [structure])]
     for each in models:
         check_fits(each, path)
     _, suffix, packing = split_name(path)
-    data = as_text(models, suffix, remarks).encode()
+    data = as_text(models, suffix, remarks, hydrogens=hydrogens).encode()
     packed = PACKINGS[packing.lower()](data) if packing else data
     write_atomically(path, lambda target: target.write_bytes(packed))
 

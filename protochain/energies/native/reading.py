@@ -12,8 +12,11 @@ class UnsupportedForceError(ForceFieldError):
 
 
 def plain(value: Any) -> float:
-    """Return a quantity as a number in OpenMM's units (nm, ps, amu, kJ/mol, e, rad)."""
-    return float(value.value_in_unit_system(unit.md_unit_system) if unit.is_quantity(value) else value)
+    """Return what a getter of OpenMM returns as a number in OpenMM's units (nm, ps, amu, kJ/mol, e, rad).
+
+    Its quantities are in these units; to convert each of some hundred thousand would take a second.
+    """
+    return float(value._value if isinstance(value, unit.Quantity) else value)
 
 
 def bare(expression: str) -> str:

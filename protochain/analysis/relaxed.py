@@ -1,0 +1,56 @@
+"""Page of a relaxation: before and after, both structures, the end coloured by how far each atom moved."""
+
+import shlex
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from protochain.analysis.plots import plot_displacement
+from protochain.analysis.report import data_url
+from protochain.analysis.viewer import scene, superposed, template
+from protochain.relaxation import Relaxation
+from protochain.relaxation.record import before_and_after
+from protochain.storage import write_atomically
+from protochain.units import ANGSTROM_PER_NM
+
+_FULL_RED = 2.0
+"""Angstrom of displacement from which on the colour is the same; less where nothing moved as far."""
+
+
+def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path) -> None:
+    """Write the page of a relaxation, one file that works offline.
+
+    Parameters
+    ----------
+    relaxation : Relaxation
+    record : mapping
+        Its record, with what the caller adds.
+    path : Path
+        HTML file.
+    """
+    strength = relaxation.settings.strength
+    text = template("relaxed.html").render(
+        record=record,
+        rows=before_and_after(record),
+        figure=data_url(plot_displacement(relaxation.displacements, relaxation.start.name)),
+        command=shlex.join(sys.argv),
+        name=strength.name,
+        source=strength.source,
+        **coloured(relaxation),
+    )
+    write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
+
+
+def coloured(relaxation: Relaxation) -> dict[str, Any]:
+    """Variables of the viewer's template; displacements are in the column of the end's B factors."""
+    start = relaxation.start
+    end = superposed(relaxation.structure, start)
+    away = ANGSTROM_PER_NM * np.linalg.norm(end.positions - start.positions, axis=1)
+    shown = scene({"input": start, "relaxed": replace(end, b_factor=away)})
+    heavy = away[start.atom_element != "H"]
+    shown["models"][1]["farthest_angstrom"] = max(0.01, min(_FULL_RED, float(heavy.max())))
+    return shown

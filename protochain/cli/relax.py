@@ -1,0 +1,250 @@
+"""``protochain relax``."""
+
+import json
+import sys
+from contextlib import nullcontext, redirect_stdout
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from protochain import defaults
+from protochain.cli.options import (
+    CONVERGED,
+    FAILED,
+    STANDARD_OUTPUT,
+    UNCONVERGED,
+    AsJson,
+    check_outputs,
+    fail,
+    with_setup,
+)
+from protochain.errors import ProtochainError
+from protochain.setup import Setup
+
+if TYPE_CHECKING:
+    from protochain.relaxation import Relaxation, Relaxing
+
+Inputs = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="IN...", help="PDB or mmCIF files, packed or not, folders, patterns; - is standard input."
+    ),
+]
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        help="File, or folder for several [default: NAME.relaxed.pdb, or the folder relaxed].",
+    ),
+]
+Preset = Annotated[str, typer.Option(help="Springs to the input: predicted, crystal or design.")]
+Protocol = Annotated[
+    str,
+    typer.Option(
+        help="alphafold: amber99sb in vacuum, to compare with; its X-H bonds are constrained, here not."
+    ),
+]
+Tolerance = Annotated[float | None, typer.Option(help="RMS force at the end, kJ/mol/nm [default: 10].")]
+Stiffness = Annotated[
+    float | None,
+    typer.Option(
+        help="Springs, kJ/mol/nm^2 [default: of the preset, 4184, AlphaFold's 10 kcal/mol/angstrom^2]."
+    ),
+]
+MaxIterations = Annotated[int, typer.Option(help="Iterations of each minimisation; 0 for no limit.")]
+MaxOuter = Annotated[
+    int, typer.Option(help="Rounds at most; after the first, residues with violations are held less.")
+]
+Exclude = Annotated[
+    str, typer.Option(help="Residues without springs, in MDAnalysis's selection language: 'resid 5:20'.")
+]
+Hydrogens = Annotated[
+    bool, typer.Option("--keep-hydrogens/--strip-hydrogens", help="Whether the output has hydrogens.")
+]
+Repack = Annotated[
+    bool,
+    typer.Option(
+        "--repack",
+        help="First put side chains that clash, or are far from every rotamer, into the best rotamers.",
+    ),
+]
+Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
+Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
+Workers = Annotated[
+    int | None, typer.Option(help="Of several: processes on this machine [default: all cores].")
+]
+TimeLimit = Annotated[float, typer.Option(help="Of several: seconds after which a structure is given up.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Of several: continue in the folder.")]
+
+
+@with_setup(without="hinges move")
+def relax(
+    inputs: Inputs,
+    output: Output = None,
+    preset: Preset = defaults.PRESET,
+    protocol: Protocol = "",
+    tolerance: Tolerance = None,
+    stiffness: Stiffness = None,
+    max_iterations: MaxIterations = defaults.MAX_ITERATIONS,
+    max_outer_iterations: MaxOuter = defaults.MAX_OUTER_ITERATIONS,
+    exclude: Exclude = "",
+    keep_hydrogens: Hydrogens = True,
+    repack: Repack = False,
+    report: Report = None,
+    workers: Workers = None,
+    time_limit: TimeLimit = defaults.TIME_LIMIT,
+    resume: Resume = False,
+    as_json: AsJson = False,
+    force: Force = False,
+    *,
+    setup: Setup,
+) -> None:
+    """Make predicted models clean: overlaps and broken bonds gone, the fold kept.
+
+    Several files, a folder or a pattern go to a folder, with the table relaxed.csv.
+    """
+    from protochain.relaxation.settings import Relaxing
+
+    relaxing = Relaxing(
+        preset, protocol, tolerance, stiffness, max_iterations, max_outer_iterations, exclude, keep_hydrogens,
+        repack,
+    )  # fmt: skip
+    setup = relaxing.setup(setup)
+    if len(inputs) == 1 and _is_one_file(inputs[0]) and not isinstance(setup.model, str):
+        if resume:
+            raise ProtochainError(f"resume: {inputs[0]} is one file, which is not resumed; leave it out")
+        raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, as_json, force))
+    if report:
+        raise ProtochainError(
+            f"report {report}: several structures have report.html in their folder; leave it out"
+        )
+    raise typer.Exit(_several(inputs, output, relaxing, setup, as_json, workers, time_limit, resume))
+
+
+def _is_one_file(given: str) -> bool:
+    return given == "-" or Path(given).is_file() or not (Path(given).is_dir() or set("*?[") & set(given))
+
+
+def _one(
+    source: Path,
+    output: Path | None,
+    relaxing: "Relaxing",
+    setup: Setup,
+    report: Path | None,
+    as_json: bool,
+    force: bool,
+) -> int:
+    """Relax one file; return the exit status."""
+    from protochain.cli.relaxing import print_relaxed, progress, tell_plan
+    from protochain.interrupts import held_interrupts
+    from protochain.relaxation.api import relax_structure
+    from protochain.relaxation.names import relaxed_name
+    from protochain.structure.write import check_fits, check_format
+
+    output = Path(relaxed_name(source)) if output is None else output
+    if output.is_dir():
+        output = output / relaxed_name(source)
+    if str(output) != STANDARD_OUTPUT:
+        check_format(output)
+    elif as_json:
+        raise ProtochainError("output -: structure and --json both go to standard output; give a file")
+    if report and report.suffix.lower() != ".html":
+        raise ProtochainError(f"{report}: give a name that ends in .html")
+    check_outputs(source, [output, *([report] if report else [])], force)
+    began = perf_counter()
+    structure = setup.load(source)
+    energy = setup.energy(structure)
+    check_fits(structure, output)
+    preparation = perf_counter() - began
+    seconds = tell_plan(source, structure, energy)
+    with held_interrupts():
+        with progress(seconds) as watch:
+            result = relax_structure(structure, energy, relaxing, watch)
+        if not result.is_usable:
+            return fail(f"{source}: {result.message}; nothing is better than the start: nothing is written")
+        _write(result, output, source)
+        record = result.record() | {
+            "input": str(source), "output": str(output), "seconds_preparation": preparation,
+        }  # fmt: skip
+        lost = _write_report(result, record, report)
+    if lost:
+        record["not_written"] = lost
+        fail(f"{lost}; saved: {output}")
+    elif report:
+        record["report"] = str(report)
+    if as_json:
+        print(json.dumps(record, allow_nan=False))
+    else:
+        with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
+            print_relaxed(record)
+    return CONVERGED if record["status"] == "converged" and not lost else UNCONVERGED
+
+
+def _write(result: "Relaxation", output: Path, source: Path) -> None:
+    from protochain.structure.files import format_of
+    from protochain.structure.write import as_text, common_suffix
+
+    if str(output) != STANDARD_OUTPUT:
+        result.save(output)
+        return
+    suffix = ".cif" if format_of(source) == "mmCIF" else common_suffix([result.structure])
+    hydrogens = result.settings.keep_hydrogens
+    sys.stdout.write(as_text(result.structure, suffix, result.provenance(), hydrogens=hydrogens))
+
+
+def _write_report(result: "Relaxation", record: dict[str, Any], report: Path | None) -> str:
+    """Write the page; return why it could not be written, which loses nothing else."""
+    from protochain.errors import WriteError
+
+    if report is None:
+        return ""
+    from protochain.analysis.relaxed import write_relaxed
+
+    try:
+        write_relaxed(result, record, report)
+    except WriteError as error:
+        return str(error)
+    return ""
+
+
+def _several(
+    inputs: list[str],
+    output: Path | None,
+    relaxing: "Relaxing",
+    setup: Setup,
+    as_json: bool,
+    workers: int | None,
+    time_limit: float,
+    resume: bool,
+) -> int:
+    """Relax many files into a folder; return the exit status."""
+    from protochain.batches.relaxing import relax_files
+    from protochain.cli.relaxing import print_folder
+    from protochain.cli.terminal import batch_progress
+
+    folder = Path("relaxed") if output is None else output
+    if folder.is_file() or folder.suffix.lower() in (".pdb", ".cif", ".ent", ".mmcif"):
+        raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
+    with batch_progress() as watch:
+        done = relax_files(
+            inputs,
+            folder,
+            relaxing,
+            setup,
+            resume=resume,
+            watch=watch,
+            workers=workers,
+            time_limit=time_limit,
+        )
+    if as_json:
+        print((folder / "summary.json").read_text())
+    else:
+        print_folder(done.table, folder)
+    if done.interrupted:
+        print("protochain: interrupted; --resume does the rest", file=sys.stderr)
+    if set(done.counts()) == {"converged"} and not done.interrupted:
+        return CONVERGED
+    return UNCONVERGED if done.table["output"].notna().any() else FAILED

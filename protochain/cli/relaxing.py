@@ -1,0 +1,121 @@
+"""What ``protochain relax`` says: first what it will do, then what became better."""
+
+import sys
+import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from protochain.cli.options import print_changes
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from protochain.arrays import Watcher
+    from protochain.energies import Energy
+    from protochain.structure import Structure
+
+_EVALUATIONS = 90
+"""That relaxations usually take."""
+_WIDTH = 80
+"""Characters of the narrowest terminal."""
+_SHOWN = 10
+"""Structures without a result, or with something left to mend, that are listed."""
+_SHOW_FROM = 5.0
+"""s. Shorter runs are over before a bar is of use, and do without the time that its library takes to load."""
+
+
+def tell_plan(source: Path, structure: "Structure", energy: "Energy") -> float:
+    """Say what will be done to a file, and how long it may take; return that in seconds."""
+    from protochain.contacts import overlaps
+    from protochain.validation import threaded_rings, violations
+
+    print_changes(source, structure)
+    x = structure.positions
+    energy(x)  # It loads kernels.
+    began = monotonic()
+    energy(x)
+    seconds = _EVALUATIONS * (monotonic() - began)
+    n_residues = len({*structure.atom_residue[~structure.kept].tolist()})
+    found, rings = overlaps(structure, x), threaded_rings(structure)
+    said = [
+        f"{n_residues} residues, {structure.n_atoms} atoms",
+        f"{len(found) or 'no'} pair{'s' * (len(found) != 1)} of atoms overlap{'s' * (len(found) == 1)}",
+        str(violations(structure, x)),
+        *(["threaded rings, to be freed first: " + ", ".join(map(str, rings))] if rings else []),
+        *_breaks(structure),
+        f"about {max(seconds, 1.0):.0f} s",
+    ]
+    print(f"{source}: {'; '.join(said)}", file=sys.stderr)
+    return seconds
+
+
+def _breaks(structure: "Structure") -> list[str]:
+    """Breaks in chains, in words."""
+    mine = sorted({*structure.atom_residue[~structure.kept].tolist()})
+    parts, chains = {*structure.residue_chain_index[mine].tolist()}, {*structure.residue_chain[mine].tolist()}
+    n = len(parts) - len(chains)
+    return (
+        [f"{n} chain break{'s' * (n > 1)}, which stay{'s' * (n == 1)} as {'they are' if n > 1 else 'it is'}"]
+        if n > 0
+        else []
+    )
+
+
+@contextmanager
+def progress(seconds: float) -> Iterator["Watcher | None"]:
+    """Show stage, energy and evaluations of a run that takes long."""
+    if seconds < _SHOW_FROM:
+        yield None
+        return
+    from protochain.cli.terminal import evaluations_progress
+
+    with evaluations_progress("relax", _EVALUATIONS) as watch:
+        yield watch
+
+
+def print_relaxed(record: dict[str, Any]) -> None:
+    """Print what is wrong before and after, how far the structure moved, and where it is."""
+    from protochain.relaxation.record import before_and_after
+    from protochain.structure.changes import summarised
+
+    rows = before_and_after(record)
+    wide = max(len(what) for what, _, _ in rows)
+    print(f"{'':{wide}} {'before':>12} {'after':>12}")
+    for what, before, after in rows:
+        print(f"{what:{wide}} {before:>12} {after:>12}")
+    rounds = record["n_rounds"]
+    moved = (
+        f"C-alpha RMSD to the input {record['ca_rmsd_angstrom']:.2f} angstrom, farthest atom "
+        f"{record['farthest_atom_angstrom']:.2f}; {rounds} round{'s' * (rounds > 1)}, "
+        f"{record['evaluations']} evaluations, {record['seconds']:.1f} s"
+    )
+    said = [moved, record["message"]]
+    if record["repacked"]:
+        told = summarised(record["side_chains_turned"]) or ("no side chain is better turned",)
+        said.insert(1, f"repacked first: {'; '.join(told)}")
+    print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
+    print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
+    if "report" in record:
+        print(f"written: {record['report']}")
+
+
+def print_folder(table: "DataFrame", folder: Path) -> None:
+    """Print how many ended how, what is left to mend, and where all is."""
+    usable = table[table["output"].notna()]
+    counts = ", ".join(f"{n} {status}" for status, n in table["status"].value_counts().items())
+    print(f"{len(table)} structures: {counts}")
+    if len(usable):
+        before, after = (int(usable[f"violations_{when}"].sum()) for when in ("start", "end"))
+        print(
+            f"residues with violations {before} before, {after} after; medians: C-alpha RMSD "
+            f"{usable['ca_rmsd_angstrom'].median():.2f} angstrom, {usable['seconds'].median():.1f} s"
+        )
+    left = table[table["status"] != "converged"]
+    for row in left.head(_SHOWN).itertuples():
+        print(f"{row.structure}: {row.message}")
+    if len(left) > _SHOWN:
+        print(f"and {len(left) - _SHOWN} more, in the table")
+    print(f"written: {folder / 'relaxed.csv'}, the structures, and report.html beside them")

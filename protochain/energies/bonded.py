@@ -1,0 +1,39 @@
+"""The bonded part of an energy: what holds molecules together while their atoms pass through one another."""
+
+import copy
+
+import openmm
+
+from protochain.energies.factory import by_engine
+from protochain.energies.openmm_engine import OpenMMEnergy
+from protochain.energies.protocol import Energy
+
+_BONDED = (
+    openmm.HarmonicBondForce,
+    openmm.HarmonicAngleForce,
+    openmm.PeriodicTorsionForce,
+    openmm.CustomTorsionForce,
+    openmm.CMAPTorsionForce,
+)
+
+
+def bonded_part(energy: Energy) -> Energy | None:
+    """Bonds, angles and dihedrals of an energy, without all that acts between other atoms.
+
+    Parameters
+    ----------
+    energy : Energy
+
+    Returns
+    -------
+    Energy or None
+        None if nothing is known of its terms, as of a callable.
+    """
+    if energy.system is None:
+        return None
+    system = copy.deepcopy(energy.system)
+    for place in reversed(range(system.getNumForces())):
+        if not isinstance(system.getForce(place), _BONDED):
+            system.removeForce(place)
+    by_openmm = OpenMMEnergy(system, "CPU", energy.threads, energy.forcefield, "vacuum", "bonded terms alone")
+    return by_engine("auto", by_openmm)

@@ -1,0 +1,95 @@
+"""What is wrong with a start, and what a method will do about it: said before a run, and while it strays."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from protochain.arrays import Floats
+from protochain.contacts import overlaps
+from protochain.minimisers.recipes import Recipe
+from protochain.structure.model import Structure
+from protochain.structure.superpose import rmsd_angstrom
+from protochain.validation.rings import threaded_rings
+from protochain.validation.violations import violations
+
+FAR = 2.0
+"""angstrom. C-alpha RMSD from a start with overlaps at which the fold is no longer that of the input."""
+
+_SHOWN_RINGS = 3
+
+
+def outlook(structure: Structure, recipe: Recipe) -> list[str]:
+    """Say what is wrong with a start, and what a method does about it first.
+
+    Parameters
+    ----------
+    structure : Structure
+    recipe : Recipe
+
+    Returns
+    -------
+    list of str
+        A line for what is counted, one for each threaded ring, and one for what will be done; none for a start
+        without violations, overlaps and threaded rings.
+    """
+    crowd = len(overlaps(structure, structure.positions))
+    threaded, wrong = threaded_rings(structure), violations(structure)
+    counted = [f"{crowd} {'pair' if crowd == 1 else 'pairs'} of atoms overlap"] if crowd else []
+    if wrong:
+        counted.append(str(wrong))
+    lines = ["; ".join(counted)] if counted else []
+    lines += [str(ring) for ring in threaded[:_SHOWN_RINGS]]
+    if len(threaded) > _SHOWN_RINGS:
+        lines.append(f"and {len(threaded) - _SHOWN_RINGS} more threaded rings")
+    if crowd or threaded:
+        lines.append(f"{recipe.name}: {_way(recipe, bool(threaded))}; pc.relax keeps the fold")
+    return lines
+
+
+def _way(recipe: Recipe, threaded: bool) -> str:
+    frees = threaded and bool(recipe.runs) and not recipe.in_torsions
+    if not (recipe.parts_overlaps or frees):
+        return "does not part overlaps gently first, and may end far from here"
+    ring = "draws bonds out of rings, " if threaded else ""
+    if not recipe.keeps_geometry:
+        return f"{ring}parts overlaps while springs hold the chain, then lets all atoms go"
+    ring = "; few bonds come out of a ring in this way: hybrid moves all atoms" if threaded else ""
+    return f"parts overlaps by turning bonds while springs hold the chain, then lets it go{ring}"
+
+
+def is_crowded(structure: Structure) -> bool:
+    """Whether atoms of a structure overlap, or a bond goes through a ring."""
+    return bool(overlaps(structure, structure.positions) or threaded_rings(structure))
+
+
+@dataclass
+class Straying:
+    """Watch over a run from a start with overlaps: it says once, and at once, that it has gone far.
+
+    Parameters
+    ----------
+    structure : Structure
+        The start.
+    tell : callable
+        Given the line.
+    told : bool
+        Whether it has said so.
+    """
+
+    structure: Structure
+    tell: Callable[[str], None]
+    told: bool = False
+
+    def __call__(self, x: Floats) -> None:
+        """Look at positions (na, 3) of the run."""
+        if not self.told and (line := strayed(self.structure, x)):
+            self.told = True
+            self.tell(line)
+
+
+def strayed(structure: Structure, x: Floats) -> str:
+    """Say how far positions (na, 3) are from a start with overlaps; empty within ``FAR``."""
+    alpha = structure.alpha_carbons
+    away = rmsd_angstrom(x[alpha], structure.positions[alpha]) if len(alpha) > 2 else 0.0
+    if not away > FAR:
+        return ""
+    return f"{away:.1f} angstrom from a start whose atoms overlapped; pc.relax keeps the fold"

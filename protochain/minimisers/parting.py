@@ -1,0 +1,229 @@
+"""Parting of overlaps by moves that stay local, before the force field takes over.
+
+The force field alone flings the chain: forces of 1e11 kJ/mol/nm at one contact turn a dihedral, and with it
+all that lies beyond. Soft repulsion parts the atoms first, tethers hold all others, and springs hold the chain
+while the force field puts right what is left.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from protochain.arrays import Floats, read_only
+from protochain.contacts import near_pairs, overlaps
+from protochain.energies.bonded import bonded_part
+from protochain.energies.protocol import Energy
+from protochain.minimisers.descent import Descent
+from protochain.minimisers.lbfgs import LBFGS
+from protochain.minimisers.metrics import Solve
+from protochain.minimisers.problem import Evaluation, Force, Placement, Space
+from protochain.minimisers.restraints import (
+    SOFT_SHARE,
+    SOFT_STIFFNESS,
+    SOFT_TETHER,
+    Bound,
+    SoftRepulsion,
+    Sum,
+    Tethers,
+)
+from protochain.minimisers.spaces import Cartesian, Torsions
+from protochain.minimisers.springs import Springs, contacts
+from protochain.minimisers.stages import Stage
+from protochain.minimisers.steps import StrongWolfe
+from protochain.minimisers.unthread import freeing
+from protochain.minimisers.verdict import rebuilt
+from protochain.structure.model import Structure
+from protochain.validation.rings import threaded_rings
+
+UNUSUAL = 1e5
+"""kJ/mol/rad. Largest torque from which on a start counts as strained; of the crystal and NMR structures among
+the samples none has more than 6e4."""
+
+ORDINARY = 1e3
+"""kJ/mol/rad. Largest torque with which torsions go on by themselves from a start that was parted."""
+
+FIRM = 2000.0
+"""kJ/mol/nm^2 on each heavy atom of the backbone while overlaps are parted: side chains are to yield."""
+
+FARTHEST = 0.6
+"""nm that any atom may be moved to part overlaps: as far as a long side chain reaches."""
+
+SPRING = 4184.0
+"""kJ/mol/nm^2 on heavy atoms while the force field takes over: 10 kcal/mol/angstrom^2, as AlphaFold's
+relaxation has it (Jumper et al., Nature 596:583, 2021, supplement 1.8.6)."""
+
+SPRINGS_IN_TORSIONS = (SPRING, 400.0, 40.0)
+"""kJ/mol/nm^2, one after the other: torsions have long levers."""
+
+_PARTED_ENOUGH = 20.0
+_HELD_ENOUGH = 10.0
+"""kJ/mol/nm, RMS force."""
+_TURNED_ENOUGH = 300.0
+"""kJ/mol/rad."""
+_PATIENCE = 60
+"""Evaluations without a lower energy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Model of the Hessian of tethered atoms, whose repulsion may be soft.
+
+    Parameters
+    ----------
+    tether : (na,) float, kJ/mol/nm^2
+    is_soft : bool
+        Whether near atoms repel each other as :class:`SoftRepulsion` has it.
+    refresh_every : int
+        Iterations between two computations of the matrix.
+    """
+
+    tether: Floats
+    is_soft: bool = False
+    refresh_every: int = 20
+
+    def at(self, space: Torsions | Cartesian, at: Evaluation) -> Solve:
+        """Solver for the model made at a point."""
+        return space.stiffness(at, _soft_springs if self.is_soft else contacts, self.tether)
+
+
+def _soft_springs(structure: Structure, x: Floats, bonds: int) -> Springs:
+    pairs, _ = near_pairs(structure, x, SOFT_SHARE, max(bonds, 3))
+    return Springs(pairs, np.full(len(pairs), SOFT_STIFFNESS))
+
+
+def parting_in_torsions(
+    space: Torsions, energy: Energy, restraint: Force | None, overlap: bool
+) -> list[Stage]:
+    """Stages that part overlaps in torsions, then let the force field take over by and by.
+
+    Parameters
+    ----------
+    space : Torsions
+    energy : Energy
+        Of the stages that follow.
+    restraint : callable, optional
+        The user's.
+    overlap : bool
+        Whether atoms overlap; otherwise only torques are large.
+    """
+    structure = space.chain.structure
+    plan = []
+    if overlap:
+        plan.append(_soft(space, Sum([SoftRepulsion(structure), *_leashes(structure)]), 1.0))
+    return plan + [
+        _held(Stage(space, Descent(LBFGS(), StrongWolfe()), energy, _TURNED_ENOUGH, restraint), strength)
+        for strength in SPRINGS_IN_TORSIONS
+    ]
+
+
+def parting_in_all_atoms(
+    torsions: Torsions, space: Cartesian, energy: Energy, restraint: Force | None, overlap: bool
+) -> list[Stage]:
+    """Stages that free threaded rings and part overlaps, moving all atoms, then let the force field take over.
+
+    Parameters
+    ----------
+    torsions, space : Torsions, Cartesian
+        Torsions part the atoms if nothing is known of an energy's bonds.
+    energy, restraint, overlap
+        As for :func:`parting_in_torsions`.
+    """
+    structure = space.structure
+    plan = []
+    threaded = bool(threaded_rings(structure))
+    if overlap or threaded:
+        bonded, gentle = bonded_part(energy), [SoftRepulsion(structure), *_leashes(structure)]
+        soft = _soft(torsions, Sum(gentle), 1.0)
+        if bonded is not None:
+            soft = _soft(space, Sum([bonded, *gentle]), _PARTED_ENOUGH)
+        plan += [*freeing(soft, _where_atoms_overlap), soft] if threaded else [soft]
+    return [
+        *plan,
+        _held(Stage(space, Descent(LBFGS(), StrongWolfe()), energy, _HELD_ENOUGH, restraint), SPRING),
+    ]
+
+
+def unthreading(space: Cartesian, energy: Energy) -> list[Stage]:
+    """Stages that free threaded rings alone, moving all atoms; none if nothing is known of an energy's bonds."""
+    bonded = bonded_part(energy)
+    if bonded is None:
+        return []
+    gentle = Sum([bonded, SoftRepulsion(space.structure), *_leashes(space.structure)])
+    soft = _soft(space, gentle, _PARTED_ENOUGH)
+    return [*freeing(soft, _where_atoms_overlap), _where_atoms_overlap(soft)]
+
+
+def _where_atoms_overlap(stage: Stage) -> Stage:
+    structure = _structure(stage.space)
+    return replace(stage, ready=lambda stage, at: bool(overlaps(structure, at.x)))
+
+
+def soft_tethers(structure: Structure) -> Floats:
+    """(na,) float, kJ/mol/nm^2: tethers while overlaps are parted."""
+    backbone = np.isin(structure.atom_name, ("N", "CA", "C", "O")) & ~structure.kept
+    return read_only(np.where(backbone, FIRM, SOFT_TETHER))
+
+
+def _leashes(structure: Structure) -> list[Force]:
+    x = structure.positions
+    return [Tethers(x, soft_tethers(structure)), Bound(x, FARTHEST)]
+
+
+def _soft(space: Torsions | Cartesian, gentle: Force, tolerance: float) -> Stage:
+    structure = _structure(space)
+    method = Descent(LBFGS(Held(soft_tethers(structure), True)), StrongWolfe())
+    return Stage(
+        space, method, gentle, tolerance, recorded=False, patience=_PATIENCE, name="parting overlaps"
+    )
+
+
+def _held(stage: Stage, strength: float) -> Stage:
+    """Stage held by springs to where it starts."""
+    return replace(stage, fit=partial(_hold, strength), name="held by springs")
+
+
+def _hold(strength: float, stage: Stage, x: Floats) -> Stage:
+    structure, every = _structure(stage.space), 20 if isinstance(stage.space, Torsions) else 40
+    springs = Tethers(x, np.where(structure.atom_element == "H", 0.0, strength))
+    parts = [springs] if stage.restraint is None else [springs, stage.restraint]
+    method = Descent(LBFGS(Held(springs.weight, refresh_every=every)), StrongWolfe())
+    return replace(stage, method=method, restraint=Sum(parts))
+
+
+def _structure(space: Space) -> Structure:
+    assert isinstance(space, Torsions | Cartesian)
+    return space.chain.structure if isinstance(space, Torsions) else space.structure
+
+
+def once_ordinary(stage: Stage, energy: Energy | None = None) -> Stage:
+    """Stage in torsions that runs only where nothing overlaps and the largest torque is ordinary.
+
+    Parameters
+    ----------
+    stage : Stage
+    energy : Energy, optional
+        With all terms, if all atoms moved before: the chain is rebuilt where they are.
+    """
+    fit = None if energy is None else partial(_rebuilt, energy)
+    return replace(stage, ready=partial(_is_ordinary, energy), fit=fit)
+
+
+def _is_ordinary(energy: Energy | None, stage: Stage, at: Placement) -> bool:
+    if overlaps(_structure(stage.space), at.x):
+        return False
+    space: Space = stage.space
+    if energy is not None:
+        space = _torsions_at(space, at.x)
+        at = space.place(space.start(at.x))
+    return space.residual(space.torque(at, (energy or stage.energy)(at.x)[1])) <= ORDINARY
+
+
+def _rebuilt(energy: Energy, stage: Stage, x: Floats) -> Stage:
+    space = _torsions_at(stage.space, x)
+    return replace(stage, space=space, energy=energy.without_constants(space.chain.rigid_groups, x))
+
+
+def _torsions_at(space: Space, x: Floats) -> Torsions:
+    assert isinstance(space, Torsions)
+    return Torsions(rebuilt(space.chain, read_only(x)))

@@ -1,0 +1,136 @@
+"""Bonds drawn out of rings that they go through: no force field does that, for both would have to break.
+
+The bond is pushed out over one side of the ring, while its residue and that of the ring do not repel each other.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers, read_only
+from protochain.minimisers.problem import Force, Placement
+from protochain.minimisers.restraints import SoftRepulsion, Sum
+from protochain.minimisers.stages import Stage
+from protochain.structure.model import Structure
+from protochain.validation.rings import ThreadedRing, threaded_rings
+
+ATTEMPTS = 5
+"""Sides of a ring that are tried, one after the other."""
+
+_STIFFNESS = 2e4
+"""kJ/mol/nm^2."""
+_OUT = 0.35
+"""nm from a ring's centre to the middle of the bond, when it is out: a ring's radius and a contact."""
+_ROOM = 0.3
+"""nm; nearer atoms are in the way of a bond that comes out."""
+_CROWDED = 0.05
+"""nm for each atom in the way."""
+_JOINED = 0.3
+"""nm for each end of a side at which the ring is bonded to other heavy atoms: the bond would end up there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Push:
+    """Push of a bond out of a ring: E = k/2 (out - s)^2, s the way of its middle from the centre, up to out.
+
+    Parameters
+    ----------
+    ring : (n,) int
+    bond : (2,) int
+    way : (3,) float
+        Unit vector.
+    """
+
+    ring: Integers
+    bond: Integers
+    way: Floats
+
+    def __call__(self, x: Floats) -> tuple[float, Floats]:
+        """Energy and forces."""
+        gone = float((x[self.bond].mean(axis=0) - x[self.ring].mean(axis=0)) @ self.way)
+        left = max(0.0, _OUT - gone)
+        forces = np.zeros_like(x)
+        forces[self.bond] += _STIFFNESS * left / len(self.bond) * self.way
+        forces[self.ring] -= _STIFFNESS * left / len(self.ring) * self.way
+        return 0.5 * _STIFFNESS * left**2, forces
+
+
+def freeing(gentle: Stage, closing: Callable[[Stage], Stage]) -> list[Stage]:
+    """Stages that free threaded rings, of each of which all but the first run where one is left.
+
+    Parameters
+    ----------
+    gentle : Stage
+        Stage of soft repulsion, whose energy is a sum of it and others.
+    closing : callable
+        Makes of it a stage that runs only where atoms overlap.
+    """
+    stages = []
+    for attempt in range(ATTEMPTS):
+        out = replace(
+            gentle, ready=_is_threaded, fit=partial(_pushed, attempt), name="freeing threaded rings"
+        )
+        stages += [out, closing(gentle)]
+    return stages
+
+
+def _is_threaded(stage: Stage, at: Placement) -> bool:
+    return bool(threaded_rings(_soft(stage).structure, at.x))
+
+
+def _pushed(attempt: int, stage: Stage, x: Floats) -> Stage:
+    """Stage that pushes each threading bond out over the side of its ring whose turn it is."""
+    soft = _soft(stage)
+    assert isinstance(stage.energy, Sum)
+    found = threaded_rings(soft.structure, x)
+    residue = soft.structure.atom_residue
+    pairs = [(ring.residue, int(residue[atom])) for ring in found for atom in ring.bond]
+    passing = replace(soft, passing=read_only(pairs, np.int64))
+    others = [part for part in stage.energy.parts if part is not soft]
+    pushes: list[Force] = [push_of(soft.structure, x, ring, attempt) for ring in found]
+    return replace(stage, energy=Sum([passing, *others, *pushes]))
+
+
+def _soft(stage: Stage) -> SoftRepulsion:
+    assert isinstance(stage.energy, Sum)
+    return next(part for part in stage.energy.parts if isinstance(part, SoftRepulsion))
+
+
+def push_of(structure: Structure, x: Floats, threaded: ThreadedRing, attempt: int) -> Push:
+    """Push over one side of a ring: the first attempt over the best, the second over the next.
+
+    The best side is near to where the bond goes through; on its way there is room, and no other bond of the ring.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm
+    threaded : ThreadedRing
+    attempt : int
+
+    Returns
+    -------
+    Push
+    """
+    ring, bond = np.array(threaded.atoms), np.array(threaded.bond)
+    corners = x[ring] - x[ring].mean(axis=0)
+    normal = np.linalg.svd(corners)[2][2]
+    sides = 0.5 * (corners + np.roll(corners, -1, axis=0))
+    sides -= np.outer(sides @ normal, normal)
+    ways = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    through = x[bond] - x[ring].mean(axis=0)
+    height = through @ normal
+    share = height[0] / (height[0] - height[1]) if height[0] != height[1] else 0.5
+    at = through[0] + np.clip(share, 0.0, 1.0) * (through[1] - through[0])
+    far = np.linalg.norm(sides, axis=1) - ways @ at
+    own = np.isin(structure.atom_residue, structure.atom_residue[[*ring, *bond]])
+    others = x[~own] - x[ring].mean(axis=0)
+    crowd = [np.sum(np.linalg.norm(others - _OUT * way, axis=1) < _ROOM) for way in ways]
+    heavy = structure.bonds[(structure.atom_element[structure.bonds] != "H").all(axis=1)]
+    leaving = heavy[np.isin(heavy, ring).sum(axis=1) == 1]
+    joined = np.isin(ring, leaving).astype(float)
+    cost = far + _CROWDED * np.array(crowd) + _JOINED * (joined + np.roll(joined, -1))
+    side = np.argsort(cost, kind="stable")[attempt % len(cost)]
+    return Push(ring, bond, ways[side])

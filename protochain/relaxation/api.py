@@ -1,0 +1,203 @@
+"""``relax``: a predicted or experimental structure in, a clean one out, the fold kept."""
+
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from protochain import defaults
+from protochain.arrays import Floats, Watcher, read_only
+from protochain.checks import WATCHER, checked
+from protochain.energies import Energy
+from protochain.frame import Frame
+from protochain.interrupts import answering, held_interrupts
+from protochain.minimisers.problem import Evaluation
+from protochain.minimisers.spaces import Cartesian
+from protochain.minimisers.verdict import Status, verdict
+from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
+from protochain.relaxation.rounds import GENTLE, Ended, Relaxer, fewest_left
+from protochain.relaxation.settings import Relaxing, split
+from protochain.structure import Structure
+from protochain.structure.chirality import wrong_atoms
+from protochain.structure.select import select
+from protochain.validation import threaded_rings, violations
+from protochain.validation.layout import layout
+
+_NAMED = 5
+"""Residues that a message names."""
+
+
+@checked(watch=WATCHER)
+def relax(
+    source: Any, preset: str = defaults.PRESET, *, watch: Watcher | None = None, **options: Any
+) -> Relaxation:
+    """Relax a structure: overlaps, broken bonds and strain gone, the fold kept.
+
+    All atoms move, the heavy ones held by springs to the input. While violations (as AlphaFold counts them)
+    or overlaps are left, the residues concerned and their neighbours are let go by and by, and all is
+    minimised again; the springs of the others lead to the first input always, so that drift cannot add up.
+
+    Parameters
+    ----------
+    source : Structure, path, or anything that :func:`protochain.as_structure` takes
+        Structure to relax.
+    preset : str
+        ``predicted``, ``crystal`` or ``design``; see :class:`protochain.relaxation.Relaxing`.
+    watch : callable, optional
+        Called with a row of the trace and the positions of each point, to show progress. Its method
+        ``at_stage``, if it has one, is called with what is done, and the evaluations so far.
+    **options
+        Further fields of :class:`protochain.relaxation.Relaxing` (``protocol``, ``tolerance``, ``stiffness``,
+        ``max_iterations``, ``max_outer_iterations``, ``exclude``, ``keep_hydrogens``, ``repack``) and of
+        :class:`protochain.Setup` (``forcefield``, ``solvent``, ``threads``, ``keep`` ...).
+
+    Returns
+    -------
+    Relaxation
+        Never of higher energy than its start. Its status says what is left to mend, if anything is.
+
+    Raises
+    ------
+    ProtochainError
+        If an option makes no sense, or the input cannot be used.
+    """
+    relaxing, setup = split({"preset": preset, **options})
+    structure = setup.load(source)
+    return relax_structure(structure, setup.energy(structure), relaxing, watch)
+
+
+@held_interrupts()
+def relax_structure(
+    structure: Structure, energy: Energy, settings: Relaxing, watch: Watcher | None = None
+) -> Relaxation:
+    """Relax a structure whose energy is built; the settings' force field is that of the energy."""
+    excluded = _excluded(structure, settings.exclude)
+    held_by = _held_by(structure, settings)
+    first = _repacked(structure, energy) if settings.repack else structure
+    trace = _Trace(watch)
+    relaxer = Relaxer(first, energy, settings.strength, settings.max_iterations, trace)
+    # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
+    with threadpool_limits(1, "blas"):
+        done = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
+    seconds = perf_counter() - trace.began
+    end = fewest_left(done)
+    frame = Frame(structure, held_by)
+    value, force = _judged(structure, energy, end)
+    status, message = _verdict(structure, energy, settings, end, force)
+    return Relaxation(
+        start=structure,
+        turned=first.repairs[len(structure.repairs) :],
+        x=frame(end.x),
+        settings=settings,
+        energy_function=energy,
+        rounds=tuple(each.round for each in done),
+        best=done.index(end),
+        status=status,
+        message=message,
+        energy_start=_judge(energy)(structure.positions)[0],
+        energy_end=value,
+        rms_force=force,
+        judge=NATIVE if energy.is_exact else REFERENCE,
+        frame=frame,
+        seconds=seconds,
+        trace=read_only(np.array(trace.rows).reshape(-1, 5)),
+    )
+
+
+class _Trace:
+    """Collects a row for each point accepted, and passes it on to whoever watches."""
+
+    def __init__(self, watch: Watcher | None) -> None:
+        self.watch, self.began = watch, perf_counter()
+        self.tell = getattr(watch, "at_stage", None)
+        self.rows: list[tuple[float, ...]] = []
+
+    def __call__(self, stage: str, at: Evaluation, evaluations: int) -> None:
+        if self.tell:
+            self.tell(stage, evaluations)
+        if stage == GENTLE:  # Its energy is not the force field's.
+            return
+        energy = at.energy - at.restraint
+        self.rows.append((len(self.rows), evaluations, perf_counter() - self.began, energy, at.residual))
+        if self.watch:
+            row = {"evaluations": evaluations, "energy_kj_mol": energy, "max_torque_kj_mol_rad": np.nan}
+            self.watch(row, at.x)
+
+
+def _excluded(structure: Structure, exclude: str) -> NDArray[np.bool_]:
+    """(nr,) bool: residues with an atom in a selection."""
+    free = np.zeros(structure.n_residues, dtype=bool)
+    if exclude:
+        free[structure.atom_residue[select(structure, exclude)]] = True
+    return free
+
+
+def _held_by(structure: Structure, settings: Relaxing) -> str:
+    if structure.obstacle.any():
+        return "atoms that stand still"
+    return "springs to the start" if settings.strength.backbone[-1] > 0.0 else ""
+
+
+def _repacked(structure: Structure, energy: Energy) -> Structure:
+    """The structure with side chains that are in the way of others in other rotamers."""
+    from protochain.relaxation.repack import repacked
+
+    return repacked(structure, energy=energy)
+
+
+def _judge(energy: Energy) -> Energy:
+    """What judges: the native engine, which equals OpenMM's Reference platform, or else that."""
+    return energy if energy.is_exact else energy.reference
+
+
+def _judged(structure: Structure, energy: Energy, end: Ended) -> tuple[float, float]:
+    """Energy without springs, kJ/mol, and RMS force with them, kJ/mol/nm."""
+    judge = _judge(energy)
+    value, forces = judge(end.x) if judge is energy else answering(lambda: judge(end.x))
+    space = Cartesian(structure, ~structure.obstacle)
+    total = forces + end.springs(end.x)[1]
+    return value, space.residual(space.torque(space.place(space.start(end.x)), total))
+
+
+def _verdict(
+    structure: Structure, energy: Energy, settings: Relaxing, end: Ended, force: float
+) -> tuple[Status, str]:
+    tolerance = settings.strength.tolerance
+    by = NATIVE if energy.is_exact else REFERENCE
+    springs = ", springs included" if end.springs.weight.any() else ""
+    measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {by}"
+    status, message = verdict(
+        end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
+        inverted=_spoiled(structure, end.x),
+    )  # fmt: skip
+    left = left_in_words(structure, end.x)
+    if left and status is Status.CONVERGED:
+        return Status.VIOLATIONS, f"violations: {left}; {measured}"
+    return status, f"{message}; {left}" if left and status is not Status.CLASH else message
+
+
+def _spoiled(structure: Structure, x: Floats) -> list[str]:
+    """Chiral atoms whose hand was right, and is wrong now; that others became right is as it should be."""
+    mirrored = layout(structure).mirrored
+    wrong = np.setdiff1d(
+        wrong_atoms(structure, x, mirrored), wrong_atoms(structure, structure.positions, mirrored)
+    )
+    return [structure.describe(atom).removeprefix("atom ") for atom in wrong.tolist()]
+
+
+def left_in_words(structure: Structure, x: Floats) -> str:
+    """Threaded rings and residues with violations at positions x (na, 3), by name; empty without."""
+    rings = "; ".join(map(str, threaded_rings(structure, x)))
+    residues = violations(structure, x).residues.tolist()
+    if not residues:
+        return rings
+    named = [structure.describe_residue(residue) for residue in residues[:_NAMED]]
+    more = f" and {len(residues) - _NAMED} more" if len(residues) > _NAMED else ""
+    left = (
+        "1 residue is left with violations"
+        if len(residues) == 1
+        else f"{len(residues)} residues are left with violations"
+    )
+    return "; ".join([*([rings] if rings else []), f"{left}: {', '.join(named)}{more}"])

@@ -1,0 +1,29 @@
+"""Names of relaxed files."""
+
+from pathlib import Path
+
+from protochain.structure.files import format_of, split_name
+
+_UNRELAXED, _RELAXED = "unrelaxed", "relaxed"
+
+
+def relaxed_stem(stem: str) -> str:
+    """Name a result after its input.
+
+    As ColabFold and AlphaFold name theirs: ``x_unrelaxed_rank_001_y`` becomes ``x_relaxed_rank_001_y``, and
+    any other name ends in ``.relaxed``.
+    """
+    if _UNRELAXED in stem:
+        return _RELAXED.join(stem.rsplit(_UNRELAXED, 1))
+    return f"{stem}.{_RELAXED}"
+
+
+def suffix_of(source: Path) -> str:
+    """Suffix of the format of a file."""
+    return ".cif" if format_of(source) == "mmCIF" else ".pdb"
+
+
+def relaxed_name(source: Path) -> str:
+    """Name of a result, in the format of its input."""
+    stem = "stdin" if str(source) == "-" else split_name(source)[0]
+    return f"{relaxed_stem(stem)}{suffix_of(source)}"

@@ -1,0 +1,76 @@
+"""Strengths of relaxation: every number of every preset, in one place, with its source."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+KCAL_PER_ANGSTROM2 = 418.4
+"""kJ/mol/nm^2 in 1 kcal/mol/angstrom^2."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How firmly a structure is held while it is relaxed, and how far.
+
+    Parameters
+    ----------
+    name : str
+        By which it is chosen.
+    backbone, side_chains : tuple of float, kJ/mol/nm^2
+        Springs E = k/2 d^2 from heavy atoms to the input, one strength after the other; hydrogens have none.
+    tolerance : float, kJ/mol/nm
+        RMS force, springs included, at which each of them ends.
+    source : str
+        Where the numbers come from.
+    softened : bool
+        Whether overlapping atoms are parted by soft repulsion before they feel the force field.
+    forcefield, solvent : str
+        Those of the protocol; empty for those of the settings.
+    """
+
+    name: str
+    backbone: tuple[float, ...]
+    side_chains: tuple[float, ...]
+    tolerance: float
+    source: str
+    softened: bool = False
+    forcefield: str = ""
+    solvent: str = ""
+
+
+_ALPHAFOLD = 10.0 * KCAL_PER_ANGSTROM2
+_BINDER = 3.0 * KCAL_PER_ANGSTROM2
+
+_TABLE = (
+    Preset(
+        "predicted", (_ALPHAFOLD,), (_ALPHAFOLD,), 10.0,
+        "springs and tolerance of AlphaFold's relaxation (Jumper et al., Nature 596:583, 2021, supplement "
+        "1.8.6: 10 kcal/mol/angstrom^2; 2.39 kcal/mol, which OpenMM takes as an RMS force of 10 kJ/mol/nm), "
+        "in ff14SB and OBC2",
+    ),
+    Preset(
+        "crystal", (_ALPHAFOLD,), (1000.0,), 10.0,
+        "backbone as predicted; side chains 1000 kJ/mol/nm^2, the usual position restraint of GROMACS "
+        "(pdb2gmx)",
+    ),
+    Preset(
+        "design", (_BINDER, 0.4 * _BINDER, 0.0), (0.0, 0.0, 0.0), 10.0,
+        "springs of the backbone as in the relaxation of FreeBindCraft: 3 kcal/mol/angstrom^2 times 1, 0.4 "
+        "and 0, repulsion soft first; without its dynamics between the stages",
+        softened=True,
+    ),
+)  # fmt: skip
+
+PRESETS: Mapping[str, Preset] = MappingProxyType({each.name: each for each in _TABLE})
+
+_PROTOCOLS = (
+    Preset(
+        "alphafold", (_ALPHAFOLD,), (_ALPHAFOLD,), 10.0,
+        "AlphaFold's relaxation (Jumper et al., 2021): amber99sb in vacuum, 10 kcal/mol/angstrom^2 on heavy "
+        "atoms, 2.39 kcal/mol; bonds to hydrogen are free here, and constrained there",
+        forcefield="amber99sb", solvent="vacuum",
+    ),
+)  # fmt: skip
+
+PROTOCOLS: Mapping[str, Preset] = MappingProxyType({each.name: each for each in _PROTOCOLS})
+"""Relaxations of other programs, to compare like with like."""

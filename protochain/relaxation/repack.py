@@ -1,0 +1,148 @@
+"""Side chains put into the best of their rotamers."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers
+from protochain.contacts import near_pairs
+from protochain.energies import Energy, NativeEnergy, UnsupportedForceError
+from protochain.energies import energy as energy_of
+from protochain.energies.native.terms import Terms, compile_system
+from protochain.errors import StructureError
+from protochain.relaxation.arms import Arm, arms
+from protochain.relaxation.assignment import best
+from protochain.relaxation.rotamer_energies import Interactions
+from protochain.structure.model import Structure
+from protochain.validation.clashes import clashes
+from protochain.validation.rings import threaded_rings
+from protochain.validation.rotamers import side_chains
+from protochain.validation.violations import violations
+
+_NEAR = 0.6
+"""Of the sum of the van der Waals radii: nearer atoms are in each other's way. Hydrogen bonds are longer."""
+_STAYING = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "CB", "C", "O", "OXT")
+"""Atoms of a residue that no chi turns."""
+_ROUNDS = 3
+"""With the residues that are still in the way, as often."""
+
+
+def repacked(
+    structure: Structure, residues: Iterable[int] | None = None, *, energy: Energy | None = None
+) -> Structure:
+    """Put side chains into the best of their rotamers, all at once.
+
+    Each may stay as it is, or take the dihedrals of a rotamer, turned by up to 12 degrees; bond lengths,
+    bond angles and the backbone stay. The choice is the global minimum of the force field's energy between
+    them and with all that stays, softened as is usual for rigid rotamers.
+
+    Parameters
+    ----------
+    structure : Structure
+    residues : iterable of int, optional
+        Indices of the residues that may turn; by default those :func:`troubled`, and where they are still
+        too near to others, these too. Those without a chi stay, as do proline and those whose side chain is
+        bonded to anything: disulfides, metals, ligands.
+    energy : Energy, optional
+        Energy of the structure, whose terms are used; by default that of the default force field.
+
+    Returns
+    -------
+    Structure
+        Its ``repairs`` end with a line for each residue that was turned; the structure itself if none was.
+
+    Raises
+    ------
+    StructureError
+        If there is no residue of an index.
+
+    Notes
+    -----
+    Rotamers are those of Lovell, Word, Richardson, Richardson, Proteins 40:389 (2000).
+    """
+    chosen = troubled(structure) if residues is None else _checked(structure, residues)
+    x, told = structure.positions, tuple[str, ...]()
+    terms = None
+    for _ in range(_ROUNDS):
+        turning = arms(structure, structure.positions, chosen.tolist())
+        if not turning:
+            return structure
+        terms = terms or _terms(structure, energy)
+        x, told = _settled(structure, terms, turning)
+        more = np.union1d(chosen, _in_the_way(structure, x, chosen))
+        if residues is not None or len(more) == len(chosen):
+            break
+        chosen = more
+    return replace(structure, positions=x, repairs=(*structure.repairs, *told)) if told else structure
+
+
+def troubled(structure: Structure, x: Floats | None = None) -> Integers:
+    """Residues whose side chains may need another rotamer.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm, optional
+        Positions to look at; by default the structure's own.
+
+    Returns
+    -------
+    (n,) int
+        Sorted indices of residues whose side chain overlaps, clashes, violates a distance, threads a ring or
+        has one that is threaded, or is far from every rotamer.
+    """
+    x = structure.positions if x is None else x
+    found = violations(structure, x)
+    crowded = near_pairs(structure, x, _NEAR)[0], clashes(structure, x).pairs
+    threaded = [(*ring.atoms, *ring.bond) for ring in threaded_rings(structure, x)]
+    atoms = np.concatenate(
+        [pairs.ravel() for pairs in (*crowded, found.clashes, found.within)]
+        + [np.array(each, dtype=np.int64) for each in threaded]
+    )
+    turning = atoms[~np.isin(structure.atom_name[atoms], _STAYING) & ~structure.kept[atoms]]
+    return np.union1d(structure.atom_residue[turning], side_chains(structure, x).outliers)
+
+
+def _checked(structure: Structure, residues: Iterable[int]) -> Integers:
+    chosen = np.unique(np.array([int(residue) for residue in residues], dtype=np.int64))
+    strange = chosen[(chosen < 0) | (chosen >= structure.n_residues)]
+    if len(strange):
+        raise StructureError(
+            f"{structure.name}: there is no residue of index {strange[0]}; "
+            f"give indices from 0 to {structure.n_residues - 1}"
+        )
+    return chosen
+
+
+def _terms(structure: Structure, given: Energy | None) -> Terms:
+    """Terms of an energy, or of the default force field where that has none that can be taken apart."""
+    if isinstance(given, NativeEnergy):
+        return given.terms
+    if given is not None and given.system is not None:
+        try:
+            return compile_system(given.system)
+        except UnsupportedForceError:
+            pass
+    return compile_system(energy_of(structure, solvent="vacuum", engine="openmm").system)
+
+
+def _settled(structure: Structure, terms: Terms, turning: list[Arm]) -> tuple[Floats, tuple[str, ...]]:
+    """Positions with the best rotamers, and what was turned, in words."""
+    x = np.array(structure.positions)
+    felt = Interactions(terms, structure.positions, [arm.rotamers for arm in turning])
+    found = best([felt.own(i) for i in range(len(turning))], felt.pairs())
+    told = []
+    for arm, state in zip(turning, found.states.tolist(), strict=True):
+        if state:
+            x[arm.rotamers.atoms] = arm.rotamers.x[state]
+            told.append(f"{structure.describe_residue(arm.residue)}: {arm.told(state)}")
+    if told and not found.is_proven:
+        told.append("side chains turned into good rotamers, perhaps not the best: there are too many to try")
+    return x, tuple(told)
+
+
+def _in_the_way(structure: Structure, x: Floats, chosen: Integers) -> Integers:
+    """Residues with atoms too near to those of chosen ones."""
+    pairs = structure.atom_residue[near_pairs(structure, x, _NEAR)[0]]
+    return np.unique(pairs[np.isin(pairs, chosen).any(axis=1)])

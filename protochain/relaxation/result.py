@@ -1,0 +1,192 @@
+"""Result of a relaxation: structure, rounds, measures before and after, and a record for tables and JSON."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from protochain.arrays import Floats, Value
+from protochain.energies.protocol import Energy
+from protochain.frame import Frame
+from protochain.markup import facts
+from protochain.minimisers.solution import alpha_residues
+from protochain.minimisers.verdict import Status
+from protochain.relaxation.record import COLUMNS, METHOD
+from protochain.relaxation.rounds import Round
+from protochain.relaxation.settings import Relaxing
+from protochain.structure import Structure, save
+from protochain.structure.changes import summarised
+from protochain.structure.superpose import displacements
+from protochain.units import ANGSTROM_PER_NM
+from protochain.validation import MEASURES, measures
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+NATIVE, REFERENCE = (
+    "the native engine, in double precision",
+    "OpenMM's Reference platform, in double precision",
+)
+"""Who judges. The native engine equals the Reference platform to 1e-10 and is much faster."""
+
+TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", "rms_force_kj_mol_nm")
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation(Value):
+    """Result of a relaxation.
+
+    Parameters
+    ----------
+    start : Structure
+        The input, as it was prepared.
+    x : (na, 3) float, nm
+        Positions at the end, in the frame of the start.
+    settings : Relaxing
+        How it was relaxed.
+    energy_function : Energy
+        What was minimised, with springs.
+    rounds : tuple of Round
+        Minimisations, one after the other.
+    best : int
+        Index of the round whose end is the result: the one with the fewest residues in trouble.
+    status : Status
+        How it ended, as judged; ``violations`` if it converged with some left.
+    message : str
+        Status, what is left to mend, and the residual, in words.
+    energy_start, energy_end : float, kJ/mol
+        Of the force field alone, without springs, by the judge.
+    rms_force : float, kJ/mol/nm
+        At the end, springs included, by the judge.
+    judge : str
+        What computed them.
+    frame : Frame
+        Says what held the run in place.
+    seconds : float
+        Wall time of all rounds, without preparation and measures.
+    trace : (n, 5) float
+        A row for each iteration, with columns ``TRACE_COLUMNS``; energies without springs.
+    turned : tuple of str
+        Side chains put into other rotamers first, each in words.
+    """
+
+    start: Structure
+    x: Floats
+    settings: Relaxing
+    energy_function: Energy
+    rounds: tuple[Round, ...]
+    best: int
+    status: Status
+    message: str
+    energy_start: float
+    energy_end: float
+    rms_force: float
+    judge: str
+    frame: Frame
+    seconds: float
+    trace: Floats
+    turned: tuple[str, ...] = ()
+
+    @cached_property
+    def structure(self) -> Structure:
+        """Structure at the end, with all its hydrogens; its repairs tell of side chains turned."""
+        return replace(self.start, positions=self.x, repairs=(*self.start.repairs, *self.turned))
+
+    @cached_property
+    def measures_start(self) -> dict[str, Any]:
+        """What is wrong with the start: :func:`protochain.validation.measures`."""
+        return measures(self.start)
+
+    @cached_property
+    def measures_end(self) -> dict[str, Any]:
+        """What is wrong with the end."""
+        return measures(self.start, self.x)
+
+    @cached_property
+    def displacements(self) -> "pd.DataFrame":
+        """Displacement of each C-alpha from the start, superposed on all: a row a residue.
+
+        Columns ``chain``, ``residue`` (number and insertion code), ``name``, ``displacement_angstrom``.
+        """
+        away = displacements(self.start, self.x, self.start.positions)
+        return alpha_residues(self.start).assign(displacement_angstrom=away)
+
+    @property
+    def ca_rmsd_angstrom(self) -> float:
+        """C-alpha RMSD to the start, superposed."""
+        return self.frame.ca_rmsds(self.x)[0]
+
+    @property
+    def farthest_angstrom(self) -> float:
+        """Largest distance of a heavy atom from where it was."""
+        away = np.linalg.norm(self.x - self.start.positions, axis=1)
+        return float(ANGSTROM_PER_NM * np.max(away[self.start.atom_element != "H"]))
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether the end has a finite energy, not above that of the start."""
+        return bool(np.isfinite(self.energy_end) and not self.energy_end > self.energy_start)
+
+    def save(self, path: str | Path) -> None:
+        """Write the structure with its provenance, as PDB or mmCIF by suffix; without hydrogens if so asked.
+
+        Raises
+        ------
+        StructureError
+            If the suffix is unknown, or the format cannot hold the structure.
+        """
+        save(self.structure, path, self.provenance(), hydrogens=self.settings.keep_hydrogens)
+
+    def provenance(self) -> Iterable[str]:
+        """Provenance of the structure, as remarks for its file."""
+        e, own = self.energy_function, self.settings
+        yield f"PROTOCHAIN {version('protochain')}, METHOD {METHOD.upper()}, STATUS {self.status}"
+        yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}, PDBFIXER {version('pdbfixer')}"
+        yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
+        kind = "PROTOCOL" if own.protocol else "PRESET"
+        yield f"{kind} {own.strength.name.upper()}, {len(self.rounds)} ROUNDS"
+        yield f"ENERGY {self.energy_end:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.energy_start:.4f}"
+        yield f"ENERGIES BY {self.judge.upper()}"
+        yield (
+            f"C-ALPHA RMSD TO THE START {self.ca_rmsd_angstrom:.3f} ANGSTROM, AS FILED "
+            f"{self.frame.ca_rmsds(self.x)[1]:.3f}, {str(self.frame).upper()}"
+        )
+
+    def record(self) -> dict[str, Any]:
+        """Flat record behind JSON and tables, named as that of a solution; None where there is no number."""
+        return {key: _finite(value(self)) for key, value in COLUMNS.items()}
+
+    def __repr__(self) -> str:
+        before, after = self.measures_start["violations"], self.measures_end["violations"]
+        return (
+            f"<Relaxation of {self.start.name}: {self.status}, residues with violations {before} -> {after}, "
+            f"{self.energy_start:.2f} -> {self.energy_end:.2f} kJ/mol, "
+            f"C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom>"
+        )
+
+    def _repr_html_(self) -> str:
+        start, end = self.measures_start, self.measures_end
+        rows = {MEASURES[key].what: f"{_said(start[key])} to {_said(end[key])}" for key in MEASURES}
+        return facts(
+            f"{self.start.name} relaxed",
+            {
+                "status": self.message,
+                "energy": f"{self.energy_start:.2f} to {self.energy_end:.2f} kJ/mol",
+                "C-alpha RMSD to the start": f"{self.ca_rmsd_angstrom:.3f} angstrom",
+                **({"side chains": "; ".join(summarised(self.turned))} if self.turned else {}),
+                **rows,
+                "work": f"{len(self.rounds)} rounds, {self.seconds:.2f} s",
+            },
+        )
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _said(value: Any) -> str:
+    return "-" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)

@@ -1,0 +1,202 @@
+"""Energies of the rotamers of side chains: each with what stays, and pairs of two.
+
+Terms are the force field's own: torsions, Lennard-Jones and Coulomb, hydrogens included. As is usual for
+rigid rotamers, repulsion is softened: radii are scaled by 0.9 (Dahiyat, Mayo, PNAS 94:10172, 1997) and the
+energy goes on linearly within 0.6 of the contact (Alford et al., J. Chem. Theory Comput. 13:3031, 2017);
+Coulomb's constant is divided by four times the distance in angstrom, for the solvent.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from protochain.arrays import Floats, Integers
+from protochain.compilation import njit
+from protochain.energies.native.terms import Bonded, Terms
+from protochain.structure.sidechains import dihedral
+
+_TWIST = 0.5
+"""Of the torsions, which the frequencies of rotamers tell too."""
+_SOFT = 0.9
+"""Of the radii."""
+_LINEAR = 0.6
+"""Of the distance of the minimum: within, repulsion is linear."""
+_CUTOFF = 0.6
+"""nm: Lennard-Jones and Coulomb energies are shifted to zero there."""
+_DIELECTRIC = 40.0
+"""1/nm: relative permittivity over distance."""
+_CLOSEST = 0.1
+"""nm: charges nearer than this feel no more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rotamers:
+    """Positions that a side chain may take.
+
+    Parameters
+    ----------
+    atoms : (k,) int
+        Atoms that turn.
+    x : (n, k, 3) float, nm
+    cost : (n,) float, kJ/mol
+        Of their rarity.
+    """
+
+    atoms: Integers
+    x: Floats
+    cost: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Parameters:
+    """Of all pairs (k, m) of two groups of atoms."""
+
+    a12: Floats
+    b6: Floats
+    charges: Floats
+    linear: Floats
+    """nm^2: squared distance within which repulsion is linear."""
+
+
+class Interactions:
+    """Energies of rotamers in a structure.
+
+    Parameters
+    ----------
+    terms : Terms
+        Of the force field.
+    x : (na, 3) float, nm
+        Where all atoms are that do not turn.
+    rotamers : sequence of Rotamers
+    """
+
+    def __init__(self, terms: Terms, x: Floats, rotamers: Sequence[Rotamers]) -> None:
+        self.terms, self.x, self.rotamers = terms, x, rotamers
+        scale = _SOFT**6
+        self._a12, self._b6 = terms.nonbonded.a12 * scale**2, terms.nonbonded.b6 * scale
+        self._exceptions = _by_atom(terms.nonbonded.exceptions)
+        turning = np.zeros(terms.n_atoms, dtype=bool)
+        for each in rotamers:
+            turning[each.atoms] = True
+        self._still = np.flatnonzero(~turning)
+        self._tree = KDTree(x[self._still])
+        torsions = terms.bonded["torsions"]
+        felt = turning[torsions.atoms].any(axis=1)
+        self._torsions = Bonded(torsions.atoms[felt], torsions.parameters[felt])
+
+    def own(self, i: int) -> Floats:
+        """(n_i,) float, kJ/mol: rarity, torsions, and energy with itself and with all that stays."""
+        its = self.rotamers[i]
+        centre, reach = _sphere(its.x)
+        near = self._still[np.sort(self._tree.query_ball_point(centre, reach + _CUTOFF))]
+        around = self._between(its.atoms, near)
+        within = self._between(its.atoms, its.atoms)
+        felt = _table(its.x, self.x[near][None], around.a12, around.b6, around.charges, around.linear)[:, 0]
+        inside = _inside(its.x, within.a12, within.b6, within.charges, within.linear)
+        return np.asarray(its.cost + self._twisted(its) + felt + inside)
+
+    def pairs(self) -> dict[tuple[int, int], Floats]:
+        """(n_i, n_j) float, kJ/mol: energies between the rotamers of all sites i < j that may touch."""
+        spheres = [_sphere(each.x) for each in self.rotamers]
+        found = {}
+        for i, one in enumerate(self.rotamers):
+            for j in range(i + 1, len(self.rotamers)):
+                apart = np.linalg.norm(spheres[i][0] - spheres[j][0])
+                if apart < spheres[i][1] + spheres[j][1] + _CUTOFF:
+                    other = self.rotamers[j]
+                    its = self._between(one.atoms, other.atoms)
+                    table = _table(one.x, other.x, its.a12, its.b6, its.charges, its.linear)
+                    if table.any():
+                        found[i, j] = table
+        return found
+
+    def _between(self, rows: Integers, columns: Integers) -> _Parameters:
+        nonbonded = self.terms.nonbonded
+        kinds = np.ix_(nonbonded.lj_type[rows], nonbonded.lj_type[columns])
+        a12, b6 = self._a12[kinds], self._b6[kinds]
+        charges = np.outer(nonbonded.charge[rows], nonbonded.charge[columns])
+        place = {atom: k for k, atom in enumerate(columns.tolist())}
+        for k, atom in enumerate(rows.tolist()):
+            for other, values in self._exceptions.get(atom, ()):
+                if other in place:
+                    a12[k, place[other]], b6[k, place[other]], charges[k, place[other]] = values
+        # The minimum is at r^6 = 2 A/B.
+        ratio = np.divide(2.0 * a12, b6, out=np.zeros_like(a12), where=b6 > 0.0)
+        return _Parameters(a12, b6, charges, _LINEAR**2 * np.cbrt(ratio))
+
+    def _twisted(self, its: Rotamers) -> Floats:
+        """(n,) float: energies of the torsions that turn."""
+        mine = np.isin(self._torsions.atoms, its.atoms).any(axis=1)
+        atoms, parameters = self._torsions.atoms[mine], self._torsions.parameters[mine]
+        involved, place = np.unique(atoms, return_inverse=True)
+        at = np.repeat(self.x[involved][None], len(its.x), axis=0)
+        turning, rows = np.isin(involved, its.atoms), {atom: k for k, atom in enumerate(its.atoms.tolist())}
+        at[:, turning] = its.x[:, [rows[atom] for atom in involved[turning].tolist()]]
+        place = place.reshape(atoms.shape)
+        phi = dihedral(*(at[:, place[:, k]] for k in range(4)))
+        times, phase, height = parameters.T
+        return np.asarray((_TWIST * height * (1.0 + np.cos(times * phi - phase))).sum(axis=1))
+
+
+def _by_atom(exceptions: Bonded) -> dict[int, list[tuple[int, list[float]]]]:
+    """Pairs with parameters of their own: the others of each atom, and A, B and the charges' product."""
+    found: dict[int, list[tuple[int, list[float]]]] = {}
+    for (i, j), values in zip(exceptions.atoms.tolist(), exceptions.parameters.tolist(), strict=True):
+        found.setdefault(i, []).append((j, values))
+        found.setdefault(j, []).append((i, values))
+    return found
+
+
+def _sphere(x: Floats) -> tuple[Floats, float]:
+    """Centre and radius of all positions (n, k, 3)."""
+    centre = x.reshape(-1, 3).mean(axis=0)
+    return centre, float(np.linalg.norm(x - centre, axis=-1).max())
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _felt(r2: float, a12: float, b6: float, charges: float, linear: float) -> float:
+    """Energy of two atoms at a squared distance below the cutoff's."""
+    energy = charges / _DIELECTRIC * (1.0 / max(r2, _CLOSEST**2) - 1.0 / _CUTOFF**2)
+    if a12 > 0.0:
+        end = 1.0 / _CUTOFF**6
+        s = 1.0 / max(r2, linear)
+        s6 = s * s * s
+        energy += (a12 * s6 - b6) * s6 - (a12 * end - b6) * end
+        if r2 < linear:
+            slope = (12.0 * a12 * s6 - 6.0 * b6) * s6 * np.sqrt(s)
+            energy += slope * (np.sqrt(linear) - np.sqrt(r2))
+    return energy
+
+
+@njit(cache=True, error_model="numpy")
+def _table(x: Floats, others: Floats, a12: Floats, b6: Floats, charges: Floats, linear: Floats) -> Floats:
+    """Energies (n, m) between positions x (n, k, 3) and others (m, l, 3)."""
+    found = np.zeros((len(x), len(others)))
+    for r in range(len(x)):
+        for s in range(len(others)):
+            energy = 0.0
+            for k in range(x.shape[1]):
+                x0, x1, x2 = x[r, k, 0], x[r, k, 1], x[r, k, 2]
+                for m in range(others.shape[1]):
+                    d0, d1, d2 = x0 - others[s, m, 0], x1 - others[s, m, 1], x2 - others[s, m, 2]
+                    r2 = d0 * d0 + d1 * d1 + d2 * d2
+                    if r2 < _CUTOFF**2:
+                        energy += _felt(r2, a12[k, m], b6[k, m], charges[k, m], linear[k, m])
+            found[r, s] = energy
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def _inside(x: Floats, a12: Floats, b6: Floats, charges: Floats, linear: Floats) -> Floats:
+    """Energies (n,) of positions x (n, k, 3) with themselves."""
+    found = np.zeros(len(x))
+    for r in range(len(x)):
+        for k in range(x.shape[1]):
+            for m in range(k):
+                d0, d1, d2 = x[r, k, 0] - x[r, m, 0], x[r, k, 1] - x[r, m, 1], x[r, k, 2] - x[r, m, 2]
+                r2 = d0 * d0 + d1 * d1 + d2 * d2
+                if r2 < _CUTOFF**2:
+                    found[r] += _felt(r2, a12[k, m], b6[k, m], charges[k, m], linear[k, m])
+    return found

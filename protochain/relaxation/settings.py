@@ -1,0 +1,137 @@
+"""Settings of a relaxation, checked once."""
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from protochain import defaults
+from protochain.checks import check_fields, flag, integer, number, optional, text
+from protochain.errors import ProtochainError
+from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
+from protochain.setup import Setup
+
+
+@dataclass(frozen=True)
+class Relaxing:
+    """How a structure is relaxed.
+
+    Parameters
+    ----------
+    preset : str
+        ``predicted`` for models: springs from all heavy atoms to the input; ``crystal``: weaker ones on side
+        chains; ``design``: on the backbone alone, let go in three stages, after soft repulsion.
+    protocol : str
+        ``alphafold`` for AlphaFold's force field, solvent, springs and tolerance, to compare like with like:
+        amber99sb in vacuum. Bonds to hydrogen are not constrained here, as they are there. Empty for none.
+    tolerance : float, kJ/mol/nm, optional
+        RMS force at which a minimisation ends, springs included; by default the preset's, 10.
+    stiffness : float, kJ/mol/nm^2, optional
+        Springs of the backbone, E = k/2 d^2; those of side chains keep their proportion. By default the
+        preset's. AlphaFold's 10 kcal/mol/angstrom^2 are 4184.
+    max_iterations : int
+        Iterations of each minimisation; 0 for no limit.
+    max_outer_iterations : int
+        Rounds at most: in each but the first, residues that still have violations or overlaps, and their
+        neighbours, are held less: by a tenth of their springs, and the next time by none.
+    exclude : str
+        Residues without springs from the first round on, in the selection language of MDAnalysis.
+    keep_hydrogens : bool
+        Whether files have hydrogens.
+    repack : bool
+        Whether side chains in the way of others are put into other rotamers first.
+
+    Raises
+    ------
+    ProtochainError
+        If a setting makes no sense.
+    """
+
+    preset: str = defaults.PRESET
+    protocol: str = ""
+    tolerance: float | None = None
+    stiffness: float | None = None
+    max_iterations: int = defaults.MAX_ITERATIONS
+    max_outer_iterations: int = defaults.MAX_OUTER_ITERATIONS
+    exclude: str = ""
+    keep_hydrogens: bool = True
+    repack: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(
+            self, preset=text, protocol=text, tolerance=optional(number), stiffness=optional(number),
+            max_iterations=integer, max_outer_iterations=integer, exclude=text, keep_hydrogens=flag,
+            repack=flag,
+        )  # fmt: skip
+        for name, known in (("preset", PRESETS), ("protocol", PROTOCOLS)):
+            given = getattr(self, name)
+            if given not in known and (given or name == "preset"):
+                raise ProtochainError(f"{name} {given!r} is not known; choose from {', '.join(known)}")
+        if self.protocol and self.preset != defaults.PRESET:
+            raise ProtochainError(
+                f"preset {self.preset}: protocol {self.protocol} has its own; give one of them"
+            )
+        if self.tolerance is not None and not 0 < self.tolerance < np.inf:
+            raise ProtochainError(f"tolerance {self.tolerance:g}: give an RMS force above 0, in kJ/mol/nm")
+        if self.stiffness is not None and not 0 <= self.stiffness < np.inf:
+            raise ProtochainError(f"stiffness {self.stiffness:g}: give kJ/mol/nm^2, none below 0")
+        if self.max_iterations < 0:
+            raise ProtochainError(f"max_iterations {self.max_iterations}: give 1 or more, or 0 for no limit")
+        if self.max_outer_iterations < 1:
+            raise ProtochainError(f"max_outer_iterations {self.max_outer_iterations}: give 1 or more")
+
+    @property
+    def strength(self) -> Preset:
+        """The preset or protocol, with the tolerance and stiffness that were given in place of its own."""
+        own = PROTOCOLS[self.protocol] if self.protocol else PRESETS[self.preset]
+        if self.tolerance is not None:
+            own = replace(own, tolerance=self.tolerance)
+        if self.stiffness is not None:
+            share = self.stiffness / max(own.backbone)
+            backbone, side_chains = (tuple(share * k for k in ks) for ks in (own.backbone, own.side_chains))
+            own = replace(own, backbone=backbone, side_chains=side_chains)
+        return own
+
+    def setup(self, given: Setup) -> Setup:
+        """Return a setup with the force field and solvent of the protocol.
+
+        Raises
+        ------
+        ProtochainError
+            If it asks for others.
+        """
+        own = self.strength
+        for name, usual in (("forcefield", defaults.FORCEFIELD), ("solvent", defaults.SOLVENT)):
+            asked, fixed = getattr(given, name), getattr(own, name)
+            if fixed and asked not in (usual, fixed):
+                raise ProtochainError(
+                    f"{name} {asked}: protocol {self.protocol} is {fixed}; leave one of them out"
+                )
+        return replace(
+            given, forcefield=own.forcefield or given.forcefield, solvent=own.solvent or given.solvent
+        )
+
+
+NAMES = tuple(each.name for each in fields(Relaxing))
+
+
+def split(options: dict[str, Any]) -> tuple[Relaxing, Setup]:
+    """Split options into the settings of a relaxation and those of a setup.
+
+    Raises
+    ------
+    ProtochainError
+        If a name is neither's.
+    """
+    of_setup = tuple(each.name for each in fields(Setup) if each.name not in _WITHOUT)
+    unknown = next((name for name in options if name not in (*NAMES, *of_setup)), None)
+    if unknown is not None:
+        raise ProtochainError(f"relax has no option {unknown!r}; it takes {', '.join((*NAMES, *of_setup))}")
+    relaxing = Relaxing(**{name: value for name, value in options.items() if name in NAMES})
+    return relaxing, relaxing.setup(
+        Setup(**{name: value for name, value in options.items() if name in of_setup})
+    )
+
+
+_WITHOUT = ("hinges", "root", "move")
+"""Settings of rigid bodies, of which there are none where all atoms move."""

@@ -1,0 +1,69 @@
+"""Relaxation of damaged models: threaded rings, torn bonds, wrong hands, and springs of later rounds."""
+
+import models
+import numpy as np
+import pytest
+from conftest import load
+from oracles import bond_lengths
+
+import protochain as pc
+from protochain.minimisers.loop import Stop
+from protochain.relaxation.presets import PRESETS
+from protochain.relaxation.rounds import Ended, Relaxer, Round
+from protochain.validation import measures
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_planted_ring_is_freed_and_the_fold_kept(seed):
+    (plant,) = models.planted_rings([load("1vii.pdb")], 1, seed)
+    s = plant.structure
+    assert measures(s)["threaded_rings"] >= 1
+    r = pc.relax(s)
+    assert r.status == "converged" and r.measures_end["threaded_rings"] == r.measures_end["violations"] == 0
+    assert not models.threadings(r.structure) and r.ca_rmsd_angstrom < 0.4
+    assert r.rounds[0].let_go == len({plant.ring_residue, plant.threading_residue})
+
+
+def test_a_torn_bond_of_a_file_is_closed(tmp_path):
+    torn = models.broken(load("1l2y.pdb"), 1.5, seed=3)
+    pc.save(torn, tmp_path / "torn.pdb")
+    s = pc.load(tmp_path / "torn.pdb")
+    assert s.n_chains == 1 and any("kept as a peptide bond" in line for line in s.repairs)
+    ends = np.sort(s.atom_name[s.bonds], axis=1)
+    peptide = s.bonds[(ends == ["C", "N"]).all(axis=1)]
+    assert bond_lengths(peptide, s.positions).max() > 0.2
+    r = pc.relax(s)
+    assert r.status == "converged" and bond_lengths(peptide, r.x) == pytest.approx(0.1335, abs=0.005)
+
+
+def test_a_hand_that_was_wrong_and_is_right_at_the_end_is_no_inversion():
+    s = models.shaken(load("1l2y.pdb"), 0.25, seed=6)
+    r = pc.relax(s)
+    assert (r.measures_start["wrong_hands"], r.measures_end["wrong_hands"]) == (1, 0)
+    assert r.status == "converged"
+
+
+def test_what_lies_against_a_residue_gives_way_where_letting_it_go_did_not_help():
+    """A tyrosine on the wrong side of a disulfide, which it bends as long as its springs hold it there."""
+    s = models.with_random_side_chains(load("1ejg.pdb"), seed=3018)
+    r = pc.relax(s)
+    assert [each.violations for each in r.rounds] == [1, 1, 0] and r.status == "converged"
+    assert r.rounds[1].let_go < r.rounds[2].let_go <= 12 and r.ca_rmsd_angstrom < 0.7
+
+
+def test_springs_of_later_rounds_are_those_in_series_and_lead_to_the_input(monkeypatch):
+    s = load("1l2y.pdb")
+    seen = []
+
+    def as_it_was(self, x, share, strengths, soften, spent):
+        seen.append((share.copy(), strengths))
+        told = Round(0, 1, 0, 1, 1, 0.0)
+        return Ended(x, Stop.TOLERANCE, self._springs(share, *strengths[0]), np.array([4 + len(seen)]), told)
+
+    monkeypatch.setattr(Relaxer, "_round", as_it_was)
+    relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 10, lambda *_: None)
+    done = relaxer.rounds(s.positions + 0.1, np.zeros(s.n_residues, dtype=bool), 3)
+    assert [strengths for _, strengths in seen] == [[(k, k)] for k in (4184.0, 2092.0, 4184.0 / 3.0)]
+    assert all(np.array_equal(each.springs.home, s.positions) for each in done)
+    assert seen[0][0].min() == 1.0 and seen[1][0][15] == 1.0
+    assert (seen[2][0][5:7] == 0.0).all()
