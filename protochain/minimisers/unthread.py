@@ -1,6 +1,6 @@
 """Bonds drawn out of rings that they go through: no force field does that, for both would have to break.
 
-The bond is pushed out over one side of the ring, while its residue and that of the ring do not repel each other.
+The bond is pushed out over one side of the ring, while its residue and the ring's do not repel each other.
 """
 
 from collections.abc import Callable
@@ -10,9 +10,8 @@ from functools import partial
 import numpy as np
 
 from protochain.arrays import Floats, Integers, read_only
-from protochain.contacts import near_pairs
 from protochain.minimisers.problem import Force, Placement
-from protochain.minimisers.restraints import SOFT_SHARE, SoftRepulsion, Sum
+from protochain.minimisers.restraints import SoftRepulsion, Sum
 from protochain.minimisers.stages import Stage
 from protochain.structure.model import Structure
 from protochain.validation.rings import ThreadedRing, threaded_rings
@@ -102,7 +101,7 @@ def _soft(stage: Stage) -> SoftRepulsion:
 def push_of(structure: Structure, x: Floats, threaded: ThreadedRing, attempt: int) -> Push:
     """Push over one side of a ring: the first attempt over the best, the second over the next.
 
-    The best side is near to where the bond goes through; on its way there is room, and no other bond of the ring.
+    The best side is near to where the bond goes through; beyond it is room, and no other bond of the ring.
 
     Parameters
     ----------
