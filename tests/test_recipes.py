@@ -220,7 +220,7 @@ def test_strain_without_overlaps_is_held_too(torque, parts):
     assert len(RECIPES["kcm"].plan(c, whole, whole, 2.0, Hold(), 0, torque)) == 1
 
 
-@pytest.mark.parametrize(("torque", "runs"), [(900.0, True), (1100.0, False)])
+@pytest.mark.parametrize(("torque", "runs"), [(9e3, True), (1.1e4, False)])
 def test_torsions_take_over_once_the_largest_torque_is_ordinary(torque, runs):
     c = chain("ala10.pdb")
     space = spaces(c)[0]

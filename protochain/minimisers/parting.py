@@ -41,8 +41,9 @@ UNUSUAL = 1e5
 """kJ/mol/rad. Largest torque from which on a start counts as strained; of crystal and NMR structures without
 overlaps, as prepared, none among some fifty has more than 6e4."""
 
-ORDINARY = 1e3
-"""kJ/mol/rad. Largest torque with which torsions go on by themselves from a start that was parted."""
+ORDINARY, ORDINARY_ALONE = 1e3, 1e4
+"""kJ/mol/rad. Largest torque with which torsions take over from a start that was parted, where all atoms could
+move instead, and where they could not. With 1e4 torsions still fling a chain whose bonds are strained."""
 
 FIRM = 2000.0
 """kJ/mol/nm^2 on each heavy atom of the backbone while overlaps are parted: side chains are to yield."""
@@ -88,8 +89,9 @@ class Held:
     is_soft: bool = False
     refresh_every: int = 20
 
-    def at(self, space: Torsions | Cartesian, at: Evaluation) -> Solve:
+    def at(self, space: Space, at: Evaluation) -> Solve:
         """Solver for the model made at a point."""
+        assert isinstance(space, Torsions | Cartesian)
         return space.stiffness(at, _soft_springs if self.is_soft else contacts, self.tether)
 
 
@@ -144,7 +146,8 @@ def parting_in_all_atoms(
     plan: list[Stage] = []
     threaded = bool(threaded_rings(structure))
     if overlap or threaded:
-        bonded, gentle = bonded_part(energy), [SoftRepulsion(structure), *_leashes(structure)]
+        bonded = bonded_part(energy)
+        gentle: list[Force] = [SoftRepulsion(structure), *_leashes(structure)]
         soft = _soft(torsions, Sum(gentle), 1.0)
         if bonded is not None:
             soft = _soft(space, Sum([bonded, *gentle]), _PARTED_ENOUGH)
@@ -194,7 +197,7 @@ def _held(stage: Stage, strength: float, atoms: NDArray[np.bool_] | None = None)
 def _hold(weight: Floats, stage: Stage, x: Floats) -> Stage:
     every = 20 if isinstance(stage.space, Torsions) else 40
     springs = Tethers(x, weight)
-    parts = [springs] if stage.restraint is None else [springs, stage.restraint]
+    parts: list[Force] = [springs] if stage.restraint is None else [springs, stage.restraint]
     method = Descent(LBFGS(Held(springs.weight, refresh_every=every)), StrongWolfe())
     return replace(stage, method=method, restraint=Sum(parts))
 
@@ -224,7 +227,8 @@ def _is_ordinary(energy: Energy | None, stage: Stage, at: Placement) -> bool:
     if energy is not None:
         space = _torsions_at(space, at.x)
         at = space.place(space.start(at.x))
-    return space.residual(space.torque(at, (energy or stage.energy)(at.x)[1])) <= ORDINARY
+    torque = space.residual(space.torque(at, (energy or stage.energy)(at.x)[1]))
+    return torque <= (ORDINARY_ALONE if energy is None else ORDINARY)
 
 
 def _rebuilt(energy: Energy, stage: Stage, x: Floats) -> Stage:
