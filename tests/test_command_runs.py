@@ -62,6 +62,7 @@ def asked(monkeypatch):
         shown=[],
         ends=iter([Solution()] * 9),
         chain=SimpleNamespace(structure=S),
+        troubled=False,
     )
 
     def prepare(source, setup):
@@ -95,6 +96,11 @@ def asked(monkeypatch):
         overall = {"starts": [1], "starts_summary": {"n": 1}}
         return SimpleNamespace(best=best, overall=lambda: overall)
 
+    def outlook(source, structure, method):
+        assert structure is S and seen.prepared[-1][0] == source
+        return seen.troubled
+
+    monkeypatch.setattr(MINIMISE, "print_outlook", outlook)
     for module in (MINIMISE, COMPARE):
         monkeypatch.setattr(module, "prepare", prepare)
         monkeypatch.setattr(module, "foretell", foretell)
@@ -156,6 +162,14 @@ def test_minimise_names_its_output_after_input_and_method(
     assert lines[-3:] == [
         "m: ended budget", "C-alpha RMSD 0.12 angstrom, as filed 1.50: where it was", f"written: {output}"
     ]  # fmt: skip
+
+
+def test_a_start_with_overlaps_is_foretold_to_take_longer(asked, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    asked.troubled = True
+    assert run("minimise", "a.pdb") == 0
+    assert run("minimise", "a.pdb", "--max-evaluations", 700) == 0
+    assert asked.foretold == [(3 * typical_evaluations("hybrid", 5000), 5000), (700, 700)]
 
 
 @pytest.mark.parametrize(

@@ -198,7 +198,7 @@ def test_an_interrupt_before_a_run_is_a_line_and_status_1(monkeypatch, capsys):
     assert capsys.readouterr().err == "protochain: interrupted before there was a result\n"
 
 
-STAGES = ("preparation", "parting overlaps", "torsions", "all atoms", "OpenMM")
+STAGES = ("preparation", "parting overlaps", "held by springs", "torsions", "all atoms", "OpenMM")
 
 TELLER = """
 import sys, time
@@ -238,7 +238,8 @@ def test_ctrl_c_is_answered_within_a_second_in_every_stage(stage, tmp_path):
     c = pc.build_chain(s, "chi")
     q = c.q0 + np.random.default_rng(1).normal(scale=0.5, size=c.n_q)
     pc.save(s.with_positions(pc.pose(c, q).x), source)
-    method = "openmm" if stage == "OpenMM" else "cartesian" if stage == "all atoms" else "hybrid"
+    others = {"OpenMM": "openmm", "all atoms": "cartesian", "torsions": "kcm-stiffness"}
+    method = others.get(stage, "hybrid")
     name = "all atoms" if stage == "OpenMM" else stage
     process = subprocess.Popen(
         [sys.executable, "-c", TELLER, "minimise", str(source), "-o", str(tmp_path / "out.pdb"), "--json",

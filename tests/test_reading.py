@@ -308,7 +308,9 @@ def test_a_bond_of_consecutive_numbers_is_torn_before_it_is_a_break(gap, torn):
         assert len(names(draft)) == 2 and "broken between 2 and 3 (3.0 angstrom)" in draft.repairs[0]
     else:
         assert names(draft) == [["ALA1", "ALA2", "ALA3", "ALA4"]]
-        where = f"the bond of residue 2 ALA of chain A and residue 3 ALA of chain A is {gap:.1f} angstrom long"
+        where = (
+            f"the bond of residue 2 ALA of chain A and residue 3 ALA of chain A is {gap:.1f} angstrom long"
+        )
         assert draft.repairs == [f"{where}: kept as a peptide bond"] * torn
 
 

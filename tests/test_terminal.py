@@ -245,6 +245,28 @@ def test_on_a_terminal_the_bar_names_the_stage_and_the_time_left(clock, monkeypa
     assert re.search(r"hybrid: held by springs .* kJ/mol +about \d+ (s|min) left", plain)
 
 
+def test_what_is_wrong_with_a_start_is_printed_in_words_of_the_command_line(capsys):
+    assert not terminal.print_outlook("a.pdb", chain("1l2y.pdb").structure, "hybrid")
+    assert capsys.readouterr().err == ""
+    assert terminal.print_outlook("a.pdb", crowded().structure, "hybrid")
+    first, last = capsys.readouterr().err.splitlines()
+    assert re.match(r"a\.pdb: \d+ pairs of atoms overlap; violations in \d+ residues: ", first)
+    assert last.startswith("a.pdb: hybrid: parts overlaps") and last.endswith(
+        "; protochain relax keeps the fold"
+    )
+    assert terminal.in_commands("give pc.energy(structure), pc.relax(x) or pc.validate") == (
+        "give pc.energy(structure), pc.relax(x) or protochain validate"
+    )
+
+
+def test_a_run_that_strays_says_so_at_once(clock, capsys):
+    with terminal.run_progress("hybrid", 1000) as watch:
+        watch.at_warning("2.1 angstrom from a start; pc.relax keeps the fold")
+        assert (
+            capsys.readouterr().err == "hybrid: 2.1 angstrom from a start; protochain relax keeps the fold\n"
+        )
+
+
 def test_a_long_run_says_so_before_it_begins(monkeypatch, capsys):
     c, e = chain("1l2y.pdb"), energy("1l2y.pdb")
     terminal.foretell("1l2y.pdb", c, e, 100, 5000)

@@ -13,7 +13,16 @@ import pdoc
 
 import protochain
 
-PACKAGES = ("analysis", "batches", "dynamics", "energies", "minimisers", "relaxation", "structure", "validation")
+PACKAGES = (
+    "analysis",
+    "batches",
+    "dynamics",
+    "energies",
+    "minimisers",
+    "relaxation",
+    "structure",
+    "validation",
+)
 SHADOWED = (
     "dynamics.fixman",
     "dynamics.simulate",

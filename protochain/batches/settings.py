@@ -17,9 +17,7 @@ from protochain.structure.prepare import user_files
 NAME = "settings.json"
 
 
-def keep_settings(
-    folder: Path, common: JobSettings, jobs: Sequence[Job], table: str = "summary.csv"
-) -> None:
+def keep_settings(folder: Path, common: JobSettings, jobs: Sequence[Job], table: str = "summary.csv") -> None:
     """Write the settings of a batch to its folder, or refuse to go on with other ones.
 
     Parameters

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from protochain.structure.trajectory import TrajectoryFile
 
 TROUBLED = 3
-"""Times as many evaluations as usual from starts with overlaps or violations, measured on predicted models."""
+"""Times as many evaluations as usual from starts with overlaps or violations, as of predicted models."""
 
 Output = Annotated[
     Path | None,

@@ -81,8 +81,8 @@ def minimise(
     watch : callable, optional
         Called with every trace row and its positions (in the frame of the start), to show progress or write a
         trajectory. Its method ``at_stage``, if it has one, is called with the stage (``parting overlaps``,
-        ``held by springs``, ``torsions``, ``all atoms`` ...) and the evaluations so far; ``at_warning`` with a
-        line once a run from a start with overlaps is 2 angstrom (C-alpha RMSD) away, or else
+        ``held by springs``, ``torsions``, ``all atoms`` ...) and the evaluations so far; ``at_warning`` with
+        a line once a run from a start with overlaps is 2 angstrom (C-alpha RMSD) away, or else
         :class:`protochain.errors.StrayWarning` says so.
     **options
         ``restraint`` : float, sequence of float (kJ/mol/nm^2), or callable. Springs from the heavy atoms to

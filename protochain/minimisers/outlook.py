@@ -28,8 +28,8 @@ def outlook(structure: Structure, recipe: Recipe) -> list[str]:
     Returns
     -------
     list of str
-        A line for what is counted, one for each threaded ring, and one for what will be done; none for a start
-        without violations, overlaps and threaded rings.
+        A line for what is counted, one for each threaded ring, and one for what will be done; none for a
+        start without violations, overlaps and threaded rings.
     """
     crowd = len(overlaps(structure, structure.positions))
     threaded, wrong = threaded_rings(structure), violations(structure)

@@ -1,14 +1,15 @@
 """Parting of overlaps by moves that stay local, before the force field takes over.
 
 The force field alone flings the chain: forces of 1e11 kJ/mol/nm at one contact turn a dihedral, and with it
-all that lies beyond. Soft repulsion parts the atoms first, tethers hold all others, and springs hold the chain
-while the force field puts right what is left.
+all that lies beyond. Soft repulsion parts the atoms first, tethers hold all others, and springs hold the
+chain while the force field puts right what is left.
 """
 
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain.arrays import Floats, read_only
 from protochain.contacts import near_pairs, overlaps
@@ -37,11 +38,12 @@ from protochain.structure.model import Structure
 from protochain.validation.rings import threaded_rings
 
 UNUSUAL = 1e5
-"""kJ/mol/rad. Largest torque from which on a start counts as strained; of the crystal and NMR structures among
-the samples none has more than 6e4."""
+"""kJ/mol/rad. Largest torque from which on a start is strained; of crystal and NMR structures without
+overlaps, as prepared, none among some fifty has more than 6e4."""
 
-ORDINARY = 1e3
-"""kJ/mol/rad. Largest torque with which torsions go on by themselves from a start that was parted."""
+ORDINARY, ORDINARY_ALONE = 1e3, 1e4
+"""kJ/mol/rad. Largest torque with which torsions take over from a start that was parted, where all atoms could
+move instead, and where they could not. With 1e4 torsions still fling a chain whose bonds are strained."""
 
 FIRM = 2000.0
 """kJ/mol/nm^2 on each heavy atom of the backbone while overlaps are parted: side chains are to yield."""
@@ -53,12 +55,17 @@ SPRING = 4184.0
 """kJ/mol/nm^2 on heavy atoms while the force field takes over: 10 kcal/mol/angstrom^2, as AlphaFold's
 relaxation has it (Jumper et al., Nature 596:583, 2021, supplement 1.8.6)."""
 
+SPRINGS_ON_BACKBONE = (1000.0, 100.0)
+"""kJ/mol/nm^2, one after the other, on the heavy atoms of the backbone alone: side chains find their places
+before they can press it apart."""
+
 SPRINGS_IN_TORSIONS = (SPRING, 400.0, 40.0)
 """kJ/mol/nm^2, one after the other: torsions have long levers."""
 
 _PARTED_ENOUGH = 20.0
 _HELD_ENOUGH = 10.0
-"""kJ/mol/nm, RMS force."""
+_SETTLED = 2.0
+"""kJ/mol/nm, RMS force: overlaps parted; all heavy atoms held; side chains settled."""
 _TURNED_ENOUGH = 300.0
 """kJ/mol/rad."""
 _PATIENCE = 60
@@ -82,8 +89,9 @@ class Held:
     is_soft: bool = False
     refresh_every: int = 20
 
-    def at(self, space: Torsions | Cartesian, at: Evaluation) -> Solve:
+    def at(self, space: Space, at: Evaluation) -> Solve:
         """Solver for the model made at a point."""
+        assert isinstance(space, Torsions | Cartesian)
         return space.stiffness(at, _soft_springs if self.is_soft else contacts, self.tether)
 
 
@@ -93,7 +101,7 @@ def _soft_springs(structure: Structure, x: Floats, bonds: int) -> Springs:
 
 
 def parting_in_torsions(
-    space: Torsions, energy: Energy, restraint: Force | None, overlap: bool
+    space: Torsions, energy: Energy, tolerance: float, restraint: Force | None, overlap: bool
 ) -> list[Stage]:
     """Stages that part overlaps in torsions, then let the force field take over by and by.
 
@@ -102,50 +110,56 @@ def parting_in_torsions(
     space : Torsions
     energy : Energy
         Of the stages that follow.
+    tolerance : float
+        Of the whole minimisation.
     restraint : callable, optional
         The user's.
     overlap : bool
         Whether atoms overlap; otherwise only torques are large.
     """
     structure = space.chain.structure
-    plan = []
+    plan: list[Stage] = []
     if overlap:
         plan.append(_soft(space, Sum([SoftRepulsion(structure), *_leashes(structure)]), 1.0))
-    return plan + [
-        _held(Stage(space, Descent(LBFGS(), StrongWolfe()), energy, _TURNED_ENOUGH, restraint), strength)
-        for strength in SPRINGS_IN_TORSIONS
-    ]
+    stage = Stage(space, Descent(LBFGS(), StrongWolfe()), energy, max(_TURNED_ENOUGH, tolerance), restraint)
+    return plan + [_held(stage, strength) for strength in SPRINGS_IN_TORSIONS]
 
 
 def parting_in_all_atoms(
-    torsions: Torsions, space: Cartesian, energy: Energy, restraint: Force | None, overlap: bool
+    torsions: Torsions,
+    space: Cartesian,
+    energy: Energy,
+    tolerance: float,
+    restraint: Force | None,
+    overlap: bool,
 ) -> list[Stage]:
-    """Stages that free threaded rings and part overlaps, moving all atoms, then let the force field take over.
+    """Stages that free threaded rings and part overlaps in all atoms, then let the force field take over.
 
     Parameters
     ----------
     torsions, space : Torsions, Cartesian
         Torsions part the atoms if nothing is known of an energy's bonds.
-    energy, restraint, overlap
+    energy, tolerance, restraint, overlap
         As for :func:`parting_in_torsions`.
     """
     structure = space.structure
-    plan = []
+    plan: list[Stage] = []
     threaded = bool(threaded_rings(structure))
     if overlap or threaded:
-        bonded, gentle = bonded_part(energy), [SoftRepulsion(structure), *_leashes(structure)]
+        bonded = bonded_part(energy)
+        gentle: list[Force] = [SoftRepulsion(structure), *_leashes(structure)]
         soft = _soft(torsions, Sum(gentle), 1.0)
         if bonded is not None:
             soft = _soft(space, Sum([bonded, *gentle]), _PARTED_ENOUGH)
         plan += [*freeing(soft, _where_atoms_overlap), soft] if threaded else [soft]
-    return [
-        *plan,
-        _held(Stage(space, Descent(LBFGS(), StrongWolfe()), energy, _HELD_ENOUGH, restraint), SPRING),
-    ]
+    stage = Stage(space, Descent(LBFGS(), StrongWolfe()), energy, max(_HELD_ENOUGH, tolerance), restraint)
+    settled = replace(stage, tolerance=max(_SETTLED, tolerance))
+    backbone = [_held(settled, strength, of_backbone(structure)) for strength in SPRINGS_ON_BACKBONE]
+    return [*plan, _held(stage, SPRING), *backbone]
 
 
 def unthreading(space: Cartesian, energy: Energy) -> list[Stage]:
-    """Stages that free threaded rings alone, moving all atoms; none if nothing is known of an energy's bonds."""
+    """Stages that free threaded rings, moving all atoms; none if nothing is known of an energy's bonds."""
     bonded = bonded_part(energy)
     if bonded is None:
         return []
@@ -159,10 +173,14 @@ def _where_atoms_overlap(stage: Stage) -> Stage:
     return replace(stage, ready=lambda stage, at: bool(overlaps(structure, at.x)))
 
 
+def of_backbone(structure: Structure) -> NDArray[np.bool_]:
+    """(na,) bool: heavy atoms of the protein's backbone."""
+    return np.isin(structure.atom_name, ("N", "CA", "C", "O")) & ~structure.kept
+
+
 def soft_tethers(structure: Structure) -> Floats:
     """(na,) float, kJ/mol/nm^2: tethers while overlaps are parted."""
-    backbone = np.isin(structure.atom_name, ("N", "CA", "C", "O")) & ~structure.kept
-    return read_only(np.where(backbone, FIRM, SOFT_TETHER))
+    return read_only(np.where(of_backbone(structure), FIRM, SOFT_TETHER))
 
 
 def _leashes(structure: Structure) -> list[Force]:
@@ -178,15 +196,18 @@ def _soft(space: Torsions | Cartesian, gentle: Force, tolerance: float) -> Stage
     )
 
 
-def _held(stage: Stage, strength: float) -> Stage:
-    """Stage held by springs to where it starts."""
-    return replace(stage, fit=partial(_hold, strength), name="held by springs")
+def _held(stage: Stage, strength: float, atoms: NDArray[np.bool_] | None = None) -> Stage:
+    """Stage held by springs to where it starts, on all heavy atoms or on some."""
+    atoms = _structure(stage.space).atom_element != "H" if atoms is None else atoms
+    return replace(
+        stage, fit=partial(_hold, read_only(np.where(atoms, strength, 0.0))), name="held by springs"
+    )
 
 
-def _hold(strength: float, stage: Stage, x: Floats) -> Stage:
-    structure, every = _structure(stage.space), 20 if isinstance(stage.space, Torsions) else 40
-    springs = Tethers(x, np.where(structure.atom_element == "H", 0.0, strength))
-    parts = [springs] if stage.restraint is None else [springs, stage.restraint]
+def _hold(weight: Floats, stage: Stage, x: Floats) -> Stage:
+    every = 20 if isinstance(stage.space, Torsions) else 40
+    springs = Tethers(x, weight)
+    parts: list[Force] = [springs] if stage.restraint is None else [springs, stage.restraint]
     method = Descent(LBFGS(Held(springs.weight, refresh_every=every)), StrongWolfe())
     return replace(stage, method=method, restraint=Sum(parts))
 
@@ -216,7 +237,8 @@ def _is_ordinary(energy: Energy | None, stage: Stage, at: Placement) -> bool:
     if energy is not None:
         space = _torsions_at(space, at.x)
         at = space.place(space.start(at.x))
-    return space.residual(space.torque(at, (energy or stage.energy)(at.x)[1])) <= ORDINARY
+    torque = space.residual(space.torque(at, (energy or stage.energy)(at.x)[1]))
+    return torque <= (ORDINARY_ALONE if energy is None else ORDINARY)
 
 
 def _rebuilt(energy: Energy, stage: Stage, x: Floats) -> Stage:

@@ -163,9 +163,9 @@ class Recipe:
         parts |= bool(self.runs) and not self.in_torsions and bool(threaded_rings(chain.structure))
         plan: list[Stage] = []
         if parts and self.keeps_geometry:
-            plan += parting_in_torsions(torsions, reduced, restraints[0], overlap)
+            plan += parting_in_torsions(torsions, reduced, tolerance, restraints[0], overlap)
         elif parts:
-            plan += parting_in_all_atoms(torsions, atoms, energy, restraints[0], overlap)
+            plan += parting_in_all_atoms(torsions, atoms, energy, tolerance, restraints[0], overlap)
         for run in self.runs:
             space, own = (torsions, reduced) if run.in_torsions else (atoms, energy)
             method: Any = run.method

@@ -86,7 +86,7 @@ def covalent(structure: Structure) -> Springs:
 
 
 Near = Callable[[Structure, Floats, int], Springs]
-"""Springs between atoms at positions that are more than a number of bonds apart: :func:`contacts`, or softer."""
+"""Springs between near atoms more than a number of bonds apart: :func:`contacts`, or softer ones."""
 
 
 def torsion_stiffness(

@@ -1,6 +1,6 @@
 """Bonds drawn out of rings that they go through: no force field does that, for both would have to break.
 
-The bond is pushed out over one side of the ring, while its residue and that of the ring do not repel each other.
+The bond is pushed out over one side of the ring, while its residue and the ring's do not repel each other.
 """
 
 from collections.abc import Callable
@@ -101,7 +101,7 @@ def _soft(stage: Stage) -> SoftRepulsion:
 def push_of(structure: Structure, x: Floats, threaded: ThreadedRing, attempt: int) -> Push:
     """Push over one side of a ring: the first attempt over the best, the second over the next.
 
-    The best side is near to where the bond goes through; on its way there is room, and no other bond of the ring.
+    The best side is near to where the bond goes through; beyond it is room, and no other bond of the ring.
 
     Parameters
     ----------
