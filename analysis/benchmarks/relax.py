@@ -298,8 +298,8 @@ def throughput(n: int, sample: int, scratch: Path, output: Path | None) -> pd.Da
     row = {
         "models": n, "rows": len(table), "statuses": ended,
         "residues_with_violations_start": table["violations_start"].sum(),
-        "residues_with_violations_end": table["violations_end"].sum(), "exit": done.returncode, "seconds_relax": ours,
-        "models_an_hour_relax": 3600 * n / ours, "sample_openmm": len(chosen),
+        "residues_with_violations_end": table["violations_end"].sum(),
+        "exit": done.returncode, "seconds_relax": ours, "models_an_hour_relax": 3600 * n / ours, "sample_openmm": len(chosen),
         "seconds_openmm_scaled": theirs, "models_an_hour_openmm": 3600 * n / theirs,
         "times_sooner": theirs / ours, "load": os.getloadavg()[1],
     }  # fmt: skip
