@@ -7,11 +7,13 @@ from dataclasses import replace
 import gemmi
 import models
 import numpy as np
+import openmm
 import pytest
-from conftest import NATIVE_FORCE, SPRING_ENERGY, energy, load, shared
+from conftest import NATIVE_ENERGY, NATIVE_FORCE, SPRING_ENERGY, energy, load, shared
 
 import protochain as pc
 from protochain.contacts import joined, overlaps
+from protochain.energies import OpenMMEnergy, build_system
 from protochain.minimisers.loop import Stop
 from protochain.relaxation import PRESETS, PROTOCOLS, Relaxing, rounds
 from protochain.relaxation.api import _spoiled, relax_structure
@@ -260,7 +262,7 @@ def test_a_file_keeps_what_it_says_of_itself(tmp_path):
         sequences = [list(e.full_sequence) for e in made.entities if e.entity_type.name == "Polymer"]
         assert sequences == [list(e.full_sequence) for e in given.entities if e.entity_type.name == "Polymer"]
         assert any(a.is_hydrogen() for c in made[0] for res in c for a in res) == (name == "with.pdb")
-    assert "METHOD RELAX, STATUS BUDGET" in (tmp_path / "without.cif").read_text()
+    assert "METHOD RELAX, STATUS budget" in (tmp_path / "without.cif").read_text()
 
 
 def test_molecules_beside_the_protein_stand_still():
@@ -310,6 +312,21 @@ def test_an_interrupt_keeps_the_best_so_far(monkeypatch):
     assert r.status is pc.Status.INTERRUPTED and len(r.rounds) == 1
     assert r.energy_end <= r.energy_start
     assert Stop.INTERRUPTED in rounds._FINAL
+
+
+def test_the_rough_energy_is_that_of_a_cutoff_with_a_reaction_field():
+    """OpenMM's Reference platform, with the same cutoff and dielectric, in vacuum."""
+    s = load("1l2y.pdb")
+    system = build_system(s, solvent="vacuum")
+    (nonbonded,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
+    nonbonded.setNonbondedMethod(nonbonded.CutoffNonPeriodic)
+    nonbonded.setCutoffDistance(0.9)
+    nonbonded.setReactionFieldDielectric(78.5)
+    reference, forces = OpenMMEnergy(system, "Reference")(s.positions)
+    value, own = energy("1l2y.pdb").coarse(s.positions)
+    assert value == pytest.approx(reference, rel=NATIVE_ENERGY * 100)
+    assert np.linalg.norm(own - forces) < NATIVE_FORCE * 100 * np.linalg.norm(forces)
+    assert abs(value - energy("1l2y.pdb")(s.positions)[0]) > 100.0
 
 
 def test_only_hands_that_became_wrong_are_inverted():

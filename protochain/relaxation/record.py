@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
+from functools import partial
 from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any
@@ -16,7 +17,11 @@ _Value = Callable[[Any], Any]
 
 def _of_measures(when: str) -> Iterator[tuple[str, _Value]]:
     for key in MEASURES:
-        yield f"{key}_{when}", lambda r, key=key: getattr(r, f"measures_{when}")[key]
+        yield f"{key}_{when}", partial(_measure, key, when)
+
+
+def _measure(key: str, when: str, relaxation: Any) -> Any:
+    return getattr(relaxation, f"measures_{when}")[key]
 
 
 COLUMNS: Mapping[str, _Value] = MappingProxyType({

@@ -88,10 +88,8 @@ class Relaxing:
             own = replace(own, tolerance=self.tolerance)
         if self.stiffness is not None:
             share = self.stiffness / max(own.backbone)
-            scaled = {
-                kind: tuple(share * k for k in getattr(own, kind)) for kind in ("backbone", "side_chains")
-            }
-            own = replace(own, **scaled)
+            backbone, side_chains = (tuple(share * k for k in ks) for ks in (own.backbone, own.side_chains))
+            own = replace(own, backbone=backbone, side_chains=side_chains)
         return own
 
     def setup(self, given: Setup) -> Setup:

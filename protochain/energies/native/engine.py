@@ -23,6 +23,8 @@ _LOG = logging.getLogger(__name__)
 _SETTINGS: Any = numba.config
 MOST_THREADS: int = _SETTINGS.NUMBA_NUM_THREADS
 """Threads of numba: number of processors, or NUMBA_NUM_THREADS."""
+_COARSE, _WATER = 0.9, 78.5
+"""nm; dielectric constant."""
 
 
 class NativeEnergy:
@@ -169,6 +171,21 @@ class NativeEnergy:
         left_out["close pairs"] = len(mine.close) - len(its.close)
         less.left_out = MappingProxyType({kind: n for kind, n in left_out.items() if n})
         return less
+
+    @cached_property
+    def coarse(self) -> "NativeEnergy":
+        """A rough copy that is several times as fast, to begin with where the energy is high.
+
+        Pairs up to ``_COARSE`` nm, with the reaction field of water beyond in place of the solvent model.
+        """
+        terms = self._layout.terms
+        krf = (_WATER - 1.0) / (2.0 * _WATER + 1.0) / _COARSE**3
+        crf = 3.0 * _WATER / (2.0 * _WATER + 1.0) / _COARSE
+        nonbonded = replace(terms.nonbonded, cutoff=_COARSE, krf=krf, crf=crf)
+        rough = NativeEnergy.__new__(NativeEnergy)
+        fewer = replace(terms, nonbonded=nonbonded, solvent=None)
+        rough._set(self.by_openmm, self.threads, replace(self._layout, terms=fewer))
+        return rough
 
     @cached_property
     def _fixed_integral(self) -> Floats:
