@@ -55,7 +55,7 @@ def test_springs_of_later_rounds_are_those_in_series_and_lead_to_the_input(monke
     s = load("1l2y.pdb")
     seen = []
 
-    def as_it_was(self, x, share, strengths, soften, spent):
+    def as_it_was(self, x, share, strengths, work):
         seen.append((share.copy(), strengths))
         told = Round(0, 1, 0, 1, 1, 0.0)
         return Ended(x, Stop.TOLERANCE, self._springs(share, *strengths[0]), np.array([4 + len(seen)]), told)

@@ -296,12 +296,12 @@ def throughput(n: int, sample: int, scratch: Path, output: Path | None) -> pd.Da
     statuses = table["status"].fillna("failed").value_counts()
     ended = ", ".join(f"{k} {name}" for name, k in statuses.items())
     row = {
-        "models": n, "rows": len(table), "statuses": ended,
+        "models": n, "rows": len(table), "statuses": ended, "exit": done.returncode,
         "residues_with_violations_start": table["violations_start"].sum(),
-        "residues_with_violations_end": table["violations_end"].sum(), "exit": done.returncode, "seconds_relax": ours,
-        "models_an_hour_relax": 3600 * n / ours, "sample_openmm": len(chosen),
-        "seconds_openmm_scaled": theirs, "models_an_hour_openmm": 3600 * n / theirs,
-        "times_sooner": theirs / ours, "load": os.getloadavg()[1],
+        "residues_with_violations_end": table["violations_end"].sum(),
+        "seconds_relax": ours, "models_an_hour_relax": 3600 * n / ours,
+        "sample_openmm": len(chosen), "seconds_openmm_scaled": theirs,
+        "models_an_hour_openmm": 3600 * n / theirs, "times_sooner": theirs / ours, "load": os.getloadavg()[1],
     }  # fmt: skip
     print(done.stderr[-1000:], file=sys.stderr)
     return pd.DataFrame([row])
