@@ -42,8 +42,8 @@ UNUSUAL = 1e5
 overlaps, as prepared, none has more than 6e4."""
 
 ORDINARY, ORDINARY_ALONE = 1e3, 1e4
-"""kJ/mol/rad. Largest torque with which torsions take over from a start that was parted, where all atoms could
-move instead, and where they could not. At 1e4 torsions still fling a chain whose bonds are strained."""
+"""kJ/mol/rad. Largest torque with which torsions take over from a start that was parted: where all atoms
+could move instead, and where they could not. At 1e4 torsions still fling a chain whose bonds are strained."""
 
 FIRM = 2000.0
 """kJ/mol/nm^2 on each heavy atom of the backbone while overlaps are parted: side chains are to yield."""
