@@ -300,6 +300,7 @@ def test_the_report_shows_each_row_and_links_the_pages_there_are(tmp_path):
     (tmp_path / "pages" / "s1.html").write_text("")
     summary = {
         "n_structures": 4,
+        "table": "summary.csv",
         "command": ["protochain", "batch"],
         "python": "3.x",
         "versions": {"numpy": "n"},

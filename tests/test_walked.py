@@ -168,7 +168,9 @@ def handed(monkeypatch):
 
     monkeypatch.setattr(batches, "connected", connected)
     monkeypatch.setattr(batches, "_work", work)
-    monkeypatch.setattr(batches, "_finish", lambda folder, jobs: seen.finished.append((folder, len(jobs))))
+    monkeypatch.setattr(
+        batches, "_finish", lambda tables, jobs: seen.finished.append((tables.folder, len(jobs)))
+    )
     return seen
 
 

@@ -56,10 +56,11 @@ def keep_settings(folder: Path, common: JobSettings, jobs: Sequence[Job], table:
 
 
 def _holds_results(table: Path) -> bool:
-    """Whether a table has a row below its headings."""
+    """Whether a table of a batch has a row below its headings."""
     try:
         with table.open("rb") as file:
-            return len([*islice(file, 2)]) > 1
+            lines = [*islice(file, 2)]
+            return len(lines) > 1 and b"key" in lines[0].strip().split(b",")
     except FileNotFoundError:
         return False
 

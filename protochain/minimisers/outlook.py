@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from protochain.arrays import Floats
 from protochain.contacts import overlaps
 from protochain.minimisers.recipes import Recipe
@@ -89,7 +91,9 @@ class Straying:
 def strayed(structure: Structure, x: Floats) -> str:
     """Say how far positions (na, 3) are from a start with overlaps; empty within ``FAR``."""
     alpha = structure.alpha_carbons
-    away = rmsd_angstrom(x[alpha], structure.positions[alpha]) if len(alpha) > 2 else 0.0
+    if len(alpha) <= 2 or not np.isfinite(x[alpha]).all():
+        return ""
+    away = rmsd_angstrom(x[alpha], structure.positions[alpha])
     if not away > FAR:
         return ""
     return f"{away:.1f} angstrom from a start whose atoms overlapped; pc.relax keeps the fold"
