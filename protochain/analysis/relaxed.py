@@ -18,7 +18,9 @@ from protochain.storage import write_atomically
 from protochain.units import ANGSTROM_PER_NM
 
 _FULL_RED = 2.0
-"""Angstrom of displacement from which on the colour is the same; less where nothing moved as far."""
+"""Angstrom of displacement from which on the colour is the same; less where little moved as far."""
+_MOST = 0.98
+"""Share of the heavy atoms whose displacements the colours tell apart."""
 
 
 def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path) -> None:
@@ -52,5 +54,6 @@ def coloured(relaxation: Relaxation) -> dict[str, Any]:
     away = ANGSTROM_PER_NM * np.linalg.norm(end.positions - start.positions, axis=1)
     shown = scene({"input": start, "relaxed": replace(end, b_factor=away)})
     heavy = away[start.atom_element != "H"]
-    shown["models"][1]["farthest_angstrom"] = max(0.01, min(_FULL_RED, float(heavy.max())))
+    # A side chain that turned must not leave all others grey.
+    shown["models"][1]["farthest_angstrom"] = float(np.clip(np.quantile(heavy, _MOST), 0.1, _FULL_RED))
     return shown
