@@ -45,6 +45,8 @@ FOLDERS = {
 """Name: (what is changed, under protochain; test files for what coverage does not see: kernels, processes)"""
 LONGEST = 60.0
 """Seconds of tests for one fault, as they took without it."""
+COMPILED = ("neighbours", "mechanics", "kernels")
+"""Names of folders with kernels, into which a module's constants are compiled, also those of other files."""
 COMPARISONS = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
@@ -155,7 +157,11 @@ def faults(folder: str, root: Path) -> list[Fault]:
 
 
 def tests_of_lines(root: Path, jobs: int) -> tuple[dict[tuple[str, int], set[str]], dict[str, float]]:
-    """Run the fast tests once: the tests that reach each line, and how long each test takes."""
+    """Run the fast tests once: the tests that reach each line, and how long each test takes.
+
+    A line that runs on import, which coverage gives to the first test that imports it, has all tests that
+    reach a function of its file.
+    """
     timing, covered = root / "timing.xml", root / ".coverage"
     command = [*PYTEST, "-n", str(jobs), "--dist", "loadfile", f"--junitxml={timing}"]
     command += ["--cov=protochain", "--cov-context=test", "--cov-report="]
@@ -175,7 +181,23 @@ def tests_of_lines(root: Path, jobs: int) -> tuple[dict[tuple[str, int], set[str
     for path, context, bits in rows:
         for line in coverage.numbits.numbits_to_nums(bits) if context else ():
             reached[Path(path).relative_to(root).as_posix(), line].add(context.split("|")[0])
+    for file in {file for file, _ in reached}:
+        text = (root / file).read_text()
+        called = lines_of_functions(text)
+        users = set().union(*(reached.get((file, line), ()) for line in called))
+        for line in {*range(1, len(text.splitlines()) + 1)} - called if users else ():
+            reached[file, line] = users
     return reached, seconds
+
+
+def lines_of_functions(text: str) -> set[int]:
+    """Lines that run when a function is called."""
+    return {
+        line
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.FunctionDef)
+        for line in range(node.body[0].lineno, (node.end_lineno or 0) + 1)
+    }
 
 
 PYTEST = [sys.executable, "-m", "pytest", "-q", "-p", "no:randomly", "-p", "no:cacheprovider"]
@@ -198,7 +220,7 @@ def tried(fault: Fault, root: Path, tests: list[str], kernel: bool, limit: float
     lines[fault.line - 1] = line[: len(line) - len(line.lstrip())] + fault.fault + "\n"
     surroundings = environment(root)
     scratch = root / ".numba-fault"
-    if kernel:
+    if kernel or (fault.folder in COMPILED and fault.line not in lines_of_functions(text)):
         surroundings["NUMBA_CACHE_DIR"] = str(scratch)
     (root / "chosen.txt").write_text("\n".join(tests))
     try:
@@ -236,10 +258,8 @@ def chosen_tests(
         named = {f"tests/test_{name}.py" for name in files}
         found = found | {test for test in seconds if test.split("::")[0] in named}
     if not found:
-        # A line that runs on import: the tests that use its file, or are named after it.
         own = f"tests/test_{Path(fault.file).stem}.py"
-        found = set().union(*(tests for (file, _), tests in reached.items() if file == fault.file))
-        found |= {test for test in seconds if test.split("::")[0] == own}
+        found = {test for test in seconds if test.split("::")[0] == own}
     chosen, spent = [], 0.0
     for test in sorted(found & seconds.keys(), key=lambda test: seconds[test]):
         spent += seconds[test]

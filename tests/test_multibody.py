@@ -176,6 +176,10 @@ def test_arrays_that_do_not_fit_are_refused():
         pose(tree, np.zeros(3))
     with pytest.raises(ProtochainError, match="wrench has shape"):
         pull_back(tree, pose(tree, np.ones(10)), np.zeros((3, 6)))
+    with pytest.raises(ProtochainError, match=r"^qd has shape \(10,\), not \(9,\)"):
+        integrate(tree, np.ones(10), np.zeros(10))
+    with pytest.raises(ProtochainError, match=r"^q has shape \(9,\), not \(10,\)"):
+        integrate(tree, np.ones(9), np.zeros(9))
 
 
 def test_a_tree_and_its_frames_cannot_be_changed():

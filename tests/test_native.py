@@ -4,6 +4,7 @@ import copy
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import openmm
@@ -18,6 +19,7 @@ import protochain as pc
 from protochain.chain import pose, pull_back
 from protochain.energies import NativeEnergy, OpenMMEnergy, UnsupportedForceError
 from protochain.energies.native import born, neighbours, series
+from protochain.energies.native.evaluate import Layout
 from protochain.energies.native.layout import W
 
 PARTS_OF = {
@@ -511,3 +513,17 @@ def test_no_bit_depends_on_what_was_compiled_first(tmp_path):
         )
         found.append(run.stdout)
     assert found[0] == found[1] != ""
+
+
+def test_a_block_is_near_up_to_where_the_far_series_of_its_largest_radius_hold():
+    s = np.full(40, 0.1)
+    s[3], s[39] = -0.3, 0.15
+    solvent = SimpleNamespace(scaled_radius=s, offset_radius=np.full(40, 0.2))
+    made = Layout(SimpleNamespace(solvent=solvent, n_atoms=40), np.full((40, 1), -1), (s, s))
+    assert made.near == pytest.approx(0.3 / 0.5)
+    assert made.block_near == pytest.approx([0.3 / 0.24, 0.15 / 0.24])
+    s[39] = 0.01
+    small = Layout(made.terms, made.groups, made.exceptions)
+    assert small.block_near == pytest.approx([0.3 / 0.24, max(0.1 / 0.24, small.near)])
+    none = Layout(SimpleNamespace(solvent=None, n_atoms=40), made.groups, made.exceptions)
+    assert none.block_near.tolist() == [none.near] * 2

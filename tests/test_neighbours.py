@@ -64,6 +64,16 @@ def test_lists_are_those_of_all_pairs_whatever_the_last_block(n, seed):
     assert found.x is not x and np.array_equal(found.x, x)
 
 
+@pytest.mark.parametrize("n", [1, 32, 33, 64, 70])
+def test_each_block_has_one_box_and_there_are_no_others(n):
+    # Spare boxes would be in no list, but pairs of them take time and memory.
+    x = np.random.default_rng(n).normal(size=(n, 3))
+    blocks = [x[first : first + 32] for first in range(0, n, 32)]
+    low, high = neighbours._boxes(x)
+    assert np.array_equal(low, [block.min(axis=0) for block in blocks])
+    assert np.array_equal(high, [block.max(axis=0) for block in blocks])
+
+
 def test_lists_of_very_many_pairs_keep_all_of_them():
     # All atoms near each other: 4950 pairs, more than the first room for them and its double.
     x = np.random.default_rng(0).uniform(0.0, 0.1, (100, 3))

@@ -165,8 +165,9 @@ def test_deviations_are_a_table_with_failures_below(capsys, monkeypatch):
     assert cells[1] == ["[b]a.pdb", "3", "1.235", "0.5679", "12", "(76", "%)", "by", "numbers"]
     assert cells[2] == ["c", "3", "1.235", "-", "12", "(76", "%)", "by", "numbers"]
     assert lines[3] == bad["message"] and len(lines) == 4
-    # Files to the left in 24 columns, numbers to the right.
-    assert lines[1].index("3 ") == 24 + 1 + 4 and len(lines[1].rstrip()) == len(lines[2].rstrip())
+    # Files to the left in 24 columns, numbers to the right, nothing at the edges.
+    assert lines[1].index("3 ") == 24 + 1 + 4 and len(lines[1]) == len(lines[2])
+    assert all(line == line.strip() for line in lines[1:3])
     terminal.print_deviations([bad])
     assert capsys.readouterr().out == f"{bad['message']}\n"
 

@@ -201,6 +201,12 @@ class Ended(Child):
         (3, b"one\ntwo \n\n", "the process that minimised it ended with status 3: two"),
         (0, b"", "the process that minimised it ended with status 0: "),
         (0, b"x" * 5000, "the process that minimised it ended with status 0: " + 2000 * "x"),
+        # Cut within a letter.
+        (
+            2,
+            "é".encode() * 1000 + b"x",
+            f"the process that minimised it ended with status 2: \ufffd{999 * 'é'}x",
+        ),
         (-9, b"one", "the process that minimised it was ended by SIGKILL, as when memory runs out"),
         (-15, b"one", "the process that minimised it was ended by SIGTERM"),
     ],

@@ -280,7 +280,7 @@ def test_a_long_run_says_so_before_it_begins(monkeypatch, capsys):
         said,
     )
     terminal.foretell("1l2y.pdb", c, e, 5000, 5000)
-    assert "at most 5000 evaluations" in capsys.readouterr().err
+    assert "s an energy, at most 5000 evaluations: about" in capsys.readouterr().err
 
 
 def test_one_slow_energy_makes_no_run_long(monkeypatch, capsys):

@@ -105,15 +105,16 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, list[dict[str, Any]]]]:
 
 def _refuse_others(folder: Path, whose: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     for name in {**before, **now}:
-        old, new = (_said(settings.get(name)) for settings in (before, now))
+        old, new = before.get(name), now.get(name)
         if old != new:
             raise ProtochainError(
-                f"{folder}: holds results{whose} with {name} {old}, not {new}; repeat the settings, or give "
-                "another folder"
+                f"{folder}: holds results{whose} with {name} {_said(old)}, not {_said(new)}; repeat the "
+                "settings, or give another folder"
             )
 
 
 def _said(value: Any) -> str:
+    """A setting in words: no disulfides are other than none stated, which are found."""
     if isinstance(value, list):
         return ",".join(map(_said, value)) or "none"
-    return "none" if value in (None, "") else str(value)
+    return "unset" if value in (None, "") else str(value)
