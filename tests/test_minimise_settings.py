@@ -1,7 +1,7 @@
 """``minimise``: what its settings become, what a checkpoint compares, how an outcome is judged."""
 
 import hashlib
-from dataclasses import replace
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +12,7 @@ import protochain as pc
 from protochain import defaults
 from protochain.chain import pose
 from protochain.frame import Frame
-from protochain.minimisers import RECIPES, Status, api
+from protochain.minimisers import RECIPES, Solution, Status, api
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.restraints import Hold
@@ -201,3 +201,13 @@ def test_a_start_is_judged_and_reduced_once():
     assert start.energy_of(LBFGS) is start.reduced and start.energy_of(RECIPES["hybrid"]) is start.reduced
     assert start.energy_of(RECIPES["cartesian"]) is start.energy
     assert np.array_equal(start.pose.x, pose(c, c.q0).x)
+
+
+def test_a_solution_without_frames_has_rows_to_index_with():
+    made = {
+        each.name: each.default_factory()
+        for each in fields(Solution)
+        if each.name[:6] in ("frame_", "frames")
+    }
+    assert made["frame_rows"].dtype == np.int64 and made["frame_rows"].shape == (0,)
+    assert made["frames"].dtype == np.float32 and made["frames"].shape == (0, 0, 3)

@@ -304,7 +304,6 @@ def test_the_report_shows_each_row_and_links_the_pages_there_are(tmp_path):
         "command": ["protochain", "batch"],
         "python": "3.x",
         "versions": {"numpy": "n"},
-        "table": "summary.csv",
     }
     write_report(tmp_path, results(), summary)
     assert {path.name for path in tmp_path.iterdir()} == {
