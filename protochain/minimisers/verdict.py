@@ -105,10 +105,12 @@ def verdict(
     -------
     Status, str
     """
+    remedy = "build these residues anew first"
     if inverted is None:
         inverted = changed_hands(structure, x, structure.positions)
+        remedy = "lbfgs keeps hands: it turns bonds only"
     if inverted:
-        measured = f"{listed(inverted)} changed hand; lbfgs keeps hands: it turns bonds only; {measured}"
+        measured = f"{listed(inverted)} changed hand; {remedy}; {measured}"
         if stop is not Stop.INTERRUPTED:
             return Status.INVERTED, f"inverted: {measured}"
         met = False
