@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
 
+import made
 import numpy as np
 import openmm
 import pandas as pd
@@ -167,8 +168,7 @@ def main() -> None:
     print("\nMedian ratios (0: never), and the share of structures in which ours is first to OpenMM's end:\n")
     print(medians.round(2).to_string())
     if options.output:
-        options.output.mkdir(parents=True, exist_ok=True)
-        table.to_csv(options.output / "race.csv", index=False)
+        made.write(table, options.output / "race.csv", options.structures, THREADS)
 
 
 if __name__ == "__main__":
