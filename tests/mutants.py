@@ -181,7 +181,8 @@ def tests_of_lines(root: Path, jobs: int) -> tuple[dict[tuple[str, int], set[str
     for path, context, bits in rows:
         for line in coverage.numbits.numbits_to_nums(bits) if context else ():
             reached[Path(path).relative_to(root).as_posix(), line].add(context.split("|")[0])
-    for file in {file for file, _ in reached}:
+    # Coverage also knows templates of pages, which are no Python.
+    for file in {file for file, _ in reached if file.endswith(".py")}:
         text = (root / file).read_text()
         called = lines_of_functions(text)
         users = set().union(*(reached.get((file, line), ()) for line in called))
