@@ -15,12 +15,13 @@ from slow_mechanics import (
     slow_mass_matrix,
 )
 
-from protochain.errors import MechanicsError
+from protochain.errors import MechanicsError, ProtochainError
 from protochain.multibody import (
     HingeKind,
     Rows,
     Tree,
     articulated,
+    fixman,
     forward_dynamics,
     integrate,
     inverse_dynamics,
@@ -379,6 +380,23 @@ def test_rows_nearly_alike_hold_and_the_same_row_twice_is_refused(seed, method):
             expected = solve_closed(tree, frames, tau, apart, method)
             found = solve_closed(tree, frames, tau, near, method)
             assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("solver", [solve_mass, log_det_mass])
+def test_the_method_asked_for_is_the_one_used(monkeypatch, solver):
+    tree, frames, _ = at(2)
+    given = (tree, frames, np.ones(tree.n_v)) if solver is solve_mass else (tree, frames)
+    monkeypatch.setattr(fixman, "eliminate", lambda tree, frames: pytest.fail("by Fixman's method"))
+    solver(*given, "articulated")
+    with pytest.raises(pytest.fail.Exception):
+        solver(*given, "fixman")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_torques_of_a_wrong_shape_are_named(method):
+    tree, frames, _ = at(2)
+    with pytest.raises(ProtochainError, match=rf"^tau has shape \({tree.n_v + 1},\)"):
+        solve_mass(tree, frames, np.ones(tree.n_v + 1), method)
 
 
 def test_an_unknown_method_is_refused():
