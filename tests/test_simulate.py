@@ -302,6 +302,7 @@ def test_files_hold_what_the_run_was(suffix, precision, small, tmp_path):
     pd.testing.assert_frame_equal(pd.read_csv(folder / "log.csv"), m.trace, check_dtype=False)
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["status"] == "completed" and summary["steps"] == 60 and summary["ns_per_day"] > 0
+    assert summary["ca_rmsd_angstrom"] == pytest.approx(m.trace["ca_rmsd_angstrom"].iloc[-1])
     assert np.abs(pc.load(folder / "last.pdb").positions - m.x).max() < 1e-4
     assert "CONSTRAINED DYNAMICS, COMPLETED" in (folder / "last.pdb").read_text()
 

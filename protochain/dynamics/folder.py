@@ -197,13 +197,11 @@ class Folder:
 
     def last(self, structure: Structure) -> Path:
         """Path of the final structure: PDB if the format can hold it, otherwise mmCIF."""
-        for name in ("last.pdb", "last.cif"):
-            try:
-                check_fits(structure, self.path / name)
-            except StructureError:
-                continue
-            return self.path / name
-        raise AssertionError("mmCIF holds all structures")
+        try:
+            check_fits(structure, self.path / "last.pdb")
+        except StructureError:
+            return self.path / "last.cif"
+        return self.path / "last.pdb"
 
     def summarise(self, record: Mapping[str, Any]) -> None:
         """Write ``summary.json``."""
