@@ -18,7 +18,7 @@ from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.verdict import Status, verdict
 from protochain.relaxation.hands import Hands
 from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
-from protochain.relaxation.rounds import GENTLE, Ended, Relaxer, fewest_left
+from protochain.relaxation.rounds import GENTLE, Ended, Relaxer, fewest_left, mendable
 from protochain.relaxation.settings import Relaxing, split
 from protochain.structure import Structure
 from protochain.structure.chirality import listed
@@ -193,7 +193,8 @@ def left_in_words(structure: Structure, x: Floats) -> str:
     others = [str(ring) for ring in threaded_rings(structure, x)]
     wrong = _atoms_named(structure, Hands.of(structure).wrong(x))
     others += [f"left of the wrong hand: {listed(wrong)}"] if wrong else []
-    residues = violations(structure, x).residues.tolist()
+    found = violations(structure, x)
+    residues = found.residues.tolist()
     if not residues:
         return "; ".join(others)
     named = [structure.describe_residue(residue) for residue in residues[:_NAMED]]
@@ -203,4 +204,6 @@ def left_in_words(structure: Structure, x: Floats) -> str:
         if len(residues) == 1
         else f"{len(residues)} residues are left with violations"
     )
-    return "; ".join([*others, f"{left}: {', '.join(named)}{more}"])
+    broken = int((found.per_residue & ~mendable(structure, found)).sum())
+    why = f"; {broken} of them at breaks of the chain, which stay: model what is missing" if broken else ""
+    return "; ".join([*others, f"{left}: {', '.join(named)}{more}{why}"])

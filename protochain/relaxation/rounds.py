@@ -29,6 +29,7 @@ from protochain.relaxation.presets import Preset
 from protochain.structure import Structure
 from protochain.validation import threaded_rings, violations
 from protochain.validation.rings import ThreadedRing
+from protochain.validation.violations import Violations
 
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
 _MEMORY = 8
@@ -188,7 +189,7 @@ class Relaxer:
             if stop in _FINAL:
                 break
         found, pairs = violations(structure, x), _overlapping(structure, x)
-        wrong = found.per_residue.copy()
+        wrong = mendable(structure, found)
         wrong[self._of_rings(threaded_rings(structure, x))] = True
         wrong[structure.atom_residue[pairs]] = True
         wrong[structure.atom_residue[self.hands.wrong(x)]] = True
@@ -322,6 +323,19 @@ _FINAL = (Stop.INTERRUPTED, Stop.NON_FINITE)
 def _overlapping(structure: Structure, x: Floats) -> Integers:
     """(n, 2) int: pairs of atoms that overlap."""
     return near_pairs(structure, x, OVERLAP)[0]
+
+
+def mendable(structure: Structure, found: Violations) -> NDArray[np.bool_]:
+    """(nr,) bool: residues with violations but those of a peptide bond that a broken chain does not have."""
+    n, concerned = structure.n_atoms, np.zeros(structure.n_residues, dtype=bool)
+    bonded = np.sort(structure.bonds, axis=1) @ [n, 1]
+    for atoms, ends in (
+        (found.bonds, (0, 1)), (found.angles_ca_c_n, (1, 2)), (found.angles_c_n_ca, (0, 1)),
+        (found.clashes, None), (found.within, None),
+    ):  # fmt: skip
+        real = np.isin(np.sort(atoms[:, ends], axis=1) @ [n, 1], bonded) if ends else slice(None)
+        concerned[structure.atom_residue[atoms[real]]] = True
+    return concerned
 
 
 def fewest_left(done: Sequence[Ended]) -> Ended:
