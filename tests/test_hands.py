@@ -1,4 +1,4 @@
-"""Hands of chiral atoms in a relaxation: wrong ones become right, those of D-amino acids stay, none is lost."""
+"""Hands of chiral atoms in a relaxation: wrong ones become right, D-amino acids keep theirs, none is lost."""
 
 import models
 import numpy as np
@@ -17,7 +17,7 @@ BACKBONE = ("N", "CA", "C", "O", "OXT", "H", "H1", "H2", "H3")
 
 
 def other_hand(structure, *residues, about="CA", first="N", second="C"):
-    """What hangs on an atom reflected through the plane of it and two neighbours: a well-formed other hand."""
+    """What hangs on an atom, reflected in the plane of it and two neighbours: a well-formed other hand."""
     x = structure.positions.copy()
     for residue in residues:
         own = np.flatnonzero(structure.atom_residue == residue)
@@ -90,7 +90,10 @@ def test_well_formed_residues_of_the_wrong_hand_become_right():
     r = pc.relax(wrong, threads=1)
     assert (r.measures_start["wrong_hands"], r.measures_end["wrong_hands"]) == (2, 0)
     assert r.status == "converged" and r.measures_end["violations"] == 0 and r.ca_rmsd_angstrom < 0.2
-    said = (f"{threonine}: CB of the wrong hand turned right", f"{leucine}: CA of the wrong hand turned right")
+    said = (
+        f"{threonine}: CB of the wrong hand turned right",
+        f"{leucine}: CA of the wrong hand turned right",
+    )
     assert r.hands_turned == said == r.structure.repairs[-2:]
     assert r.record()["hands_turned"] == list(said)
     assert r.rounds[0].let_go == 2

@@ -58,8 +58,8 @@ def _wrong_hands(structure: "Structure") -> list[str]:
     from protochain.relaxation.hands import Hands
 
     n = len(Hands.of(structure).wrong(structure.positions))
-    said = f"{n} chiral atom{'s' * (n > 1)} of the wrong hand, to be turned right (name D-amino acids as DAL ...)"
-    return [said] if n else []
+    atoms = f"{n} chiral atom{'s' * (n > 1)} of the wrong hand"
+    return [f"{atoms}, to be turned right (name D-amino acids as DAL ...)"] if n else []
 
 
 def _breaks(structure: "Structure") -> list[str]:
