@@ -186,7 +186,7 @@ def test_hands_are_announced_and_told(monkeypatch, tmp_path, capsys):
     said = capsys.readouterr().err
     assert "; 1 chiral atom of the wrong hand, to be turned right (name D-amino acids as DAL ...); " in said
     tell_plan(tmp_path / "x.pdb", s, pc.energy(s, solvent="vacuum"))
-    assert "hand" not in capsys.readouterr().err
+    assert "of the wrong hand" not in capsys.readouterr().err
     r = pc.relax(wrong, threads=1, solvent="vacuum")
     print_relaxed(r.record() | {"output": "x.pdb"})
     assert "residue 4 ALA of chain A: CA of the wrong hand turned right\n" in capsys.readouterr().out
