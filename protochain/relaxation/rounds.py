@@ -327,15 +327,16 @@ def _overlapping(structure: Structure, x: Floats) -> Integers:
 
 def mendable(structure: Structure, found: Violations) -> NDArray[np.bool_]:
     """(nr,) bool: residues with violations but those of a peptide bond that a broken chain does not have."""
-    n, concerned = structure.n_atoms, np.zeros(structure.n_residues, dtype=bool)
+    n, of = structure.n_atoms, structure.atom_residue
     bonded = np.sort(structure.bonds, axis=1) @ [n, 1]
-    for atoms, ends in (
-        (found.bonds, (0, 1)), (found.angles_ca_c_n, (1, 2)), (found.angles_c_n_ca, (0, 1)),
-        (found.clashes, None), (found.within, None),
-    ):  # fmt: skip
-        real = np.isin(np.sort(atoms[:, ends], axis=1) @ [n, 1], bonded) if ends else slice(None)
-        concerned[structure.atom_residue[atoms[real]]] = True
-    return concerned
+    at_breaks, elsewhere = np.zeros((2, structure.n_residues), dtype=bool)
+    joints = (found.bonds, (0, 1)), (found.angles_ca_c_n, (1, 2)), (found.angles_c_n_ca, (0, 1))
+    for atoms, ends in joints:
+        is_bond = np.isin(np.sort(atoms[:, ends], axis=1) @ [n, 1], bonded)
+        at_breaks[of[atoms[~is_bond]]] = elsewhere[of[atoms[is_bond]]] = True
+    for atoms in (found.clashes, found.within):
+        elsewhere[of[atoms]] = True
+    return np.asarray(found.per_residue & ~(at_breaks & ~elsewhere))
 
 
 def fewest_left(done: Sequence[Ended]) -> Ended:
