@@ -9,12 +9,15 @@ import sys
 
 import gemmi
 import models
+import numpy as np
 import pandas as pd
 import pytest
 from conftest import STRUCTURES, load, shared
 from test_commands import refusal, run
 
 import protochain as pc
+from protochain.analysis.relaxed import write_relaxed
+from protochain.cli.relaxing import print_relaxed, tell_plan
 from protochain.relaxation.record import before_and_after
 from protochain.structure.write import as_text
 
@@ -155,3 +158,35 @@ def test_measures_that_are_nothing_before_and_after_are_left_out():
         ("overlapping pairs of atoms", "2", "0"),
         ("energy, kJ/mol", "2.5e+09", "-12.3"),
     ]
+
+
+def test_the_plot_of_displacements_names_its_line_in_words(monkeypatch, tmp_path):
+    figures = []
+    monkeypatch.setattr(
+        "protochain.analysis.relaxed.data_url", lambda figure: figures.append(figure) or "data:,"
+    )
+    r = pc.relax(load("ala10.pdb"), threads=1, solvent="vacuum")
+    write_relaxed(r, r.record(), tmp_path / "page.html")
+    ((panel,),) = (figure.axes for figure in figures)
+    assert [text.get_text() for text in panel.get_legend().get_texts()] == ["relaxed"]
+    assert panel.lines[0].get_ydata() == pytest.approx(r.displacements["displacement_angstrom"])
+
+
+def test_hands_are_announced_and_told(monkeypatch, tmp_path, capsys):
+    s = load("ala10.pdb")
+    x = s.positions.copy()
+    own = s.atom_residue == 3
+    n, alpha, c = (x[own & (s.atom_name == name)][0] for name in ("N", "CA", "C"))
+    normal = np.cross(n - alpha, c - alpha)
+    normal /= np.linalg.norm(normal)
+    moved = own & ~np.isin(s.atom_name, ["N", "H", "CA", "C", "O"])
+    x[moved] -= 2.0 * np.outer((x[moved] - alpha) @ normal, normal)
+    wrong = s.with_positions(x)
+    tell_plan(tmp_path / "x.pdb", wrong, pc.energy(wrong, solvent="vacuum"))
+    said = capsys.readouterr().err
+    assert "; 1 chiral atom of the wrong hand, to be turned right (name D-amino acids as DAL ...); " in said
+    tell_plan(tmp_path / "x.pdb", s, pc.energy(s, solvent="vacuum"))
+    assert "of the wrong hand" not in capsys.readouterr().err
+    r = pc.relax(wrong, threads=1, solvent="vacuum")
+    print_relaxed(r.record() | {"output": "x.pdb"})
+    assert "residue 4 ALA of chain A: CA of the wrong hand turned right\n" in capsys.readouterr().out

@@ -9,8 +9,8 @@ from oracles import bond_lengths
 import protochain as pc
 from protochain.minimisers.loop import Stop
 from protochain.relaxation.presets import PRESETS
-from protochain.relaxation.rounds import Ended, Relaxer, Round
-from protochain.validation import measures
+from protochain.relaxation.rounds import Ended, Relaxer, Round, mendable
+from protochain.validation import measures, violations
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -67,3 +67,26 @@ def test_springs_of_later_rounds_are_those_in_series_and_lead_to_the_input(monke
     assert all(np.array_equal(each.springs.home, s.positions) for each in done)
     assert seen[0][0].min() == 1.0 and seen[1][0][15] == 1.0
     assert (seen[2][0][5:7] == 0.0).all()
+
+
+def test_a_bond_that_a_broken_chain_does_not_have_holds_up_nothing_and_is_said(tmp_path):
+    """Numbers go on across the break: AlphaFold counts a violation there, which no round can mend."""
+    s = load("1l2y.pdb")
+    beyond = s.atom_residue >= 10
+    torn = s.with_positions(s.positions + np.where(beyond, 0.35, 0.0)[:, None] * away_from(s, 9, 10))
+    pc.save(torn, tmp_path / "torn.pdb")
+    r = pc.relax(tmp_path / "torn.pdb", threads=1)
+    assert r.start.n_chains == 2 and len(r.rounds) == 1 and r.rounds[0].violations == 2
+    assert r.status == "violations" and r.measures_end["violations"] == 2
+    assert "2 of them at breaks of the chain, which stay: model what is missing" in r.message
+    found = violations(r.start, r.x)
+    assert found.per_residue.sum() == 2 and not mendable(r.start, found).any()
+    whole = violations(s, torn.positions)
+    assert np.array_equal(mendable(s, whole), whole.per_residue) and whole.per_residue.sum() >= 2
+
+
+def away_from(structure, before, after):
+    """Unit vector (3,) along the peptide bond between two residues."""
+    names, of, x = structure.atom_name, structure.atom_residue, structure.positions
+    c, n = x[(names == "C") & (of == before)][0], x[(names == "N") & (of == after)][0]
+    return (n - c) / np.linalg.norm(n - c)

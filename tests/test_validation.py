@@ -125,7 +125,7 @@ def test_a_validation_shows_itself_and_is_a_value(spoilt):
 
 def test_heavy_atoms_are_where_the_file_has_them_and_what_is_added_is_said():
     v = pc.validate(shared("trpcage_d9e_missing.pdb"))
-    heavy = "5 heavy atoms added that the file lacks, in 1 residues"
+    heavy = "5 heavy atoms added that the file lacks, in 1 residue"
     assert v.added == f"{heavy}; 6 hydrogens added at pH 7 (146 were in the file)"
     assert v.record()["heavy_atoms_added"] == 5
     assert v.residues.query("atoms_added > 0")["residue"].tolist() == ["9"]

@@ -35,10 +35,11 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         HTML file.
     """
     strength = relaxation.settings.strength
+    moved = relaxation.displacements.rename(columns={"displacement_angstrom": "relaxed"})
     text = template("relaxed.html").render(
         record=record,
         rows=before_and_after(record),
-        figure=data_url(plot_displacement(relaxation.displacements, relaxation.start.name)),
+        figure=data_url(plot_displacement(moved, relaxation.start.name)),
         command=shlex.join(sys.argv),
         name=strength.name,
         source=strength.source,

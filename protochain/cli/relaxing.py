@@ -45,11 +45,21 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy") -> float:
         f"{len(found) or 'no'} pair{'s' * (len(found) != 1)} of atoms overlap{'s' * (len(found) == 1)}",
         str(violations(structure, x)),
         *(["threaded rings, to be freed first: " + ", ".join(map(str, rings))] if rings else []),
+        *_wrong_hands(structure),
         *_breaks(structure),
         f"about {max(seconds, 1.0):.0f} s",
     ]
     print(f"{source}: {'; '.join(said)}", file=sys.stderr)
     return seconds
+
+
+def _wrong_hands(structure: "Structure") -> list[str]:
+    """What will become of chiral atoms of the wrong hand, in words."""
+    from protochain.relaxation.hands import Hands
+
+    n = len(Hands.of(structure).wrong(structure.positions))
+    atoms = f"{n} chiral atom{'s' * (n > 1)} of the wrong hand"
+    return [f"{atoms}, to be turned right (name D-amino acids as DAL ...)"] if n else []
 
 
 def _breaks(structure: "Structure") -> list[str]:
@@ -96,6 +106,8 @@ def print_relaxed(record: dict[str, Any]) -> None:
     if record["repacked"]:
         told = summarised(record["side_chains_turned"]) or ("no side chain is better turned",)
         said.insert(1, f"repacked first: {'; '.join(told)}")
+    if record["hands_turned"]:
+        said.insert(1, "; ".join(summarised(record["hands_turned"])))
     print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
     if "report" in record:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from protochain import defaults
-from protochain.arrays import Floats, Watcher, read_only
+from protochain.arrays import Floats, Integers, Watcher, read_only
 from protochain.checks import WATCHER, checked
 from protochain.energies import Energy
 from protochain.frame import Frame
@@ -16,14 +16,14 @@ from protochain.interrupts import answering, held_interrupts
 from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.verdict import Status, verdict
+from protochain.relaxation.hands import Hands
 from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
-from protochain.relaxation.rounds import GENTLE, Ended, Relaxer, fewest_left
+from protochain.relaxation.rounds import GENTLE, Ended, Relaxer, fewest_left, mendable
 from protochain.relaxation.settings import Relaxing, split
 from protochain.structure import Structure
-from protochain.structure.chirality import wrong_atoms
+from protochain.structure.chirality import listed
 from protochain.structure.select import select
 from protochain.validation import threaded_rings, violations
-from protochain.validation.layout import layout
 
 _NAMED = 5
 """Residues that a message names."""
@@ -180,19 +180,23 @@ def _verdict(
 
 def _spoiled(structure: Structure, x: Floats) -> list[str]:
     """Chiral atoms whose hand was right, and is wrong now; that others became right is as it should be."""
-    mirrored = layout(structure).mirrored
-    wrong = np.setdiff1d(
-        wrong_atoms(structure, x, mirrored), wrong_atoms(structure, structure.positions, mirrored)
-    )
-    return [structure.describe(atom).removeprefix("atom ") for atom in wrong.tolist()]
+    hands = Hands.of(structure)
+    return _atoms_named(structure, np.setdiff1d(hands.wrong(x), hands.wrong(structure.positions)))
+
+
+def _atoms_named(structure: Structure, atoms: Integers) -> list[str]:
+    return [structure.describe(atom).removeprefix("atom ") for atom in atoms.tolist()]
 
 
 def left_in_words(structure: Structure, x: Floats) -> str:
-    """Threaded rings and residues with violations at positions x (na, 3), by name; empty without."""
-    rings = "; ".join(map(str, threaded_rings(structure, x)))
-    residues = violations(structure, x).residues.tolist()
+    """Threaded rings, wrong hands and residues with violations at positions x (na, 3), by name, if any."""
+    others = [str(ring) for ring in threaded_rings(structure, x)]
+    wrong = _atoms_named(structure, Hands.of(structure).wrong(x))
+    others += [f"left of the wrong hand: {listed(wrong)}"] if wrong else []
+    found = violations(structure, x)
+    residues = found.residues.tolist()
     if not residues:
-        return rings
+        return "; ".join(others)
     named = [structure.describe_residue(residue) for residue in residues[:_NAMED]]
     more = f" and {len(residues) - _NAMED} more" if len(residues) > _NAMED else ""
     left = (
@@ -200,4 +204,6 @@ def left_in_words(structure: Structure, x: Floats) -> str:
         if len(residues) == 1
         else f"{len(residues)} residues are left with violations"
     )
-    return "; ".join([*([rings] if rings else []), f"{left}: {', '.join(named)}{more}"])
+    broken = int((found.per_residue & ~mendable(structure, found)).sum())
+    why = f"; {broken} of them at breaks of the chain, which stay: model what is missing" if broken else ""
+    return "; ".join([*others, f"{left}: {', '.join(named)}{more}{why}"])

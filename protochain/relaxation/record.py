@@ -68,6 +68,7 @@ COLUMNS: Mapping[str, _Value] = MappingProxyType({
     "hydrogens": lambda r: "kept" if r.settings.keep_hydrogens else "stripped",
     "repacked": lambda r: r.settings.repack,
     "side_chains_turned": lambda r: list(r.turned),
+    "hands_turned": lambda r: list(r.hands_turned),
     "left_out": lambda r: dict(r.start.left_out),
     "repairs": lambda r: list(r.start.repairs),
     "threads": lambda r: r.energy_function.threads,

@@ -15,6 +15,7 @@ from protochain.frame import Frame
 from protochain.markup import facts
 from protochain.minimisers.solution import alpha_residues
 from protochain.minimisers.verdict import Status
+from protochain.relaxation.hands import Hands
 from protochain.relaxation.record import COLUMNS, METHOD
 from protochain.relaxation.rounds import Round
 from protochain.relaxation.settings import Relaxing
@@ -93,8 +94,21 @@ class Relaxation(Value):
 
     @cached_property
     def structure(self) -> Structure:
-        """Structure at the end, with all its hydrogens; its repairs tell of side chains turned."""
-        return replace(self.start, positions=self.x, repairs=(*self.start.repairs, *self.turned))
+        """Structure at the end, with all its hydrogens; its repairs tell of side chains and hands turned."""
+        told = (*self.start.repairs, *self.turned, *self.hands_turned)
+        return replace(self.start, positions=self.x, repairs=told)
+
+    @cached_property
+    def hands_turned(self) -> tuple[str, ...]:
+        """Chiral atoms that were of the wrong hand, and are right at the end, each in words."""
+        s, hands = self.start, Hands.of(self.start)
+        right = np.setdiff1d(hands.wrong(s.positions), hands.wrong(self.x))
+        residues = s.atom_residue[right]
+        return tuple(
+            f"{s.describe_residue(int(residue))}: {' and '.join(s.atom_name[right[residues == residue]])} "
+            "of the wrong hand turned right"
+            for residue in np.unique(residues)
+        )
 
     @cached_property
     def measures_start(self) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import count
 from time import perf_counter
 from typing import NamedTuple
@@ -24,10 +24,12 @@ from protochain.minimisers.restraints import SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import PATIENCE, lowest
 from protochain.minimisers.steps import StrongWolfe
+from protochain.relaxation.hands import Hands
 from protochain.relaxation.presets import Preset
 from protochain.structure import Structure
 from protochain.validation import threaded_rings, violations
 from protochain.validation.rings import ThreadedRing
+from protochain.validation.violations import Violations
 
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
 _MEMORY = 8
@@ -88,7 +90,7 @@ class Ended:
     springs : Tethers
         Those of its last stage.
     concerned : (n,) int
-        Residues with violations, overlaps or threaded rings.
+        Residues with violations, overlaps, threaded rings or chiral atoms of the wrong hand.
     round : Round
     """
 
@@ -133,12 +135,17 @@ class Relaxer:
             Rounds at most.
         """
         share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
+        # Their places are wrong: springs to them would keep the C-beta off.
+        turning = self.structure.atom_residue[self.hands.wrong(x)]
+        share[turning] = np.minimum(share[turning], _WEAKER)
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
         strongest = strengths[-1:]
         while True:
             x, share, work = self._freed(x, share)
+            springs = self._springs(share, *strengths[0])
             if not done:
-                x, work = self._begun(x, self._springs(share, *strengths[0]), work)
+                x, work = self._begun(x, springs, work)
+            x, work = self._righted(x, springs, work)
             done.append(self._round(x, share, strengths, work))
             last = done[-1]
             x = last.x
@@ -165,6 +172,13 @@ class Relaxer:
             x, _, work = self._minimised(rough, springs, x, work, _ROUGH)
         return x, work
 
+    def _righted(self, x: Floats, springs: Tethers, work: "_Work") -> "tuple[Floats, _Work]":
+        """Positions of which no chiral atom is nearly flat or of the wrong hand, and the work so far."""
+        if not self.hands(x)[0]:
+            return x, work
+        x, _, work = self._minimised(getattr(self.energy, "coarse", self.energy), springs, x, work, _ROUGH)
+        return x, work
+
     def _round(self, x: Floats, share: Floats, strengths: list[tuple[float, float]], work: "_Work") -> Ended:
         began, structure = perf_counter(), self.structure
         for strength in strengths:
@@ -175,9 +189,10 @@ class Relaxer:
             if stop in _FINAL:
                 break
         found, pairs = violations(structure, x), _overlapping(structure, x)
-        wrong = found.per_residue.copy()
+        wrong = mendable(structure, found)
         wrong[self._of_rings(threaded_rings(structure, x))] = True
         wrong[structure.atom_residue[pairs]] = True
+        wrong[structure.atom_residue[self.hands.wrong(x)]] = True
         seconds = perf_counter() - began
         told = Round(int((share < 1.0).sum()), len(found.residues), len(pairs), *work, seconds)
         return Ended(read_only(x), stop, springs, np.flatnonzero(wrong), told)
@@ -190,7 +205,9 @@ class Relaxer:
         space = self._space()
         held = Held(springs.weight + _STIFFER, stage is _SOFT, _REFRESH)
         method = Descent(LBFGS(held, _MEMORY), StrongWolfe())
-        problem = Problem(space, energy, _ENDLESS, springs)
+        # The last of a round is a minimum of energy and springs alone.
+        restraint = Sum([springs, self.hands]) if stage.name == GENTLE else springs
+        problem = Problem(space, energy, _ENDLESS, restraint)
         seen, allowed = count(), (self.max_iterations or _ENDLESS) - work.iterations
 
         def record(at: Evaluation) -> None:
@@ -208,6 +225,11 @@ class Relaxer:
         x = space.place(lowest(problem, ending, q)).x
         done = _Work(work.iterations + ending.last.n_iterations, work.evaluations + problem.n_evaluations)
         return x, ending.stop, done
+
+    @cached_property
+    def hands(self) -> Hands:
+        """Push of chiral atoms to the hands that they should have."""
+        return Hands.of(self.structure)
 
     def _space(self) -> Cartesian:
         return _cartesian(self.structure)
@@ -301,6 +323,20 @@ _FINAL = (Stop.INTERRUPTED, Stop.NON_FINITE)
 def _overlapping(structure: Structure, x: Floats) -> Integers:
     """(n, 2) int: pairs of atoms that overlap."""
     return near_pairs(structure, x, OVERLAP)[0]
+
+
+def mendable(structure: Structure, found: Violations) -> NDArray[np.bool_]:
+    """(nr,) bool: residues with violations but those of a peptide bond that a broken chain does not have."""
+    n, of = structure.n_atoms, structure.atom_residue
+    bonded = np.sort(structure.bonds, axis=1) @ [n, 1]
+    at_breaks, elsewhere = np.zeros((2, structure.n_residues), dtype=bool)
+    joints = (found.bonds, (0, 1)), (found.angles_ca_c_n, (1, 2)), (found.angles_c_n_ca, (0, 1))
+    for atoms, ends in joints:
+        is_bond = np.isin(np.sort(atoms[:, ends], axis=1) @ [n, 1], bonded)
+        at_breaks[of[atoms[~is_bond]]] = elsewhere[of[atoms[is_bond]]] = True
+    for atoms in (found.clashes, found.within):
+        elsewhere[of[atoms]] = True
+    return np.asarray(found.per_residue & ~(at_breaks & ~elsewhere))
 
 
 def fewest_left(done: Sequence[Ended]) -> Ended:

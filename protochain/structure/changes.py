@@ -37,6 +37,7 @@ _ALIKE: tuple[tuple[str, str], ...] = (
     (r"\d+ hydrogens left out: .+", "hydrogens left out that do not belong to the state"),
     (r"side chain turned from .+", "side chains turned"),
     (r"polar hydrogen turned", "polar hydrogens turned"),
+    (r"C.+ of the wrong hand turned right", "chiral atoms of the wrong hand turned right"),
     (r"converted to its standard parent .+", "modified residues converted to their standard parents"),
 )
 """What a line says of one residue, and what is said of many."""

@@ -72,7 +72,7 @@ def changed_hands(structure: Structure, x: Floats, reference: Floats) -> list[st
     list of str
         As ``CA of residue 14 LYS of chain A``.
     """
-    atoms = _chiral(structure)
+    atoms = chiral_atoms(structure)
     if not len(atoms):
         return []
     flipped = np.sign(volume(x[atoms])) != np.sign(volume(reference[atoms]))
@@ -93,7 +93,7 @@ def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) ->
     -------
     (n,) int
     """
-    atoms = _chiral(structure)
+    atoms = chiral_atoms(structure)
     hands = np.where(mirrored[structure.atom_residue[atoms[:, 0]]], -1.0, 1.0)
     return np.asarray(atoms[hands * volume(x[atoms]) < 0.0, 0])
 
@@ -105,7 +105,7 @@ def listed(places: Sequence[str]) -> str:
 
 
 @lru_cache(maxsize=16)
-def _chiral(structure: Structure) -> Integers:
+def chiral_atoms(structure: Structure) -> Integers:
     """(n, 4) int: every chiral atom of the protein, and three neighbours."""
     names: list[dict[str, int]] = [{} for _ in range(structure.n_residues)]
     for i in np.flatnonzero(~structure.kept).tolist():

@@ -118,7 +118,9 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     if not draft.parts:
         kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
         found = ", ".join(f"{count} {kind}" for kind, count in (draft.left_out + kinds).items())
-        raise StructureError(f"{draft.source}: no protein found (only {found}); give a file with amino acids")
+        single = any(each.given in residues.STANDARD for each in beside)
+        remedy = "a chain has two amino acids or more" if single else "give a file with amino acids"
+        raise StructureError(f"{draft.source}: no protein found (only {found}); {remedy}")
     _report_left_out(draft)
     draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield))
     return draft

@@ -64,10 +64,10 @@ class Validation(Value):
         heavy = self.residues["atoms_added"]
         told = [line for line in self.structure.repairs if "hydrogens added" in line]
         if heavy.any():
-            told = [
-                f"{heavy.sum()} heavy atoms added that the file lacks, in {(heavy > 0).sum()} residues",
-                *told,
-            ]
+            counts = int(heavy.sum()), int((heavy > 0).sum())
+            kinds = zip(counts, ("heavy atom", "residue"), strict=True)
+            atoms, residues = (f"{n} {what}{'s' * (n > 1)}" for n, what in kinds)
+            told.insert(0, f"{atoms} added that the file lacks, in {residues}")
         return "; ".join(told)
 
     def record(self) -> dict[str, Any]:
