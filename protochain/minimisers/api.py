@@ -289,7 +289,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         n_iterations=done.n_iterations,
         n_evaluations=done.n_evaluations,
         seconds=seconds,
-        trace=record.trace(),
+        trace=record.trace,
         start=start.judgement,
         end=end,
         frame=record.frame,
