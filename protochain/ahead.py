@@ -1,8 +1,8 @@
 """Helpers that compile kernels ahead: processes beside the first run on a machine.
 
-Numba compiles on one core. The run compiles kernels in the order in which it needs them, helpers begin at the
-other end, and each leaves out what another has in hand. ``kernels.txt`` lists the kernels of a run by default,
-with their types; one that is missing there, or whose types have changed, is compiled by the run itself.
+Numba compiles on one core. The run compiles kernels in the order in which it needs them, helpers begin at
+the other end, and each leaves out what another has in hand. ``kernels.txt`` lists the kernels of a run by
+default, with their types; one that is missing there, or has other types by now, is compiled by the run itself.
 """
 
 import atexit
@@ -48,7 +48,7 @@ def _start(place: Path) -> None:
     lock = FileLock(place)
     try:
         lock.acquire(0)
-    except (Timeout, OSError, NotImplementedError):
+    except (Timeout, OSError, RuntimeError):
         return
     _HELD.append(lock)
     python = Path(sys.executable or "")
@@ -104,7 +104,7 @@ def _kernels() -> Iterator[tuple[Any, tuple[Any, ...]]]:
         module, name, *types = entry.split()
         try:
             yield getattr(importlib.import_module(module), name), tuple(map(type_of, types))
-        except (ImportError, AttributeError):
+        except (ImportError, AttributeError, KeyError):  # The list is of other kernels.
             continue
 
 

@@ -1,8 +1,8 @@
 """The compiler of all kernels, with its settings, which numba keeps for the whole process, and its cache.
 
 Numba's own cache sees changes of a kernel's own file only, stops a program that can write nowhere, and may
-mix up files where two processes compile one kernel at once. Here a kernel is compiled anew if anything changed
-that it is made of, by one process while others wait for it, and is kept where there is room.
+mix up files where two processes compile one kernel at once. Here a kernel is compiled anew if anything has
+changed that it is made of, by one process while others wait for it, and is kept where there is room.
 """
 
 import gc
@@ -22,6 +22,7 @@ import numpy as np
 from numba import config
 from numba import njit as _njit
 from numba.core.caching import FunctionCache
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 from protochain import ahead
@@ -56,7 +57,8 @@ def _compile(kernel: Any, by_numba: Callable[[Any], Any], signature: Any) -> Any
     store = kernel._cache
     if tuple(signature) in kernel.overloads or store.has(signature, kernel.targetctx):
         return by_numba(signature)
-    with store.alone():
+    # Its own lock first: a thread that waits for it must not hold what the compiling one needs.
+    with global_compiler_lock, store.alone():
         if not store.has(signature, kernel.targetctx):
             _announce(store.kept)
             if store.kept:
@@ -139,7 +141,7 @@ class Store:
         with ExitStack() as held:
             if self.kept:
                 # Not all file systems have locks: then the code is compiled twice, and no file half written.
-                with suppress(Timeout, OSError, NotImplementedError):
+                with suppress(Timeout, OSError, RuntimeError):
                     held.enter_context(self._lock.acquire(PATIENCE, poll_interval=0.02))
             yield
 
@@ -149,7 +151,7 @@ class Store:
 
         try:
             self._lock.acquire(0)
-        except (Timeout, OSError, NotImplementedError):
+        except (Timeout, OSError, RuntimeError):
             return False
         return True
 
