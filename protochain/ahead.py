@@ -2,7 +2,7 @@
 
 Numba compiles on one core. The run compiles kernels in the order in which it needs them, helpers begin at
 the other end, and each leaves out what another has in hand. ``kernels.txt`` lists the kernels of a run by
-default, with their types; one that is missing there, or has other types by now, is compiled by the run itself.
+default, with their types; one that is missing there, or has other types now, is compiled by the run itself.
 """
 
 import atexit

@@ -189,7 +189,7 @@ def listed(sources, tmp_path, monkeypatch):
         "caller_listed whole no\n"  # No type.
         "no_such_module whole f\n"
         "caller_listed none f\n"
-        "caller_listed whole f1\n"  # It cannot be compiled for these.
+        "caller_listed whole f f\n"  # It cannot be compiled for these.
         "caller_listed whole f\n"
         "callee_listed part i\n"
     )
