@@ -109,38 +109,58 @@ def _kernels() -> Iterator[tuple[Any, tuple[Any, ...]]]:
 
 
 def type_of(text: str) -> Any:
-    """Type of numba from a letter, f float64, i int64 or b bool, and for an array the number of its axes.
+    """Type of numba from its text.
 
-    A further r is a read-only array, s one with gaps.
+    A letter, f float64, i int64, b bool or n None; for an array the number of its axes behind it, then r if
+    it is read-only and s if it has gaps; for a tuple its types in brackets, with commas.
     """
     from numba import types
 
-    scalar = {"f": types.float64, "i": types.int64, "b": types.boolean}[text[0]]
+    if text.startswith("("):
+        return types.Tuple([type_of(part) for part in _parts(text[1:-1])])
+    scalar = {"f": types.float64, "i": types.int64, "b": types.boolean, "n": types.none}[text[0]]
     if len(text) == 1:
         return scalar
     return types.Array(scalar, int(text[1]), "A" if "s" in text else "C", readonly="r" in text)
 
 
+def _parts(text: str) -> Iterator[str]:
+    """Parts between commas that are in no further brackets."""
+    depth, begin = 0, 0
+    for place, letter in enumerate(text):
+        depth += (letter == "(") - (letter == ")")
+        if letter == "," and depth == 0:
+            yield text[begin:place]
+            begin = place + 1
+    if text:
+        yield text[begin:]
+
+
 def text_of(kind: Any) -> str:
-    """Inverse of :func:`type_of`."""
+    """Inverse of :func:`type_of`; a KeyError for types that it does not know."""
     from numba import types
 
+    if isinstance(kind, types.BaseTuple):
+        return f"({','.join(map(text_of, kind))})"
     if not isinstance(kind, types.Array):
-        return {types.float64: "f", types.int64: "i", types.boolean: "b"}[kind]
+        return {types.float64: "f", types.int64: "i", types.boolean: "b", types.none: "n"}[kind]
     gaps, locked = "s" * (kind.layout == "A"), "r" * (not kind.mutable)
     return f"{text_of(kind.dtype)}{kind.ndim}{locked}{gaps}"
 
 
-def asked_for() -> list[str]:
+def entry_of(kernel: Any, types: tuple[Any, ...]) -> str:
+    """Line of the list; a KeyError for types that it cannot hold."""
+    return " ".join([kernel.py_func.__module__, kernel.py_func.__qualname__, *map(text_of, types)])
+
+
+def loaded() -> list[str]:
     """Lines of kernels with a cache that this process has loaded or compiled, as in the list."""
     found = []
-    for module in [m for name, m in sorted(sys.modules.items()) if name.startswith("protochain.")]:
-        for kernel in vars(module).values():
-            own = getattr(getattr(kernel, "py_func", None), "__module__", "") == module.__name__
-            if own and hasattr(kernel, "overloads"):
+    for name, module in sorted(sys.modules.items()):
+        for kernel in vars(module).values() if name.startswith("protochain.") else ():
+            if getattr(getattr(kernel, "py_func", None), "__module__", "") == name:
                 for types in kernel.overloads:
                     # Others are called by kernels only.
                     with suppress(KeyError):
-                        name = f"{module.__name__} {kernel.py_func.__qualname__}"
-                        found.append(" ".join([name, *map(text_of, types)]))
+                        found.append(entry_of(kernel, types))
     return found

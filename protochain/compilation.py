@@ -48,7 +48,8 @@ def njit(function: Callable[..., Any] | None = None, *, cache: bool = False, **o
     kernel: Any = _njit(no_cfunc_wrapper=True, **options)(function)
     if cache:
         kernel._cache = Store(function)
-        kernel.compile = partial(_compile, kernel, kernel.compile)
+        by_numba = kernel.compile
+        kernel.compile = lambda signature: _compile(kernel, by_numba, signature)
     return kernel
 
 
