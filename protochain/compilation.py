@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, cached_property, partial
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,6 @@ from numba import config
 from numba import njit as _njit
 from numba.core.caching import FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.dispatcher import Dispatcher
 
 from protochain import ahead
 
@@ -242,8 +241,10 @@ def _collect(function: Any, files: set[str], constants: set[str], seen: set[Any]
         if isinstance(module, ModuleType) and module.__name__.startswith("protochain"):
             found += [(name, getattr(module, name)) for name in names if hasattr(module, name)]
     for name, value in found:
-        if isinstance(value, Dispatcher):
-            _collect(value.py_func, files, constants, seen)
+        # Kernels, intrinsics, and functions that numba compiles in place.
+        called = getattr(value, "py_func", None) or getattr(value, "_defn", None) or value
+        if isinstance(called, FunctionType) and called.__module__.split(".")[0] not in ("numba", "numpy"):
+            _collect(called, files, constants, seen)
         elif isinstance(value, np.ndarray):
             constants.add(f"{name} {value.dtype} {value.shape} {value.tobytes().hex()}")
         elif isinstance(value, int | float | str | tuple):

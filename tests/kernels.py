@@ -2,9 +2,9 @@
 
     python tests/kernels.py
 
-It runs `protochain relax` and `protochain minimise` of a sample with an empty cache, each in a process without
-helpers, and lists what they compile, by themselves or within other kernels, if that takes long. A kernel comes
-before those that call it, and before those that the run needs earlier.
+It runs `protochain relax` and `protochain minimise` of a sample with an empty cache, each in a process
+without helpers, and lists what they compile, by themselves or within other kernels, if that takes long. A
+kernel comes before those that call it, and before those that the run needs earlier.
 """
 
 import os

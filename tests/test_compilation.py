@@ -253,7 +253,9 @@ def test_helpers_leave_a_core_to_the_run(listed, tmp_path, monkeypatch, cores, h
         lock.release()
 
 
-@pytest.mark.parametrize("text", "f i b f2 f2r i1 b1 f1s f3rs n (i,i) (f2,(i1r,b),n) ()".split())
+@pytest.mark.parametrize(
+    "text", ["f", "i", "b", "f2r", "b1", "f1s", "f3rs", "n", "(i,i)", "(f2,(i1r,b),n)", "()"]
+)
 def test_types_are_written_as_they_are_read(text):
     assert ahead.text_of(ahead.type_of(text)) == text
 
