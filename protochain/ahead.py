@@ -104,7 +104,7 @@ def _kernels() -> Iterator[tuple[Any, tuple[Any, ...]]]:
         module, name, *types = entry.split()
         try:
             yield getattr(importlib.import_module(module), name), tuple(map(type_of, types))
-        except (ImportError, AttributeError, KeyError):  # The list is of other kernels.
+        except (ImportError, AttributeError, KeyError, ValueError):  # The list is of other kernels.
             continue
 
 
@@ -141,7 +141,7 @@ def text_of(kind: Any) -> str:
     from numba import types
 
     if isinstance(kind, types.BaseTuple):
-        return f"({','.join(map(text_of, kind))})"
+        return f"({','.join(text_of(part) for part in kind.types)})"
     if not isinstance(kind, types.Array):
         return {types.float64: "f", types.int64: "i", types.boolean: "b", types.none: "n"}[kind]
     gaps, locked = "s" * (kind.layout == "A"), "r" * (not kind.mutable)

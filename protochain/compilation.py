@@ -44,7 +44,8 @@ def njit(function: Callable[..., Any] | None = None, *, cache: bool = False, **o
     if function is None:
         return partial(njit, cache=cache, **options)
     # Nothing takes the address of a kernel: the wrapper for that would cost a twentieth of the time.
-    kernel: Any = _njit(no_cfunc_wrapper=True, **options)(function)
+    by_options: Any = _njit
+    kernel = by_options(no_cfunc_wrapper=True, **options)(function)
     if cache:
         kernel._cache = Store(function)
         by_numba = kernel.compile
