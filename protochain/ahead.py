@@ -141,7 +141,8 @@ def text_of(kind: Any) -> str:
     from numba import types
 
     if isinstance(kind, types.BaseTuple):
-        return f"({','.join(text_of(part) for part in kind.types)})"
+        inside: Any = kind
+        return f"({','.join(map(text_of, inside))})"
     if not isinstance(kind, types.Array):
         return {types.float64: "f", types.int64: "i", types.boolean: "b", types.none: "n"}[kind]
     gaps, locked = "s" * (kind.layout == "A"), "r" * (not kind.mutable)
