@@ -17,15 +17,6 @@ from protochain.multibody import Tree
 
 ROOT = Path(__file__).parent.parent
 
-# Numba looks at the time of a kernel's own file only: kernels that use changed ones would run as they were.
-_KERNELS = [ROOT / "protochain" / "compilation.py"] + [
-    path
-    for folder in ("multibody", "dynamics", "energies/native")
-    for path in (ROOT / "protochain" / folder).glob("*.py")
-]
-for compiled in (ROOT / "protochain").rglob("*.nbi"):
-    if compiled.stat().st_mtime < max(path.stat().st_mtime for path in _KERNELS):
-        compiled.unlink(missing_ok=True)
 STRUCTURES = ROOT / "structures"
 MORE_STRUCTURES = ROOT.parent / "shared" / "structures"
 SAMPLES = (

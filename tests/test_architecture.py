@@ -26,6 +26,7 @@ LAYERS = [
         "storage",
         "defaults",
         "compilation",
+        "ahead",
     },
     {"multibody", "structure", "energies"},
     {"chain", "hinges", "articulate", "contacts", "frame", "setup"},

@@ -1,6 +1,6 @@
 """A solution made by hand: its record, its texts, its trace and its file."""
 
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 from importlib.metadata import version
 from types import SimpleNamespace
 
@@ -226,3 +226,13 @@ def test_a_recorder_tells_its_watcher_of_stages_if_it_listens():
     for watch in (None, lambda row, x: told.append(x)):
         Recorder(s, Frame(s), watch).at_stage("torsions", 3)
     assert len(told) == 2
+
+
+def test_a_trace_is_made_once_when_it_is_first_read():
+    made = []
+    solution = Solution(
+        **{field.name: None for field in fields(Solution)} | {"trace": lambda: made.append(1) or [7]}
+    )
+    assert not made
+    assert solution.trace == [7] and solution.trace is solution.trace and made == [1]
+    assert Solution.__dataclass_fields__["trace"].default is MISSING

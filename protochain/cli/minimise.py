@@ -288,7 +288,9 @@ def _once(
     lost: list[str] = []
     with (
         _frames(trajectory, chain.structure, lost) as frames,
-        run_progress(settings["method"], settings["max_evaluations"], frames) as watch,
+        run_progress(
+            settings["method"], settings["max_evaluations"], frames if trajectory else None
+        ) as watch,
         _warnings(lost),
     ):
         solution = minimise(chain, energy, watch=watch, **settings)

@@ -97,6 +97,11 @@ class _RunProgress(_Progress):
     counts = True
     """Whether only evaluations are known of the stage: its energy is not the force field's."""
 
+    @property
+    def wants_positions(self) -> bool:
+        """Whether the positions it is called with are used."""
+        return self.each is not None
+
     def at_stage(self, name: str, evaluations: int) -> None:
         """Show the stage of the run."""
         if name != self.stage:

@@ -276,6 +276,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     if start.is_crowded and (far := strayed(structure, at.x)):
         message = f"{message}; {far}"
     x = at.x if at is start.pose else record.frame(at.x)
+    trace: Any = record.trace  # Made when first read.
     return Solution(
         recipe=run.recipe,
         chain=chain,
@@ -289,7 +290,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         n_iterations=done.n_iterations,
         n_evaluations=done.n_evaluations,
         seconds=seconds,
-        trace=record.trace(),
+        trace=trace,
         start=start.judgement,
         end=end,
         frame=record.frame,

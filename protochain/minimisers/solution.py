@@ -80,7 +80,9 @@ class Recorder:
         self.alphas.append(x[self.structure.alpha_carbons])
         self._frame(len(self.rows) - 1, x)
         if self.watch:
-            self.watch(row, self.frame(x))
+            # The command line's watcher says that it does without: superposing takes a tenth of a short run.
+            wanted = getattr(self.watch, "wants_positions", True)
+            self.watch(row, self.frame(x) if wanted else x)
 
     def at_stage(self, name: str, evaluations: int) -> None:
         """Tell a watcher that has a method ``at_stage`` what the run is doing, recorded or not."""
@@ -113,7 +115,7 @@ class Recorder:
 
     def trace(self) -> "pd.DataFrame":
         """Trace, with the columns ``TRACE_COLUMNS``."""
-        # Imported after the run: the import takes longer than minimising a small protein.
+        # Imported when asked for: the import takes longer than minimising a small protein.
         import pandas as pd
 
         start = self.structure.positions[self.structure.alpha_carbons]
@@ -122,6 +124,24 @@ class Recorder:
             for row, alphas in zip(self.rows, self.alphas, strict=True)
         ]
         return pd.DataFrame(rows, columns=list(TRACE_COLUMNS))
+
+
+class _Made:
+    """Field that may be given as the function that makes it, called when the field is first read."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        if instance is None:
+            raise AttributeError(self.name)  # For the dataclass: a field without default.
+        value = vars(instance)[self.name]
+        if callable(value):
+            value = vars(instance)[self.name] = value()
+        return value
+
+    def __set__(self, instance: Any, value: Any) -> None:
+        vars(instance)[self.name] = value
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +205,10 @@ class Solution(Value):
     n_iterations: int
     n_evaluations: int
     seconds: float
-    trace: "pd.DataFrame"
+    if TYPE_CHECKING:
+        trace: pd.DataFrame
+    else:
+        trace: Any = _Made()
     start: Judgement
     end: Judgement
     frame: Frame

@@ -1,10 +1,8 @@
 """Native engine: compiled kernels behind the interface of all energies."""
 
-import logging
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache, cached_property
-from pathlib import Path
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -12,14 +10,12 @@ import numba
 import numpy as np
 
 from protochain.arrays import Floats, Integers, floats, read_only
-from protochain.energies.native import pairs
 from protochain.energies.native.evaluate import Layout, born_integrals, evaluate, lists_of
 from protochain.energies.native.neighbours import Lists, partners
 from protochain.energies.native.reading import UnsupportedForceError
 from protochain.energies.native.terms import Bonded, Terms, compile_system
 from protochain.energies.openmm_engine import OpenMMEnergy
 
-_LOG = logging.getLogger(__name__)
 _SETTINGS: Any = numba.config
 MOST_THREADS: int = _SETTINGS.NUMBA_NUM_THREADS
 """Threads of numba: number of processors, or NUMBA_NUM_THREADS."""
@@ -206,7 +202,6 @@ class NativeEnergy:
 
     def _lists_for(self, x: Floats) -> Lists:
         """Neighbour lists that are valid at x; called before every evaluation."""
-        _announce()
         numba.set_num_threads(self.threads)
         lists = self._lists
         if lists is None or not lists.still_hold(x):
@@ -220,14 +215,6 @@ class NativeEnergy:
 def _remade(by_openmm: OpenMMEnergy, threads: int, rigid: tuple[Integers, Floats] | None) -> NativeEnergy:
     made = NativeEnergy(by_openmm, threads)
     return made if rigid is None else made.without_constants(*rigid)
-
-
-@cache
-def _announce() -> None:
-    """Warn that kernels must be compiled, which takes a minute on a fresh installation."""
-    kernel: Any = pairs.exception_sums
-    if not any(Path(kernel._cache.cache_path).glob("pairs.exception_sums*.nbi")):
-        _LOG.warning("compiling the energy kernels for this machine; this happens once")
 
 
 def _in_one_group(groups: Integers, atoms: Integers) -> np.ndarray:

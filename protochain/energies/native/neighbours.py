@@ -130,7 +130,10 @@ def _close(
                 if count == room:
                     room *= 2
                     wider, marks = np.empty((room, 2), np.int64), np.empty(room, np.bool_)
-                    wider[:count], marks[:count] = pairs, is_free
+                    # Element by element: an assignment of slices takes three seconds to compile.
+                    for place in range(count):
+                        wider[place, 0], wider[place, 1] = pairs[place, 0], pairs[place, 1]
+                        marks[place] = is_free[place]
                     pairs, is_free = wider, marks
                 pairs[count, 0], pairs[count, 1], is_free[count] = i, j, True
                 for place in range(start[i], start[i + 1]):

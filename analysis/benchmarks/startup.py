@@ -1,0 +1,148 @@
+"""The first minute: from an installation to its first result, and how long a small structure takes later.
+
+    python analysis/benchmarks/startup.py [STRUCTURE] [-o DIR] [--repeats N] [--install]
+
+`protochain minimise` and `protochain relax` of one structure (Trp-cage), from shell to shell: cold, with an
+empty folder of compiled kernels, on all cores and on one; warm, minima of the repeats. Seconds of the wall
+and of the processors, those of processes that help to compile included. Then the parts of a warm run, minima
+too: imports by package (Python's own measure of each module, without what it imports), and the library's
+steps.
+With --install, `pip install .` into a fresh environment is timed, and the commands are those installed there.
+"""
+
+import argparse
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+from time import perf_counter
+
+import pandas as pd
+
+ROOT = Path(__file__).parents[2]
+COMMANDS = ("minimise", "relax")
+STEPS = """
+import json, sys
+from time import perf_counter
+began, seconds = perf_counter(), {}
+def done(name):
+    global began
+    seconds[name] = perf_counter() - began
+    began = perf_counter()
+import numpy
+done("import numpy")
+import numba
+done("import numba")
+import openmm.app
+done("import openmm")
+import scipy.linalg, scipy.optimize, scipy.spatial
+done("import scipy")
+import protochain as pc
+from protochain import minimisers
+done("import protochain")
+structure = pc.load(sys.argv[1])
+done("read and prepare")
+chain = pc.build_chain(structure)
+done("hinges")
+energy = pc.energy(structure)
+done("force field")
+energy(structure.positions)
+done("first energy, kernels loaded")
+solution = pc.minimise(chain, energy)
+done("minimise, judged")
+print(json.dumps(seconds))
+"""
+
+
+def timed(command: list[str], cache: Path, cores: set[int] | None = None) -> tuple[float, float]:
+    """Seconds of the wall and of the processors of a command; helpers that it ends count."""
+    surroundings = os.environ | {"NUMBA_CACHE_DIR": str(cache), "OMP_WAIT_POLICY": "passive"}
+    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
+    limit = None if cores is None else lambda: os.sched_setaffinity(0, cores)
+    run = subprocess.run(command, env=surroundings, capture_output=True, text=True, preexec_fn=limit)
+    seconds, after = perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if run.returncode:
+        raise SystemExit(f"{' '.join(command)}: {run.stderr}")
+    return seconds, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def imports(program: str, arguments: list[str], cache: Path) -> Counter[str]:
+    """Seconds that the modules of each package take to load, without those that they import."""
+    command = [str(Path(program).with_name("python")), "-X", "importtime", program, *arguments]
+    surroundings = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
+    told = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True).stderr
+    found: Counter[str] = Counter()
+    for line in told.splitlines():
+        if line.startswith("import time:") and "self [us]" not in line:
+            own, _, name = line.removeprefix("import time:").split("|")
+            package = name.strip().split(".")[0]
+            found["other" if package in sys.stdlib_module_names else package] += int(own) / 1e6
+    return found
+
+
+def installed(folder: Path) -> tuple[str, float]:
+    """Program of a fresh environment, and the seconds of pip."""
+    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+    began = perf_counter()
+    subprocess.run([str(folder / "bin" / "pip"), "install", "-q", str(ROOT)], check=True)
+    return str(folder / "bin" / "protochain"), perf_counter() - began
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("structure", nargs="?", default=str(ROOT / "structures" / "1l2y.pdb"))
+    parser.add_argument("-o", "--output", type=Path, default=Path("startup"))
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--install", action="store_true")
+    options = parser.parse_args()
+    options.output.mkdir(parents=True, exist_ok=True)
+    rows: list[tuple[str, str, float, float]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        scratch = Path(folder)
+        program = shutil.which("protochain") or "protochain"
+        if options.install:
+            program, seconds = installed(scratch / "venv")
+            rows.append(("pip install .", "", seconds, float("nan")))
+        python = str(Path(program).with_name("python"))
+        one = {min(os.sched_getaffinity(0))}
+        arguments = {name: [name, options.structure, "-o", str(scratch / f"{name}.pdb")] for name in COMMANDS}
+        for name in COMMANDS:
+            command = [program, *arguments[name]]
+            rows.append((name, "cold", *timed(command, scratch / name)))
+            rows.append((name, "cold, one core", *timed(command, scratch / f"{name}_one", one)))
+        cache = scratch / COMMANDS[0]
+        # The repeats of all are interleaved: other work on the machine then strikes them alike.
+        runs: dict[str, list[tuple[float, float]]] = {name: [] for name in COMMANDS}
+        loaded: list[Counter[str]] = []
+        steps: list[dict[str, float]] = []
+        for _ in range(options.repeats):
+            for name in COMMANDS:
+                runs[name].append(timed([program, *arguments[name]], cache))
+            loaded.append(imports(program, arguments["minimise"], cache))
+            surroundings = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
+            command = [python, "-c", STEPS, options.structure]
+            told = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True)
+            steps.append(json.loads(told.stdout))
+    for name, found in runs.items():
+        rows.append((name, "warm", min(wall for wall, _ in found), min(cpu for _, cpu in found)))
+    table = pd.DataFrame(rows, columns=["command", "state", "seconds", "cpu_seconds"])
+    parts = [(name, min(each[name] for each in steps)) for name in steps[0]]
+    packages = {name: min(each[name] for each in loaded) for name in set().union(*loaded)}
+    for name, seconds in sorted(packages.items(), key=lambda item: -item[1])[:15]:
+        parts.append((f"modules of {name}", seconds))
+    split = pd.DataFrame(parts, columns=["part", "seconds"])
+    table.to_csv(options.output / "startup.csv", index=False, float_format="%.3f")
+    split.to_csv(options.output / "startup_parts.csv", index=False, float_format="%.4f")
+    print(table.to_string(index=False, float_format="%.2f"))
+    print(split.to_string(index=False, float_format="%.3f"))
+
+
+if __name__ == "__main__":
+    main()
