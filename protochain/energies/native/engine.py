@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, cached_property
 from pathlib import Path
+from threading import Lock
 from types import MappingProxyType
 from typing import Any
 
@@ -13,7 +14,8 @@ import numpy as np
 
 from protochain.arrays import Floats, Integers, floats, read_only
 from protochain.energies.native import pairs
-from protochain.energies.native.evaluate import Layout, born_integrals, evaluate, lists_of
+from protochain.energies.native.evaluate import Layout, lists_of
+from protochain.energies.native.evaluation import Evaluation, Workspace
 from protochain.energies.native.neighbours import Lists, partners
 from protochain.energies.native.reading import UnsupportedForceError
 from protochain.energies.native.terms import Bonded, Terms, compile_system
@@ -66,6 +68,8 @@ class NativeEnergy:
         self.left_out: Mapping[str, int] = MappingProxyType({})
         self._layout = layout
         self._lists: Lists | None = None
+        self._evaluation: Evaluation | None = None
+        self._one_at_a_time = Lock()
         self._all: tuple[Layout, Lists, Lists, Floats] | None = None
         """If terms are left out: layout of all terms, its lists and the lists here, and their positions."""
 
@@ -114,7 +118,7 @@ class NativeEnergy:
         forces; the calling loop handles that.
         """
         parts, forces = self.parts(x)
-        return sum(parts.values()) + self._constant, forces
+        return sum(parts.values()) + self._constants[0], forces
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Evaluate energies by kind, without the constant of terms left out, as :meth:`Energy.parts`.
@@ -125,7 +129,8 @@ class NativeEnergy:
         x = floats(x, (self._layout.terms.n_atoms, 3), "x", "nanometer")
         if not np.isfinite(x).all():
             return {"bonds": np.inf}, np.full(x.shape, np.nan)
-        return evaluate(self._layout, self._lists_for(x), x, self._fixed_integral)
+        with self._one_at_a_time:
+            return self._evaluation_at(x)(x)
 
     def without_constants(self, groups: Integers, x: Floats) -> "NativeEnergy":
         """Leave out terms that are constant while each group of atoms moves as a rigid body.
@@ -178,22 +183,19 @@ class NativeEnergy:
         return rough
 
     @cached_property
-    def _fixed_integral(self) -> Floats:
-        """(na,) float: contributions of atoms of one group to each other's Born integrals."""
-        if self._all is None or self._layout.terms.solvent is None:
-            return np.zeros(self._layout.terms.n_atoms)
-        layout, lists, own_lists, x = self._all
-        return born_integrals(layout, lists, x) - born_integrals(self._layout, own_lists, x)
-
-    @cached_property
-    def _constant(self) -> float:
-        """Energy of the terms left out."""
+    def _constants(self) -> tuple[float, Floats]:
+        """Energy of the terms left out; what atoms of one group contribute to each other's Born integrals."""
+        fixed = np.zeros(self._layout.terms.n_atoms)
         if self._all is None:
-            return 0.0
+            return 0.0, fixed
         layout, lists, own_lists, x = self._all
-        whole, _ = evaluate(layout, lists, x, np.zeros(len(x)))
-        moving, _ = evaluate(self._layout, own_lists, x, self._fixed_integral)
-        return sum(whole.values()) - sum(moving.values())
+        every = Evaluation(layout, lists, fixed, Workspace(layout), self.threads)
+        moving = Evaluation(self._layout, own_lists, fixed, Workspace(self._layout), self.threads)
+        (whole, _), (less, _) = every(x), moving(x)
+        if self._layout.terms.solvent is not None:
+            fixed = (every.workspace.integral - moving.workspace.integral)[: len(x)]
+            less, _ = Evaluation(self._layout, own_lists, fixed, moving.workspace, self.threads)(x)
+        return sum(whole.values()) - sum(less.values()), fixed
 
     @property
     def lists_at(self) -> Floats | None:
@@ -204,14 +206,21 @@ class NativeEnergy:
         """Build the neighbour lists at positions x (na, 3) in nm."""
         self._lists = lists_of(self._layout, floats(x, (self._layout.terms.n_atoms, 3), "x"))
 
-    def _lists_for(self, x: Floats) -> Lists:
-        """Neighbour lists that are valid at x; called before every evaluation."""
+    def _evaluation_at(self, x: Floats) -> Evaluation:
+        """Evaluation with neighbour lists that are valid at x."""
         _announce()
-        numba.set_num_threads(self.threads)
-        lists = self._lists
-        if lists is None or not lists.still_hold(x):
-            lists = self._lists = lists_of(self._layout, x)
-        return lists
+        if self._lists is None or not self._lists.still_hold(x):
+            self._lists = lists_of(self._layout, x)
+        last = self._evaluation
+        if last is None or last.lists is not self._lists:
+            workspace = last.workspace if last else Workspace(self._layout)
+            self._evaluation = Evaluation(
+                self._layout, self._lists, self._constants[1], workspace, self.threads
+            )
+            if last:
+                last.dismiss()
+        assert self._evaluation is not None
+        return self._evaluation
 
     def __repr__(self) -> str:
         return f"<NativeEnergy {self.forcefield}, {self.solvent}: {self.reason}>"
