@@ -1,4 +1,4 @@
-"""Threads of one energy: same bits on any number, whoever comes late or not at all; and how many there may be."""
+"""Threads of one energy: same bits on any number, whoever comes late or not at all; how many there may be."""
 
 import multiprocessing
 import threading
