@@ -15,7 +15,9 @@ from protochain.energies.native.atomic import add, replace
 from protochain.energies.native.atomic import load as look
 from protochain.energies.native.evaluate import lists_of
 from protochain.energies.native.evaluation import Evaluation, Workspace, tasks_of_a_step
+from protochain.energies.native.helpers import Worth
 from protochain.energies.native.layout import CHUNKS
+from protochain.energies.native.tasks import ALL, LED, TOOK, WAITED
 
 X = load("1l2y.pdb").positions
 
@@ -170,3 +172,44 @@ def test_processors_are_those_this_process_may_use(bound, quota, expected, monke
     monkeypatch.setattr(door.os, "sched_getaffinity", lambda _: set(range(bound)), raising=False)
     monkeypatch.setattr(door, "allowed", lambda *_: quota)
     assert door.processors() == expected
+
+
+def noted(worth, now, energies, took, waited, share):
+    """Time after some energies, all alike, in a row."""
+    for _ in range(energies):
+        assert worth.asks(now)
+        now += took
+        worth.note(now, took, waited, share)
+    return now
+
+
+def test_helpers_that_save_time_are_asked_again_and_again():
+    # Half of the tasks done by them, and once in a while a turn of the scheduler lost.
+    worth, now = Worth(), 0.0
+    for _ in range(20):
+        now = noted(worth, now, 40, 0.0005, 0.0, 0.5)
+        worth.note(now, 0.0045, 0.004, 0.5)
+    assert worth.asks(now)
+
+
+def test_helpers_that_cost_time_rest_twice_as_long_each_time():
+    worth, now, rests = Worth(), 0.0, []
+    while len(rests) < 7:
+        now += 0.005
+        worth.note(now, 0.005, 0.0045, 0.5)
+        if not worth.asks(now):
+            rests.append(round(worth.until - now, 6))
+            now = worth.until
+            assert worth.asks(now)
+    assert rests == [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 3.2]
+    now = noted(worth, now, 1000, 0.0005, 0.0, 0.5)
+    while worth.asks(now):
+        worth.note(now, 0.005, 0.0045, 0.5)
+    assert worth.until - now == pytest.approx(0.1), "long proof of use, and earlier rests are forgotten"
+
+
+def test_a_thread_that_leads_alone_waits_for_nobody():
+    alone = on(1)
+    alone(X)
+    tasks, led, waited, took = alone._counters[[ALL, LED, WAITED, TOOK]]
+    assert tasks == led == 6 and waited == 0 < took

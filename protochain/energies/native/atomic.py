@@ -6,12 +6,16 @@ with sequential consistency: what a thread wrote before such an operation, anoth
 
 import platform
 import sys
+from time import get_clock_info
 from typing import Any
 
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+
+from protochain.arrays import Integers
+from protochain.energies.native.layout import scalar
 
 _ORDER = "seq_cst"
 _PAUSES = {
@@ -24,6 +28,23 @@ give_way = types.ExternalFunction(
     "SwitchToThread" if sys.platform == "win32" else "sched_yield", types.int32()
 )
 """Let the operating system run another thread on this processor."""
+
+_IS_WINDOWS = sys.platform == "win32"
+_counter = types.ExternalFunction("QueryPerformanceCounter", types.int32(types.voidptr))
+_clock = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.voidptr))
+TICK = get_clock_info("perf_counter").resolution if _IS_WINDOWS else 1e-9
+"""s. Of :func:`ticks`."""
+_MONOTONIC = 6 if sys.platform == "darwin" else 1
+
+
+@scalar
+def ticks(room: Integers) -> int:
+    """Read a clock that goes on evenly, in ticks of its own, by way of an array of two int64."""
+    if _IS_WINDOWS:
+        _counter(room.ctypes)
+        return room[0]
+    _clock(_MONOTONIC, room.ctypes)
+    return 1_000_000_000 * room[0] + room[1]
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:

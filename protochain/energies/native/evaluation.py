@@ -1,13 +1,15 @@
 """An energy with its neighbour lists, ready for any positions at which they hold."""
 
 import threading
+from time import monotonic
 from typing import Any
 
 import numpy as np
 
 from protochain.arrays import Floats
+from protochain.energies.native.atomic import TICK
 from protochain.energies.native.evaluate import Layout
-from protochain.energies.native.helpers import Helpers, helpers
+from protochain.energies.native.helpers import Helpers, Worth, helpers
 from protochain.energies.native.layout import CHUNKS, SUMS, W
 from protochain.energies.native.neighbours import Lists
 from protochain.energies.native.series import (
@@ -17,7 +19,7 @@ from protochain.energies.native.series import (
     NEAR_INTEGRAL,
     NEAR_SLOPE,
 )  # fmt: skip
-from protochain.energies.native.tasks import COUNTERS, QUIT, TASKS, work
+from protochain.energies.native.tasks import ALL, COUNTERS, LED, QUIT, TASKS, TOOK, WAITED, work
 
 KINDS = (
     "bonds",
@@ -51,6 +53,7 @@ class Workspace:
         self.atoms = layout.blocks.copy()
         self.sums = np.empty((CHUNKS, len(self.atoms), SUMS * W))
         self.parts = np.empty((len(KINDS), CHUNKS))
+        self.worth = Worth()
         self.integral, self.slope, self.pull = np.empty((3, len(self.atoms) * W))
 
     @property
@@ -89,10 +92,15 @@ class Evaluation:
         w = self.workspace
         np.copyto(w.x, x)
         self._runs = True
-        if self._most:
+        asks = self._most > 0 and w.worth.asks(monotonic())
+        self._counters[QUIT] = not asks
+        if asks:
             self._call_helpers(helpers())
         work(True, self._counters, *self._arguments)
         self._runs = False
+        if asks:
+            tasks, led, waited, took = self._counters[[ALL, LED, WAITED, TOOK]].tolist()
+            w.worth.note(monotonic(), TICK * took, TICK * waited, led / tasks)
         return dict(zip(KINDS, w.parts.sum(axis=1).tolist(), strict=True)), w.forces.copy()
 
     def _call_helpers(self, them: Helpers) -> None:

@@ -8,9 +8,11 @@ system does not run cost nothing.
 
 from typing import Any
 
+import numpy as np
+
 from protochain.arrays import Floats, Integers
 from protochain.energies.native import bonded, born, neck, pairs
-from protochain.energies.native.atomic import add, give_way, load, pause, replace
+from protochain.energies.native.atomic import add, give_way, load, pause, replace, ticks
 from protochain.energies.native.layout import (
     CHUNKS,
     Share,
@@ -23,11 +25,12 @@ from protochain.energies.native.layout import (
     take_scalars,
 )
 
-COUNTERS = 80
+COUNTERS = 96
 """Length of the array of counters."""
-NEXT, OPEN, DONE, LAST, QUIT, TASKS = 0, 16, 32, 48, 64, 65
+NEXT, OPEN, DONE, LAST, QUIT, TASKS, ALL, LED, WAITED, TOOK = 0, 16, 32, 48, 64, 65, 80, 81, 82, 83
 """Places in it, far apart for the cache: next task to take; tasks opened; done; of all energies so far;
-whether helpers shall leave; tasks of a step, a divisor of CHUNKS."""
+whether helpers shall leave; tasks of a step, a divisor of CHUNKS; of the last energy, its tasks, those
+that the leading thread did, the ticks that it waited, and those that it took."""
 _SPINS = 2000
 """Looks at the counters before a waiting thread lets the operating system run others: some 50 us."""
 _PATIENCE = 8000
@@ -43,23 +46,35 @@ def work(
     leads: bool, counters: Integers, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any
 ) -> None:
     """Do tasks: the thread that leads until its energy is done, a helper until none has come for a while."""
+    room = np.empty(2, np.int64)
+    began = since = ticks(room)
     if leads:
         put_positions(state[0], state[1])
-        add(counters, LAST, counters[TASKS] * (_IN_VACUUM if solvent is None else _IN_SOLVENT))
+        counters[ALL] = counters[TASKS] * (_IN_VACUUM if solvent is None else _IN_SOLVENT)
+        add(counters, LAST, counters[ALL])
         add(counters, OPEN, counters[TASKS])
-    waited = 0
+    did, looks, waited = 0, 0, 0
     while (
         load(counters, DONE) < load(counters, LAST)
         if leads
-        else waited < _PATIENCE and not load(counters, QUIT)
+        else looks < _PATIENCE and not load(counters, QUIT)
     ):
-        if take(counters, state, vacuum, terms, maps, solvent, necks):
-            waited = 0
-        elif leads and waited > _SPINS:
+        if load(counters, NEXT) < load(counters, OPEN):
+            waited += ticks(room) - since if looks else 0
+            looks = 0
+            did += take(counters, state, vacuum, terms, maps, solvent, necks)
+            continue
+        if looks == 0:
+            since = ticks(room)
+        looks += 1
+        if leads and looks > _SPINS:
             give_way()
         else:
-            waited += 1
             pause()
+    if leads:
+        now = ticks(room)
+        waited += now - since if looks else 0
+        counters[LED], counters[WAITED], counters[TOOK] = did, waited, now - began
 
 
 @inlined
