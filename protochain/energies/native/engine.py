@@ -190,7 +190,7 @@ class NativeEnergy:
         layout = replace(self._layout, terms=replace(terms, nonbonded=nonbonded, solvent=solvent))
         every = Evaluation(layout, lists_of(layout, x), np.zeros(len(x)), Workspace(layout), self.threads)
         off = np.sqrt(((self(x)[1] - every(x)[1]) ** 2).sum(axis=1).mean())
-        return f"its forces differ by {off:.2g} kJ/mol/nm RMS from those of all pairs"
+        return f"with the cutoff, forces differ by {off:.2g} kJ/mol/nm RMS from those of all pairs"
 
     @cached_property
     def _constants(self) -> tuple[float, Floats]:

@@ -100,7 +100,7 @@ def _tiles(
     """Pairs of blocks whose boxes are nearer than the cutoff, in order; which are near, and which have necks.
 
     Along the axis on which they spread most, blocks are taken as they begin, and each is compared with those
-    that begin before it ends, not with all: time grows nearly as the number of atoms where the cutoff is short.
+    that begin before it ends, not with all: many atoms take little longer each where the cutoff is short.
     """
     n, room = len(low), 1024
     axis = np.argmax(spread(low))
