@@ -91,13 +91,15 @@ class Evaluation:
         """Evaluate energies by kind in kJ/mol, and forces (na, 3) in kJ/mol/nm, at x (na, 3) in nm."""
         w = self.workspace
         np.copyto(w.x, x)
-        self._runs = True
         asks = self._most > 0 and w.worth.asks(monotonic())
         self._counters[QUIT] = not asks
-        if asks:
-            self._call_helpers(helpers())
-        work(True, self._counters, *self._arguments)
-        self._runs = False
+        self._runs = True
+        try:
+            if asks:
+                self._call_helpers(helpers())
+            work(True, self._counters, *self._arguments)
+        finally:
+            self._runs = False  # Also on Ctrl-C: helpers would look for tasks for ever.
         if asks:
             tasks, led, waited, took = self._counters[[ALL, LED, WAITED, TOOK]].tolist()
             w.worth.note(monotonic(), TICK * took, TICK * waited, led / tasks)
