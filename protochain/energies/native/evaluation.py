@@ -1,7 +1,7 @@
 """An energy with its neighbour lists, ready for any positions at which they hold."""
 
 import threading
-from time import monotonic
+from time import monotonic, thread_time
 from typing import Any
 
 import numpy as np
@@ -93,7 +93,7 @@ class Evaluation:
         np.copyto(w.x, x)
         asks = self._most > 0 and w.worth.asks(monotonic())
         self._counters[QUIT] = not asks
-        self._runs = True
+        self._runs, used = True, thread_time()
         try:
             if asks:
                 self._call_helpers(helpers())
@@ -102,7 +102,8 @@ class Evaluation:
             self._runs = False  # Also on Ctrl-C: helpers would look for tasks for ever.
         if asks:
             tasks, led, waited, took = self._counters[[ALL, LED, WAITED, TOOK]].tolist()
-            w.worth.note(monotonic(), TICK * took, TICK * waited, led / tasks)
+            worked = min(TICK * (took - waited), thread_time() - used)
+            w.worth.note(monotonic(), TICK * took, worked, led / tasks)
         return dict(zip(KINDS, w.parts.sum(axis=1).tolist(), strict=True)), w.forces.copy()
 
     def _call_helpers(self, them: Helpers) -> None:

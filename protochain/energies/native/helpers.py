@@ -42,18 +42,19 @@ class Worth:
         """Whether to ask for helpers at a time in s."""
         return now >= self.until
 
-    def note(self, now: float, took: float, waited: float, share: float) -> None:
+    def note(self, now: float, took: float, worked: float, share: float) -> None:
         """Take account of an energy with helpers.
 
         Parameters
         ----------
-        now, took, waited : float, s
-            Time of the clock, time that the energy took, and the part in which its leading thread waited.
+        now, took, worked : float, s
+            Time of the clock, time that the energy took, and the part in which its leading thread worked,
+            neither waiting nor put aside for other work.
         share : float
             Of all tasks, those that the leading thread did.
         """
         # Alone it would have done the others at the same rate.
-        saved = (took - waited) / share - took if share else took
+        saved = worked / share - took if share else took
         self.balance = (1.0 - min(1.0, took / _MEMORY)) * self.balance + saved
         if self.balance < 0.0:
             self.rest = min(_LONGEST, max(_SHORTEST, 2.0 * self.rest))
