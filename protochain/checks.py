@@ -92,6 +92,19 @@ def optional(check: Check) -> Check:
     return lambda value, name: None if value is None else check(value, name)
 
 
+def cutoff_of(value: Any, name: str) -> Any:
+    """Return a distance in nm, also one in a text; "auto"; or None, for no cutoff, also as "none"."""
+    if value in ("auto", "none", None):
+        return None if value == "none" else value
+    try:
+        distance = float(value) if isinstance(value, str) else float(number(value, name))
+    except ValueError:
+        distance = 0.0
+    if 0.0 < distance < float("inf"):
+        return distance
+    raise ProtochainError(f"{name} {shown(value)}: give a distance in nm, auto, or none")
+
+
 def text(value: Any, name: str) -> str:
     """Return a text as it is."""
     if isinstance(value, str):

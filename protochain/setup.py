@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from protochain import defaults
 from protochain.checks import (
     check_fields,
+    cutoff_of,
     file_name,
     flag,
     integer,
@@ -47,6 +48,8 @@ class Setup:
         As in :func:`protochain.build_chain`.
     forcefield, solvent, engine : str
         As in :func:`protochain.energy`.
+    cutoff : float, "auto" or None
+        As in :func:`protochain.energy`.
     threads : int, optional
         Threads for the energy; all by default.
     trust_forcefield : bool
@@ -82,6 +85,7 @@ class Setup:
     forcefield: str = defaults.FORCEFIELD
     solvent: str = defaults.SOLVENT
     engine: str = defaults.ENGINE
+    cutoff: float | str | None = defaults.CUTOFF
     threads: int | None = None
     trust_forcefield: bool = False
     model: int | str | None = None
@@ -95,8 +99,8 @@ class Setup:
     def __post_init__(self) -> None:
         check_fields(
             self, hinges=kinds, root=text, move=text, forcefield=file_name, solvent=text, engine=text,
-            threads=optional(integer), trust_forcefield=flag, model=_model, altloc=text, keep=words,
-            disulfide=_bonds, ph=number, strict=flag, chains=words,
+            cutoff=cutoff_of, threads=optional(integer), trust_forcefield=flag, model=_model, altloc=text,
+            keep=words, disulfide=_bonds, ph=number, strict=flag, chains=words,
         )  # fmt: skip
 
     def prepare(
@@ -149,7 +153,7 @@ class Setup:
 
         return (build_energy or energy)(
             structure, forcefield=self.forcefield, solvent=self.solvent, engine=self.engine,
-            threads=self.threads, trust_forcefield=self.trust_forcefield,
+            cutoff=self.cutoff, threads=self.threads, trust_forcefield=self.trust_forcefield,
         )  # fmt: skip
 
 

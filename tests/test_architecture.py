@@ -27,6 +27,7 @@ LAYERS = [
         "defaults",
         "compilation",
         "ahead",
+        "processors",
     },
     {"multibody", "structure", "energies"},
     {"chain", "hinges", "articulate", "contacts", "frame", "setup"},
@@ -56,7 +57,7 @@ PUBLIC = {
     for name in package.__all__
     if not inspect.ismodule(getattr(package, name))
 }
-KERNELS = {"kernel", "njit", "scalar", "shared", "tiled", "variant"}
+KERNELS = {"inlined", "kernel", "njit", "scalar", "shared", "tiled", "variant"}
 OPENMM_BELONGS_IN = {"structure", "energies", "minimisers/openmm_reference.py"}
 
 

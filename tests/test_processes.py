@@ -1,7 +1,6 @@
 """Where a batch runs, and how its jobs are handed out; no process is started."""
 
 import json
-import os
 import platform
 import signal
 import sys
@@ -88,11 +87,11 @@ def dask(monkeypatch):
     ("processes", "cores", "count"),
     [
         (Processes(workers=3), 8, 3), (Processes(), 8, 8), (Processes(threads=3), 8, 2),
-        (Processes(threads=9), 8, 1), (Processes(), None, 1),
+        (Processes(threads=9), 8, 1), (Processes(), 1, 1),
     ],
 )  # fmt: skip
 def test_a_cluster_of_this_machine_is_reached_from_it_only(processes, cores, count, dask, monkeypatch):
-    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    monkeypatch.setattr(cluster, "processors", lambda: cores)
     with connected(processes) as client:
         (plugin,) = client.plugins
         assert isinstance(plugin, cluster._CalmWorker) and client.awaited == []

@@ -1,7 +1,6 @@
 """A Dask client: of a cluster started on this machine, or of one that is running already."""
 
 import logging
-import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -14,6 +13,7 @@ from distributed.security import Security
 from protochain import defaults
 from protochain.checks import check_fields, integer, number, optional, text
 from protochain.errors import ProtochainError
+from protochain.processors import processors
 
 _LOG = logging.getLogger(__name__)
 _PATIENCE = 10.0
@@ -66,7 +66,7 @@ def connected(processes: Processes) -> Iterator[Client]:
     """
     scheduler = processes.scheduler
     if scheduler is None:
-        count = processes.workers or max(1, (os.cpu_count() or 1) // processes.threads)
+        count = processes.workers or max(1, processors() // processes.threads)
         with (
             LocalCluster(
                 n_workers=count,

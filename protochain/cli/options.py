@@ -71,6 +71,7 @@ _SETUP = {
     ),
     "solvent": _option(str, "vacuum, obc2 or gbn2."),
     "engine": _option(str, "auto, native or openmm."),
+    "cutoff": _option(str, "Distance in nm up to which pairs act, none, or auto: none below 20,000 atoms."),
     "threads": _option(int | None, "Threads to compute on [default: all]."),
     "trust_forcefield": _option(bool, "Allow a force-field file to run its scripts.", "--trust-forcefield"),
     "model": _option(

@@ -65,7 +65,10 @@ def lennard_jones(element: str) -> tuple[float, float]:
 
 
 def create_system(
-    structure: Structure, force_field: app.ForceField, fresh: Callable[[], app.ForceField]
+    structure: Structure,
+    force_field: app.ForceField,
+    fresh: Callable[[], app.ForceField],
+    pairs: dict[str, Any],
 ) -> openmm.System:
     """Create the System of a structure with obstacles, those without parameters by element.
 
@@ -77,11 +80,13 @@ def create_system(
         Left unchanged.
     fresh : callable
         Makes another one, which receives templates.
+    pairs : dict
+        Arguments of ``createSystem`` on the cutoff.
 
     Returns
     -------
     openmm.System
-        Without a cutoff. Atoms joined across bonds between the protein and obstacles do not repel one
+        Atoms joined across bonds between the protein and obstacles do not repel one
         another.
 
     Raises
@@ -99,9 +104,7 @@ def create_system(
     chosen = {residues[r]: _register(force_field, structure, residues[r]) for r in unknown}
     for r, atoms in linked.items():
         chosen[residues[r]] = _variant(force_field, residues[r], atoms)
-    system = force_field.createSystem(
-        topology, nonbondedMethod=app.NoCutoff, rigidWater=False, residueTemplates=chosen
-    )
+    system = force_field.createSystem(topology, rigidWater=False, residueTemplates=chosen, **pairs)
     _refuse_unheld(structure, system)
     by_element = np.isin(structure.atom_residue, list(unknown))
     _exclude(system, _not_interacting(structure, by_element))

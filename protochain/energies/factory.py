@@ -3,14 +3,24 @@
 import xml.etree.ElementTree as ElementTree
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import openmm
 from openmm import app, unit
 
 from protochain import defaults
-from protochain.checks import checked, file_name, flag, force_field_parts, instance, integer, optional, text
+from protochain.checks import (
+    checked,
+    cutoff_of,
+    file_name,
+    flag,
+    force_field_parts,
+    instance,
+    integer,
+    optional,
+    text,
+)
 from protochain.energies.elements import create_system
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.implicit import COULOMB, COULOMB_CUSTOM, OBC_OFFSET
@@ -51,8 +61,8 @@ ENGINES = ("auto", "native", "openmm")
 
 
 @checked(
-    forcefield=file_name, solvent=text, engine=text, threads=optional(integer), trust_forcefield=flag,
-    system=instance(openmm.System, "ForceField.createSystem"),
+    forcefield=file_name, solvent=text, engine=text, cutoff=cutoff_of, threads=optional(integer),
+    trust_forcefield=flag, system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
 def energy(
     structure: Any,
@@ -60,6 +70,7 @@ def energy(
     solvent: str = defaults.SOLVENT,
     engine: str = defaults.ENGINE,
     *,
+    cutoff: float | Literal["auto"] | None = defaults.CUTOFF,
     system: openmm.System | None = None,
     threads: int | None = None,
     trust_forcefield: bool = False,
@@ -76,10 +87,14 @@ def energy(
         between, as ``amber14,ligand.xml``.
     solvent : str
         ``vacuum``, ``obc2`` (Onufriev, Bashford, Case, Proteins 55:383, 2004) or ``gbn2`` (Nguyen, Roe,
-        Simmerling, J. Chem. Theory Comput. 9:2020, 2013), without a cutoff.
+        Simmerling, J. Chem. Theory Comput. 9:2020, 2013).
     engine : str
         ``native`` (compiled kernels, double precision), ``openmm`` (CPU platform, single precision), or
         ``auto``: native if it supports every force, otherwise openmm; ``reason`` of the energy says why.
+    cutoff : float, "auto" or None, optional
+        Distance in nm up to which pairs of atoms act on each other; None for all pairs. ``auto``: all, but
+        2 nm in a solvent for more than 20,000 atoms, where all would take hours; ``reason`` of the energy
+        then says by how much forces differ. In vacuum, where charges are not screened, no distance will do.
     system : openmm.System, optional
         System to use instead of building one.
     threads : int, optional
@@ -104,18 +119,29 @@ def energy(
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
     if threads is not None and threads < 1:
         raise ForceFieldError(f"threads {threads}: give at least 1")
+    if cutoff == "auto":
+        is_long = solvent != "vacuum" and structure.n_atoms > defaults.FULL_UP_TO
+        cutoff = defaults.LONG_CUTOFF if is_long else None
     if system is None:
-        system = build_system(structure, forcefield, solvent, trust_forcefield)
-        note = _use_gbsa_obc(system) if solvent == "obc2" else "no cutoff"
+        system = build_system(structure, forcefield, solvent, trust_forcefield, cutoff)
+        note = f"cutoff {cutoff:g} nm" if cutoff else "no cutoff"
+        note += _use_gbsa_obc(system) if solvent == "obc2" else ""
         by_openmm = OpenMMEnergy(system, "CPU", threads, forcefield, solvent, note, structure.fingerprint)
     elif system.getNumParticles() == structure.n_atoms:
-        by_openmm = OpenMMEnergy(system, threads=threads, note="System given by the caller")
+        cutoff, by_openmm = None, OpenMMEnergy(system, threads=threads, note="System given by the caller")
     else:
         raise ForceFieldError(
             f"the System has {system.getNumParticles()} particles but {structure.name} has "
             f"{structure.n_atoms} atoms; build it from structure.topology"
         )
-    return by_engine(engine, by_openmm)
+    made = by_engine(engine, by_openmm)
+    if isinstance(made, NativeEnergy) and cutoff is not None and structure.n_atoms <= _MEASURED_UP_TO:
+        by_openmm.note += f"; {made.cutoff_error(structure.positions)}"
+    return made
+
+
+_MEASURED_UP_TO = 100_000
+"""Atoms up to which the error of a cutoff is measured, by one sum over all pairs: half a minute."""
 
 
 def build_system(
@@ -123,6 +149,7 @@ def build_system(
     forcefield: str = defaults.FORCEFIELD,
     solvent: str = defaults.SOLVENT,
     trust_forcefield: bool = False,
+    cutoff: float | None = None,
 ) -> openmm.System:
     """Build the OpenMM System of a structure as the files of the force field define it.
 
@@ -134,11 +161,13 @@ def build_system(
         As for :func:`energy`.
     trust_forcefield : bool
         As for :func:`energy`.
+    cutoff : float, optional
+        As for :func:`energy`; none by default.
 
     Returns
     -------
     openmm.System
-        Without a cutoff; obstacles have no mass, so that OpenMM does not move them.
+        Obstacles have no mass, so that OpenMM does not move them.
 
     Raises
     ------
@@ -147,6 +176,9 @@ def build_system(
     """
     if solvent not in SOLVENTS:
         raise ForceFieldError(f"solvent {solvent!r} is not known; choose from {', '.join(SOLVENTS)}")
+    pairs: dict[str, Any] = {"nonbondedMethod": app.NoCutoff}
+    if cutoff is not None:
+        pairs = {"nonbondedMethod": app.CutoffNonPeriodic, "nonbondedCutoff": cutoff * unit.nanometer}
     files, own = [], False
     parts = force_field_parts(forcefield)
     for part in parts:
@@ -164,11 +196,9 @@ def build_system(
         # A user's file may change between calls, and a trusted one may raise anything.
         force_field = app.ForceField(*files) if own else _bundled_force_field(*files)
         if structure.kept.any():
-            system = create_system(structure, force_field, lambda: app.ForceField(*files))
+            system = create_system(structure, force_field, lambda: app.ForceField(*files), pairs)
         else:
-            system = force_field.createSystem(
-                structure.topology, nonbondedMethod=app.NoCutoff, rigidWater=False
-            )
+            system = force_field.createSystem(structure.topology, rigidWater=False, **pairs)
     except Exception as error:
         reason = " ".join(f"{error}".split()) or type(error).__name__
         raise ForceFieldError(
@@ -257,19 +287,22 @@ def _use_gbsa_obc(system: openmm.System) -> str:
     Returns
     -------
     str
-        Note on the change.
+        What to add to a note on the System.
     """
     places = [i for i, force in enumerate(system.getForces()) if isinstance(force, openmm.CustomGBForce)]
     if len(places) != 1:
-        return "OBC2 as the force field defines it"
+        return "; OBC2 as the force field defines it"
     custom = system.getForce(places[0])
     names = [custom.getPerParticleParameterName(i) for i in range(custom.getNumPerParticleParameters())]
     if names != ["charge", "or", "sr"] or custom.getNumExclusions() or custom.getNumFunctions():
-        return "OBC2 as the CustomGBForce that this force field modifies"
+        return "; OBC2 as the CustomGBForce that this force field modifies"
     # The two forces round 1/(4 pi epsilon0) differently; scaled charges make their energies equal.
     charge_scale = np.sqrt(COULOMB_CUSTOM / COULOMB)
     force = openmm.GBSAOBCForce()
     force.setNonbondedMethod(openmm.GBSAOBCForce.NoCutoff)
+    if custom.getNonbondedMethod() == openmm.CustomGBForce.CutoffNonPeriodic:
+        force.setNonbondedMethod(openmm.GBSAOBCForce.CutoffNonPeriodic)
+        force.setCutoffDistance(custom.getCutoffDistance())
     force.setSolventDielectric(78.5)
     force.setSoluteDielectric(1.0)
     for i in range(custom.getNumParticles()):
@@ -278,4 +311,4 @@ def _use_gbsa_obc(system: openmm.System) -> str:
         force.addParticle(charge * charge_scale, (reduced_radius + OBC_OFFSET) * unit.nanometer, scale)
     system.removeForce(places[0])
     system.addForce(force)
-    return "no cutoff; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml"
+    return "; OBC2 as GBSAOBCForce, equal to the CustomGBForce of obc2.xml"

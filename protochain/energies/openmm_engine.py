@@ -2,7 +2,6 @@
 
 import copy
 import hashlib
-import os
 from collections.abc import Mapping
 from functools import cached_property
 from types import MappingProxyType
@@ -13,6 +12,7 @@ import openmm
 from openmm import unit
 
 from protochain.arrays import Floats, Integers, floats
+from protochain.processors import processors
 
 _LIGHT = 1.5
 """amu. Atoms lighter than this are hydrogens."""
@@ -51,7 +51,7 @@ class OpenMMEnergy:
     ) -> None:
         self.system = copy.deepcopy(system)
         self.platform = platform
-        self.threads = (threads or os.cpu_count() or 1) if platform == "CPU" else 1
+        self.threads = (threads or processors()) if platform == "CPU" else 1
         self.forcefield = forcefield
         self.solvent = solvent
         self.note = note

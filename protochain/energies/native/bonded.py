@@ -1,19 +1,20 @@
 """Bonds, angles, torsions and torsion maps. Each chunk of the work adds to sums and energies of its own."""
 
 import numpy as np
-from numba import prange
 
 from protochain.arrays import Floats, Integers
-from protochain.energies.native.layout import CHUNKS, W, part, scalar, shared
+from protochain.energies.native.layout import Share, W, part, scalar, shared
 from protochain.energies.native.pairs import CLOSEST, difference, push
 
 Vector = tuple[float, float, float]
 
 
 @shared
-def bond_sums(x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats) -> None:
+def bond_sums(
+    mine: Share, x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats
+) -> None:
     """K (r - r0)^2 / 2, parameters (r0, k)."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(atoms), c)
         energy = 0.0
         for n in range(begin, end):
@@ -28,9 +29,11 @@ def bond_sums(x: Floats, atoms: Integers, parameters: Floats, sums: Floats, ener
 
 
 @shared
-def angle_sums(x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats) -> None:
+def angle_sums(
+    mine: Share, x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats
+) -> None:
     """K (theta - theta0)^2 / 2, parameters (theta0, k)."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(atoms), c)
         energy = 0.0
         for n in range(begin, end):
@@ -52,9 +55,11 @@ def angle_sums(x: Floats, atoms: Integers, parameters: Floats, sums: Floats, ene
 
 
 @shared
-def torsion_sums(x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats) -> None:
+def torsion_sums(
+    mine: Share, x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats
+) -> None:
     """K (1 + cos(n phi - phi0)), parameters (n, phi0, k)."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(atoms), c)
         energy = 0.0
         for n in range(begin, end):
@@ -67,9 +72,11 @@ def torsion_sums(x: Floats, atoms: Integers, parameters: Floats, sums: Floats, e
 
 
 @shared
-def improper_sums(x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats) -> None:
+def improper_sums(
+    mine: Share, x: Floats, atoms: Integers, parameters: Floats, sums: Floats, energies: Floats
+) -> None:
     """CHARMM's impropers, K (phi - phi0)^2 without periodic wrapping, parameters (phi0, k)."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(atoms), c)
         energy = 0.0
         for n in range(begin, end):
@@ -82,14 +89,20 @@ def improper_sums(x: Floats, atoms: Integers, parameters: Floats, sums: Floats, 
 
 @shared
 def map_sums(
-    x: Floats, atoms: Integers, which: Integers, coefficients: Floats, sums: Floats, energies: Floats
+    mine: Share,
+    x: Floats,
+    atoms: Integers,
+    which: Integers,
+    coefficients: Floats,
+    sums: Floats,
+    energies: Floats,
 ) -> None:
     """Torsion maps, bicubic in each cell of a grid over two dihedrals.
 
     ``coefficients`` (maps, size, size, 4, 4) multiply powers of the coordinates in a cell, from 0 to 1.
     """
     size = coefficients.shape[1]
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(atoms), c)
         energy = 0.0
         for n in range(begin, end):

@@ -7,12 +7,10 @@ without logarithm or root. The few nearer pairs come from a list.
 """
 
 import numpy as np
-from numba import prange
 
 from protochain.arrays import Floats, Integers
 from protochain.energies.native.layout import (
     BORN,
-    CHUNKS,
     FX,
     FY,
     FZ,
@@ -21,6 +19,7 @@ from protochain.energies.native.layout import (
     S2,
     S3,
     SCALAR,
+    Share,
     W,
     X,
     Y,
@@ -37,11 +36,11 @@ from protochain.energies.native.series import fourteen, series
 
 @shared
 def integral_sums(
-    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, near_series: Floats,
-    far_series: Floats, sums: Floats,
+    mine: Share, atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float,
+    near_series: Floats, far_series: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """Add the descreening integrals of all pairs at ``near`` or further to row SCALAR of the sums."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
@@ -88,11 +87,11 @@ def _integral(
 
 @shared
 def descreening_sums(
-    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, near_series: Floats,
-    far_series: Floats, sums: Floats,
+    mine: Share, atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float,
+    near_series: Floats, far_series: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """Add the forces of the integrals of :func:`integral_sums`, given dE/d(integral) of each atom."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
@@ -145,11 +144,11 @@ def _descreening(
 
 @shared
 def near_integral_sums(
-    x: Floats, offset_radius: Floats, scaled_radius: Floats, engulfs: bool, pairs: Integers, near: float,
-    slopes: Floats, sums: Floats,
+    mine: Share, x: Floats, offset_radius: Floats, scaled_radius: Floats, engulfs: bool, pairs: Integers,
+    near: float, slopes: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """Add the integrals of listed pairs nearer than ``near``, and store their slopes over distance."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(pairs), c)
         for k in range(begin, end):
             i, j = pairs[k, 0], pairs[k, 1]
@@ -193,9 +192,11 @@ def descreening(r: float, radius: float, s: float, engulfs: bool) -> tuple[float
 
 
 @shared
-def near_descreening_sums(x: Floats, pull: Floats, pairs: Integers, slopes: Floats, sums: Floats) -> None:
+def near_descreening_sums(
+    mine: Share, x: Floats, pull: Floats, pairs: Integers, slopes: Floats, sums: Floats
+) -> None:
     """Add the forces of the listed pairs from the slopes that :func:`near_integral_sums` stored."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(pairs), c)
         for k in range(begin, end):
             i, j = pairs[k, 0], pairs[k, 1]
@@ -206,14 +207,15 @@ def near_descreening_sums(x: Floats, pull: Floats, pairs: Integers, slopes: Floa
 
 @scalar
 def put_born_radii(
-    integral: Floats, offset_radius: Floats, radius: Floats, bend: Floats, atoms: Floats, slope: Floats
-) -> None:
-    """Write the Born radii into the blocks, and dB/d(integral) of each atom into ``slope``.
+    begin: int, end: int, integral: Floats, offset_radius: Floats, radius: Floats, bend: Floats,
+    atoms: Floats, slope: Floats,
+) -> None:  # fmt: skip
+    """Write some atoms' Born radii into the blocks, and dB/d(integral) of each into ``slope``.
 
     ``bend`` holds alpha, beta, gamma of tanh(alpha psi - beta psi^2 + gamma psi^3), psi = integral times
     offset radius; all zero for HCT, 1/B = 1/radius - integral.
     """
-    for i in range(len(integral)):
+    for i in range(begin, end):
         alpha, beta, gamma = bend[i, 0], bend[i, 1], bend[i, 2]
         psi = integral[i] * offset_radius[i]
         if alpha == 0.0:
@@ -230,14 +232,14 @@ def put_born_radii(
 
 @scalar
 def add_self_energy(
-    gb_charge: Floats, surface: Floats, slope: Floats, atoms: Floats, with_born: Floats
+    begin: int, end: int, gb_charge: Floats, surface: Floats, slope: Floats, atoms: Floats, with_born: Floats
 ) -> tuple[float, float]:
-    """Self energy -q^2 / (2 B) and surface energy c / B^6; dE/dB becomes dE/d(integral) in place.
+    """Self energy -q^2 / (2 B) and surface energy c / B^6 of some atoms; dE/dB becomes dE/d(integral).
 
     Surface: Schaefer, Bartels, Karplus, J. Mol. Biol. 284:835 (1998).
     """
     polar, area = 0.0, 0.0
-    for i in range(len(gb_charge)):
+    for i in range(begin, end):
         block, k = i // W, i % W
         inverse = 2.0 * atoms[block, HALF_INVERSE_BORN * W + k]
         q2 = gb_charge[i] * gb_charge[i]

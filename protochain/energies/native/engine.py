@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
+from threading import Lock
 from types import MappingProxyType
 from typing import Any
 
@@ -10,7 +11,8 @@ import numba
 import numpy as np
 
 from protochain.arrays import Floats, Integers, floats, read_only
-from protochain.energies.native.evaluate import Layout, born_integrals, evaluate, lists_of
+from protochain.energies.native.evaluate import Layout, lists_of
+from protochain.energies.native.evaluation import Evaluation, Workspace
 from protochain.energies.native.neighbours import Lists, partners
 from protochain.energies.native.reading import UnsupportedForceError
 from protochain.energies.native.terms import Bonded, Terms, compile_system
@@ -62,6 +64,8 @@ class NativeEnergy:
         self.left_out: Mapping[str, int] = MappingProxyType({})
         self._layout = layout
         self._lists: Lists | None = None
+        self._evaluation: Evaluation | None = None
+        self._one_at_a_time = Lock()
         self._all: tuple[Layout, Lists, Lists, Floats] | None = None
         """If terms are left out: layout of all terms, its lists and the lists here, and their positions."""
 
@@ -110,7 +114,7 @@ class NativeEnergy:
         forces; the calling loop handles that.
         """
         parts, forces = self.parts(x)
-        return sum(parts.values()) + self._constant, forces
+        return sum(parts.values()) + self._constants[0], forces
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Evaluate energies by kind, without the constant of terms left out, as :meth:`Energy.parts`.
@@ -121,7 +125,8 @@ class NativeEnergy:
         x = floats(x, (self._layout.terms.n_atoms, 3), "x", "nanometer")
         if not np.isfinite(x).all():
             return {"bonds": np.inf}, np.full(x.shape, np.nan)
-        return evaluate(self._layout, self._lists_for(x), x, self._fixed_integral)
+        with self._one_at_a_time:
+            return self._evaluation_at(x)(x)
 
     def without_constants(self, groups: Integers, x: Floats) -> "NativeEnergy":
         """Leave out terms that are constant while each group of atoms moves as a rigid body.
@@ -173,23 +178,30 @@ class NativeEnergy:
         rough._set(self.by_openmm, self.threads, replace(self._layout, terms=fewer))
         return rough
 
-    @cached_property
-    def _fixed_integral(self) -> Floats:
-        """(na,) float: contributions of atoms of one group to each other's Born integrals."""
-        if self._all is None or self._layout.terms.solvent is None:
-            return np.zeros(self._layout.terms.n_atoms)
-        layout, lists, own_lists, x = self._all
-        return born_integrals(layout, lists, x) - born_integrals(self._layout, own_lists, x)
+    def cutoff_error(self, x: Floats) -> str:
+        """Say by how much the cutoff changes the forces at x (na, 3) in nm, by one sum over all pairs."""
+        terms = self._layout.terms
+        nonbonded = replace(terms.nonbonded, cutoff=np.inf, krf=0.0, crf=0.0)
+        solvent = replace(terms.solvent, cutoff=np.inf) if terms.solvent else None
+        layout = replace(self._layout, terms=replace(terms, nonbonded=nonbonded, solvent=solvent))
+        every = Evaluation(layout, lists_of(layout, x), np.zeros(len(x)), Workspace(layout), self.threads)
+        off = np.sqrt(((self(x)[1] - every(x)[1]) ** 2).sum(axis=1).mean())
+        return f"with the cutoff, forces differ by {off:.2g} kJ/mol/nm RMS from those of all pairs"
 
     @cached_property
-    def _constant(self) -> float:
-        """Energy of the terms left out."""
+    def _constants(self) -> tuple[float, Floats]:
+        """Energy of the terms left out; what atoms of one group contribute to each other's Born integrals."""
+        fixed = np.zeros(self._layout.terms.n_atoms)
         if self._all is None:
-            return 0.0
+            return 0.0, fixed
         layout, lists, own_lists, x = self._all
-        whole, _ = evaluate(layout, lists, x, np.zeros(len(x)))
-        moving, _ = evaluate(self._layout, own_lists, x, self._fixed_integral)
-        return sum(whole.values()) - sum(moving.values())
+        every = Evaluation(layout, lists, fixed, Workspace(layout), self.threads)
+        moving = Evaluation(self._layout, own_lists, fixed, Workspace(self._layout), self.threads)
+        (whole, _), (less, _) = every(x), moving(x)
+        if self._layout.terms.solvent is not None:
+            fixed = (every.workspace.integral - moving.workspace.integral)[: len(x)]
+            less, _ = Evaluation(self._layout, own_lists, fixed, moving.workspace, self.threads)(x)
+        return sum(whole.values()) - sum(less.values()), fixed
 
     @property
     def lists_at(self) -> Floats | None:
@@ -200,13 +212,20 @@ class NativeEnergy:
         """Build the neighbour lists at positions x (na, 3) in nm."""
         self._lists = lists_of(self._layout, floats(x, (self._layout.terms.n_atoms, 3), "x"))
 
-    def _lists_for(self, x: Floats) -> Lists:
-        """Neighbour lists that are valid at x; called before every evaluation."""
-        numba.set_num_threads(self.threads)
-        lists = self._lists
-        if lists is None or not lists.still_hold(x):
-            lists = self._lists = lists_of(self._layout, x)
-        return lists
+    def _evaluation_at(self, x: Floats) -> Evaluation:
+        """Evaluation with neighbour lists that are valid at x."""
+        if self._lists is None or not self._lists.still_hold(x):
+            self._lists = lists_of(self._layout, x)
+        last = self._evaluation
+        if last is None or last.lists is not self._lists:
+            workspace = last.workspace if last else Workspace(self._layout)
+            self._evaluation = Evaluation(
+                self._layout, self._lists, self._constants[1], workspace, self.threads
+            )
+            if last:
+                last.dismiss()
+        assert self._evaluation is not None
+        return self._evaluation
 
     def __repr__(self) -> str:
         return f"<NativeEnergy {self.forcefield}, {self.solvent}: {self.reason}>"

@@ -1,4 +1,4 @@
-"""Evaluation of compiled terms: arguments and order of the kernels."""
+"""Compiled terms in the memory layout of the kernels."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,50 +6,23 @@ from functools import cached_property
 import numpy as np
 
 from protochain.arrays import Floats, Integers
-from protochain.energies.native import bonded, born, neck, pairs
 from protochain.energies.native.layout import (
     CHARGE,
-    CHUNKS,
     GB_CHARGE,
     ROWS,
     S2,
     S3,
-    SUMS,
     W,
-    add_forces,
     empty_blocks,
     in_blocks,
     n_blocks,
-    put_positions,
-    take_scalars,
-)  # fmt: skip
+)
 from protochain.energies.native.neighbours import Lists, make_lists
-from protochain.energies.native.series import (
-    EXPONENTIAL,
-    FAR_INTEGRAL,
-    FAR_RATIO,
-    FAR_SLOPE,
-    NEAR_INTEGRAL,
-    NEAR_RATIO,
-    NEAR_SLOPE,
-)  # fmt: skip
+from protochain.energies.native.series import FAR_RATIO, NEAR_RATIO
 from protochain.energies.native.terms import Terms
 
 CLOSE = 0.35
 """nm. Pairs nearer than this come from a list, among them all excluded and clashing ones."""
-KINDS = (
-    "bonds",
-    "angles",
-    "torsions",
-    "impropers",
-    "maps",
-    "ties",
-    "tie angles",
-    "nonbonded",
-    "polar",
-    "surface",
-)
-"""Components of the energy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,108 +117,3 @@ def lists_of(layout: Layout, x: Floats) -> Lists:
         x, layout.near, layout.block_near, layout.necked, layout.terms.nonbonded.cutoff, layout.exceptions,
         layout.groups,
     )  # fmt: skip
-
-
-def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[dict[str, float], Floats]:
-    """Evaluate energies by kind, and forces.
-
-    Parameters
-    ----------
-    layout : Layout
-    lists : Lists
-    x : (na, 3) float, nm
-    fixed : (na,) float
-        Constant parts of the Born integrals.
-
-    Returns
-    -------
-    dict of str to float, kJ/mol; (na, 3) float, kJ/mol/nm
-    """
-    terms, atoms = layout.terms, layout.blocks.copy()
-    nonbonded = terms.nonbonded
-    put_positions(x, atoms)
-    sums = np.zeros((CHUNKS, len(atoms), SUMS * W))
-    parts = np.zeros((len(KINDS), CHUNKS))
-    part = dict(zip(KINDS, parts, strict=True))
-    pairwise = layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf
-    solvent = terms.solvent
-    if solvent is None:
-        pairs.pair_sums(
-            atoms, layout.lj, layout.lj_type, lists.tiles, lists.is_near, *pairwise, sums, part["nonbonded"]
-        )
-    else:
-        integral, slopes = _integrals(layout, lists, x, atoms, sums)
-        slope = np.empty(terms.n_atoms)
-        born.put_born_radii(
-            integral + fixed, solvent.offset_radius, solvent.radius, solvent.bend, atoms, slope
-        )
-        pairs.solvated_pair_sums(
-            atoms, layout.lj, layout.lj_type, lists.tiles, lists.is_near, *pairwise, EXPONENTIAL, sums,
-            part["nonbonded"], part["polar"],
-        )  # fmt: skip
-        pull = np.empty(terms.n_atoms)
-        take_scalars(sums, pull)
-        polar, area = born.add_self_energy(solvent.charge, solvent.surface, slope, atoms, pull)
-        part["polar"][0] += polar
-        part["surface"][0] += area
-        born.descreening_sums(
-            atoms, lists.tiles, lists.is_near, layout.near, solvent.cutoff, NEAR_SLOPE, FAR_SLOPE, sums
-        )
-        born.near_descreening_sums(x, pull, lists.close, slopes, sums)
-        if solvent.necks is not None:
-            neck.neck_force_sums(
-                atoms, layout.necks, layout.neck_type, lists.tiles[lists.is_necked], solvent.cutoff, sums
-            )
-    kinds = nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type
-    pairs.near_sums(x, *kinds, lists.free, layout.near, nonbonded.krf, nonbonded.crf, sums, part["nonbonded"])
-    own_terms = nonbonded.exceptions
-    pairs.exception_sums(x, *kinds, own_terms.atoms, own_terms.parameters, *pairwise, sums, part["nonbonded"])
-    for kind, kernel in _BONDED:
-        some = terms.bonded[kind]
-        if len(some.atoms):
-            kernel(x, some.atoms, some.parameters, sums, part[kind])
-    maps = terms.bonded["maps"]
-    if len(maps.atoms):
-        which = maps.parameters[:, 0].astype(np.int64)
-        bonded.map_sums(x, maps.atoms, which, terms.map_coefficients, sums, part["maps"])
-    forces = np.empty((terms.n_atoms, 3))
-    add_forces(sums, forces)
-    return {kind: float(values.sum()) for kind, values in part.items()}, forces
-
-
-_BONDED = (
-    ("bonds", bonded.bond_sums),
-    ("angles", bonded.angle_sums),
-    ("torsions", bonded.torsion_sums),
-    ("impropers", bonded.improper_sums),
-    ("ties", bonded.bond_sums),
-    ("tie angles", bonded.angle_sums),
-)
-
-
-def born_integrals(layout: Layout, lists: Lists, x: Floats) -> Floats:
-    """(na,) float: Born integrals at x of the pairs in tiles and lists."""
-    atoms = layout.blocks.copy()
-    put_positions(x, atoms)
-    return _integrals(layout, lists, x, atoms, np.zeros((CHUNKS, len(atoms), SUMS * W)))[0]
-
-
-def _integrals(layout: Layout, lists: Lists, x: Floats, atoms: Floats, sums: Floats) -> tuple[Floats, Floats]:
-    """Born integrals, and the slopes of the contributions of close pairs."""
-    solvent = layout.terms.solvent
-    assert solvent is not None
-    born.integral_sums(
-        atoms, lists.tiles, lists.is_near, layout.near, solvent.cutoff, NEAR_INTEGRAL, FAR_INTEGRAL, sums
-    )
-    slopes = np.empty((len(lists.close), 2))
-    born.near_integral_sums(
-        x, solvent.offset_radius, solvent.scaled_radius, solvent.engulfs, lists.close, layout.near, slopes,
-        sums,
-    )  # fmt: skip
-    if solvent.necks is not None:
-        neck.neck_sums(
-            atoms, layout.necks, layout.neck_type, lists.tiles[lists.is_necked], solvent.cutoff, sums
-        )
-    integral = np.empty(len(x))
-    take_scalars(sums, integral)
-    return integral, slopes

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numba import prange
 
 from protochain.arrays import Floats
 from protochain.compilation import njit
@@ -24,6 +23,8 @@ FX, FY, FZ, SCALAR = range(4)
 SUMS = 4
 CHUNKS = 16
 """Parts of the work, for any number of threads: sums keep their order, and results their bits."""
+Share = tuple[int, int]
+"""Chunks that a call of a kernel does, from the first to before the second."""
 FAR_AWAY = 1e6
 """nm. Spacing of the atoms that pad the last block, which have neither charge nor radius."""
 
@@ -48,8 +49,13 @@ def scalar(function: F) -> F:
 
 
 def shared(function: F) -> F:
-    """Compile a loop over chunks, shared among threads."""
-    return cast(F, njit(cache=True, error_model="numpy", parallel=True)(function))
+    """Compile a loop over chunks, any of which may be done by any thread."""
+    return cast(F, njit(cache=True, error_model="numpy", nogil=True)(function))
+
+
+def inlined(function: F) -> F:
+    """Compile as :func:`shared`, inlined: a call would count the references of all arrays up and down."""
+    return cast(F, njit(error_model="numpy", nogil=True, forceinline=True)(function))
 
 
 def n_blocks(n: int) -> int:
@@ -87,29 +93,35 @@ def part(n: int, chunk: int) -> tuple[int, int]:
     return chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS
 
 
-@shared
-def take_scalars(sums: Floats, scalars: Floats) -> None:
-    """Add up row SCALAR over the chunks, in their order, and clear it."""
-    for chunk in prange(CHUNKS):
-        begin, end = part(sums.shape[1], chunk)
-        for b in range(begin, end):
+@scalar
+def atoms_of(begin: int, end: int, n: int) -> tuple[int, int]:
+    """First atom of the blocks from ``begin`` to before ``end``, and last but one, of n atoms."""
+    return min(n, begin * W), min(n, end * W)
+
+
+@scalar
+def take_scalars(begin: int, end: int, sums: Floats, scalars: Floats) -> None:
+    """Add up row SCALAR of some blocks over the chunks, in their order, into (blocks * W,), and clear it."""
+    for b in range(begin, end):
+        row = scalars[b * W : (b + 1) * W]
+        row[:] = 0.0
+        for c in range(CHUNKS):
+            some = sums[c, b]
             for k in range(W):
-                value = 0.0
-                for c in range(CHUNKS):
-                    value += sums[c, b, SCALAR * W + k]
-                    sums[c, b, SCALAR * W + k] = 0.0
-                if b * W + k < len(scalars):
-                    scalars[b * W + k] = value
+                row[k] += some[SCALAR * W + k]
+                some[SCALAR * W + k] = 0.0
 
 
-@shared
-def add_forces(sums: Floats, forces: Floats) -> None:
-    """Add up the forces (CHUNKS, blocks, SUMS * W) over the chunks, in their order."""
-    for chunk in prange(CHUNKS):
-        begin, end = part(len(forces), chunk)
-        for i in range(begin, end):
+@scalar
+def add_forces(begin: int, end: int, sums: Floats, forces: Floats) -> None:
+    """Add up the forces (CHUNKS, blocks, SUMS * W) of some blocks over the chunks, in their order."""
+    total = np.empty(3 * W)
+    for b in range(begin, end):
+        total[:] = 0.0
+        for c in range(CHUNKS):
+            some = sums[c, b]
+            for k in range(3 * W):
+                total[k] += some[k]
+        for i in range(b * W, min(len(forces), (b + 1) * W)):
             for axis in range(3):
-                value = 0.0
-                for c in range(CHUNKS):
-                    value += sums[c, i // W, axis * W + i % W]
-                forces[i, axis] = value
+                forces[i, axis] = total[axis * W + i - b * W]

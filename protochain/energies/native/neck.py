@@ -4,16 +4,15 @@ Mongan, Simmerling, McCammon, Case, Onufriev, J. Chem. Theory Comput. 3:156 (200
 """
 
 import numpy as np
-from numba import prange
 
 from protochain.arrays import Floats, Integers
 from protochain.energies.native.layout import (
-    CHUNKS,
     FX,
     FY,
     FZ,
     PULL,
     SCALAR,
+    Share,
     W,
     X,
     Y,
@@ -34,10 +33,16 @@ _WIDE, _STEEP = 100.0, 0.3e6
 
 @shared
 def neck_sums(
-    atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, cutoff: float, sums: Floats
+    mine: Share,
+    atoms: Floats,
+    necks: Floats,
+    neck_type: Integers,
+    tiles: Integers,
+    cutoff: float,
+    sums: Floats,
 ) -> None:
     """Add the necks' contributions to the Born integrals to row SCALAR of the sums."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
@@ -71,10 +76,16 @@ def _neck_tile(
 
 @shared
 def neck_force_sums(
-    atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, cutoff: float, sums: Floats
+    mine: Share,
+    atoms: Floats,
+    necks: Floats,
+    neck_type: Integers,
+    tiles: Integers,
+    cutoff: float,
+    sums: Floats,
 ) -> None:
     """Add the forces of the necks, given dE/d(integral) of each atom."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]

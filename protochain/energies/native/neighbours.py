@@ -97,22 +97,46 @@ def _boxes(x: Floats) -> tuple[Floats, Floats]:
 def _tiles(
     low: Floats, high: Floats, near: Floats, necked: float, cutoff: float
 ) -> tuple[Integers, np.ndarray, np.ndarray]:
-    n = len(low)
-    tiles = np.empty((n * (n + 1) // 2, 2), np.int64)
-    is_near, is_necked = np.empty(len(tiles), np.bool_), np.empty(len(tiles), np.bool_)
+    """Pairs of blocks whose boxes are nearer than the cutoff, in order; which are near, and which have necks.
+
+    Along the axis on which they spread most, blocks are taken as they begin, and each is compared with those
+    that begin before it ends, not with all: many atoms take little longer each where the cutoff is short.
+    """
+    n, room = len(low), 1024
+    axis = np.argmax(spread(low))
+    order = np.argsort(low[:, axis])
+    begins = low[order, axis]
+    tiles = np.empty((room, 2), np.int64)
+    kinds = np.empty((room, 2), np.bool_)
     count = 0
-    for i in range(n):
-        for j in range(i, n):
+    for a in range(n):
+        i = order[a]
+        b = a
+        while b < n and begins[b] < high[i, axis] + cutoff:
+            j = order[b]
+            b += 1
             apart = 0.0
-            for axis in range(3):
-                gap = max(low[i, axis] - high[j, axis], low[j, axis] - high[i, axis], 0.0)
+            for k in range(3):
+                gap = max(low[i, k] - high[j, k], low[j, k] - high[i, k], 0.0)
                 apart += gap * gap
             if apart < cutoff * cutoff:
-                tiles[count, 0], tiles[count, 1] = i, j
-                is_near[count] = apart < max(near[i], near[j]) ** 2
-                is_necked[count] = apart < necked * necked
+                if count == room:
+                    room *= 2
+                    wider, marks = np.empty((room, 2), np.int64), np.empty((room, 2), np.bool_)
+                    wider[:count], marks[:count] = tiles, kinds
+                    tiles, kinds = wider, marks
+                tiles[count, 0], tiles[count, 1] = min(i, j), max(i, j)
+                kinds[count, 0] = apart < max(near[i], near[j]) ** 2
+                kinds[count, 1] = apart < necked * necked
                 count += 1
-    return tiles[:count].copy(), is_near[:count].copy(), is_necked[:count].copy()
+    sorted_ = np.argsort(tiles[:count, 0] * n + tiles[:count, 1])
+    return tiles[sorted_], kinds[sorted_, 0], kinds[sorted_, 1]
+
+
+@scalar
+def spread(x: Floats) -> Floats:
+    """(3,): difference of the largest and smallest coordinate along each axis."""
+    return np.array([x[:, axis].max() - x[:, axis].min() for axis in range(3)])
 
 
 @scalar

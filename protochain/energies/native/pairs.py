@@ -6,19 +6,18 @@ corrected one by one.
 """
 
 import numpy as np
-from numba import prange
 
 from protochain.arrays import Floats, Integers
 from protochain.energies.native.layout import (
     BORN,
     CHARGE,
-    CHUNKS,
     FX,
     FY,
     FZ,
     GB_CHARGE,
     HALF_INVERSE_BORN,
     SCALAR,
+    Share,
     W,
     X,
     Y,
@@ -40,11 +39,11 @@ CLOSEST = 1e-12
 
 @shared
 def pair_sums(
-    atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray, near: float,
-    cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
+    mine: Share, atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray,
+    near: float, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
     """Add Lennard-Jones and Coulomb forces and energies of all tiles, by chunk."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(tiles), c)
         energy = 0.0
         for k in range(begin, end):
@@ -113,12 +112,12 @@ def _pairs(
 
 @shared
 def solvated_pair_sums(
-    atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray, near: float,
-    cutoff: float, krf: float, crf: float, exp: Floats, sums: Floats, energies: Floats,
+    mine: Share, atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray,
+    near: float, cutoff: float, krf: float, crf: float, exp: Floats, sums: Floats, energies: Floats,
     gb_energies: Floats,
 ) -> None:  # fmt: skip
     """As :func:`pair_sums`, with the generalised-Born energy and its derivatives by Born radii."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(tiles), c)
         energy, gb_energy = 0.0, 0.0
         for k in range(begin, end):
@@ -203,11 +202,11 @@ def _solvated(
 
 @shared
 def near_sums(
-    x: Floats, charge: Floats, a12: Floats, b6: Floats, lj_type: Integers, pairs: Integers, near: float,
-    krf: float, crf: float, sums: Floats, energies: Floats,
+    mine: Share, x: Floats, charge: Floats, a12: Floats, b6: Floats, lj_type: Integers, pairs: Integers,
+    near: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
     """Add Lennard-Jones and Coulomb of the listed pairs nearer than ``near``."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(pairs), c)
         energy = 0.0
         for k in range(begin, end):
@@ -223,11 +222,11 @@ def near_sums(
 
 @shared
 def exception_sums(
-    x: Floats, charge: Floats, a12: Floats, b6: Floats, lj_type: Integers, pairs: Integers,
+    mine: Share, x: Floats, charge: Floats, a12: Floats, b6: Floats, lj_type: Integers, pairs: Integers,
     parameters: Floats, near: float, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
     """Add exceptions, pairs with their own parameters (A, B, q q), and subtract what the tiles computed."""
-    for c in prange(CHUNKS):
+    for c in range(*mine):
         begin, end = part(len(pairs), c)
         energy = 0.0
         for k in range(begin, end):

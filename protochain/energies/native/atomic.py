@@ -1,0 +1,100 @@
+"""Numbers that several threads read and change without locks, in compiled code: places of an array of int64.
+
+Numba has no atomic operations for processors, so they are written in the intermediate language of LLVM, all
+with sequential consistency: what a thread wrote before such an operation, another sees after it.
+"""
+
+import platform
+import sys
+from time import get_clock_info
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from protochain.arrays import Integers
+from protochain.energies.native.layout import scalar
+
+_ORDER = "seq_cst"
+_PAUSES = {
+    "x86_64": ("llvm.x86.sse2.pause", ()),
+    "amd64": ("llvm.x86.sse2.pause", ()),
+    "aarch64": ("llvm.aarch64.hint", (1,)),
+    "arm64": ("llvm.aarch64.hint", (1,)),
+}
+give_way = types.ExternalFunction(
+    "SwitchToThread" if sys.platform == "win32" else "sched_yield", types.int32()
+)
+"""Let the operating system run another thread on this processor."""
+
+_IS_WINDOWS = sys.platform == "win32"
+_counter = types.ExternalFunction("QueryPerformanceCounter", types.int32(types.voidptr))
+_clock = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.voidptr))
+TICK = get_clock_info("perf_counter").resolution if _IS_WINDOWS else 1e-9
+"""s. Of :func:`ticks`."""
+_MONOTONIC = 6 if sys.platform == "darwin" else 1
+
+
+@scalar
+def ticks(room: Integers) -> int:
+    """Read a clock that goes on evenly, in ticks of its own, by way of an array of two int64."""
+    if _IS_WINDOWS:
+        _counter(room.ctypes)
+        return room[0]
+    _clock(_MONOTONIC, room.ctypes)
+    return 1_000_000_000 * room[0] + room[1]
+
+
+def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
+    pointer = context.make_array(kind)(context, builder, array).data
+    return builder.gep(pointer, [index])
+
+
+@intrinsic
+def load(typing: Any, array: Any, index: Any) -> Any:
+    """Read array[index]."""
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.load_atomic(_place(context, builder, signature.args[0], *args), _ORDER, 8)
+
+    return types.int64(array, types.int64), code
+
+
+@intrinsic
+def add(typing: Any, array: Any, index: Any, value: Any) -> Any:
+    """Add to array[index] and return what it was before."""
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.atomic_rmw(
+            "add", _place(context, builder, signature.args[0], *args[:2]), args[2], _ORDER
+        )
+
+    return types.int64(array, types.int64, types.int64), code
+
+
+@intrinsic
+def replace(typing: Any, array: Any, index: Any, old: Any, new: Any) -> Any:
+    """Set array[index] to ``new`` if it is ``old``, and return whether it was."""
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        place = _place(context, builder, signature.args[0], *args[:2])
+        return builder.extract_value(builder.cmpxchg(place, args[2], args[3], _ORDER, _ORDER), 1)
+
+    return types.boolean(array, types.int64, types.int64, types.int64), code
+
+
+@intrinsic
+def pause(typing: Any) -> Any:
+    """Tell the processor that this thread waits in a loop."""
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        if platform.machine().lower() in _PAUSES:
+            name, given = _PAUSES[platform.machine().lower()]
+            kind = ir.FunctionType(ir.VoidType(), [ir.IntType(32)] * len(given))
+            function = cgutils.get_or_insert_function(builder.module, kind, name)
+            builder.call(function, [ir.Constant(ir.IntType(32), g) for g in given])
+        return context.get_dummy_value()
+
+    return types.none(), code

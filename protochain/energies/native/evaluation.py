@@ -1,0 +1,173 @@
+"""An energy with its neighbour lists, ready for any positions at which they hold."""
+
+import threading
+from time import monotonic, thread_time
+from typing import Any
+
+import numpy as np
+
+from protochain.arrays import Floats
+from protochain.energies.native.atomic import TICK
+from protochain.energies.native.evaluate import Layout
+from protochain.energies.native.helpers import Helpers, Worth, helpers
+from protochain.energies.native.layout import CHUNKS, SUMS, W
+from protochain.energies.native.neighbours import Lists
+from protochain.energies.native.series import (
+    EXPONENTIAL,
+    FAR_INTEGRAL,
+    FAR_SLOPE,
+    NEAR_INTEGRAL,
+    NEAR_SLOPE,
+)  # fmt: skip
+from protochain.energies.native.tasks import ALL, COUNTERS, LED, QUIT, TASKS, TOOK, WAITED, work
+
+KINDS = (
+    "bonds",
+    "angles",
+    "torsions",
+    "impropers",
+    "maps",
+    "ties",
+    "tie angles",
+    "nonbonded",
+    "polar",
+    "surface",
+)
+"""Components of the energy, in the order of the rows of ``tasks``."""
+_FEW_BLOCKS = 32
+"""Blocks up to which a task of one of 16 chunks would be too small for two threads."""
+_BONDED = ("bonds", "angles", "torsions", "impropers", "ties", "tie angles")
+
+
+class Workspace:
+    """Arrays that an evaluation writes to, for any lists.
+
+    Parameters
+    ----------
+    layout : Layout
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        n = layout.terms.n_atoms
+        self.x, self.forces = np.empty((n, 3)), np.empty((n, 3))
+        self.atoms = layout.blocks.copy()
+        self.sums = np.empty((CHUNKS, len(self.atoms), SUMS * W))
+        self.parts = np.empty((len(KINDS), CHUNKS))
+        self.worth = Worth()
+        self.integral, self.slope, self.pull = np.empty((3, len(self.atoms) * W))
+
+    @property
+    def state(self) -> tuple[Any, ...]:
+        """Arrays of every step."""
+        return self.x, self.atoms, self.sums, self.parts, self.forces
+
+
+class Evaluation:
+    """An energy with its lists.
+
+    Parameters
+    ----------
+    layout : Layout
+    lists : Lists
+    fixed : (na,) float
+        Constant parts of the Born integrals.
+    workspace : Workspace
+        Of the same layout; one evaluation at a time may use it.
+    threads : int
+    """
+
+    def __init__(
+        self, layout: Layout, lists: Lists, fixed: Floats, workspace: Workspace, threads: int
+    ) -> None:
+        self.lists, self.workspace = lists, workspace
+        self._counters = np.zeros(COUNTERS, np.int64)
+        self._arguments = arguments(layout, lists, fixed, workspace)
+        self._most = min(threads, CHUNKS) - 1
+        self._counters[TASKS] = tasks_of_a_step(threads, len(workspace.atoms))
+        self._state = threading.Lock()
+        self._runs, self._helping, self._helpers = False, 0, helpers()
+
+    def __call__(self, x: Floats) -> tuple[dict[str, float], Floats]:
+        """Evaluate energies by kind in kJ/mol, and forces (na, 3) in kJ/mol/nm, at x (na, 3) in nm."""
+        w = self.workspace
+        np.copyto(w.x, x)
+        asks = self._most > 0 and w.worth.asks(monotonic())
+        self._counters[QUIT] = not asks
+        self._runs, used = True, thread_time()
+        try:
+            if asks:
+                self._call_helpers(helpers())
+            work(True, self._counters, *self._arguments)
+        finally:
+            self._runs = False  # Also on Ctrl-C: helpers would look for tasks for ever.
+        if asks:
+            tasks, led, waited, took = self._counters[[ALL, LED, WAITED, TOOK]].tolist()
+            worked = min(TICK * (took - waited), thread_time() - used)
+            w.worth.note(monotonic(), TICK * took, worked, led / tasks)
+        return dict(zip(KINDS, w.parts.sum(axis=1).tolist(), strict=True)), w.forces.copy()
+
+    def _call_helpers(self, them: Helpers) -> None:
+        with self._state:
+            if them is not self._helpers:
+                self._helpers, self._helping = them, 0
+            missing = self._most - self._helping
+            self._helping = self._most
+        if missing:
+            them.ask(self, missing, self._most)
+
+    def help_out(self) -> None:
+        """Do tasks, as a helper, until none has come for a while."""
+        while True:
+            work(False, self._counters, *self._arguments)
+            with self._state:
+                if not self._runs or self._counters[QUIT]:
+                    self._helping -= 1
+                    return
+
+    def dismiss(self) -> None:
+        """Let the helpers go: there are other lists now."""
+        self._counters[QUIT] = 1
+
+
+def tasks_of_a_step(threads: int, n_blocks: int) -> int:
+    """Few for little work, which they would weigh on, many for much, so that threads end together."""
+    if threads == 1:
+        return 1
+    return CHUNKS if threads > 2 or n_blocks > _FEW_BLOCKS else CHUNKS // 2
+
+
+def arguments(layout: Layout, lists: Lists, fixed: Floats, w: Workspace) -> tuple[Any, ...]:
+    """Return the arguments of :func:`tasks.work` behind its counters, by subject; None for what is absent."""
+    terms, nonbonded, solvent = layout.terms, layout.terms.nonbonded, layout.terms.solvent
+    pairwise = tuple(map(float, (layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf)))
+    vacuum = *_fixed(layout.lj, layout.lj_type, lists.tiles, lists.is_near), pairwise
+    kinds = _fixed(nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type)
+    bonded = (_fixed(terms.bonded[kind].atoms, terms.bonded[kind].parameters) for kind in _BONDED)
+    own = _fixed(nonbonded.exceptions.atoms, nonbonded.exceptions.parameters)
+    some = kinds, *_fixed(lists.free), own, *bonded
+    maps = terms.bonded["maps"]
+    of_maps = None
+    if len(maps.atoms):
+        which = maps.parameters[:, 0].astype(np.int64)
+        of_maps = _fixed(maps.atoms, which, terms.map_coefficients)
+    if solvent is None:
+        return w.state, vacuum, some, of_maps, None, None
+    each = (
+        *_fixed(solvent.offset_radius, solvent.radius, solvent.bend, solvent.scaled_radius),
+        bool(solvent.engulfs), *_fixed(solvent.charge, solvent.surface), float(solvent.cutoff),
+    )  # fmt: skip
+    series = _fixed(EXPONENTIAL, NEAR_INTEGRAL, FAR_INTEGRAL, NEAR_SLOPE, FAR_SLOPE)
+    written = np.empty((len(lists.close), 2)), w.integral, w.slope, w.pull
+    born = each, series, _fixed(lists.close, fixed), written
+    if solvent.necks is None:
+        return w.state, vacuum, some, of_maps, born, None
+    necks = _fixed(layout.necks, layout.neck_type, lists.tiles[lists.is_necked])
+    return w.state, vacuum, some, of_maps, born, necks
+
+
+def _fixed(*arrays: Any) -> tuple[Any, ...]:
+    """Read-only contiguous views: numba compiles for each kind of array anew, and may round otherwise."""
+    views = tuple(np.ascontiguousarray(array).view() for array in arrays)
+    for view in views:
+        view.flags.writeable = False
+    return views

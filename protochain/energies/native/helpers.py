@@ -1,0 +1,101 @@
+"""Threads that help with all energies of a process. They sleep where there is nothing to do."""
+
+import os
+import threading
+from dataclasses import dataclass
+from queue import SimpleQueue
+from typing import Protocol
+
+
+class Job(Protocol):
+    """What helpers are asked for."""
+
+    def help_out(self) -> None:
+        """Do some of the work, as long as there is any."""
+
+
+_MEMORY = 0.1
+"""s for which what helpers saved counts: many turns of the operating system's scheduler."""
+_SHORTEST, _LONGEST = 0.1, 3.2
+"""s. Rests of helpers."""
+_PROVEN = 0.3
+"""Share of the time saved with which earlier rests are forgotten; that of two undisturbed threads is 1."""
+_CREDIT = 0.01
+"""s that helpers may cost at first: a few of the scheduler's turns."""
+
+
+@dataclass
+class Worth:
+    """Whether helpers save time. Beside other work they may cost more: who leads waits for their last tasks.
+
+    Where they have cost time on balance, they are not asked for a while, twice as long each time. This
+    changes nothing but time: an energy has the same bits on any number of threads.
+    """
+
+    balance: float = _CREDIT
+    """s saved of late; what is past counts ever less."""
+    rest: float = 0.0
+    until: float = 0.0
+    """Length of the last rest, and its end, s."""
+
+    def asks(self, now: float) -> bool:
+        """Whether to ask for helpers at a time in s."""
+        return now >= self.until
+
+    def note(self, now: float, took: float, worked: float, share: float) -> None:
+        """Take account of an energy with helpers.
+
+        Parameters
+        ----------
+        now, took, worked : float, s
+            Time of the clock, time that the energy took, and the part in which its leading thread worked,
+            neither waiting nor put aside for other work.
+        share : float
+            Of all tasks, those that the leading thread did.
+        """
+        # Alone it would have done the others at the same rate.
+        saved = worked / share - took if share else took
+        self.balance = (1.0 - min(1.0, took / _MEMORY)) * self.balance + saved
+        if self.balance < 0.0:
+            self.rest = min(_LONGEST, max(_SHORTEST, 2.0 * self.rest))
+            self.until, self.balance = now + self.rest, _CREDIT
+        elif self.balance > _PROVEN * _MEMORY:
+            self.rest = 0.0
+
+
+class Helpers:
+    """Threads, started when first asked for."""
+
+    def __init__(self) -> None:
+        self._jobs: SimpleQueue[Job] = SimpleQueue()
+        self._threads = 0
+
+    def ask(self, job: Job, n: int, most: int) -> None:
+        """Wake n threads for a job, of ``most`` in all."""
+        while self._threads < most:
+            self._threads += 1
+            threading.Thread(target=_serve, args=(self._jobs,), daemon=True, name="protochain helper").start()
+        for _ in range(n):
+            self._jobs.put(job)
+
+
+def _serve(jobs: "SimpleQueue[Job]") -> None:
+    while True:
+        jobs.get().help_out()
+
+
+_all = [Helpers()]
+
+
+def helpers() -> Helpers:
+    """Return the threads of this process."""
+    return _all[0]
+
+
+def _forget() -> None:
+    """A process split off another has none of its threads."""
+    _all[0] = Helpers()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)

@@ -1,0 +1,230 @@
+"""One energy as tasks that any number of threads do in any order, to the same bits.
+
+An energy has steps, of which each needs the one before; a step is a number of tasks, of a few chunks each.
+Tasks are numbered through all steps and energies. A thread takes the next number if its step is open; who
+finishes a step opens the next. No thread waits for one that has not begun a task: threads that the operating
+system does not run cost nothing.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers
+from protochain.energies.native import bonded, born, neck, pairs
+from protochain.energies.native.atomic import add, give_way, load, pause, replace, ticks
+from protochain.energies.native.layout import (
+    CHUNKS,
+    Share,
+    add_forces,
+    atoms_of,
+    inlined,
+    part,
+    put_positions,
+    shared,
+    take_scalars,
+)
+
+COUNTERS = 96
+"""Length of the array of counters."""
+NEXT, OPEN, DONE, LAST, QUIT, TASKS, ALL, LED, WAITED, TOOK = 0, 16, 32, 48, 64, 65, 80, 81, 82, 83
+"""Places in it, far apart for the cache: next task to take; tasks opened; done; of all energies so far;
+whether helpers shall leave; tasks of a step, a divisor of CHUNKS; of the last energy, its tasks, those
+that the leading thread did, the ticks that it waited, and those that it took."""
+_SPINS = 2000
+"""Looks at the counters before a waiting thread lets the operating system run others: some 50 us."""
+_PATIENCE = 8000
+"""Looks at the counters before a helper leaves, and must be woken for the next energy: some 200 us."""
+_IN_VACUUM, _IN_SOLVENT = 2, 6
+"""Steps of an energy."""
+BONDS, ANGLES, TORSIONS, IMPROPERS, MAPS, TIES, TIE_ANGLES, NONBONDED, POLAR, SURFACE = range(10)
+"""Rows of ``parts``, the components of the energy."""
+
+
+@shared
+def work(
+    leads: bool, counters: Integers, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any
+) -> None:
+    """Do tasks: the thread that leads until its energy is done, a helper until none has come for a while."""
+    room = np.empty(2, np.int64)
+    began = since = ticks(room)
+    if leads:
+        put_positions(state[0], state[1])
+        counters[ALL] = counters[TASKS] * (_IN_VACUUM if solvent is None else _IN_SOLVENT)
+        add(counters, LAST, counters[ALL])
+        add(counters, OPEN, counters[TASKS])
+    did, looks, waited = 0, 0, 0
+    while (
+        load(counters, DONE) < load(counters, LAST)
+        if leads
+        else looks < _PATIENCE and not load(counters, QUIT)
+    ):
+        if load(counters, NEXT) < load(counters, OPEN):
+            waited += ticks(room) - since if looks else 0
+            looks = 0
+            did += take(counters, state, vacuum, terms, maps, solvent, necks)
+            continue
+        if looks == 0:
+            since = ticks(room)
+        looks += 1
+        if leads and looks > _SPINS:
+            give_way()
+        else:
+            pause()
+    if leads:
+        now = ticks(room)
+        waited += now - since if looks else 0
+        counters[LED], counters[WAITED], counters[TOOK] = did, waited, now - began
+
+
+@inlined
+def take(
+    counters: Integers, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any
+) -> bool:
+    """Do the next task, if one is open, and return whether one was."""
+    task = load(counters, NEXT)
+    if task >= load(counters, OPEN) or not replace(counters, NEXT, task, task + 1):
+        return False
+    step, of_step = divmod(task, counters[TASKS])
+    each = CHUNKS // counters[TASKS]
+    mine = of_step * each, (of_step + 1) * each
+    if solvent is None:
+        in_vacuum(step % _IN_VACUUM, mine, state, vacuum, terms, maps)
+    else:
+        in_solvent(step % _IN_SOLVENT, mine, state, vacuum, terms, maps, solvent, necks)
+    done = add(counters, DONE, 1) + 1
+    if done == load(counters, OPEN) and done < load(counters, LAST):
+        add(counters, OPEN, counters[TASKS])
+    return True
+
+
+@inlined
+def in_vacuum(step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any) -> None:
+    """Do some chunks of a step of the energy in vacuum."""
+    _, atoms, sums, parts, forces = state
+    lj, lj_type, tiles, is_near, pairwise = vacuum
+    if step == 0:
+        clear(mine, sums, parts)
+        pairs.pair_sums(mine, atoms, lj, lj_type, tiles, is_near, *pairwise, sums, parts[NONBONDED])
+        bonded_sums(mine, state, pairwise, terms, maps)
+    else:
+        add_forces(*blocks_of(mine, atoms), sums, forces)
+
+
+@inlined
+def in_solvent(
+    step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any
+) -> None:
+    """Do some chunks of a step of the energy with generalised Born."""
+    _, atoms, sums, parts, forces = state
+    if step == 0:
+        clear(mine, sums, parts)
+        integrals(mine, state, vacuum, solvent, necks)
+    elif step == 1:
+        born_radii(mine, state, solvent)
+    elif step == 2:
+        solvated_pairs(mine, state, vacuum, solvent)
+    elif step == 3:
+        pulls(mine, state, solvent)
+    elif step == 4:
+        descreening(mine, state, vacuum, solvent, necks)
+        bonded_sums(mine, state, vacuum[4], terms, maps)
+    else:
+        add_forces(*blocks_of(mine, atoms), sums, forces)
+
+
+@inlined
+def clear(mine: Share, sums: Floats, parts: Floats) -> None:
+    """Begin the sums of some chunks."""
+    for c in range(*mine):
+        sums[c] = 0.0
+        parts[:, c] = 0.0
+
+
+@inlined
+def blocks_of(mine: Share, atoms: Floats) -> Share:
+    """Blocks of atoms that belong to some chunks: the first, and that after the last."""
+    return part(len(atoms), mine[0])[0], part(len(atoms), mine[1] - 1)[1]
+
+
+@inlined
+def integrals(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) -> None:
+    """Born integrals."""
+    x, atoms, sums, _, _ = state
+    _, _, tiles, is_near, (near, _, _, _) = vacuum
+    (offset_radius, _, _, scaled_radius, engulfs, _, _, cutoff), series, (close, _), (slopes, _, _, _) = (
+        solvent
+    )
+    born.integral_sums(mine, atoms, tiles, is_near, near, cutoff, series[1], series[2], sums)
+    born.near_integral_sums(mine, x, offset_radius, scaled_radius, engulfs, close, near, slopes, sums)
+    if necks is not None:
+        table, kind, necked = necks
+        neck.neck_sums(mine, atoms, table, kind, necked, cutoff, sums)
+
+
+@inlined
+def born_radii(mine: Share, state: Any, solvent: Any) -> None:
+    """Born radii of some atoms."""
+    x, atoms, sums, _, _ = state
+    (offset_radius, radius, bend, _, _, _, _, _), _, (_, fixed), (_, integral, slope, _) = solvent
+    blocks = blocks_of(mine, atoms)
+    take_scalars(*blocks, sums, integral)
+    begin, end = atoms_of(*blocks, len(x))
+    for i in range(begin, end):
+        integral[i] += fixed[i]
+    born.put_born_radii(begin, end, integral, offset_radius, radius, bend, atoms, slope)
+
+
+@inlined
+def solvated_pairs(mine: Share, state: Any, vacuum: Any, solvent: Any) -> None:
+    """Energies and forces of pairs, and derivatives by Born radii."""
+    _, atoms, sums, parts, _ = state
+    lj, lj_type, tiles, is_near, pairwise = vacuum
+    pairs.solvated_pair_sums(
+        mine, atoms, lj, lj_type, tiles, is_near, *pairwise, solvent[1][0], sums, parts[NONBONDED],
+        parts[POLAR],
+    )  # fmt: skip
+
+
+@inlined
+def pulls(mine: Share, state: Any, solvent: Any) -> None:
+    """Derivatives by the Born integrals of some atoms, and their own energies."""
+    x, atoms, sums, parts, _ = state
+    (_, _, _, _, _, gb_charge, surface, _), _, _, (_, _, slope, pull) = solvent
+    take_scalars(*blocks_of(mine, atoms), sums, pull)
+    for c in range(*mine):
+        begin, end = atoms_of(*part(len(atoms), c), len(x))
+        polar, area = born.add_self_energy(begin, end, gb_charge, surface, slope, atoms, pull)
+        parts[POLAR, c] += polar
+        parts[SURFACE, c] += area
+
+
+@inlined
+def descreening(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) -> None:
+    """Forces by the change of the Born radii."""
+    x, atoms, sums, _, _ = state
+    _, _, tiles, is_near, (near, _, _, _) = vacuum
+    (_, _, _, _, _, _, _, cutoff), series, (close, _), (slopes, _, _, pull) = solvent
+    born.descreening_sums(mine, atoms, tiles, is_near, near, cutoff, series[3], series[4], sums)
+    born.near_descreening_sums(mine, x, pull, close, slopes, sums)
+    if necks is not None:
+        table, kind, necked = necks
+        neck.neck_force_sums(mine, atoms, table, kind, necked, cutoff, sums)
+
+
+@inlined
+def bonded_sums(mine: Share, state: Any, pairwise: Any, terms: Any, maps: Any) -> None:
+    """Listed pairs, exceptions and bonded terms."""
+    x, _, sums, parts, _ = state
+    kinds, free, exceptions, bonds, angles, torsions, impropers, ties, tie_angles = terms
+    near, _, krf, crf = pairwise
+    pairs.near_sums(mine, x, *kinds, free, near, krf, crf, sums, parts[NONBONDED])
+    pairs.exception_sums(mine, x, *kinds, *exceptions, *pairwise, sums, parts[NONBONDED])
+    bonded.bond_sums(mine, x, *bonds, sums, parts[BONDS])
+    bonded.angle_sums(mine, x, *angles, sums, parts[ANGLES])
+    bonded.torsion_sums(mine, x, *torsions, sums, parts[TORSIONS])
+    bonded.improper_sums(mine, x, *impropers, sums, parts[IMPROPERS])
+    bonded.bond_sums(mine, x, *ties, sums, parts[TIES])
+    bonded.angle_sums(mine, x, *tie_angles, sums, parts[TIE_ANGLES])
+    if maps is not None:
+        bonded.map_sums(mine, x, *maps, sums, parts[MAPS])

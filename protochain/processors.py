@@ -1,0 +1,53 @@
+"""How many processors this process may use, which can be fewer than the machine has."""
+
+import os
+from pathlib import Path
+
+_CGROUPS = Path("/sys/fs/cgroup")
+_OWN = Path("/proc/self/cgroup")
+
+
+def processors() -> int:
+    """Return the number of processors that this process may use.
+
+    The smallest of those of the machine, those it is bound to (``taskset``, a batch system), and the share of
+    time that a container or a batch system allows it, rounded (control groups of Linux, versions 1 and 2).
+    """
+    bound = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(bound, round(allowed(_CGROUPS, _OWN))))
+
+
+def allowed(root: Path, own: Path) -> float:
+    """Return the processors' worth of time that control groups allow, at most 1e6.
+
+    Parameters
+    ----------
+    root : Path
+        Where control groups are mounted.
+    own : Path
+        File with the groups of this process, one on each line: number, controllers and path.
+    """
+    most = 1e6
+    for line in _text(own).splitlines():
+        _, controllers, path = line.split(":", 2)
+        group = Path(path.strip("/"))
+        # In a container, its own group is mounted as the root, whatever its path outside.
+        for place in (group, *group.parents):
+            if not controllers:
+                quota, _, period = _text(root / place / "cpu.max").partition(" ")
+            elif "cpu" in controllers.split(","):
+                folder = root / "cpu" / place
+                quota, period = _text(folder / "cpu.cfs_quota_us"), _text(folder / "cpu.cfs_period_us")
+            else:
+                continue
+            if quota.strip().isdigit() and period.strip().isdigit():
+                most = min(most, int(quota) / int(period))
+    return most
+
+
+def _text(path: Path) -> str:
+    """Return what a file says, nothing if there is none."""
+    try:
+        return path.read_text()
+    except OSError:
+        return ""
