@@ -1,4 +1,4 @@
-"""Born radii by pairwise descreening, and the forces due to their change.
+"""Born radii by pairwise descreening, the energy of pairs with them, and the forces due to their change.
 
 Hawkins, Cramer, Truhlar, J. Phys. Chem. 100:19824 (1996), equations 9-11, with the radii of Onufriev,
 Bashford, Case, Proteins 55:383 (2004). Where atom j lies wholly outside atom i, its integral
@@ -16,6 +16,7 @@ from protochain.energies.native.layout import (
     FX,
     FY,
     FZ,
+    GB_CHARGE,
     HALF_INVERSE_BORN,
     PULL,
     S2,
@@ -32,42 +33,43 @@ from protochain.energies.native.layout import (
     variant,
 )  # fmt: skip
 from protochain.energies.native.pairs import CLOSEST, difference, push
-from protochain.energies.native.series import fourteen, series
+from protochain.energies.native.series import integral_series, inverse_root, power_of_two
+
+_LN2 = float(np.log(2.0))
+_LOG2E = 1.0 / _LN2
 
 
 @shared
 def integral_sums(
-    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, near_series: Floats,
-    far_series: Floats, sums: Floats,
-) -> None:  # fmt: skip
+    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, sums: Floats
+) -> None:
     """Add the descreening integrals of all pairs at ``near`` or further to row SCALAR of the sums."""
     for c in prange(CHUNKS):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
+            masked = is_near[k] or cutoff < np.inf
             _integral_tile(
-                atoms[i], atoms[j], i == j, is_near[k], near * near, cutoff * cutoff,
-                near_series if is_near[k] else far_series, sums[c, i], sums[c, j],
-            )  # fmt: skip
+                atoms[i], atoms[j], i == j, masked, near * near, cutoff * cutoff, sums[c, i], sums[c, j]
+            )
 
 
 @tiled
 def _integral_tile(
-    a: Floats, b: Floats, same: bool, is_near: bool, near2: float, cutoff2: float, terms: Floats,
-    a_sums: Floats, b_sums: Floats,
+    a: Floats, b: Floats, same: bool, masked: bool, near2: float, cutoff2: float, a_sums: Floats,
+    b_sums: Floats,
 ) -> None:  # fmt: skip
-    if is_near:
-        _integral(a, b, same, True, near2, cutoff2, terms, a_sums, b_sums)
+    if masked:
+        _integral(a, b, same, True, near2, cutoff2, a_sums, b_sums)
     else:
-        _integral(a, b, same, False, near2, cutoff2, terms, a_sums, b_sums)
+        _integral(a, b, same, False, near2, cutoff2, a_sums, b_sums)
 
 
 @variant
 def _integral(
-    a: Floats, b: Floats, same: bool, near: bool, near2: float, cutoff2: float, terms: Floats,
-    a_sums: Floats, b_sums: Floats,
+    a: Floats, b: Floats, same: bool, masked: bool, near2: float, cutoff2: float, a_sums: Floats,
+    b_sums: Floats,
 ) -> None:  # fmt: skip
-    c = fourteen(terms)
     for i in range(W):
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
         s2, s3 = a[S2 * W + i], a[S3 * W + i]
@@ -75,11 +77,12 @@ def _integral(
         for j in range(W):
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
+            # One division a pair, beside which the divider is idle, costs less than a root by polynomials.
             inverse2 = 1.0 / r2
-            inverse2 = inverse2 if r2 < cutoff2 else 0.0
-            if near:
-                inverse2 = inverse2 if (r2 >= near2) & (j > first) else 0.0
-            g, h = series(b[S2 * W + j] * inverse2, c, near), series(s2 * inverse2, c, near)
+            if masked:
+                inverse2 = inverse2 if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
+            g = integral_series(b[S2 * W + j] * inverse2, masked)
+            h = integral_series(s2 * inverse2, masked)
             inverse4 = inverse2 * inverse2
             total += b[S3 * W + j] * inverse4 * g
             b_sums[SCALAR * W + j] += s3 * inverse4 * h
@@ -87,60 +90,88 @@ def _integral(
 
 
 @shared
-def descreening_sums(
-    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, near_series: Floats,
-    far_series: Floats, sums: Floats,
-) -> None:  # fmt: skip
-    """Add the forces of the integrals of :func:`integral_sums`, given dE/d(integral) of each atom."""
+def polar_sums(atoms: Floats, tiles: Integers, cutoff: float, sums: Floats, energies: Floats) -> None:
+    """Add the generalised-Born energy of all pairs, its forces, and 2 dE/dB to row SCALAR of the sums.
+
+    -q q / f with f^2 = r^2 + P exp(-r^2 / 4P), P = B B: Still, Tempczyk, Hawley, Hendrickson, JACS 112:6127
+    (1990), equation 3.
+    """
     for c in prange(CHUNKS):
         begin, end = part(len(tiles), c)
+        energy, rows = 0.0, np.empty(3 * W)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
-            _descreening_tile(
-                atoms[i], atoms[j], i == j, is_near[k], near * near, cutoff * cutoff,
-                near_series if is_near[k] else far_series, sums[c, i], sums[c, j],
+            masked = i == j or cutoff < np.inf
+            energy -= _polar_tile(
+                atoms[i], atoms[j], i == j, masked, cutoff * cutoff, 1.0 / cutoff, rows, sums[c, i],
+                sums[c, j],
             )  # fmt: skip
+        energies[c] += energy
 
 
 @tiled
-def _descreening_tile(
-    a: Floats, b: Floats, same: bool, is_near: bool, near2: float, cutoff2: float, terms: Floats,
+def _polar_tile(
+    a: Floats, b: Floats, same: bool, masked: bool, cutoff2: float, shift: float, rows: Floats,
     a_sums: Floats, b_sums: Floats,
-) -> None:  # fmt: skip
-    if is_near:
-        _descreening(a, b, same, True, near2, cutoff2, terms, a_sums, b_sums)
-    else:
-        _descreening(a, b, same, False, near2, cutoff2, terms, a_sums, b_sums)
+) -> float:  # fmt: skip
+    if masked:
+        return _polar(a, b, same, True, cutoff2, shift, rows, a_sums, b_sums)
+    return _polar(a, b, same, False, cutoff2, shift, rows, a_sums, b_sums)
 
 
 @variant
-def _descreening(
-    a: Floats, b: Floats, same: bool, near: bool, near2: float, cutoff2: float, terms: Floats,
+def _polar(
+    a: Floats, b: Floats, same: bool, masked: bool, cutoff2: float, shift: float, rows: Floats,
     a_sums: Floats, b_sums: Floats,
-) -> None:  # fmt: skip
-    c = fourteen(terms)
+) -> float:  # fmt: skip
+    """Add forces and 2 dE/dB, return minus the energy.
+
+    Two loops, with what goes from the first to the second in ``rows``: the processor keeps shorter chains of
+    dependences under way side by side.
+    """
+    energy = 0.0
     for i in range(W):
-        xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
-        s2, s3, pull = a[S2 * W + i], a[S3 * W + i], a[PULL * W + i]
-        fx, fy, fz = 0.0, 0.0, 0.0
+        xi, yi, zi, qi, first = (
+            a[X * W + i],
+            a[Y * W + i],
+            a[Z * W + i],
+            a[GB_CHARGE * W + i],
+            i if same else -1,
+        )
+        born, half = a[BORN * W + i], -_LOG2E * a[HALF_INVERSE_BORN * W + i]
+        fx, fy, fz, slope = 0.0, 0.0, 0.0, 0.0
         for j in range(W):
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
-            inverse2 = 1.0 / r2
-            inverse2 = inverse2 if r2 < cutoff2 else 0.0
-            if near:
-                inverse2 = inverse2 if (r2 >= near2) & (j > first) else 0.0
-            g, h = series(b[S2 * W + j] * inverse2, c, near), series(s2 * inverse2, c, near)
-            f = (pull * b[S3 * W + j] * g + b[PULL * W + j] * s3 * h) * inverse2 * inverse2 * inverse2
+            exponent = r2 * (half * b[HALF_INVERSE_BORN * W + j])
+            decay = power_of_two(exponent)
+            rows[j] = r2 + born * b[BORN * W + j] * decay
+            rows[W + j] = decay
+            rows[2 * W + j] = decay - decay * exponent * _LN2
+        for j in range(W):
+            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+            inverse_f, qq = inverse_root(rows[j]), qi * b[GB_CHARGE * W + j]
+            if masked:
+                qq = qq if (dx * dx + dy * dy + dz * dz < cutoff2) & (j > first) else 0.0
+                energy -= qq * shift
+            pair = qq * inverse_f
+            energy += pair
+            cube = pair * (inverse_f * inverse_f)
+            f = cube - 0.25 * cube * rows[W + j]
+            with_born = cube * rows[2 * W + j]
+            slope += with_born * b[BORN * W + j]
             fx += f * dx
             fy += f * dy
             fz += f * dz
-            b_sums[FX * W + j] -= f * dx
-            b_sums[FY * W + j] -= f * dy
-            b_sums[FZ * W + j] -= f * dz
-        a_sums[FX * W + i] += fx
-        a_sums[FY * W + i] += fy
-        a_sums[FZ * W + i] += fz
+            b_sums[FX * W + j] += f * dx
+            b_sums[FY * W + j] += f * dy
+            b_sums[FZ * W + j] += f * dz
+            b_sums[SCALAR * W + j] += with_born * born
+        a_sums[FX * W + i] -= fx
+        a_sums[FY * W + i] -= fy
+        a_sums[FZ * W + i] -= fz
+        a_sums[SCALAR * W + i] += slope
+    return energy
 
 
 @shared
@@ -232,7 +263,7 @@ def put_born_radii(
 def add_self_energy(
     gb_charge: Floats, surface: Floats, slope: Floats, atoms: Floats, with_born: Floats
 ) -> tuple[float, float]:
-    """Self energy -q^2 / (2 B) and surface energy c / B^6; dE/dB becomes dE/d(integral) in place.
+    """Self energy -q^2 / (2 B) and surface energy c / B^6; 2 dE/dB of pairs becomes dE/d(integral) in place.
 
     Surface: Schaefer, Bartels, Karplus, J. Mol. Biol. 284:835 (1998).
     """
@@ -244,6 +275,7 @@ def add_self_energy(
         sixth = surface[i] * inverse**6
         polar -= 0.5 * q2 * inverse
         area += sixth
-        with_born[i] = (with_born[i] + 0.5 * q2 * inverse * inverse - 6.0 * sixth * inverse) * slope[i]
+        of_born = 0.5 * (with_born[i] + q2 * inverse * inverse) - 6.0 * sixth * inverse
+        with_born[i] = of_born * slope[i]
         atoms[block, PULL * W + k] = with_born[i]
     return polar, area

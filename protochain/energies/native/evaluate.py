@@ -24,15 +24,7 @@ from protochain.energies.native.layout import (
     take_scalars,
 )  # fmt: skip
 from protochain.energies.native.neighbours import Lists, make_lists
-from protochain.energies.native.series import (
-    EXPONENTIAL,
-    FAR_INTEGRAL,
-    FAR_RATIO,
-    FAR_SLOPE,
-    NEAR_INTEGRAL,
-    NEAR_RATIO,
-    NEAR_SLOPE,
-)  # fmt: skip
+from protochain.energies.native.series import FAR_RATIO, NEAR_RATIO
 from protochain.energies.native.terms import Terms
 
 CLOSE = 0.35
@@ -179,17 +171,14 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
         born.put_born_radii(
             integral + fixed, solvent.offset_radius, solvent.radius, solvent.bend, atoms, slope
         )
-        pairs.solvated_pair_sums(
-            atoms, layout.lj, layout.lj_type, lists.tiles, lists.is_near, *pairwise, EXPONENTIAL, sums,
-            part["nonbonded"], part["polar"],
-        )  # fmt: skip
+        born.polar_sums(atoms, lists.tiles, solvent.cutoff, sums, part["polar"])
         pull = np.empty(terms.n_atoms)
         take_scalars(sums, pull)
         polar, area = born.add_self_energy(solvent.charge, solvent.surface, slope, atoms, pull)
         part["polar"][0] += polar
         part["surface"][0] += area
-        born.descreening_sums(
-            atoms, lists.tiles, lists.is_near, layout.near, solvent.cutoff, NEAR_SLOPE, FAR_SLOPE, sums
+        pairs.solvated_pair_sums(
+            atoms, layout.lj, layout.lj_type, lists.tiles, lists.is_near, *pairwise, sums, part["nonbonded"]
         )
         born.near_descreening_sums(x, pull, lists.close, slopes, sums)
         if solvent.necks is not None:
@@ -234,9 +223,7 @@ def _integrals(layout: Layout, lists: Lists, x: Floats, atoms: Floats, sums: Flo
     """Born integrals, and the slopes of the contributions of close pairs."""
     solvent = layout.terms.solvent
     assert solvent is not None
-    born.integral_sums(
-        atoms, lists.tiles, lists.is_near, layout.near, solvent.cutoff, NEAR_INTEGRAL, FAR_INTEGRAL, sums
-    )
+    born.integral_sums(atoms, lists.tiles, lists.is_near, layout.near, solvent.cutoff, sums)
     slopes = np.empty((len(lists.close), 2))
     born.near_integral_sums(
         x, solvent.offset_radius, solvent.scaled_radius, solvent.engulfs, lists.close, layout.near, slopes,

@@ -1,6 +1,6 @@
-"""Lennard-Jones, Coulomb and generalised-Born energies of pairs, in tiles of blocks and in lists.
+"""Lennard-Jones and Coulomb energies of pairs, in tiles of blocks and in lists.
 
-Tiles compute all pairs at ``near`` or further, four at a time, bonded or not. Nearer pairs, among which the
+Tiles compute all pairs at ``near`` or further, a vector at a time, bonded or not. Nearer pairs, among which the
 repulsion of excluded ones would drown all other digits, come from a list without them. Exceptions are then
 corrected one by one.
 """
@@ -10,15 +10,14 @@ from numba import prange
 
 from protochain.arrays import Floats, Integers
 from protochain.energies.native.layout import (
-    BORN,
     CHARGE,
     CHUNKS,
     FX,
     FY,
     FZ,
-    GB_CHARGE,
-    HALF_INVERSE_BORN,
-    SCALAR,
+    PULL,
+    S2,
+    S3,
     W,
     X,
     Y,
@@ -29,7 +28,7 @@ from protochain.energies.native.layout import (
     tiled,
     variant,
 )  # fmt: skip
-from protochain.energies.native.series import exponential, sixteen
+from protochain.energies.native.series import inverse_root, slope_series
 
 # Arrays are passed one by one: NamedTuples of them give the same bits, but numba's dispatch then costs 1 to
 # 6 % of an energy of 1l2y (7 to 22 us) and 1 to 3 % of one of 1ubq, on 2 threads.
@@ -114,78 +113,74 @@ def _pairs(
 @shared
 def solvated_pair_sums(
     atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray, near: float,
-    cutoff: float, krf: float, crf: float, exp: Floats, sums: Floats, energies: Floats,
-    gb_energies: Floats,
+    cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
-    """As :func:`pair_sums`, with the generalised-Born energy and its derivatives by Born radii."""
+    """As :func:`pair_sums`, with the forces of the Born integrals, given dE/d(integral) of each atom.
+
+    Together, because both need inverse distances.
+    """
     for c in prange(CHUNKS):
         begin, end = part(len(tiles), c)
-        energy, gb_energy = 0.0, 0.0
+        energy, inverses = 0.0, np.empty(W)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
             masked = is_near[k] or cutoff < np.inf
-            pair, gb = solvated_tile(
+            energy += solvated_tile(
                 atoms[i], atoms[j], lj[j], lj_type[i], i == j, masked, near * near, cutoff * cutoff, krf, crf,
-                1.0 / cutoff, exp, sums[c, i], sums[c, j],
+                inverses, sums[c, i], sums[c, j],
             )  # fmt: skip
-            energy += pair
-            gb_energy += gb
         energies[c] += energy
-        gb_energies[c] += gb_energy
 
 
 @tiled
 def solvated_tile(
     a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
-    cutoff2: float, krf: float, crf: float, shift: float, exp: Floats, a_sums: Floats, b_sums: Floats,
-) -> tuple[float, float]:  # fmt: skip
-    """Energies of two blocks: as :func:`pair_tile`, and -q q / f with f^2 = r^2 + P exp(-r^2 / 4P), P = B B.
-
-    Still, Tempczyk, Hawley, Hendrickson, JACS 112:6127 (1990), equation 3.
-    """
+    cutoff2: float, krf: float, crf: float, inverses: Floats, a_sums: Floats, b_sums: Floats,
+) -> float:  # fmt: skip
+    """Energy of two blocks as :func:`pair_tile`."""
     if masked:
-        return _solvated(a, b, lj, lj_type, same, True, near2, cutoff2, krf, crf, shift, exp, a_sums, b_sums)
-    return _solvated(a, b, lj, lj_type, same, False, near2, cutoff2, krf, crf, shift, exp, a_sums, b_sums)
+        return _solvated(
+            a, b, lj, lj_type, same, True, near2, cutoff2, krf, crf, inverses, a_sums, b_sums
+        )  # fmt: skip
+    return _solvated(a, b, lj, lj_type, same, False, near2, cutoff2, krf, crf, inverses, a_sums, b_sums)
 
 
 @variant
 def _solvated(
     a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
-    cutoff2: float, krf: float, crf: float, shift: float, exp: Floats, a_sums: Floats, b_sums: Floats,
-) -> tuple[float, float]:  # fmt: skip
-    """Add forces and dE/dB, return the energies."""
-    c = sixteen(exp)
-    repulsion, attraction, coulomb, polar = 0.0, 0.0, 0.0, 0.0
+    cutoff2: float, krf: float, crf: float, inverses: Floats, a_sums: Floats, b_sums: Floats,
+) -> float:  # fmt: skip
+    """Add forces, return the energy. The inverse distances of a row, in a loop of their own, go to ``inverses``:
+    the processor keeps shorter chains of dependences under way side by side.
+    """
+    energy = 0.0
     for i in range(W):
         xi, yi, zi, qi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], a[CHARGE * W + i], i if same else -1
-        gi, born, half = a[GB_CHARGE * W + i], a[BORN * W + i], a[HALF_INVERSE_BORN * W + i]
+        s2, s3, pull = a[S2 * W + i], a[S3 * W + i], a[PULL * W + i]
         row = lj[lj_type[i]]
-        fx, fy, fz, slope = 0.0, 0.0, 0.0, 0.0
+        fx, fy, fz = 0.0, 0.0, 0.0
         for j in range(W):
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
-            d = r2 * half * b[HALF_INVERSE_BORN * W + j]
-            decay = exponential(d, c)
-            inverse_f = 1.0 / np.sqrt(r2 + born * b[BORN * W + j] * decay)
-            inverse, qq, g = 1.0 / np.sqrt(r2), qi * b[CHARGE * W + j], gi * b[GB_CHARGE * W + j]
+            inverse = inverse_root(r2)
             if masked:
-                inside = (r2 < cutoff2) & (j > first)
-                apart = inside & (r2 >= near2)
-                inverse, qq, g = inverse if apart else 0.0, qq if apart else 0.0, g if inside else 0.0
+                inverse = inverse if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
+            inverses[j] = inverse
+        for j in range(W):
+            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+            inverse = inverses[j]
             inverse2 = inverse * inverse
             inverse6 = inverse2 * inverse2 * inverse2
+            g, h = slope_series(b[S2 * W + j] * inverse2, masked), slope_series(s2 * inverse2, masked)
             twelve, six = row[j] * inverse6 * inverse6, row[W + j] * inverse6
-            repulsion += twelve
-            attraction += six
-            coulomb += qq * inverse
-            polar += g * inverse_f
-            cube = g * inverse_f * inverse_f * inverse_f
-            with_born = 0.5 * cube * decay * (1.0 + d)
-            slope += with_born * b[BORN * W + j]
-            f = (twelve - six + qq * inverse) * inverse2 - cube * (1.0 - 0.25 * decay)
+            coulomb = qi * b[CHARGE * W + j] * inverse
+            energy += twelve * (1.0 / 12.0) - six * (1.0 / 6.0) + coulomb
+            f = (twelve - six + coulomb) * inverse2
+            f += (pull * b[S3 * W + j] * g + b[PULL * W + j] * s3 * h) * inverse6
             if masked:
-                coulomb += qq * (krf * r2 - crf)
-                polar -= g * shift
+                r2 = dx * dx + dy * dy + dz * dz
+                qq = qi * b[CHARGE * W + j] if inverse > 0.0 else 0.0
+                energy += qq * (krf * r2 - crf)
                 f -= 2.0 * krf * qq
             fx += f * dx
             fy += f * dy
@@ -193,12 +188,10 @@ def _solvated(
             b_sums[FX * W + j] -= f * dx
             b_sums[FY * W + j] -= f * dy
             b_sums[FZ * W + j] -= f * dz
-            b_sums[SCALAR * W + j] += with_born * born
         a_sums[FX * W + i] += fx
         a_sums[FY * W + i] += fy
         a_sums[FZ * W + i] += fz
-        a_sums[SCALAR * W + i] += slope
-    return repulsion / 12.0 - attraction / 6.0 + coulomb, -polar
+    return energy
 
 
 @shared
