@@ -33,10 +33,12 @@ from protochain.energies.native.layout import (
     variant,
 )  # fmt: skip
 from protochain.energies.native.pairs import CLOSEST, difference, push
-from protochain.energies.native.series import integral_series, inverse_root, power_of_two
+from protochain.energies.native.series import integral_series, inverse_root, logarithm, power_of_two
 
 _LN2 = float(np.log(2.0))
 _LOG2E = 1.0 / _LN2
+BATCH = 64
+"""Near pairs computed at a time."""
 
 
 @shared
@@ -179,48 +181,72 @@ def near_integral_sums(
     x: Floats, offset_radius: Floats, scaled_radius: Floats, engulfs: bool, pairs: Integers, near: float,
     slopes: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """Add the integrals of listed pairs nearer than ``near``, and store their slopes over distance."""
+    """Add the integrals of listed pairs nearer than ``near``, and store their slopes over distance.
+
+    Those found near are computed many at a time, as vectors.
+    """
     for c in prange(CHUNKS):
         begin, end = part(len(pairs), c)
+        found, which, count = np.ones(9 * BATCH), np.empty(BATCH, np.int64), 0
         for k in range(begin, end):
             i, j = pairs[k, 0], pairs[k, 1]
             r2 = max(difference(x, i, j)[3], CLOSEST)
             slopes[k, 0], slopes[k, 1] = 0.0, 0.0
             if r2 < near * near:
-                r = np.sqrt(r2)
-                of_i, slopes[k, 0] = descreening(r, offset_radius[i], scaled_radius[j], engulfs)
-                of_j, slopes[k, 1] = descreening(r, offset_radius[j], scaled_radius[i], engulfs)
-                sums[c, i // W, SCALAR * W + i % W] += of_i
-                sums[c, j // W, SCALAR * W + j % W] += of_j
+                which[count], found[count] = k, r2
+                found[BATCH + count], found[2 * BATCH + count] = offset_radius[i], scaled_radius[i]
+                found[3 * BATCH + count], found[4 * BATCH + count] = offset_radius[j], scaled_radius[j]
+                count += 1
+            if count == BATCH or k == end - 1:
+                _descreenings(found, engulfs)
+                for place in range(count):
+                    at, i, j = which[place], pairs[which[place], 0], pairs[which[place], 1]
+                    sums[c, i // W, SCALAR * W + i % W] += found[5 * BATCH + place]
+                    sums[c, j // W, SCALAR * W + j % W] += found[6 * BATCH + place]
+                    slopes[at, 0], slopes[at, 1] = found[7 * BATCH + place], found[8 * BATCH + place]
+                count = 0
 
 
-@scalar
+@tiled
+def _descreenings(found: Floats, engulfs: bool) -> None:
+    """From rows r^2, offset and scaled radii of atoms i and j: rows of integrals and slopes of i and j."""
+    for k in range(BATCH):
+        r = np.sqrt(found[k])
+        of_i, slope_i = descreening(r, found[BATCH + k], found[4 * BATCH + k], engulfs)
+        of_j, slope_j = descreening(r, found[3 * BATCH + k], found[2 * BATCH + k], engulfs)
+        found[5 * BATCH + k], found[6 * BATCH + k] = of_i, of_j
+        found[7 * BATCH + k], found[8 * BATCH + k] = slope_i, slope_j
+
+
+@variant
 def descreening(r: float, radius: float, s: float, engulfs: bool) -> tuple[float, float]:
     """Descreening integral of a sphere of radius s at distance r from an atom, and its slope divided by r.
 
-    ``engulfs`` adds 1/radius - 1/L where the sphere contains the whole atom, as GBSAOBCForce does.
+    ``engulfs`` adds 1/radius - 1/L where the sphere contains the whole atom, as GBSAOBCForce does. Without
+    branches, to vectorise.
     """
-    if r + s <= radius:
-        return 0.0, 0.0
-    reach = abs(r - s)
+    reach, furthest = abs(r - s), r + s
     outside = reach > radius
-    lower = 1.0 / (reach if outside else radius)
-    upper = 1.0 / (r + s)
+    nearest = reach if outside else radius
+    each = 1.0 / (nearest * furthest * r)
+    lower, upper, inverse = furthest * r * each, nearest * r * each, nearest * furthest * each
     # L moves with r where the sphere's nearest point lies outside the atom.
-    d_lower = (-lower * lower if r > s else lower * lower) if outside else 0.0
-    d_upper = -upper * upper
-    squares, log = upper * upper - lower * lower, np.log(upper / lower)
-    arm = r - s * s / r
-    value = lower - upper + 0.25 * arm * squares + 0.5 * log / r
+    moves = (-lower if r > s else lower) if outside else 0.0
+    squares, log = upper * upper - lower * lower, logarithm(nearest * upper)
+    ratio = s * s * inverse
+    arm = r - ratio
+    value = lower - upper + 0.25 * arm * squares + 0.5 * log * inverse
     slope = (
-        d_lower - d_upper + 0.25 * (1.0 + s * s / (r * r)) * squares
-        + 0.5 * arm * (upper * d_upper - lower * d_lower)
-        - 0.5 * log / (r * r) + 0.5 * (d_upper / upper - d_lower / lower) / r
+        moves * lower + upper * upper + 0.25 * (1.0 + ratio * inverse) * squares
+        - 0.5 * arm * (upper * upper * upper + moves * lower * lower)
+        - 0.5 * log * inverse * inverse - 0.5 * (upper + moves) * inverse
     )  # fmt: skip
-    if engulfs and radius < s - r:
-        value += 2.0 * (1.0 / radius - lower)
-        slope -= 2.0 * d_lower
-    return 0.5 * value, 0.5 * slope / r
+    if engulfs:
+        within = radius < s - r
+        value += 2.0 * (1.0 / radius - lower) if within else 0.0
+        slope -= 2.0 * moves * lower if within else 0.0
+    touches = furthest > radius
+    return 0.5 * value if touches else 0.0, 0.5 * slope * inverse if touches else 0.0
 
 
 @shared

@@ -183,8 +183,9 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
         born.near_descreening_sums(x, pull, lists.close, slopes, sums)
         if solvent.necks is not None:
             neck.neck_force_sums(
-                atoms, layout.necks, layout.neck_type, lists.tiles[lists.is_necked], solvent.cutoff, sums
-            )
+                atoms, layout.necks, layout.neck_type, lists.tiles[lists.is_necked], layout.necked,
+                solvent.cutoff, sums,
+            )  # fmt: skip
     kinds = nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type
     pairs.near_sums(x, *kinds, lists.free, layout.near, nonbonded.krf, nonbonded.crf, sums, part["nonbonded"])
     own_terms = nonbonded.exceptions
@@ -231,8 +232,9 @@ def _integrals(layout: Layout, lists: Lists, x: Floats, atoms: Floats, sums: Flo
     )  # fmt: skip
     if solvent.necks is not None:
         neck.neck_sums(
-            atoms, layout.necks, layout.neck_type, lists.tiles[lists.is_necked], solvent.cutoff, sums
-        )
+            atoms, layout.necks, layout.neck_type, lists.tiles[lists.is_necked], layout.necked,
+            solvent.cutoff, sums,
+        )  # fmt: skip
     integral = np.empty(len(x))
     take_scalars(sums, integral)
     return integral, slopes

@@ -84,7 +84,7 @@ def _pairs(
         for j in range(W):
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
-            inverse, qq = 1.0 / np.sqrt(r2), qi * b[CHARGE * W + j]
+            inverse, qq = inverse_root(r2), qi * b[CHARGE * W + j]
             if masked:
                 inside = (r2 >= near2) & (r2 < cutoff2) & (j > first)
                 inverse, qq = inverse if inside else 0.0, qq if inside else 0.0
