@@ -26,6 +26,8 @@ from protochain.energies.native.layout import (
     X,
     Y,
     Z,
+    apart2,
+    far_rows2,
     part,
     scalar,
     shared,
@@ -43,52 +45,54 @@ BATCH = 64
 
 @shared
 def integral_sums(
-    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float, sums: Floats
-) -> None:
+    atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, block_near: Floats, cutoff: float,
+    sums: Floats,
+) -> None:  # fmt: skip
     """Add the descreening integrals of all pairs at ``near`` or further to row SCALAR of the sums."""
     for c in prange(CHUNKS):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
-            masked = is_near[k] or cutoff < np.inf
+            far2 = far_rows2(is_near[k], block_near[i], block_near[j], cutoff)
             _integral_tile(
-                atoms[i], atoms[j], i == j, masked, near * near, cutoff * cutoff, sums[c, i], sums[c, j]
+                atoms[i], atoms[j], i == j, near * near, far2, cutoff * cutoff, sums[c, i], sums[c, j]
             )
 
 
 @tiled
 def _integral_tile(
-    a: Floats, b: Floats, same: bool, masked: bool, near2: float, cutoff2: float, a_sums: Floats,
-    b_sums: Floats,
-) -> None:  # fmt: skip
-    if masked:
-        _integral(a, b, same, True, near2, cutoff2, a_sums, b_sums)
-    else:
-        _integral(a, b, same, False, near2, cutoff2, a_sums, b_sums)
-
-
-@variant
-def _integral(
-    a: Floats, b: Floats, same: bool, masked: bool, near2: float, cutoff2: float, a_sums: Floats,
+    a: Floats, b: Floats, same: bool, near2: float, far2: float, cutoff2: float, a_sums: Floats,
     b_sums: Floats,
 ) -> None:  # fmt: skip
     for i in range(W):
-        xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
-        s2, s3 = a[S2 * W + i], a[S3 * W + i]
-        total = 0.0
-        for j in range(W):
-            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
-            r2 = dx * dx + dy * dy + dz * dz
-            # One division a pair, beside which the divider is idle, costs less than a root by polynomials.
-            inverse2 = 1.0 / r2
-            if masked:
-                inverse2 = inverse2 if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
-            g = integral_series(b[S2 * W + j] * inverse2, masked)
-            h = integral_series(s2 * inverse2, masked)
-            inverse4 = inverse2 * inverse2
-            total += b[S3 * W + j] * inverse4 * g
-            b_sums[SCALAR * W + j] += s3 * inverse4 * h
-        a_sums[SCALAR * W + i] += total
+        if apart2(a, i, b) < far2:
+            _integrals(a, i, b, same, True, near2, cutoff2, a_sums, b_sums)
+        else:
+            _integrals(a, i, b, same, False, near2, cutoff2, a_sums, b_sums)
+
+
+@variant
+def _integrals(
+    a: Floats, i: int, b: Floats, same: bool, masked: bool, near2: float, cutoff2: float, a_sums: Floats,
+    b_sums: Floats,
+) -> None:  # fmt: skip
+    """One row of a tile: an atom with a block."""
+    xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
+    s2, s3 = a[S2 * W + i], a[S3 * W + i]
+    total = 0.0
+    for j in range(W):
+        dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+        r2 = dx * dx + dy * dy + dz * dz
+        # One division a pair, beside which the divider is idle, costs less than a root by polynomials.
+        inverse2 = 1.0 / r2
+        if masked:
+            inverse2 = inverse2 if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
+        g = integral_series(b[S2 * W + j] * inverse2, masked)
+        h = integral_series(s2 * inverse2, masked)
+        inverse4 = inverse2 * inverse2
+        total += b[S3 * W + j] * inverse4 * g
+        b_sums[SCALAR * W + j] += s3 * inverse4 * h
+    a_sums[SCALAR * W + i] += total
 
 
 @shared

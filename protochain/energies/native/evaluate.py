@@ -160,11 +160,10 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
     parts = np.zeros((len(KINDS), CHUNKS))
     part = dict(zip(KINDS, parts, strict=True))
     pairwise = layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf
+    in_tiles = lists.is_near, layout.near, layout.block_near, *pairwise[1:]
     solvent = terms.solvent
     if solvent is None:
-        pairs.pair_sums(
-            atoms, layout.lj, layout.lj_type, lists.tiles, lists.is_near, *pairwise, sums, part["nonbonded"]
-        )
+        pairs.pair_sums(atoms, layout.lj, layout.lj_type, lists.tiles, *in_tiles, sums, part["nonbonded"])
     else:
         integral, slopes = _integrals(layout, lists, x, atoms, sums)
         slope = np.empty(terms.n_atoms)
@@ -178,7 +177,7 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
         part["polar"][0] += polar
         part["surface"][0] += area
         pairs.solvated_pair_sums(
-            atoms, layout.lj, layout.lj_type, lists.tiles, lists.is_near, *pairwise, sums, part["nonbonded"]
+            atoms, layout.lj, layout.lj_type, lists.tiles, *in_tiles, sums, part["nonbonded"]
         )
         born.near_descreening_sums(x, pull, lists.close, slopes, sums)
         if solvent.necks is not None:
@@ -224,7 +223,9 @@ def _integrals(layout: Layout, lists: Lists, x: Floats, atoms: Floats, sums: Flo
     """Born integrals, and the slopes of the contributions of close pairs."""
     solvent = layout.terms.solvent
     assert solvent is not None
-    born.integral_sums(atoms, lists.tiles, lists.is_near, layout.near, solvent.cutoff, sums)
+    born.integral_sums(
+        atoms, lists.tiles, lists.is_near, layout.near, layout.block_near, solvent.cutoff, sums
+    )
     slopes = np.empty((len(lists.close), 2))
     born.near_integral_sums(
         x, solvent.offset_radius, solvent.scaled_radius, solvent.engulfs, lists.close, layout.near, slopes,

@@ -3,7 +3,6 @@
 Mongan, Simmerling, McCammon, Case, Onufriev, J. Chem. Theory Comput. 3:156 (2007), equation 12.
 """
 
-import numpy as np
 from numba import prange
 
 from protochain.arrays import Floats, Integers
@@ -18,8 +17,8 @@ from protochain.energies.native.layout import (
     X,
     Y,
     Z,
+    apart2,
     part,
-    scalar,
     shared,
     tiled,
 )  # fmt: skip
@@ -50,34 +49,13 @@ def neck_sums(
             )  # fmt: skip
 
 
-@scalar
-def box(block: Floats) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Lowest and highest coordinates of a block's atoms."""
-    lx, ly, lz = block[X * W], block[Y * W], block[Z * W]
-    hx, hy, hz = lx, ly, lz
-    for j in range(1, W):
-        x, y, z = block[X * W + j], block[Y * W + j], block[Z * W + j]
-        lx, ly, lz, hx, hy, hz = min(lx, x), min(ly, y), min(lz, z), max(hx, x), max(hy, y), max(hz, z)
-    return (lx, ly, lz), (hx, hy, hz)
-
-
-@scalar
-def apart2(block: Floats, i: int, low: tuple[float, float, float], high: tuple[float, float, float]) -> float:
-    """Squared distance of a block's atom from a box."""
-    dx = max(low[0] - block[X * W + i], block[X * W + i] - high[0], 0.0)
-    dy = max(low[1] - block[Y * W + i], block[Y * W + i] - high[1], 0.0)
-    dz = max(low[2] - block[Z * W + i], block[Z * W + i] - high[2], 0.0)
-    return dx * dx + dy * dy + dz * dz
-
-
 @tiled
 def _neck_tile(
     a: Floats, b: Floats, necks: Floats, neck_type: Integers, same: bool, reach: float, cutoff2: float,
     a_sums: Floats, b_sums: Floats,
 ) -> None:  # fmt: skip
-    low, high = box(b)
     for i in range(W):
-        if apart2(a, i, low, high) > reach * reach:
+        if apart2(a, i, b) > reach * reach:
             continue
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
         row = necks[neck_type[i]]
@@ -118,9 +96,8 @@ def _neck_force_tile(
     a: Floats, b: Floats, necks: Floats, neck_type: Integers, same: bool, reach: float, cutoff2: float,
     a_sums: Floats, b_sums: Floats,
 ) -> None:  # fmt: skip
-    low, high = box(b)
     for i in range(W):
-        if apart2(a, i, low, high) > reach * reach:
+        if apart2(a, i, b) > reach * reach:
             continue
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
         row, pull = necks[neck_type[i]], a[PULL * W + i]

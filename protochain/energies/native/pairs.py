@@ -1,8 +1,8 @@
 """Lennard-Jones and Coulomb energies of pairs, in tiles of blocks and in lists.
 
-Tiles compute all pairs at ``near`` or further, a vector at a time, bonded or not. Nearer pairs, among which the
-repulsion of excluded ones would drown all other digits, come from a list without them. Exceptions are then
-corrected one by one.
+Tiles compute all pairs at ``near`` or further, a vector at a time, bonded or not. Nearer pairs, among which
+the repulsion of excluded ones would drown all other digits, come from a list without them. Exceptions are
+then corrected one by one.
 """
 
 import numpy as np
@@ -22,6 +22,8 @@ from protochain.energies.native.layout import (
     X,
     Y,
     Z,
+    apart2,
+    far_rows2,
     part,
     scalar,
     shared,
@@ -40,80 +42,26 @@ CLOSEST = 1e-12
 @shared
 def pair_sums(
     atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray, near: float,
-    cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
+    block_near: Floats, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
     """Add Lennard-Jones and Coulomb forces and energies of all tiles, by chunk."""
     for c in prange(CHUNKS):
         begin, end = part(len(tiles), c)
-        energy = 0.0
+        energy, inverses = 0.0, np.empty(W)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
-            masked = is_near[k] or cutoff < np.inf
-            energy += pair_tile(
-                atoms[i], atoms[j], lj[j], lj_type[i], i == j, masked, near * near, cutoff * cutoff, krf, crf,
-                sums[c, i], sums[c, j],
+            far2 = far_rows2(is_near[k], block_near[i], block_near[j], cutoff)
+            energy += _pair_tile(
+                atoms[i], atoms[j], lj[j], lj_type[i], i == j, near * near, far2, cutoff * cutoff, krf, crf,
+                inverses, sums[c, i], sums[c, j],
             )  # fmt: skip
         energies[c] += energy
-
-
-@tiled
-def pair_tile(
-    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
-    cutoff2: float, krf: float, crf: float, a_sums: Floats, b_sums: Floats,
-) -> float:  # fmt: skip
-    """Energy of two blocks in vacuum, without masks where all pairs are apart."""
-    if masked:
-        return _pairs(a, b, lj, lj_type, same, True, near2, cutoff2, krf, crf, a_sums, b_sums)
-    return _pairs(a, b, lj, lj_type, same, False, near2, cutoff2, krf, crf, a_sums, b_sums)
-
-
-@variant
-def _pairs(
-    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
-    cutoff2: float, krf: float, crf: float, a_sums: Floats, b_sums: Floats,
-) -> float:  # fmt: skip
-    """Add forces, return the energy.
-
-    ``lj`` holds, for each type of the atom in a, 12 A and 6 B of its A/r^12 - B/r^6 with each atom of b.
-    """
-    repulsion, attraction, coulomb = 0.0, 0.0, 0.0
-    for i in range(W):
-        xi, yi, zi, qi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], a[CHARGE * W + i], i if same else -1
-        row = lj[lj_type[i]]
-        fx, fy, fz = 0.0, 0.0, 0.0
-        for j in range(W):
-            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
-            r2 = dx * dx + dy * dy + dz * dz
-            inverse, qq = inverse_root(r2), qi * b[CHARGE * W + j]
-            if masked:
-                inside = (r2 >= near2) & (r2 < cutoff2) & (j > first)
-                inverse, qq = inverse if inside else 0.0, qq if inside else 0.0
-            inverse2 = inverse * inverse
-            inverse6 = inverse2 * inverse2 * inverse2
-            twelve, six = row[j] * inverse6 * inverse6, row[W + j] * inverse6
-            repulsion += twelve
-            attraction += six
-            coulomb += qq * inverse
-            f = (twelve - six + qq * inverse) * inverse2
-            if masked:
-                coulomb += qq * (krf * r2 - crf)
-                f -= 2.0 * krf * qq
-            fx += f * dx
-            fy += f * dy
-            fz += f * dz
-            b_sums[FX * W + j] -= f * dx
-            b_sums[FY * W + j] -= f * dy
-            b_sums[FZ * W + j] -= f * dz
-        a_sums[FX * W + i] += fx
-        a_sums[FY * W + i] += fy
-        a_sums[FZ * W + i] += fz
-    return repulsion / 12.0 - attraction / 6.0 + coulomb
 
 
 @shared
 def solvated_pair_sums(
     atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray, near: float,
-    cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
+    block_near: Floats, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
     """As :func:`pair_sums`, with the forces of the Born integrals, given dE/d(integral) of each atom.
 
@@ -124,73 +72,104 @@ def solvated_pair_sums(
         energy, inverses = 0.0, np.empty(W)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
-            masked = is_near[k] or cutoff < np.inf
-            energy += solvated_tile(
-                atoms[i], atoms[j], lj[j], lj_type[i], i == j, masked, near * near, cutoff * cutoff, krf, crf,
+            far2 = far_rows2(is_near[k], block_near[i], block_near[j], cutoff)
+            energy += _solvated_tile(
+                atoms[i], atoms[j], lj[j], lj_type[i], i == j, near * near, far2, cutoff * cutoff, krf, crf,
                 inverses, sums[c, i], sums[c, j],
             )  # fmt: skip
         energies[c] += energy
 
 
 @tiled
-def solvated_tile(
-    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
+def _pair_tile(
+    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, near2: float, far2: float,
     cutoff2: float, krf: float, crf: float, inverses: Floats, a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
-    """Energy of two blocks as :func:`pair_tile`."""
-    if masked:
-        return _solvated(
-            a, b, lj, lj_type, same, True, near2, cutoff2, krf, crf, inverses, a_sums, b_sums
-        )  # fmt: skip
-    return _solvated(a, b, lj, lj_type, same, False, near2, cutoff2, krf, crf, inverses, a_sums, b_sums)
+    """Energy of two blocks in vacuum."""
+    energy = 0.0
+    for i in range(W):
+        row, first = lj[lj_type[i]], i if same else -1
+        if apart2(a, i, b) < far2:
+            _inverses(a, i, b, first, True, near2, cutoff2, inverses)
+            energy += _pairs(a, i, b, row, True, False, krf, crf, inverses, a_sums, b_sums)
+        else:
+            _inverses(a, i, b, first, False, near2, cutoff2, inverses)
+            energy += _pairs(a, i, b, row, False, False, krf, crf, inverses, a_sums, b_sums)
+    return energy
+
+
+@tiled
+def _solvated_tile(
+    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, near2: float, far2: float,
+    cutoff2: float, krf: float, crf: float, inverses: Floats, a_sums: Floats, b_sums: Floats,
+) -> float:  # fmt: skip
+    """As :func:`_pair_tile`, with the forces of the Born integrals."""
+    energy = 0.0
+    for i in range(W):
+        row, first = lj[lj_type[i]], i if same else -1
+        if apart2(a, i, b) < far2:
+            _inverses(a, i, b, first, True, near2, cutoff2, inverses)
+            energy += _pairs(a, i, b, row, True, True, krf, crf, inverses, a_sums, b_sums)
+        else:
+            _inverses(a, i, b, first, False, near2, cutoff2, inverses)
+            energy += _pairs(a, i, b, row, False, True, krf, crf, inverses, a_sums, b_sums)
+    return energy
 
 
 @variant
-def _solvated(
-    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
-    cutoff2: float, krf: float, crf: float, inverses: Floats, a_sums: Floats, b_sums: Floats,
-) -> float:  # fmt: skip
-    """Add forces, return the energy. The inverse distances of a row, in a loop of their own, go to ``inverses``:
-    the processor keeps shorter chains of dependences under way side by side.
+def _inverses(
+    a: Floats, i: int, b: Floats, first: int, masked: bool, near2: float, cutoff2: float, inverses: Floats
+) -> None:
+    """Inverse distances of an atom from a block; 0 where masked.
+
+    In a loop of their own: the processor keeps shorter chains of dependences under way side by side.
     """
-    energy = 0.0
-    for i in range(W):
-        xi, yi, zi, qi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], a[CHARGE * W + i], i if same else -1
-        s2, s3, pull = a[S2 * W + i], a[S3 * W + i], a[PULL * W + i]
-        row = lj[lj_type[i]]
-        fx, fy, fz = 0.0, 0.0, 0.0
-        for j in range(W):
-            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
-            r2 = dx * dx + dy * dy + dz * dz
-            inverse = inverse_root(r2)
-            if masked:
-                inverse = inverse if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
-            inverses[j] = inverse
-        for j in range(W):
-            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
-            inverse = inverses[j]
-            inverse2 = inverse * inverse
-            inverse6 = inverse2 * inverse2 * inverse2
+    xi, yi, zi = a[X * W + i], a[Y * W + i], a[Z * W + i]
+    for j in range(W):
+        dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+        r2 = dx * dx + dy * dy + dz * dz
+        inverse = inverse_root(r2)
+        if masked:
+            inverse = inverse if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
+        inverses[j] = inverse
+
+
+@variant
+def _pairs(
+    a: Floats, i: int, b: Floats, row: Floats, masked: bool, in_solvent: bool, krf: float, crf: float,
+    inverses: Floats, a_sums: Floats, b_sums: Floats,
+) -> float:  # fmt: skip
+    """Add the forces between an atom and a block, return the energy.
+
+    ``row`` holds 12 A and 6 B of its A/r^12 - B/r^6 with each atom of b.
+    """
+    xi, yi, zi, qi = a[X * W + i], a[Y * W + i], a[Z * W + i], a[CHARGE * W + i]
+    s2, s3, pull = a[S2 * W + i], a[S3 * W + i], a[PULL * W + i]
+    energy, fx, fy, fz = 0.0, 0.0, 0.0, 0.0
+    for j in range(W):
+        dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+        inverse, qq = inverses[j], qi * b[CHARGE * W + j]
+        inverse2 = inverse * inverse
+        inverse6 = inverse2 * inverse2 * inverse2
+        twelve, six, coulomb = row[j] * inverse6 * inverse6, row[W + j] * inverse6, qq * inverse
+        energy += twelve * (1.0 / 12.0) - six * (1.0 / 6.0) + coulomb
+        f = (twelve - six + coulomb) * inverse2
+        if in_solvent:
             g, h = slope_series(b[S2 * W + j] * inverse2, masked), slope_series(s2 * inverse2, masked)
-            twelve, six = row[j] * inverse6 * inverse6, row[W + j] * inverse6
-            coulomb = qi * b[CHARGE * W + j] * inverse
-            energy += twelve * (1.0 / 12.0) - six * (1.0 / 6.0) + coulomb
-            f = (twelve - six + coulomb) * inverse2
             f += (pull * b[S3 * W + j] * g + b[PULL * W + j] * s3 * h) * inverse6
-            if masked:
-                r2 = dx * dx + dy * dy + dz * dz
-                qq = qi * b[CHARGE * W + j] if inverse > 0.0 else 0.0
-                energy += qq * (krf * r2 - crf)
-                f -= 2.0 * krf * qq
-            fx += f * dx
-            fy += f * dy
-            fz += f * dz
-            b_sums[FX * W + j] -= f * dx
-            b_sums[FY * W + j] -= f * dy
-            b_sums[FZ * W + j] -= f * dz
-        a_sums[FX * W + i] += fx
-        a_sums[FY * W + i] += fy
-        a_sums[FZ * W + i] += fz
+        if masked:
+            qq = qq if inverse > 0.0 else 0.0
+            energy += qq * (krf * (dx * dx + dy * dy + dz * dz) - crf)
+            f -= 2.0 * krf * qq
+        fx += f * dx
+        fy += f * dy
+        fz += f * dz
+        b_sums[FX * W + j] -= f * dx
+        b_sums[FY * W + j] -= f * dy
+        b_sums[FZ * W + j] -= f * dz
+    a_sums[FX * W + i] += fx
+    a_sums[FY * W + i] += fy
+    a_sums[FZ * W + i] += fz
     return energy
 
 

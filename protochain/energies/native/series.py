@@ -1,7 +1,7 @@
 """Polynomials in place of roots, logarithms and exponentials.
 
 These do not vectorise without a vector library, or wait for a processor's one divider. Interpolated at
-Chebyshev points, with relative errors below 1e-12, of a slope 3e-12; of roots, exponentials, logarithms 1e-13.
+Chebyshev points, with relative errors below 3e-12; of roots, exponentials and logarithms below 1e-13.
 """
 
 from collections.abc import Callable
@@ -60,8 +60,8 @@ _LN2 = float(np.log(2.0))
 _Coefficients = tuple[float, ...]
 
 
-# Plain Horner: fewest operations. With terms in pairs, LLVM's superword-level vectoriser takes a helper before
-# the loop vectoriser sees it in its loop.
+# Plain Horner: fewest operations. With terms in pairs, LLVM's superword-level vectoriser takes a helper
+# before the loop vectoriser sees it in its loop.
 @ordered
 def _four(c: _Coefficients, x: float) -> float:
     return c[0] + x * (c[1] + x * (c[2] + x * c[3]))
@@ -125,7 +125,7 @@ def inverse_root(x: float) -> float:
 
 @ordered
 def logarithm(x: float) -> float:
-    """log(x) of a positive, normal x: n log(2) + 2 atanh((m - 1) / (m + 1)), x = 2^n m, m from 0.71 to 1.41."""
+    """log(x) of a positive, normal x = 2^n m, m from 0.71 to 1.41: n log(2) + 2 atanh((m - 1) / (m + 1))."""
     bits = np.float64(x).view(np.uint64)
     exponent = np.uint64((bits + _FROM_ROOT_HALF) >> _MANTISSA)
     m = np.uint64(bits - ((exponent - _BIAS) << _MANTISSA)).view(np.float64)
