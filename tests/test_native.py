@@ -465,6 +465,18 @@ def test_inverse_roots_over_all_exponents():
     assert np.isfinite(series.inverse_root(0.0))
 
 
+def test_logarithms_over_all_exponents():
+    mantissa = np.linspace(1.0, 2.0, 401)[:-1]
+    x = np.concatenate([mantissa * 2.0**exponent for exponent in range(-60, 61)])
+    ours = np.array([series.logarithm(value) for value in x])
+    assert np.abs(ours - np.log(x)).max() < 1e-13
+    assert series.logarithm(1.0) == 0.0
+    beside_1 = 1.0 + np.linspace(-1e-3, 1e-3, 101)
+    assert [series.logarithm(value) for value in beside_1] == pytest.approx(
+        np.log(beside_1), rel=1e-12, abs=0
+    )
+
+
 @pytest.mark.parametrize("near", [True, False])
 def test_the_series_are_the_closed_form(near):
     largest = series.NEAR_RATIO if near else series.FAR_RATIO

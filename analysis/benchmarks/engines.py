@@ -114,8 +114,8 @@ def multiply_adds(values: np.ndarray, sums: np.ndarray, times: int) -> None:
 OPERATIONS = {"vacuum": 45, "solvent": 151}
 """Additions, multiplications and multiply-adds of the kernels for a pair of atoms far from each other.
 
-In solvent 25 for Born integrals, 62 for the polar energy, 64 for the rest and the chain rule. Divisions, which
-run beside them, and necks are not counted.
+In solvent 25 for Born integrals, 62 for the polar energy, 64 for the rest and the chain rule. Divisions,
+which run beside them, and necks are not in it.
 """
 
 

@@ -17,6 +17,7 @@ from protochain.energies.native.layout import (
     SUMS,
     W,
     add_forces,
+    aligned,
     empty_blocks,
     in_blocks,
     n_blocks,
@@ -153,10 +154,9 @@ def evaluate(layout: Layout, lists: Lists, x: Floats, fixed: Floats) -> tuple[di
     -------
     dict of str to float, kJ/mol; (na, 3) float, kJ/mol/nm
     """
-    terms, atoms = layout.terms, layout.blocks.copy()
+    terms, atoms = layout.terms, _blocks_at(layout, x)
     nonbonded = terms.nonbonded
-    put_positions(x, atoms)
-    sums = np.zeros((CHUNKS, len(atoms), SUMS * W))
+    sums = aligned((CHUNKS, len(atoms), SUMS * W))
     parts = np.zeros((len(KINDS), CHUNKS))
     part = dict(zip(KINDS, parts, strict=True))
     pairwise = layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf
@@ -214,9 +214,16 @@ _BONDED = (
 
 def born_integrals(layout: Layout, lists: Lists, x: Floats) -> Floats:
     """(na,) float: Born integrals at x of the pairs in tiles and lists."""
-    atoms = layout.blocks.copy()
+    atoms = _blocks_at(layout, x)
+    return _integrals(layout, lists, x, atoms, aligned((CHUNKS, len(atoms), SUMS * W)))[0]
+
+
+def _blocks_at(layout: Layout, x: Floats) -> Floats:
+    """(blocks, ROWS * W) float: blocks with positions."""
+    atoms = aligned(layout.blocks.shape)
+    atoms[:] = layout.blocks
     put_positions(x, atoms)
-    return _integrals(layout, lists, x, atoms, np.zeros((CHUNKS, len(atoms), SUMS * W)))[0]
+    return atoms
 
 
 def _integrals(layout: Layout, lists: Lists, x: Floats, atoms: Floats, sums: Floats) -> tuple[Floats, Floats]:

@@ -4,6 +4,7 @@ Rows lie at constant distances from one address: the compiler sees that rows wri
 and vectorises over four atoms, or eight.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
@@ -75,6 +76,14 @@ def empty_blocks(n: int) -> Floats:
     blocks[:, X] = FAR_AWAY * (1 + np.arange(blocks[:, X].size).reshape(-1, W))
     blocks[:, BORN], blocks[:, HALF_INVERSE_BORN] = 1.0, 0.5
     return blocks.reshape(-1, ROWS * W)
+
+
+def aligned(shape: tuple[int, ...]) -> Floats:
+    """Zeros that begin at a cache line, which vectors of eight doubles would otherwise straddle."""
+    size, line = math.prod(shape), 8
+    room = np.zeros(size + line)
+    start = -(room.ctypes.data // room.itemsize) % line
+    return room[start : start + size].reshape(shape)
 
 
 @scalar
