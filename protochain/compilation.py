@@ -22,6 +22,7 @@ import numpy as np
 from numba import config
 from numba import njit as _njit
 from numba.core.caching import FunctionCache
+from numba.core.codegen import get_host_cpu_features
 from numba.core.compiler_lock import global_compiler_lock
 
 from protochain import ahead
@@ -34,6 +35,18 @@ _SETTINGS: Any = config
 # differently with and without it: set later than the first kernel is compiled, as by a module that not every
 # program imports first, it would make results depend on the order of imports and calls.
 _SETTINGS.SLP_VECTORIZE = 1
+
+def _wide() -> None:
+    """Use vectors of eight doubles where the processor has them, though LLVM prefers four on most of these.
+
+    It makes the pairs' kernels 1.3 to 1.5 times faster. NUMBA_CPU_NAME or NUMBA_CPU_FEATURES, if set, decide.
+    """
+    features = get_host_cpu_features()
+    if _SETTINGS.CPU_NAME is None and _SETTINGS.CPU_FEATURES is None and "+avx512f" in features:
+        _SETTINGS.CPU_FEATURES = features + ",-prefer-256-bit"
+
+
+_wide()
 
 PATIENCE = 120.0
 """s. Longest wait for a kernel that another process compiles; then it is compiled here too."""

@@ -450,33 +450,50 @@ def test_auto_is_native_for_the_named_force_fields():
             assert e.reference.platform == "Reference"
 
 
-def test_the_exponential():
-    d = np.linspace(0.0, 40.0, 20001)
-    c = series.sixteen(series.EXPONENTIAL)
-    ours = np.array([series.exponential(value, c) for value in d])
-    assert np.abs(ours / np.exp(-d) - 1).max() < 1e-14
-    assert series.exponential(1e6, c) == series.exponential(40.0, c)
+def test_powers_of_two():
+    y = np.linspace(-60.0, 0.0, 20001)
+    ours = np.array([series.power_of_two(value) for value in y])
+    assert np.abs(ours / np.exp2(y) - 1).max() < 1e-13
+    assert series.power_of_two(-1e6) == series.power_of_two(-60.0)
+
+
+def test_inverse_roots_over_all_exponents():
+    mantissa = np.linspace(1.0, 2.0, 401)
+    x = np.concatenate([mantissa * 2.0**exponent for exponent in range(-80, 81)])
+    ours = np.array([series.inverse_root(value) for value in x])
+    assert np.abs(ours * np.sqrt(x) - 1).max() < 1e-15
+    assert np.isfinite(series.inverse_root(0.0))
+
+
+def test_logarithms_over_all_exponents():
+    mantissa = np.linspace(1.0, 2.0, 401)[:-1]
+    x = np.concatenate([mantissa * 2.0**exponent for exponent in range(-60, 61)])
+    ours = np.array([series.logarithm(value) for value in x])
+    assert np.abs(ours - np.log(x)).max() < 1e-13
+    assert series.logarithm(1.0) == 0.0
+    beside_1 = 1.0 + np.linspace(-1e-3, 1e-3, 101)
+    assert [series.logarithm(value) for value in beside_1] == pytest.approx(
+        np.log(beside_1), rel=1e-12, abs=0
+    )
 
 
 @pytest.mark.parametrize("near", [True, False])
 def test_the_series_are_the_closed_form(near):
-    integral, slope, largest = (
-        (series.NEAR_INTEGRAL, series.NEAR_SLOPE, series.NEAR_RATIO) if near
-        else (series.FAR_INTEGRAL, series.FAR_SLOPE, series.FAR_RATIO)
-    )  # fmt: skip
+    largest = series.NEAR_RATIO if near else series.FAR_RATIO
 
     @njit
-    def value_at(y, coefficients):
-        return series.series(y, series.fourteen(coefficients), near)
+    def values_at(y):
+        return series.integral_series(y, near), series.slope_series(y, near)
 
     s = 0.12
     for ratio in np.linspace(0.05, 0.999 * largest, 40):
         r = s / ratio
         value, over_r = born.descreening(r, 0.01, s, False)
         # The closed form loses what cancels in it: some eps / ratio^3.
-        lost = 20 * np.finfo(float).eps / ratio**3 + 2e-14
-        assert 0.5 * s**3 / r**4 * value_at(ratio**2, integral) == pytest.approx(value, rel=lost)
-        assert -0.5 * s**3 / r**6 * value_at(ratio**2, slope) == pytest.approx(over_r, rel=lost)
+        lost = 20 * np.finfo(float).eps / ratio**3
+        integral, slope = values_at(ratio**2)
+        assert 0.5 * s**3 / r**4 * integral == pytest.approx(value, rel=lost + 6e-13)
+        assert -0.5 * s**3 / r**6 * slope == pytest.approx(over_r, rel=lost + 3e-12)
 
 
 @pytest.mark.parametrize("r", [0.05, 0.11, 0.2, 0.3, 0.7])

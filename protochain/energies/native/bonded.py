@@ -62,13 +62,28 @@ def torsion_sums(
     for c in range(*mine):
         begin, end = part(len(atoms), c)
         energy = 0.0
+        torque, phi = 0.0, 0.0
         for n in range(begin, end):
-            phi = dihedral(x, atoms[n, 0], atoms[n, 1], atoms[n, 2], atoms[n, 3])
-            times, k = parameters[n, 0], parameters[n, 2]
+            i, j, k, m = atoms[n, 0], atoms[n, 1], atoms[n, 2], atoms[n, 3]
+            # Terms of one torsion, of several periodicities, follow each other.
+            if n == begin or not same_four(atoms, n - 1, n):
+                torque, phi = 0.0, dihedral(x, i, j, k, m)
+            times, height = parameters[n, 0], parameters[n, 2]
             angle = times * phi - parameters[n, 1]
-            energy += k * (1.0 + np.cos(angle))
-            twist(x, atoms[n, 0], atoms[n, 1], atoms[n, 2], atoms[n, 3], k * times * np.sin(angle), sums[c])
+            energy += height * (1.0 + np.cos(angle))
+            torque += height * times * np.sin(angle)
+            if n == end - 1 or not same_four(atoms, n, n + 1):
+                twist(x, i, j, k, m, torque, sums[c])
         energies[c] += energy
+
+
+@scalar
+def same_four(atoms: Integers, a: int, b: int) -> bool:
+    """Whether rows a and b hold the same four atoms in the same order."""
+    return bool(
+        atoms[a, 0] == atoms[b, 0] and atoms[a, 1] == atoms[b, 1] and atoms[a, 2] == atoms[b, 2]
+        and atoms[a, 3] == atoms[b, 3]
+    )  # fmt: skip
 
 
 @shared

@@ -1,4 +1,4 @@
-"""Born radii by pairwise descreening, and the forces due to their change.
+"""Born radii by pairwise descreening, the energy of pairs with them, and the forces due to their change.
 
 Hawkins, Cramer, Truhlar, J. Phys. Chem. 100:19824 (1996), equations 9-11, with the radii of Onufriev,
 Bashford, Case, Proteins 55:383 (2004). Where atom j lies wholly outside atom i, its integral
@@ -14,6 +14,7 @@ from protochain.energies.native.layout import (
     FX,
     FY,
     FZ,
+    GB_CHARGE,
     HALF_INVERSE_BORN,
     PULL,
     S2,
@@ -24,6 +25,8 @@ from protochain.energies.native.layout import (
     X,
     Y,
     Z,
+    apart2,
+    far_rows2,
     part,
     scalar,
     shared,
@@ -31,115 +34,146 @@ from protochain.energies.native.layout import (
     variant,
 )  # fmt: skip
 from protochain.energies.native.pairs import CLOSEST, difference, push
-from protochain.energies.native.series import fourteen, series
+from protochain.energies.native.series import integral_series, inverse_root, logarithm, power_of_two
+
+_LN2 = float(np.log(2.0))
+_LOG2E = 1.0 / _LN2
+BATCH = 64
+"""Near pairs computed at a time."""
 
 
 @shared
 def integral_sums(
-    mine: Share, atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float,
-    near_series: Floats, far_series: Floats, sums: Floats,
+    mine: Share, atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, block_near: Floats,
+    cutoff: float, sums: Floats,
 ) -> None:  # fmt: skip
     """Add the descreening integrals of all pairs at ``near`` or further to row SCALAR of the sums."""
     for c in range(*mine):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
+            far2 = far_rows2(is_near[k], block_near[i], block_near[j], cutoff)
             _integral_tile(
-                atoms[i], atoms[j], i == j, is_near[k], near * near, cutoff * cutoff,
-                near_series if is_near[k] else far_series, sums[c, i], sums[c, j],
-            )  # fmt: skip
+                atoms[i], atoms[j], i == j, near * near, far2, cutoff * cutoff, sums[c, i], sums[c, j]
+            )
 
 
 @tiled
 def _integral_tile(
-    a: Floats, b: Floats, same: bool, is_near: bool, near2: float, cutoff2: float, terms: Floats,
-    a_sums: Floats, b_sums: Floats,
+    a: Floats, b: Floats, same: bool, near2: float, far2: float, cutoff2: float, a_sums: Floats,
+    b_sums: Floats,
 ) -> None:  # fmt: skip
-    if is_near:
-        _integral(a, b, same, True, near2, cutoff2, terms, a_sums, b_sums)
-    else:
-        _integral(a, b, same, False, near2, cutoff2, terms, a_sums, b_sums)
+    for i in range(W):
+        if apart2(a, i, b) < far2:
+            _integrals(a, i, b, same, True, near2, cutoff2, a_sums, b_sums)
+        else:
+            _integrals(a, i, b, same, False, near2, cutoff2, a_sums, b_sums)
 
 
 @variant
-def _integral(
-    a: Floats, b: Floats, same: bool, near: bool, near2: float, cutoff2: float, terms: Floats,
-    a_sums: Floats, b_sums: Floats,
+def _integrals(
+    a: Floats, i: int, b: Floats, same: bool, masked: bool, near2: float, cutoff2: float, a_sums: Floats,
+    b_sums: Floats,
 ) -> None:  # fmt: skip
-    c = fourteen(terms)
-    for i in range(W):
-        xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
-        s2, s3 = a[S2 * W + i], a[S3 * W + i]
-        total = 0.0
-        for j in range(W):
-            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
-            r2 = dx * dx + dy * dy + dz * dz
-            inverse2 = 1.0 / r2
-            inverse2 = inverse2 if r2 < cutoff2 else 0.0
-            if near:
-                inverse2 = inverse2 if (r2 >= near2) & (j > first) else 0.0
-            g, h = series(b[S2 * W + j] * inverse2, c, near), series(s2 * inverse2, c, near)
-            inverse4 = inverse2 * inverse2
-            total += b[S3 * W + j] * inverse4 * g
-            b_sums[SCALAR * W + j] += s3 * inverse4 * h
-        a_sums[SCALAR * W + i] += total
+    """One row of a tile: an atom with a block."""
+    xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
+    s2, s3 = a[S2 * W + i], a[S3 * W + i]
+    total = 0.0
+    for j in range(W):
+        dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+        r2 = dx * dx + dy * dy + dz * dz
+        # One division a pair, beside which the divider is idle, costs less than a root by polynomials.
+        inverse2 = 1.0 / r2
+        if masked:
+            inverse2 = inverse2 if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
+        g = integral_series(b[S2 * W + j] * inverse2, masked)
+        h = integral_series(s2 * inverse2, masked)
+        inverse4 = inverse2 * inverse2
+        total += b[S3 * W + j] * inverse4 * g
+        b_sums[SCALAR * W + j] += s3 * inverse4 * h
+    a_sums[SCALAR * W + i] += total
 
 
 @shared
-def descreening_sums(
-    mine: Share, atoms: Floats, tiles: Integers, is_near: np.ndarray, near: float, cutoff: float,
-    near_series: Floats, far_series: Floats, sums: Floats,
-) -> None:  # fmt: skip
-    """Add the forces of the integrals of :func:`integral_sums`, given dE/d(integral) of each atom."""
+def polar_sums(
+    mine: Share, atoms: Floats, tiles: Integers, cutoff: float, sums: Floats, energies: Floats
+) -> None:
+    """Add the generalised-Born energy of all pairs, its forces, and 2 dE/dB to row SCALAR of the sums.
+
+    -q q / f with f^2 = r^2 + P exp(-r^2 / 4P), P = B B: Still, Tempczyk, Hawley, Hendrickson, JACS 112:6127
+    (1990), equation 3.
+    """
     for c in range(*mine):
         begin, end = part(len(tiles), c)
+        energy, rows = 0.0, np.empty(3 * W)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
-            _descreening_tile(
-                atoms[i], atoms[j], i == j, is_near[k], near * near, cutoff * cutoff,
-                near_series if is_near[k] else far_series, sums[c, i], sums[c, j],
+            masked = i == j or cutoff < np.inf
+            energy -= _polar_tile(
+                atoms[i], atoms[j], i == j, masked, cutoff * cutoff, 1.0 / cutoff, rows, sums[c, i],
+                sums[c, j],
             )  # fmt: skip
+        energies[c] += energy
 
 
 @tiled
-def _descreening_tile(
-    a: Floats, b: Floats, same: bool, is_near: bool, near2: float, cutoff2: float, terms: Floats,
+def _polar_tile(
+    a: Floats, b: Floats, same: bool, masked: bool, cutoff2: float, shift: float, rows: Floats,
     a_sums: Floats, b_sums: Floats,
-) -> None:  # fmt: skip
-    if is_near:
-        _descreening(a, b, same, True, near2, cutoff2, terms, a_sums, b_sums)
-    else:
-        _descreening(a, b, same, False, near2, cutoff2, terms, a_sums, b_sums)
+) -> float:  # fmt: skip
+    if masked:
+        return _polar(a, b, same, True, cutoff2, shift, rows, a_sums, b_sums)
+    return _polar(a, b, same, False, cutoff2, shift, rows, a_sums, b_sums)
 
 
 @variant
-def _descreening(
-    a: Floats, b: Floats, same: bool, near: bool, near2: float, cutoff2: float, terms: Floats,
+def _polar(
+    a: Floats, b: Floats, same: bool, masked: bool, cutoff2: float, shift: float, rows: Floats,
     a_sums: Floats, b_sums: Floats,
-) -> None:  # fmt: skip
-    c = fourteen(terms)
+) -> float:  # fmt: skip
+    """Add forces and 2 dE/dB, return minus the energy.
+
+    Two loops, with what goes from the first to the second in ``rows``: the processor keeps shorter chains of
+    dependences under way side by side.
+    """
+    energy = 0.0
     for i in range(W):
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
-        s2, s3, pull = a[S2 * W + i], a[S3 * W + i], a[PULL * W + i]
-        fx, fy, fz = 0.0, 0.0, 0.0
+        qi = a[GB_CHARGE * W + i]
+        born, half = a[BORN * W + i], -_LOG2E * a[HALF_INVERSE_BORN * W + i]
+        fx, fy, fz, slope = 0.0, 0.0, 0.0, 0.0
         for j in range(W):
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
-            inverse2 = 1.0 / r2
-            inverse2 = inverse2 if r2 < cutoff2 else 0.0
-            if near:
-                inverse2 = inverse2 if (r2 >= near2) & (j > first) else 0.0
-            g, h = series(b[S2 * W + j] * inverse2, c, near), series(s2 * inverse2, c, near)
-            f = (pull * b[S3 * W + j] * g + b[PULL * W + j] * s3 * h) * inverse2 * inverse2 * inverse2
+            exponent = r2 * (half * b[HALF_INVERSE_BORN * W + j])
+            decay = power_of_two(exponent)
+            rows[j] = r2 + born * b[BORN * W + j] * decay
+            rows[W + j] = decay
+            rows[2 * W + j] = decay - decay * exponent * _LN2
+        for j in range(W):
+            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+            inverse_f, qq = inverse_root(rows[j]), qi * b[GB_CHARGE * W + j]
+            if masked:
+                qq = qq if (dx * dx + dy * dy + dz * dz < cutoff2) & (j > first) else 0.0
+                energy -= qq * shift
+            pair = qq * inverse_f
+            energy += pair
+            cube = pair * (inverse_f * inverse_f)
+            f = cube - 0.25 * cube * rows[W + j]
+            with_born = cube * rows[2 * W + j]
+            slope += with_born * b[BORN * W + j]
             fx += f * dx
             fy += f * dy
             fz += f * dz
-            b_sums[FX * W + j] -= f * dx
-            b_sums[FY * W + j] -= f * dy
-            b_sums[FZ * W + j] -= f * dz
-        a_sums[FX * W + i] += fx
-        a_sums[FY * W + i] += fy
-        a_sums[FZ * W + i] += fz
+            b_sums[FX * W + j] += f * dx
+            b_sums[FY * W + j] += f * dy
+            b_sums[FZ * W + j] += f * dz
+            b_sums[SCALAR * W + j] += with_born * born
+        a_sums[FX * W + i] -= fx
+        a_sums[FY * W + i] -= fy
+        a_sums[FZ * W + i] -= fz
+        a_sums[SCALAR * W + i] += slope
+    return energy
 
 
 @shared
@@ -147,48 +181,72 @@ def near_integral_sums(
     mine: Share, x: Floats, offset_radius: Floats, scaled_radius: Floats, engulfs: bool, pairs: Integers,
     near: float, slopes: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """Add the integrals of listed pairs nearer than ``near``, and store their slopes over distance."""
+    """Add the integrals of listed pairs nearer than ``near``, and store their slopes over distance.
+
+    Those found near are computed many at a time, as vectors.
+    """
     for c in range(*mine):
         begin, end = part(len(pairs), c)
+        found, which, count = np.ones(9 * BATCH), np.empty(BATCH, np.int64), 0
         for k in range(begin, end):
             i, j = pairs[k, 0], pairs[k, 1]
             r2 = max(difference(x, i, j)[3], CLOSEST)
             slopes[k, 0], slopes[k, 1] = 0.0, 0.0
             if r2 < near * near:
-                r = np.sqrt(r2)
-                of_i, slopes[k, 0] = descreening(r, offset_radius[i], scaled_radius[j], engulfs)
-                of_j, slopes[k, 1] = descreening(r, offset_radius[j], scaled_radius[i], engulfs)
-                sums[c, i // W, SCALAR * W + i % W] += of_i
-                sums[c, j // W, SCALAR * W + j % W] += of_j
+                which[count], found[count] = k, r2
+                found[BATCH + count], found[2 * BATCH + count] = offset_radius[i], scaled_radius[i]
+                found[3 * BATCH + count], found[4 * BATCH + count] = offset_radius[j], scaled_radius[j]
+                count += 1
+            if count == BATCH or k == end - 1:
+                _descreenings(found, engulfs)
+                for place in range(count):
+                    at, i, j = which[place], pairs[which[place], 0], pairs[which[place], 1]
+                    sums[c, i // W, SCALAR * W + i % W] += found[5 * BATCH + place]
+                    sums[c, j // W, SCALAR * W + j % W] += found[6 * BATCH + place]
+                    slopes[at, 0], slopes[at, 1] = found[7 * BATCH + place], found[8 * BATCH + place]
+                count = 0
 
 
-@scalar
+@tiled
+def _descreenings(found: Floats, engulfs: bool) -> None:
+    """From rows r^2, offset and scaled radii of atoms i and j: rows of integrals and slopes of i and j."""
+    for k in range(BATCH):
+        r = np.sqrt(found[k])
+        of_i, slope_i = descreening(r, found[BATCH + k], found[4 * BATCH + k], engulfs)
+        of_j, slope_j = descreening(r, found[3 * BATCH + k], found[2 * BATCH + k], engulfs)
+        found[5 * BATCH + k], found[6 * BATCH + k] = of_i, of_j
+        found[7 * BATCH + k], found[8 * BATCH + k] = slope_i, slope_j
+
+
+@variant
 def descreening(r: float, radius: float, s: float, engulfs: bool) -> tuple[float, float]:
     """Descreening integral of a sphere of radius s at distance r from an atom, and its slope divided by r.
 
-    ``engulfs`` adds 1/radius - 1/L where the sphere contains the whole atom, as GBSAOBCForce does.
+    ``engulfs`` adds 1/radius - 1/L where the sphere contains the whole atom, as GBSAOBCForce does. Without
+    branches, to vectorise.
     """
-    if r + s <= radius:
-        return 0.0, 0.0
-    reach = abs(r - s)
+    reach, furthest = abs(r - s), r + s
     outside = reach > radius
-    lower = 1.0 / (reach if outside else radius)
-    upper = 1.0 / (r + s)
+    nearest = reach if outside else radius
+    each = 1.0 / (nearest * furthest * r)
+    lower, upper, inverse = furthest * r * each, nearest * r * each, nearest * furthest * each
     # L moves with r where the sphere's nearest point lies outside the atom.
-    d_lower = (-lower * lower if r > s else lower * lower) if outside else 0.0
-    d_upper = -upper * upper
-    squares, log = upper * upper - lower * lower, np.log(upper / lower)
-    arm = r - s * s / r
-    value = lower - upper + 0.25 * arm * squares + 0.5 * log / r
+    moves = (-lower if r > s else lower) if outside else 0.0
+    squares, log = upper * upper - lower * lower, logarithm(nearest * upper)
+    ratio = s * s * inverse
+    arm = r - ratio
+    value = lower - upper + 0.25 * arm * squares + 0.5 * log * inverse
     slope = (
-        d_lower - d_upper + 0.25 * (1.0 + s * s / (r * r)) * squares
-        + 0.5 * arm * (upper * d_upper - lower * d_lower)
-        - 0.5 * log / (r * r) + 0.5 * (d_upper / upper - d_lower / lower) / r
+        moves * lower + upper * upper + 0.25 * (1.0 + ratio * inverse) * squares
+        - 0.5 * arm * (upper * upper * upper + moves * lower * lower)
+        - 0.5 * log * inverse * inverse - 0.5 * (upper + moves) * inverse
     )  # fmt: skip
-    if engulfs and radius < s - r:
-        value += 2.0 * (1.0 / radius - lower)
-        slope -= 2.0 * d_lower
-    return 0.5 * value, 0.5 * slope / r
+    if engulfs:
+        within = radius < s - r
+        value += 2.0 * (1.0 / radius - lower) if within else 0.0
+        slope -= 2.0 * moves * lower if within else 0.0
+    touches = furthest > radius
+    return 0.5 * value if touches else 0.0, 0.5 * slope * inverse if touches else 0.0
 
 
 @shared
@@ -234,7 +292,7 @@ def put_born_radii(
 def add_self_energy(
     begin: int, end: int, gb_charge: Floats, surface: Floats, slope: Floats, atoms: Floats, with_born: Floats
 ) -> tuple[float, float]:
-    """Self energy -q^2 / (2 B) and surface energy c / B^6 of some atoms; dE/dB becomes dE/d(integral).
+    """Self energy -q^2 / (2 B) and surface energy c / B^6 of some atoms; 2 dE/dB becomes dE/d(integral).
 
     Surface: Schaefer, Bartels, Karplus, J. Mol. Biol. 284:835 (1998).
     """
@@ -246,6 +304,7 @@ def add_self_energy(
         sixth = surface[i] * inverse**6
         polar -= 0.5 * q2 * inverse
         area += sixth
-        with_born[i] = (with_born[i] + 0.5 * q2 * inverse * inverse - 6.0 * sixth * inverse) * slope[i]
+        of_born = 0.5 * (with_born[i] + q2 * inverse * inverse) - 6.0 * sixth * inverse
+        with_born[i] = of_born * slope[i]
         atoms[block, PULL * W + k] = with_born[i]
     return polar, area

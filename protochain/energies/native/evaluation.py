@@ -10,15 +10,8 @@ from protochain.arrays import Floats
 from protochain.energies.native.atomic import TICK
 from protochain.energies.native.evaluate import Layout
 from protochain.energies.native.helpers import Helpers, Worth, helpers
-from protochain.energies.native.layout import CHUNKS, SUMS, W
+from protochain.energies.native.layout import CHUNKS, SUMS, W, aligned
 from protochain.energies.native.neighbours import Lists
-from protochain.energies.native.series import (
-    EXPONENTIAL,
-    FAR_INTEGRAL,
-    FAR_SLOPE,
-    NEAR_INTEGRAL,
-    NEAR_SLOPE,
-)  # fmt: skip
 from protochain.energies.native.tasks import ALL, COUNTERS, LED, QUIT, TASKS, TOOK, WAITED, work
 
 KINDS = (
@@ -50,8 +43,9 @@ class Workspace:
     def __init__(self, layout: Layout) -> None:
         n = layout.terms.n_atoms
         self.x, self.forces = np.empty((n, 3)), np.empty((n, 3))
-        self.atoms = layout.blocks.copy()
-        self.sums = np.empty((CHUNKS, len(self.atoms), SUMS * W))
+        self.atoms = aligned(layout.blocks.shape)
+        self.atoms[:] = layout.blocks
+        self.sums = aligned((CHUNKS, len(self.atoms), SUMS * W))
         self.parts = np.empty((len(KINDS), CHUNKS))
         self.worth = Worth()
         self.integral, self.slope, self.pull = np.empty((3, len(self.atoms) * W))
@@ -140,7 +134,7 @@ def arguments(layout: Layout, lists: Lists, fixed: Floats, w: Workspace) -> tupl
     """Return the arguments of :func:`tasks.work` behind its counters, by subject; None for what is absent."""
     terms, nonbonded, solvent = layout.terms, layout.terms.nonbonded, layout.terms.solvent
     pairwise = tuple(map(float, (layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf)))
-    vacuum = *_fixed(layout.lj, layout.lj_type, lists.tiles, lists.is_near), pairwise
+    vacuum = *_fixed(layout.lj, layout.lj_type, lists.tiles, lists.is_near, layout.block_near), pairwise
     kinds = _fixed(nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type)
     bonded = (_fixed(terms.bonded[kind].atoms, terms.bonded[kind].parameters) for kind in _BONDED)
     own = _fixed(nonbonded.exceptions.atoms, nonbonded.exceptions.parameters)
@@ -156,12 +150,11 @@ def arguments(layout: Layout, lists: Lists, fixed: Floats, w: Workspace) -> tupl
         *_fixed(solvent.offset_radius, solvent.radius, solvent.bend, solvent.scaled_radius),
         bool(solvent.engulfs), *_fixed(solvent.charge, solvent.surface), float(solvent.cutoff),
     )  # fmt: skip
-    series = _fixed(EXPONENTIAL, NEAR_INTEGRAL, FAR_INTEGRAL, NEAR_SLOPE, FAR_SLOPE)
     written = np.empty((len(lists.close), 2)), w.integral, w.slope, w.pull
-    born = each, series, _fixed(lists.close, fixed), written
+    born = each, _fixed(lists.close, fixed), written
     if solvent.necks is None:
         return w.state, vacuum, some, of_maps, born, None
-    necks = _fixed(layout.necks, layout.neck_type, lists.tiles[lists.is_necked])
+    necks = *_fixed(layout.necks, layout.neck_type, lists.tiles[lists.is_necked]), layout.necked
     return w.state, vacuum, some, of_maps, born, necks
 
 

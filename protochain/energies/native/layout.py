@@ -1,9 +1,10 @@
 """Memory layout of atoms: blocks of W atoms, each quantity in one row of W numbers.
 
 Rows lie at constant distances from one address: the compiler sees that rows written do not overlap rows read,
-and vectorises over four atoms.
+and vectorises over four atoms, or eight.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
@@ -14,10 +15,10 @@ from protochain.compilation import njit
 
 W = 32
 """Atoms in a block. Wider ones waste more on padding, narrower ones more on sums along rows."""
-X, Y, Z, CHARGE, GB_CHARGE, S2, S3, BORN, HALF_INVERSE_BORN, PULL = range(10)
+X, Y, Z, CHARGE, GB_CHARGE, S2, S3, BORN, HALF_INVERSE_BORN, PULL, BOX = range(11)
 """Rows of a block: position (nm); charges times the root of their constant; square and half the cube of the
-scaled radius; Born radius B; 1/(2 B); dE/d(Born integral)."""
-ROWS = 10
+scaled radius; Born radius B; 1/(2 B); dE/d(Born integral); lowest and highest x, y, z of its atoms."""
+ROWS = 11
 FX, FY, FZ, SCALAR = range(4)
 """Rows that the chunks write: force, and one scalar sum of each atom (Born integral or dE/dB)."""
 SUMS = 4
@@ -41,6 +42,11 @@ def variant(function: F) -> F:
     """Compile as :func:`tiled`, inlined: branches on constants of the caller cost nothing in loops."""
     fast = {"contract", "reassoc", "nsz"}
     return cast(F, njit(error_model="numpy", fastmath=fast, forceinline=True)(function))
+
+
+def ordered(function: F) -> F:
+    """Compile as :func:`variant`, but additions keep their order: one that rounds is no detour to remove."""
+    return cast(F, njit(error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)(function))
 
 
 def scalar(function: F) -> F:
@@ -78,13 +84,50 @@ def empty_blocks(n: int) -> Floats:
     return blocks.reshape(-1, ROWS * W)
 
 
+def aligned(shape: tuple[int, ...]) -> Floats:
+    """Zeros that begin at a cache line, which vectors of eight doubles would otherwise straddle."""
+    size, line = math.prod(shape), 8
+    room = np.zeros(size + line)
+    start = -(room.ctypes.data // room.itemsize) % line
+    return room[start : start + size].reshape(shape)
+
+
 @scalar
 def put_positions(x: Floats, atoms: Floats) -> None:
-    """Write positions (na, 3) into the blocks."""
+    """Write positions (na, 3) into the blocks, and the boxes around these, padding included."""
     for i in range(len(x)):
         block, k = i // W, i % W
         for axis in range(3):
             atoms[block, axis * W + k] = x[i, axis]
+    for block in range(len(atoms)):
+        for axis in range(3):
+            low = high = atoms[block, axis * W]
+            for k in range(1, W):
+                at = atoms[block, axis * W + k]
+                low, high = min(low, at), max(high, at)
+            atoms[block, BOX * W + axis], atoms[block, BOX * W + 3 + axis] = low, high
+
+
+@scalar
+def apart2(a: Floats, i: int, b: Floats) -> float:
+    """Squared distance of a block's atom i from the box around another block."""
+    total = 0.0
+    for axis in range(3):
+        at = a[axis * W + i]
+        gap = max(b[BOX * W + axis] - at, at - b[BOX * W + 3 + axis], 0.0)
+        total += gap * gap
+    return total
+
+
+@scalar
+def far_rows2(is_near: bool, i_near: float, j_near: float, cutoff: float) -> float:
+    """Square of the distance beyond which a row, an atom with a block, needs neither near series nor masks.
+
+    0 if all of a tile's rows are beyond, infinite if a cutoff masks all.
+    """
+    if cutoff < np.inf:
+        return np.inf
+    return max(i_near, j_near) ** 2 if is_near else 0.0
 
 
 @scalar

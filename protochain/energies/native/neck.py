@@ -3,8 +3,6 @@
 Mongan, Simmerling, McCammon, Case, Onufriev, J. Chem. Theory Comput. 3:156 (2007), equation 12.
 """
 
-import numpy as np
-
 from protochain.arrays import Floats, Integers
 from protochain.energies.native.layout import (
     FX,
@@ -17,10 +15,12 @@ from protochain.energies.native.layout import (
     X,
     Y,
     Z,
+    apart2,
     part,
     shared,
     tiled,
 )  # fmt: skip
+from protochain.energies.native.series import inverse_root
 
 REACH = 0.68
 """nm. Largest distance between the surfaces of two atoms with a neck."""
@@ -33,73 +33,70 @@ _WIDE, _STEEP = 100.0, 0.3e6
 
 @shared
 def neck_sums(
-    mine: Share,
-    atoms: Floats,
-    necks: Floats,
-    neck_type: Integers,
-    tiles: Integers,
-    cutoff: float,
-    sums: Floats,
-) -> None:
+    mine: Share, atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, reach: float,
+    cutoff: float, sums: Floats,
+) -> None:  # fmt: skip
     """Add the necks' contributions to the Born integrals to row SCALAR of the sums."""
     for c in range(*mine):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
             _neck_tile(
-                atoms[i], atoms[j], necks[j], neck_type[i], i == j, cutoff * cutoff, sums[c, i], sums[c, j]
-            )
+                atoms[i], atoms[j], necks[j], neck_type[i], i == j, reach, cutoff * cutoff, sums[c, i],
+                sums[c, j],
+            )  # fmt: skip
 
 
 @tiled
 def _neck_tile(
-    a: Floats, b: Floats, necks: Floats, neck_type: Integers, same: bool, cutoff2: float, a_sums: Floats,
-    b_sums: Floats,
+    a: Floats, b: Floats, necks: Floats, neck_type: Integers, same: bool, reach: float, cutoff2: float,
+    a_sums: Floats, b_sums: Floats,
 ) -> None:  # fmt: skip
     for i in range(W):
+        if apart2(a, i, b) > reach * reach:
+            continue
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
         row = necks[neck_type[i]]
         total = 0.0
         for j in range(W):
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
-            r = np.sqrt(r2)
+            r = r2 * inverse_root(r2)
             inside = (r2 <= row[REACH2 * W + j]) & (r2 < cutoff2) & (j > first)
             di, dj = r - row[PLACE_I * W + j], r - row[PLACE_J * W + j]
             di2, dj2 = di * di, dj * dj
-            of_i = row[HEIGHT_I * W + j] / (1.0 + di2 * (_WIDE + _STEEP * di2 * di2))
-            of_j = row[HEIGHT_J * W + j] / (1.0 + dj2 * (_WIDE + _STEEP * dj2 * dj2))
-            total += of_i if inside else 0.0
-            b_sums[SCALAR * W + j] += of_j if inside else 0.0
+            ui, uj = 1.0 + di2 * (_WIDE + _STEEP * di2 * di2), 1.0 + dj2 * (_WIDE + _STEEP * dj2 * dj2)
+            # One division for both.
+            both = 1.0 / (ui * uj) if inside else 0.0
+            total += row[HEIGHT_I * W + j] * uj * both
+            b_sums[SCALAR * W + j] += row[HEIGHT_J * W + j] * ui * both
         a_sums[SCALAR * W + i] += total
 
 
 @shared
 def neck_force_sums(
-    mine: Share,
-    atoms: Floats,
-    necks: Floats,
-    neck_type: Integers,
-    tiles: Integers,
-    cutoff: float,
-    sums: Floats,
-) -> None:
+    mine: Share, atoms: Floats, necks: Floats, neck_type: Integers, tiles: Integers, reach: float,
+    cutoff: float, sums: Floats,
+) -> None:  # fmt: skip
     """Add the forces of the necks, given dE/d(integral) of each atom."""
     for c in range(*mine):
         begin, end = part(len(tiles), c)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
             _neck_force_tile(
-                atoms[i], atoms[j], necks[j], neck_type[i], i == j, cutoff * cutoff, sums[c, i], sums[c, j]
-            )
+                atoms[i], atoms[j], necks[j], neck_type[i], i == j, reach, cutoff * cutoff, sums[c, i],
+                sums[c, j],
+            )  # fmt: skip
 
 
 @tiled
 def _neck_force_tile(
-    a: Floats, b: Floats, necks: Floats, neck_type: Integers, same: bool, cutoff2: float, a_sums: Floats,
-    b_sums: Floats,
+    a: Floats, b: Floats, necks: Floats, neck_type: Integers, same: bool, reach: float, cutoff2: float,
+    a_sums: Floats, b_sums: Floats,
 ) -> None:  # fmt: skip
     for i in range(W):
+        if apart2(a, i, b) > reach * reach:
+            continue
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
         row, pull = necks[neck_type[i]], a[PULL * W + i]
         fx, fy, fz = 0.0, 0.0, 0.0
@@ -107,16 +104,17 @@ def _neck_force_tile(
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             r2 = dx * dx + dy * dy + dz * dz
             inside = (r2 <= row[REACH2 * W + j]) & (r2 < cutoff2) & (j > first) & (r2 > 0.0)
-            inverse = 1.0 / np.sqrt(r2)
+            inverse = inverse_root(r2)
             inverse = inverse if inside else 0.0
             r = r2 * inverse
             di, dj = r - row[PLACE_I * W + j], r - row[PLACE_J * W + j]
             di2, dj2 = di * di, dj * dj
-            ui = 1.0 / (1.0 + di2 * (_WIDE + _STEEP * di2 * di2))
-            uj = 1.0 / (1.0 + dj2 * (_WIDE + _STEEP * dj2 * dj2))
-            fi = pull * row[HEIGHT_I * W + j] * ui * ui * di * (_WIDE + 3.0 * _STEEP * di2 * di2)
-            fj = b[PULL * W + j] * row[HEIGHT_J * W + j] * uj * uj * dj * (_WIDE + 3.0 * _STEEP * dj2 * dj2)
-            f = 2.0 * (fi + fj) * inverse
+            di4, dj4 = di2 * di2, dj2 * dj2
+            ui, uj = 1.0 + di2 * (_WIDE + _STEEP * di4), 1.0 + dj2 * (_WIDE + _STEEP * dj4)
+            both = 1.0 / (ui * uj)
+            fi = pull * row[HEIGHT_I * W + j] * uj * uj * di * (_WIDE + 3.0 * _STEEP * di4)
+            fj = b[PULL * W + j] * row[HEIGHT_J * W + j] * ui * ui * dj * (_WIDE + 3.0 * _STEEP * dj4)
+            f = 2.0 * (fi + fj) * both * both * inverse
             fx += f * dx
             fy += f * dy
             fz += f * dz

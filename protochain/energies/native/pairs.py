@@ -1,34 +1,35 @@
-"""Lennard-Jones, Coulomb and generalised-Born energies of pairs, in tiles of blocks and in lists.
+"""Lennard-Jones and Coulomb energies of pairs, in tiles of blocks and in lists.
 
-Tiles compute all pairs at ``near`` or further, four at a time, bonded or not. Nearer pairs, among which the
-repulsion of excluded ones would drown all other digits, come from a list without them. Exceptions are then
-corrected one by one.
+Tiles compute all pairs at ``near`` or further, a vector at a time, bonded or not. Nearer pairs, among which
+the repulsion of excluded ones would drown all other digits, come from a list without them. Exceptions are
+then corrected one by one.
 """
 
 import numpy as np
 
 from protochain.arrays import Floats, Integers
 from protochain.energies.native.layout import (
-    BORN,
     CHARGE,
     FX,
     FY,
     FZ,
-    GB_CHARGE,
-    HALF_INVERSE_BORN,
-    SCALAR,
+    PULL,
+    S2,
+    S3,
     Share,
     W,
     X,
     Y,
     Z,
+    apart2,
+    far_rows2,
     part,
     scalar,
     shared,
     tiled,
     variant,
 )  # fmt: skip
-from protochain.energies.native.series import exponential, sixteen
+from protochain.energies.native.series import inverse_root, slope_series
 
 # Arrays are passed one by one: NamedTuples of them give the same bits, but numba's dispatch then costs 1 to
 # 6 % of an energy of 1l2y (7 to 22 us) and 1 to 3 % of one of 1ubq, on 2 threads.
@@ -40,164 +41,135 @@ CLOSEST = 1e-12
 @shared
 def pair_sums(
     mine: Share, atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray,
-    near: float, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
+    near: float, block_near: Floats, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
     """Add Lennard-Jones and Coulomb forces and energies of all tiles, by chunk."""
     for c in range(*mine):
         begin, end = part(len(tiles), c)
-        energy = 0.0
+        energy, inverses = 0.0, np.empty(W)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
-            masked = is_near[k] or cutoff < np.inf
-            energy += pair_tile(
-                atoms[i], atoms[j], lj[j], lj_type[i], i == j, masked, near * near, cutoff * cutoff, krf, crf,
-                sums[c, i], sums[c, j],
+            far2 = far_rows2(is_near[k], block_near[i], block_near[j], cutoff)
+            energy += _pair_tile(
+                atoms[i], atoms[j], lj[j], lj_type[i], i == j, near * near, far2, cutoff * cutoff, krf, crf,
+                inverses, sums[c, i], sums[c, j],
             )  # fmt: skip
         energies[c] += energy
-
-
-@tiled
-def pair_tile(
-    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
-    cutoff2: float, krf: float, crf: float, a_sums: Floats, b_sums: Floats,
-) -> float:  # fmt: skip
-    """Energy of two blocks in vacuum, without masks where all pairs are apart."""
-    if masked:
-        return _pairs(a, b, lj, lj_type, same, True, near2, cutoff2, krf, crf, a_sums, b_sums)
-    return _pairs(a, b, lj, lj_type, same, False, near2, cutoff2, krf, crf, a_sums, b_sums)
-
-
-@variant
-def _pairs(
-    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
-    cutoff2: float, krf: float, crf: float, a_sums: Floats, b_sums: Floats,
-) -> float:  # fmt: skip
-    """Add forces, return the energy.
-
-    ``lj`` holds, for each type of the atom in a, 12 A and 6 B of its A/r^12 - B/r^6 with each atom of b.
-    """
-    repulsion, attraction, coulomb = 0.0, 0.0, 0.0
-    for i in range(W):
-        xi, yi, zi, qi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], a[CHARGE * W + i], i if same else -1
-        row = lj[lj_type[i]]
-        fx, fy, fz = 0.0, 0.0, 0.0
-        for j in range(W):
-            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
-            r2 = dx * dx + dy * dy + dz * dz
-            inverse, qq = 1.0 / np.sqrt(r2), qi * b[CHARGE * W + j]
-            if masked:
-                inside = (r2 >= near2) & (r2 < cutoff2) & (j > first)
-                inverse, qq = inverse if inside else 0.0, qq if inside else 0.0
-            inverse2 = inverse * inverse
-            inverse6 = inverse2 * inverse2 * inverse2
-            twelve, six = row[j] * inverse6 * inverse6, row[W + j] * inverse6
-            repulsion += twelve
-            attraction += six
-            coulomb += qq * inverse
-            f = (twelve - six + qq * inverse) * inverse2
-            if masked:
-                coulomb += qq * (krf * r2 - crf)
-                f -= 2.0 * krf * qq
-            fx += f * dx
-            fy += f * dy
-            fz += f * dz
-            b_sums[FX * W + j] -= f * dx
-            b_sums[FY * W + j] -= f * dy
-            b_sums[FZ * W + j] -= f * dz
-        a_sums[FX * W + i] += fx
-        a_sums[FY * W + i] += fy
-        a_sums[FZ * W + i] += fz
-    return repulsion / 12.0 - attraction / 6.0 + coulomb
 
 
 @shared
 def solvated_pair_sums(
     mine: Share, atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray,
-    near: float, cutoff: float, krf: float, crf: float, exp: Floats, sums: Floats, energies: Floats,
-    gb_energies: Floats,
+    near: float, block_near: Floats, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
-    """As :func:`pair_sums`, with the generalised-Born energy and its derivatives by Born radii."""
+    """As :func:`pair_sums`, with the forces of the Born integrals, given dE/d(integral) of each atom.
+
+    Together, because both need inverse distances.
+    """
     for c in range(*mine):
         begin, end = part(len(tiles), c)
-        energy, gb_energy = 0.0, 0.0
+        energy, inverses = 0.0, np.empty(W)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
-            masked = is_near[k] or cutoff < np.inf
-            pair, gb = solvated_tile(
-                atoms[i], atoms[j], lj[j], lj_type[i], i == j, masked, near * near, cutoff * cutoff, krf, crf,
-                1.0 / cutoff, exp, sums[c, i], sums[c, j],
+            far2 = far_rows2(is_near[k], block_near[i], block_near[j], cutoff)
+            energy += _solvated_tile(
+                atoms[i], atoms[j], lj[j], lj_type[i], i == j, near * near, far2, cutoff * cutoff, krf, crf,
+                inverses, sums[c, i], sums[c, j],
             )  # fmt: skip
-            energy += pair
-            gb_energy += gb
         energies[c] += energy
-        gb_energies[c] += gb_energy
 
 
 @tiled
-def solvated_tile(
-    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
-    cutoff2: float, krf: float, crf: float, shift: float, exp: Floats, a_sums: Floats, b_sums: Floats,
-) -> tuple[float, float]:  # fmt: skip
-    """Energies of two blocks: as :func:`pair_tile`, and -q q / f with f^2 = r^2 + P exp(-r^2 / 4P), P = B B.
+def _pair_tile(
+    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, near2: float, far2: float,
+    cutoff2: float, krf: float, crf: float, inverses: Floats, a_sums: Floats, b_sums: Floats,
+) -> float:  # fmt: skip
+    """Energy of two blocks in vacuum."""
+    energy = 0.0
+    for i in range(W):
+        row, first = lj[lj_type[i]], i if same else -1
+        if apart2(a, i, b) < far2:
+            _inverses(a, i, b, first, True, near2, cutoff2, inverses)
+            energy += _pairs(a, i, b, row, True, False, krf, crf, inverses, a_sums, b_sums)
+        else:
+            _inverses(a, i, b, first, False, near2, cutoff2, inverses)
+            energy += _pairs(a, i, b, row, False, False, krf, crf, inverses, a_sums, b_sums)
+    return energy
 
-    Still, Tempczyk, Hawley, Hendrickson, JACS 112:6127 (1990), equation 3.
-    """
-    if masked:
-        return _solvated(a, b, lj, lj_type, same, True, near2, cutoff2, krf, crf, shift, exp, a_sums, b_sums)
-    return _solvated(a, b, lj, lj_type, same, False, near2, cutoff2, krf, crf, shift, exp, a_sums, b_sums)
+
+@tiled
+def _solvated_tile(
+    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, near2: float, far2: float,
+    cutoff2: float, krf: float, crf: float, inverses: Floats, a_sums: Floats, b_sums: Floats,
+) -> float:  # fmt: skip
+    """As :func:`_pair_tile`, with the forces of the Born integrals."""
+    energy = 0.0
+    for i in range(W):
+        row, first = lj[lj_type[i]], i if same else -1
+        if apart2(a, i, b) < far2:
+            _inverses(a, i, b, first, True, near2, cutoff2, inverses)
+            energy += _pairs(a, i, b, row, True, True, krf, crf, inverses, a_sums, b_sums)
+        else:
+            _inverses(a, i, b, first, False, near2, cutoff2, inverses)
+            energy += _pairs(a, i, b, row, False, True, krf, crf, inverses, a_sums, b_sums)
+    return energy
 
 
 @variant
-def _solvated(
-    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, masked: bool, near2: float,
-    cutoff2: float, krf: float, crf: float, shift: float, exp: Floats, a_sums: Floats, b_sums: Floats,
-) -> tuple[float, float]:  # fmt: skip
-    """Add forces and dE/dB, return the energies."""
-    c = sixteen(exp)
-    repulsion, attraction, coulomb, polar = 0.0, 0.0, 0.0, 0.0
-    for i in range(W):
-        xi, yi, zi, qi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], a[CHARGE * W + i], i if same else -1
-        gi, born, half = a[GB_CHARGE * W + i], a[BORN * W + i], a[HALF_INVERSE_BORN * W + i]
-        row = lj[lj_type[i]]
-        fx, fy, fz, slope = 0.0, 0.0, 0.0, 0.0
-        for j in range(W):
-            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
-            r2 = dx * dx + dy * dy + dz * dz
-            d = r2 * half * b[HALF_INVERSE_BORN * W + j]
-            decay = exponential(d, c)
-            inverse_f = 1.0 / np.sqrt(r2 + born * b[BORN * W + j] * decay)
-            inverse, qq, g = 1.0 / np.sqrt(r2), qi * b[CHARGE * W + j], gi * b[GB_CHARGE * W + j]
-            if masked:
-                inside = (r2 < cutoff2) & (j > first)
-                apart = inside & (r2 >= near2)
-                inverse, qq, g = inverse if apart else 0.0, qq if apart else 0.0, g if inside else 0.0
-            inverse2 = inverse * inverse
-            inverse6 = inverse2 * inverse2 * inverse2
-            twelve, six = row[j] * inverse6 * inverse6, row[W + j] * inverse6
-            repulsion += twelve
-            attraction += six
-            coulomb += qq * inverse
-            polar += g * inverse_f
-            cube = g * inverse_f * inverse_f * inverse_f
-            with_born = 0.5 * cube * decay * (1.0 + d)
-            slope += with_born * b[BORN * W + j]
-            f = (twelve - six + qq * inverse) * inverse2 - cube * (1.0 - 0.25 * decay)
-            if masked:
-                coulomb += qq * (krf * r2 - crf)
-                polar -= g * shift
-                f -= 2.0 * krf * qq
-            fx += f * dx
-            fy += f * dy
-            fz += f * dz
-            b_sums[FX * W + j] -= f * dx
-            b_sums[FY * W + j] -= f * dy
-            b_sums[FZ * W + j] -= f * dz
-            b_sums[SCALAR * W + j] += with_born * born
-        a_sums[FX * W + i] += fx
-        a_sums[FY * W + i] += fy
-        a_sums[FZ * W + i] += fz
-        a_sums[SCALAR * W + i] += slope
-    return repulsion / 12.0 - attraction / 6.0 + coulomb, -polar
+def _inverses(
+    a: Floats, i: int, b: Floats, first: int, masked: bool, near2: float, cutoff2: float, inverses: Floats
+) -> None:
+    """Inverse distances of an atom from a block; 0 where masked.
+
+    In a loop of their own: the processor keeps shorter chains of dependences under way side by side.
+    """
+    xi, yi, zi = a[X * W + i], a[Y * W + i], a[Z * W + i]
+    for j in range(W):
+        dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+        r2 = dx * dx + dy * dy + dz * dz
+        inverse = inverse_root(r2)
+        if masked:
+            inverse = inverse if (r2 >= near2) & (r2 < cutoff2) & (j > first) else 0.0
+        inverses[j] = inverse
+
+
+@variant
+def _pairs(
+    a: Floats, i: int, b: Floats, row: Floats, masked: bool, in_solvent: bool, krf: float, crf: float,
+    inverses: Floats, a_sums: Floats, b_sums: Floats,
+) -> float:  # fmt: skip
+    """Add the forces between an atom and a block, return the energy.
+
+    ``row`` holds 12 A and 6 B of its A/r^12 - B/r^6 with each atom of b.
+    """
+    xi, yi, zi, qi = a[X * W + i], a[Y * W + i], a[Z * W + i], a[CHARGE * W + i]
+    s2, s3, pull = a[S2 * W + i], a[S3 * W + i], a[PULL * W + i]
+    energy, fx, fy, fz = 0.0, 0.0, 0.0, 0.0
+    for j in range(W):
+        dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+        inverse, qq = inverses[j], qi * b[CHARGE * W + j]
+        inverse2 = inverse * inverse
+        inverse6 = inverse2 * inverse2 * inverse2
+        twelve, six, coulomb = row[j] * inverse6 * inverse6, row[W + j] * inverse6, qq * inverse
+        energy += twelve * (1.0 / 12.0) - six * (1.0 / 6.0) + coulomb
+        f = (twelve - six + coulomb) * inverse2
+        if in_solvent:
+            g, h = slope_series(b[S2 * W + j] * inverse2, masked), slope_series(s2 * inverse2, masked)
+            f += (pull * b[S3 * W + j] * g + b[PULL * W + j] * s3 * h) * inverse6
+        if masked:
+            qq = qq if inverse > 0.0 else 0.0
+            energy += qq * (krf * (dx * dx + dy * dy + dz * dz) - crf)
+            f -= 2.0 * krf * qq
+        fx += f * dx
+        fy += f * dy
+        fz += f * dz
+        b_sums[FX * W + j] -= f * dx
+        b_sums[FY * W + j] -= f * dy
+        b_sums[FZ * W + j] -= f * dz
+    a_sums[FX * W + i] += fx
+    a_sums[FY * W + i] += fy
+    a_sums[FZ * W + i] += fz
+    return energy
 
 
 @shared

@@ -102,10 +102,14 @@ def take(
 def in_vacuum(step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any) -> None:
     """Do some chunks of a step of the energy in vacuum."""
     _, atoms, sums, parts, forces = state
-    lj, lj_type, tiles, is_near, pairwise = vacuum
+    lj, lj_type, tiles, is_near, block_near, pairwise = vacuum
+    near, cutoff, krf, crf = pairwise
     if step == 0:
         clear(mine, sums, parts)
-        pairs.pair_sums(mine, atoms, lj, lj_type, tiles, is_near, *pairwise, sums, parts[NONBONDED])
+        pairs.pair_sums(
+            mine, atoms, lj, lj_type, tiles, is_near, near, block_near, cutoff, krf, crf, sums,
+            parts[NONBONDED],
+        )  # fmt: skip
         bonded_sums(mine, state, pairwise, terms, maps)
     else:
         add_forces(*blocks_of(mine, atoms), sums, forces)
@@ -123,12 +127,12 @@ def in_solvent(
     elif step == 1:
         born_radii(mine, state, solvent)
     elif step == 2:
-        solvated_pairs(mine, state, vacuum, solvent)
+        polar(mine, state, vacuum, solvent)
     elif step == 3:
         pulls(mine, state, solvent)
     elif step == 4:
-        descreening(mine, state, vacuum, solvent, necks)
-        bonded_sums(mine, state, vacuum[4], terms, maps)
+        solvated_pairs(mine, state, vacuum, solvent, necks)
+        bonded_sums(mine, state, vacuum[5], terms, maps)
     else:
         add_forces(*blocks_of(mine, atoms), sums, forces)
 
@@ -151,22 +155,20 @@ def blocks_of(mine: Share, atoms: Floats) -> Share:
 def integrals(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) -> None:
     """Born integrals."""
     x, atoms, sums, _, _ = state
-    _, _, tiles, is_near, (near, _, _, _) = vacuum
-    (offset_radius, _, _, scaled_radius, engulfs, _, _, cutoff), series, (close, _), (slopes, _, _, _) = (
-        solvent
-    )
-    born.integral_sums(mine, atoms, tiles, is_near, near, cutoff, series[1], series[2], sums)
+    _, _, tiles, is_near, block_near, (near, _, _, _) = vacuum
+    (offset_radius, _, _, scaled_radius, engulfs, _, _, cutoff), (close, _), (slopes, _, _, _) = solvent
+    born.integral_sums(mine, atoms, tiles, is_near, near, block_near, cutoff, sums)
     born.near_integral_sums(mine, x, offset_radius, scaled_radius, engulfs, close, near, slopes, sums)
     if necks is not None:
-        table, kind, necked = necks
-        neck.neck_sums(mine, atoms, table, kind, necked, cutoff, sums)
+        table, kind, necked, reach = necks
+        neck.neck_sums(mine, atoms, table, kind, necked, reach, cutoff, sums)
 
 
 @inlined
 def born_radii(mine: Share, state: Any, solvent: Any) -> None:
     """Born radii of some atoms."""
     x, atoms, sums, _, _ = state
-    (offset_radius, radius, bend, _, _, _, _, _), _, (_, fixed), (_, integral, slope, _) = solvent
+    (offset_radius, radius, bend, _, _, _, _, _), (_, fixed), (_, integral, slope, _) = solvent
     blocks = blocks_of(mine, atoms)
     take_scalars(*blocks, sums, integral)
     begin, end = atoms_of(*blocks, len(x))
@@ -176,21 +178,17 @@ def born_radii(mine: Share, state: Any, solvent: Any) -> None:
 
 
 @inlined
-def solvated_pairs(mine: Share, state: Any, vacuum: Any, solvent: Any) -> None:
-    """Energies and forces of pairs, and derivatives by Born radii."""
+def polar(mine: Share, state: Any, vacuum: Any, solvent: Any) -> None:
+    """Energies of generalised Born, their forces, and derivatives by Born radii."""
     _, atoms, sums, parts, _ = state
-    lj, lj_type, tiles, is_near, pairwise = vacuum
-    pairs.solvated_pair_sums(
-        mine, atoms, lj, lj_type, tiles, is_near, *pairwise, solvent[1][0], sums, parts[NONBONDED],
-        parts[POLAR],
-    )  # fmt: skip
+    born.polar_sums(mine, atoms, vacuum[2], solvent[0][7], sums, parts[POLAR])
 
 
 @inlined
 def pulls(mine: Share, state: Any, solvent: Any) -> None:
     """Derivatives by the Born integrals of some atoms, and their own energies."""
     x, atoms, sums, parts, _ = state
-    (_, _, _, _, _, gb_charge, surface, _), _, _, (_, _, slope, pull) = solvent
+    (_, _, _, _, _, gb_charge, surface, _), _, (_, _, slope, pull) = solvent
     take_scalars(*blocks_of(mine, atoms), sums, pull)
     for c in range(*mine):
         begin, end = atoms_of(*part(len(atoms), c), len(x))
@@ -200,16 +198,19 @@ def pulls(mine: Share, state: Any, solvent: Any) -> None:
 
 
 @inlined
-def descreening(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) -> None:
-    """Forces by the change of the Born radii."""
-    x, atoms, sums, _, _ = state
-    _, _, tiles, is_near, (near, _, _, _) = vacuum
-    (_, _, _, _, _, _, _, cutoff), series, (close, _), (slopes, _, _, pull) = solvent
-    born.descreening_sums(mine, atoms, tiles, is_near, near, cutoff, series[3], series[4], sums)
+def solvated_pairs(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) -> None:
+    """Energies and forces of pairs, with the forces by the change of the Born radii."""
+    x, atoms, sums, parts, _ = state
+    lj, lj_type, tiles, is_near, block_near, (near, pair_cutoff, krf, crf) = vacuum
+    (_, _, _, _, _, _, _, cutoff), (close, _), (slopes, _, _, pull) = solvent
+    pairs.solvated_pair_sums(
+        mine, atoms, lj, lj_type, tiles, is_near, near, block_near, pair_cutoff, krf, crf, sums,
+        parts[NONBONDED],
+    )  # fmt: skip
     born.near_descreening_sums(mine, x, pull, close, slopes, sums)
     if necks is not None:
-        table, kind, necked = necks
-        neck.neck_force_sums(mine, atoms, table, kind, necked, cutoff, sums)
+        table, kind, necked, reach = necks
+        neck.neck_force_sums(mine, atoms, table, kind, necked, reach, cutoff, sums)
 
 
 @inlined
