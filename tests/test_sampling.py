@@ -103,7 +103,7 @@ ANGLES = np.linspace(0.0, 2.0 * np.pi, 1001)[:-1]
 
 
 def doubled(power):
-    """Mean of cos 2a where the density of a is (det M)^power: 0 with Fixman, 1/2 without, 1 with wrong sign."""
+    """Mean of cos 2a for a density (det M)^power: 0 with Fixman's term, 1/2 without, 1 with a wrong sign."""
     weight = (LIGHT + np.sin(ANGLES) ** 2) ** power
     return float(weight @ np.cos(2 * ANGLES) / weight.sum())
 
@@ -128,32 +128,18 @@ def test_fixmans_term_is_there_and_has_its_sign(on, power):
         assert away < WITHIN if density == power else away > (BEYOND if on else 0.5 * BEYOND)
 
 
-def test_simulate_with_fixmans_potential_leaves_torsions_uniform():
-    """Eight glycines without energy: ln det M as for torsions drawn at random, not as by sqrt(det M)."""
-    c = pc.build_chain(pc.from_sequence("G" * 8), "phi psi", root="free")
-    rng = np.random.default_rng(0)
-
-    def half_log_det():
-        q = np.append(c.q0[:7], rng.uniform(-np.pi, np.pi, c.n_hinges))
-        return 0.5 * pc.log_det_mass(c, pc.pose(c, q))
-
-    drawn = np.array([half_log_det() for _ in range(4000)])
-    uniform = drawn.mean()
-    without = np.exp(drawn - uniform) @ drawn / np.exp(drawn - uniform).sum()
-    seen = []
-    m = simulate(
-        c, nothing, c.q0, 300.0, 0.08, 6 * 900, "hmc", 2, fixman=True, trajectory_length=6, every=6,
-        watch=lambda row, x: seen.append(row["fixman_kj_mol"]),
-    )  # fmt: skip
-    assert m.accepted > 0.9
-    half = np.array(seen[100:]) / (pc.units.MOLAR_GAS * 300.0)
-    q = m.chain.n_v - c.n_hinges
-    assert half[-1] == pytest.approx(0.5 * pc.log_det_mass(m.chain, pc.pose(m.chain, m.q)), rel=1e-12)
-    assert q == 6
-    mean, error = mean_and_error(half)
-    error = np.hypot(error, drawn.std() / np.sqrt(len(drawn)))
-    assert abs(mean - uniform) < WITHIN * error
-    assert abs(mean - without) > 0.5 * BEYOND * error
+@pytest.mark.parametrize(("loops", "time_step"), [("open", 0.01), ("closed", 0.002)])
+def test_simulate_moves_in_fixmans_potential(loops, time_step):
+    """Without energy of the atoms and thermostat: what the motion gains, Fixman's potential loses."""
+    c = pc.build_chain(load("3i40.pdb") if loops == "closed" else pc.from_sequence("G" * 8), root="free")
+    m = simulate(c, nothing, c.q0, 300.0, time_step, 60, "none", 2, fixman=True, loops=loops, every=1)
+    kinetic, bias = m.trace["kinetic_kj_mol"], m.trace["fixman_kj_mol"]
+    assert np.ptp(bias) > 0.3
+    assert np.ptp(kinetic + bias) < 0.05 * np.ptp(bias)
+    assert np.ptp(m.trace["potential_kj_mol"]) < 1e-9
+    half = bias.iloc[-1] / (pc.units.MOLAR_GAS * 300.0)
+    alone = 0.5 * pc.log_det_mass(m.chain, pc.pose(m.chain, m.q))
+    assert (half == pytest.approx(alone, rel=1e-12)) == (loops == "open")
 
 
 # --- Closed loops
@@ -210,22 +196,20 @@ def test_fixmans_potential_of_closed_loops(seed):
     assert (np.abs(torque[:6]).max() > 1e-3) and np.all(alone[:6] == 0.0)
 
 
-def test_simulate_takes_the_loops_into_fixmans_potential():
-    s = load("3i40.pdb")
-    c = pc.build_chain(s)
+def test_the_log_has_fixmans_potential_of_the_loops_too():
+    c = pc.build_chain(load("3i40.pdb"))
     m = simulate(
         c, nothing, c.q0, 300.0, 0.002, 4, "hmc", 1, fixman=True, loops="closed", trajectory_length=2, every=2
     )
+    tree, frames = m.chain.tree, multibody.pose(m.chain.tree, m.q)
     assert m.accepted > 0.0 and m.trace["closure_error_nm"].max() < 1e-11
-    closure, frames = closure_of(m.chain), multibody.pose(m.chain.tree, m.q)
-    dense = np.linalg.slogdet(multibody.mass_matrix(m.chain.tree, frames))[1]
-    g = multibody.row_matrix(m.chain.tree, frames, closure.rows(frames))
-    dense += np.linalg.slogdet(g @ np.linalg.solve(multibody.mass_matrix(m.chain.tree, frames), g.T))[1]
-    bias = m.trace["fixman_kj_mol"].iloc[-1]
-    assert bias == pytest.approx(0.5 * pc.units.MOLAR_GAS * 300.0 * dense, abs=1e-6)
-    assert m.trace["potential_kj_mol"].iloc[-1] == pytest.approx(0.0, abs=1e-9)
-    open_ = 0.5 * pc.units.MOLAR_GAS * 300.0 * multibody.log_det_mass(m.chain.tree, frames)
-    assert abs(bias - open_) > 10.0
+    mass, g = (
+        multibody.mass_matrix(tree, frames),
+        multibody.row_matrix(tree, frames, closure_of(m.chain).rows(frames)),
+    )
+    dense = np.linalg.slogdet(mass)[1] + np.linalg.slogdet(g @ np.linalg.solve(mass, g.T))[1]
+    expected = 0.5 * pc.units.MOLAR_GAS * 300.0 * dense
+    assert m.trace["fixman_kj_mol"].iloc[-1] == pytest.approx(expected, abs=1e-6)
 
 
 CRANK, COUPLER, ROCKER, GROUND = 0.1, 0.453, 0.46, 0.138
@@ -335,14 +319,15 @@ def test_kinetic_energy_of_free_roots_and_closed_loops_follows_the_gamma_law(nam
     closure, q = closed_trees()
     tree = closure.tree
     thermostat = {
-        "langevin": Langevin(KT, 40.0),
-        "rescale": Rescaling(KT, freedoms, 40.0),
+        "langevin": Langevin(KT, 80.0 if closed else 40.0),
+        "rescale": Rescaling(KT, freedoms, 80.0 if closed else 40.0),
         "nose-hoover": NoseHoover(KT, freedoms, 5.0),
         "hmc": HybridMonteCarlo(KT, 2),
     }[name]
     system = System(tree, springs(tree), closure if closed else None)
     removes = thermostat.conserves_momentum
-    propagator = Propagator(system, Leapfrog(), thermostat, 0.02, KT, 3, removes)
+    # Constraints bear shorter steps only.
+    propagator = Propagator(system, Leapfrog(), thermostat, 0.01 if closed else 0.02, KT, 3, removes)
     every, n = (15, 1000) if name == "nose-hoover" else (2, 1000)
     energies, end = sampled(propagator, q, every, n, lambda s: s.at.kinetic)
     if removes:

@@ -17,9 +17,8 @@ from protochain.multibody import sample_velocities
 COM_REMOVAL_STEPS = 100
 """Steps between removals of the centre-of-mass motion that rounding builds up."""
 BREACH = 0.2
-"""Largest change of the total energy in one step, relative to thermal plus kinetic energy, the larger of those
-before and after: a step and its reverse are refused together. Stable time steps change it by some
-thousandths."""
+"""Largest change of the total energy in one step, relative to thermal plus kinetic energy, the larger of
+those before and after: a step and its reverse are refused together. Stable steps change it by thousandths."""
 
 
 class Ending(StrEnum):

@@ -20,7 +20,7 @@ Potential = Callable[[Floats, Articulated], tuple[float, Floats]]
 
 
 RETURNED = 1e-6
-"""rad and nm: how exactly a step back returns, far above round-off and far below the distance of solutions."""
+"""rad and nm: how exactly a step back returns; far above round-off, far below the distance of solutions."""
 
 
 class StepTooLargeError(ProtochainError):

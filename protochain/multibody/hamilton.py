@@ -96,7 +96,7 @@ def _inward_products(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, twists: Floats, carried: Floats,
     p: Floats, gradient: Floats,
 ) -> None:  # fmt: skip
-    """h . Pi and (V x h) . Pi of every hinge, with Pi the sum of what is carried beyond it."""
+    """Write h . Pi and (V x h) . Pi of every hinge, with Pi the sum of what is carried beyond it."""
     for b in range(len(bodies) - 1, -1, -1):
         parent, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k
