@@ -186,7 +186,9 @@ def report(runs: Runs, exact: dict[tuple[str, str], float], known: tuple, output
     for basin in BASINS:
         shares = [f"{100 * exact[name, basin]:.1f} %" for name in wanted]
         shares += [
-            f"{r['share_percent']:.1f} +- {r['error_percent']:.1f} %" for r in rows if r["basin"] == basin
+            f"{r['share_percent']:.1f} +- {r['error_percent']:.1f} %" if r["share_percent"] else "not visited"
+            for r in rows
+            if r["basin"] == basin
         ]
         print(f"| {basin} | " + " | ".join(shares) + " |")
     table = pd.DataFrame(rows)
