@@ -425,7 +425,6 @@ def test_a_step_too_large_is_named_and_nothing_is_written_as_if_good(tmp_path):
         ({"thermostat": "hmc", "integrator": "rk4"}, "reversible"),
         ({"thermostat": "nose-hoover", "temperature": 0.0}, "nose-hoover"),
         ({"loops": "closed", "integrator": "lobatto"}, "leapfrog"),
-        ({"loops": "closed", "fixman": True}, "Fixman"),
         ({"loops": "closed"}, "no loop"),
         ({"hydrogen_mass": 9.0}, "hydrogen_mass"),
         ({"trajectory": "avi", "output": "nowhere"}, "avi"),

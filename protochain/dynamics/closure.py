@@ -3,14 +3,27 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve, solve_triangular
 
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, pose
 from protochain.dynamics.system import Drift, Drifted, Phase, StepTooLargeError
 from protochain.errors import ChainError
-from protochain.multibody import Frames, Rows, Tree, operational_inverse, row_matrix, solve_closed
-from protochain.multibody.articulated import Articulated
+from protochain.multibody import (
+    Frames,
+    Rows,
+    Tree,
+    operational_inverse,
+    pull_back,
+    row_matrix,
+    solve_closed,
+    velocities,
+)  # fmt: skip
+from protochain.multibody.articulated import Articulated, solve
+from protochain.multibody.hamilton import turning_gradient
+from protochain.multibody.loops import factor_closed
+from protochain.multibody.newton_euler import momenta_of_bodies
+from protochain.multibody.operational import row_loads
 
 CLOSED_NM = 1e-12
 """Largest error of a distance after a step: some hundred times the rounding error of coordinates."""
@@ -61,6 +74,57 @@ class Closure:
         """Velocities (n_v,) of momenta p (n_v,), projected onto those that keep the distances."""
         return solve_closed(self.tree, factors.frames, p, self.rows(factors.frames))
 
+    def log_det(self, factors: Articulated) -> tuple[float, Floats]:
+        """Logarithm of det(G M^-1 G^T), with G the rows, and its gradient (n_v,) along q.
+
+        Raises
+        ------
+        MechanicsError
+            If the rows are linearly dependent.
+
+        Notes
+        -----
+        With A = G M^-1 G^T = L L^T, G' = L^-1 G and u_i the rows of G' M^-1, the gradient is the sum over i
+        of 2 dG'_i u_i - u_i^T dM u_i at constant L and u. Either is that of loads on twists (of the rows
+        and of the momenta) that turn with the bodies, but for the lines of the distances, which follow both
+        of their ends. O(m n + m^3).
+        """
+        tree, frames = factors.tree, factors.frames
+        rows = self.rows(frames)
+        g, loads = row_matrix(tree, frames, rows), row_loads(tree, rows)
+        moved = np.array([solve(factors, row) for row in g])
+        upper, _ = factor_closed(moved @ g.T)
+        mix = solve_triangular(upper, np.eye(len(g)), trans=1)
+        twists = np.array([velocities(tree, frames, u) for u in mix @ moved])
+        gradient = pull_back(tree, frames, self._turned_lines(frames, np.tensordot(mix, twists, (0, 0))))
+        for each, weights in zip(twists, mix, strict=True):
+            load = np.tensordot(weights, loads, 1) - momenta_of_bodies(tree, frames, each)
+            gradient = gradient + turning_gradient(tree, frames, each, load)
+        return 2.0 * float(np.sum(np.log(np.diagonal(upper)))), 2.0 * gradient
+
+    def _turned_lines(self, frames: Frames, twists: Floats) -> Floats:
+        """(nb, 6) float: loads whose torques are what :meth:`rows` change beyond turning with their bodies.
+
+        Parameters
+        ----------
+        twists : (m, nb, 6) float
+            For each row the twists of the bodies that it is multiplied with.
+        """
+        ends = self.ends(frames)
+        line = ends[:, 1] - ends[:, 0]
+        length = np.linalg.norm(line, axis=1)[:, None]
+        along = line / length
+        arm = ends - frames.origin[self.body]
+        own = twists[np.arange(len(ends))[:, None], self.body]
+        velocity = own[..., 3:] + np.cross(own[..., :3], arm)
+        parting = velocity[:, 1] - velocity[:, 0]
+        across = (parting - along * np.sum(along * parting, axis=1)[:, None]) / length
+        out = np.zeros((self.tree.n_bodies, 6))
+        for side, sign in ((0, -1.0), (1, 1.0)):
+            moment = np.cross(arm[:, side], across) - np.cross(along, velocity[:, side])
+            np.add.at(out, self.body[:, side], sign * np.concatenate([moment, across], axis=1))
+        return out
+
     def drift(self, drift: Drift, at: Phase, p: Floats, time_step: float) -> Drifted:
         """Drift with constraint impulses at the start, such that the distances are kept at the end.
 
@@ -76,7 +140,7 @@ class Closure:
         """
         rows = self.rows(at.factors.frames)
         g = row_matrix(self.tree, at.factors.frames, rows)
-        inverse = cho_factor(operational_inverse(self.tree, at.factors.frames, rows))
+        inverse = factor_closed(operational_inverse(self.tree, at.factors.frames, rows))
         impulse = np.zeros(len(g))
         for _ in range(_ITERATIONS):
             q, end, factors = drift(at, p - g.T @ impulse, time_step)

@@ -15,7 +15,15 @@ import numpy as np
 
 from protochain.arrays import Floats, Integers, frozen
 from protochain.dynamics.correction import correct
-from protochain.dynamics.system import Drift, Drifted, Integrator, Phase, StepTooLargeError, System
+from protochain.dynamics.system import (
+    Drift,
+    Drifted,
+    Integrator,
+    Phase,
+    StepTooLargeError,
+    System,
+    refuse_departure,
+)  # fmt: skip
 from protochain.multibody import Frames
 from protochain.multibody.algebra import add, cross, kernel, put_at, scale, subtract, vector_at
 from protochain.multibody.articulated import Articulated, factorise, put_rigid, solve
@@ -52,11 +60,19 @@ class Leapfrog(Integrator):
         StepTooLargeError
             If Newton's method for the velocities of the drift does not converge.
         """
+        there = system.kick(*self._drifted(system, at, time_step), time_step)
+        return there if system.constraint is None else system.with_velocities(there, there.qd)
+
+    def check_return(self, system: System, before: Phase, after: Phase, time_step: float) -> None:
+        """Check that a step backwards ends where the step began, without an energy: its drift decides."""
+        refuse_departure(self._drifted(system, after, -time_step)[0], before.q, time_step)
+
+    def _drifted(self, system: System, at: Phase, time_step: float) -> Drifted:
+        """Kick for half a step and drift for a step."""
         kicked = at.p + 0.5 * time_step * at.torque
         if system.constraint is None:
-            return system.kick(*self.drift(at, kicked, time_step), time_step)
-        there = system.kick(*system.constraint.drift(self.drift, at, kicked, time_step), time_step)
-        return system.with_velocities(there, there.qd)
+            return self.drift(at, kicked, time_step)
+        return system.constraint.drift(self.drift, at, kicked, time_step)
 
 
 def drift(at: Phase, p: Floats, time_step: float) -> Drifted:

@@ -17,8 +17,8 @@ from protochain.multibody import sample_velocities
 COM_REMOVAL_STEPS = 100
 """Steps between removals of the centre-of-mass motion that rounding builds up."""
 BREACH = 0.2
-"""Largest change of the total energy in one step, relative to thermal plus kinetic energy; stable time steps
-change it by some thousandths."""
+"""Largest change of the total energy in one step, relative to thermal plus kinetic energy, the larger of
+those before and after: a step and its reverse are refused together. Stable steps change it by thousandths."""
 
 
 class Ending(StrEnum):
@@ -108,6 +108,11 @@ def advance(propagator: Propagator, state: State) -> State:
     ------
     StepTooLargeError
         If the step has no solution, or changes the energy too much.
+
+    Notes
+    -----
+    Metropolis' criterion needs every step to have its reverse: one that is taken but would not be taken back
+    is refused (Zappa, Holmes-Cerfon, Goodman, Commun. Pure Appl. Math. 71:2609, 2018).
     """
     step = state.step + 1
     try:
@@ -127,15 +132,18 @@ def _step(propagator: Propagator, before: Phase) -> Phase:
     """Return the phase one time step later, if the energy change is within bounds."""
     if not np.isfinite(before.potential):
         raise StepTooLargeError("the energy is not a number")
+    system, integrator, h = propagator.system, propagator.integrator, propagator.time_step
     try:
-        at = propagator.integrator.step(propagator.system, before, propagator.time_step)
+        at = integrator.step(system, before, h)
+        if propagator.thermostat.metropolis and at.is_finite:
+            integrator.check_return(system, before, at, h)
     except MechanicsError as error:
         raise StepTooLargeError(str(error)) from None
     if not at.is_finite:
         raise StepTooLargeError("the energy or a torque is not a number")
     jump = abs(at.total - before.total)
     thermal = 0.5 * len(at.qd) * propagator.thermal_energy
-    if jump > BREACH * (thermal + before.kinetic) + propagator.thermal_energy + 1.0:
+    if jump > BREACH * (thermal + max(before.kinetic, at.kinetic)) + propagator.thermal_energy + 1.0:
         raise StepTooLargeError(f"the energy changed by {jump:.3g} kJ/mol in one step")
     return at
 

@@ -105,8 +105,6 @@ class SimulationSettings:
                 )
         if self.loops == "closed" and self.integrator != "leapfrog":
             raise ProtochainError("loops closed: only the leapfrog supports constraints; choose it")
-        if self.loops == "closed" and self.fixman:
-            raise ProtochainError("loops closed: Fixman's potential is not available there; leave out one")
 
 
 def build_thermostat(settings: SimulationSettings, freedoms: int) -> thermostats.Thermostat:

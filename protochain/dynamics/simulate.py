@@ -30,7 +30,7 @@ from protochain.energies.custom import EnergyFunction
 from protochain.errors import ProtochainError
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts
-from protochain.multibody import HingeKind, articulated
+from protochain.multibody import HingeKind
 from protochain.structure.chirality import changed_hands, listed
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.units import MOLAR_GAS
@@ -94,7 +94,7 @@ def simulate(
         ``leapfrog`` (reversible, one energy a step), ``lobatto`` (as good for short chains), ``midpoint``
         (implicit, for stiff springs), ``rk4`` or ``dormand-prince`` (references).
     fixman : bool
-        Add Fixman's potential, which corrects the bias of rigid bonds and angles.
+        Add Fixman's potential, which corrects the bias of rigid bonds and angles, and of closed loops.
     loops : str
         Disulfides and other bonds at which loops were cut: ``open`` leaves them to the force field,
         ``closed`` keeps them, by constraints, at the lengths and angles they have at q.
@@ -185,7 +185,7 @@ class _Run:
         """Row of the log, and positions to write; RMSDs are relative to positions ``start``."""
         s, at = self.settings, state.at
         x = place_atoms(self.chain, at.factors.frames)
-        bias = 0.5 * s.thermal_energy * articulated.log_det(at.factors) if s.fixman else 0.0
+        bias = fixman(s.thermal_energy, self.closure)(at.q, at.factors)[0] if s.fixman else 0.0
         alpha = self.chain.structure.alpha_carbons
         row = {
             "step": state.step,
@@ -213,13 +213,13 @@ def _prepare(
     mass = settings.hydrogen_mass if settings.hydrogen_mass is not None else chain.hydrogen_mass
     made = build_chain(chain.structure, chain.opened, root, move=chain.move, hydrogen_mass=mass)
     varying = energy.without_constants(made.rigid_groups, made.structure.positions)
-    parts = [chain_potential(made, varying)]
-    if settings.fixman:
-        parts.append(fixman(settings.thermal_energy))
     start = _transferred(chain, made, given)
     closure = closure_of(made, start) if settings.loops == "closed" else None
     if closure is not None and lengths is not None:
         closure = replace(closure, length=lengths)
+    parts = [chain_potential(made, varying)]
+    if settings.fixman:
+        parts.append(fixman(settings.thermal_energy, closure))
     system = System(made.tree, parts[0] if len(parts) == 1 else total(parts), closure)
     freedoms = made.n_v - (0 if closure is None else len(closure.length))
     removes = has_free_roots(made.tree) and THERMOSTATS[settings.thermostat].conserves_momentum

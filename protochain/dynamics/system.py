@@ -19,8 +19,24 @@ Potential = Callable[[Floats, Articulated], tuple[float, Floats]]
 """Coordinates (n_q,) and factors of M there -> energy in kJ/mol and torques (n_v,)."""
 
 
+RETURNED = 1e-6
+"""rad and nm: how exactly a step back returns; far above round-off, far below the distance of solutions."""
+
+
 class StepTooLargeError(ProtochainError):
     """A time step so large that no solution of its equations is found, or the energy jumps."""
+
+
+def refuse_departure(found: Floats, wanted: Floats, time_step: float) -> None:
+    """Raise if a step back has found other coordinates than those where the step began.
+
+    Raises
+    ------
+    StepTooLargeError
+        If any differs by more than ``RETURNED``.
+    """
+    if not np.max(np.abs(found - wanted), initial=0.0) < RETURNED:
+        raise StepTooLargeError(f"a time step of {1000 * abs(time_step):g} fs cannot be taken back")
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +112,16 @@ class Integrator(Protocol):
 
     def step(self, system: "System", at: Phase, time_step: float) -> Phase:
         """Return the phase one time step (ps) later; a negative step runs backwards."""
+
+    def check_return(self, system: "System", before: Phase, after: Phase, time_step: float) -> None:
+        """Check that a step from ``after`` backwards ends where the step to it began.
+
+        Raises
+        ------
+        StepTooLargeError
+            If it does not: implicit equations may have several solutions, or be solved in one direction only.
+        """
+        refuse_departure(self.step(system, after, -time_step).q, before.q, time_step)
 
 
 @dataclass(frozen=True, eq=False)

@@ -199,8 +199,9 @@ class HybridMonteCarlo(Thermostat):
 
     Duane, Kennedy, Pendleton, Roweth, Phys. Lett. B 195:216 (1987). With a reversible, volume-preserving
     integrator the distribution is exact at any time step; with Fixman's potential it is that of the force
-    field in torsions. A trajectory with a failed step is rejected. The memory holds the steps since the last
-    test, the numbers of accepted and tried trajectories, and the total energy and q at the last start.
+    field in torsions. A trajectory with a step that fails, or that cannot be taken back, is rejected. The
+    memory holds the steps since the last test, the numbers of accepted and tried trajectories, and the total
+    energy and q at the last start.
 
     Parameters
     ----------

@@ -60,6 +60,43 @@ def put_momenta(
     """Write momenta and gradient; ``twists`` and ``carried`` are workspaces (nb, 6)."""
     outward_twists(links, bodies, rotation, origin, qd, twists)
     body_momenta(bodies, rotation, twists, carried)
+    _inward_products(links, bodies, rotation, origin, twists, carried, p, gradient)
+
+
+def turning_gradient(tree: Tree, frames: Frames, twists: Floats, loads: Floats) -> Floats:
+    """Gradient of the sum of loads times twists at constant velocities, when loads turn with their bodies.
+
+    Parameters
+    ----------
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
+    twists : (nb, 6) float
+        Twists of the bodies.
+    loads : (nb, 6) float
+        Moments about the bodies' origins, and forces.
+
+    Returns
+    -------
+    (n_v,) float
+        Gradient along q; with the bodies' momenta as loads that of the kinetic energy.
+
+    Notes
+    -----
+    As in :func:`momenta`: (V x h) . Pi, with Pi the load of a body and all beyond it. O(n).
+    """
+    product, gradient = np.empty(tree.n_v), np.empty(tree.n_v)
+    _inward_products(
+        tree.links, tree.bodies, frames.rotation, frames.origin, twists, loads.copy(), product, gradient
+    )
+    return gradient
+
+
+@kernel
+def _inward_products(
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, twists: Floats, carried: Floats,
+    p: Floats, gradient: Floats,
+) -> None:  # fmt: skip
+    """Write h . Pi and (V x h) . Pi of every hinge, with Pi the sum of what is carried beyond it."""
     for b in range(len(bodies) - 1, -1, -1):
         parent, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k

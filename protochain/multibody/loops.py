@@ -59,7 +59,7 @@ def solve_closed(
         moved = np.array([articulated.solve(factors, row) for row in g])
     if len(g) == 0:
         return free
-    return np.asarray(free - moved.T @ cho_solve(_factor(moved @ g.T), g @ free))
+    return np.asarray(free - moved.T @ cho_solve(factor_closed(moved @ g.T), g @ free))
 
 
 def log_det_closed(tree: Tree, frames: Frames, rows: Rows, method: Method = "articulated") -> float:
@@ -91,10 +91,17 @@ def log_det_closed(tree: Tree, frames: Frames, rows: Rows, method: Method = "art
         inverse = np.einsum("ibk,jbk->ij", loads, felt)
     else:
         inverse = operational_inverse(tree, frames, rows)
-    return float(2.0 * np.sum(np.log(np.diagonal(_factor(inverse)[0]))))
+    return float(2.0 * np.sum(np.log(np.diagonal(factor_closed(inverse)[0]))))
 
 
-def _factor(inverse: Floats) -> tuple[Floats, bool]:
+def factor_closed(inverse: Floats) -> tuple[Floats, bool]:
+    """Cholesky's factor of G M^-1 G^T, as scipy's ``cho_factor`` gives it: upper.
+
+    Raises
+    ------
+    MechanicsError
+        If the rows are linearly dependent.
+    """
     size = np.sqrt(np.maximum(np.diagonal(inverse), 0.0))
     try:
         factor, lower = cho_factor(inverse)

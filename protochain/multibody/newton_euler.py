@@ -121,7 +121,7 @@ def kinetic_energy(tree: Tree, frames: Frames, qd: Floats) -> float:
         Kinetic energy.
     """
     twists = velocities(tree, frames, qd)
-    return 0.5 * float(np.vdot(twists, _momenta(tree, frames, twists)))
+    return 0.5 * float(np.vdot(twists, momenta_of_bodies(tree, frames, twists)))
 
 
 def momentum(tree: Tree, frames: Frames, qd: Floats) -> tuple[Floats, Floats]:
@@ -139,7 +139,7 @@ def momentum(tree: Tree, frames: Frames, qd: Floats) -> tuple[Floats, Floats]:
     (3,) float, amu nm/ps; (3,) float, amu nm^2/ps
         Linear and angular momentum.
     """
-    each = _momenta(tree, frames, velocities(tree, frames, qd))
+    each = momenta_of_bodies(tree, frames, velocities(tree, frames, qd))
     linear = each[:, 3:].sum(axis=0)
     arms = frames.origin - centre_of_mass(tree, frames)
     return linear, np.sum(each[:, :3] + np.cross(arms, each[:, 3:]), axis=0)
@@ -162,7 +162,7 @@ def centre_of_mass(tree: Tree, frames: Frames) -> Floats:
     return np.asarray(tree.mass @ each / tree.mass.sum())
 
 
-def _momenta(tree: Tree, frames: Frames, twists: Floats) -> Floats:
+def momenta_of_bodies(tree: Tree, frames: Frames, twists: Floats) -> Floats:
     """(nb, 6) float: each body's angular momentum about its origin, and linear momentum."""
     momenta = np.empty((tree.n_bodies, 6))
     body_momenta(tree.bodies, frames.rotation, twists, momenta)
