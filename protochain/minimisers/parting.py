@@ -29,7 +29,7 @@ from protochain.minimisers.restraints import (
     Tethers,
 )
 from protochain.minimisers.spaces import Cartesian, Torsions
-from protochain.minimisers.springs import Springs, contacts
+from protochain.minimisers.springs import Springs
 from protochain.minimisers.stages import Stage
 from protochain.minimisers.steps import StrongWolfe
 from protochain.minimisers.unthread import freeing
@@ -92,7 +92,7 @@ class Held:
     def at(self, space: Space, at: Evaluation) -> Solve:
         """Solver for the model made at a point."""
         assert isinstance(space, Torsions | Cartesian)
-        return space.stiffness(at, _soft_springs if self.is_soft else contacts, self.tether)
+        return space.stiffness(at, _soft_springs if self.is_soft else None, self.tether)
 
 
 def _soft_springs(structure: Structure, x: Floats, bonds: int) -> Springs:
@@ -248,4 +248,4 @@ def _rebuilt(energy: Energy, stage: Stage, x: Floats) -> Stage:
 
 def _torsions_at(space: Space, x: Floats) -> Torsions:
     assert isinstance(space, Torsions)
-    return Torsions(rebuilt(space.chain, read_only(x)))
+    return Torsions(rebuilt(space.chain, read_only(x)), space.terms)

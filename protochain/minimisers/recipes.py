@@ -12,6 +12,7 @@ from protochain.contacts import overlaps
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
 from protochain.minimisers.annealing import Annealing
+from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.fire import Fire
 from protochain.minimisers.kcm import KCM, by_length, by_sign
@@ -155,7 +156,7 @@ class Recipe:
         ``reduced`` is the energy without terms that are constant in the chain, ``max_torque`` the largest
         torque at the start.
         """
-        torsions, atoms = spaces(chain)
+        torsions, atoms = spaces(chain, near_terms(energy))
         restraints = hold.restraints(chain.structure)
         overlap = self.parts_overlaps and bool(overlaps(chain.structure, chain.structure.positions))
         parts = overlap or (self.parts_overlaps and not max_torque <= UNUSUAL)

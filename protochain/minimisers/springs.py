@@ -8,7 +8,7 @@ exponentially; with bonds and angles as further springs, Mones, Ortner, Csanyi, 
 torsions K = J^T C J, as in torsional elastic networks (Mendez, Bastolla, Phys. Rev. Lett. 104:228103, 2010).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,8 +89,16 @@ Near = Callable[[Structure, Floats, int], Springs]
 """Springs between near atoms more than a number of bonds apart: :func:`contacts`, or softer ones."""
 
 
+Gradients = tuple[Integers, Floats, Floats]
+"""Atoms (n, k) of angles or dihedrals, their gradients (n, k, 3) in rad/nm, and stiffness (n,) in kJ/mol/rad^2."""
+
+
 def torsion_stiffness(
-    chain: Chain, at: Pose, near_by: Near = contacts, tether: Floats | None = None
+    chain: Chain,
+    at: Pose,
+    near_by: Near = contacts,
+    tether: Floats | None = None,
+    gradients: Sequence[Gradients] = (),
 ) -> Floats:
     """Stiffness K = J^T C J of the contacts of a chain, in its torsions.
 
@@ -102,6 +110,8 @@ def torsion_stiffness(
         Makes the springs.
     tether : (na,) float, kJ/mol/nm^2, optional
         Springs of the atoms to fixed points.
+    gradients : sequence of tuple
+        Angles and dihedrals, which add k J^T g g^T J.
 
     Returns
     -------
@@ -110,14 +120,9 @@ def torsion_stiffness(
         forces, one inward sweep. O(n_v (bodies + springs)).
     """
     near = near_by(chain.structure, at.x, 2)
-    # Springs within a rigid group keep their length.
-    groups = chain.rigid_groups
-    apart = np.ones(len(near.pairs), dtype=bool)
-    for a in range(groups.shape[1]):
-        for b in range(groups.shape[1]):
-            first, second = groups[near.pairs[:, 0], a], groups[near.pairs[:, 1], b]
-            apart &= (first != second) | (first < 0)
+    apart = _change(chain, near.pairs)
     pairs, stiffness = near.pairs[apart], near.stiffness[apart]
+    angles = [tuple(part[_change(chain, each[0])] for part in each) for each in gradients]
     arms = at.x - at.frames.origin[chain.atom_body]
     columns = np.empty((chain.n_v, chain.n_v))
     unit = np.zeros(chain.n_v)
@@ -126,11 +131,24 @@ def torsion_stiffness(
         wrench = np.zeros((chain.n_bodies, 6))
         twists = velocities(chain.tree, at.frames, unit)
         _spring_loads(chain.atom_body, arms, at.x, pairs, stiffness, twists, wrench)
+        for each in angles:
+            _angle_loads(chain.atom_body, arms, *each, twists, wrench)
         if tether is not None:
             _tether_loads(chain.atom_body, arms, tether, twists, wrench)
         columns[k] = pull_back(chain.tree, at.frames, wrench)
         unit[k] = 0.0
     return 0.5 * (columns + columns.T)
+
+
+def _change(chain: Chain, atoms: Integers) -> NDArray[np.bool_]:
+    """(n,) bool: terms (n, k) whose atoms are not all of one rigid group, and so change."""
+    groups = chain.rigid_groups
+    apart = np.ones(len(atoms), dtype=bool)
+    for a in range(groups.shape[1]):
+        group = groups[atoms[:, 0], a]
+        one = (groups[atoms] == group[:, None, None]).any(axis=2).all(axis=1)
+        apart &= ~one | (group < 0)
+    return apart
 
 
 def cartesian_solver(
@@ -210,10 +228,7 @@ def _spring_loads(
     wrench: Floats,
 ) -> None:  # fmt: skip
     """Add the wrenches of the springs stretched by the twists of a unit turn of one freedom."""
-    moves = np.zeros(len(twists), dtype=np.bool_)
-    for b in range(len(twists)):
-        for k in range(6):
-            moves[b] |= twists[b, k] != 0.0
+    moves = _moving(twists)
     for n in range(len(pairs)):
         i, j = pairs[n, 0], pairs[n, 1]
         a, b = atom_body[i], atom_body[j]
@@ -231,6 +246,42 @@ def _spring_loads(
             back = scale(-1.0, force)
             add_pair(cross(at_i, force), force, wrench, a)
             add_pair(cross(at_j, back), back, wrench, b)
+
+
+@kernel
+def _angle_loads(
+    atom_body: Integers, arms: Floats, atoms: Integers, gradients: Floats, stiffness: Floats, twists: Floats,
+    wrench: Floats,
+) -> None:  # fmt: skip
+    """Add the wrenches of angles and dihedrals changed by the twists of a unit turn of one freedom."""
+    moves = _moving(twists)
+    for n in range(len(atoms)):
+        same = True
+        for p in range(1, atoms.shape[1]):
+            same &= moves[atom_body[atoms[n, p]]] == moves[atom_body[atoms[n, 0]]]
+        if same:
+            continue
+        rate = 0.0
+        for p in range(atoms.shape[1]):
+            i = atoms[n, p]
+            omega, u = pair(twists, atom_body[i])
+            g = gradients[n, p, 0], gradients[n, p, 1], gradients[n, p, 2]
+            rate += dot(g, add(u, cross(omega, vector(arms, i))))
+        for p in range(atoms.shape[1]):
+            i = atoms[n, p]
+            g = gradients[n, p, 0], gradients[n, p, 1], gradients[n, p, 2]
+            force = scale(stiffness[n] * rate, g)
+            add_pair(cross(vector(arms, i), force), force, wrench, atom_body[i])
+
+
+@kernel
+def _moving(twists: Floats) -> NDArray[np.bool_]:
+    """(bodies,) bool: bodies that a twist moves."""
+    moves = np.zeros(len(twists), dtype=np.bool_)
+    for b in range(len(twists)):
+        for k in range(6):
+            moves[b] |= twists[b, k] != 0.0
+    return moves
 
 
 @kernel
