@@ -14,6 +14,7 @@ from scipy.sparse.linalg import splu
 from protochain.arrays import Floats, Integers
 from protochain.multibody.algebra import kernel
 
+
 def elimination_order(n: int, pairs: Integers) -> Integers:
     """Order of n rows that keeps the factor sparse, by multiple minimum degree.
 
@@ -133,7 +134,11 @@ def _pattern(place: Integers, pairs: Integers) -> tuple[Integers, Integers, Inte
         start[i + 1] += start[i]
         first[i + 1] += first[i]
     filled, seen = start[:-1].copy(), np.full(n, -1, np.int64)
-    rows, column, at = np.empty(start[n], np.int64), np.empty(start[n], np.int64), np.empty(start[n], np.int64)
+    rows, column, at = (
+        np.empty(start[n], np.int64),
+        np.empty(start[n], np.int64),
+        np.empty(start[n], np.int64),
+    )
     for i in range(n):
         seen[i], free = i, first[i]
         for m in range(begin[i], begin[i + 1]):
@@ -222,7 +227,13 @@ def _eliminate(
 
 @kernel
 def _solve(
-    place: Integers, start: Integers, rows: Integers, blocks: Floats, inverse: Floats, right: Floats, x: Floats
+    place: Integers,
+    start: Integers,
+    rows: Integers,
+    blocks: Floats,
+    inverse: Floats,
+    right: Floats,
+    x: Floats,
 ) -> None:
     """Solve L L^T x = b, from the first column to the last and back."""
     n = len(place)

@@ -104,7 +104,7 @@ def near_terms(energy: Energy) -> NearTerms | None:
     """Near terms of an energy; None if nothing is known of them, as of a callable."""
     terms = getattr(energy, "terms", None)
     if terms is None:
-        terms = None if energy.system is None else _read(energy)
+        terms = None if getattr(energy, "system", None) is None else _read(energy)
     return None if terms is None else _near(terms)
 
 

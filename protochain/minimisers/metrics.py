@@ -11,6 +11,10 @@ from protochain.minimisers.problem import Evaluation, Space
 
 Solve = Callable[[Floats], Floats]
 
+NEAR_REFRESH = 5
+"""Iterations between two models of the Hessian from the force field's near terms, which cost less than an energy.
+Every step gains no evaluations in all atoms; every 20 costs a third more."""
+
 
 class Metric(Protocol):
     """A positive definite matrix that varies slowly with the coordinates."""
@@ -59,7 +63,7 @@ class Mass:
 
 @dataclass(frozen=True)
 class Stiffness:
-    """A model of the Hessian from contacts and bonds: see :mod:`protochain.minimisers.springs`.
+    """A model of the Hessian: see :mod:`protochain.minimisers.curvature`, and of unknown terms :mod:`.springs`.
 
     Parameters
     ----------

@@ -212,7 +212,11 @@ class Cartesian:
         return lambda torque: np.asarray(torque / mass)
 
 
-@lru_cache(maxsize=4)
 def spaces(chain: Chain, terms: NearTerms | None = None) -> tuple[Torsions, Cartesian]:
     """Both spaces of a chain, with near terms of its force field; cached with all that is derived from it."""
+    return _spaces(chain, terms)
+
+
+@lru_cache(maxsize=4)
+def _spaces(chain: Chain, terms: NearTerms | None) -> tuple[Torsions, Cartesian]:
     return Torsions(chain, terms), Cartesian(chain.structure, chain.moving, terms)
