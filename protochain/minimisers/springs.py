@@ -19,18 +19,7 @@ from scipy.sparse.linalg import splu
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, Pose
 from protochain.contacts import joined, near_pairs
-from protochain.multibody import pull_back, velocities
-from protochain.multibody.algebra import (
-    add,
-    add_pair,
-    cross,
-    dot,
-    kernel,
-    pair,
-    scale,
-    subtract,
-    vector,
-)  # fmt: skip
+from protochain.minimisers.torsion_kernels import stiffness_in_torsions
 from protochain.structure.model import Structure
 
 DEPTH = 0.4
@@ -116,39 +105,13 @@ def torsion_stiffness(
     Returns
     -------
     (n_v, n_v) float, kJ/mol/rad^2
-        Column k is the response of the springs to a unit turn of freedom k: one outward sweep, the spring
-        forces, one inward sweep. O(n_v (bodies + springs)).
+        Of all that acts between bodies; springs within a rigid group keep their length.
     """
     near = near_by(chain.structure, at.x, 2)
-    apart = _change(chain, near.pairs)
-    pairs, stiffness = near.pairs[apart], near.stiffness[apart]
-    angles = [tuple(part[_change(chain, each[0])] for part in each) for each in gradients]
-    arms = at.x - at.frames.origin[chain.atom_body]
-    columns = np.empty((chain.n_v, chain.n_v))
-    unit = np.zeros(chain.n_v)
-    for k in range(chain.n_v):
-        unit[k] = 1.0
-        wrench = np.zeros((chain.n_bodies, 6))
-        twists = velocities(chain.tree, at.frames, unit)
-        _spring_loads(chain.atom_body, arms, at.x, pairs, stiffness, twists, wrench)
-        for each in angles:
-            _angle_loads(chain.atom_body, arms, *each, twists, wrench)
-        if tether is not None:
-            _tether_loads(chain.atom_body, arms, tether, twists, wrench)
-        columns[k] = pull_back(chain.tree, at.frames, wrench)
-        unit[k] = 0.0
-    return 0.5 * (columns + columns.T)
-
-
-def _change(chain: Chain, atoms: Integers) -> NDArray[np.bool_]:
-    """(n,) bool: terms (n, k) whose atoms are not all of one rigid group, and so change."""
-    groups = chain.rigid_groups
-    apart = np.ones(len(atoms), dtype=bool)
-    for a in range(groups.shape[1]):
-        group = groups[atoms[:, 0], a]
-        one = (groups[atoms] == group[:, None, None]).any(axis=2).all(axis=1)
-        apart &= ~one | (group < 0)
-    return apart
+    along = _directions(at.x, near.pairs)
+    lengths = near.pairs, np.stack([along, -along], axis=1), near.stiffness
+    held = np.zeros(chain.n_atoms) if tether is None else np.array(tether)
+    return stiffness_in_torsions(chain, at, [lengths, *gradients], held)
 
 
 def cartesian_solver(
@@ -220,78 +183,3 @@ def _directions(x: Floats, pairs: Integers) -> Floats:
     across = x[pairs[:, 0]] - x[pairs[:, 1]]
     length = np.linalg.norm(across, axis=1, keepdims=True)
     return np.divide(across, length, out=np.zeros_like(across), where=length > 0)
-
-
-@kernel
-def _spring_loads(
-    atom_body: Integers, arms: Floats, x: Floats, pairs: Integers, stiffness: Floats, twists: Floats,
-    wrench: Floats,
-) -> None:  # fmt: skip
-    """Add the wrenches of the springs stretched by the twists of a unit turn of one freedom."""
-    moves = _moving(twists)
-    for n in range(len(pairs)):
-        i, j = pairs[n, 0], pairs[n, 1]
-        a, b = atom_body[i], atom_body[j]
-        # Springs within the moving or within the resting part keep their length; most springs do.
-        if moves[a] == moves[b]:
-            continue
-        omega_a, u_a = pair(twists, a)
-        omega_b, u_b = pair(twists, b)
-        at_i, at_j = vector(arms, i), vector(arms, j)
-        rate = subtract(add(u_a, cross(omega_a, at_i)), add(u_b, cross(omega_b, at_j)))
-        across = subtract(vector(x, i), vector(x, j))
-        square = dot(across, across)
-        if square > 0.0:
-            force = scale(stiffness[n] * dot(rate, across) / square, across)
-            back = scale(-1.0, force)
-            add_pair(cross(at_i, force), force, wrench, a)
-            add_pair(cross(at_j, back), back, wrench, b)
-
-
-@kernel
-def _angle_loads(
-    atom_body: Integers, arms: Floats, atoms: Integers, gradients: Floats, stiffness: Floats, twists: Floats,
-    wrench: Floats,
-) -> None:  # fmt: skip
-    """Add the wrenches of angles and dihedrals changed by the twists of a unit turn of one freedom."""
-    moves = _moving(twists)
-    for n in range(len(atoms)):
-        same = True
-        for p in range(1, atoms.shape[1]):
-            same &= moves[atom_body[atoms[n, p]]] == moves[atom_body[atoms[n, 0]]]
-        if same:
-            continue
-        rate = 0.0
-        for p in range(atoms.shape[1]):
-            i = atoms[n, p]
-            omega, u = pair(twists, atom_body[i])
-            g = gradients[n, p, 0], gradients[n, p, 1], gradients[n, p, 2]
-            rate += dot(g, add(u, cross(omega, vector(arms, i))))
-        for p in range(atoms.shape[1]):
-            i = atoms[n, p]
-            g = gradients[n, p, 0], gradients[n, p, 1], gradients[n, p, 2]
-            force = scale(stiffness[n] * rate, g)
-            add_pair(cross(vector(arms, i), force), force, wrench, atom_body[i])
-
-
-@kernel
-def _moving(twists: Floats) -> NDArray[np.bool_]:
-    """(bodies,) bool: bodies that a twist moves."""
-    moves = np.zeros(len(twists), dtype=np.bool_)
-    for b in range(len(twists)):
-        for k in range(6):
-            moves[b] |= twists[b, k] != 0.0
-    return moves
-
-
-@kernel
-def _tether_loads(
-    atom_body: Integers, arms: Floats, stiffness: Floats, twists: Floats, wrench: Floats
-) -> None:
-    """Add the wrenches of springs to fixed points, stretched by the twists of a unit turn of one freedom."""
-    for i in range(len(atom_body)):
-        b = atom_body[i]
-        omega, u = pair(twists, b)
-        at = vector(arms, i)
-        force = scale(stiffness[i], add(u, cross(omega, at)))
-        add_pair(cross(at, force), force, wrench, b)
