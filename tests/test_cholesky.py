@@ -7,7 +7,7 @@ from protochain.minimisers.cholesky import _pattern, elimination_order, factoris
 
 
 def scene(seed, n, m):
-    """Springs between random rows, some twice, the first atom not always the smaller; and the dense matrix."""
+    """Blocks between random rows, some twice, the first not always the smaller; and the dense matrix."""
     rng = np.random.default_rng(seed)
     pairs = rng.integers(0, n, size=(m, 2))
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
@@ -42,7 +42,7 @@ EMPTY = np.empty((0, 2), np.int64), np.empty((0, 9))
 
 
 def test_the_pattern_is_that_of_elimination_by_hand():
-    own, pairs, shared, _ = scene(3, 30, 40)
+    _, pairs, _, _ = scene(3, 30, 40)
     place = np.random.default_rng(0).permutation(30)
     filled = np.zeros((30, 30), dtype=bool)
     filled[place[pairs[:, 0]], place[pairs[:, 1]]] = True

@@ -138,7 +138,7 @@ def test_the_model_is_the_sum_of_its_terms_each_made_positive():
 
 
 def test_gradients_of_angles_and_dihedrals_are_those_of_their_formulae():
-    s, x = shaken("1l2y.pdb")
+    _, x = shaken("1l2y.pdb")
     terms = near_terms(energy("1l2y.pdb"))
     rng = np.random.default_rng(3)
     for atoms, found, function in (

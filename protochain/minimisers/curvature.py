@@ -1,10 +1,11 @@
 """Model of the Hessian from the force field's own near terms, each made positive by itself.
 
-Bonds, angles, dihedrals, and Lennard-Jones pairs up to :data:`REACH` hold nearly all of the stiffness that makes
-minimisation slow. Of a pair the curvature along its line is kept where it is positive, and that across it where
-the pair is stretched: max(0, U'') u u^T + max(0, U'/r) (1 - u u^T). Of angles and dihedrals the Gauss-Newton
-part is kept, U'' g g^T with g the gradient of the angle and |U''| for dihedrals. A sum of such terms is positive.
-As the preconditioner of Mones, Ortner, Csanyi, Sci. Rep. 8:13991 (2018), with the constants of the force field.
+Bonds, angles, dihedrals, and Lennard-Jones pairs up to :data:`REACH` hold nearly all of the stiffness that
+makes minimisation slow. Of a pair the curvature along its line is kept where it is positive, and that across
+it where the pair is stretched: max(0, U'') u u^T + max(0, U'/r) (1 - u u^T). Of angles and dihedrals the
+Gauss-Newton part is kept, U'' g g^T with g the gradient of the angle, and |U''| for dihedrals. A sum of such
+terms is positive. As the preconditioner of Mones, Ortner, Csanyi, Sci. Rep. 8:13991 (2018), with the force
+field's own constants.
 """
 
 from collections.abc import Callable
@@ -27,8 +28,9 @@ REACH = 0.4
 """nm, longest Lennard-Jones pair. Those up to 0.5 nm, and Coulomb's forces, gain no evaluations."""
 
 COUPLED = 1000.0
-"""kJ/mol/nm^2, stiffness from which on a Lennard-Jones pair couples its atoms; softer ones, nine of ten, enter by
-their diagonal blocks only. With all of them the factor has four times as many blocks, and runs as many steps."""
+"""kJ/mol/nm^2, stiffness from which on a Lennard-Jones pair couples its atoms; softer ones, nine of ten,
+enter by their diagonal blocks only. With all of them the factor has four times as many blocks, and runs take
+no fewer evaluations."""
 
 FLOOR = 500.0
 """kJ/mol/nm^2, added for every atom. Values between 200 and 2000 perform alike."""

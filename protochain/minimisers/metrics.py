@@ -12,8 +12,8 @@ from protochain.minimisers.problem import Evaluation, Space
 Solve = Callable[[Floats], Floats]
 
 NEAR_REFRESH = 5
-"""Iterations between two models of the Hessian from the force field's near terms, which cost less than an energy.
-Every step gains no evaluations in all atoms; every 20 costs a third more."""
+"""Iterations between two models of the Hessian from the force field's near terms, which cost about an energy.
+Renewed at every step, runs in all atoms take no fewer evaluations; every 20 steps, a third more."""
 
 
 class Metric(Protocol):
@@ -63,7 +63,9 @@ class Mass:
 
 @dataclass(frozen=True)
 class Stiffness:
-    """A model of the Hessian: see :mod:`protochain.minimisers.curvature`, and of unknown terms :mod:`.springs`.
+    """A model of the Hessian from the force field's near terms, or where these are not known from springs.
+
+    See :mod:`protochain.minimisers.curvature` and :mod:`protochain.minimisers.springs`.
 
     Parameters
     ----------

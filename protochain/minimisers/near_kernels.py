@@ -1,6 +1,6 @@
-"""Kernels of the near terms' curvature: stiffness of pairs, gradients of angles, their blocks, and free pairs.
+"""Kernels of the near terms' curvature: stiffness of pairs, gradients of angles, blocks, and free pairs.
 
-``own`` (na, 9) are blocks of the Hessian on its diagonal, row by row, ``shared`` (n, 9) those of pairs of atoms.
+``own`` (na, 9) are blocks of the Hessian on its diagonal, row by row, ``shared`` (n, 9) those of pairs.
 """
 
 import numpy as np
@@ -15,8 +15,8 @@ STIFFEST = 1e6
 _TINY = 1e-6
 """nm^2, least square of a length, or area, that is divided by."""
 _THIN = 1e-5
-"""nm^4, least square of an area that a dihedral turns with, a fiftieth of that of two bonds: three atoms in line
-turn by any angle without moving."""
+"""nm^4, least square of an area that a dihedral turns with, a fiftieth of that of two bonds: three atoms in
+line turn by any angle without moving."""
 
 
 @kernel
@@ -62,7 +62,7 @@ def bends(x: Floats, atoms: Integers) -> Floats:
 
 @kernel
 def turns(x: Floats, atoms: Integers, waves: Floats, first: Integers) -> tuple[Floats, Floats]:
-    """Gradients (n, 4, 3) of dihedrals, and their stiffness (n,): Blondel, Karplus, cited in `native.bonded`."""
+    """Gradients (n, 4, 3) of dihedrals, as of :func:`energies.native.bonded.twist`, and stiffness (n,)."""
     gradients, stiffness = np.empty((len(atoms), 4, 3)), np.zeros(len(atoms))
     for n in range(len(atoms)):
         xj, xk = vector(x, atoms[n, 1]), vector(x, atoms[n, 2])
@@ -92,7 +92,7 @@ def _put(v: Vector, gradients: Floats, n: int, k: int) -> None:
 def add_springs(
     x: Floats, pairs: Integers, along: Floats, across: Floats, slots: Integers, own: Floats, shared: Floats
 ) -> None:
-    """Add along u u^T + across (1 - u u^T) of each pair, to the shared block of its slot, none if it is -1."""
+    """Add along u u^T + across (1 - u u^T) of each pair, off the diagonal to its slot unless that is -1."""
     for n in range(len(pairs)):
         i, j, slot = pairs[n, 0], pairs[n, 1], slots[n]
         d = subtract(vector(x, i), vector(x, j))

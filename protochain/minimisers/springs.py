@@ -1,5 +1,7 @@
 """Model of the Hessian from geometry alone: springs between nearby atoms, stiffest along bonds.
 
+For energies whose near terms are not known (:mod:`protochain.minimisers.curvature`), as of a callable.
+
 Minimisation is slow because some freedoms are a million times stiffer than others: bonds than dihedrals and,
 among dihedrals, those that press two atoms together than those that swing a loop. Springs between atoms
 reproduce this well enough for a preconditioner, whatever the force field: Packwood, Kermode, Mones,
@@ -79,7 +81,7 @@ Near = Callable[[Structure, Floats, int], Springs]
 
 
 Gradients = tuple[Integers, Floats, Floats]
-"""Atoms (n, k) of angles or dihedrals, their gradients (n, k, 3) in rad/nm, and stiffness (n,) in kJ/mol/rad^2."""
+"""Atoms (n, k) of angles or dihedrals, gradients (n, k, 3) in rad/nm, and stiffness (n,) in kJ/mol/rad^2."""
 
 
 def torsion_stiffness(

@@ -1,9 +1,9 @@
 """Stiffness in torsions, K = J^T C J, by one sweep over the tree for all columns.
 
-All twists and wrenches are about one point, so that those of a subtree add. A term k g g^T between atoms has a
-wrench W on each body b, and C = sum k W_b W_c^T, 6x6 for bodies b and c. With S the motion of a freedom, and
-sums over the bodies that it carries, K_kl = S_k^T (sum_b sum_c C_bc) S_l. A row of blocks, (6, 6 nb), is summed
-from the leaves inward for every body; O(nb^2) in all, whatever the number of terms.
+All twists and wrenches are about one point, so that those of a subtree add. A term k g g^T between atoms has
+a wrench W on each body b, and C = sum k W_b W_c^T, 6x6 for bodies b and c. With S the motion of a freedom,
+and sums over the bodies that it carries, K_kl = S_k^T (sum_b sum_c C_bc) S_l. A row of blocks, (6, 6 nb), is
+summed from the leaves inward for every body; O(nb^2) in all, whatever the number of terms.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ def stiffness_in_torsions(chain: Chain, at: Pose, terms: list[Term], tether: Flo
 
 
 def _motions(chain: Chain, at: Pose, middle: Floats) -> Floats:
-    """(n_v, 6) float: twist of each freedom's own body about the middle, as the freedom moves at unit rate."""
+    """(n_v, 6) float: twist of each freedom's own body about the middle, at unit rate."""
     tree = chain.tree
     counts, found = np.diff(tree.v_start), np.empty((chain.n_v, 6))
     lever = middle - at.frames.origin
@@ -53,9 +53,7 @@ def _motions(chain: Chain, at: Pose, middle: Floats) -> Floats:
     return found
 
 
-def _wrenches(
-    atom_body: Integers, x: Floats, terms: list[Term]
-) -> tuple[Integers, Floats, Integers, Floats]:
+def _wrenches(atom_body: Integers, x: Floats, terms: list[Term]) -> tuple[Integers, Floats, Integers, Floats]:
     """Bodies and wrenches of the terms that act between bodies; of each term the first, and the stiffness."""
     bodies, wrenches, sizes, stiffness = [], [], [], []
     for atoms, gradients, k in terms:
@@ -106,9 +104,9 @@ def _by_body(bodies: Integers, n: int) -> tuple[Integers, Integers]:
 
 @kernel
 def _inward_order(parent: Integers) -> tuple[Integers, Integers]:
-    """Bodies, children before their parents and the largest branch first; and each body's depth in light ones.
+    """Bodies, children before parents and the largest branch first; and each one's depth in other branches.
 
-    Rows of as few bodies as possible, no more than the logarithm of their number, are then unfinished at a time.
+    Rows of few bodies, no more than the logarithm of their number, are then unfinished at a time.
     """
     n = len(parent)
     size, heavy = np.ones(n, np.int64), np.full(n, -1, np.int64)

@@ -14,8 +14,8 @@ from protochain.arrays import Floats, Integers, read_only
 from protochain.contacts import OVERLAP, near_pairs
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
-from protochain.minimisers.descent import Descent
 from protochain.minimisers.curvature import NearTerms, near_terms
+from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.loop import Stop, run
 from protochain.minimisers.metrics import NEAR_REFRESH
@@ -40,7 +40,7 @@ _STIFFER = 60e3
 """kJ/mol/nm^2, added to the model of the Hessian for every atom: under springs steps are short. With 60
 times 1000 in place of 8 the number of evaluations falls by half."""
 _STIFFER_NEAR = 10e3
-"""kJ/mol/nm^2, the same for the model from the near terms: between 3e3 and 3e4 a tenth of the evaluations less than with none."""
+"""kJ/mol/nm^2, the same for the model from the near terms: a fifth fewer evaluations than with none."""
 _HIGH = 1000.0
 """kJ/mol/nm, RMS force from which on a rough energy does the first part of the way, several times as fast."""
 
