@@ -167,6 +167,22 @@ def test_the_last_run_is_repeated_for_each_restraint():
     assert [stage.space for stage in stages] == [spaces(c)[0], *[spaces(c)[1]] * 3]
 
 
+def test_the_springs_of_a_restraint_are_in_the_metric():
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    for name in ("hybrid", "newton", "kcm-stiffness"):
+        *_, last_held, free = RECIPES[name].plan(c, e, e, 2.0, Hold((100.0, 0.0), term=term), 0)
+        metric = last_held.method.direction.metric
+        assert (
+            np.array_equal(metric.tether, last_held.restraint.parts[0].weight)
+            and metric.tether.max() == 100.0
+        )
+        assert not metric.is_soft and metric.refresh_every == free.method.direction.metric.refresh_every
+        assert isinstance(free.method.direction.metric, Stiffness)
+    # The mass is no model of the energy.
+    kept = RECIPES["kcm-metric"].plan(c, e, e, 2.0, Hold((100.0,)), 0)[-1]
+    assert kept.method.direction.metric == Mass()
+
+
 def test_overlaps_are_parted_in_torsions_and_springs_let_go_one_after_the_other():
     c = crowded()
     s, (torsions, _) = c.structure, spaces(c)

@@ -7,6 +7,7 @@ from inspect import signature
 from types import MappingProxyType
 from typing import Any
 
+from protochain.arrays import Floats
 from protochain.chain import Chain
 from protochain.contacts import overlaps
 from protochain.energies.protocol import Energy
@@ -20,9 +21,15 @@ from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.loop import Method, Stop
 from protochain.minimisers.metrics import NEAR_REFRESH, Mass, Stiffness
 from protochain.minimisers.newton import Newton, PseudoTransient
-from protochain.minimisers.parting import UNUSUAL, once_ordinary, parting_in_all_atoms, parting_in_torsions
+from protochain.minimisers.parting import (
+    UNUSUAL,
+    Held,
+    once_ordinary,
+    parting_in_all_atoms,
+    parting_in_torsions,
+)
 from protochain.minimisers.problem import Force, Space
-from protochain.minimisers.restraints import Hold
+from protochain.minimisers.restraints import Hold, tethers_in
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import PATIENCE, Answer, Stage, last, lowest
 from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
@@ -65,15 +72,26 @@ class Run:
     def stages(self, space: Space, energy: Energy, tolerance: float, restraint: Force | None) -> list[Stage]:
         """Stage on an energy, and a second one on its reference if that is another engine."""
         tolerance = tolerance if self.tolerance is None else self.tolerance
+        method = _tethered(self.method, tethers_in(restraint))
         engines = [energy] if energy.is_exact or not self.continued else [energy, energy.reference]
         return [
             Stage(
-                space, self.method, engine, tolerance, restraint, patience=self.patience, answer=self.answer,
+                space, method, engine, tolerance, restraint, patience=self.patience, answer=self.answer,
                 after=() if engine is energy else SINGLE_PRECISION_ENDS,
                 name="torsions" if self.in_torsions else "all atoms",
             )
             for engine in engines
         ]  # fmt: skip
+
+
+def _tethered(method: Any, tether: Floats | None) -> Method:
+    """Method whose model of the Hessian has the springs of a restraint (na,), too."""
+    metric = getattr(getattr(method, "direction", None), "metric", None)
+    known = isinstance(method, Descent) and isinstance(method.direction, LBFGS | Newton | KCM)
+    if tether is None or not known or not isinstance(metric, Stiffness):
+        return method  # type: ignore[no-any-return]
+    held = Held(tether, refresh_every=metric.refresh_every)
+    return replace(method, direction=replace(method.direction, metric=held))
 
 
 @dataclass(frozen=True)
