@@ -40,7 +40,7 @@ TURNING = {
     "newton": (Descent(Newton(), StrongWolfe()), True),
 }
 """Methods in torsions: what runs, and whether overlaps are parted before."""
-TYPICAL = {"newton": 400, "lbfgs": 150}
+TYPICAL = {"newton": 400, "lbfgs": 50}
 """Evaluations they usually take; the others use up all there are."""
 NEAR = Descent(LBFGS(Stiffness(5), 5), StrongWolfe())
 BY_LBFGS = Run(NEAR, by_springs=Descent(LBFGS(Stiffness(20), 100), StrongWolfe()))
@@ -68,14 +68,14 @@ def test_dynamics_run_to_their_end_and_end_in_a_minimum():
         ("anneal", Annealing(600.0, 2000, 10.0, 0.004, 0), True),
     ):
         moved = Run(method, True, 0.0, method.n_steps, last, False)
-        assert RECIPES[name] == Recipe(name, (moved, BY_LBFGS), True, random, False, method.n_steps + 150)
+        assert RECIPES[name] == Recipe(name, (moved, BY_LBFGS), True, random, False, method.n_steps + 50)
 
 
 def test_the_other_methods_are_as_documented():
     expected = (
         Recipe("lbfgs", (BY_LBFGS,), True, typical=TYPICAL["lbfgs"]),
-        Recipe("cartesian", (ALL_ATOMS,), False, typical=500),
-        Recipe("hybrid", (replace(BY_LBFGS, tolerance=300.0), ALL_ATOMS), True, typical=500),
+        Recipe("cartesian", (ALL_ATOMS,), False, typical=100),
+        Recipe("hybrid", (replace(BY_LBFGS, tolerance=300.0), ALL_ATOMS), True, typical=100),
         Recipe("openmm", (), False, False, True, 1500),
         Recipe("openmm-md", (), False, True, True, 3000),
     )

@@ -215,7 +215,7 @@ HYBRID_TORQUE = 300.0
 
 
 _TYPICAL = {
-    "lbfgs": 150, "newton": 400, "cartesian": 500, "hybrid": 500, "openmm": 1500, "openmm-md": 3000,
+    "lbfgs": 50, "newton": 400, "cartesian": 100, "hybrid": 100, "openmm": 1500, "openmm-md": 3000,
 }  # fmt: skip
 """Evaluations to convergence at the default tolerance: rounded medians of proteins of 20 to 129 residues."""
 
