@@ -11,6 +11,7 @@ field's own constants.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,14 +105,15 @@ class NearTerms:
 
 def near_terms(energy: Energy) -> NearTerms | None:
     """Near terms of an energy; None if nothing is known of them, as of a callable."""
-    terms = getattr(energy, "terms", None)
+    known: Any = energy
+    terms = getattr(known, "terms", None)
     if terms is None:
-        terms = None if getattr(energy, "system", None) is None else _read(energy)
+        terms = None if getattr(energy, "system", None) is None else _read(known)
     return None if terms is None else _near(terms)
 
 
 @lru_cache(maxsize=4)
-def _read(energy: Energy) -> Terms | None:
+def _read(energy: Any) -> Terms | None:
     try:
         return compile_system(energy.system)
     except UnsupportedForceError:
@@ -251,7 +253,7 @@ def order_at(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Integers
 
 def _among(pairs: Integers, moving: NDArray[np.bool_]) -> tuple[Integers, NDArray[np.bool_]]:
     """Pairs of atoms that both move, as places among these, and which pairs they are."""
-    both = moving[pairs].all(axis=1)
+    both = np.asarray(moving[pairs].all(axis=1))
     return (np.cumsum(moving) - 1)[pairs[both]], both
 
 

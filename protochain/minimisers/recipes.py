@@ -89,7 +89,7 @@ def _tethered(method: Any, tether: Floats | None) -> Method:
     metric = getattr(getattr(method, "direction", None), "metric", None)
     known = isinstance(method, Descent) and isinstance(method.direction, LBFGS | Newton | KCM)
     if tether is None or not known or not isinstance(metric, Stiffness):
-        return method  # type: ignore[no-any-return]
+        return method
     held = Held(tether, refresh_every=metric.refresh_every)
     return replace(method, direction=replace(method.direction, metric=held))
 

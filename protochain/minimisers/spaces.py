@@ -92,9 +92,9 @@ class Torsions:
         posed = _pose(at.pose)
 
         def factorised() -> Any:
-            if self.terms is None or near_by is not None:
-                near, angles, floor = near_by or springs.contacts, (), springs.TORSION_FLOOR
-            else:
+            near, floor = near_by or springs.contacts, springs.TORSION_FLOOR
+            angles: tuple[springs.Gradients, ...] = ()
+            if self.terms is not None and near_by is None:
                 found = curvature.springs_of(self.terms, posed.x, ~self.chain.structure.obstacle)
                 angles = curvature.bonded_gradients(self.terms, posed.x)
                 near, floor = (lambda *_: found), curvature.TORSION_FLOOR
