@@ -173,14 +173,14 @@ def test_a_run_from_overlaps_goes_on_from_any_stage_as_if_it_had_never_stopped(t
         def __call__(self, row, x):
             pass
 
-    whole = pc.minimise(c, e, "hybrid", tolerance=5.0, watch=Watch())
+    whole = pc.minimise(c, e, "hybrid", tolerance=1.0, watch=Watch())
     budgets = [n + 2 for n in seen.values() if n + 2 < whole.n_evaluations]
     assert len(budgets) >= 3
     for budget in budgets:
         kept = tmp_path / f"{budget}.npz"
-        part = pc.minimise(c, e, "hybrid", tolerance=5.0, max_evaluations=budget, checkpoint=kept)
+        part = pc.minimise(c, e, "hybrid", tolerance=1.0, max_evaluations=budget, checkpoint=kept)
         assert part.n_evaluations == budget
-        rest = pc.minimise(c, e, "hybrid", tolerance=5.0, resume=kept)
+        rest = pc.minimise(c, e, "hybrid", tolerance=1.0, resume=kept)
         assert rest.n_evaluations == whole.n_evaluations and np.array_equal(rest.x, whole.x)
 
 

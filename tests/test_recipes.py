@@ -1,6 +1,6 @@
 """Methods by name: what each runs, in which space, on which energy."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +11,7 @@ from test_descent import crowded
 import protochain as pc
 from protochain.minimisers import METHODS, RECIPES, Recipe, Run, recipe_of
 from protochain.minimisers.annealing import Annealing, AnnealingState
+from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent, DescentState
 from protochain.minimisers.fire import Fire, FireState
 from protochain.minimisers.kcm import KCM, by_largest, by_length, by_sign
@@ -37,13 +38,13 @@ TURNING = {
     "fire": (Fire(), False),
     "quench": (Fire(mixing=1.0, fade=1.0), False),
     "newton": (Descent(Newton(), StrongWolfe()), True),
-    "lbfgs": (Descent(LBFGS(), StrongWolfe()), True),
 }
 """Methods in torsions: what runs, and whether overlaps are parted before."""
-TYPICAL = {"newton": 400, "lbfgs": 150}
+TYPICAL = {"newton": 400, "lbfgs": 50}
 """Evaluations they usually take; the others use up all there are."""
-BY_LBFGS = Run(Descent(LBFGS(Stiffness(20), 100), StrongWolfe()))
-ALL_ATOMS = Run(Descent(LBFGS(Stiffness(40), 100), StrongWolfe()), in_torsions=False)
+NEAR = Descent(LBFGS(Stiffness(5), 5), StrongWolfe())
+BY_LBFGS = Run(NEAR, by_springs=Descent(LBFGS(Stiffness(20), 100), StrongWolfe()))
+ALL_ATOMS = Run(NEAR, in_torsions=False, by_springs=Descent(LBFGS(Stiffness(40), 100), StrongWolfe()))
 
 
 def test_each_method_in_torsions_is_as_documented():
@@ -52,19 +53,29 @@ def test_each_method_in_torsions_is_as_documented():
         assert RECIPES[name] == Recipe(name, (expected,), parts, False, False, TYPICAL.get(name, 0))
 
 
+def test_lbfgs_is_fitted_to_the_near_terms_and_without_them_to_springs():
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    for name, runs in (("lbfgs", [BY_LBFGS]), ("hybrid", [BY_LBFGS, ALL_ATOMS])):
+        known = RECIPES[name].plan(c, e, e, 2.0, Hold(), 0)
+        assert [stage.method for stage in known] == [run.method for run in runs]
+        assert [stage.space.terms for stage in known] == [near_terms(e)] * len(runs)
+        assert [stage.method for stage in plan_of(RECIPES[name], c)] == [run.by_springs for run in runs]
+
+
 def test_dynamics_run_to_their_end_and_end_in_a_minimum():
     for name, method, random in (
         ("md", Annealing(0.0, 1000, 10.0, 0.004, 0), False),
         ("anneal", Annealing(600.0, 2000, 10.0, 0.004, 0), True),
     ):
         moved = Run(method, True, 0.0, method.n_steps, last, False)
-        assert RECIPES[name] == Recipe(name, (moved, BY_LBFGS), True, random, False, method.n_steps + 150)
+        assert RECIPES[name] == Recipe(name, (moved, BY_LBFGS), True, random, False, method.n_steps + 50)
 
 
-def test_the_other_methods_move_all_atoms():
+def test_the_other_methods_are_as_documented():
     expected = (
-        Recipe("cartesian", (ALL_ATOMS,), False, typical=500),
-        Recipe("hybrid", (Run(BY_LBFGS.method, tolerance=300.0), ALL_ATOMS), True, typical=500),
+        Recipe("lbfgs", (BY_LBFGS,), True, typical=TYPICAL["lbfgs"]),
+        Recipe("cartesian", (ALL_ATOMS,), False, typical=100),
+        Recipe("hybrid", (replace(BY_LBFGS, tolerance=300.0), ALL_ATOMS), True, typical=100),
         Recipe("openmm", (), False, False, True, 1500),
         Recipe("openmm-md", (), False, True, True, 3000),
     )
@@ -127,7 +138,7 @@ def test_a_plan_is_of_the_recipes_runs_in_their_spaces_on_their_energies():
     first, second = plan_of(RECIPES["hybrid"], c)
     assert (first.space, first.energy.name, first.tolerance) == (torsions, "reduced", 300.0)
     assert (second.space, second.energy.name, second.tolerance) == (atoms, "whole", 2.0)
-    assert (first.method, second.method) == (BY_LBFGS.method, ALL_ATOMS.method)
+    assert (first.method, second.method) == (BY_LBFGS.by_springs, ALL_ATOMS.by_springs)
     assert (first.name, second.name) == ("torsions", "all atoms")
     for stage in (first, second):
         assert stage.restraint is None and stage.recorded and stage.after == ()
@@ -144,7 +155,7 @@ def test_single_precision_goes_on_in_double_where_the_recipe_says_so():
     assert [getattr(stage.energy, "name", stage.energy) for stage in stages] == ["reduced"] * 3
     ends = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
     assert [stage.after for stage in stages] == [(), (), ends] and stages[2].energy == "reduced"
-    assert stages[2].method == BY_LBFGS.method and stages[2].tolerance == 2.0
+    assert stages[2].method == BY_LBFGS.by_springs and stages[2].tolerance == 2.0
 
 
 def test_the_last_run_is_repeated_for_each_restraint():
@@ -156,6 +167,22 @@ def test_the_last_run_is_repeated_for_each_restraint():
     assert [stage.space for stage in stages] == [spaces(c)[0], *[spaces(c)[1]] * 3]
 
 
+def test_the_springs_of_a_restraint_are_in_the_metric():
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    for name in ("hybrid", "newton", "kcm-stiffness"):
+        *_, last_held, free = RECIPES[name].plan(c, e, e, 2.0, Hold((100.0, 0.0), term=term), 0)
+        metric = last_held.method.direction.metric
+        assert (
+            np.array_equal(metric.tether, last_held.restraint.parts[0].weight)
+            and metric.tether.max() == 100.0
+        )
+        assert not metric.is_soft and metric.refresh_every == free.method.direction.metric.refresh_every
+        assert isinstance(free.method.direction.metric, Stiffness)
+    # The mass is no model of the energy.
+    kept = RECIPES["kcm-metric"].plan(c, e, e, 2.0, Hold((100.0,)), 0)[-1]
+    assert kept.method.direction.metric == Mass()
+
+
 def test_overlaps_are_parted_in_torsions_and_springs_let_go_one_after_the_other():
     c = crowded()
     s, (torsions, _) = c.structure, spaces(c)
@@ -164,7 +191,9 @@ def test_overlaps_are_parted_in_torsions_and_springs_let_go_one_after_the_other(
     assert [stage.name for stage in held] == ["held by springs"] * 3
     assert all(stage.space is torsions for stage in (soft, *held, free))
     assert not soft.recorded and all(stage.recorded for stage in (*held, free))
-    assert {stage.energy.name for stage in (*held, free)} == {"reduced"} and free.method == BY_LBFGS.method
+    assert {stage.energy.name for stage in (*held, free)} == {
+        "reduced"
+    } and free.method == BY_LBFGS.by_springs
     repulsion, tethers, bound = soft.energy.parts
     assert [type(part) for part in soft.energy.parts] == [SoftRepulsion, Tethers, Bound]
     assert repulsion.structure is s and not len(repulsion.passing)
@@ -187,7 +216,7 @@ def term(x):
 
 def test_methods_that_may_move_all_atoms_part_overlaps_with_all_atoms():
     c, e = crowded(), energy("1l2y.pdb")
-    torsions, atoms = spaces(c)
+    torsions, atoms = spaces(c, near_terms(e))
     soft, held, *settled, turned, free = RECIPES["hybrid"].plan(c, e, e, 5.0, Hold(), 0)
     assert [stage.space for stage in (soft, held, turned, free)] == [atoms, atoms, torsions, atoms]
     # Side chains settle while springs hold the backbone.
@@ -206,7 +235,7 @@ def test_methods_that_may_move_all_atoms_part_overlaps_with_all_atoms():
     assert not turned.ready(turned, atoms.place(atoms.start(c.structure.positions)))
     # A callable has no bonds to hold the molecule together: torsions part the atoms.
     own = pc.energies.as_energy(lambda x: (0.0, 0.0 * x), c.structure)
-    assert RECIPES["hybrid"].plan(c, own, own, 2.0, Hold(), 0)[0].space is torsions
+    assert RECIPES["hybrid"].plan(c, own, own, 2.0, Hold(), 0)[0].space is spaces(c)[0]
 
 
 @pytest.mark.parametrize(("torque", "parts"), [(9e4, False), (2e5, True), (np.nan, True), (np.inf, True)])

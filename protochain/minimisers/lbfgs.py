@@ -15,6 +15,10 @@ from protochain.minimisers.problem import Evaluation, Problem
 _CURVATURE = 1e-10
 """Relative. A pair with less curvature would make the estimate of the Hessian singular, and is left out."""
 
+NEAR_MEMORY = 5
+"""Pairs kept with a metric of the force field's near terms: they correct what it leaves out. With 100,
+of which most belong to metrics and places long left, runs take half as many evaluations again."""
+
 Pairs = tuple[tuple[Floats, Floats, float], ...]
 """Steps, the decreases of torque along them, and the (positive) products of both; oldest first."""
 

@@ -11,6 +11,10 @@ from protochain.minimisers.problem import Evaluation, Space
 
 Solve = Callable[[Floats], Floats]
 
+NEAR_REFRESH = 5
+"""Iterations between two models of the Hessian from the force field's near terms, which cost about an energy.
+Renewed at every step, runs in all atoms take no fewer evaluations; every 20 steps, a third more."""
+
 
 class Metric(Protocol):
     """A positive definite matrix that varies slowly with the coordinates."""
@@ -59,7 +63,9 @@ class Mass:
 
 @dataclass(frozen=True)
 class Stiffness:
-    """A model of the Hessian from contacts and bonds: see :mod:`protochain.minimisers.springs`.
+    """A model of the Hessian from the force field's near terms, or where these are not known from springs.
+
+    See :mod:`protochain.minimisers.curvature` and :mod:`protochain.minimisers.springs`.
 
     Parameters
     ----------

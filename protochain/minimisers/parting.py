@@ -16,8 +16,8 @@ from protochain.contacts import near_pairs, overlaps
 from protochain.energies.bonded import bonded_part
 from protochain.energies.protocol import Energy
 from protochain.minimisers.descent import Descent
-from protochain.minimisers.lbfgs import LBFGS
-from protochain.minimisers.metrics import Solve
+from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
+from protochain.minimisers.metrics import NEAR_REFRESH, Solve
 from protochain.minimisers.problem import Evaluation, Force, Placement, Space
 from protochain.minimisers.restraints import (
     SOFT_SHARE,
@@ -29,7 +29,7 @@ from protochain.minimisers.restraints import (
     Tethers,
 )
 from protochain.minimisers.spaces import Cartesian, Torsions
-from protochain.minimisers.springs import Springs, contacts
+from protochain.minimisers.springs import Springs
 from protochain.minimisers.stages import Stage
 from protochain.minimisers.steps import StrongWolfe
 from protochain.minimisers.unthread import freeing
@@ -92,7 +92,7 @@ class Held:
     def at(self, space: Space, at: Evaluation) -> Solve:
         """Solver for the model made at a point."""
         assert isinstance(space, Torsions | Cartesian)
-        return space.stiffness(at, _soft_springs if self.is_soft else contacts, self.tether)
+        return space.stiffness(at, _soft_springs if self.is_soft else None, self.tether)
 
 
 def _soft_springs(structure: Structure, x: Floats, bonds: int) -> Springs:
@@ -205,10 +205,14 @@ def _held(stage: Stage, strength: float, atoms: NDArray[np.bool_] | None = None)
 
 
 def _hold(weight: Floats, stage: Stage, x: Floats) -> Stage:
-    every = 20 if isinstance(stage.space, Torsions) else 40
     springs = Tethers(x, weight)
     parts: list[Force] = [springs] if stage.restraint is None else [springs, stage.restraint]
-    method = Descent(LBFGS(Held(springs.weight, refresh_every=every)), StrongWolfe())
+    assert isinstance(stage.space, Torsions | Cartesian)
+    if stage.space.terms is not None:
+        direction = LBFGS(Held(springs.weight, refresh_every=NEAR_REFRESH), NEAR_MEMORY)
+    else:
+        direction = LBFGS(Held(springs.weight, refresh_every=20 if isinstance(stage.space, Torsions) else 40))
+    method = Descent(direction, StrongWolfe())
     return replace(stage, method=method, restraint=Sum(parts))
 
 
@@ -248,4 +252,4 @@ def _rebuilt(energy: Energy, stage: Stage, x: Floats) -> Stage:
 
 def _torsions_at(space: Space, x: Floats) -> Torsions:
     assert isinstance(space, Torsions)
-    return Torsions(rebuilt(space.chain, read_only(x)))
+    return Torsions(rebuilt(space.chain, read_only(x)), space.terms)

@@ -7,21 +7,29 @@ from inspect import signature
 from types import MappingProxyType
 from typing import Any
 
+from protochain.arrays import Floats
 from protochain.chain import Chain
 from protochain.contacts import overlaps
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
 from protochain.minimisers.annealing import Annealing
+from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.fire import Fire
 from protochain.minimisers.kcm import KCM, by_length, by_sign
-from protochain.minimisers.lbfgs import LBFGS
+from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.loop import Method, Stop
-from protochain.minimisers.metrics import Mass, Stiffness
+from protochain.minimisers.metrics import NEAR_REFRESH, Mass, Stiffness
 from protochain.minimisers.newton import Newton, PseudoTransient
-from protochain.minimisers.parting import UNUSUAL, once_ordinary, parting_in_all_atoms, parting_in_torsions
+from protochain.minimisers.parting import (
+    UNUSUAL,
+    Held,
+    once_ordinary,
+    parting_in_all_atoms,
+    parting_in_torsions,
+)
 from protochain.minimisers.problem import Force, Space
-from protochain.minimisers.restraints import Hold
+from protochain.minimisers.restraints import Hold, tethers_in
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import PATIENCE, Answer, Stage, last, lowest
 from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
@@ -49,6 +57,8 @@ class Run:
         As of :class:`Stage`.
     continued : bool
         Whether to continue on the energy's double-precision reference where single precision ends.
+    by_springs : Method, optional
+        In place of ``method`` where the near terms of an energy are not known, as of a callable.
     """
 
     method: Method
@@ -57,19 +67,31 @@ class Run:
     patience: int = PATIENCE
     answer: Answer = lowest
     continued: bool = True
+    by_springs: Method | None = None
 
     def stages(self, space: Space, energy: Energy, tolerance: float, restraint: Force | None) -> list[Stage]:
         """Stage on an energy, and a second one on its reference if that is another engine."""
         tolerance = tolerance if self.tolerance is None else self.tolerance
+        method = _tethered(self.method, tethers_in(restraint))
         engines = [energy] if energy.is_exact or not self.continued else [energy, energy.reference]
         return [
             Stage(
-                space, self.method, engine, tolerance, restraint, patience=self.patience, answer=self.answer,
+                space, method, engine, tolerance, restraint, patience=self.patience, answer=self.answer,
                 after=() if engine is energy else SINGLE_PRECISION_ENDS,
                 name="torsions" if self.in_torsions else "all atoms",
             )
             for engine in engines
         ]  # fmt: skip
+
+
+def _tethered(method: Any, tether: Floats | None) -> Method:
+    """Method whose model of the Hessian has the springs of a restraint (na,), too."""
+    metric = getattr(getattr(method, "direction", None), "metric", None)
+    known = isinstance(method, Descent) and isinstance(method.direction, LBFGS | Newton | KCM)
+    if tether is None or not known or not isinstance(metric, Stiffness):
+        return method
+    held = Held(tether, refresh_every=metric.refresh_every)
+    return replace(method, direction=replace(method.direction, metric=held))
 
 
 @dataclass(frozen=True)
@@ -155,7 +177,8 @@ class Recipe:
         ``reduced`` is the energy without terms that are constant in the chain, ``max_torque`` the largest
         torque at the start.
         """
-        torsions, atoms = spaces(chain)
+        terms = near_terms(energy)
+        torsions, atoms = spaces(chain, terms)
         restraints = hold.restraints(chain.structure)
         overlap = self.parts_overlaps and bool(overlaps(chain.structure, chain.structure.positions))
         parts = overlap or (self.parts_overlaps and not max_torque <= UNUSUAL)
@@ -168,7 +191,7 @@ class Recipe:
             plan += parting_in_all_atoms(torsions, atoms, energy, tolerance, restraints[0], overlap)
         for run in self.runs:
             space, own = (torsions, reduced) if run.in_torsions else (atoms, energy)
-            method: Any = run.method
+            method: Any = run.by_springs if terms is None and run.by_springs else run.method
             if hasattr(method, "seed") and hasattr(method, "__dataclass_fields__"):
                 method = replace(method, seed=seed)
             for restraint in restraints if run is self.runs[-1] else restraints[:1]:
@@ -180,16 +203,19 @@ class Recipe:
         return plan
 
 
-_LBFGS = Descent(LBFGS(), StrongWolfe())
-_ALL_ATOMS = Run(Descent(LBFGS(Stiffness(refresh_every=40)), StrongWolfe()), in_torsions=False)
-"""Refreshed less often: bonds and angles, most of the stiffness, change little, and the matrix is costly."""
+_LBFGS = Descent(LBFGS(Stiffness(refresh_every=NEAR_REFRESH), NEAR_MEMORY), StrongWolfe())
+_TORSIONS = Run(_LBFGS, by_springs=Descent(LBFGS(), StrongWolfe()))
+_ALL_ATOMS = Run(
+    _LBFGS, in_torsions=False, by_springs=Descent(LBFGS(Stiffness(refresh_every=40)), StrongWolfe())
+)
+"""Springs are renewed less often: bonds and angles, most of them, change little, and the matrix is costly."""
 
 HYBRID_TORQUE = 300.0
 """kJ/mol/rad. Tolerance in torsions before all atoms move: the strain left is in bonds and angles."""
 
 
 _TYPICAL = {
-    "lbfgs": 150, "newton": 400, "cartesian": 500, "hybrid": 500, "openmm": 1500, "openmm-md": 3000,
+    "lbfgs": 50, "newton": 400, "cartesian": 100, "hybrid": 100, "openmm": 1500, "openmm-md": 3000,
 }  # fmt: skip
 """Evaluations to convergence at the default tolerance: rounded medians of proteins of 20 to 129 residues."""
 
@@ -202,7 +228,7 @@ def _dynamics(name: str, annealing: Annealing, draws_random: bool) -> Recipe:
     """Dynamics, then minimisation from its last point."""
     moved = Run(annealing, tolerance=0.0, patience=annealing.n_steps, answer=last, continued=False)
     typical = annealing.n_steps + _TYPICAL["lbfgs"]
-    return Recipe(name, (moved, Run(_LBFGS)), True, draws_random, typical=typical)
+    return Recipe(name, (moved, _TORSIONS), True, draws_random, typical=typical)
 
 
 _TABLE = (
@@ -220,9 +246,9 @@ _TABLE = (
     _dynamics("md", Annealing(), draws_random=False),
     _dynamics("anneal", Annealing(temperature=600.0, n_steps=2000), draws_random=True),
     _in_torsions("newton", Descent(Newton(), StrongWolfe()), parts_overlaps=True),
-    _in_torsions("lbfgs", _LBFGS, parts_overlaps=True),
+    Recipe("lbfgs", (_TORSIONS,), parts_overlaps=True),
     Recipe("cartesian", (_ALL_ATOMS,)),
-    Recipe("hybrid", (Run(_LBFGS, tolerance=HYBRID_TORQUE), _ALL_ATOMS), parts_overlaps=True),
+    Recipe("hybrid", (replace(_TORSIONS, tolerance=HYBRID_TORQUE), _ALL_ATOMS), parts_overlaps=True),
     Recipe("openmm", by_openmm=True),
     Recipe("openmm-md", by_openmm=True, draws_random=True),
 )

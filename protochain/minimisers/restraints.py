@@ -158,6 +158,13 @@ class Sum:
         return sum(energies), np.sum(forces, axis=0)
 
 
+def tethers_in(restraint: Force | None) -> Floats | None:
+    """Stiffness (na,) in kJ/mol/nm^2 of the tethers in a restraint; None without any."""
+    parts = restraint.parts if isinstance(restraint, Sum) else [restraint]
+    weights = [part.weight for part in parts if isinstance(part, Tethers)]
+    return np.sum(weights, axis=0) if weights else None
+
+
 @dataclass(frozen=True)
 class Hold:
     """Restraints of a minimisation to its start.

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from protochain import multibody
-from protochain.arrays import Floats
+from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, Pose, pose, pull_back, solve_mass
 from protochain.interrupts import answering
-from protochain.minimisers import springs
+from protochain.minimisers import curvature, springs
+from protochain.minimisers.curvature import NearTerms
 from protochain.minimisers.problem import Evaluation, Placement
 from protochain.multibody import HingeKind
 from protochain.structure.model import Structure
@@ -33,9 +34,12 @@ class Torsions:
     ----------
     chain : Chain
         Its structure is the start.
+    terms : NearTerms, optional
+        Of the force field, for its stiffness.
     """
 
     chain: Chain
+    terms: NearTerms | None = None
     longest = 0.5
     first = 0.01
     unit = "largest torque {:.4g} kJ/mol/rad"
@@ -78,14 +82,25 @@ class Torsions:
         return multibody.integrate(self.chain.tree, q, self.scale * step)
 
     def stiffness(
-        self, at: Evaluation, near_by: springs.Near = springs.contacts, tether: Floats | None = None
+        self, at: Evaluation, near_by: springs.Near | None = None, tether: Floats | None = None
     ) -> Callable[[Floats], Floats]:
-        """Solver for J^T C J of the contacts (of tethers too), by Cholesky factorisation."""
+        """Solver for J^T C J, by Cholesky factorisation.
+
+        C is that of the force field's near terms, or of given springs between near atoms; without either, of
+        contacts. With those of tethers.
+        """
+        posed = _pose(at.pose)
 
         def factorised() -> Any:
-            matrix = springs.torsion_stiffness(self.chain, _pose(at.pose), near_by, tether)
+            near, floor = near_by or springs.contacts, springs.TORSION_FLOOR
+            angles: tuple[springs.Gradients, ...] = ()
+            if self.terms is not None and near_by is None:
+                found = curvature.springs_of(self.terms, posed.x, ~self.chain.structure.obstacle)
+                angles = curvature.bonded_gradients(self.terms, posed.x)
+                near, floor = (lambda *_: found), curvature.TORSION_FLOOR
+            matrix = springs.torsion_stiffness(self.chain, posed, near, tether, angles)
             matrix *= np.outer(self.scale, self.scale)
-            matrix[np.diag_indices_from(matrix)] += springs.TORSION_FLOOR
+            matrix[np.diag_indices_from(matrix)] += floor
             return cho_factor(matrix, lower=True, check_finite=False)
 
         # Of a large protein it takes seconds.
@@ -130,10 +145,13 @@ class Cartesian:
         Its bonds and masses are used.
     moving : (na,) bool
         Atoms that may move.
+    terms : NearTerms, optional
+        Of the force field, for its stiffness.
     """
 
     structure: Structure
     moving: NDArray[np.bool_]
+    terms: NearTerms | None = None
     longest = 0.03
     first = 0.005
     unit = "RMS force {:.4g} kJ/mol/nm"
@@ -141,6 +159,12 @@ class Cartesian:
     @cached_property
     def _springs(self) -> springs.Springs:
         return springs.covalent(self.structure)
+
+    @cached_property
+    def _order(self) -> Integers:
+        """Order of elimination: that of the structure, so that resumed runs have the same."""
+        assert self.terms is not None
+        return curvature.order_at(self.terms, self.structure.positions, self.moving)
 
     def start(self, x: Floats) -> Floats:
         """Coordinates at x."""
@@ -165,12 +189,21 @@ class Cartesian:
         return np.asarray(q + step)
 
     def stiffness(
-        self, at: Evaluation, near_by: springs.Near = springs.contacts, tether: Floats | None = None
+        self, at: Evaluation, near_by: springs.Near | None = None, tether: Floats | None = None
     ) -> Callable[[Floats], Floats]:
-        """Solver for a sparse matrix of bonds, angles, dihedrals and contacts (of tethers too)."""
-        make = partial(
-            springs.cartesian_solver, self.structure, self._springs, at.x, self.moving, near_by, tether
-        )
+        """Solver for a sparse model of the Hessian.
+
+        With the near terms of the force field, or springs between near atoms in place of its Lennard-Jones
+        pairs; without, springs for bonds, angles, dihedrals and contacts. With those of tethers.
+        """
+        if self.terms is None:
+            near = near_by or springs.contacts
+            make = partial(
+                springs.cartesian_solver, self.structure, self._springs, at.x, self.moving, near, tether
+            )
+        else:
+            own = None if near_by is None else near_by(self.structure, at.x, 3)
+            return curvature.near_solver(self.terms, at.x, self.moving, self._order, own, tether)
         return make() if len(self.moving) < _LARGE else answering(make, held=True)
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
@@ -179,7 +212,11 @@ class Cartesian:
         return lambda torque: np.asarray(torque / mass)
 
 
+def spaces(chain: Chain, terms: NearTerms | None = None) -> tuple[Torsions, Cartesian]:
+    """Both spaces of a chain, with near terms of its force field; cached with all that is derived from it."""
+    return _spaces(chain, terms)
+
+
 @lru_cache(maxsize=4)
-def spaces(chain: Chain) -> tuple[Torsions, Cartesian]:
-    """Both spaces of a chain, cached with all that is derived from it."""
-    return Torsions(chain), Cartesian(chain.structure, chain.moving)
+def _spaces(chain: Chain, terms: NearTerms | None) -> tuple[Torsions, Cartesian]:
+    return Torsions(chain, terms), Cartesian(chain.structure, chain.moving, terms)

@@ -1,5 +1,7 @@
 """Model of the Hessian from geometry alone: springs between nearby atoms, stiffest along bonds.
 
+For energies whose near terms are not known (:mod:`protochain.minimisers.curvature`), as of a callable.
+
 Minimisation is slow because some freedoms are a million times stiffer than others: bonds than dihedrals and,
 among dihedrals, those that press two atoms together than those that swing a loop. Springs between atoms
 reproduce this well enough for a preconditioner, whatever the force field: Packwood, Kermode, Mones,
@@ -8,7 +10,7 @@ exponentially; with bonds and angles as further springs, Mones, Ortner, Csanyi, 
 torsions K = J^T C J, as in torsional elastic networks (Mendez, Bastolla, Phys. Rev. Lett. 104:228103, 2010).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,18 +21,7 @@ from scipy.sparse.linalg import splu
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, Pose
 from protochain.contacts import joined, near_pairs
-from protochain.multibody import pull_back, velocities
-from protochain.multibody.algebra import (
-    add,
-    add_pair,
-    cross,
-    dot,
-    kernel,
-    pair,
-    scale,
-    subtract,
-    vector,
-)  # fmt: skip
+from protochain.minimisers.torsion_kernels import stiffness_in_torsions
 from protochain.structure.model import Structure
 
 DEPTH = 0.4
@@ -89,8 +80,16 @@ Near = Callable[[Structure, Floats, int], Springs]
 """Springs between near atoms more than a number of bonds apart: :func:`contacts`, or softer ones."""
 
 
+Gradients = tuple[Integers, Floats, Floats]
+"""Atoms (n, k) of angles or dihedrals, gradients (n, k, 3) in rad/nm, and stiffness (n,) in kJ/mol/rad^2."""
+
+
 def torsion_stiffness(
-    chain: Chain, at: Pose, near_by: Near = contacts, tether: Floats | None = None
+    chain: Chain,
+    at: Pose,
+    near_by: Near = contacts,
+    tether: Floats | None = None,
+    gradients: Sequence[Gradients] = (),
 ) -> Floats:
     """Stiffness K = J^T C J of the contacts of a chain, in its torsions.
 
@@ -102,35 +101,19 @@ def torsion_stiffness(
         Makes the springs.
     tether : (na,) float, kJ/mol/nm^2, optional
         Springs of the atoms to fixed points.
+    gradients : sequence of tuple
+        Angles and dihedrals, which add k J^T g g^T J.
 
     Returns
     -------
     (n_v, n_v) float, kJ/mol/rad^2
-        Column k is the response of the springs to a unit turn of freedom k: one outward sweep, the spring
-        forces, one inward sweep. O(n_v (bodies + springs)).
+        Of all that acts between bodies; springs within a rigid group keep their length.
     """
     near = near_by(chain.structure, at.x, 2)
-    # Springs within a rigid group keep their length.
-    groups = chain.rigid_groups
-    apart = np.ones(len(near.pairs), dtype=bool)
-    for a in range(groups.shape[1]):
-        for b in range(groups.shape[1]):
-            first, second = groups[near.pairs[:, 0], a], groups[near.pairs[:, 1], b]
-            apart &= (first != second) | (first < 0)
-    pairs, stiffness = near.pairs[apart], near.stiffness[apart]
-    arms = at.x - at.frames.origin[chain.atom_body]
-    columns = np.empty((chain.n_v, chain.n_v))
-    unit = np.zeros(chain.n_v)
-    for k in range(chain.n_v):
-        unit[k] = 1.0
-        wrench = np.zeros((chain.n_bodies, 6))
-        twists = velocities(chain.tree, at.frames, unit)
-        _spring_loads(chain.atom_body, arms, at.x, pairs, stiffness, twists, wrench)
-        if tether is not None:
-            _tether_loads(chain.atom_body, arms, tether, twists, wrench)
-        columns[k] = pull_back(chain.tree, at.frames, wrench)
-        unit[k] = 0.0
-    return 0.5 * (columns + columns.T)
+    along = _directions(at.x, near.pairs)
+    lengths = near.pairs, np.stack([along, -along], axis=1), near.stiffness
+    held = np.zeros(chain.n_atoms) if tether is None else np.array(tether)
+    return stiffness_in_torsions(chain, at, [lengths, *gradients], held)
 
 
 def cartesian_solver(
@@ -202,45 +185,3 @@ def _directions(x: Floats, pairs: Integers) -> Floats:
     across = x[pairs[:, 0]] - x[pairs[:, 1]]
     length = np.linalg.norm(across, axis=1, keepdims=True)
     return np.divide(across, length, out=np.zeros_like(across), where=length > 0)
-
-
-@kernel
-def _spring_loads(
-    atom_body: Integers, arms: Floats, x: Floats, pairs: Integers, stiffness: Floats, twists: Floats,
-    wrench: Floats,
-) -> None:  # fmt: skip
-    """Add the wrenches of the springs stretched by the twists of a unit turn of one freedom."""
-    moves = np.zeros(len(twists), dtype=np.bool_)
-    for b in range(len(twists)):
-        for k in range(6):
-            moves[b] |= twists[b, k] != 0.0
-    for n in range(len(pairs)):
-        i, j = pairs[n, 0], pairs[n, 1]
-        a, b = atom_body[i], atom_body[j]
-        # Springs within the moving or within the resting part keep their length; most springs do.
-        if moves[a] == moves[b]:
-            continue
-        omega_a, u_a = pair(twists, a)
-        omega_b, u_b = pair(twists, b)
-        at_i, at_j = vector(arms, i), vector(arms, j)
-        rate = subtract(add(u_a, cross(omega_a, at_i)), add(u_b, cross(omega_b, at_j)))
-        across = subtract(vector(x, i), vector(x, j))
-        square = dot(across, across)
-        if square > 0.0:
-            force = scale(stiffness[n] * dot(rate, across) / square, across)
-            back = scale(-1.0, force)
-            add_pair(cross(at_i, force), force, wrench, a)
-            add_pair(cross(at_j, back), back, wrench, b)
-
-
-@kernel
-def _tether_loads(
-    atom_body: Integers, arms: Floats, stiffness: Floats, twists: Floats, wrench: Floats
-) -> None:
-    """Add the wrenches of springs to fixed points, stretched by the twists of a unit turn of one freedom."""
-    for i in range(len(atom_body)):
-        b = atom_body[i]
-        omega, u = pair(twists, b)
-        at = vector(arms, i)
-        force = scale(stiffness[i], add(u, cross(omega, at)))
-        add_pair(cross(at, force), force, wrench, b)

@@ -7,10 +7,11 @@ import numpy as np
 
 from protochain.chain import Chain, Pose, pose
 from protochain.energies.protocol import Energy
+from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.outlook import is_crowded
 from protochain.minimisers.problem import Evaluation, Problem, evaluate
 from protochain.minimisers.recipes import Recipe
-from protochain.minimisers.spaces import spaces
+from protochain.minimisers.spaces import Cartesian, Torsions, spaces
 from protochain.minimisers.verdict import Judgement, judge
 
 
@@ -43,6 +44,10 @@ class Start:
         """Energy and residuals of the start in double precision."""
         return judge(self.chain, self.energy, self.pose)
 
+    @property
+    def _spaces(self) -> tuple[Torsions, Cartesian]:
+        return spaces(self.chain, near_terms(self.energy))
+
     @cached_property
     def reduced(self) -> Energy:
         """Energy without the terms that are constant in the chain."""
@@ -63,11 +68,11 @@ class Start:
             _ = self._warm_atoms
         for run in recipe.runs:
             if hasattr(run.method, "warm"):
-                run.method.warm(Problem(spaces(self.chain)[0], self.reduced, 1), self._warm_in_torsions)
+                run.method.warm(Problem(self._spaces[0], self.reduced, 1), self._warm_in_torsions)
 
     @cached_property
     def _warm_in_torsions(self) -> Evaluation:
-        torsions = spaces(self.chain)[0]
+        torsions = self._spaces[0]
         at = evaluate(torsions, self.reduced, torsions.move(self.chain.q0, np.zeros(self.chain.n_v)))
         torsions.stiffness(at)(at.torque)
         torsions.inertia(at)(at.torque)
@@ -77,4 +82,7 @@ class Start:
 
     @cached_property
     def _warm_atoms(self) -> None:
-        self.energy(self.pose.x), self.energy(self.pose.x)
+        self.energy(self.pose.x)
+        atoms = self._spaces[1]
+        at = evaluate(atoms, self.energy, self.pose.x.ravel())
+        atoms.stiffness(at)(at.torque)

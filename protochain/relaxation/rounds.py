@@ -14,9 +14,11 @@ from protochain.arrays import Floats, Integers, read_only
 from protochain.contacts import OVERLAP, near_pairs
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
+from protochain.minimisers.curvature import NearTerms, near_terms
 from protochain.minimisers.descent import Descent
-from protochain.minimisers.lbfgs import LBFGS
+from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.loop import Stop, run
+from protochain.minimisers.metrics import NEAR_REFRESH
 from protochain.minimisers.parting import Held, unthreading
 from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Problem, evaluate
 from protochain.minimisers.recipes import SINGLE_PRECISION_ENDS
@@ -39,6 +41,8 @@ _REFRESH = 20
 _STIFFER = 60e3
 """kJ/mol/nm^2, added to the model of the Hessian for every atom: under springs steps are short. With 60
 times 1000 in place of 8 the number of evaluations falls by half."""
+_STIFFER_NEAR = 10e3
+"""kJ/mol/nm^2, the same for the model from the near terms: a fifth fewer evaluations than with none."""
 _HIGH = 1000.0
 """kJ/mol/nm, RMS force from which on a rough energy does the first part of the way, several times as fast."""
 
@@ -203,8 +207,11 @@ class Relaxer:
         """Positions, why it ended, and the work with that of the stages before."""
         stage = stage or _Stage("all atoms", self.strength.tolerance, PATIENCE)
         space = self._space()
-        held = Held(springs.weight + _STIFFER, stage is _SOFT, _REFRESH)
-        method = Descent(LBFGS(held, _MEMORY), StrongWolfe())
+        if space.terms is None:
+            direction = LBFGS(Held(springs.weight + _STIFFER, stage is _SOFT, _REFRESH), _MEMORY)
+        else:
+            direction = LBFGS(Held(springs.weight + _STIFFER_NEAR, stage is _SOFT, NEAR_REFRESH), NEAR_MEMORY)
+        method = Descent(direction, StrongWolfe())
         # The last of a round is a minimum of energy and springs alone.
         restraint = Sum([springs, self.hands]) if stage.name == GENTLE else springs
         problem = Problem(space, energy, _ENDLESS, restraint)
@@ -232,7 +239,7 @@ class Relaxer:
         return Hands.of(self.structure)
 
     def _space(self) -> Cartesian:
-        return _cartesian(self.structure)
+        return _cartesian(self.structure, near_terms(self.energy))
 
     def _freed(self, x: Floats, share: Floats) -> "tuple[Floats, Floats, _Work]":
         """Positions without threaded rings, springs that do not draw the bonds back, and the work."""
@@ -311,9 +318,9 @@ _ROUGH = _Stage(GENTLE, 30.0, PATIENCE)
 
 
 @lru_cache(maxsize=4)
-def _cartesian(structure: Structure) -> Cartesian:
+def _cartesian(structure: Structure, terms: NearTerms | None) -> Cartesian:
     """All atoms of a structure free; cached with the springs of its bonds."""
-    return Cartesian(structure, ~structure.obstacle)
+    return Cartesian(structure, ~structure.obstacle, terms)
 
 
 _ENDLESS = 1_000_000_000

@@ -1,0 +1,298 @@
+"""Model of the Hessian from the force field's own near terms, each made positive by itself.
+
+Bonds, angles, dihedrals, and Lennard-Jones pairs up to :data:`REACH` hold nearly all of the stiffness that
+makes minimisation slow. Of a pair the curvature along its line is kept where it is positive, and that across
+it where the pair is stretched: max(0, U'') u u^T + max(0, U'/r) (1 - u u^T). Of angles and dihedrals the
+Gauss-Newton part is kept, U'' g g^T with g the gradient of the angle, and |U''| for dihedrals. A sum of such
+terms is positive. As the preconditioner of Mones, Ortner, Csanyi, Sci. Rep. 8:13991 (2018), with the force
+field's own constants.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.arrays import Floats, Integers
+from protochain.energies.native.neighbours import partners
+from protochain.energies.native.reading import UnsupportedForceError
+from protochain.energies.native.terms import Bonded, Terms, compile_system
+from protochain.energies.protocol import Energy
+from protochain.minimisers import near_kernels as kernels
+from protochain.minimisers.cholesky import Factor, elimination_order, factorise
+from protochain.minimisers.springs import Gradients, Springs
+
+REACH = 0.4
+"""nm, longest Lennard-Jones pair. Those up to 0.5 nm, and Coulomb's forces, gain no evaluations."""
+
+COUPLED = 1000.0
+"""kJ/mol/nm^2, stiffness from which on a Lennard-Jones pair couples its atoms; softer ones, nine of ten,
+enter by their diagonal blocks only. With all of them the factor has four times as many blocks, and runs take
+no fewer evaluations."""
+
+FLOOR = 500.0
+"""kJ/mol/nm^2, added for every atom. Values between 200 and 2000 perform alike."""
+
+TORSION_FLOOR = 50.0
+"""kJ/mol/rad^2, added for every freedom, for long-range forces."""
+
+
+@dataclass(frozen=True, eq=False)
+class NearTerms:
+    """Near terms of a force field.
+
+    Parameters
+    ----------
+    n_atoms : int
+    bonds : Bonded
+        Pairs, with (r0, k).
+    angles : Bonded
+        Three atoms, with (theta0, k).
+    dihedrals : (n, 4) int
+        Each once.
+    waves : (m, 3) float
+        Cosines (n, phi0, k) of the dihedrals, those of one together; with n = 0, a constant stiffness k.
+    first_wave : (n + 1,) int
+        Of each dihedral.
+    contacts : Bonded
+        1-4 pairs, with (A, B) of A/r^12 - B/r^6.
+    lj_type : (na,) int
+    a12, b6 : (types, types) float
+        A and B of free pairs.
+    partners : tuple of (na + 1,) int, (n,) int
+        Start of each atom's partners that are no free pairs, and the partners, of higher index.
+    """
+
+    n_atoms: int
+    bonds: Bonded
+    angles: Bonded
+    dihedrals: Integers
+    waves: Floats
+    first_wave: Integers
+    contacts: Bonded
+    lj_type: Integers
+    a12: Floats
+    b6: Floats
+    partners: tuple[Integers, Integers]
+
+    @cached_property
+    def pairs(self) -> Integers:
+        """(n, 2) int: pairs of atoms that bonded terms and 1-4 pairs couple, sorted, the smaller first."""
+        return np.column_stack(np.divmod(self._keys, self.n_atoms))
+
+    @cached_property
+    def slots(self) -> tuple[Integers, ...]:
+        """Places in ``pairs`` of the pairs of each bond, 1-4 pair, angle and dihedral."""
+        return tuple(np.searchsorted(self._keys, self._keys_of(atoms)) for atoms in self._atoms)
+
+    @cached_property
+    def _keys(self) -> Integers:
+        return np.unique(np.concatenate([self._keys_of(atoms).ravel() for atoms in self._atoms]))
+
+    @property
+    def _atoms(self) -> tuple[Integers, ...]:
+        return self.bonds.atoms, self.contacts.atoms, self.angles.atoms, self.dihedrals
+
+    def _keys_of(self, atoms: Integers) -> Integers:
+        """(n, pairs) int: keys of the pairs of each term."""
+        first, second = np.triu_indices(atoms.shape[1], 1)
+        i, j = atoms[:, first], atoms[:, second]
+        return np.asarray(np.minimum(i, j) * self.n_atoms + np.maximum(i, j))
+
+
+def near_terms(energy: Energy) -> NearTerms | None:
+    """Near terms of an energy; None if nothing is known of them, as of a callable."""
+    known: Any = energy
+    terms = getattr(known, "terms", None)
+    if terms is None:
+        terms = None if getattr(energy, "system", None) is None else _read(known)
+    return None if terms is None else _near(terms)
+
+
+@lru_cache(maxsize=4)
+def _read(energy: Any) -> Terms | None:
+    try:
+        return compile_system(energy.system)
+    except UnsupportedForceError:
+        return None
+
+
+@lru_cache(maxsize=4)
+def _near(terms: Terms) -> NearTerms:
+    kinds, exceptions = terms.bonded, terms.nonbonded.exceptions
+    atoms, waves, first = _dihedrals(kinds["torsions"], kinds["impropers"])
+    wells = exceptions.parameters[:, 1] > 0.0
+    return NearTerms(
+        terms.n_atoms,
+        _joined(kinds["bonds"], kinds["ties"]),
+        _joined(kinds["angles"], kinds["tie angles"]),
+        atoms,
+        waves,
+        first,
+        Bonded(exceptions.atoms[wells], exceptions.parameters[wells, :2]),
+        terms.nonbonded.lj_type,
+        terms.nonbonded.a12,
+        terms.nonbonded.b6,
+        partners(exceptions.atoms, terms.n_atoms),
+    )
+
+
+def _joined(*some: Bonded) -> Bonded:
+    atoms, parameters = zip(*((each.atoms, each.parameters) for each in some), strict=True)
+    return Bonded(np.concatenate(atoms), np.concatenate(parameters))
+
+
+def _dihedrals(torsions: Bonded, impropers: Bonded) -> tuple[Integers, Floats, Integers]:
+    """Dihedrals, each once, their cosines, and the first of each."""
+    atoms = np.concatenate([torsions.atoms, impropers.atoms])
+    # k (phi - phi0)^2 has the same curvature everywhere.
+    constant = np.zeros((len(impropers.atoms), 3))
+    constant[:, 2] = 2.0 * impropers.parameters[:, 1]
+    waves = np.concatenate([torsions.parameters, constant])
+    # A dihedral read backwards is the same.
+    backwards = atoms[:, 0] > atoms[:, 3]
+    atoms[backwards] = atoms[backwards, ::-1]
+    each, which = np.unique(atoms, axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    order = np.argsort(which, kind="stable")
+    return each, waves[order], np.searchsorted(which[order], np.arange(len(each) + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Curvature:
+    """Blocks of the Hessian's model.
+
+    Parameters
+    ----------
+    own : (na, 9) float
+        On its diagonal, row by row.
+    pairs : (n, 2) int
+        Atoms that are coupled, the smaller index first.
+    shared : (n, 9) float
+        Their blocks.
+    """
+
+    own: Floats
+    pairs: Integers
+    shared: Floats
+
+
+Stretches = tuple[Integers, Floats, Floats]
+"""Pairs (n, 2), and their curvatures (n,) along and across, kJ/mol/nm^2."""
+
+
+def free_wells(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Stretches:
+    """Free Lennard-Jones pairs within :data:`REACH` of which one atom moves, with their curvatures."""
+    x = np.array(x)
+    pairs = kernels.free_pairs(x, *terms.partners, np.array(moving), REACH)
+    i, j = terms.lj_type[pairs.T]
+    return pairs, *kernels.well_stiffness(x, pairs, terms.a12[i, j], terms.b6[i, j])
+
+
+def bonded_springs(terms: NearTerms, x: Floats) -> tuple[Stretches, Stretches]:
+    """Bonds and 1-4 pairs, with their curvatures."""
+    length, k = np.ascontiguousarray(terms.bonds.parameters.T)
+    a12, b6 = np.ascontiguousarray(terms.contacts.parameters.T)
+    pairs, close = terms.bonds.atoms, terms.contacts.atoms
+    return (pairs, *kernels.bond_stiffness(x, pairs, length, k)), (
+        close, *kernels.well_stiffness(x, close, a12, b6),
+    )  # fmt: skip
+
+
+def bonded_gradients(terms: NearTerms, x: Floats) -> tuple[Gradients, Gradients]:
+    """Angles and dihedrals, with their gradients and curvatures."""
+    angles = terms.angles.atoms
+    return (angles, kernels.bends(x, angles), terms.angles.parameters[:, 1].copy()), (
+        terms.dihedrals, *kernels.turns(x, terms.dihedrals, terms.waves, terms.first_wave),
+    )  # fmt: skip
+
+
+def curvature(terms: NearTerms, x: Floats, near: Stretches) -> Curvature:
+    """Blocks of the bonded terms, and of springs between near atoms.
+
+    Parameters
+    ----------
+    terms : NearTerms
+    x : (na, 3) float, nm
+    near : tuple
+        As from :func:`free_wells`.
+    """
+    # Copies are writable, and kernels compiled once.
+    x = np.array(x)
+    own, shared = np.zeros((terms.n_atoms, 9)), np.zeros((len(terms.pairs), 9))
+    springs, gradients = bonded_springs(terms, x), bonded_gradients(terms, x)
+    for (pairs, along, across), slots in zip(springs, terms.slots[:2], strict=True):
+        kernels.add_springs(x, pairs, along, across, slots.ravel(), own, shared)
+    for (atoms, each, stiffness), slots in zip(gradients, terms.slots[2:], strict=True):
+        kernels.add_gradients(atoms, each, stiffness, slots, own, shared)
+    pairs, along, across = near
+    coupled = along > COUPLED
+    slots = np.where(coupled, np.cumsum(coupled) - 1, -1)
+    more = np.zeros((int(coupled.sum()), 9))
+    kernels.add_springs(x, pairs, along, across, slots, own, more)
+    return Curvature(own, np.concatenate([terms.pairs, pairs[coupled]]), np.concatenate([shared, more]))
+
+
+def springs_of(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Springs:
+    """Bonds, 1-4 pairs and free pairs as springs along their lines, for :func:`springs.torsion_stiffness`.
+
+    What acts across a line would there also stiffen turns of rigid groups, which change no length.
+    """
+    parts = [*bonded_springs(terms, x), free_wells(terms, x, moving)]
+    return Springs(np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts]))
+
+
+def order_at(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Integers:
+    """Order of elimination of the atoms that move, for the pairs that are coupled at x."""
+    at = curvature(terms, x, free_wells(terms, x, moving))
+    return elimination_order(int(moving.sum()), _among(at.pairs, moving)[0])
+
+
+def _among(pairs: Integers, moving: NDArray[np.bool_]) -> tuple[Integers, NDArray[np.bool_]]:
+    """Pairs of atoms that both move, as places among these, and which pairs they are."""
+    both = np.asarray(moving[pairs].all(axis=1))
+    return (np.cumsum(moving) - 1)[pairs[both]], both
+
+
+def near_solver(
+    terms: NearTerms, x: Floats, moving: NDArray[np.bool_], order: Integers, near: Springs | None = None,
+    tether: Floats | None = None,
+) -> Callable[[Floats], Floats]:  # fmt: skip
+    """Solver for the model of the Hessian in Cartesian coordinates.
+
+    Parameters
+    ----------
+    terms : NearTerms
+    x : (na, 3) float, nm
+    moving : (na,) bool
+        Atoms that may move.
+    order : (n,) int
+        From :func:`order_at`.
+    near : Springs, optional
+        Between near atoms, in place of :func:`free_wells`.
+    tether : (na,) float, kJ/mol/nm^2, optional
+        Springs of the atoms to fixed points.
+
+    Returns
+    -------
+    callable
+        (3 na,) float, kJ/mol/nm -> (3 na,) float, nm.
+    """
+    if near is None:
+        at = curvature(terms, x, free_wells(terms, x, moving))
+    else:
+        at = curvature(terms, x, (near.pairs, near.stiffness, np.zeros(len(near.pairs))))
+    at.own[:, ::4] += FLOOR if tether is None else (FLOOR + tether)[:, None]
+    pairs, both = _among(at.pairs, moving)
+    factor: Factor = factorise(order, at.own[moving], pairs, at.shared[both])
+    free = np.flatnonzero(np.repeat(moving, 3))
+
+    def solve(torque: Floats) -> Floats:
+        step = np.zeros_like(torque)
+        step[free] = factor.solve(torque[free])
+        return step
+
+    return solve
