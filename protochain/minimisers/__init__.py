@@ -22,6 +22,6 @@ __all__ = [
     "KCM", "LBFGS", "METHODS", "RECIPES", "AcceptReject", "Armijo", "BudgetSpentError",
     "Cartesian", "Decaying", "Descent", "Direction", "Euclidean", "Evaluation", "Fire", "Fixed",
     "Judgement", "Mass", "Method", "Newton", "Preconditioner", "Problem", "Proportional", "PseudoTransient",
-    "Recipe", "Run", "Solution", "Starts", "Status", "Stiffness", "Stop", "StrongWolfe", "Torsions", "explore",
-    "minimise", "minimize", "parted", "recipe_of", "run",
+    "Recipe", "Run", "Solution", "Starts", "Status", "Stiffness", "Stop", "StrongWolfe", "Torsions",
+    "explore", "minimise", "minimize", "parted", "recipe_of", "run",
 ]  # fmt: skip

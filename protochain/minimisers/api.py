@@ -68,7 +68,8 @@ def minimise(
         kJ/mol and forces (na, 3) in kJ/mol/nm, and judges the result too.
     method : str, Recipe, or object with ``init`` and ``step``
         ``hybrid`` (torsions, then all atoms), ``cartesian`` (all atoms), ``lbfgs`` or ``newton`` (torsions),
-        ``kcm`` (kineto-static compliance, as published) with variants ``kcm-adaptive``, ``kcm-metric`` ...,
+        ``kcm`` (kineto-static compliance, turns of a fixed angle, which :func:`protochain.kcm` sets) with
+        variants ``kcm-proportional``, ``kcm-sign``, ``kcm-adaptive``, ``kcm-metric`` ...,
         ``fire``, ``quench``, ``md`` (damped constrained dynamics) and ``anneal`` (from 600 K), both ending in
         a minimum by ``lbfgs``, ``openmm`` (LocalEnergyMinimizer), or ``openmm-md`` (OpenMM's dynamics at
         300 K, bonds to hydrogen constrained, between two minimisations). For methods of your own see

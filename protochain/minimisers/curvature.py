@@ -29,7 +29,7 @@ TURN = 1e-5
 """rad, of the largest freedom: step of the one-sided differences of torques that build the subspace."""
 
 CENTRAL = 1e-4
-"""rad, of the largest freedom: step of the central difference that gives the eigenvalue. It may be longer, for
+"""rad, of the largest freedom: step of the central difference that gives the eigenvalue. It may be longer, as
 its error is of second order."""
 
 SHARE = 0.005

@@ -86,8 +86,8 @@ class Recipe:
     runs : tuple of Run
         One after the other, the last once for each restraint; none for methods of OpenMM.
     parts_overlaps : bool
-        Whether overlapping atoms are separated first, while springs hold all others. KCM is left as
-        published; with all atoms free they separate by themselves.
+        Whether overlapping atoms are separated first, while springs hold all others. KCM follows
+        the torques alone; with all atoms free they separate by themselves.
     draws_random : bool
         Whether its result depends on the seed.
     by_openmm : bool
