@@ -5,10 +5,12 @@ from functools import cache
 import numpy as np
 import pytest
 from conftest import SAMPLES, chain, energy
+from quadratics import Along, Flat, Quadratic
 
 import protochain as pc
 from protochain.minimisers import Status
-from protochain.minimisers.curvature import rigid_motions
+from protochain.minimisers.curvature import Curvature, CurvatureState, rigid_motions, stepped_off
+from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Problem
 from protochain.minimisers.spaces import Torsions
 
@@ -129,6 +131,35 @@ def test_a_run_that_stalled_stays_so_and_says_its_curvature(tmp_path):
     assert part.status is Status.BUDGET and part.lowest_eigenvalue is None
     rest = pc.minimise(c, e, pc.kcm(angle=0.05), 1e-3, max_evaluations=2000, resume=file)
     assert rest.message == stalled.message and rest.lowest_eigenvalue == stalled.lowest_eigenvalue
+
+
+def test_a_curvature_that_no_energy_confirms_is_no_saddle():
+    """As of forces in single precision: they say that it bends down, and no point is lower."""
+    problem = Problem(Flat(), Quadratic(np.diag([5.0, 6.0, 7.0])), 1000)
+    at = problem.evaluate(np.zeros(3))
+    known = CurvatureState(at, None, direction=np.array([1.0, 0.0, 0.0]), value=-20.0, is_saddle=True)
+    done = Curvature(1.0).step(problem, known)
+    assert (
+        done.stop is Stop.NO_DESCENT and done.confirmed and done.at is at and done.lowest_eigenvalue == -20.0
+    )
+    assert Curvature(1.0).step(problem, done) is None
+
+
+@pytest.mark.parametrize("leaves", [True, False])
+def test_the_way_off_is_on_the_lower_side_as_far_as_the_energy_falls(leaves):
+    # -9 x^2 - x^3 + 5 x^4 falls on both sides of 0, to a lower point on the right.
+    energy = Along(lambda t: -9 * t**2 - t**3 + 5 * t**4, lambda t: 18 * t + 3 * t**2 - 20 * t**3)
+    problem = Problem(Flat(), energy, 1000)
+    at = problem.evaluate(np.zeros(3))
+    known = CurvatureState(at, None, direction=np.array([0.6, 0.0, 0.0]), value=-18.0, is_saddle=True)
+    done = Curvature(1.0, leaves=leaves).step(problem, known)
+    assert energy.asked == [0.0, 0.1, -0.1, 0.2, 0.4, 0.8, 1.6]
+    assert done.stop is Stop.SADDLE and done.at.q[0] == (0.8 if leaves else 0.0)
+    assert done.lowest_eigenvalue == (None if leaves else -18.0)
+    assert Curvature(1.0, leaves=leaves).step(problem, done) is None
+    # Where the longer turns climb at once, shorter ones are tried; a limit of the run counts as a wall.
+    steep = Problem(Flat(), Along(lambda t: -(t**2) + 1e3 * t**4), 1000, allowed=lambda x: x[0, 0] < 0)
+    assert stepped_off(steep, steep.evaluate(np.zeros(3)), np.array([1.0, 0, 0])).q[0] == -0.025
 
 
 def test_a_budget_that_ends_in_the_search_leaves_it_open():

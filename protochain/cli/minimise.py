@@ -110,16 +110,14 @@ def minimise(
     """Minimise the energy of one structure."""
     from protochain.minimisers.api import Minimisation
     from protochain.minimisers.recipes import at_angle, recipe_of
-    from protochain.minimisers.starts import check_starts
 
     limit = math.inf if max_rmsd is None else max_rmsd
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
-    name = method if isinstance(chosen, str) else chosen.name
     Minimisation(recipe_of(chosen), tolerance, max_evaluations, seed, restrain, limit, checkpoint, resume)
     _check_starts(starts, hop, bool(checkpoint or resume or trajectory))
     beside = [path for path in (trace, trajectory, checkpoint, report) if path]
     stem, suffix = named_after(source)
-    output = output or Path(f"{stem}.{name}{suffix}")
+    output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
     _check_outputs(output, trajectory, report, as_json)
     runs = _runs(source, output, setup, bool(beside or resume), one_file)
     check_outputs(source, [*dict.fromkeys(path for _, path in runs), *beside], force)
@@ -131,9 +129,7 @@ def minimise(
     if starts == 1:
         solve = partial(_once, trajectory=trajectory, checkpoint=checkpoint, resume=resume, **settings)
     else:
-        width = defaults.SPREAD if spread is None else math.radians(spread)
-        check_starts(starts, width, hop, **settings)
-        solve = partial(_often, n_starts=starts, spread=width, hop_temperature=hop, **settings)
+        solve = _from_many(starts, spread, hop, settings)
     lengths = starts * typical_evaluations(chosen, max_evaluations), starts * max_evaluations
     records: list[dict[str, Any]] = []
     with _Writer(output, suffix, one_file, trace, report) as write:
@@ -143,8 +139,22 @@ def minimise(
                 break
     with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
         _print(records, as_json, isinstance(setup.model, str))
+    raise typer.Exit(_status(records, len(runs)))
+
+
+def _from_many(starts: int, spread: float | None, hop: float | None, settings: dict[str, Any]) -> Any:
+    """Call that minimises from many starts."""
+    from protochain.minimisers.starts import check_starts
+
+    width = defaults.SPREAD if spread is None else math.radians(spread)
+    check_starts(starts, width, hop, **settings)
+    return partial(_often, n_starts=starts, spread=width, hop_temperature=hop, **settings)
+
+
+def _status(records: list[dict[str, Any]], n_runs: int) -> int:
+    """Exit status of all runs."""
     whole = [record["status"] == "converged" and "not_written" not in record for record in records]
-    raise typer.Exit(CONVERGED if len(whole) == len(runs) and all(whole) else UNCONVERGED)
+    return CONVERGED if len(whole) == n_runs and all(whole) else UNCONVERGED
 
 
 def _check_starts(starts: int, hop: float | None, is_single: bool) -> None:

@@ -25,10 +25,10 @@ from protochain.minimisers.stages import Stage
 from protochain.multibody import HingeKind
 from protochain.structure.model import Structure
 
-TURN = 1e-5
+TURN = 1e-4
 """rad, of the largest freedom: step of the one-sided differences of torques that build the subspace."""
 
-CENTRAL = 1e-4
+CENTRAL = 1e-3
 """rad, of the largest freedom: step of the central difference that gives the eigenvalue. It may be longer, as
 its error is of second order."""
 
@@ -111,8 +111,8 @@ class CurvatureState:
         Curvature along it, and by how much the last vector lowered it.
     value : float, kJ/mol/rad^2, or None
         The lowest eigenvalue; None while it is sought.
-    is_saddle, left : bool
-        Whether it is a saddle point, and whether ``at`` lies lower.
+    is_saddle, confirmed, left : bool
+        Whether it is a saddle point, whether lower points were sought beside it, and whether ``at`` is one.
     """
 
     at: Evaluation
@@ -124,6 +124,7 @@ class CurvatureState:
     fall: float = np.inf
     value: float | None = None
     is_saddle: bool = False
+    confirmed: bool = False
     left: bool = False
 
     @property
@@ -169,10 +170,13 @@ class Curvature:
         if state.value is None:
             found = self._sought(problem, state)
             return self._measured(problem, state) if found is None else found
-        if not (self.leaves and state.is_saddle) or state.left:
+        if not state.is_saddle or state.confirmed:
             return None
+        # An energy in single precision, or a limit of the run, may know of no way down.
         lower = stepped_off(problem, state.at, _largest_one(state.direction))
-        return None if lower is None else replace(state, at=lower, left=True)
+        if lower is None or not self.leaves:
+            return replace(state, is_saddle=lower is not None, confirmed=True)
+        return replace(state, at=lower, confirmed=True, left=True)
 
     def _sought(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
         """State with one more vector; None if it has enough."""
