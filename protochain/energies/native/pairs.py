@@ -141,7 +141,7 @@ def solvated_tile(
 ) -> tuple[float, float]:  # fmt: skip
     """Energies of two blocks: as :func:`pair_tile`, and -q q / f with f^2 = r^2 + P exp(-r^2 / 4P), P = B B.
 
-    Still, Tempczyk, Hawley, Hendrickson, JACS 112:6127 (1990), equation 3.
+    Still, Tempczyk, Hawley, Hendrickson, JACS 112:6127 (1990).
     """
     if masked:
         return _solvated(a, b, lj, lj_type, same, True, near2, cutoff2, krf, crf, shift, exp, a_sums, b_sums)
