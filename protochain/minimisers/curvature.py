@@ -135,7 +135,8 @@ class CurvatureState:
     @property
     def lowest_eigenvalue(self) -> float | None:
         """Value at ``at``, if it is known."""
-        return None if self.left else self.value
+        known = self.value is not None and np.isfinite(self.value)
+        return self.value if known and not self.left else None
 
 
 @dataclass(frozen=True)
@@ -189,13 +190,15 @@ class Curvature:
             value, _, residual = _lowest(state.vectors, state.products)
             new = solve(residual)
             little = SHARE * max(abs(value), LEAST)
-            if max(abs(residual @ new), state.fall) < little or len(state.vectors) == MOST:
+            if (abs(residual @ new) < little and state.fall < little) or len(state.vectors) == MOST:
                 return None
         vector = _orthonormal(new, (*rigid, *state.vectors))
         if vector is None:
             return None
         h = TURN / np.max(np.abs(vector))
         product = (at.torque - problem.evaluate(problem.move(at.q, h * vector)).torque) / h
+        if not np.isfinite(product).all():
+            return replace(state, value=np.nan)
         vectors, products = (*state.vectors, vector), (*state.products, product)
         value, direction, _ = _lowest(vectors, products)
         return replace(

@@ -226,7 +226,7 @@ def walk(
         waiting, n_evaluations = None, problem.n_evaluations
         lowest_eigenvalue = getattr(ending.last.state, "lowest_eigenvalue", None)
         q = stage.answer(problem, ending, q)
-        if stage.looks and ending.stop is Stop.NO_DESCENT:
+        if stage.looks and ending.stop in (Stop.NO_DESCENT, Stop.NON_FINITE):
             break
         stop = ending.stop
         n_iterations += 0 if stage.looks else ending.last.n_iterations
