@@ -21,7 +21,7 @@ from protochain.errors import ProtochainError, WriteError, WriteWarning
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts, open_to_interrupts
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
-from protochain.minimisers.curvature import with_curvature
+from protochain.minimisers.saddle import with_curvature
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import minimise_by_openmm
 from protochain.minimisers.outlook import Straying, strayed
@@ -94,7 +94,7 @@ def minimise(
         ``max_rmsd`` : float, angstrom. Upper limit of the C-alpha RMSD to the start, superposed.
         ``curvature`` : bool, by default True. Whether methods that only turn hinges find, at their end, the
         lowest eigenvalue of the Hessian in torsions, by some dozen evaluations more, and go on from a saddle
-        point (:mod:`protochain.minimisers.curvature`).
+        point (:mod:`protochain.minimisers.saddle`).
         ``checkpoint`` : path-like. File (.npz) to write when the run ends, for ``resume``; a warning
         says why if it cannot be written.
         ``resume`` : path-like. Continue from a checkpoint of a run with the same settings; evaluations count

@@ -9,7 +9,7 @@ from quadratics import Along, Flat, Quadratic
 
 import protochain as pc
 from protochain.minimisers import Status
-from protochain.minimisers.curvature import Curvature, CurvatureState, rigid_motions, stepped_off
+from protochain.minimisers.saddle import Curvature, CurvatureState, rigid_motions, stepped_off
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Problem
 from protochain.minimisers.spaces import Torsions
@@ -91,7 +91,7 @@ def test_the_flat_peptide_is_a_saddle_and_is_left():
 
 
 def test_a_saddle_that_is_not_left_is_called_one(monkeypatch):
-    monkeypatch.setattr("protochain.minimisers.curvature.ROUNDS", 0)
+    monkeypatch.setattr("protochain.minimisers.saddle.ROUNDS", 0)
     r = pc.minimise(flat(), flat_energy(), "lbfgs")
     assert r.status is Status.SADDLE and r.end.energy == r.start.energy and not r.is_usable
     assert r.message.startswith("saddle: the energy falls on both sides of where the torques vanish: ")
