@@ -27,6 +27,7 @@ from .minimisers import Status as Status
 from .minimisers import explore as explore
 from .minimisers import minimise as minimise
 from .minimisers import minimize as minimize
+from .minimisers.recipes import kcm as kcm
 from .relaxation import Relaxation as Relaxation
 from .relaxation import relax as relax
 from .setup import Setup as Setup

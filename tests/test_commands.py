@@ -27,9 +27,10 @@ SETUP = {
 }  # fmt: skip
 OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}
 MINIMISE = {
-    "source": None, **OUTPUT, "method": "hybrid", **RUN, "restrain": "", "max_rmsd": None, "starts": 1,
-    "spread": None, "hop": None, "checkpoint": None, "resume": None, "trace": None, "trajectory": None,
-    "report": None, "one_file": False, "seed": 0, **AS_JSON, "force": False, **SETUP,
+    "source": None, **OUTPUT, "method": "hybrid", "angle": None, **RUN, "restrain": "", "max_rmsd": None,
+    "starts": 1, "spread": None, "hop": None, "checkpoint": None, "resume": None, "trace": None,
+    "trajectory": None, "report": None, "no_curvature": False, "one_file": False, "seed": 0, **AS_JSON,
+    "force": False, **SETUP,
 }  # fmt: skip
 NOT_IN_BATCH = ("threads", "trust_forcefield")
 NOT_IN_VALIDATE = ("hinges", "move", "forcefield", "solvent", "engine", *NOT_IN_BATCH)

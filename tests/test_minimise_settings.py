@@ -64,7 +64,7 @@ def test_an_unknown_option_is_refused_with_those_there_are():
         pc.minimise(None, max_rmsd=1.0, colour="red")
     assert str(refusal.value) == (
         "minimise has no option 'colour'; besides its parameters it takes "
-        "restraint, max_rmsd, checkpoint, resume"
+        "restraint, max_rmsd, checkpoint, resume, curvature"
     )
 
 
@@ -74,7 +74,7 @@ FORCES = np.random.default_rng(0).normal(size=chain("ala10.pdb").structure.posit
 def told(engine="native", height=lambda x: -5.0):
     """An energy that is what it is told, with forces that do not change."""
     energy = SimpleNamespace(engine=engine, fingerprint="abc", reference=lambda x: (height(x), FORCES))
-    energy.left_out = {"bonds": 1}
+    energy.left_out, energy.is_exact = {"bonds": 1}, True
 
     class Told:
         def __getattr__(self, name):
@@ -94,7 +94,8 @@ def test_a_checkpoint_belongs_to_a_method_its_settings_and_its_start():
     run = Minimisation(LBFGS, 2.0, 7, 3, (5.0, 0.0), 0.75, checkpoint="a")
     assert run.settings(Start(c, told())) == {
         "method": "lbfgs", "tolerance": 2.0, "restraint": [5.0, 0.0], "max_rmsd": 0.75,
-        "hinges": "phi psi chi", "root": "auto", "move": "all", "seed": 3, "engine": "native",
+        "hinges": "phi psi chi", "root": "auto", "move": "all", "seed": 3, "curvature": True,
+        "engine": "native",
         "system": "abc", "start": hashlib.sha256(c.structure.positions.tobytes()).hexdigest(),
     }  # fmt: skip
 
@@ -189,8 +190,17 @@ def test_restraints_are_judged_and_said():
     assert found.end.max_torque == 0.0 and found.status == Status.CONVERGED and found.end.energy == -5.0
     assert found.message == (
         "converged: largest torque 0 kJ/mol/rad for a tolerance of 1, restraints included, "
-        "in double precision"
+        "in double precision; not tested for a saddle point"
     )
+    done = replace(done, lowest_eigenvalue=-0.25)
+    found = judged(done)
+    assert found.message.endswith("in double precision; lowest eigenvalue of the Hessian -0.25 kJ/mol/rad^2")
+    assert found.lowest_eigenvalue == -0.25 and found.status == Status.CONVERGED
+    # Where the end is no better than the start, that is the result, and its curvature is not known.
+    turned = replace(done, q=c.q0 + 0.01)
+    start = pose(c, c.q0).x
+    found = judged(turned, told(height=lambda x: -5.0 if np.array_equal(x, start) else -4.0))
+    assert found.lowest_eigenvalue is None
 
 
 def test_a_start_is_judged_and_reduced_once():

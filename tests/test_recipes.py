@@ -14,7 +14,7 @@ from protochain.minimisers.annealing import Annealing, AnnealingState
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent, DescentState
 from protochain.minimisers.fire import Fire, FireState
-from protochain.minimisers.kcm import KCM, by_largest, by_length, by_sign
+from protochain.minimisers.kcm import KCM, Proportional, by_largest, by_length, by_sign
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.metrics import Euclidean, Mass, Stiffness
@@ -28,7 +28,8 @@ from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, S
 TURNING = {
     "kcm": (Descent(KCM(Euclidean(), by_largest), Fixed(0.0005)), False),
     "kcm-2norm": (Descent(KCM(Euclidean(), by_length), Fixed(0.002)), False),
-    "kcm-sign": (Descent(KCM(Euclidean(), by_sign), Fixed(0.0001)), False),
+    "kcm-sign": (Descent(KCM(Euclidean(), by_sign), AcceptReject(0.0005)), False),
+    "kcm-proportional": (Descent(Proportional(0.25, 8), Fixed(1.0)), False),
     "kcm-decaying": (Descent(KCM(), Decaying(0.002, 200.0)), False),
     "kcm-adaptive": (Descent(KCM(), AcceptReject(0.0005)), False),
     "kcm-armijo": (Descent(KCM(), Armijo(0.0005, 5)), False),

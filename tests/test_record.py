@@ -30,7 +30,7 @@ def solution(**changed):
         q=c.q0, x=c.structure.positions, energy=-12.25, status=Status.BUDGET, message="budget: used",
         n_iterations=5, n_evaluations=6, seconds=1.5, trace=None, start=Judgement(-10.0, 300.0, 40.0),
         end=Judgement(-12.5, 30.0, 4.0), frame=Frame(c.structure), ca_rmsd_angstrom=0.25, tolerance=1.0,
-        hold=Hold((100.0,), 0.5), seed=9,
+        hold=Hold((100.0,), 0.5), seed=9, lowest_eigenvalue=7.5,
     )  # fmt: skip
     return replace(made, **changed)
 
@@ -41,7 +41,8 @@ def test_a_record_holds_each_value_under_its_name():
     expected = {
         "structure": "ala10", "method": "lbfgs", "status": "budget", "message": "budget: used",
         "energy_start_kj_mol": -10.0, "energy_end_kj_mol": -12.25, "energy_end_reference_kj_mol": -12.5,
-        "max_torque_end_kj_mol_rad": 30.0, "rms_force_end_kj_mol_nm": 4.0, "ca_rmsd_angstrom": 0.25,
+        "max_torque_end_kj_mol_rad": 30.0, "rms_force_end_kj_mol_nm": 4.0,
+        "lowest_eigenvalue_kj_mol_rad2": 7.5, "ca_rmsd_angstrom": 0.25,
         "ca_rmsd_as_filed_angstrom": 0.0, "frame": "superposed on the start",
         **{f"{key}_{when}": value for key, value in found.items() for when in ("start", "end")},
         "iterations": 5, "evaluations": 6, "seconds": 1.5, "n_chains": 1, "n_residues": 10,

@@ -27,6 +27,7 @@ MESSAGES = {
         "stalled: bonds, angles and contacts are strained beyond what turning bonds can relieve without "
         "unfolding the chain; pc.relax moves all atoms and keeps the fold: so far",
     ),
+    Stop.SADDLE: ("stalled", "stalled: the energy falls on both sides of where the torques vanish: so far"),
     Stop.INTERRUPTED: ("interrupted", "interrupted after 7 evaluations: so far"),
 }
 
@@ -35,7 +36,10 @@ MESSAGES = {
 def test_a_verdict_is_of_the_reason_and_of_what_the_judge_measured(stop):
     s = load("ala10.pdb")
     assert verdict(stop, False, "so far", s, s.positions, 7) == MESSAGES[stop]
-    assert verdict(stop, True, "so far", s, s.positions, 7) == (Status.CONVERGED, "converged: so far")
+    met = (Status.CONVERGED, "converged: so far")
+    if stop is Stop.SADDLE:
+        met = (Status.SADDLE, "saddle: the energy falls on both sides of where the torques vanish: so far")
+    assert verdict(stop, True, "so far", s, s.positions, 7) == met
 
 
 @pytest.mark.parametrize("met", [True, False])

@@ -2,6 +2,7 @@
 
 import pickle
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,6 +19,7 @@ from protochain.batches.cluster import Processes
 from protochain.batches.jobs import failure, find_jobs
 from protochain.minimisers import RECIPES, api
 from protochain.minimisers.api import Minimisation
+from protochain.minimisers.saddle import ROUNDS, Curvature
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.start import Start
@@ -54,6 +56,7 @@ class Noting:
 
     def __init__(self, rows, stages):
         self.rows, self.stages = rows, stages
+        self.frame = SimpleNamespace(held_by="")
 
     def __call__(self, *row):
         self.rows.append(row)
@@ -70,7 +73,7 @@ def walked(noted, method="lbfgs", **settings):
 
 
 def test_a_walk_is_of_the_plan_within_the_budget_and_recorded_without_restraints(noted):
-    start, _ = walked(noted, max_evaluations=7, tolerance=3.0, restraint=(5.0, 0.0))
+    start, _ = walked(noted, max_evaluations=7, tolerance=3.0, restraint=(5.0, 0.0), curvature=False)
     assert [stage.tolerance for stage in noted.walk.plan] == [3.0, 3.0]
     assert [stage.restraint is None for stage in noted.walk.plan] == [False, True]
     assert (noted.walk.chain, noted.walk.most) == (start.chain, 7)
@@ -79,6 +82,18 @@ def test_a_walk_is_of_the_plan_within_the_budget_and_recorded_without_restraints
     assert noted.rows == [("x1", 9.0, 5.0, 1), ("x2", 8.0, pytest.approx(np.nan, nan_ok=True), 2)]
     assert noted.stages == [("stage 1", 1), ("apart", 1), ("stage 2", 2), ("apart", 2)]
     assert noted.saved == noted.loaded == []
+
+
+def test_a_walk_in_torsions_looks_at_its_end(noted):
+    walked(noted)
+    first, look, again, *_, final = noted.walk.plan
+    assert (look.looks, look.recorded, look.restraint, look.tolerance) == (True, False, None, -np.inf)
+    assert look.method == Curvature(1.0, floats=True) and final.method == replace(look.method, leaves=False)
+    assert (again.method, again.after, first.after) == (first.method, (Stop.SADDLE,), ())
+    assert len(noted.walk.plan) == 1 + 2 * ROUNDS + 1
+    for method in ("hybrid", "cartesian"):
+        walked(noted, method)
+        assert not any(stage.looks for stage in noted.walk.plan)
 
 
 def test_a_walk_that_parts_overlaps_records_its_start_first(noted, monkeypatch):

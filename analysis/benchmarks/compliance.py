@@ -1,11 +1,13 @@
 """The compliance method: its limit cycle, what cures it, and what each of its kin needs.
 
-    python analysis/benchmarks/compliance.py -o DIR
+    python analysis/benchmarks/compliance.py [evaluations] [starts] [angles] -o DIR
 
-1. Evaluations to a largest torque of 1 kJ/mol/rad on the samples, against scipy's L-BFGS-B on the same
-   problem.
-2. Met-enkephalin from random dihedrals: where KCM with a fixed step ends, by the step; and with every
-   other setting.
+1. ``evaluations``: those to a largest torque of 1 kJ/mol/rad on the samples, against scipy's L-BFGS-B on the
+   same problem.
+2. ``starts``: Met-enkephalin from random dihedrals: where KCM with a fixed step ends, by the step; and with
+   every other setting.
+3. ``angles``: extended Met-enkephalin by KCM with three fixed angles: torque and energy left in the cycle at
+   the end, beside what one freedom of the largest curvature predicts, and steps to 1 kJ/mol.
 """
 
 import argparse
@@ -36,6 +38,9 @@ MOST = 4000
 STEPS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
 STARTS = 6
 BUDGET = 2000
+ANGLES = (0.05, 0.01, 0.0005)
+CYCLE = 50
+"""Last points of a run with a fixed angle, whose medians are what it leaves."""
 
 
 def random_starts(structure: pc.Structure, number: int) -> list[pc.Chain]:
@@ -109,6 +114,54 @@ def enkephalin(output: Path) -> None:
     figure.savefig(output / "limit-cycle.png", dpi=150)
 
 
+def dense_hessian(problem: Problem, at) -> np.ndarray:
+    """Hessian (n_v, n_v) by central differences of torques."""
+    rows = []
+    for turn in 1e-5 * np.eye(len(at.torque)):
+        before, after = (problem.evaluate(problem.move(at.q, side * turn)) for side in (-1.0, 1.0))
+        rows.append((before.torque - after.torque) / 2e-5)
+    return 0.5 * (np.array(rows) + np.transpose(rows))
+
+
+def angles(output: Path) -> None:
+    """Print what KCM with a fixed angle leaves, and how soon it is near."""
+    structure = pc.from_sequence("YGGFM")
+    chain, energy = pc.build_chain(structure), pc.energy(structure)
+    rows = []
+    for angle in ANGLES:
+        problem, points = problem_of(chain, energy, 10_000), []
+        run(problem, pc.kcm(angle).runs[0].method, chain.q0, 1e-9, 500, points.append)
+        polish = problem_of(chain, energy, 10_000)
+        low = run(polish, RECIPES["lbfgs"].runs[0].method, problem.best.q, 1e-6, 500, lambda at: None)
+        end = low.last.state.at
+        eigenvalues = np.linalg.eigvalsh(dense_hessian(polish, end))
+        heights = np.array([point.energy for point in points]) - end.energy
+        rows.append(
+            {
+                "angle_rad": angle,
+                "evaluations": problem.n_evaluations,
+                "torque_left_kj_mol_rad": np.median([point.residual for point in points[-CYCLE:]]),
+                "energy_left_kj_mol": np.median(heights[-CYCLE:]),
+                "predicted_kj_mol": eigenvalues[-1] * (angle / 2) ** 2 / 2,
+                "steps_to_1_kj_mol": int(np.argmax(heights <= 1.0)) if (heights <= 1.0).any() else np.nan,
+                "softest_kj_mol_rad2": eigenvalues[0],
+                "stiffest_kj_mol_rad2": eigenvalues[-1],
+            }
+        )
+    table = pd.DataFrame(rows)
+    table.to_csv(output / "angles.csv", index=False)
+    print("\nExtended Met-enkephalin, KCM with a fixed angle, until 500 evaluations find no new low\n")
+    print(
+        "| angle, rad | largest torque left | energy left, kJ/mol | kappa (h/2)^2 / 2 | steps to 1 kJ/mol |"
+    )
+    print("|--:|--:|--:|--:|--:|")
+    for row in rows:
+        print(
+            f"| {row['angle_rad']:g} | {row['torque_left_kj_mol_rad']:.2g} | {row['energy_left_kj_mol']:.2g} "
+            f"| {row['predicted_kj_mol']:.2g} | {row['steps_to_1_kj_mol']:.0f} |"
+        )
+
+
 def scipy_evaluations(problem: Problem, q: np.ndarray) -> float:
     """Count what L-BFGS-B needs; it begins again, a little aside, where its line search breaks off."""
     need = []
@@ -130,7 +183,7 @@ def scipy_evaluations(problem: Problem, q: np.ndarray) -> float:
     return need[0] if need else np.inf
 
 
-def evaluations() -> None:
+def evaluations(output: Path) -> None:
     """Print what every torsion method needs on the samples."""
     names = ("kcm-adaptive", "kcm-metric", "kcm-stiffness", "newton", "lbfgs")
     print(f"\nEvaluations to 1 kJ/mol/rad, of {MOST} at most\n")
@@ -157,10 +210,12 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parts = {"evaluations": evaluations, "starts": enkephalin, "angles": angles}
+    parser.add_argument("parts", nargs="*", choices=[*parts, []], help="Default: all.")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
-    evaluations()
-    enkephalin(options.output)
+    for name in options.parts or parts:
+        parts[name](options.output)
 
 
 if __name__ == "__main__":

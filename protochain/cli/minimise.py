@@ -50,7 +50,7 @@ from protochain.setup import ALL_MODELS, Setup, models_asked
 if TYPE_CHECKING:
     from protochain.chain import Chain
     from protochain.energies import Energy
-    from protochain.minimisers import Solution
+    from protochain.minimisers import Recipe, Solution
     from protochain.structure import Structure
     from protochain.structure.trajectory import TrajectoryFile
 
@@ -65,6 +65,11 @@ Output = Annotated[
 ]
 Method = Annotated[
     str, typer.Option(help="hybrid, cartesian, lbfgs, newton, kcm, openmm ...: an unknown one lists them.")
+]
+Angle = Annotated[float | None, typer.Option(help="Turn of a hinge in a step of kcm, rad [default: 0.0005].")]
+NoCurvature = Annotated[
+    bool,
+    typer.Option("--no-curvature", help="Do not look whether a run in torsions ends at a saddle point."),
 ]
 Checkpoint = Annotated[Path | None, typer.Option(help="File for the state at the end, .npz.")]
 Resume = Annotated[Path | None, typer.Option(help="Continue from a checkpoint.")]
@@ -81,6 +86,7 @@ def minimise(
     source: Input,
     output: Output = None,
     method: Method = defaults.METHOD,
+    angle: Angle = None,
     tolerance: Tolerance = defaults.TOLERANCE,
     max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
     restrain: Restrain = "",
@@ -93,6 +99,7 @@ def minimise(
     trace: Trace = None,
     trajectory: Trajectory = None,
     report: Report = None,
+    no_curvature: NoCurvature = False,
     one_file: OneFile = False,
     seed: Seed = defaults.SEED,
     as_json: AsJson = False,
@@ -102,40 +109,52 @@ def minimise(
 ) -> None:
     """Minimise the energy of one structure."""
     from protochain.minimisers.api import Minimisation
-    from protochain.minimisers.recipes import recipe_of
-    from protochain.minimisers.starts import check_starts
+    from protochain.minimisers.recipes import at_angle, recipe_of
 
     limit = math.inf if max_rmsd is None else max_rmsd
-    Minimisation(recipe_of(method), tolerance, max_evaluations, seed, restrain, limit, checkpoint, resume)
+    chosen = method if angle is None else at_angle(recipe_of(method), angle)
+    Minimisation(recipe_of(chosen), tolerance, max_evaluations, seed, restrain, limit, checkpoint, resume)
     _check_starts(starts, hop, bool(checkpoint or resume or trajectory))
     beside = [path for path in (trace, trajectory, checkpoint, report) if path]
     stem, suffix = named_after(source)
-    output = output or Path(f"{stem}.{method}{suffix}")
+    output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
     _check_outputs(output, trajectory, report, as_json)
     runs = _runs(source, output, setup, bool(beside or resume), one_file)
     check_outputs(source, [*dict.fromkeys(path for _, path in runs), *beside], force)
 
     settings: dict[str, Any] = {
-        "method": method, "tolerance": tolerance, "max_evaluations": max_evaluations, "seed": seed,
-        "restraint": restrain, "max_rmsd": limit,
+        "method": chosen, "tolerance": tolerance, "max_evaluations": max_evaluations, "seed": seed,
+        "restraint": restrain, "max_rmsd": limit, **({"curvature": False} if no_curvature else {}),
     }  # fmt: skip
     if starts == 1:
         solve = partial(_once, trajectory=trajectory, checkpoint=checkpoint, resume=resume, **settings)
     else:
-        width = defaults.SPREAD if spread is None else math.radians(spread)
-        check_starts(starts, width, hop, **settings)
-        solve = partial(_often, n_starts=starts, spread=width, hop_temperature=hop, **settings)
-    lengths = starts * typical_evaluations(method, max_evaluations), starts * max_evaluations
+        solve = _from_many(starts, spread, hop, settings)
+    lengths = starts * typical_evaluations(chosen, max_evaluations), starts * max_evaluations
     records: list[dict[str, Any]] = []
     with _Writer(output, suffix, one_file, trace, report) as write:
         for own, path in runs:
-            records.append(_solved(context, source, own, path, method, solve, lengths, write))
+            records.append(_solved(context, source, own, path, chosen, solve, lengths, write))
             if records[-1]["status"] == "interrupted":
                 break
     with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
         _print(records, as_json, isinstance(setup.model, str))
+    raise typer.Exit(_status(records, len(runs)))
+
+
+def _from_many(starts: int, spread: float | None, hop: float | None, settings: dict[str, Any]) -> Any:
+    """Call that minimises from many starts."""
+    from protochain.minimisers.starts import check_starts
+
+    width = defaults.SPREAD if spread is None else math.radians(spread)
+    check_starts(starts, width, hop, **settings)
+    return partial(_often, n_starts=starts, spread=width, hop_temperature=hop, **settings)
+
+
+def _status(records: list[dict[str, Any]], n_runs: int) -> int:
+    """Exit status of all runs."""
     whole = [record["status"] == "converged" and "not_written" not in record for record in records]
-    raise typer.Exit(CONVERGED if len(whole) == len(runs) and all(whole) else UNCONVERGED)
+    return CONVERGED if len(whole) == n_runs and all(whole) else UNCONVERGED
 
 
 def _check_starts(starts: int, hop: float | None, is_single: bool) -> None:
@@ -253,7 +272,7 @@ def _solved(
     source: Path,
     setup: Setup,
     output: Path,
-    method: str,
+    method: "str | Recipe",
     solve: "Callable[[Chain, Energy], tuple[Solution, dict[str, Any]]]",
     lengths: tuple[int, int],
     write: _Writer,

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from protochain.batches.jobs import Job
     from protochain.chain import Chain
     from protochain.energies import Energy
+    from protochain.minimisers import Recipe
     from protochain.structure import Structure
 
 _WIDTH = 80
@@ -126,10 +127,11 @@ class _RunProgress(_Progress):
 
 @contextmanager
 def run_progress(
-    method: str, max_evaluations: int, each: "Callable[[Any], None] | None" = None
+    method: "str | Recipe", max_evaluations: int, each: "Callable[[Any], None] | None" = None
 ) -> Iterator["Watcher"]:
     """Show stage, energy, torque, evaluations and the time left of a run; ``each`` gets all positions."""
-    progress = _RunProgress(method, typical_evaluations(method, max_evaluations), max_evaluations)
+    name = method if isinstance(method, str) else method.name
+    progress = _RunProgress(name, typical_evaluations(method, max_evaluations), max_evaluations)
     progress.each = each
     with progress.bar:
         yield progress
@@ -160,14 +162,14 @@ def simulation_progress(name: str, n_steps: int, time_step: float) -> Iterator["
         yield watch
 
 
-def typical_evaluations(method: str, max_evaluations: int) -> int:
+def typical_evaluations(method: "str | Recipe", max_evaluations: int) -> int:
     """Number of evaluations that a method usually takes; those allowed where that is not known."""
     from protochain.minimisers.recipes import recipe_of
 
     return min(recipe_of(method).typical or max_evaluations, max_evaluations)
 
 
-def print_outlook(source: object, structure: "Structure", method: str) -> bool:
+def print_outlook(source: object, structure: "Structure", method: "str | Recipe") -> bool:
     """Say on standard error what is wrong with a start and what will be done; return whether anything is."""
     from protochain.minimisers.outlook import outlook
     from protochain.minimisers.recipes import recipe_of

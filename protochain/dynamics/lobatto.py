@@ -1,6 +1,6 @@
 """Generalised leapfrog in canonical coordinates: the Lobatto IIIA-B pair of order two.
 
-Hairer, Lubich, Wanner, *Geometric Numerical Integration* (2006), VI.3, equation 3.4; free roots follow the
+Hairer, Lubich, Wanner, *Geometric Numerical Integration* (2006); free roots follow the
 exponential map (Bou-Rabee, Marsden, Found. Comput. Math. 9:197, 2009), which conserves the momentum of an
 isolated chain to rounding. One half step is implicit in the velocities, the other in the positions: both are
 solved by fixed-point iteration of O(n) sweeps, without the energy.

@@ -20,7 +20,7 @@ class ImplicitMidpoint(Integrator):
     """Implicit midpoint rule: reversible and symplectic, of order two, with the potential at the midpoint.
 
     The discrete Lagrangian is h L(exp(xi/2) q, xi/h) with xi the displacement of the step, so that momenta
-    are conserved as by the leapfrog (Marsden, West, Acta Numerica 10:357, 2001, section 2.6). Newton-Krylov
+    are conserved as by the leapfrog (Marsden, West, Acta Numerica 10:357, 2001). Newton-Krylov
     iteration (scipy's ``newton_krylov``) finds the displacement, with some tens of evaluations of the
     potential a step.
 

@@ -68,7 +68,7 @@ class Langevin(Thermostat):
     """Langevin thermostat in the mass metric: qd -> c qd + sqrt(1 - c^2) times a thermal velocity.
 
     Exact solution of dp = -friction p dt + sqrt(2 friction kT) M^1/2 dW at constant q, alternating with the
-    leapfrog (as in Leimkuhler, Matthews, *Molecular Dynamics*, 2015, chapter 7). At 0 K it only damps.
+    leapfrog (as in Leimkuhler, Matthews, *Molecular Dynamics*, 2015). At 0 K it only damps.
 
     Parameters
     ----------

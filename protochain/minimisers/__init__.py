@@ -3,7 +3,7 @@
 from protochain.minimisers.api import minimise
 from protochain.minimisers.descent import Descent, Direction
 from protochain.minimisers.fire import Fire
-from protochain.minimisers.kcm import KCM
+from protochain.minimisers.kcm import KCM, Proportional
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Method, Stop, run
 from protochain.minimisers.metrics import Euclidean, Mass, Preconditioner, Stiffness
@@ -21,7 +21,7 @@ minimize = minimise
 __all__ = [
     "KCM", "LBFGS", "METHODS", "RECIPES", "AcceptReject", "Armijo", "BudgetSpentError",
     "Cartesian", "Decaying", "Descent", "Direction", "Euclidean", "Evaluation", "Fire", "Fixed",
-    "Judgement", "Mass", "Method", "Newton", "Preconditioner", "Problem", "PseudoTransient", "Recipe",
-    "Run", "Solution", "Starts", "Status", "Stiffness", "Stop", "StrongWolfe", "Torsions", "explore",
-    "minimise", "minimize", "parted", "recipe_of", "run",
+    "Judgement", "Mass", "Method", "Newton", "Preconditioner", "Problem", "Proportional", "PseudoTransient",
+    "Recipe", "Run", "Solution", "Starts", "Status", "Stiffness", "Stop", "StrongWolfe", "Torsions",
+    "explore", "minimise", "minimize", "parted", "recipe_of", "run",
 ]  # fmt: skip

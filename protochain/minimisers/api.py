@@ -15,12 +15,13 @@ from protochain import defaults
 from protochain.arrays import Floats, Watcher, read_only
 from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose
-from protochain.checks import WATCHER, check_fields, checked, integer, number, optional, path
+from protochain.checks import WATCHER, check_fields, checked, flag, integer, number, optional, path
 from protochain.energies import as_energy
 from protochain.errors import ProtochainError, WriteError, WriteWarning
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts, open_to_interrupts
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
+from protochain.minimisers.saddle import with_curvature
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import minimise_by_openmm
 from protochain.minimisers.outlook import Straying, strayed
@@ -41,6 +42,7 @@ class Options(TypedDict, total=False):
     max_rmsd: float
     checkpoint: str | Path | None
     resume: str | Path | None
+    curvature: bool
 
 
 @checked(watch=WATCHER)
@@ -66,7 +68,8 @@ def minimise(
         kJ/mol and forces (na, 3) in kJ/mol/nm, and judges the result too.
     method : str, Recipe, or object with ``init`` and ``step``
         ``hybrid`` (torsions, then all atoms), ``cartesian`` (all atoms), ``lbfgs`` or ``newton`` (torsions),
-        ``kcm`` (kineto-static compliance, as published) with variants ``kcm-adaptive``, ``kcm-metric`` ...,
+        ``kcm`` (kineto-static compliance, turns of a fixed angle, which :func:`protochain.kcm` sets) with
+        variants ``kcm-proportional``, ``kcm-sign``, ``kcm-adaptive``, ``kcm-metric`` ...,
         ``fire``, ``quench``, ``md`` (damped constrained dynamics) and ``anneal`` (from 600 K), both ending in
         a minimum by ``lbfgs``, ``openmm`` (LocalEnergyMinimizer), or ``openmm-md`` (OpenMM's dynamics at
         300 K, bonds to hydrogen constrained, between two minimisations). For methods of your own see
@@ -89,6 +92,9 @@ def minimise(
         their initial positions: one strength after the other, each until it converges; a final 0 releases
         them. A callable takes positions to energy and forces, as ``energy`` does.
         ``max_rmsd`` : float, angstrom. Upper limit of the C-alpha RMSD to the start, superposed.
+        ``curvature`` : bool, by default True. Whether methods that only turn hinges find, at their end, the
+        lowest eigenvalue of the Hessian in torsions, by some dozen evaluations more, and go on from a saddle
+        point (:mod:`protochain.minimisers.saddle`).
         ``checkpoint`` : path-like. File (.npz) to write when the run ends, for ``resume``; a warning
         says why if it cannot be written.
         ``resume`` : path-like. Continue from a checkpoint of a run with the same settings; evaluations count
@@ -140,12 +146,13 @@ class Minimisation:
     max_rmsd: float = np.inf
     checkpoint: str | Path | None = None
     resume: str | Path | None = None
+    curvature: bool = True
 
     def __post_init__(self) -> None:
         path_or_none = optional(path)
         check_fields(
             self, tolerance=number, max_evaluations=integer, seed=integer, max_rmsd=number,
-            checkpoint=path_or_none, resume=path_or_none,
+            curvature=flag, checkpoint=path_or_none, resume=path_or_none,
         )  # fmt: skip
         if self.seed < 0:
             raise ProtochainError(f"seed {self.seed}: give 0 or more")
@@ -179,6 +186,7 @@ class Minimisation:
             "root": chain.root,
             "move": chain.move,
             "seed": self.seed,
+            "curvature": self.curvature,
             "engine": energy.engine,
             "system": energy.fingerprint,
             "start": hashlib.sha256(chain.structure.positions.tobytes()).hexdigest(),
@@ -213,6 +221,8 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     reduced = start.energy_of(run.recipe)
     torque = start.judgement.max_torque
     plan = run.recipe.plan(chain, energy, reduced, run.tolerance, hold, run.seed, torque)
+    if run.curvature and run.recipe.keeps_geometry:
+        plan = with_curvature(plan, floats=not record.frame.held_by)
     waypoint = load_checkpoint(Path(run.resume), plan, run.settings(start)) if run.resume else None
     allowed = Leash(chain.structure, hold.max_rmsd).allows if hold.max_rmsd < np.inf else None
     if not plan[0].recorded:
@@ -269,9 +279,14 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         at, end = start.pose, judge(chain, energy, start.pose, done.restraint)
     residual = end.max_torque if turned else end.rms_force
     restrained = ", restraints included" if done.restraint else ""
+    lowest = done.lowest_eigenvalue if at is not start.pose else None
     measured = f"{done.space.unit.format(residual)} for a tolerance of {run.tolerance:g}{restrained}"
     met = done.complete and residual <= run.tolerance
     judged = "judged by the callable itself" if energy.engine == "custom" else "in double precision"
+    if lowest is not None:
+        judged += f"; lowest eigenvalue of the Hessian {lowest:.3g} kJ/mol/rad^2"
+    elif met and run.curvature and run.recipe.keeps_geometry:
+        judged += "; not tested for a saddle point"
     status, message = verdict(done.stop, met, f"{measured}, {judged}", structure, at.x, done.n_evaluations)
     if start.is_crowded and (far := strayed(structure, at.x)):
         message = f"{message}; {far}"
@@ -298,6 +313,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         tolerance=run.tolerance,
         hold=run.hold,
         seed=run.seed,
+        lowest_eigenvalue=lowest,
         frame_rows=read_only(list(record.kept()), np.int64),
         frames=read_only(list(record.kept().values()), np.float32),
     )

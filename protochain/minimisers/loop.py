@@ -17,6 +17,7 @@ class Stop(Enum):
     NO_DESCENT = "no step lowers the energy any further"
     CIRCLING = "the energy has found no new low for a long time"
     BUDGET = "the evaluations allowed are used up"
+    SADDLE = "the energy falls on both sides of where the torques vanish"
     NON_FINITE = "the energy or a torque is not a number"
     INTERRUPTED = "interrupted"
     STRAINED = (
@@ -43,7 +44,7 @@ class Method(Protocol):
         """State at the start."""
 
     def step(self, problem: Problem, state: Any) -> Any | None:
-        """State after one step; None if no step lowers the energy."""
+        """State after one step; None if no step lowers the energy, or why its state's ``stop`` says."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +147,7 @@ def run(
                     return Ending(Stop.INTERRUPTED, last)
                 state = method.step(problem, last.state)
                 if state is None:
-                    return Ending(Stop.NO_DESCENT, last)
+                    return Ending(getattr(last.state, "stop", Stop.NO_DESCENT), last)
                 last = _snapshot(problem, state, last.start, last.n_iterations + 1)
                 record(state.at)
         except BudgetSpentError:

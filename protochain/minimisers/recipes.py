@@ -7,8 +7,11 @@ from inspect import signature
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from protochain.arrays import Floats
 from protochain.chain import Chain
+from protochain.checks import number
 from protochain.contacts import overlaps
 from protochain.energies.protocol import Energy
 from protochain.errors import ProtochainError
@@ -16,7 +19,7 @@ from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.fire import Fire
-from protochain.minimisers.kcm import KCM, by_length, by_sign
+from protochain.minimisers.kcm import KCM, Proportional, by_length, by_sign
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.loop import Method, Stop
 from protochain.minimisers.metrics import NEAR_REFRESH, Mass, Stiffness
@@ -105,8 +108,8 @@ class Recipe:
     runs : tuple of Run
         One after the other, the last once for each restraint; none for methods of OpenMM.
     parts_overlaps : bool
-        Whether overlapping atoms are separated first, while springs hold all others. KCM is left as
-        published; with all atoms free they separate by themselves.
+        Whether overlapping atoms are separated first, while springs hold all others. KCM follows
+        the torques alone; with all atoms free they separate by themselves.
     draws_random : bool
         Whether its result depends on the seed.
     by_openmm : bool
@@ -231,16 +234,20 @@ def _dynamics(name: str, annealing: Annealing, draws_random: bool) -> Recipe:
     return Recipe(name, (moved, _TORSIONS), True, draws_random, typical=typical)
 
 
+ANGLE = 0.0005
+"""rad. Turn of the hinge of largest torque in a step of ``kcm``, and in the first of its adaptive kin."""
+
 _TABLE = (
-    _in_torsions("kcm", Descent(KCM(), Fixed(0.0005))),
+    _in_torsions("kcm", Descent(KCM(), Fixed(ANGLE))),
     _in_torsions("kcm-2norm", Descent(KCM(norm=by_length), Fixed(0.002))),
-    _in_torsions("kcm-sign", Descent(KCM(norm=by_sign), Fixed(0.0001))),
+    _in_torsions("kcm-sign", Descent(KCM(norm=by_sign), AcceptReject(ANGLE))),
+    _in_torsions("kcm-proportional", Descent(Proportional(), Fixed(1.0))),
     _in_torsions("kcm-decaying", Descent(KCM(), Decaying(0.002, 200.0))),
-    _in_torsions("kcm-adaptive", Descent(KCM(), AcceptReject(0.0005))),
-    _in_torsions("kcm-armijo", Descent(KCM(), Armijo(0.0005, window=5))),
+    _in_torsions("kcm-adaptive", Descent(KCM(), AcceptReject(ANGLE))),
+    _in_torsions("kcm-armijo", Descent(KCM(), Armijo(ANGLE, window=5))),
     _in_torsions("kcm-transient", PseudoTransient()),
-    _in_torsions("kcm-metric", Descent(KCM(Mass()), AcceptReject(0.0005))),
-    _in_torsions("kcm-stiffness", Descent(KCM(Stiffness()), AcceptReject(0.0005))),
+    _in_torsions("kcm-metric", Descent(KCM(Mass()), AcceptReject(ANGLE))),
+    _in_torsions("kcm-stiffness", Descent(KCM(Stiffness()), AcceptReject(ANGLE))),
     _in_torsions("fire", Fire()),
     _in_torsions("quench", Fire(mixing=1.0, fade=1.0)),
     _dynamics("md", Annealing(), draws_random=False),
@@ -259,6 +266,57 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
 ``openmm-md`` its constrained dynamics between two minimisations; all others turn hinges."""
 
 METHODS = tuple(RECIPES)
+
+
+def kcm(angle: float = ANGLE) -> Recipe:
+    """KCM with a fixed angle of one's choice, for ``method=``: ``pc.minimise(s, method=pc.kcm(angle=0.01))``.
+
+    Parameters
+    ----------
+    angle : float, rad
+        Turn of the hinge of largest torque, in every step.
+
+    Returns
+    -------
+    Recipe
+        Called ``kcm-`` and the angle, so that a comparison can hold several.
+
+    Raises
+    ------
+    ProtochainError
+        If the angle is no number above 0.
+    """
+    return at_angle(RECIPES["kcm"], angle)
+
+
+def at_angle(recipe: Recipe, angle: float) -> Recipe:
+    """Method of KCM that begins with another angle, or keeps to it.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        One that turns the hinge of largest torque by a given angle.
+    angle : float, rad
+
+    Raises
+    ------
+    ProtochainError
+        If the angle makes no sense, or the method has none.
+    """
+    if not 0.0 < number(angle, "angle") < np.inf:
+        raise ProtochainError(f"angle {angle:g}: give a number above 0, in rad")
+    if not _has_angle(recipe):
+        known = ", ".join(name for name, each in RECIPES.items() if _has_angle(each))
+        raise ProtochainError(f"angle: method {recipe.name!r} has none; give it with {known}")
+    (run,) = recipe.runs
+    method: Any = run.method
+    turned = replace(method, rule=replace(method.rule, length=float(angle)))
+    return replace(recipe, name=f"{recipe.name}-{angle:g}", runs=(replace(run, method=turned),))
+
+
+def _has_angle(recipe: Recipe) -> bool:
+    methods: list[Any] = [run.method for run in recipe.runs]
+    return len(methods) == 1 and isinstance(methods[0], Descent) and isinstance(methods[0].direction, KCM)
 
 
 def recipe_of(method: Any) -> Recipe:

@@ -10,7 +10,8 @@ import numpy as np
 from protochain.validation.found import MEASURES
 
 UNITS = {
-    "_kj_mol_rad": "kJ/mol/rad", "_kj_mol_nm2": "kJ/mol/nm^2", "_kj_mol_nm": "kJ/mol/nm", "_kj_mol": "kJ/mol",
+    "_kj_mol_rad": "kJ/mol/rad", "_kj_mol_rad2": "kJ/mol/rad^2",
+    "_kj_mol_nm2": "kJ/mol/nm^2", "_kj_mol_nm": "kJ/mol/nm", "_kj_mol": "kJ/mol",
     "_kj_mol_per_residue": "kJ/mol per residue", "_angstrom": "angstrom", "_degrees": "degrees", "_nm": "nm",
     "_ps": "ps", "_fs": "fs", "_k": "K", "_amu": "amu",
 }  # fmt: skip
@@ -91,6 +92,7 @@ COLUMNS = (
     Column("energy_end_reference_kj_mol", lambda s: s.end.energy, "energy at end", "end"),
     Column("max_torque_end_kj_mol_rad", lambda s: s.end.max_torque, "largest torque", "torque", 6),
     Column("rms_force_end_kj_mol_nm", lambda s: s.end.rms_force, "RMS force", "force", 6),
+    Column("lowest_eigenvalue_kj_mol_rad2", lambda s: s.lowest_eigenvalue),
     Column("ca_rmsd_angstrom", lambda s: s.ca_rmsd_angstrom, "C-alpha RMSD", "RMSD", 6),
     Column("ca_rmsd_as_filed_angstrom", lambda s: s.ca_rmsd_as_filed_angstrom),
     Column("frame", lambda s: str(s.frame)),

@@ -187,6 +187,8 @@ class Solution(Value):
         Restraints to the start.
     seed : int
         Of random methods.
+    lowest_eigenvalue : float or None, kJ/mol/rad^2
+        Of the Hessian at the end, in torsions; None where it was not sought.
     frame_rows : (n,) int
         Rows of the trace at which ``frames`` were taken: at equal distances from the first, and the last.
     frames : (n, na, 3) float32, nm
@@ -216,6 +218,7 @@ class Solution(Value):
     tolerance: float
     hold: Hold
     seed: int
+    lowest_eigenvalue: float | None = None
     frame_rows: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     frames: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 0, 3), dtype=np.float32))
 

@@ -29,7 +29,8 @@ DEPTH = 0.4
 the minimum is 72 times the depth divided by the square of the distance."""
 
 DECAY = 14.0
-"""Decay rate of the stiffness, per contact distance: the logarithmic slope of a 12-6 curvature at contact."""
+"""Decay rate of the stiffness, per contact distance: that of the repulsive part of a curvature, r^-14. The
+whole 12-6 curvature falls by 21 at contact."""
 
 REACH = 1.3
 """Longest spring, in contact distances; its stiffness is 2 % of that at contact."""

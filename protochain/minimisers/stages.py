@@ -72,6 +72,8 @@ class Stage:
         Whether to run it from where the stage before ended; otherwise it is left out.
     fit : callable, optional
         The stage as it runs from the positions (na, 3) where the one before ended.
+    looks : bool
+        Whether it only looks at where the stage before ended, whose ending stands if it finds nothing.
     """
 
     space: Space
@@ -86,6 +88,7 @@ class Stage:
     name: str = ""
     ready: "Callable[[Stage, Placement], bool] | None" = None
     fit: "Callable[[Stage, Floats], Stage] | None" = None
+    looks: bool = False
 
 
 def parting(space: Torsions) -> Stage:
@@ -110,12 +113,15 @@ class Waypoint:
         Of the loop.
     at : (na, 3) float, nm, or None
         Positions that the stage was fitted to, if it was.
+    ended : str
+        Name of the ending of the stage before, if there was one.
     """
 
     stage: int
     before: int
     last: Snapshot
     at: Floats | None = None
+    ended: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +141,8 @@ class Outcome:
         Whether no stage was left out.
     waypoint : Waypoint or None
         For a checkpoint; None if nothing was computed.
+    lowest_eigenvalue : float or None, kJ/mol/rad^2
+        Of the Hessian at q, if a stage found it.
     """
 
     stop: Stop
@@ -145,6 +153,7 @@ class Outcome:
     restraint: Force | None = None
     complete: bool = True
     waypoint: Waypoint | None = None
+    lowest_eigenvalue: float | None = None
 
     @property
     def x(self) -> Floats:
@@ -185,12 +194,13 @@ def walk(
         first, n_iterations, waiting = resume.stage, resume.before, resume.last
     space, home, left_out = plan[first].space, None, False
     q, waypoint = plan[0].space.start(chain.structure.positions), resume
-    stop, n_evaluations = Stop.BUDGET, 0
+    stop = Stop[resume.ended] if resume and resume.ended else Stop.BUDGET
+    n_evaluations, lowest_eigenvalue = 0, None
     for i, stage in enumerate(plan[first:], first):
         if waiting is not None:
             stage, home = _fitted(stage, resume.at if resume else None)
             q = waiting.start.q
-        elif stage.after and stop not in stage.after:
+        elif stage.after and (left_out or stop not in stage.after):
             continue
         else:
             left_out = stage.ready is not None and not stage.ready(stage, space.place(q))
@@ -212,10 +222,14 @@ def walk(
             # The stage has evaluated nothing: the result of the one before stands.
             stop = Stop.BUDGET if isinstance(error, BudgetSpentError) else Stop.INTERRUPTED
             break
-        stop, waiting, n_evaluations = ending.stop, None, problem.n_evaluations
-        waypoint = Waypoint(i, n_iterations, ending.last, home)
-        n_iterations += ending.last.n_iterations
+        waypoint = Waypoint(i, n_iterations, ending.last, home, stop.name if i else "")
+        waiting, n_evaluations = None, problem.n_evaluations
+        lowest_eigenvalue = getattr(ending.last.state, "lowest_eigenvalue", None)
         q = stage.answer(problem, ending, q)
+        if stage.looks and ending.stop in (Stop.NO_DESCENT, Stop.NON_FINITE):
+            break
+        stop = ending.stop
+        n_iterations += 0 if stage.looks else ending.last.n_iterations
         if stop in (Stop.BUDGET, Stop.INTERRUPTED):
             break
         if stop is Stop.NON_FINITE and not (plan[i + 1 :] and stop in plan[i + 1].after):
@@ -223,7 +237,9 @@ def walk(
     if left_out:
         stop = Stop.STRAINED
     complete = not left_out and all(left.after for left in plan[i + 1 :])
-    return Outcome(stop, space, q, n_iterations, n_evaluations, stage.restraint, complete, waypoint)
+    return Outcome(
+        stop, space, q, n_iterations, n_evaluations, stage.restraint, complete, waypoint, lowest_eigenvalue
+    )
 
 
 def _fitted(stage: Stage, x: Floats | None) -> tuple[Stage, Floats | None]:

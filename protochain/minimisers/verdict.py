@@ -30,6 +30,7 @@ class Status(StrEnum):
     INTERRUPTED = "interrupted"
     INVERTED = "inverted"
     VIOLATIONS = "violations"
+    SADDLE = "saddle"
 
 
 @dataclass(frozen=True)
@@ -117,6 +118,8 @@ def verdict(
     # A minimum with overlapping atoms, or with a bond through a ring, is no usable result.
     overlap, threaded = overlaps(structure, x), threaded_rings(structure, x)
     if met and not (overlap or threaded):
+        if stop is Stop.SADDLE:
+            return Status.SADDLE, f"saddle: {stop.value}: {measured}"
         return Status.CONVERGED, f"converged: {measured}"
     if stop is Stop.INTERRUPTED:
         return Status.INTERRUPTED, f"interrupted after {n_evaluations} evaluations: {measured}"

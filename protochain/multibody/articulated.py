@@ -92,7 +92,7 @@ def articulate(tree: Tree, frames: Frames) -> Articulated:
 
     Notes
     -----
-    Jain, Vaidehi, Rodriguez (1993), equation 21; Featherstone (2008), table 7.1. O(n).
+    After Jain, Vaidehi, Rodriguez (1993); Featherstone (2008). O(n).
     """
     n = tree.n_bodies
     packed, gain, pivot = np.empty((n, 21)), np.empty((n, 6)), np.empty(n)
@@ -186,7 +186,7 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
     Notes
     -----
     Outward sweep of a solution, for D^-1/2 noise: the rate of a hinge is its noise minus the gain times the
-    motion of its parent. Jain, Vaidehi, Rodriguez (1993), equation 27. O(n).
+    motion of its parent. After Jain, Vaidehi, Rodriguez (1993). O(n).
     """
     tree, frames = factors.tree, factors.frames
     x = floats(noise, (tree.n_v,), "noise").copy()

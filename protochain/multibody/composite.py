@@ -40,7 +40,7 @@ def mass_matrix(tree: Tree, frames: Frames) -> Floats:
 
     Notes
     -----
-    Composite-rigid-body algorithm: Walker, Orin (1982); Featherstone (2008), table 6.2. O(n depth), and
+    Composite-rigid-body algorithm: Walker, Orin (1982); Featherstone (2008). O(n depth), and
     O(n^2) to clear the matrix.
     """
     out = np.zeros((tree.n_v, tree.n_v))

@@ -81,7 +81,7 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
 
     Notes
     -----
-    Block elimination of H (Lee, Wang, Chirikjian 2007, section 4), leaf to root. O(n).
+    Block elimination of H (after Lee, Wang, Chirikjian 2007), leaf to root. O(n).
     """
     n = tree.n_bodies
     moments = np.linalg.eigvalsh(tree.inertia)

@@ -58,7 +58,7 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     Notes
     -----
     The Newton-Euler loads at qdd = 0 are subtracted, and articulated bodies solve for the accelerations:
-    Featherstone (2008), table 7.1. O(n).
+    Featherstone (2008). O(n).
     """
     if wrench is None:
         loads = np.zeros((tree.n_bodies, 6))

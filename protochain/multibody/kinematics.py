@@ -66,7 +66,7 @@ def pose(tree: Tree, q: Floats) -> Frames:
 
     Notes
     -----
-    Featherstone, *Rigid Body Dynamics Algorithms* (2008), section 4.4. O(n).
+    Featherstone, *Rigid Body Dynamics Algorithms* (2008). O(n).
     """
     rotation = np.empty((tree.n_bodies, 3, 3))
     origin = np.empty((tree.n_bodies, 3))
@@ -91,7 +91,7 @@ def velocities(tree: Tree, frames: Frames, qd: Floats) -> Floats:
 
     Notes
     -----
-    Featherstone, *Rigid Body Dynamics Algorithms* (2008), equation 3.33. O(n).
+    Featherstone, *Rigid Body Dynamics Algorithms* (2008). O(n).
     """
     twists = np.empty((tree.n_bodies, 6))
     outward_twists(
@@ -134,7 +134,7 @@ def pull_back(tree: Tree, frames: Frames, wrench: Floats) -> Floats:
     Notes
     -----
     The inward half of the recursive Newton-Euler algorithm without inertia: Featherstone, *Rigid Body
-    Dynamics Algorithms* (2008), table 5.1. O(n).
+    Dynamics Algorithms* (2008). O(n).
     """
     tau = np.empty(tree.n_v)
     _inward_loads(

@@ -49,7 +49,7 @@ def inverse_dynamics(tree: Tree, q: Floats, qd: Floats, qdd: Floats, wrench: Flo
 
     Notes
     -----
-    Recursive Newton-Euler algorithm: Luh, Walker, Paul (1980); Featherstone (2008), table 5.1. O(n).
+    Recursive Newton-Euler algorithm: Luh, Walker, Paul (1980); Featherstone (2008). O(n).
     """
     frames = pose(tree, q)
     loads = inertial_loads(tree, frames, qd, qdd)

@@ -2,7 +2,7 @@
 
 The operational-space inverse inertia of body b, Y_b = J_b M^-1 J_b^T, follows from its parent's by one
 outward sweep: Y_b = psi^T Y_p psi + h h^T / D. Rodriguez, Jain, Kreutz-Delgado, J. Guidance 15:1321 (1992);
-Jain, *Robot and Multibody Dynamics* (2011), chapter 10.
+Jain, *Robot and Multibody Dynamics* (2011).
 """
 
 from dataclasses import dataclass
@@ -164,8 +164,7 @@ def operational_inverse(tree: Tree, frames: Frames, rows: Rows) -> Floats:
     Nodes are the rows' bodies, the bodies where their paths to the root meet, and the roots. One sweep
     finds, for each body, the operator that transmits a load to the next node inward; loads are transmitted
     from node to node, and two of them combine by Y of the outermost body that both reach. O(n + m^2) for
-    rows that share few bodies, after Wensing, Featherstone, Orin, ICRA (2012) and Jain (2011),
-    section 10.4.
+    rows that share few bodies, after Wensing, Featherstone, Orin, ICRA (2012) and Jain (2011).
     """
     factors = articulate(tree, frames)
     out = np.zeros((len(rows.body), len(rows.body)))

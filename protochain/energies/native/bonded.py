@@ -160,7 +160,7 @@ def dihedral(x: Floats, i: int, j: int, k: int, m: int) -> float:
 
 @scalar
 def twist(x: Floats, i: int, j: int, k: int, m: int, torque: float, sums: Floats) -> None:
-    """Add the forces of a torque -dE/dphi. Blondel, Karplus, J. Comput. Chem. 17:1132 (1996), equation 27."""
+    """Add the forces of a torque -dE/dphi. Blondel, Karplus, J. Comput. Chem. 17:1132 (1996)."""
     f, g, h, a, b = _planes(x, i, j, k, m)
     length = np.sqrt(max(_dot(g, g), CLOSEST))
     a2, b2 = max(_dot(a, a), CLOSEST**2), max(_dot(b, b), CLOSEST**2)

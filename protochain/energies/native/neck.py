@@ -1,6 +1,6 @@
 """Necks of GBn and GBn2: gaps between two atoms too narrow for water.
 
-Mongan, Simmerling, McCammon, Case, Onufriev, J. Chem. Theory Comput. 3:156 (2007), equation 12.
+Mongan, Simmerling, McCammon, Case, Onufriev, J. Chem. Theory Comput. 3:156 (2007).
 """
 
 from protochain.arrays import Floats, Integers
