@@ -36,6 +36,7 @@ _SETTINGS: Any = config
 # program imports first, it would make results depend on the order of imports and calls.
 _SETTINGS.SLP_VECTORIZE = 1
 
+
 def _wide() -> None:
     """Use vectors of eight doubles where the processor has them, though LLVM prefers four on most of these.
 

@@ -9,9 +9,9 @@ from quadratics import Along, Flat, Quadratic
 
 import protochain as pc
 from protochain.minimisers import Status
-from protochain.minimisers.saddle import Curvature, CurvatureState, rigid_motions, stepped_off
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Problem
+from protochain.minimisers.saddle import Curvature, CurvatureState, rigid_motions, stepped_off
 from protochain.minimisers.spaces import Torsions
 
 EIGENVALUE = 0.01

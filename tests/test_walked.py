@@ -19,8 +19,8 @@ from protochain.batches.cluster import Processes
 from protochain.batches.jobs import failure, find_jobs
 from protochain.minimisers import RECIPES, api
 from protochain.minimisers.api import Minimisation
-from protochain.minimisers.saddle import ROUNDS, Curvature
 from protochain.minimisers.loop import Stop
+from protochain.minimisers.saddle import ROUNDS, Curvature
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.start import Start
 

@@ -21,13 +21,13 @@ from protochain.errors import ProtochainError, WriteError, WriteWarning
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts, open_to_interrupts
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
-from protochain.minimisers.saddle import with_curvature
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import minimise_by_openmm
 from protochain.minimisers.outlook import Straying, strayed
 from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
+from protochain.minimisers.saddle import with_curvature
 from protochain.minimisers.solution import Recorder, Solution
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import Outcome, Stage, walk
