@@ -1,9 +1,11 @@
 """Default of every setting. Signatures, commands and their documentation refer to these values."""
 
+from typing import Literal
+
 FORCEFIELD = "amber14"
 SOLVENT = "obc2"
 ENGINE = "auto"
-CUTOFF = "auto"
+CUTOFF: Literal["auto"] = "auto"
 FULL_UP_TO = 20_000
 """Atoms up to which all pairs are summed in a solvent: for twice as many, a minimisation takes an hour."""
 LONG_CUTOFF = 2.0  # nm. Forces differ by 1 to 4 kJ/mol/nm RMS from those of all pairs.

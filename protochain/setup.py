@@ -85,7 +85,7 @@ class Setup:
     forcefield: str = defaults.FORCEFIELD
     solvent: str = defaults.SOLVENT
     engine: str = defaults.ENGINE
-    cutoff: float | str | None = defaults.CUTOFF
+    cutoff: float | Literal["auto"] | None = defaults.CUTOFF
     threads: int | None = None
     trust_forcefield: bool = False
     model: int | str | None = None

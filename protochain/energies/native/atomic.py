@@ -12,11 +12,13 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
+from numba.extending import intrinsic as _intrinsic
 
 from protochain.arrays import Integers
 from protochain.energies.native.layout import scalar
 
+# Numba says nothing of the types of its own tools.
+intrinsic: Any = _intrinsic
 _ORDER = "seq_cst"
 _PAUSES = {
     "x86_64": ("llvm.x86.sse2.pause", ()),
@@ -38,7 +40,7 @@ _MONOTONIC = 6 if sys.platform == "darwin" else 1
 
 
 @scalar
-def ticks(room: Integers) -> int:
+def ticks(room: Any) -> int:
     """Read a clock that goes on evenly, in ticks of its own, by way of an array of two int64."""
     if _IS_WINDOWS:
         _counter(room.ctypes)

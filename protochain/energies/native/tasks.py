@@ -37,6 +37,14 @@ _PATIENCE = 8000
 """Looks at the counters before a helper leaves, and must be woken for the next energy: some 200 us."""
 _IN_VACUUM, _IN_SOLVENT = 2, 6
 """Steps of an energy."""
+Pairwise = tuple[float, float, float, float]
+"""Least distance in tiles, cutoff, and the constants of the reaction field."""
+Term = tuple[Integers, Floats]
+"""Atoms and parameters of the terms of one kind."""
+Listed = tuple[tuple[Floats, Floats, Floats, Integers], Integers, Term, Term, Term, Term, Term, Term, Term]
+"""Charges, A, B and types of atoms; free pairs; exceptions; bonded terms by kind."""
+Maps = tuple[Integers, Integers, Floats]
+"""Atoms, number of the map and coefficients of CMAP."""
 BONDS, ANGLES, TORSIONS, IMPROPERS, MAPS, TIES, TIE_ANGLES, NONBONDED, POLAR, SURFACE = range(10)
 """Rows of ``parts``, the components of the energy."""
 
@@ -214,7 +222,7 @@ def solvated_pairs(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: An
 
 
 @inlined
-def bonded_sums(mine: Share, state: Any, pairwise: Any, terms: Any, maps: Any) -> None:
+def bonded_sums(mine: Share, state: Any, pairwise: Pairwise, terms: Listed, maps: Maps | None) -> None:
     """Listed pairs, exceptions and bonded terms."""
     x, _, sums, parts, _ = state
     kinds, free, exceptions, bonds, angles, torsions, impropers, ties, tie_angles = terms
