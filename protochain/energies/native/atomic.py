@@ -14,7 +14,6 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic as _intrinsic
 
-from protochain.arrays import Integers
 from protochain.energies.native.layout import scalar
 
 # Numba says nothing of the types of its own tools.
@@ -26,14 +25,14 @@ _PAUSES = {
     "aarch64": ("llvm.aarch64.hint", (1,)),
     "arm64": ("llvm.aarch64.hint", (1,)),
 }
-give_way = types.ExternalFunction(
+give_way: Any = types.ExternalFunction(
     "SwitchToThread" if sys.platform == "win32" else "sched_yield", types.int32()
 )
 """Let the operating system run another thread on this processor."""
 
 _IS_WINDOWS = sys.platform == "win32"
-_counter = types.ExternalFunction("QueryPerformanceCounter", types.int32(types.voidptr))
-_clock = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.voidptr))
+_counter: Any = types.ExternalFunction("QueryPerformanceCounter", types.int32(types.voidptr))
+_clock: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.voidptr))
 TICK = get_clock_info("perf_counter").resolution if _IS_WINDOWS else 1e-9
 """s. Of :func:`ticks`."""
 _MONOTONIC = 6 if sys.platform == "darwin" else 1
