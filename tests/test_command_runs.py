@@ -168,8 +168,8 @@ def test_a_start_with_overlaps_is_foretold_to_take_longer(asked, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     asked.troubled = True
     assert run("minimise", "a.pdb") == 0
-    assert run("minimise", "a.pdb", "--max-evaluations", 700) == 0
-    assert asked.foretold == [(3 * typical_evaluations("hybrid", 5000), 5000), (700, 700)]
+    assert run("minimise", "a.pdb", "--max-evaluations", 200) == 0
+    assert asked.foretold == [(3 * typical_evaluations("hybrid", 5000), 5000), (200, 200)]
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from protochain.structure.write import as_text
 
 SETUP = {
     "hinges": "phi psi chi", "move": "all", "forcefield": "amber14", "solvent": "obc2", "engine": "auto",
-    "threads": None, "trust_forcefield": False, "model": None, "chains": None, "altloc": "", "keep": None,
+    "cutoff": "auto", "threads": None, "trust_forcefield": False, "model": None, "chains": None, "altloc": "", "keep": None,
     "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
 }  # fmt: skip
 OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}

@@ -60,6 +60,7 @@ REQUIRED = {
     "energy": lambda: (S(),),
     "explore": lambda: (C(), vacuum()),
     "from_sequence": lambda: ("AA",),
+    "kcm": tuple,
     "load": lambda: (FILE,),
     "log_det_mass": lambda: (C(), at()),
     "mass_matrix": lambda: (C(), at()),

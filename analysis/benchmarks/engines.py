@@ -1,23 +1,25 @@
 """What one energy with forces costs: native kernels against OpenMM's CPU platform, on the same positions.
 
-    python analysis/benchmarks/engines.py [--threads N] [STRUCTURE ...]
+    python analysis/benchmarks/engines.py [--threads N] [--energies] [-o DIR] [STRUCTURE ...]
 
 Medians of calls taken in turn in one process, and their ratios; OpenMM's implicit solvents as its force field
 builds them (CustomGBForce), OBC2 also as GBSAOBCForce. Then: a cutoff at growing sizes (copies of ubiquitin
-side by side), what leaving out constant terms saves, and what the chain's sweeps add.
+side by side), what leaving out constant terms saves, and what the chain's sweeps add; not with --energies.
 """
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import cycle
 from pathlib import Path
 from statistics import median
 from time import perf_counter
 
+import made
 import numba
 import numpy as np
 import openmm
+import pandas as pd
 from openmm import app, unit
 
 import protochain as pc
@@ -79,8 +81,10 @@ def with_gbsa_obc(topology: app.Topology) -> openmm.System:
     return built
 
 
-def against_openmm(topology: app.Topology, x: np.ndarray, name: str, threads: int) -> None:
-    """Print one structure's row in each solvent."""
+def against_openmm(
+    topology: app.Topology, x: np.ndarray, name: str, threads: int
+) -> Iterator[dict[str, object]]:
+    """One structure's row in each solvent."""
     n_pairs = len(x) * (len(x) - 1) / 2
     cases = {
         "vacuum": system(topology, None), "OBC2": system(topology, "obc2"),
@@ -91,12 +95,11 @@ def against_openmm(topology: app.Topology, x: np.ndarray, name: str, threads: in
         ours = NativeEnergy(theirs, threads)
         ms = medians({"native": partial(ours, x), "openmm": partial(theirs, x)})
         floor = arithmetic_floor(n_pairs, solvent) / threads
-        print(
-            f"| {name} | {len(x)} | {solvent} | {ms['openmm']:.2f} | {ms['native']:.2f} "
-            f"| {ms['openmm'] / ms['native']:.1f}x | {1e6 * ms['native'] / n_pairs:.2f} "
-            f"| {ms['native'] / floor:.1f} |",
-            flush=True,
-        )
+        yield {
+            "structure": name, "atoms": len(x), "solvent": solvent, "openmm_ms": ms["openmm"],
+            "native_ms": ms["native"], "ratio": ms["openmm"] / ms["native"],
+            "ns_a_pair": 1e6 * ms["native"] / n_pairs, "times_the_floor": ms["native"] / floor,
+        }  # fmt: skip
 
 
 @numba.njit(fastmath={"contract"}, error_model="numpy")
@@ -183,15 +186,22 @@ def main() -> None:
     )
     parser.add_argument("structures", nargs="*", type=Path, default=[SAMPLES / f"{n}.pdb" for n in DEFAULT])
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--energies", action="store_true", help="only the first table")
+    parser.add_argument("-o", "--output", type=Path)
     given = parser.parse_args()
-    print(
-        "| structure | atoms | solvent | OpenMM CPU ms | native ms | ratio | ns per pair | times the floor |"
-    )
-    print("|---|--:|---|--:|--:|--:|--:|--:|")
-    for path in given.structures:
-        s = pc.load(path)
-        against_openmm(s.topology, s.positions, s.name, given.threads)
-    against_openmm(*copies(pc.load(SAMPLES / "1ubq.pdb"), COPIES), f"{COPIES} x 1ubq", given.threads)
+    structures = [pc.load(path) for path in given.structures]
+    cases = [(s.topology, s.positions, s.name) for s in structures]
+    cases.append((*copies(pc.load(SAMPLES / "1ubq.pdb"), COPIES), f"{COPIES} x 1ubq"))
+    rows = []
+    for case in cases:
+        for row in against_openmm(*case, given.threads):
+            rows.append(row)
+            shown = (f"{value:.2f}" if isinstance(value, float) else str(value) for value in row.values())
+            print(f"| {' | '.join(shown)} |", flush=True)
+    if given.output:
+        made.write(pd.DataFrame(rows), given.output / "engines.csv", given.structures, given.threads)
+    if given.energies:
+        return
     with_cutoff(given.threads)
     left_out(given.structures, given.threads)
 

@@ -76,6 +76,37 @@ def race_made(results: Path) -> str:
     return made(results, "race.csv")
 
 
+@table("engines")
+def engines(results: Path) -> str:
+    """One energy, native against OpenMM."""
+    rows = pd.read_csv(results / "engines.csv")
+    return markdown(
+        ("structure", "atoms", "OpenMM's force", "OpenMM CPU ms", "native ms", "ratio", "ns per pair",
+         "times the floor"),
+        ((r.structure, r.atoms, r.solvent, f"{r.openmm_ms:.2f}", f"{r.native_ms:.2f}", ratio(r.ratio),
+          f"{r.ns_a_pair:.2f}", f"{r.times_the_floor:.1f}") for r in rows.itertuples()),
+    )  # fmt: skip
+
+
+@table("engines-short")
+def engines_short(results: Path) -> str:
+    """Ratios of one energy by structure."""
+    rows = pd.read_csv(results / "engines.csv").pivot(
+        index=["atoms", "structure"], columns="solvent", values="ratio"
+    )
+    forces = ("vacuum", "OBC2", "OBC2, GBSAOBCForce", "GBn2")
+    return markdown(
+        ("structure", "atoms", *forces),
+        ((name, atoms, *(ratio(row[force]) for force in forces)) for (atoms, name), row in rows.iterrows()),
+    )
+
+
+@table("engines-made")
+def engines_made(results: Path) -> str:
+    """How energies were timed."""
+    return made(results, "engines.csv")
+
+
 def rendered(page: str, results: Path) -> str:
     """A page with its tables made from a folder of results.
 

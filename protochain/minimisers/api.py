@@ -4,6 +4,7 @@ import hashlib
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any, TypedDict, Unpack
@@ -28,7 +29,7 @@ from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.saddle import with_curvature
-from protochain.minimisers.solution import Recorder, Solution
+from protochain.minimisers.solution import Recorder, Solution, trace_of
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import Outcome, Stage, walk
 from protochain.minimisers.start import Start
@@ -291,7 +292,8 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     if start.is_crowded and (far := strayed(structure, at.x)):
         message = f"{message}; {far}"
     x = at.x if at is start.pose else record.frame(at.x)
-    trace: Any = record.trace  # Made when first read.
+    # Made when first read, from what does not hold the watcher.
+    trace: Any = partial(trace_of, record.structure, record.rows, record.alphas)
     return Solution(
         recipe=run.recipe,
         chain=chain,

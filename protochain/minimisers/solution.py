@@ -113,17 +113,18 @@ class Recorder:
             return self.frames
         return self.frames | {len(self.rows) - 1: self.frame(self.last).astype(np.float32)}
 
-    def trace(self) -> "pd.DataFrame":
-        """Trace, with the columns ``TRACE_COLUMNS``."""
-        # Imported when asked for: the import takes longer than minimising a small protein.
-        import pandas as pd
 
-        start = self.structure.positions[self.structure.alpha_carbons]
-        rows = [
-            {**row, "ca_rmsd_angstrom": rmsd_angstrom(alphas, start) if np.isfinite(alphas).all() else np.nan}
-            for row, alphas in zip(self.rows, self.alphas, strict=True)
-        ]
-        return pd.DataFrame(rows, columns=list(TRACE_COLUMNS))
+def trace_of(structure: Structure, rows: list[dict[str, float]], alphas: list[Floats]) -> "pd.DataFrame":
+    """Trace of recorded rows and their C-alphas, with the columns ``TRACE_COLUMNS``."""
+    # Imported when asked for: the import takes longer than minimising a small protein.
+    import pandas as pd
+
+    start = structure.positions[structure.alpha_carbons]
+    full = [
+        {**row, "ca_rmsd_angstrom": rmsd_angstrom(x, start) if np.isfinite(x).all() else np.nan}
+        for row, x in zip(rows, alphas, strict=True)
+    ]
+    return pd.DataFrame(full, columns=list(TRACE_COLUMNS))
 
 
 class _Made:
