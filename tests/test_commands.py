@@ -22,8 +22,8 @@ from protochain.structure.write import as_text
 
 SETUP = {
     "hinges": "phi psi chi", "move": "all", "forcefield": "amber14", "solvent": "obc2", "engine": "auto",
-    "cutoff": "auto", "threads": None, "trust_forcefield": False, "model": None, "chains": None, "altloc": "", "keep": None,
-    "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
+    "cutoff": "auto", "threads": None, "trust_forcefield": False, "model": None, "chains": None, "altloc": "",
+    "keep": None, "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
 }  # fmt: skip
 OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}
 MINIMISE = {
@@ -33,7 +33,7 @@ MINIMISE = {
     "force": False, **SETUP,
 }  # fmt: skip
 NOT_IN_BATCH = ("threads", "trust_forcefield")
-NOT_IN_VALIDATE = ("hinges", "move", "forcefield", "solvent", "engine", *NOT_IN_BATCH)
+NOT_IN_VALIDATE = ("hinges", "move", "forcefield", "solvent", "engine", "cutoff", *NOT_IN_BATCH)
 COMMANDS = {
     "minimise": MINIMISE,
     "minimize": MINIMISE,

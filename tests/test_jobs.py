@@ -19,8 +19,8 @@ PLAIN = {
     "methods": ("hybrid",), "tolerance": 1.0, "max_rmsd": float("inf"), "max_evaluations": 5000, "seed": 0,
     "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None,
     "hinges": "phi psi chi", "root": "auto", "move": "all", "forcefield": "amber14", "solvent": "obc2",
-    "engine": "auto", "cutoff": "auto", "trust_forcefield": False, "model": None, "altloc": "", "keep": ("near",),
-    "disulfide": None, "ph": 7.0, "strict": False, "chains": (),
+    "engine": "auto", "cutoff": "auto", "trust_forcefield": False, "model": None, "altloc": "",
+    "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (),
 }  # fmt: skip
 """All settings by name, at their defaults."""
 
@@ -88,15 +88,16 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "methods": "kcm, lbfgs", "tolerance": "2", "max_rmsd": " 0.5 ", "max_evaluations": "7", "seed": "3",
         "restrain": "5 0",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
-        "engine": "native", "cutoff": "2.5", "model": "2", "altloc": "B", "keep": "ZN,CA", "disulfide": "A:3-A:40",
-        "ph": "6.5", "strict": "Yes", "chain": "A, B",
+        "engine": "native", "cutoff": "2.5", "model": "2", "altloc": "B", "keep": "ZN,CA",
+        "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chain": "A, B",
     }  # fmt: skip
     assert BatchSettings().read(row).record() == {
         "methods": ("kcm", "lbfgs"), "tolerance": 2.0, "max_rmsd": 0.5, "max_evaluations": 7, "seed": 3,
         "restraint": "5 0", "n_starts": 1, "spread": 0.2, "hop_temperature": None,
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
-        "engine": "native", "cutoff": 2.5, "model": 2, "altloc": "B", "keep": ("ZN", "CA"), "disulfide": (("A:3", "A:40"),),
-        "ph": 6.5, "strict": True, "trust_forcefield": False, "chains": ("A", "B"),
+        "engine": "native", "cutoff": 2.5, "model": 2, "altloc": "B", "keep": ("ZN", "CA"),
+        "disulfide": (("A:3", "A:40"),), "ph": 6.5, "strict": True, "trust_forcefield": False,
+        "chains": ("A", "B"),
     }  # fmt: skip
     # Columns have the names of the options or of the fields, and angles are in degrees.
     starts = {"n_starts": 4, "spread": math.pi / 2, "hop_temperature": 300.0}

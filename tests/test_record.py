@@ -23,6 +23,10 @@ ENERGY = SimpleNamespace(
 )
 
 
+def traced(recorder):
+    return trace_of(recorder.structure, recorder.rows, recorder.alphas)
+
+
 def solution(**changed):
     c = chain("ala10.pdb")
     made = Solution(
@@ -182,7 +186,7 @@ def test_a_recorder_numbers_its_rows_and_measures_rmsds_afterwards(monkeypatch):
     for k, x in enumerate((s.positions, larger, none)):
         recorder(x, -float(k), 10.0 * k, 3 * k)
     assert [row["iteration"] for row, _ in seen] == [0, 1, 2] and seen[1][1] is larger
-    trace = trace_of(recorder.structure, recorder.rows, recorder.alphas)
+    trace = traced(recorder)
     assert tuple(trace.columns) == TRACE_COLUMNS == (
         "iteration", "evaluations", "seconds", "energy_kj_mol", "max_torque_kj_mol_rad", "ca_rmsd_angstrom",
     )  # fmt: skip
@@ -205,9 +209,9 @@ def test_a_recorder_shows_and_keeps_positions_in_the_frame_of_the_start():
         for x, kept in zip(seen[::2], (recorder.kept()[0], recorder.kept()[2]), strict=True):
             assert np.abs(x - expected).max() < 1e-12 and np.abs(kept - expected).max() < 1e-6
         assert seen[1] is none and list(recorder.kept()) == [0, 1, 2]
-        assert trace_of(recorder.structure, recorder.rows, recorder.alphas)[
-            "ca_rmsd_angstrom"
-        ].tolist() == pytest.approx([0.0, np.nan, 0.0], abs=1e-6, nan_ok=True)
+        assert traced(recorder)["ca_rmsd_angstrom"].tolist() == pytest.approx(
+            [0.0, np.nan, 0.0], abs=1e-6, nan_ok=True
+        )
 
 
 def test_a_recorder_tells_its_watcher_of_stages_if_it_listens():
@@ -223,10 +227,7 @@ def test_a_recorder_tells_its_watcher_of_stages_if_it_listens():
     recorder = Recorder(s, Frame(s), Bar())
     recorder.at_stage("torsions", 3)
     recorder(s.positions, 0.0, 1.0, 4)
-    assert (
-        told == [("torsions", 3), 4]
-        and len(trace_of(recorder.structure, recorder.rows, recorder.alphas)) == 1
-    )
+    assert told == [("torsions", 3), 4] and len(traced(recorder)) == 1
     for watch in (None, lambda row, x: told.append(x)):
         Recorder(s, Frame(s), watch).at_stage("torsions", 3)
     assert len(told) == 2

@@ -100,7 +100,7 @@ def test_hybrid_monte_carlo_samples_the_boltzmann_distribution_of_a_torsion():
     edges = np.linspace(-np.pi, np.pi, n + 1)
     energies = np.array([e(pc.pose(c, np.array([angle])).x)[0] for angle in (edges[1:] + edges[:-1]) / 2])
     m = simulate(
-        c, e, c.q0, temperature, 0.012, 900 * 33, "hmc", 5, fixman=True, trajectory_length=33, every=33,
+        c, e, c.q0, temperature, 0.02, 900 * 20, "hmc", 5, fixman=True, trajectory_length=20, every=20,
         watch=lambda row, x: frames.append(x),
     )  # fmt: skip
     # A trajectory of 0.4 ps is far from a period of phi, after which it would be back where it began.
