@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import gemmi
+import made
 import matplotlib.pyplot as plt
 import numpy as np
 import openmm
@@ -214,7 +215,7 @@ def report(runs: Runs, exact: dict[tuple[str, str], float], known: tuple, output
             table.loc[len(table)] = {"method": f"quadrature, {name}", "basin": basin} | {
                 "share_percent": 100 * exact[name, basin]
             }
-        table.round(3).to_csv(output / "dipeptide.csv", index=False)
+        made.write(table.round(3), output / "dipeptide.csv")
         draw(surfaces, output / "dipeptide.png")
 
 

@@ -26,7 +26,7 @@ def write(table: pd.DataFrame, path: Path, inputs: Iterable[object] = (), thread
     row = {
         "table": path.name,
         "command": command(),
-        "commit": commit(),
+        "commit": COMMIT,
         "machine": f"{processor()}, {len(os.sched_getaffinity(0))} cores",
         "threads": threads,
         "load": round(os.getloadavg()[1], 1),
@@ -65,3 +65,7 @@ def processor() -> str:
     except OSError:
         return platform.processor()
     return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), "unknown")
+
+
+COMMIT = commit()
+"""Of the tree when the command began."""

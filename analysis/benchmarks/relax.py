@@ -28,6 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
+import made
 import numpy as np
 import pandas as pd
 
@@ -346,7 +347,8 @@ def main() -> None:
             found, name = compare(files, options.repeats, place), "relax.csv"
             print(f"\n{summary(found)}")
     if options.output:
-        found.round(4).to_csv(options.output / name, index=False)
+        given = options.models or [f"{options.many or options.made} damaged copies of samples"]
+        made.write(found.round(4), options.output / name, given, 2)
 
 
 if __name__ == "__main__":

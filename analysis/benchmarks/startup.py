@@ -22,6 +22,7 @@ from collections import Counter
 from pathlib import Path
 from time import perf_counter
 
+import made
 import pandas as pd
 
 ROOT = Path(__file__).parents[2]
@@ -138,8 +139,8 @@ def main() -> None:
     for name, seconds in sorted(packages.items(), key=lambda item: -item[1])[:15]:
         parts.append((f"modules of {name}", seconds))
     split = pd.DataFrame(parts, columns=["part", "seconds"])
-    table.to_csv(options.output / "startup.csv", index=False, float_format="%.3f")
-    split.to_csv(options.output / "startup_parts.csv", index=False, float_format="%.4f")
+    made.write(table.round(3), options.output / "startup.csv", [options.structure], 2)
+    made.write(split.round(4), options.output / "startup_parts.csv", [options.structure], 2)
     print(table.to_string(index=False, float_format="%.2f"))
     print(split.to_string(index=False, float_format="%.3f"))
 

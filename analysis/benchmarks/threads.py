@@ -1,6 +1,6 @@
 """What one energy costs beside other work: on one thread and on two, while other processes keep cores busy.
 
-    python analysis/benchmarks/threads.py [-o FILE.csv] [--seconds S] [STRUCTURE ...]
+    python analysis/benchmarks/threads.py [-o DIR] [--seconds S] [STRUCTURE ...]
 
 The process binds itself to two cores; others that do nothing but count are bound to none, one or both of
 them. Calls on one thread and on two are made in turn, in bursts, so that a slow moment strikes both; the mean
@@ -8,7 +8,6 @@ of all calls counts, because a few that wait very long are what hurts. Ratio: tw
 """
 
 import argparse
-import csv
 import os
 import subprocess
 import sys
@@ -17,7 +16,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter, process_time, sleep
 
+import made
 import numpy as np
+import pandas as pd
 from engines import SAMPLES, copies, with_gbsa_obc
 
 import protochain as pc
@@ -72,7 +73,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("structures", nargs="*", type=Path)
-    parser.add_argument("-o", "--output", type=Path, help="table, as CSV [default: to the terminal]")
+    parser.add_argument("-o", "--output", type=Path, help="folder for threads.csv")
     parser.add_argument("--seconds", type=float, default=3.0, help="of each number of threads, in each place")
     given = parser.parse_args()
     cores = sorted(os.sched_getaffinity(0))[:2]
@@ -85,20 +86,21 @@ def main() -> None:
         cases.append((s.name, s.topology, s.positions))
     if not given.structures:
         cases.append((f"{COPIES} x 1ubq", *copies(pc.load(SAMPLES / "1ubq.pdb"), COPIES)))
-    with given.output.open("w", newline="") if given.output else sys.stdout as file:
-        table = csv.writer(file)
-        table.writerow(FIELDS)
-        for name, topology, x in cases:
-            built = OpenMMEnergy(with_gbsa_obc(topology), "CPU")
-            energies = {threads: NativeEnergy(built, threads) for threads in (1, 2)}
-            for energy in energies.values():
-                energy(x)
-            for busy in range(3):
-                with kept_busy(cores[:busy]):
-                    (one, one_cpu), (two, two_cpu) = means(energies, x, given.seconds).values()
-                numbers = (f"{v:.3f}" for v in (one, two, two / one, one_cpu, two_cpu))
-                table.writerow((name, len(x), busy, *numbers))
-                file.flush()
+    rows = []
+    print(",".join(FIELDS))
+    for name, topology, x in cases:
+        built = OpenMMEnergy(with_gbsa_obc(topology), "CPU")
+        energies = {threads: NativeEnergy(built, threads) for threads in (1, 2)}
+        for energy in energies.values():
+            energy(x)
+        for busy in range(3):
+            with kept_busy(cores[:busy]):
+                (one, one_cpu), (two, two_cpu) = means(energies, x, given.seconds).values()
+            numbers = [round(v, 3) for v in (one, two, two / one, one_cpu, two_cpu)]
+            rows.append(dict(zip(FIELDS, (name, len(x), busy, *numbers), strict=True)))
+            print(",".join(map(str, rows[-1].values())), flush=True)
+    if given.output:
+        made.write(pd.DataFrame(rows), given.output / "threads.csv", [name for name, _, _ in cases], 2)
 
 
 if __name__ == "__main__":
