@@ -37,7 +37,7 @@ def test_a_table_follows_its_results():
     text = "before\n<!-- table race-made -->\nstale\n<!-- end -->\nafter\n"
     new = pages.rendered(text, pages.RESULTS)
     assert new.startswith("before\n<!-- table race-made -->\n") and new.endswith("<!-- end -->\nafter\n")
-    assert "stale" not in new and "race.csv" in new
+    assert "stale" not in new and "race_gbsa.csv" in new
     with pytest.raises(KeyError):
         pages.rendered("<!-- table nothing -->\n<!-- end -->", pages.RESULTS)
 

@@ -54,10 +54,10 @@ def made(results: Path, name: str) -> str:
 @table("race-medians")
 def race_medians(results: Path) -> str:
     """Median ratios of the race, by force and tolerance."""
-    races = pd.read_csv(results / "race.csv")
+    races = pd.concat(pd.read_csv(path) for path in sorted(results.glob("race_*.csv")))
     forces = {"gbsa": "OBC2, GBSAOBCForce", "obc2": "OBC2, CustomGBForce", "gbn2": "GBn2", "vacuum": "vacuum"}
     rows = []
-    for (force, tolerance), of in races.groupby(["force", "tolerance"], sort=False):
+    for (force, tolerance), of in races.groupby(["force", "tolerance"]):
         cells = [forces[force], f"{tolerance:g}"]
         for method in ("cartesian", "hybrid"):
             own = of[of["method"] == method]
@@ -73,7 +73,7 @@ def race_medians(results: Path) -> str:
 @table("race-made")
 def race_made(results: Path) -> str:
     """How the race was run."""
-    return made(results, "race.csv")
+    return "\n".join(made(results, path.name) for path in sorted(results.glob("race_*.csv")))
 
 
 @table("engines")

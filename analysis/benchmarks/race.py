@@ -172,7 +172,8 @@ def main() -> None:
     print("\nMedian ratios (0: never), and the share of structures in which ours is first to OpenMM's end:\n")
     print(medians.round(2).to_string())
     if options.output:
-        made.write(table, options.output / "race.csv", options.structures, THREADS)
+        for force, rows in table.groupby("force"):
+            made.write(rows, options.output / f"race_{force}.csv", options.structures, THREADS)
 
 
 if __name__ == "__main__":
