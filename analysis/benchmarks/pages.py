@@ -107,6 +107,74 @@ def engines_made(results: Path) -> str:
     return made(results, "engines.csv")
 
 
+@table("threads")
+def threads(results: Path) -> str:
+    """One energy on one thread and on two, beside other work."""
+    rows = pd.read_csv(results / "threads.csv")
+    return markdown(
+        ("structure", "atoms", "cores busy with other work", "one thread ms", "two ms", "two over one"),
+        ((r.structure, r.atoms, r.cores_busy, f"{r.one_thread_ms:.2f}", f"{r.two_threads_ms:.2f}",
+          f"{r.ratio:.2f}") for r in rows.itertuples()),
+    )  # fmt: skip
+
+
+@table("threads-made")
+def threads_made(results: Path) -> str:
+    """How threads were timed."""
+    return made(results, "threads.csv")
+
+
+@table("startup")
+def startup(results: Path) -> str:
+    """Shell to shell, with kernels to compile and without."""
+    rows = pd.read_csv(results / "startup.csv")
+    return markdown(
+        ("command", "state", "s", "processor s"),
+        ((f"`{r.command}`", r.state, f"{r.seconds:.1f}", f"{r.cpu_seconds:.1f}") for r in rows.itertuples()),
+    )
+
+
+@table("startup-made")
+def startup_made(results: Path) -> str:
+    """How the start was timed."""
+    return made(results, "startup.csv")
+
+
+def _more(ours: float, theirs: float) -> str:
+    """Difference of energies, kJ/mol; none without one of them."""
+    return "-" if pd.isna(ours) or pd.isna(theirs) else f"{ours - theirs:+.0f}"
+
+
+@table("relax")
+def relax(results: Path) -> str:
+    """Relaxation beside AlphaFold's."""
+    rows = pd.read_csv(results / "relax.csv")
+    return markdown(
+        ("model", "residues", "violations", "after OpenMM", "after `relax`", "RMSD angstrom, OpenMM",
+         "`relax`", "ff14SB, OBC2, kJ/mol", "amber99sb, kJ/mol", "OpenMM s", "`relax` s", "sooner",
+         "less CPU"),
+        ((r.model, r.residues, r.violations_start, int(r.violations_openmm), int(r.violations_relax),
+          f"{r.ca_rmsd_angstrom_openmm:.2f}", f"{r.ca_rmsd_angstrom_relax:.2f}",
+          _more(r.energy_ff14sb_obc2_relax, r.energy_ff14sb_obc2_openmm),
+          _more(r.energy_amber99sb_vacuum_relax_alphafold, r.energy_amber99sb_vacuum_openmm),
+          f"{r.seconds_openmm:.1f}", f"{r.seconds_relax:.2f}", ratio(r.times_sooner), ratio(r.times_less_cpu))
+         for r in rows.itertuples()),
+    )  # fmt: skip
+
+
+@table("relax-short")
+def relax_short(results: Path) -> str:
+    """Relaxation beside AlphaFold's, for the README."""
+    rows = pd.read_csv(results / "relax.csv")
+    return markdown(
+        ("model", "residues", "sooner", "violations", "after OpenMM", "after `relax`",
+         "RMSD angstrom, OpenMM", "`relax`"),
+        ((r.model, r.residues, ratio(r.times_sooner), r.violations_start, int(r.violations_openmm),
+          int(r.violations_relax), f"{r.ca_rmsd_angstrom_openmm:.2f}", f"{r.ca_rmsd_angstrom_relax:.2f}")
+         for r in rows.itertuples()),
+    )  # fmt: skip
+
+
 def rendered(page: str, results: Path) -> str:
     """A page with its tables made from a folder of results.
 
