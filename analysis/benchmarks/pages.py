@@ -10,6 +10,7 @@ import argparse
 import re
 import sys
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -101,12 +102,6 @@ def engines_short(results: Path) -> str:
     )
 
 
-@table("engines-made")
-def engines_made(results: Path) -> str:
-    """How energies were timed."""
-    return made(results, "engines.csv")
-
-
 @table("threads")
 def threads(results: Path) -> str:
     """One energy on one thread and on two, beside other work."""
@@ -118,12 +113,6 @@ def threads(results: Path) -> str:
     )  # fmt: skip
 
 
-@table("threads-made")
-def threads_made(results: Path) -> str:
-    """How threads were timed."""
-    return made(results, "threads.csv")
-
-
 @table("startup")
 def startup(results: Path) -> str:
     """Shell to shell, with kernels to compile and without."""
@@ -132,12 +121,6 @@ def startup(results: Path) -> str:
         ("command", "state", "s", "processor s"),
         ((f"`{r.command}`", r.state, f"{r.seconds:.1f}", f"{r.cpu_seconds:.1f}") for r in rows.itertuples()),
     )
-
-
-@table("startup-made")
-def startup_made(results: Path) -> str:
-    """How the start was timed."""
-    return made(results, "startup.csv")
 
 
 def _more(ours: float, theirs: float) -> str:
@@ -173,6 +156,10 @@ def relax_short(results: Path) -> str:
           int(r.violations_relax), f"{r.ca_rmsd_angstrom_openmm:.2f}", f"{r.ca_rmsd_angstrom_relax:.2f}")
          for r in rows.itertuples()),
     )  # fmt: skip
+
+
+for _name in ("engines", "threads", "startup"):
+    TABLES[f"{_name}-made"] = partial(made, name=f"{_name}.csv")
 
 
 def rendered(page: str, results: Path) -> str:
