@@ -85,16 +85,9 @@ def _pair_tile(
     cutoff2: float, krf: float, crf: float, inverses: Floats, a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
     """Energy of two blocks in vacuum."""
-    energy = 0.0
-    for i in range(W):
-        row, first = lj[lj_type[i]], i if same else -1
-        if apart2(a, i, b) < far2:
-            _inverses(a, i, b, first, True, near2, cutoff2, inverses)
-            energy += _pairs(a, i, b, row, True, False, krf, crf, inverses, a_sums, b_sums)
-        else:
-            _inverses(a, i, b, first, False, near2, cutoff2, inverses)
-            energy += _pairs(a, i, b, row, False, False, krf, crf, inverses, a_sums, b_sums)
-    return energy
+    return _tile(
+        a, b, lj, lj_type, same, near2, far2, cutoff2, False, krf, crf, inverses, a_sums, b_sums
+    )  # fmt: skip
 
 
 @tiled
@@ -103,15 +96,25 @@ def _solvated_tile(
     cutoff2: float, krf: float, crf: float, inverses: Floats, a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
     """As :func:`_pair_tile`, with the forces of the Born integrals."""
+    return _tile(a, b, lj, lj_type, same, near2, far2, cutoff2, True, krf, crf, inverses, a_sums, b_sums)
+
+
+@variant
+def _tile(
+    a: Floats, b: Floats, lj: Floats, lj_type: Integers, same: bool, near2: float, far2: float,
+    cutoff2: float, in_solvent: bool, krf: float, crf: float, inverses: Floats, a_sums: Floats,
+    b_sums: Floats,
+) -> float:  # fmt: skip
+    """Rows of a tile, with masks only where the block is near the atom."""
     energy = 0.0
     for i in range(W):
         row, first = lj[lj_type[i]], i if same else -1
         if apart2(a, i, b) < far2:
             _inverses(a, i, b, first, True, near2, cutoff2, inverses)
-            energy += _pairs(a, i, b, row, True, True, krf, crf, inverses, a_sums, b_sums)
+            energy += _pairs(a, i, b, row, True, in_solvent, krf, crf, inverses, a_sums, b_sums)
         else:
             _inverses(a, i, b, first, False, near2, cutoff2, inverses)
-            energy += _pairs(a, i, b, row, False, True, krf, crf, inverses, a_sums, b_sums)
+            energy += _pairs(a, i, b, row, False, in_solvent, krf, crf, inverses, a_sums, b_sums)
     return energy
 
 
