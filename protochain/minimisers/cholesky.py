@@ -169,7 +169,8 @@ def _put(
 ) -> None:  # fmt: skip
     """Write the matrix into the pattern of its factor: blocks below the diagonal, and those on it."""
     for i in range(len(place)):
-        diagonal[place[i]] = own[i]
+        for p in range(9):
+            diagonal[place[i], p] = own[i, p]
     for m in range(len(pairs)):
         a, b = place[pairs[m, 0]], place[pairs[m, 1]]
         low, high = start[min(a, b)], start[min(a, b) + 1]

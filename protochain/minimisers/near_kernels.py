@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers
+from protochain.energies.native.neighbours import wider
 from protochain.multibody.algebra import Vector, add, cross, dot, kernel, scale, subtract, vector
 
 STIFFEST = 1e6
@@ -198,9 +199,7 @@ def free_pairs(
                         is_free &= partner[p] != j
                     if is_free:
                         if found == len(pairs):
-                            more = np.empty((2 * found, 2), np.int64)
-                            more[:found] = pairs
-                            pairs = more
+                            pairs = wider(pairs, 2 * found)
                         pairs[found, 0], pairs[found, 1] = i, j
                         found += 1
     return pairs[:found].copy()

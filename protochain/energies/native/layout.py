@@ -29,6 +29,9 @@ Share = tuple[int, int]
 FAR_AWAY = 1e6
 """nm. Spacing of the atoms that pad the last block, which have neither charge nor radius."""
 
+_WITHIN: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True}
+"""Of functions that kernels call, and Python does not: a wrapper for it would take 0.2 s to compile."""
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -41,12 +44,12 @@ def tiled(function: F) -> F:
 def variant(function: F) -> F:
     """Compile as :func:`tiled`, inlined: branches on constants of the caller cost nothing in loops."""
     fast = {"contract", "reassoc", "nsz"}
-    return cast(F, njit(error_model="numpy", fastmath=fast, forceinline=True)(function))
+    return cast(F, njit(error_model="numpy", fastmath=fast, **_WITHIN)(function))
 
 
 def ordered(function: F) -> F:
     """Compile as :func:`variant`, but additions keep their order: one that rounds is no detour to remove."""
-    return cast(F, njit(error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)(function))
+    return cast(F, njit(error_model="numpy", fastmath={"contract", "nsz"}, **_WITHIN)(function))
 
 
 def scalar(function: F) -> F:
@@ -61,7 +64,7 @@ def shared(function: F) -> F:
 
 def inlined(function: F) -> F:
     """Compile as :func:`shared`, inlined: a call would count the references of all arrays up and down."""
-    return cast(F, njit(error_model="numpy", nogil=True, forceinline=True)(function))
+    return cast(F, njit(error_model="numpy", nogil=True, **_WITHIN)(function))
 
 
 def n_blocks(n: int) -> int:

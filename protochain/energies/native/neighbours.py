@@ -65,8 +65,7 @@ def make_lists(
     groups : (na, k) int
         Rigid groups of each atom, -1 for none; atoms that share a group keep their distance.
     """
-    low, high = _boxes(x)
-    tiles, is_near, is_necked = _tiles(low, high, block_near + SKIN, necked + SKIN, cutoff + SKIN)
+    tiles, is_near, is_necked = _tiles(*_boxes(x), block_near + SKIN, necked + SKIN, cutoff + SKIN)
     close, is_free = _close(x, tiles[is_near], near + SKIN, exceptions[0], exceptions[1], groups)
     return Lists(x.copy(), tiles, is_near, is_necked, close, close[is_free])
 
@@ -93,28 +92,35 @@ def _boxes(x: Floats) -> tuple[Floats, Floats]:
     return low, high
 
 
-@scalar
 def _tiles(
     low: Floats, high: Floats, near: Floats, necked: float, cutoff: float
 ) -> tuple[Integers, np.ndarray, np.ndarray]:
-    """Pairs of blocks whose boxes are nearer than the cutoff, in order; which are near, and which have necks.
+    """Pairs of blocks whose boxes are nearer than the cutoff, in order; which are near; which have necks."""
+    axis = int(np.argmax(np.ptp(low, axis=0)))
+    tiles, kinds = _swept(np.argsort(low[:, axis]), axis, low, high, near, necked, cutoff)
+    order = np.lexsort((tiles[:, 1], tiles[:, 0]))
+    is_near, is_necked = kinds[order].T
+    return tiles[order], is_near, is_necked
+
+
+@scalar
+def _swept(
+    order: Integers, axis: int, low: Floats, high: Floats, near: Floats, necked: float, cutoff: float
+) -> tuple[Integers, np.ndarray]:
+    """Pairs of blocks within the cutoff; which are near, and which have necks, as two columns.
 
     Along the axis on which they spread most, blocks are taken as they begin, and each is compared with those
     that begin before it ends, not with all: many atoms take little longer each where the cutoff is short.
     """
     n, room = len(low), 1024
-    axis = np.argmax(spread(low))
-    order = np.argsort(low[:, axis])
-    begins = low[order, axis]
-    tiles = np.empty((room, 2), np.int64)
-    kinds = np.empty((room, 2), np.bool_)
+    tiles, kinds = np.empty((room, 2), np.int64), np.empty((room, 2), np.bool_)
     count = 0
     for a in range(n):
         i = order[a]
-        b = a
-        while b < n and begins[b] < high[i, axis] + cutoff:
+        for b in range(a, n):
             j = order[b]
-            b += 1
+            if low[j, axis] >= high[i, axis] + cutoff:
+                break
             apart = 0.0
             for k in range(3):
                 gap = max(low[i, k] - high[j, k], low[j, k] - high[i, k], 0.0)
@@ -122,21 +128,23 @@ def _tiles(
             if apart < cutoff * cutoff:
                 if count == room:
                     room *= 2
-                    wider, marks = np.empty((room, 2), np.int64), np.empty((room, 2), np.bool_)
-                    wider[:count], marks[:count] = tiles, kinds
-                    tiles, kinds = wider, marks
+                    tiles, kinds = wider(tiles, room), wider(kinds, room)
                 tiles[count, 0], tiles[count, 1] = min(i, j), max(i, j)
                 kinds[count, 0] = apart < max(near[i], near[j]) ** 2
                 kinds[count, 1] = apart < necked * necked
                 count += 1
-    sorted_ = np.argsort(tiles[:count, 0] * n + tiles[:count, 1])
-    return tiles[sorted_], kinds[sorted_, 0], kinds[sorted_, 1]
+    return tiles[:count].copy(), kinds[:count].copy()
 
 
 @scalar
-def spread(x: Floats) -> Floats:
-    """(3,): difference of the largest and smallest coordinate along each axis."""
-    return np.array([x[:, axis].max() - x[:, axis].min() for axis in range(3)])
+def wider(rows: np.ndarray, room: int) -> np.ndarray:
+    """Rows, and room for more behind them."""
+    found = np.empty((room, rows.shape[1]), rows.dtype)
+    # Element by element: an assignment of slices takes three seconds to compile.
+    for i in range(len(rows)):
+        for j in range(rows.shape[1]):
+            found[i, j] = rows[i, j]
+    return found
 
 
 @scalar
@@ -144,7 +152,7 @@ def _close(
     x: Floats, tiles: Integers, reach: float, start: Integers, partner: Integers, groups: Integers
 ) -> tuple[Integers, np.ndarray]:
     n, room = len(x), 1024
-    pairs, is_free = np.empty((room, 2), np.int64), np.empty(room, np.bool_)
+    pairs, is_free = np.empty((room, 2), np.int64), np.empty((room, 1), np.bool_)
     count = 0
     for k in range(len(tiles)):
         for i in range(tiles[k, 0] * W, min(n, (tiles[k, 0] + 1) * W)):
@@ -153,18 +161,13 @@ def _close(
                     continue
                 if count == room:
                     room *= 2
-                    wider, marks = np.empty((room, 2), np.int64), np.empty(room, np.bool_)
-                    # Element by element: an assignment of slices takes three seconds to compile.
-                    for place in range(count):
-                        wider[place, 0], wider[place, 1] = pairs[place, 0], pairs[place, 1]
-                        marks[place] = is_free[place]
-                    pairs, is_free = wider, marks
-                pairs[count, 0], pairs[count, 1], is_free[count] = i, j, True
+                    pairs, is_free = wider(pairs, room), wider(is_free, room)
+                pairs[count, 0], pairs[count, 1], is_free[count, 0] = i, j, True
                 for place in range(start[i], start[i + 1]):
                     if partner[place] == j:
-                        is_free[count] = False
+                        is_free[count, 0] = False
                 count += 1
-    return pairs[:count].copy(), is_free[:count].copy()
+    return pairs[:count].copy(), is_free[:count, 0].copy()
 
 
 @scalar

@@ -148,9 +148,13 @@ def in_solvent(
 @inlined
 def clear(mine: Share, sums: Floats, parts: Floats) -> None:
     """Begin the sums of some chunks."""
+    # Element by element: an assignment of slices takes seconds to compile.
     for c in range(*mine):
-        sums[c] = 0.0
-        parts[:, c] = 0.0
+        for block in range(sums.shape[1]):
+            for k in range(sums.shape[2]):
+                sums[c, block, k] = 0.0
+        for k in range(len(parts)):
+            parts[k, c] = 0.0
 
 
 @inlined
