@@ -164,7 +164,9 @@ def test_lists_hold_every_pair():
     excepted = np.array([[i, i + 1] for i in range(0, 400, 2)])
     groups = np.arange(500)[:, None] // 5
     block_near = np.full(-(-500 // W), 0.8)
-    lists = neighbours.make_lists(x, 0.35, block_near, 0.6, 1.5, neighbours.partners(excepted, 500), groups)
+    every = np.full(len(block_near), -1)
+    exceptions = neighbours.partners(excepted, 500)
+    lists = neighbours.make_lists(x, 0.35, block_near, 0.6, 1.5, exceptions, groups, every)
     distance = np.linalg.norm(x[:, None] - x[None], axis=2)
     i, j = np.nonzero(np.triu(distance < 0.35 + neighbours.SKIN, 1) & (groups != groups.T))
     assert {*zip(i.tolist(), j.tolist(), strict=True)} == {tuple(p) for p in lists.close.tolist()}
@@ -191,7 +193,10 @@ def two_blocks(gap):
 def lists_of_two_blocks(gap, close, block_near, necked, cutoff):
     none = neighbours.partners(np.zeros((0, 2), np.int64), 2 * W)
     groups = np.full((2 * W, 1), -1)
-    return neighbours.make_lists(two_blocks(gap), close, np.array(block_near), necked, cutoff, none, groups)
+    every = np.full(2, -1)
+    return neighbours.make_lists(
+        two_blocks(gap), close, np.array(block_near), necked, cutoff, none, groups, every
+    )
 
 
 def of_the_two(lists):

@@ -54,7 +54,8 @@ def test_lists_are_those_of_all_pairs_whatever_the_last_block(n, seed):
     pairs = np.unique(pairs[pairs[:, 0] < pairs[:, 1]], axis=0)[:: 1 + seed]
     groups = np.where(rng.random((n, 2)) < 0.5, -1, rng.integers(0, 1 + n // 6, (n, 2)))
     excepted = {tuple(pair) for pair in pairs.tolist()}
-    found = make_lists(x, 0.5, block_near, 0.1, 1.2, partners(pairs[rng.permutation(len(pairs))], n), groups)
+    exceptions = partners(pairs[rng.permutation(len(pairs))], n)
+    found = make_lists(x, 0.5, block_near, 0.1, 1.2, exceptions, groups, np.full(len(block_near), -1))
     tiles, is_near, is_necked, close, free = listed(x, 0.5, block_near, 0.1, 1.2, excepted, groups)
     assert found.tiles.tolist() == tiles
     assert found.is_near.tolist() == is_near and found.is_necked.tolist() == is_necked
@@ -79,7 +80,7 @@ def test_lists_of_very_many_pairs_keep_all_of_them():
     x = np.random.default_rng(0).uniform(0.0, 0.1, (100, 3))
     pairs = np.array([[0, 1], [40, 99], [98, 99]])
     no_groups = np.full((100, 1), -1)
-    found = make_lists(x, 0.5, np.full(4, 0.5), 0.3, 1.2, partners(pairs, 100), no_groups)
+    found = make_lists(x, 0.5, np.full(4, 0.5), 0.3, 1.2, partners(pairs, 100), no_groups, no_groups[:4, 0])
     every = {(i, j) for i in range(100) for j in range(i + 1, 100)}
     assert len(found.close) == 4950 and {tuple(pair) for pair in found.close.tolist()} == every
     free = {tuple(pair) for pair in found.free.tolist()}
@@ -92,7 +93,7 @@ def two_points(distance, axis, near=0.9, block_near=0.9, necked=0.9, cutoff=0.9)
     x[32:, axis] = distance
     none = partners(np.zeros((0, 2), np.int64), 64)
     groups = np.repeat([[0], [1]], 32, axis=0)
-    return make_lists(x, near, np.full(2, block_near), necked, cutoff, none, groups)
+    return make_lists(x, near, np.full(2, block_near), necked, cutoff, none, groups, np.full(2, -1))
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -34,7 +34,7 @@ from protochain.minimisers.parting import (
 from protochain.minimisers.problem import Force, Space
 from protochain.minimisers.restraints import Hold, tethers_in
 from protochain.minimisers.spaces import spaces
-from protochain.minimisers.stages import PATIENCE, Answer, Stage, last, lowest
+from protochain.minimisers.stages import PATIENCE, Answer, Stage, last, lowest, of_moving
 from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
 from protochain.validation.rings import threaded_rings
 
@@ -202,6 +202,8 @@ class Recipe:
                 if parts and run.in_torsions:
                     whole = None if self.keeps_geometry else energy
                     stages = [once_ordinary(stage, whole) for stage in stages]
+                if not run.in_torsions and not chain.moving.all():
+                    stages = [of_moving(stage, chain.moving) for stage in stages]
                 plan += stages
         return plan
 

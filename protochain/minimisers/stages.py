@@ -1,9 +1,11 @@
 """Stages of a method: each is one run of the loop, in one space, with one energy."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain.arrays import Floats
 from protochain.chain import Chain
@@ -97,6 +99,17 @@ def parting(space: Torsions) -> Stage:
     tethers = Tethers(structure.positions, np.full(structure.n_atoms, SOFT_TETHER))
     gentle = Sum([SoftRepulsion(structure), tethers])
     return Stage(space, Descent(LBFGS(), StrongWolfe()), gentle, 1.0, recorded=False, name="parting overlaps")
+
+
+def of_moving(stage: Stage, moving: NDArray[np.bool_]) -> Stage:
+    """Stage in all atoms whose energy leaves out what is constant among those that stay where it begins."""
+    groups = np.where(moving, -1, 0)[:, None]
+
+    def fit(stage: Stage, x: Floats) -> Stage:
+        whole: Any = stage.energy
+        return replace(stage, energy=whole.without_constants(groups, x))
+
+    return replace(stage, fit=fit)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from protochain.energies.native.layout import (
     in_blocks,
     n_blocks,
 )
-from protochain.energies.native.neighbours import Lists, make_lists
+from protochain.energies.native.neighbours import Lists, block_groups, make_lists
 from protochain.energies.native.series import FAR_RATIO, NEAR_RATIO
 from protochain.energies.native.terms import Terms
 
@@ -57,6 +57,11 @@ class Layout:
             return np.full(n_blocks(self.terms.n_atoms), self.near)
         far = in_blocks(np.abs(self.terms.solvent.scaled_radius)).max(axis=1) / FAR_RATIO
         return np.maximum(far, self.near)
+
+    @cached_property
+    def block_group(self) -> Integers:
+        """(blocks,) int: rigid group to which all atoms of a block belong, -1 for none."""
+        return block_groups(self.groups)
 
     @cached_property
     def necked(self) -> float:
@@ -115,5 +120,5 @@ def lists_of(layout: Layout, x: Floats) -> Lists:
     """Build the neighbour lists at x."""
     return make_lists(
         x, layout.near, layout.block_near, layout.necked, layout.terms.nonbonded.cutoff, layout.exceptions,
-        layout.groups,
+        layout.groups, layout.block_group,
     )  # fmt: skip

@@ -134,7 +134,7 @@ def arguments(layout: Layout, lists: Lists, fixed: Floats, w: Workspace) -> tupl
     """Return the arguments of :func:`tasks.work` behind its counters, by subject; None for what is absent."""
     terms, nonbonded, solvent = layout.terms, layout.terms.nonbonded, layout.terms.solvent
     pairwise = tuple(map(float, (layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf)))
-    vacuum = *_fixed(layout.lj, layout.lj_type, lists.tiles, lists.is_near, layout.block_near), pairwise
+    vacuum = *_fixed(layout.lj, layout.lj_type, lists.changing, lists.is_near, layout.block_near), pairwise
     kinds = _fixed(nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type)
     bonded = (_fixed(terms.bonded[kind].atoms, terms.bonded[kind].parameters) for kind in _BONDED)
     own = _fixed(nonbonded.exceptions.atoms, nonbonded.exceptions.parameters)
@@ -151,7 +151,7 @@ def arguments(layout: Layout, lists: Lists, fixed: Floats, w: Workspace) -> tupl
         bool(solvent.engulfs), *_fixed(solvent.charge, solvent.surface), float(solvent.cutoff),
     )  # fmt: skip
     written = np.empty((len(lists.close), 2)), w.integral, w.slope, w.pull
-    born = each, _fixed(lists.close, fixed), written
+    born = each, _fixed(lists.close, fixed, lists.tiles), written
     if solvent.necks is None:
         return w.state, vacuum, some, of_maps, born, None
     necks = *_fixed(layout.necks, layout.neck_type, lists.tiles[lists.is_necked]), layout.necked

@@ -22,8 +22,10 @@ class Lists:
         Positions at which the lists were built.
     tiles : (n_tiles, 2) int
         Pairs of blocks within the cutoff, the second not before the first.
-    is_near : (n_tiles,) bool
-        Whether two of their atoms may be near each other.
+    changing : (n, 2) int
+        Those of ``tiles`` whose atoms do not all belong to one rigid group.
+    is_near : (n,) bool
+        Whether two atoms of those may be near each other.
     is_necked : (n_tiles,) bool
         Whether two of their atoms may have a neck between them.
     close : (n, 2) int
@@ -34,6 +36,7 @@ class Lists:
 
     x: Floats
     tiles: Integers
+    changing: Integers
     is_near: np.ndarray
     is_necked: np.ndarray
     close: Integers
@@ -46,7 +49,7 @@ class Lists:
 
 def make_lists(
     x: Floats, near: float, block_near: Floats, necked: float, cutoff: float,
-    exceptions: tuple[Integers, Integers], groups: Integers,
+    exceptions: tuple[Integers, Integers], groups: Integers, block_group: Integers,
 ) -> Lists:  # fmt: skip
     """Build the neighbour lists.
 
@@ -64,10 +67,15 @@ def make_lists(
         Start of each atom's exception partners, and the partners.
     groups : (na, k) int
         Rigid groups of each atom, -1 for none; atoms that share a group keep their distance.
+    block_group : (blocks,) int
+        Rigid group to which all atoms of a block belong, -1 for none.
     """
     tiles, is_near, is_necked = _tiles(*_boxes(x), block_near + SKIN, necked + SKIN, cutoff + SKIN)
-    close, is_free = _close(x, tiles[is_near], near + SKIN, exceptions[0], exceptions[1], groups)
-    return Lists(x.copy(), tiles, is_near, is_necked, close, close[is_free])
+    first, second = block_group[tiles.T]
+    changes = (first != second) | (first < 0)
+    changing, is_near = tiles[changes], is_near[changes]
+    close, is_free = _close(x, changing[is_near], near + SKIN, exceptions[0], exceptions[1], groups)
+    return Lists(x.copy(), tiles, changing, is_near, is_necked, close, close[is_free])
 
 
 @scalar
@@ -178,6 +186,21 @@ def _share(groups: Integers, i: int, j: int) -> bool:
             if groups[i, a] == groups[j, b] and groups[i, a] >= 0:
                 return True
     return False
+
+
+def block_groups(groups: Integers) -> Integers:
+    """(blocks,) int: rigid group to which all atoms of a block belong, -1 for none.
+
+    Parameters
+    ----------
+    groups : (na, k) int
+        Rigid groups of each atom, -1 for none.
+    """
+    found = []
+    for first in range(0, len(groups), W):
+        own = groups[first : first + W]
+        found.append(min((g for g in own[0] if g >= 0 and (own == g).any(axis=1).all()), default=-1))
+    return np.array(found, dtype=np.int64)
 
 
 def partners(pairs: Integers, n: int) -> tuple[Integers, Integers]:

@@ -135,7 +135,7 @@ def in_solvent(
     elif step == 1:
         born_radii(mine, state, solvent)
     elif step == 2:
-        polar(mine, state, vacuum, solvent)
+        polar(mine, state, solvent)
     elif step == 3:
         pulls(mine, state, solvent)
     elif step == 4:
@@ -168,7 +168,7 @@ def integrals(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) ->
     """Born integrals."""
     x, atoms, sums, _, _ = state
     _, _, tiles, is_near, block_near, (near, _, _, _) = vacuum
-    (offset_radius, _, _, scaled_radius, engulfs, _, _, cutoff), (close, _), (slopes, _, _, _) = solvent
+    (offset_radius, _, _, scaled_radius, engulfs, _, _, cutoff), (close, _, _), (slopes, _, _, _) = solvent
     born.integral_sums(mine, atoms, tiles, is_near, near, block_near, cutoff, sums)
     born.near_integral_sums(mine, x, offset_radius, scaled_radius, engulfs, close, near, slopes, sums)
     if necks is not None:
@@ -180,7 +180,7 @@ def integrals(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) ->
 def born_radii(mine: Share, state: Any, solvent: Any) -> None:
     """Born radii of some atoms."""
     x, atoms, sums, _, _ = state
-    (offset_radius, radius, bend, _, _, _, _, _), (_, fixed), (_, integral, slope, _) = solvent
+    (offset_radius, radius, bend, _, _, _, _, _), (_, fixed, _), (_, integral, slope, _) = solvent
     blocks = blocks_of(mine, atoms)
     take_scalars(*blocks, sums, integral)
     begin, end = atoms_of(*blocks, len(x))
@@ -190,10 +190,11 @@ def born_radii(mine: Share, state: Any, solvent: Any) -> None:
 
 
 @inlined
-def polar(mine: Share, state: Any, vacuum: Any, solvent: Any) -> None:
+def polar(mine: Share, state: Any, solvent: Any) -> None:
     """Energies of generalised Born, their forces, and derivatives by Born radii."""
     _, atoms, sums, parts, _ = state
-    born.polar_sums(mine, atoms, vacuum[2], solvent[0][7], sums, parts[POLAR])
+    # Of all tiles: where no atom has moved relative to another, Born radii have changed.
+    born.polar_sums(mine, atoms, solvent[1][2], solvent[0][7], sums, parts[POLAR])
 
 
 @inlined
@@ -214,7 +215,7 @@ def solvated_pairs(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: An
     """Energies and forces of pairs, with the forces by the change of the Born radii."""
     x, atoms, sums, parts, _ = state
     lj, lj_type, tiles, is_near, block_near, (near, pair_cutoff, krf, crf) = vacuum
-    (_, _, _, _, _, _, _, cutoff), (close, _), (slopes, _, _, pull) = solvent
+    (_, _, _, _, _, _, _, cutoff), (close, _, _), (slopes, _, _, pull) = solvent
     pairs.solvated_pair_sums(
         mine, atoms, lj, lj_type, tiles, is_near, near, block_near, pair_cutoff, krf, crf, sums,
         parts[NONBONDED],
