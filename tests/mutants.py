@@ -221,7 +221,7 @@ def tried(fault: Fault, root: Path, tests: list[str], kernel: bool, limit: float
     lines[fault.line - 1] = line[: len(line) - len(line.lstrip())] + fault.fault + "\n"
     surroundings = environment(root)
     scratch = root / ".numba-fault"
-    if kernel or (fault.folder in COMPILED and fault.line not in lines_of_functions(text)):
+    if kernel:
         surroundings["NUMBA_CACHE_DIR"] = str(scratch)
     (root / "chosen.txt").write_text("\n".join(tests))
     try:
@@ -250,19 +250,24 @@ def tried(fault: Fault, root: Path, tests: list[str], kernel: bool, limit: float
 
 
 def chosen_tests(
-    fault: Fault, reached: dict[tuple[str, int], set[str]], seconds: dict[str, float]
+    fault: Fault, reached: dict[tuple[str, int], set[str]], seconds: dict[str, float], on_import: bool
 ) -> tuple[list[str], bool]:
-    """Tests for a fault, quickest first; whether it is in a compiled kernel or in none that was reached."""
+    """Tests for a fault, quickest first; whether it is in a compiled kernel or in none that was reached.
+
+    ``on_import`` tells that the line runs when the module of a kernel is imported.
+    """
     found, files = reached.get((fault.file, fault.line), set()), FOLDERS[fault.folder][1]
     blind = not found
-    if blind or fault.folder == "cli":
-        named = {f"tests/test_{name}.py" for name in files}
+    named = {f"tests/test_{name}.py" for name in files}
+    if blind or on_import or fault.folder == "cli":
         found = found | {test for test in seconds if test.split("::")[0] in named}
     if not found:
         own = f"tests/test_{Path(fault.file).stem}.py"
         found = {test for test in seconds if test.split("::")[0] == own}
     chosen, spent = [], 0.0
-    for test in sorted(found & seconds.keys(), key=lambda test: seconds[test]):
+    # Of a constant that kernels are compiled with, the tests that call kernels come first.
+    order = {test: (on_import and test.split("::")[0] not in named, seconds[test]) for test in seconds}
+    for test in sorted(found & seconds.keys(), key=order.__getitem__):
         spent += seconds[test]
         if spent > LONGEST:
             break
@@ -320,9 +325,11 @@ def mutation_run(
             free.put(place)
 
         def one(fault: Fault) -> Fault:
-            chosen, blind = (tests, True) if tests else chosen_tests(fault, reached, seconds)
             place = free.get()
-            ended = tried(fault, place, chosen, blind, 60 + 4 * LONGEST)
+            called = lines_of_functions((place / fault.file).read_text())
+            on_import = fault.folder in COMPILED and fault.line not in called
+            chosen, blind = (tests, True) if tests else chosen_tests(fault, reached, seconds, on_import)
+            ended = tried(fault, place, chosen, blind or on_import, 60 + 4 * LONGEST)
             free.put(place)
             print(ended.result, ended.file, ended.line, "|", ended.fault, "|", ended.test, flush=True)
             return ended

@@ -158,6 +158,18 @@ def test_lists_hold_while_atoms_move_and_are_made_anew_when_they_must():
     assert 1 < len(made) < 12
 
 
+@pytest.mark.parametrize("solvent", ["vacuum", "obc2"])
+def test_no_place_is_taken_by_the_padding_of_the_last_block(solvent):
+    s = load("ala10.pdb")
+    e = pc.energy(s, solvent=solvent, engine="native")
+    assert s.n_atoms % W
+    value, forces = e(s.positions)
+    for atom in range(0, s.n_atoms, 9):
+        moved, by_moved = e(s.positions - s.positions[atom])
+        assert moved == pytest.approx(value, rel=NATIVE_ENERGY)
+        assert np.linalg.norm(by_moved - forces) < NATIVE_FORCE * np.linalg.norm(forces)
+
+
 def test_lists_hold_every_pair():
     rng = np.random.default_rng(3)
     x = rng.uniform(0, 3, size=(500, 3))

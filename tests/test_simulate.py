@@ -78,6 +78,7 @@ def test_every_thermostat_conserves_what_it_counts(thermostat, small):
     conserved = m.trace["conserved_kj_mol"]
     assert conserved.max() - conserved.min() < 0.15 * np.ptp(m.trace["kinetic_kj_mol"])
     assert (m.accepted is None) == (thermostat != "hmc") and (m.accepted or 1.0) > 0.9
+    assert m.record()["accepted"] == m.accepted
     if thermostat == "none":
         assert m.freedoms == m.chain.n_v - 6
     else:
