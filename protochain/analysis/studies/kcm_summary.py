@@ -36,7 +36,7 @@ differs from KCM with the same rule by the metric alone, and from dynamics by th
 ps, leaves."""
 DIFFERENCES = {
     "KCM and dynamics, less rule": ("KCM and dynamics", "rule"),
-    "metric, less friction 10": ("metric", "friction 10"),
+    "metric, less friction 1": ("metric", "friction 1"),
 }
 """Of shares: below 0 the first of the two changes more minima than the second."""
 RISE = "dynamics above KCM, kJ/mol"
@@ -201,7 +201,7 @@ def answers(table: pd.DataFrame) -> Iterator[str]:
         both, rise = rows["KCM and dynamics"], rows[RISE]
         found = _verdict(both, 0.5, "less than half", "more than half")
         apart = _verdict(rows["KCM and dynamics, less rule"], 0.0, "more often", "less often")
-        why = _verdict(rows["metric, less friction 10"], 0.0, "the metric does more", "inertia does more")
+        why = _verdict(rows["metric, less friction 1"], 0.0, "the metric does more", "inertia does more")
         yield (
             f"{where}, {scope[3]} starts. KCM (0.005 rad) and dynamics (friction 10 per ps) end in one "
             f"minimum from {share['KCM and dynamics']}, {found}. Two angles of KCM (0.005 and 0.01 rad) do "
@@ -209,7 +209,7 @@ def answers(table: pd.DataFrame) -> Iterator[str]:
             "change of the metric alone, to that of masses without inertia, leaves the minimum in "
             f"{share['metric']}; inertia added to that leaves it in {share['friction 100']} at a friction "
             f"of 100 per ps, in {share['friction 10']} at 10 and in {share['friction 1']} at 1. Metric "
-            f"against inertia, at 10: {why}. Minima of dynamics lie {rise['value']:+.2f} "
+            f"against inertia, at 1: {why}. Minima of dynamics lie {rise['value']:+.2f} "
             f"({rise['low']:+.2f} to {rise['high']:+.2f}) kJ/mol above those of KCM."
         )
 
