@@ -179,6 +179,12 @@ def test_another_table_is_refused(tmp_path):
         next(kcm.planned([ROOT / "structures" / "1l2y.pdb"] * 2))
 
 
+def test_a_name_that_looks_like_a_number_is_a_name(tmp_path):
+    row = dict.fromkeys(kcm_cases.COLUMNS, 0.0) | {"protein": "1e10", "seed": 3, "max_evaluations": 60}
+    kcm.append(tmp_path / "runs.csv", row)
+    assert kcm._keys(kcm.stored(tmp_path / "runs.csv")) == {("1e10", 0.0, 0.0, 0.0, 3, 0.0, 60)}
+
+
 def test_quick_is_two_peptides(tmp_path):
     tasks = list(kcm.planned((), quick=True))
     assert {case.protein for case, _, _ in tasks} == {"met-enkephalin", "ala10"}

@@ -114,7 +114,8 @@ def stored(path: Path) -> pd.DataFrame:
         with writing(path):
             path.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")
     try:
-        runs = pd.read_csv(path)
+        # A protein may be called 1e10.
+        runs = pd.read_csv(path, converters={"protein": str})
     except (ValueError, pd.errors.ParserError):
         runs = pd.DataFrame()
     if list(runs.columns) != list(kcm_cases.COLUMNS):
