@@ -66,7 +66,10 @@ COMMANDS = {
         "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "move")},
     },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
-    "bench": {"name": "all", "inputs": None, "output": Path("bench")},
+    "bench": {
+        "name": "all", "inputs": None, "output": Path("bench"), "quick": False, "minutes": None, "jobs": None,
+        "starts": None, "evaluations": None,
+    },
     "info": {
         "source": None, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in ("engine", "move", "threads")},

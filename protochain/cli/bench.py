@@ -1,11 +1,14 @@
 """``protochain bench``."""
 
+from inspect import signature
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from protochain.cli.options import CONVERGED
+
+_OF_KCM = "Of kcm: "
 
 
 def bench(
@@ -14,18 +17,36 @@ def bench(
     ] = "all",
     inputs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[IN...]", help="Structures for precision [default: peptides]."),
+        typer.Argument(metavar="[IN...]", help="Structures for precision and kcm [default: peptides]."),
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder.")] = Path("bench"),
+    quick: Annotated[bool, typer.Option("--quick", help=f"{_OF_KCM}two peptides, a minute.")] = False,
+    minutes: Annotated[
+        float | None,
+        typer.Option(help=f"{_OF_KCM}start no run after so many; call again to go on [default: 60]."),
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(help=f"{_OF_KCM}processes [default: 1].")] = None,
+    starts: Annotated[
+        int | None, typer.Option(help=f"{_OF_KCM}perturbed starts of each kind [default: 20].")
+    ] = None,
+    evaluations: Annotated[int | None, typer.Option(help=f"{_OF_KCM}most of a run [default: 20000].")] = None,
 ) -> None:
-    """Measure error against run time, and numerical stability in stiff and extreme cases."""
+    """Measure error against run time, stability in extreme cases, and whether KCM and dynamics agree."""
     from protochain.analysis.studies import STUDIES, study
+    from protochain.errors import ProtochainError
     from protochain.storage import check_writable
 
-    chosen = [study(each) for each in (STUDIES if name == "all" else (name,))]
+    chosen = {each: study(each) for each in (STUDIES if name == "all" else (name,))}
     check_writable(output / "any.csv")
-    for each in chosen:
-        for table in each.run(output, inputs or ()):
+    given: dict[str, Any] = {"minutes": minutes, "jobs": jobs, "starts": starts, "evaluations": evaluations}
+    given = {option: value for option, value in given.items() if value is not None}
+    given |= {"quick": True} if quick else {}
+    for each, module in chosen.items():
+        taken = {option: given[option] for option in given if option in signature(module.run).parameters}
+        if len(taken) < len(given) and name != "all":
+            other = next(option for option in given if option not in taken)
+            raise ProtochainError(f"{other}: study {each!r} has no such option")
+        for table in module.run(output, inputs or (), **taken):
             print(table.to_string(index=False), end="\n\n", flush=True)
     print(f"written: tables and plots in {output}")
     raise typer.Exit(CONVERGED)

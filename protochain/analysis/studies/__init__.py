@@ -5,7 +5,7 @@ from typing import Any
 
 from protochain.errors import ProtochainError
 
-STUDIES = ("precision", "stability")
+STUDIES = ("precision", "stability", "kcm")
 
 
 def study(name: str) -> Any:
