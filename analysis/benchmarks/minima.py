@@ -1,24 +1,24 @@
 """Do the methods reach the same minima? Ends of kcm, md, lbfgs and openmm; many starts of two peptides.
 
-    python analysis/benchmarks/minima.py [-o DIR] [--starts N] [STRUCTURE ...]
+    python analysis/benchmarks/minima.py [STUDY ...] [-o DIR] [--quick] [--starts N]
 
-Without -o it only prints: for each protein the energy each method ends at, and the C-alpha RMSD in angstrom
-between the ends; for the peptides, how the ends of N starts (dihedrals perturbed by 30 degrees) are
-distributed and how often two methods end in one minimum from the same start. With -o a report of each
-comparison and a picture of the distributions are written.
+STUDY is any of peptides: how the ends of N starts (dihedrals perturbed by 30 degrees) are distributed, and
+how often two methods end in one minimum from the same start; and proteins: the energy at which each method
+ends, and the C-alpha RMSD in angstrom between the ends (both by default).
 """
 
 import argparse
 from itertools import combinations
 from pathlib import Path
 
+import made
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from made import SAMPLES
 
 import protochain as pc
 
-SAMPLES = Path(__file__).parents[2] / "structures"
 PROTEINS = ("1l2y", "1vii", "3i40", "4pti", "1ubq")
 PEPTIDES = {"Met-enkephalin": "YGGFM", "Ala-10": "AAAAAAAAAA"}
 METHODS = ("kcm", "kcm-adaptive", "md", "anneal", "lbfgs", "openmm")
@@ -26,22 +26,23 @@ SAME = 0.1
 """angstrom of C-alpha RMSD, and kJ/mol times ten: below both, two ends are one minimum."""
 
 
-def proteins(paths: list[Path], output: Path | None) -> None:
-    """Print ends and RMSDs of each protein."""
-    for path in paths:
-        k = pc.compare(path, methods=("kcm", "md", "lbfgs", "openmm"))
-        print(f"\n{path.stem}: energies at the end, kJ/mol, and C-alpha RMSD between ends, angstrom\n")
-        ends = ["start", *(s.method for s in k.solutions)]
-        energies = [k.solutions[0].start.energy, *(s.end.energy for s in k.solutions)]
-        status = ["", *(str(s.status) for s in k.solutions)]
-        print("| | energy | status | " + " | ".join(ends) + " |")
-        print("|---|--:|---" + "|--:" * len(ends) + "|")
-        for name, energy, how, row in zip(ends, energies, status, k.rmsd.to_numpy(), strict=True):
-            print(
-                f"| {name} | {energy:.1f} | {how} | " + " | ".join(f"{v:.2f}" for v in row) + " |", flush=True
-            )
-        if output:
-            k.report(output / path.stem)
+COMPARED = ("kcm", "md", "lbfgs", "openmm")
+
+
+def proteins(names: tuple[str, ...]) -> pd.DataFrame:
+    """Ends of each method on each protein, and RMSDs between start and ends."""
+    rows = []
+    for name in names:
+        k = pc.compare(SAMPLES / f"{name}.pdb", methods=COMPARED)
+        row: dict[str, object] = {"structure": name, "start_kj_mol": k.solutions[0].start.energy}
+        for s in k.solutions:
+            row |= {f"{s.method}_kj_mol": s.end.energy, f"{s.method}_status": str(s.status)}
+        rmsd = k.rmsd.to_numpy()
+        for (i, a), (j, b) in combinations(enumerate(("start", *COMPARED)), 2):
+            row[f"{a}_{b}_angstrom"] = rmsd[i, j]
+        rows.append(row)
+        print(row, flush=True)
+    return pd.DataFrame(rows)
 
 
 def peptide(name: str, sequence: str, n_starts: int) -> pd.DataFrame:
@@ -56,68 +57,75 @@ def peptide(name: str, sequence: str, n_starts: int) -> pd.DataFrame:
         start = pc.build_chain(structure.with_positions(pc.pose(chain, q).x))
         for method in METHODS:
             r = pc.minimise(start, energy, method, 1.0, seed=k)
-            rows.append({"peptide": name, "start": k, "method": method, "energy": r.end.energy,
+            rows.append({"peptide": name, "start": k, "method": method, "energy_kj_mol": r.end.energy,
                          "status": str(r.status), "evaluations": r.n_evaluations, "x": r.x})  # fmt: skip
     return pd.DataFrame(rows)
 
 
-def describe(table: pd.DataFrame, structure: pc.Structure) -> None:
-    """Print how ends are distributed, and the share of starts from which two methods reach one minimum."""
-    print("\n| method | converged | lowest | median | highest kJ/mol | median evaluations |")
-    print("|---|--:|--:|--:|--:|--:|")
-    for method, part in table.groupby("method", sort=False):
-        e = part["energy"]
-        done = 100 * (part["status"] == "converged").mean()
-        print(
-            f"| {method} | {done:.0f} % | {e.min():.1f} | {e.median():.1f} | {e.max():.1f} "
-            f"| {part['evaluations'].median():.0f} |"
-        )
+def shares(table: pd.DataFrame, structure: pc.Structure) -> pd.DataFrame:
+    """How ends are distributed, and the share of starts from which two methods reach one minimum."""
     ends = {(row.method, row.start): row for row in table.itertuples()}
     starts = sorted(set(table["start"]))
-    print("\nStarts from which two methods end in one minimum:\n")
-    print("| | " + " | ".join(METHODS) + " |\n|---" + "|--:" * len(METHODS) + "|")
-    share = pd.DataFrame(100.0, index=METHODS, columns=METHODS)
-    for a, b in combinations(METHODS, 2):
-        same = [
-            pc.ca_rmsd(structure, ends[a, k].x, ends[b, k].x) < SAME
-            and abs(ends[a, k].energy - ends[b, k].energy) < 10 * SAME
-            for k in starts
-        ]
-        share.loc[a, b] = share.loc[b, a] = 100 * np.mean(same)
-    for a in METHODS:
-        print(f"| {a} | " + " | ".join(f"{share.loc[a, b]:.0f} %" for b in METHODS) + " |", flush=True)
+    rows = []
+    for method, part in table.groupby("method", sort=False):
+        e = part["energy_kj_mol"]
+        row: dict[str, object] = {
+            "peptide": table["peptide"].iloc[0], "method": method, "starts": len(starts),
+            "converged_percent": 100 * (part["status"] == "converged").mean(),
+            "lowest_kj_mol": e.min(), "median_kj_mol": e.median(), "highest_kj_mol": e.max(),
+            "median_evaluations": part["evaluations"].median(),
+        }  # fmt: skip
+        for other in METHODS:
+            same = [
+                pc.ca_rmsd(structure, ends[method, k].x, ends[other, k].x) < SAME
+                and abs(ends[method, k].energy_kj_mol - ends[other, k].energy_kj_mol) < 10 * SAME
+                for k in starts
+            ]
+            row[f"same_as_{other}_percent"] = 100 * np.mean(same)
+        rows.append(row)
+    return pd.DataFrame(rows)
 
 
 def draw(tables: list[pd.DataFrame], path: Path) -> None:
     """Draw the distributions of energies at the end."""
-    figure, axes = plt.subplots(1, len(tables), figsize=(9, 3.6), layout="constrained")
-    for axis, table in zip(axes, tables, strict=True):
-        data = [table[table["method"] == m]["energy"] for m in METHODS]
+    figure, axes = plt.subplots(1, len(tables), figsize=(9, 3.6), layout="constrained", squeeze=False)
+    for axis, table in zip(axes[0], tables, strict=True):
+        data = [table[table["method"] == m]["energy_kj_mol"] for m in METHODS]
         axis.boxplot(data, tick_labels=METHODS, whis=(0, 100), medianprops={"color": "black"})
         axis.tick_params(axis="x", rotation=40)
         axis.set(title=table["peptide"].iloc[0], ylabel="energy at the end, kJ/mol")
     figure.savefig(path, dpi=150)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__)
+    own.add_argument(
+        "studies", nargs="*", metavar="STUDY", choices=["peptides", "proteins", []], help="both by default"
     )
-    parser.add_argument("structures", nargs="*", type=Path, default=[SAMPLES / f"{n}.pdb" for n in PROTEINS])
-    parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--starts", type=int, default=50)
-    options = parser.parse_args()
-    tables = []
-    for name, sequence in PEPTIDES.items():
-        table = peptide(name, sequence, options.starts)
-        print(f"\n{name}, {options.starts} starts")
-        describe(table, pc.from_sequence(sequence))
-        tables.append(table)
-    if options.output:
-        options.output.mkdir(parents=True, exist_ok=True)
-        pd.concat(tables).drop(columns="x").to_csv(options.output / "starts.csv", index=False)
-        draw(tables, options.output / "starts.png")
-    proteins(options.structures, options.output)
+    own.add_argument("--starts", type=int, default=50)
+    return own
+
+
+def main() -> None:
+    options = parser().parse_args()
+    wanted = options.studies or ("peptides", "proteins")
+    output = options.output
+    if "peptides" in wanted:
+        found = list(PEPTIDES.items())[: 1 if options.quick else None]
+        n = 1 if options.quick else options.starts
+        ends = [peptide(name, sequence, n) for name, sequence in found]
+        table = pd.concat(shares(t, pc.from_sequence(s)) for t, (_, s) in zip(ends, found, strict=True))
+        print(table.to_string(index=False), flush=True)
+        if output:
+            made.write(table, output / "minima_peptides.csv", dict(found).values(), 2)
+            made.write(
+                pd.concat(ends).drop(columns="x"), output / "minima_starts.csv", dict(found).values(), 2
+            )
+            draw(ends, output / "minima_starts.png")
+    if "proteins" in wanted:
+        table = proteins(("ala10",) if options.quick else PROTEINS)
+        if output:
+            made.write(table, output / "minima_proteins.csv", [f"{p}.pdb" for p in table["structure"]], 2)
 
 
 if __name__ == "__main__":
