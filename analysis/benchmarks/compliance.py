@@ -190,9 +190,7 @@ STUDIES = {"evaluations": evaluations, "starts": enkephalin, "angles": angles}
 
 
 def parser() -> argparse.ArgumentParser:
-    own = made.parser(__doc__)
-    own.add_argument("studies", nargs="*", metavar="STUDY", choices=[*STUDIES, []], help="all by default")
-    return own
+    return made.parser(__doc__, STUDIES)
 
 
 def main() -> None:

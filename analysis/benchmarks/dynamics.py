@@ -256,9 +256,7 @@ STUDIES = {"energy": energy_error, "steps": largest_steps, "cost": cost, "speed"
 
 
 def parser() -> argparse.ArgumentParser:
-    own = made.parser(__doc__, more=True)
-    own.add_argument("studies", nargs="*", metavar="STUDY", choices=[*STUDIES, []], help="all by default")
-    return own
+    return made.parser(__doc__, STUDIES, more=True)
 
 
 def main() -> None:

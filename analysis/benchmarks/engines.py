@@ -193,8 +193,7 @@ STUDIES = {
 
 
 def parser() -> argparse.ArgumentParser:
-    own = made.parser(__doc__)
-    own.add_argument("studies", nargs="*", metavar="STUDY", choices=[*STUDIES, []], help="all by default")
+    own = made.parser(__doc__, STUDIES)
     own.add_argument("--threads", type=int, default=2)
     return own
 

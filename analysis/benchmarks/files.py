@@ -122,9 +122,7 @@ STUDIES = {"table": table, "speed": speed, "closures": closures}
 
 
 def parser() -> argparse.ArgumentParser:
-    own = made.parser(__doc__, more=True)
-    own.add_argument("studies", nargs="*", metavar="STUDY", choices=[*STUDIES, []], help="all by default")
-    return own
+    return made.parser(__doc__, STUDIES, more=True)
 
 
 def main() -> None:

@@ -21,9 +21,11 @@ RECORD = "made.csv"
 LIBRARIES = ("protochain", "openmm", "numpy", "scipy", "numba", "gemmi", "pin", "dartpy")
 
 
-def parser(text: str, more: bool = False) -> argparse.ArgumentParser:
-    """Return the parser of a benchmark: -o DIR, --quick and, if it reads more than samples, --more FOLDER."""
+def parser(text: str, studies: Iterable[str] = (), more: bool = False) -> argparse.ArgumentParser:
+    """Return the parser of a benchmark: its studies, -o DIR, --quick and, if need be, --more FOLDER."""
     own = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    if studies:
+        own.add_argument("studies", nargs="*", metavar="STUDY", choices=[*studies, []], help="all by default")
     own.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder for its tables, and figures")
     own.add_argument("--quick", action="store_true", help="small inputs: shows that it works, no more")
     if more:

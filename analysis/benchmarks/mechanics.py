@@ -27,6 +27,9 @@ except ImportError:
     dartpy = None
 
 
+LONG, SHORT = (100, 1000, 10_000, 100_000), (100, 400, 800)
+
+
 def medians(calls: dict[str, Callable[[], object]], seconds: float = 1.0) -> dict[str, float]:
     """Return the median time of each call, taken in turn so that a slow moment of the machine strikes all."""
     times: dict[str, list[float]] = {name: [] for name in calls}
@@ -78,10 +81,10 @@ def dart_forward(tree: Tree, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> 
     return call
 
 
-def engines(seconds: float) -> pd.DataFrame:
+def engines(seconds: float, sizes: tuple[int, ...]) -> pd.DataFrame:
     """Microseconds of each engine."""
     rows = []
-    for n in (100, 400, 800):
+    for n in sizes:
         us = {name: 1e6 * taken for name, taken in medians(calls_of(n), seconds).items()}
         names = {"forward": "forward", "solve": "solve", "pin": "pinocchio", "dart": "dart"}
         rows.append({"hinges": n} | {f"{shown}_us": us.get(name) for name, shown in names.items()})
@@ -106,10 +109,10 @@ def calls_of(n: int) -> dict[str, Callable[[], object]]:
     return calls
 
 
-def scaling(seconds: float) -> pd.DataFrame:
+def scaling(seconds: float, sizes: tuple[int, ...]) -> pd.DataFrame:
     """Time and memory for each hinge."""
     rows = []
-    for n in (100, 1000, 10_000, 100_000):
+    for n in sizes:
         reader, writer = os.pipe()
         pid = os.fork()
         if pid == 0:
@@ -155,10 +158,10 @@ def parser() -> argparse.ArgumentParser:
 
 def main() -> None:
     options = parser().parse_args()
-    seconds = 0.05 if options.quick else 1.0
+    seconds, n = (0.05, 1) if options.quick else (1.0, None)
     # Scaling first, while the process is small: peak memory is measured.
-    for name, measure in (("mechanics_scaling", scaling), ("mechanics", engines)):
-        table = measure(seconds)
+    for name, measure, sizes in (("mechanics_scaling", scaling, LONG), ("mechanics", engines, SHORT)):
+        table = measure(seconds, sizes[:n])
         print(f"\n{table.to_string(index=False, float_format='%.1f')}", flush=True)
         if options.output:
             made.write(table, options.output / f"{name}.csv")

@@ -21,6 +21,7 @@ import protochain as pc
 
 PROTEINS = ("1l2y", "1vii", "3i40", "4pti", "1ubq")
 PEPTIDES = {"Met-enkephalin": "YGGFM", "Ala-10": "AAAAAAAAAA"}
+STUDIES = ("peptides", "proteins")
 METHODS = ("kcm", "kcm-adaptive", "md", "anneal", "lbfgs", "openmm")
 SAME = 0.1
 """angstrom of C-alpha RMSD, and kJ/mol times ten: below both, two ends are one minimum."""
@@ -98,17 +99,14 @@ def draw(tables: list[pd.DataFrame], path: Path) -> None:
 
 
 def parser() -> argparse.ArgumentParser:
-    own = made.parser(__doc__)
-    own.add_argument(
-        "studies", nargs="*", metavar="STUDY", choices=["peptides", "proteins", []], help="both by default"
-    )
+    own = made.parser(__doc__, STUDIES)
     own.add_argument("--starts", type=int, default=50)
     return own
 
 
 def main() -> None:
     options = parser().parse_args()
-    wanted = options.studies or ("peptides", "proteins")
+    wanted = options.studies or STUDIES
     output = options.output
     if "peptides" in wanted:
         found = list(PEPTIDES.items())[: 1 if options.quick else None]

@@ -106,6 +106,7 @@ def main() -> None:
     options = parser().parse_args()
     if options.quick:
         options.structure, options.repeats = str(SAMPLES / "ala10.pdb"), 1
+    names = COMMANDS[: 1 if options.quick else None]
     rows: list[tuple[str, str, float, float]] = []
     with tempfile.TemporaryDirectory() as folder:
         scratch = Path(folder)
@@ -115,18 +116,19 @@ def main() -> None:
             rows.append(("pip install .", "", seconds, float("nan")))
         python = str(Path(program).with_name("python"))
         one = {min(os.sched_getaffinity(0))}
-        arguments = {name: [name, options.structure, "-o", str(scratch / f"{name}.pdb")] for name in COMMANDS}
-        for name in COMMANDS:
+        arguments = {name: [name, options.structure, "-o", str(scratch / f"{name}.pdb")] for name in names}
+        for name in names:
             command = [program, *arguments[name]]
             rows.append((name, "cold", *timed(command, scratch / name)))
-            rows.append((name, "cold, one core", *timed(command, scratch / f"{name}_one", one)))
+            if not options.quick:
+                rows.append((name, "cold, one core", *timed(command, scratch / f"{name}_one", one)))
         cache = scratch / COMMANDS[0]
         # The repeats of all are interleaved: other work on the machine then strikes them alike.
-        runs: dict[str, list[tuple[float, float]]] = {name: [] for name in COMMANDS}
+        runs: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
         loaded: list[Counter[str]] = []
         steps: list[dict[str, float]] = []
         for _ in range(options.repeats):
-            for name in COMMANDS:
+            for name in names:
                 runs[name].append(timed([program, *arguments[name]], cache))
             loaded.append(imports(program, arguments["minimise"], cache))
             surroundings = os.environ | {"NUMBA_CACHE_DIR": str(cache)}

@@ -51,7 +51,9 @@ def paragraph(*sentences: str) -> str:
 
 def ratio(value: float) -> str:
     """A ratio as it is quoted: two digits, never for zero."""
-    return "never" if not value > 0 else f"{value:.2g}x" if value < 9.95 else f"{value:.0f}x"
+    if not value > 0:
+        return "never"
+    return f"{value:.2g}x" if value < 0.995 else f"{value:.1f}x" if value < 9.95 else f"{value:.0f}x"
 
 
 def ratio_of(name: str) -> Cell:
@@ -76,11 +78,12 @@ def between(values: pd.Series, unit: str = "") -> str:
 def made(results: Path) -> str:
     """How every table was made."""
     record = pd.read_csv(results / RECORD, dtype=str, keep_default_na=False)
-    rows = ((f"[{r.table}](results/{r.table})", f"`{r.command}`", r.commit, r.threads, r.load)
-            for r in record.itertuples())  # fmt: skip
-    machines = "; ".join(dict.fromkeys(record["machine"]))
-    versions = "; ".join(dict.fromkeys(record["versions"]))
-    return f"{markdown(('table', 'command', 'commit', 'threads', 'load'), rows)}\n{machines}; {versions}.\n"
+    lines = ["| table | command | commit | threads | load |", "|---|---|---|--:|--:|"]
+    for r in record.itertuples():
+        cells = (f"[{r.table}](results/{r.table})", f"`{r.command}`", r.commit, r.threads, r.load)
+        lines.append(f"| {' | '.join(cells)} |")
+    machines, versions = ("; ".join(filter(None, dict.fromkeys(record[c]))) for c in ("machine", "versions"))
+    return "\n".join([*lines, "", f"{machines}; {versions}.\n"])
 
 
 # Minimisers
