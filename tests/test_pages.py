@@ -278,6 +278,8 @@ def test_all_takes_the_tables_of_a_study(tmp_path, monkeypatch):
     assert benchmarks.run(job, out, tmp_path / "nowhere", False).endswith("name their folder by --more")
     assert benchmarks.run(job, out, tmp_path / "more", False) == ""
     assert (out / "study.csv").read_text() == "y\n2\n"
+    lacks = replace(job, collects={"b.csv": ("study.csv", ())})
+    assert benchmarks.run(lacks, out, tmp_path / "more", False) == "wrote no b.csv"
     record = pd.read_csv(out / "made.csv", dtype=str).set_index("table")
     assert record.loc["study.csv", "inputs"] == "1abc.pdb"
     assert record.loc["study.csv", "command"].endswith("MORE/1abc.pdb")

@@ -123,7 +123,7 @@ JOBS = (
     Job("batch", f"{HERE}/batch.py --more MORE -o DIR", 4),
     Job(
         "stability", "protochain bench stability -o DIR", 2, "protochain bench stability -o DIR",
-        {"error_against_time.csv": ("stability.csv", ()), "extremes.csv": ("stability_extremes.csv", ())},
+        {"error_against_time.csv": ("stability.csv", ())},
     ),
 )  # fmt: skip
 """The one table of commands."""
@@ -150,6 +150,8 @@ def run(job: Job, output: Path, more: Path, quick: bool) -> str:
         if done.returncode and not (job.collects and done.returncode == 3):
             return f"exit status {done.returncode}"
         for name, (kept_as, columns) in job.collects.items():
+            if not (place / name).exists():
+                return f"wrote no {name}"
             table = pd.read_csv(place / name)
             table = table[list(columns)] if columns else table
             made.write(table, output / kept_as, job.inputs, len(os.sched_getaffinity(0)), words)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from made import RECORD
 
+WHERE = ("machine", "versions")
 TABLES: dict[str, Callable[[Path], str]] = {}
 Cell = str | Callable[[pd.Series], str]
 
@@ -82,8 +83,26 @@ def made(results: Path) -> str:
     for r in record.itertuples():
         cells = (f"[{r.table}](results/{r.table})", f"`{r.command}`", r.commit, r.threads, r.load)
         lines.append(f"| {' | '.join(cells)} |")
-    machines, versions = ("; ".join(filter(None, dict.fromkeys(record[c]))) for c in ("machine", "versions"))
-    return "\n".join([*lines, "", f"{machines}; {versions}.\n"])
+    machines, versions = ("; ".join(filter(None, dict.fromkeys(record[k]))) for k in WHERE)
+    said = paragraph(f"{machines}; {versions}.", _old(results))
+    return "\n".join([*lines, "", said])
+
+
+def _old(results: Path) -> str:
+    """Which tables are typed, for their results are not there."""
+    names = []
+    for name, make in TABLES.items():
+        try:
+            if make is not made:
+                make(results)
+        except FileNotFoundError:
+            names.append(name)
+    if not names:
+        return ""
+    return (
+        "Without a record, and typed as measured with earlier versions, in which minimisers and energies were "
+        f"slower: {', '.join(names)}."
+    )
 
 
 # Minimisers
