@@ -100,8 +100,8 @@ def _old(results: Path) -> str:
     if not names:
         return ""
     return (
-        "Without a record, and typed as measured with earlier versions, in which minimisers and energies were "
-        f"slower: {', '.join(names)}."
+        "Without a record, and typed as measured with earlier versions, in which minimisers and energies were"
+        f" slower: {', '.join(names)}."
     )
 
 
