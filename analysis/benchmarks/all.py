@@ -195,7 +195,7 @@ def main() -> None:
     output = (options.output or RESULTS).absolute()
     failed = {}
     for job in jobs:
-        print(f"\n=== {job.name}: {job.command}", flush=True)
+        print(f"\n=== {job.name}: {(options.quick and job.quick) or job.command}", flush=True)
         began = perf_counter()
         why = run(job, output, options.more.absolute(), options.quick)
         if why:
