@@ -101,7 +101,7 @@ JOBS = (
     Job("race", f"{HERE}/race.py --forces gbsa,vacuum {RACED} -o DIR", 6),
     Job("race-custom", f"{HERE}/race.py --forces obc2 {RACED_CUSTOM} -o DIR", 15),
     Job(
-        "precision", f"protochain bench precision {SAMPLES} {PRECISION} -o DIR", 30,
+        "precision", f"protochain bench precision {SAMPLES} {PRECISION} -o DIR", 25,
         "protochain bench precision structures/ala10.pdb -o DIR",
         {"precision.csv": ("precision.csv", ()), "ends.csv": ("precision_ends.csv", ())},
     ),
