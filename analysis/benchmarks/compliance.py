@@ -70,7 +70,7 @@ def enkephalin(quick: bool) -> pd.DataFrame:
     """Where each setting ends from random starts, a row for each start."""
     starts, most = (1, 100) if quick else (STARTS, BUDGET)
     structure = pc.from_sequence("YGGFM")
-    energy = pc.energy(structure)
+    energy = pc.energy(structure, threads=1)
     settings = {f"kcm, {step:g} rad": Descent(KCM(), Fixed(step)) for step in STEPS}
     settings |= {n: r.runs[0].method for n, r in RECIPES.items() if r.keeps_geometry and n != "kcm"}
     rows = []
@@ -122,7 +122,7 @@ def dense_hessian(problem: Problem, at) -> np.ndarray:
 def angles(quick: bool) -> pd.DataFrame:
     """What KCM with a fixed angle leaves in extended Met-enkephalin, and how soon it is near."""
     structure = pc.from_sequence("YGGFM")
-    chain, energy = pc.build_chain(structure), pc.energy(structure)
+    chain, energy = pc.build_chain(structure), pc.energy(structure, threads=1)
     rows = []
     for angle in ANGLES[: 1 if quick else None]:
         problem, points = problem_of(chain, energy, 10_000), []
@@ -173,7 +173,7 @@ def evaluations(quick: bool) -> pd.DataFrame:
     rows = []
     for name in NAMES[: 1 if quick else None]:
         structure = pc.load(SAMPLES / f"{name}.pdb")
-        chain, energy = pc.build_chain(structure), pc.energy(structure)
+        chain, energy = pc.build_chain(structure), pc.energy(structure, threads=1)
         # Free roots turn on a group of their own, which scipy does not know.
         plain = chain.n_q == chain.n_v
         needs = scipy_evaluations(problem_of(chain, energy, MOST), chain.q0) if plain else np.nan

@@ -49,7 +49,7 @@ def proteins(names: tuple[str, ...]) -> pd.DataFrame:
 def peptide(name: str, sequence: str, n_starts: int) -> pd.DataFrame:
     """Tell the ends of every method from the same starts, a row each, with their C-alphas."""
     structure = pc.from_sequence(sequence)
-    chain, energy = pc.build_chain(structure), pc.energy(structure)
+    chain, energy = pc.build_chain(structure), pc.energy(structure, threads=1)
     relaxed = pc.minimise(chain, energy, "lbfgs", 1.0)
     rng = np.random.default_rng(0)
     rows = []
@@ -115,7 +115,7 @@ def main() -> None:
         table = pd.concat(shares(t, pc.from_sequence(s)) for t, (_, s) in zip(ends, found, strict=True))
         print(table.to_string(index=False), flush=True)
         if output:
-            made.write(table, output / "minima_peptides.csv", dict(found).values(), 2)
+            made.write(table, output / "minima_peptides.csv", dict(found).values())
             made.write(
                 pd.concat(ends).drop(columns="x"), output / "minima_starts.csv", dict(found).values(), 2
             )
