@@ -17,6 +17,7 @@ from conftest import MORE_STRUCTURES, ROOT
 from test_docs import COMMANDS, options_of
 from typer.exceptions import TyperException
 
+import protochain as pc
 from protochain.analysis.studies import STUDIES
 
 FOLDER = ROOT / "analysis" / "benchmarks"
@@ -153,6 +154,25 @@ def test_costs_of_minimisers_are_quoted_with_quartiles(tmp_path):
     assert "| `kcm` | never | never | never | 1 of 2 | 0.60 |\n" in long
     assert short.splitlines()[2] == "| evaluations | never | 23 | 23 | 23 | 23 | 23 | 23 |"
     assert short.splitlines()[4] == "| converged |" + " 1 of 2 |" * 7
+
+
+def test_ends_of_peptides_are_compared_from_the_same_start(tmp_path, monkeypatch):
+    minima = importlib.import_module("minima")
+    monkeypatch.setattr(minima, "METHODS", ("md", "lbfgs"))
+    structure = pc.from_sequence("AAAA")
+    x = structure.positions
+    bent = x.copy()
+    bent[: len(x) // 2] *= 1.2
+    ends = [("md", 0, -10.0, x), ("lbfgs", 0, -10.5, x), ("md", 1, -9.0, x), ("lbfgs", 1, -9.0, bent)]
+    ends += [("md", 2, -5.0, x), ("lbfgs", 2, -7.0, x), ("md", 3, 1.0, bent), ("lbfgs", 3, 1.0, bent)]
+    rows = pd.DataFrame(ends, columns=["method", "start", "energy_kj_mol", "x"])
+    rows = rows.assign(peptide="Ala-4", status=["converged"] * 7 + ["budget"], evaluations=[3, 4] * 4)
+    table = minima.shares(rows, structure)
+    assert table["same_as_lbfgs_percent"].tolist() == [50.0, 100.0]
+    table.to_csv(tmp_path / "minima_peptides.csv", index=False)
+    shown = tables.TABLES["minima-peptides"](tmp_path).splitlines()
+    assert shown[2] == "| `md` | 100 % | -10.0 | -7.0 | 1.0 | 3 | 50 % |  |"
+    assert shown[3] == "| `lbfgs` | 75 % | -10.5 | -8.0 | 1.0 | 4 |  | 50 % |"
 
 
 @pytest.mark.parametrize("quoted", SCRIPTS)

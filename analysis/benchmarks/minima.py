@@ -116,9 +116,8 @@ def main() -> None:
         print(table.to_string(index=False), flush=True)
         if output:
             made.write(table, output / "minima_peptides.csv", dict(found).values())
-            made.write(
-                pd.concat(ends).drop(columns="x"), output / "minima_starts.csv", dict(found).values(), 2
-            )
+            each = pd.concat(ends).drop(columns="x")
+            made.write(each, output / "minima_starts.csv", dict(found).values())
             draw(ends, output / "minima_starts.png")
     if "proteins" in wanted:
         table = proteins(("ala10",) if options.quick else PROTEINS)

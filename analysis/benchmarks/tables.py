@@ -276,7 +276,8 @@ def minima_peptides(results: Path) -> str:
 
         parts.append(
             of_rows(
-                rows, (str(name), "`{method}`"), ("converged", "{converged_percent:.0f} %"),
+                rows, (str(name), lambda r: f"`{r['method']}`" + " (all atoms)" * (r["method"] == "openmm")),
+                 ("converged", "{converged_percent:.0f} %"),
                 ("lowest", "{lowest_kj_mol:.1f}"), ("median", "{median_kj_mol:.1f}"),
                 ("highest kJ/mol", "{highest_kj_mol:.1f}"),
                 ("median evaluations", "{median_evaluations:.0f}"),
