@@ -72,7 +72,9 @@ def enkephalin(quick: bool) -> pd.DataFrame:
     structure = pc.from_sequence("YGGFM")
     energy = pc.energy(structure, threads=1)
     settings = {f"kcm, {step:g} rad": Descent(KCM(), Fixed(step)) for step in STEPS}
-    settings |= {n: r.runs[0].method for n, r in RECIPES.items() if r.keeps_geometry and n != "kcm"}
+    # Of md and anneal the first run alone would say nothing of the method.
+    alone = [n for n, r in RECIPES.items() if r.keeps_geometry and n not in ("kcm", "md", "anneal")]
+    settings |= {name: RECIPES[name].runs[0].method for name in alone}
     rows = []
     for k, chain in enumerate(random_starts(structure, starts)):
         for name, method in settings.items():
