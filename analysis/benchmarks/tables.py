@@ -241,7 +241,7 @@ def compliance_starts(results: Path) -> str:
     done = of["stop"].apply(lambda stop: 100 * (stop == "TOLERANCE").mean())
     rows = (
         (f"`{name.split(', ')[0]}`{', ' + name.split(', ')[1] if ', ' in name else ''}",
-         f"{done[name]:.0f} %", "" if done[name] == 100 else f"{part.torque_end_kj_mol_rad.median():.2g}",
+         f"{done[name]:.0f} %", "" if done[name] == 100 else digits(part.torque_end_kj_mol_rad.median()),
          f"{part.evaluations.median():.0f}")
         for name, part in of
     )  # fmt: skip

@@ -15,7 +15,7 @@ def dynamics_energy(results: Path) -> str:
         ("integrator", "{integrator}"), ("step fs", "{step_fs:g}"), ("over ps", "{time_ps:g}"),
         ("error kJ/mol", "{error_kj_mol:.2g}"),
         ("drift kJ/mol/ps per 100 atoms", "{drift_kj_mol_ps_100_atoms:.0e}"),
-        ("ms per step", "{ms_per_step:.2g}"),
+        ("ms per step", lambda r: digits(r["ms_per_step"])),
     )  # fmt: skip
 
 
@@ -46,7 +46,7 @@ def dynamics_cost(results: Path) -> str:
         pd.read_csv(results / "dynamics_cost.csv"),
         ("structure", "{structure}"), ("atoms", "{atoms}"), ("hinges", "{hinges}"),
         ("energy and torques", "{energy_and_torques_ms:.2f}"), ("rest of the step", "{rest_ms:.2f}"),
-        ("relative to the energy", "{rest_percent:.2g} %"),
+        ("relative to the energy", "{rest_percent:.1f} %"),
     )  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def dynamics_short(results: Path) -> str:
         ("structure", "{structure}"), ("residues", "{residues}"),
         ("OpenMM", lambda r: digits(r["gbsaobc_2_fs"])), ("protochain", lambda r: digits(r["ours_4_fs"])),
         ("ratio", ratio_of("ratio_4_fs")),
-        ("rest of the step, relative to the energy", "{rest_percent:.2g} %"),
+        ("rest of the step, relative to the energy", "{rest_percent:.1f} %"),
     )  # fmt: skip
 
 
