@@ -66,7 +66,7 @@ def energy_error(quick: bool, more: Path) -> pd.DataFrame:
     runs += [("midpoint", h, 1.0) for h in (4.0, 8.0)] + [("rk4", h, 2.0) for h in (1.0, 2.0, 4.0, 8.0)]
     runs += [("dormand-prince", h, 2.0) for h in (4.0,)] + [("leapfrog", 2.0, 100.0)]
     if quick:
-        runs = [(name, h, ps / 100) for name, h, ps in runs]
+        runs = [(name, h, ps / 20) for name, h, ps in runs]
     rows = []
     for name, h, ps in runs:
         m = pc.simulate(
