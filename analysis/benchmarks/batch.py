@@ -1,61 +1,79 @@
 """Throughput of a batch with one worker and with two, and the client's memory.
 
-    python analysis/benchmarks/batch.py -o DIR [--workers 1,2] [--structures N] [--method M] [--more DIR]
+    python analysis/benchmarks/batch.py [-o DIR] [--quick] [--workers 1,2] [--structures N] [--method M]
+                                        [--more FOLDER]
 
-The set: all models of an NMR ensemble (with --more FOLDER), perturbed copies of samples, one file in ten
-broken. Rates are from when all workers have started to the last row written.
+The set: all models of an NMR ensemble (2k39_ubiquitin_nmr15.pdb of --more), perturbed copies of samples, one
+file in ten broken. Rates are from when all workers have started to the last row written.
 Per structure it measures what a plan for many needs: seconds and bytes of each kind of output.
 """
 
 import argparse
 import shutil
+import tempfile
 from pathlib import Path
 
+import made
 import numpy as np
+import pandas as pd
 import psutil
+from made import SAMPLES
 
 import protochain as pc
 
-SAMPLES = Path(__file__).parents[2] / "structures"
 COPIED = ("1l2y", "ala10", "1vii", "3i40", "1ejg", "4pti")
 ENSEMBLE = "2k39_ubiquitin_nmr15.pdb"
 
 
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__, more=True)
+    own.add_argument("--workers", default="1,2")
+    own.add_argument("--structures", type=int, default=100)
+    own.add_argument("--method", default="lbfgs")
+    return own
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--workers", default="1,2")
-    parser.add_argument("--structures", type=int, default=100)
-    parser.add_argument("--method", default="lbfgs")
-    parser.add_argument("--more", type=Path, help="folder of further structures")
-    options = parser.parse_args()
-    inputs = options.output / "inputs"
-    write_inputs(inputs, options.structures, options.more)
-    rates = {}
-    for workers in [int(n) for n in options.workers.split(",")]:
-        folder = options.output / f"workers{workers}"
-        shutil.rmtree(folder, ignore_errors=True)
+    options = parser().parse_args()
+    numbers = [int(n) for n in options.workers.split(",")]
+    with tempfile.TemporaryDirectory() as scratch:
+        inputs = Path(scratch) / "inputs"
+        if options.quick:
+            write_inputs(inputs, 20, None)
+        else:
+            write_inputs(inputs, options.structures, options.more)
+        rates, costs = measured(inputs, numbers, options.method)
+    print(f"\n{rates.to_string(index=False)}\n\n{costs.T.to_string(header=False)}")
+    if options.output:
+        for name, table in (("batch", rates), ("batch_costs", costs)):
+            of = [*(f"{name}.pdb" for name in COPIED), *([] if options.quick else [ENSEMBLE])]
+            made.write(table, options.output / f"{name}.csv", of, max(numbers))
+
+
+def measured(inputs: Path, numbers: list[int], method: str) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Rate and memory by number of workers, and what a structure costs."""
+    rows = []
+    for workers in numbers:
+        folder = inputs.with_name(f"workers{workers}")
         seen: list[tuple[int, float, float, int]] = []
 
         def watch(p, seen=seen) -> None:
             seen.append((p.done, p.seconds, psutil.Process().memory_info().rss / 2**20, p.failed))
 
-        done = pc.batch(inputs, folder, options.method, workers=workers, model="all", watch=watch)
+        done = pc.batch(inputs, folder, method, workers=workers, model="all", watch=watch)
         # The first rows of each worker come after it has started its child.
         first = next(k for k, (n, *_) in enumerate(seen) if n >= 2 * workers)
         (n0, t0, m0, _), (n1, t1, m1, failed) = seen[first], seen[-1]
-        rates[workers] = (n1 - n0) / (t1 - t0)
-        print(
-            f"{workers} workers: {n1} structures, {failed} without a result ({done.counts()}), "
-            f"{rates[workers]:.2f} a second, {t1:.1f} s with the start; "
-            f"client {m0:.0f} MB after {n0}, {m1:.0f} MB after {n1}",
-            flush=True,
-        )
-    fewest, most = min(rates), max(rates)
-    print(f"\n{most} workers against {fewest}: {rates[most] / rates[fewest]:.2f}x")
-    show_costs(done)
+        rows.append(
+            {
+                "workers": workers, "structures": n1, "without_result": failed,
+                "converged": done.counts().get("converged", 0), "a_second": (n1 - n0) / (t1 - t0),
+                "seconds_with_start": t1, "client_mb_first": m0, "client_mb_last": m1,
+            }
+        )  # fmt: skip
+        print(*(f"{key} {value:.4g}" for key, value in rows[-1].items()), sep=", ", flush=True)
+    table = pd.DataFrame(rows)
+    return table.assign(ratio=table["a_second"] / table["a_second"].iloc[0]), costs_of(done)
 
 
 def write_inputs(folder: Path, n: int, more: Path | None) -> None:
@@ -78,8 +96,8 @@ def write_inputs(folder: Path, n: int, more: Path | None) -> None:
         pc.save(s.with_positions(x), folder / f"{s.name}-copy{k:05}.pdb")
 
 
-def show_costs(done: pc.Batch) -> None:
-    """Print what a structure costs, for plans."""
+def costs_of(done: pc.Batch) -> pd.DataFrame:
+    """What a structure costs in the mean, for plans: one row."""
     folder, table = done.folder, done.table
     good = table[table["output"].notna()]
     structures = table["structure"].nunique()
@@ -87,15 +105,17 @@ def show_costs(done: pc.Batch) -> None:
     def kilobytes(paths) -> float:
         return sum(path.stat().st_size for path in paths) / structures / 1024
 
-    print("\n| of each structure, mean | |")
-    print("|---|--:|")
-    print(f"| residues | {good['n_residues'].mean():.0f} |")
-    print(f"| seconds of preparation | {good['seconds_preparation'].mean():.2f} |")
-    print(f"| seconds of minimisation | {good['seconds'].mean():.2f} |")
-    print(f"| KB of summary.csv | {kilobytes([folder / 'summary.csv']):.2f} |")
-    print(f"| KB of traces.csv | {kilobytes([folder / 'traces.csv']):.2f} |")
-    print(f"| KB of structure | {kilobytes(folder.glob('*.pdb')):.1f} |")
-    print(f"| KB of page | {kilobytes((folder / 'pages').glob('*.html')):.1f} |")
+    row = {
+        "structures": structures,
+        "residues": good["n_residues"].mean(),
+        "seconds_preparation": good["seconds_preparation"].mean(),
+        "seconds": good["seconds"].mean(),
+        "kb_summary": kilobytes([folder / "summary.csv"]),
+        "kb_traces": kilobytes([folder / "traces.csv"]),
+        "kb_structure": kilobytes(folder.glob("*.pdb")),
+        "kb_page": kilobytes((folder / "pages").glob("*.html")),
+    }
+    return pd.DataFrame([row])
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """The compliance method: its limit cycle, what cures it, and what each of its kin needs.
 
-    python analysis/benchmarks/compliance.py [evaluations] [starts] [angles] -o DIR
+    python analysis/benchmarks/compliance.py [evaluations] [starts] [angles] [-o DIR] [--quick]
 
 1. ``evaluations``: those to a largest torque of 1 kJ/mol/rad on the samples, against scipy's L-BFGS-B on the
    same problem.
@@ -13,9 +13,11 @@
 import argparse
 from pathlib import Path
 
+import made
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+from made import SAMPLES
 from scipy.optimize import minimize
 
 import protochain as pc
@@ -32,8 +34,8 @@ from protochain.minimisers import (
     run,
 )  # fmt: skip
 
-SAMPLES = Path(__file__).parents[2] / "structures"
 NAMES = ("ala10", "1l2y", "1vii")
+METHODS = ("kcm-adaptive", "kcm-metric", "kcm-stiffness", "newton", "lbfgs")
 MOST = 4000
 STEPS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
 STARTS = 6
@@ -64,18 +66,21 @@ def problem_of(chain: pc.Chain, energy, budget: int) -> Problem:
     return Problem(Torsions(chain), energy.without_constants(chain.rigid_groups, at), budget)
 
 
-def enkephalin(output: Path) -> None:
-    """Print where each setting ends, and draw where the fixed step does."""
+def enkephalin(quick: bool) -> pd.DataFrame:
+    """Where each setting ends from random starts, a row for each start."""
+    starts, most = (1, 100) if quick else (STARTS, BUDGET)
     structure = pc.from_sequence("YGGFM")
-    energy = pc.energy(structure)
+    energy = pc.energy(structure, threads=1)
     settings = {f"kcm, {step:g} rad": Descent(KCM(), Fixed(step)) for step in STEPS}
-    settings |= {n: r.runs[0].method for n, r in RECIPES.items() if r.keeps_geometry and n != "kcm"}
+    # Of md and anneal the first run alone would say nothing of the method.
+    alone = [n for n, r in RECIPES.items() if r.keeps_geometry and n not in ("kcm", "md", "anneal")]
+    settings |= {name: RECIPES[name].runs[0].method for name in alone}
     rows = []
-    for k, chain in enumerate(random_starts(structure, STARTS)):
+    for k, chain in enumerate(random_starts(structure, starts)):
         for name, method in settings.items():
-            problem = problem_of(chain, energy, BUDGET)
+            problem = problem_of(chain, energy, most)
             points = []
-            ending = run(problem, method, chain.q0, 1e-3, BUDGET, points.append)
+            ending = run(problem, method, chain.q0, 1e-3, most, points.append)
             residuals = np.array([point.residual for point in points])
             met = np.flatnonzero(residuals <= 1.0)
             circling = residuals[-50:] if ending.stop is Stop.BUDGET else residuals[-1:]
@@ -87,18 +92,11 @@ def enkephalin(output: Path) -> None:
                     "evaluations": problem.n_evaluations, "met_1": bool(len(met)),
                 }
             )  # fmt: skip
-    table = pd.DataFrame(rows)
-    table.to_csv(output / "enkephalin.csv", index=False)
-    print(f"Met-enkephalin, {STARTS} random starts, {BUDGET} evaluations, tolerance 0.001 kJ/mol/rad\n")
-    print("| setting | converged | reached 1 | median torque at the end | median evaluations |")
-    print("|---|--:|--:|--:|--:|")
-    for name in settings:
-        own = table[table.setting == name]
-        done, met = (own.stop == "TOLERANCE").mean(), own.met_1.mean()
-        print(
-            f"| {name} | {100 * done:.0f} % | {100 * met:.0f} % | {own.torque_end_kj_mol_rad.median():.3g} "
-            f"| {own.evaluations.median():.0f} |"
-        )
+    return pd.DataFrame(rows)
+
+
+def draw(table: pd.DataFrame, output: Path) -> None:
+    """Draw where the fixed step ends, beside the others."""
     figure, axis = plt.subplots(figsize=(6, 4))
     fixed = [table[table.setting == f"kcm, {step:g} rad"].torque_end_kj_mol_rad for step in STEPS]
     axis.errorbar(
@@ -123,12 +121,12 @@ def dense_hessian(problem: Problem, at) -> np.ndarray:
     return 0.5 * (np.array(rows) + np.transpose(rows))
 
 
-def angles(output: Path) -> None:
-    """Print what KCM with a fixed angle leaves, and how soon it is near."""
+def angles(quick: bool) -> pd.DataFrame:
+    """What KCM with a fixed angle leaves in extended Met-enkephalin, and how soon it is near."""
     structure = pc.from_sequence("YGGFM")
-    chain, energy = pc.build_chain(structure), pc.energy(structure)
+    chain, energy = pc.build_chain(structure), pc.energy(structure, threads=1)
     rows = []
-    for angle in ANGLES:
+    for angle in ANGLES[: 1 if quick else None]:
         problem, points = problem_of(chain, energy, 10_000), []
         run(problem, pc.kcm(angle).runs[0].method, chain.q0, 1e-9, 500, points.append)
         polish = problem_of(chain, energy, 10_000)
@@ -148,18 +146,7 @@ def angles(output: Path) -> None:
                 "stiffest_kj_mol_rad2": eigenvalues[-1],
             }
         )
-    table = pd.DataFrame(rows)
-    table.to_csv(output / "angles.csv", index=False)
-    print("\nExtended Met-enkephalin, KCM with a fixed angle, until 500 evaluations find no new low\n")
-    print(
-        "| angle, rad | largest torque left | energy left, kJ/mol | kappa (h/2)^2 / 2 | steps to 1 kJ/mol |"
-    )
-    print("|--:|--:|--:|--:|--:|")
-    for row in rows:
-        print(
-            f"| {row['angle_rad']:g} | {row['torque_left_kj_mol_rad']:.2g} | {row['energy_left_kj_mol']:.2g} "
-            f"| {row['predicted_kj_mol']:.2g} | {row['steps_to_1_kj_mol']:.0f} |"
-        )
+    return pd.DataFrame(rows)
 
 
 def scipy_evaluations(problem: Problem, q: np.ndarray) -> float:
@@ -183,39 +170,41 @@ def scipy_evaluations(problem: Problem, q: np.ndarray) -> float:
     return need[0] if need else np.inf
 
 
-def evaluations(output: Path) -> None:
-    """Print what every torsion method needs on the samples."""
-    names = ("kcm-adaptive", "kcm-metric", "kcm-stiffness", "newton", "lbfgs")
-    print(f"\nEvaluations to 1 kJ/mol/rad, of {MOST} at most\n")
-    print("| structure | hinges | L-BFGS-B | " + " | ".join(names) + " |")
-    print("|---" * (len(names) + 3) + "|")
-    for name in NAMES:
+def evaluations(quick: bool) -> pd.DataFrame:
+    """What every torsion method needs to 1 kJ/mol/rad on the samples; infinite if more than allowed."""
+    rows = []
+    for name in NAMES[: 1 if quick else None]:
         structure = pc.load(SAMPLES / f"{name}.pdb")
-        chain, energy = pc.build_chain(structure), pc.energy(structure)
+        chain, energy = pc.build_chain(structure), pc.energy(structure, threads=1)
         # Free roots turn on a group of their own, which scipy does not know.
         plain = chain.n_q == chain.n_v
-        needs = [scipy_evaluations(problem_of(chain, energy, MOST), chain.q0) if plain else np.nan]
-        for method in names:
+        needs = scipy_evaluations(problem_of(chain, energy, MOST), chain.q0) if plain else np.nan
+        row: dict[str, object] = {"structure": name, "hinges": chain.n_hinges, "L-BFGS-B": needs}
+        for method in METHODS:
             problem = problem_of(chain, energy, MOST)
             end = run(problem, RECIPES[method].runs[0].method, chain.q0, 1.0, MOST, lambda at: None)
-            needs.append(problem.n_evaluations if end.last.state.at.residual <= 1.0 else np.inf)
-        shown = " | ".join(
-            "-" if np.isnan(need) else f"{need:.0f}".replace("inf", f"> {MOST}") for need in needs
-        )
-        print(f"| {name} | {chain.n_hinges} | {shown} |", flush=True)
+            row[method] = problem.n_evaluations if end.last.state.at.residual <= 1.0 else np.inf
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+STUDIES = {"evaluations": evaluations, "starts": enkephalin, "angles": angles}
+
+
+def parser() -> argparse.ArgumentParser:
+    return made.parser(__doc__, STUDIES)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("-o", "--output", type=Path, required=True)
-    parts = {"evaluations": evaluations, "starts": enkephalin, "angles": angles}
-    parser.add_argument("parts", nargs="*", choices=[*parts, []], help="Default: all.")
-    options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
-    for name in options.parts or parts:
-        parts[name](options.output)
+    options = parser().parse_args()
+    for name in options.studies or STUDIES:
+        table = STUDIES[name](options.quick)
+        print(f"\n{STUDIES[name].__doc__}\n\n{table.to_string(index=False)}", flush=True)
+        if options.output:
+            of = [f"{each}.pdb" for each in NAMES] if name == "evaluations" else ["YGGFM"]
+            made.write(table, options.output / f"compliance_{name}.csv", of)
+            if name == "starts":
+                draw(table, options.output)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,8 @@
 """Free energy of alanine dipeptide in phi and psi: rigid geometry against OpenMM's flexible reference.
 
-    python analysis/benchmarks/dipeptide.py STRUCTURE [-o DIR] [--seeds N] [--trajectories N] [--ns NS]
-                                            [--quick]
+    python analysis/benchmarks/dipeptide.py [-o DIR] [--quick] [--seeds N] [--trajectories N] [--ns NS]
 
-STRUCTURE is ACE-ALA-NME. At 300 K in OBC2: hybrid Monte Carlo of rigid bodies with Fixman's potential; what
+ACE-ALA-NME at 300 K in OBC2: hybrid Monte Carlo of rigid bodies with Fixman's potential; what
 it must agree with, by quadrature (and, for the size of it, what a term left out or of the wrong sign would
 give); and Langevin dynamics of all atoms by OpenMM (bonds of hydrogens constrained, 2 fs). Both are run from
 several seeds. A sampled share comes with its standard error, the larger of two: by blocks that grow until
@@ -12,6 +11,7 @@ from quadrature.
 """
 
 import argparse
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -39,6 +39,26 @@ WARM_UP = 0.02
 """Share of a run that is left out: all runs begin at one minimum."""
 FEWEST_BLOCKS = 32
 """The error of an error from n blocks is 1 / sqrt(2 n) of it: 12 %."""
+
+
+def molecule() -> pc.Structure:
+    """ACE-ALA-NME: trialanine whose first and last residues are cut down to caps."""
+    names = {("1", "CA"): "CH3", ("1", "C"): "C", ("1", "O"): "O", ("3", "N"): "N", ("3", "CA"): "CH3"}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "dipeptide.pdb"
+        pc.save(pc.from_sequence("AAA"), path)
+        lines = []
+        for line in path.read_text().splitlines():
+            if line[:4] != "ATOM" or line[76:78] == " H" or line[12:16].strip() == "OXT":
+                continue
+            number, name = line[22:26].strip(), line[12:16].strip()
+            if number != "2" and (number, name) not in names:
+                continue
+            residue = {"1": "ACE", "2": "ALA", "3": "NME"}[number]
+            shown = name if number == "2" else names[number, name]
+            lines.append(f"{line[:12]} {shown:<3} {residue}{line[20:]}")
+        path.write_text("\n".join([*lines, "END\n"]))
+        return pc.load(path)
 
 
 def quadrature(chain: pc.Chain, energy, n: int = 72) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -210,7 +230,6 @@ def report(runs: Runs, exact: dict[tuple[str, str], float], known: tuple, output
             f"{np.std(other[low] - exactly[low]):.2f} kJ/mol"
         )
     if output:
-        output.mkdir(parents=True, exist_ok=True)
         for name, basin in exact:
             table.loc[len(table)] = {"method": f"quadrature, {name}", "basin": basin} | {
                 "share_percent": 100 * exact[name, basin]
@@ -219,20 +238,19 @@ def report(runs: Runs, exact: dict[tuple[str, str], float], known: tuple, output
         draw(surfaces, output / "dipeptide.png")
 
 
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__)
+    own.add_argument("--seeds", type=int, default=8)
+    own.add_argument("--ns", type=float, default=5.0, help="of each run of OpenMM")
+    own.add_argument("--trajectories", type=int, default=20_000, help="of each run of hybrid Monte Carlo")
+    return own
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("structure", type=Path)
-    parser.add_argument("-o", "--output", type=Path, help="folder for dipeptide.csv and dipeptide.png")
-    parser.add_argument("--seeds", type=int, default=8)
-    parser.add_argument("--ns", type=float, default=5.0, help="of each run of OpenMM")
-    parser.add_argument("--trajectories", type=int, default=20_000, help="of each run of hybrid Monte Carlo")
-    parser.add_argument("--quick", action="store_true", help="two short runs of each")
-    options = parser.parse_args()
+    options = parser().parse_args()
     if options.quick:
         options.seeds, options.ns, options.trajectories = 2, 0.05, 300
-    structure = pc.load(options.structure)
+    structure = molecule()
     energy = pc.energy(structure, threads=1)
     # Rigid geometry is the force field's own: that of a minimum of all atoms.
     structure = pc.minimise(structure, energy, "cartesian", 0.1).structure

@@ -1,9 +1,9 @@
 """Constrained dynamics: energy error, largest steps, cost of a step, nanoseconds a day against OpenMM.
 
-    python analysis/benchmarks/dynamics.py [-o DIR] [STUDY ...]
+    python analysis/benchmarks/dynamics.py [STUDY ...] [-o DIR] [--quick] [--more FOLDER]
 
-STUDY is any of energy, steps, cost, speed (all by default). Each prints a table; with -o they are written,
-and drawn where a picture says more.
+STUDY is any of energy, steps, cost, speed (all by default). Each prints a table; with -o they are written, as
+dynamics_STUDY.csv, and drawn where a picture says more. The largest structure, 1ake_A.pdb, comes from --more.
 """
 
 import argparse
@@ -12,10 +12,12 @@ from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
+import made
 import matplotlib.pyplot as plt
 import numpy as np
 import openmm
 import pandas as pd
+from made import SAMPLES
 from openmm import unit
 from scipy import constants
 
@@ -34,8 +36,7 @@ from protochain.dynamics import (
 from protochain.energies import build_system, constrain_hydrogens
 from protochain.multibody import sample_velocities
 
-SAMPLES = Path(__file__).parents[2] / "structures"
-SHARED = SAMPLES.parents[1] / "shared" / "structures"
+LARGEST = "1ake_A.pdb"
 THREADS = 2
 KT = 300.0 * constants.R / 1000.0
 MODELS = {
@@ -56,7 +57,7 @@ def at_a_minimum(path: Path, hinges: str, solvent: str = "obc2"):
     return chain, energy, pc.minimise(chain, energy, "lbfgs", 10.0, max_evaluations=1500).q
 
 
-def energy_error() -> pd.DataFrame:
+def energy_error(quick: bool, more: Path) -> pd.DataFrame:
     """Constant energy, Trp-cage: error and cost by integrator and time step, 100 ps at 2 fs."""
     chain, energy, q = at_a_minimum(SAMPLES / "1l2y.pdb", "phi psi chi")
     warm = pc.simulate(chain, energy, q, n_steps=2500, friction=10.0, seed=1)
@@ -64,6 +65,8 @@ def energy_error() -> pd.DataFrame:
     runs += [("lobatto", h, 10.0) for h in (0.5, 1.0, 2.0, 4.0, 8.0)]
     runs += [("midpoint", h, 1.0) for h in (4.0, 8.0)] + [("rk4", h, 2.0) for h in (1.0, 2.0, 4.0, 8.0)]
     runs += [("dormand-prince", h, 2.0) for h in (4.0,)] + [("leapfrog", 2.0, 100.0)]
+    if quick:
+        runs = [(name, h, ps / 20) for name, h, ps in runs]
     rows = []
     for name, h, ps in runs:
         m = pc.simulate(
@@ -74,37 +77,33 @@ def energy_error() -> pd.DataFrame:
         rows.append(
             {
                 "integrator": name,
-                "step fs": h,
-                "ps": ps,
+                "step_fs": h,
+                "time_ps": ps,
                 "status": str(m.ending),
-                "error kJ/mol": total.std(),
-                "drift kJ/mol/ps per 100 atoms": m.drift,
-                "ms per step": 1000 * m.seconds / max(1, m.n_steps),
+                "error_kj_mol": total.std(),
+                "drift_kj_mol_ps_100_atoms": m.drift,
+                "ms_per_step": 1000 * m.seconds / max(1, m.n_steps),
             }
         )
     return pd.DataFrame(rows)
 
 
-def largest_steps() -> pd.DataFrame:
+def largest_steps(quick: bool, more: Path) -> pd.DataFrame:
     """Largest step of 10 ps at constant energy and 300 K within the drift allowed, and within stability."""
     rows = []
-    for name, (hinges, hydrogen_mass) in MODELS.items():
+    models = {name: MODELS[name] for name in list(MODELS)[: 1 if quick else None]}
+    ps = 0.2 if quick else 10.0
+    for name, (hinges, hydrogen_mass) in models.items():
         chain, energy, q = at_a_minimum(SAMPLES / "1l2y.pdb", hinges)
         warm = pc.simulate(
-            chain,
-            energy,
-            q,
-            time_step=0.001,
-            n_steps=5000,
-            friction=10.0,
-            seed=1,
+            chain, energy, q, time_step=0.001, n_steps=round(500 * ps), friction=10.0, seed=1,
             hydrogen_mass=hydrogen_mass,
-        )
+        )  # fmt: skip
         quiet = stable = 0
         for h in (1, 2, 3, 4, 5, 6, 8, 10, 12, 14, 16, 20):
             m = pc.simulate(
-                warm.chain, energy, warm.q, time_step=h / 1000, n_steps=10_000 // h, thermostat="none",
-                every=max(1, 20 // h), seed=2,
+                warm.chain, energy, warm.q, time_step=h / 1000, n_steps=round(1000 * ps) // h,
+                thermostat="none", every=max(1, 20 // h), seed=2,
             )  # fmt: skip
             if not m.is_sound:
                 break
@@ -115,8 +114,8 @@ def largest_steps() -> pd.DataFrame:
             {
                 "hinges": name,
                 "freedoms": warm.chain.n_v,
-                "largest step with drift below 0.01, fs": quiet,
-                "largest stable step, fs": stable,
+                "quiet_fs": quiet,
+                "stable_fs": stable,
             }
         )
     return pd.DataFrame(rows)
@@ -156,12 +155,10 @@ def one_step(chain: pc.Chain, energy) -> tuple[float, float, float, float]:
     )
 
 
-def cost() -> pd.DataFrame:
+def cost(quick: bool, more: Path) -> pd.DataFrame:
     """Cost of a whole step of 4 fs, beyond the energy and its torques."""
     rows = []
-    for path in (*(SAMPLES / f"{n}.pdb" for n in ("1l2y", "4pti", "1ubq", "1hel")), SHARED / "1ake_A.pdb"):
-        if not path.exists():
-            continue
+    for path in sizes(("1l2y", "4pti", "1ubq", "1hel"), quick, more):
         structure = pc.load(path)
         chain = pc.build_chain(structure, root="free")
         energy = pc.energy(structure, threads=THREADS)
@@ -171,11 +168,11 @@ def cost() -> pd.DataFrame:
                 "structure": path.stem.split("_")[0],
                 "atoms": structure.n_atoms,
                 "hinges": chain.n_hinges,
-                "energy ms": 1000 * whole,
-                "energy and torques ms": 1000 * potential,
-                "step beyond them ms": 1000 * bathed,
-                "without Langevin ms": 1000 * isolated,
-                "beyond / energy and torques %": 100 * bathed / potential,
+                "energy_ms": 1000 * whole,
+                "energy_and_torques_ms": 1000 * potential,
+                "rest_ms": 1000 * bathed,
+                "rest_without_langevin_ms": 1000 * isolated,
+                "rest_percent": 100 * bathed / potential,
             }
         )
     return pd.DataFrame(rows)
@@ -198,12 +195,11 @@ def openmm_ns_per_day(system: openmm.System, x: np.ndarray, seconds: float) -> f
     return 86.4 * steps * 0.002 / (perf_counter() - began)
 
 
-def speed() -> pd.DataFrame:
+def speed(quick: bool, more: Path) -> pd.DataFrame:
     """Nanoseconds a day: OpenMM at 2 fs, ours at 2, 4, 8 fs; ratios to the quicker of OpenMM's two OBC2."""
     rows = []
-    for path in (SAMPLES / "1l2y.pdb", SAMPLES / "1ubq.pdb", SHARED / "1ake_A.pdb"):
-        if not path.exists():
-            continue
+    seconds = 0.5 if quick else 20.0
+    for path in sizes(("1l2y", "1ubq"), quick, more):
         for solvent in ("obc2", "gbn2"):
             chain, energy, q = at_a_minimum(path, "phi psi chi", solvent)
             x = pc.pose(chain, q).x
@@ -211,18 +207,20 @@ def speed() -> pd.DataFrame:
                 "structure": path.stem.split("_")[0],
                 "residues": chain.structure.n_residues,
                 "solvent": solvent,
-                "OpenMM 2 fs": openmm_ns_per_day(build_system(chain.structure, "amber14", solvent), x, 20.0),
-                "GBSAOBC 2 fs": np.nan,
+                "openmm_2_fs": openmm_ns_per_day(
+                    build_system(chain.structure, "amber14", solvent), x, seconds
+                ),
+                "gbsaobc_2_fs": np.nan,
             }
             if solvent == "obc2":
-                row["GBSAOBC 2 fs"] = openmm_ns_per_day(copy.deepcopy(energy.system), x, 20.0)
+                row["gbsaobc_2_fs"] = openmm_ns_per_day(copy.deepcopy(energy.system), x, seconds)
             for h in (2, 4, 8):
                 m = pc.simulate(chain, energy, q, time_step=h / 1000, n_steps=60, every=60)
-                n = max(100, round(60 * 8.0 / m.seconds))
+                n = max(100, round(60 * 0.4 * seconds / m.seconds))
                 m = pc.simulate(m.chain, energy, m.q, time_step=h / 1000, n_steps=n, every=n)
-                row[f"{h} fs"] = m.ns_per_day if m.is_sound else np.nan
-            best = np.nanmax([row["OpenMM 2 fs"], row["GBSAOBC 2 fs"]])
-            row |= {f"ratio at {h} fs": row[f"{h} fs"] / best for h in (2, 4, 8)}
+                row[f"ours_{h}_fs"] = m.ns_per_day if m.is_sound else np.nan
+            best = np.nanmax([row["openmm_2_fs"], row["gbsaobc_2_fs"]])
+            row |= {f"ratio_{h}_fs": row[f"ours_{h}_fs"] / best for h in (2, 4, 8)}
             rows.append(row)
     return pd.DataFrame(rows)
 
@@ -237,10 +235,10 @@ def markdown(table: pd.DataFrame) -> str:
 def draw(table: pd.DataFrame, path: Path) -> None:
     """Energy error against time step and against cost."""
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained", sharey=True)
-    sound = table[(table["status"] == "completed") & (table["ps"] < 100)]
+    sound = table[(table["status"] == "completed") & (table["time_ps"] < 100)]
     for marker, (name, part) in zip("os^Dv", sound.groupby("integrator", sort=False), strict=False):
-        axes[0].loglog(part["step fs"], part["error kJ/mol"], marker=marker, label=name)
-        axes[1].loglog(part["ms per step"] / part["step fs"], part["error kJ/mol"], marker=marker, label=name)
+        axes[0].loglog(part["step_fs"], part["error_kj_mol"], marker=marker, label=name)
+        axes[1].loglog(part["ms_per_step"] / part["step_fs"], part["error_kj_mol"], marker=marker, label=name)
     axes[0].set(xlabel="time step, fs", ylabel="standard deviation of the energy, kJ/mol")
     axes[1].set(xlabel="run time, s per ps")
     axes[0].legend(frameon=False)
@@ -248,24 +246,29 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     figure.savefig(path, dpi=150)
 
 
+def sizes(samples: tuple[str, ...], quick: bool, more: Path) -> list[Path]:
+    """Files of growing size; the smallest alone if it has to be quick."""
+    files = [SAMPLES / f"{name}.pdb" for name in samples] + [more / LARGEST]
+    return files[:1] if quick else files
+
+
 STUDIES = {"energy": energy_error, "steps": largest_steps, "cost": cost, "speed": speed}
 
 
+def parser() -> argparse.ArgumentParser:
+    return made.parser(__doc__, STUDIES, more=True)
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("studies", nargs="*", metavar="STUDY", default=list(STUDIES))
-    parser.add_argument("-o", "--output", type=Path)
-    options = parser.parse_args()
-    for name in options.studies:
-        table = STUDIES[name]()
+    options = parser().parse_args()
+    for name in options.studies or STUDIES:
+        table = STUDIES[name](options.quick, options.more)
         print(f"\n{STUDIES[name].__doc__}\n\n{markdown(table)}", flush=True)
         if options.output:
-            options.output.mkdir(parents=True, exist_ok=True)
-            table.to_csv(options.output / f"{name}.csv", index=False)
+            of = table["structure"].unique() if "structure" in table else ["1l2y"]
+            made.write(table, options.output / f"dynamics_{name}.csv", of, THREADS)
             if name == "energy":
-                draw(table, options.output / "energy.png")
+                draw(table, options.output / "dynamics_energy.png")
 
 
 if __name__ == "__main__":

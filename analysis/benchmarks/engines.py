@@ -1,17 +1,17 @@
 """What one energy with forces costs: native kernels against OpenMM's CPU platform, on the same positions.
 
-    python analysis/benchmarks/engines.py [--threads N] [--energies] [-o DIR] [STRUCTURE ...]
+    python analysis/benchmarks/engines.py [STUDY ...] [-o DIR] [--quick] [--threads N]
 
 Medians of calls taken in turn in one process, and their ratios; OpenMM's implicit solvents as its force field
-builds them (CustomGBForce), OBC2 also as GBSAOBCForce. Then: a cutoff at growing sizes (copies of ubiquitin
-side by side), what leaving out constant terms saves, and what the chain's sweeps add; not with --energies.
+builds them (CustomGBForce), OBC2 also as GBSAOBCForce. STUDY is any of energies, that comparison; cutoff, at
+growing sizes (copies of ubiquitin side by side); and moving, what leaving out constant terms saves, and what
+the chain's sweeps add (all by default).
 """
 
 import argparse
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import cycle
-from pathlib import Path
 from statistics import median
 from time import perf_counter
 
@@ -20,12 +20,12 @@ import numba
 import numpy as np
 import openmm
 import pandas as pd
+from made import SAMPLES
 from openmm import app, unit
 
 import protochain as pc
 from protochain.energies import Energy, NativeEnergy, OpenMMEnergy
 
-SAMPLES = Path(__file__).parents[2] / "structures"
 DEFAULT = ("1l2y", "4pti", "1ubq", "1hel")
 COPIES = 4
 """Of ubiquitin, for the largest size of the first table: 4924 atoms."""
@@ -82,7 +82,7 @@ def with_gbsa_obc(topology: app.Topology) -> openmm.System:
 
 
 def against_openmm(
-    topology: app.Topology, x: np.ndarray, name: str, threads: int
+    topology: app.Topology, x: np.ndarray, name: str, threads: int, seconds: float
 ) -> Iterator[dict[str, object]]:
     """One structure's row in each solvent."""
     n_pairs = len(x) * (len(x) - 1) / 2
@@ -93,7 +93,7 @@ def against_openmm(
     for solvent, built in cases.items():
         theirs = OpenMMEnergy(built, "CPU", threads)
         ours = NativeEnergy(theirs, threads)
-        ms = medians({"native": partial(ours, x), "openmm": partial(theirs, x)})
+        ms = medians({"native": partial(ours, x), "openmm": partial(theirs, x)}, seconds)
         floor = arithmetic_floor(n_pairs, solvent) / threads
         yield {
             "structure": name, "atoms": len(x), "solvent": solvent, "openmm_ms": ms["openmm"],
@@ -130,12 +130,21 @@ def arithmetic_floor(n_pairs: float, solvent: str) -> float:
     return each * n_pairs * OPERATIONS["vacuum" if solvent == "vacuum" else "solvent"]
 
 
-def with_cutoff(threads: int) -> None:
-    """Print the time for each atom at growing sizes."""
-    print(f"\n| atoms | cutoff {CUTOFF} nm, vacuum: us per atom | OBC2: us per atom | OBC2, lists anew |")
-    print("|--:|--:|--:|--:|")
+def energies(threads: int, quick: bool) -> Iterator[dict[str, object]]:
+    """Native against OpenMM, on samples and four copies of ubiquitin."""
+    for name in DEFAULT[: 1 if quick else None]:
+        s = pc.load(SAMPLES / f"{name}.pdb")
+        yield from against_openmm(s.topology, s.positions, s.name, threads, 0.2 if quick else 1.5)
+    if not quick:
+        several = copies(pc.load(SAMPLES / "1ubq.pdb"), COPIES)
+        yield from against_openmm(*several, f"{COPIES} x 1ubq", threads, 1.5)
+
+
+def with_cutoff(threads: int, quick: bool) -> Iterator[dict[str, object]]:
+    """Time for each atom at growing sizes."""
     s = pc.load(SAMPLES / "1ubq.pdb")
-    for n in (2, 4, 8, 16, 41):
+    seconds = 0.2 if quick else 3.0
+    for n in (2,) if quick else (2, 4, 8, 16, 41):
         topology, x = copies(s, n)
         vacuum, obc2 = (
             NativeEnergy(OpenMMEnergy(system(topology, solvent, CUTOFF)), threads)
@@ -143,19 +152,15 @@ def with_cutoff(threads: int) -> None:
         )
         # Everything moved by 1 nm and back: no list holds.
         there_and_back = cycle([x, x + 1.0])
-        ms = medians({"vacuum": partial(vacuum, x), "obc2": partial(obc2, x)}, 3.0)
-        ms |= medians({"anew": lambda e=obc2, moved=there_and_back: e(next(moved))}, 3.0)
-        print(f"| {len(x)} | " + " | ".join(f"{1e3 * taken / len(x):.2f}" for taken in ms.values()) + " |")
+        ms = medians({"vacuum": partial(vacuum, x), "obc2": partial(obc2, x)}, seconds)
+        ms |= medians({"anew": lambda e=obc2, moved=there_and_back: e(next(moved))}, seconds)
+        yield {"atoms": len(x)} | {f"{name}_us_an_atom": 1e3 * taken / len(x) for name, taken in ms.items()}
 
 
-def left_out(paths: list[Path], threads: int) -> None:
-    """Print what leaving out constant terms saves, and what the sweeps of the chain add."""
-    print(
-        "\n| structure | solvent | hinges | freedoms | all ms | moving terms ms | ratio | sweeps ms | share |"
-    )
-    print("|---|---|---|--:|--:|--:|--:|--:|--:|")
-    for path in paths:
-        s = pc.load(path)
+def left_out(threads: int, quick: bool) -> Iterator[dict[str, object]]:
+    """What leaving out constant terms saves, and what the sweeps of the chain add."""
+    for name in ("1l2y",) if quick else ("1l2y", "1hel"):
+        s = pc.load(SAMPLES / f"{name}.pdb")
         for solvent in ("vacuum", "obc2"):
             whole = pc.energy(s, solvent=solvent, engine="native", threads=threads)
             for hinges in ("phi psi", "phi psi chi", "phi psi chi omega rotors"):
@@ -165,14 +170,14 @@ def left_out(paths: list[Path], threads: int) -> None:
                 _, f = whole(x)
                 ms = medians(
                     {"all": partial(whole, x), "moving": partial(less, x), "sweeps": partial(torques, c, f)},
-                    0.7,
+                    0.1 if quick else 0.7,
                 )
-                print(
-                    f"| {s.name} | {solvent} | {hinges} | {c.n_v} | {ms['all']:.2f} | {ms['moving']:.2f} "
-                    f"| {ms['all'] / ms['moving']:.2f} | {ms['sweeps']:.3f} "
-                    f"| {100 * ms['sweeps'] / (ms['moving'] + ms['sweeps']):.1f} % |",
-                    flush=True,
-                )
+                yield {
+                    "structure": s.name, "solvent": solvent, "hinges": hinges, "freedoms": c.n_v,
+                    "all_ms": ms["all"], "moving_ms": ms["moving"], "ratio": ms["all"] / ms["moving"],
+                    "sweeps_ms": ms["sweeps"],
+                    "sweeps_percent": 100 * ms["sweeps"] / (ms["moving"] + ms["sweeps"]),
+                }  # fmt: skip
 
 
 def torques(c: pc.Chain, f: np.ndarray) -> np.ndarray:
@@ -180,30 +185,33 @@ def torques(c: pc.Chain, f: np.ndarray) -> np.ndarray:
     return pc.pull_back(c, pc.pose(c, c.q0), f)
 
 
+STUDIES = {
+    "energies": ("engines", energies),
+    "cutoff": ("engines_cutoff", with_cutoff),
+    "moving": ("engines_moving", left_out),
+}
+
+
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__, STUDIES)
+    own.add_argument("--threads", type=int, default=2)
+    return own
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("structures", nargs="*", type=Path, default=[SAMPLES / f"{n}.pdb" for n in DEFAULT])
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--energies", action="store_true", help="only the first table")
-    parser.add_argument("-o", "--output", type=Path)
-    given = parser.parse_args()
-    structures = [pc.load(path) for path in given.structures]
-    cases = [(s.topology, s.positions, s.name) for s in structures]
-    cases.append((*copies(pc.load(SAMPLES / "1ubq.pdb"), COPIES), f"{COPIES} x 1ubq"))
-    rows = []
-    for case in cases:
-        for row in against_openmm(*case, given.threads):
+    options = parser().parse_args()
+    for study in options.studies or STUDIES:
+        name, measure = STUDIES[study]
+        rows = []
+        print(f"\n{measure.__doc__}\n")
+        for row in measure(options.threads, options.quick):
             rows.append(row)
-            shown = (f"{value:.2f}" if isinstance(value, float) else str(value) for value in row.values())
+            shown = (f"{value:.3g}" if isinstance(value, float) else str(value) for value in row.values())
             print(f"| {' | '.join(shown)} |", flush=True)
-    if given.output:
-        made.write(pd.DataFrame(rows), given.output / "engines.csv", given.structures, given.threads)
-    if given.energies:
-        return
-    with_cutoff(given.threads)
-    left_out(given.structures, given.threads)
+        if options.output:
+            table = pd.DataFrame(rows)
+            of = table["structure"].unique() if "structure" in table else ["copies of 1ubq"]
+            made.write(table, options.output / f"{name}.csv", of, options.threads)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """Files of all kinds: what each is taken as and how long that takes; closures of rings and bridges.
 
-    python analysis/benchmarks/files.py [-o DIR] [STUDY ...] [--structures DIR]
+    python analysis/benchmarks/files.py [STUDY ...] [-o DIR] [--quick] [--more FOLDER]
 
-STUDY is any of table, speed, closures (all by default). Each prints a table; with -o they are written too.
+STUDY is any of table, speed, closures (all by default). Each prints a table; with -o they are written too, as
+files_STUDY.csv. Files are those of --more; with --quick, samples.
 """
 
 import argparse
@@ -11,15 +12,16 @@ import resource
 from pathlib import Path
 from time import perf_counter
 
+import made
 import numpy as np
 import pandas as pd
 from dynamics import markdown
+from made import SAMPLES
 from openmm import app
 from pdbfixer import PDBFixer
 
 import protochain as pc
 
-ROOT = Path(__file__).parents[2]
 CLOSED = (
     "1ejg_crambin.pdb",
     "3i40_insulin.pdb",
@@ -27,10 +29,12 @@ CLOSED = (
     "5vav_cyclic.pdb",
     "1a1p_compstatin.pdb",
 )
-METHODS = ("kcm", "kcm-adaptive", "lbfgs", "md", "hybrid", "cartesian", "openmm")
+MEASURED = ("4pti_bpti.pdb", "1ubq_ubiquitin.pdb", "1hel_lysozyme.pdb", "1ake_A.pdb", "4jsv_2750.pdb")
+METHODS = ("kcm", "lbfgs", "md", "hybrid", "openmm")
+BUDGET = 3000
 
 
-def table(folder: Path) -> pd.DataFrame:
+def table(folder: Path, quick: bool) -> pd.DataFrame:
     """Files: what each is taken as, or which line refuses it."""
     rows = []
     for path in sorted(folder.rglob("*")):
@@ -53,10 +57,10 @@ def table(folder: Path) -> pd.DataFrame:
     return pd.DataFrame(rows).fillna("")
 
 
-def speed(folder: Path) -> pd.DataFrame:
+def speed(folder: Path, quick: bool) -> pd.DataFrame:
     """Seconds of preparation, warm, against PDBFixer and Modeller.addHydrogens; memory in all so far."""
     rows = []
-    for name in ("4pti_bpti.pdb", "1ubq_ubiquitin.pdb", "1hel_lysozyme.pdb", "1ake_A.pdb", "4jsv_2750.pdb"):
+    for name in ("4pti.pdb",) if quick else MEASURED:
         path = folder / name
         ours, theirs = [], []
         for _ in range(3):
@@ -73,8 +77,8 @@ def speed(folder: Path) -> pd.DataFrame:
                 "residues": s.n_residues,
                 "atoms": s.n_atoms,
                 "seconds": min(ours),
-                "PDBFixer and addHydrogens": min(theirs) if theirs else np.nan,
-                "peak memory, MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+                "openmm_seconds": min(theirs) if theirs else np.nan,
+                "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
             }
         )
     return pd.DataFrame(rows)
@@ -90,47 +94,45 @@ def _by_openmm(path: Path) -> None:
     modeller.addHydrogens(app.ForceField("amber14/protein.ff14SB.xml"), pH=7.0)
 
 
-def closures(folder: Path) -> pd.DataFrame:
+def closures(folder: Path, quick: bool) -> pd.DataFrame:
     """Lengths of the bonds that close loops, before and after each method, OBC2."""
     rows = []
-    for name in CLOSED:
+    for name in ("1ejg.pdb",) if quick else CLOSED:
         s = pc.load(folder / name)
         chain, energy = pc.build_chain(s), pc.energy(s)
         first, second = chain.loops.T
         row: dict[str, object] = {
             "structure": s.name,
             "loops": len(chain.loops),
-            "start": _range(s.positions, first, second),
+            **_lengths("start", s.positions, first, second),
         }
         for method in METHODS:
-            r = pc.minimise(chain, energy, method, max_evaluations=3000)
-            row[method] = _range(r.x, first, second)
+            r = pc.minimise(chain, energy, method, max_evaluations=100 if quick else BUDGET)
+            row |= _lengths(method, r.x, first, second)
         rows.append(row)
     return pd.DataFrame(rows)
 
 
-def _range(x: np.ndarray, first: np.ndarray, second: np.ndarray) -> str:
+def _lengths(name: str, x: np.ndarray, first: np.ndarray, second: np.ndarray) -> dict[str, float]:
     lengths = 10.0 * np.linalg.norm(x[first] - x[second], axis=1)
-    return f"{lengths.min():.3f} to {lengths.max():.3f}"
+    return {f"{name}_shortest_angstrom": lengths.min(), f"{name}_longest_angstrom": lengths.max()}
 
 
 STUDIES = {"table": table, "speed": speed, "closures": closures}
 
 
+def parser() -> argparse.ArgumentParser:
+    return made.parser(__doc__, STUDIES, more=True)
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("studies", nargs="*", metavar="STUDY", default=list(STUDIES))
-    parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--structures", type=Path, default=ROOT.parent / "shared" / "structures")
-    options = parser.parse_args()
-    for name in options.studies:
-        found = STUDIES[name](options.structures)
+    options = parser().parse_args()
+    for name in options.studies or STUDIES:
+        found = STUDIES[name](SAMPLES if options.quick else options.more, options.quick)
         print(f"\n{STUDIES[name].__doc__}\n\n{markdown(found)}", flush=True)
         if options.output:
-            options.output.mkdir(parents=True, exist_ok=True)
-            found.to_csv(options.output / f"{name}.csv", index=False)
+            of = {"speed": MEASURED, "closures": CLOSED}.get(name, ())
+            made.write(found, options.output / f"files_{name}.csv", of)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Large structures: copies of one side by side, minimised in all atoms from shell to shell.
 
-    python analysis/benchmarks/large.py [STRUCTURE] [-o DIR] [--atoms 1000,3000,10000,20000,44000]
+    python analysis/benchmarks/large.py [-o DIR] [--structure FILE] [--atoms 1000,3000,10000,20000,44000]
         [--tolerance 10] [--cutoff auto] [--threads N] [--quick]
 
 `protochain minimise --method cartesian` to an RMS force of 10 kJ/mol/nm, in a process of its own for each
@@ -26,7 +26,6 @@ import pandas as pd
 
 import protochain as pc
 
-SAMPLE = Path(__file__).parents[2] / "structures" / "1ubq.pdb"
 GAP = 3.0
 """angstrom between the boxes around two copies."""
 SIZES = "1000,3000,10000,20000,44000"
@@ -105,18 +104,21 @@ def exponents(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame({"seconds_of": timed, "exponent": slopes})
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__ or "")
+    own.add_argument(
+        "--structure", type=Path, default=made.SAMPLES / "1ubq.pdb", help="of which copies are made"
     )
-    parser.add_argument("structure", nargs="?", type=Path, default=SAMPLE)
-    parser.add_argument("-o", "--output", type=Path, default=Path("large"))
-    parser.add_argument("--atoms", default=SIZES)
-    parser.add_argument("--tolerance", type=float, default=10.0)
-    parser.add_argument("--cutoff", default="auto", help="nm, none or auto")
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--quick", action="store_true", help="the two smallest sizes")
-    options = parser.parse_args()
+    own.add_argument("--atoms", default=SIZES)
+    own.add_argument("--tolerance", type=float, default=10.0)
+    own.add_argument("--cutoff", default="auto", help="nm, none or auto")
+    own.add_argument("--threads", type=int, default=2)
+    return own
+
+
+def main() -> None:
+    options = parser().parse_args()
+    sizes = sorted(map(int, options.atoms.split(",")))[: 2 if options.quick else None]
     one = gemmi.read_structure(str(options.structure))
     one.remove_waters()
     each = pc.load(options.structure).n_atoms
@@ -124,7 +126,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         copies(one, 1, Path(folder) / "copies.cif")
         prepared(Path(folder) / "copies.cif", options)  # Imports, and kernels compiled.
-        for size in sorted(map(int, options.atoms.split(",")))[: 2 if options.quick else None]:
+        for size in sizes:
             path = Path(folder) / "copies.cif"
             copies(one, max(1, round(size / each)), path)
             row = prepared(path, options) | minimised(path, options)
@@ -134,11 +136,10 @@ def main() -> None:
     table = pd.DataFrame(rows)
     slopes = exponents(table)
     print(slopes.to_string(index=False, float_format="%.2f"))
-    name = "large" if options.cutoff == "auto" else f"large_{options.cutoff}"
-    made.write(table.round(4), options.output / f"{name}.csv", [options.structure], options.threads)
-    made.write(
-        slopes.round(3), options.output / f"{name}_exponents.csv", [options.structure], options.threads
-    )
+    if options.output:
+        inputs = [options.structure]
+        made.write(table.round(4), options.output / "large.csv", inputs, options.threads)
+        made.write(slopes.round(3), options.output / "large_exponents.csv", inputs, options.threads)
 
 
 if __name__ == "__main__":

@@ -1,36 +1,60 @@
-"""Tables of results with a record of how each was made, in made.csv beside them."""
+"""What all benchmarks share: their parser, and tables with a record of how each was made, in made.csv."""
 
+import argparse
 import os
 import platform
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterable
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import pandas as pd
 
 ROOT = Path(__file__).parents[2]
+SAMPLES = ROOT / "structures"
+MORE = ROOT.parent / "shared" / "structures"
+"""Default of --more: the larger collection, which is not in the repository."""
 RESULTS = ROOT / "analysis" / "results"
 RECORD = "made.csv"
-LIBRARIES = ("protochain", "openmm", "numpy", "numba")
+LIBRARIES = ("protochain", "openmm", "numpy", "scipy", "numba", "gemmi", "pin", "dartpy")
 
 
-def write(table: pd.DataFrame, path: Path, inputs: Iterable[object] = (), threads: int = 1) -> None:
+def parser(text: str, studies: Iterable[str] = (), more: bool = False) -> argparse.ArgumentParser:
+    """Return the parser of a benchmark: its studies, -o DIR, --quick and, if need be, --more FOLDER."""
+    own = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    if studies:
+        own.add_argument("studies", nargs="*", metavar="STUDY", choices=[*studies, []], help="all by default")
+    own.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder for its tables, and figures")
+    own.add_argument("--quick", action="store_true", help="small inputs: shows that it works, no more")
+    if more:
+        own.add_argument("--more", type=Path, default=MORE, metavar="FOLDER", help="of further structures")
+    return own
+
+
+def write(
+    table: pd.DataFrame,
+    path: Path,
+    inputs: Iterable[object] = (),
+    threads: int = 1,
+    by: list[str] | None = None,
+) -> None:
     """Write a table as CSV, and in made.csv beside it command, commit, machine, versions and inputs.
 
     A commit whose tree had other changes is marked "and changes"; inputs are named without their folders.
+    The command is that of this process, or ``by``.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     table.to_csv(path, index=False)
     row = {
         "table": path.name,
-        "command": command(),
+        "command": command(by),
         "commit": COMMIT,
         "machine": f"{processor()}, {len(os.sched_getaffinity(0))} cores",
         "threads": threads,
         "load": round(os.getloadavg()[1], 1),
-        "versions": ", ".join(f"{name} {version(name)}" for name in LIBRARIES),
+        "versions": ", ".join(f"{name} {found}" for name in LIBRARIES if (found := _version(name))),
         "inputs": " ".join(Path(str(given)).name for given in inputs),
     }
     record = path.parent / RECORD
@@ -39,12 +63,33 @@ def write(table: pd.DataFrame, path: Path, inputs: Iterable[object] = (), thread
     rows.sort_values("table").to_csv(record, index=False)
 
 
-def command() -> str:
-    """Command of this process, without folders other than the project's."""
-    own = Path(sys.argv[0]).resolve()
-    program = own.relative_to(ROOT) if own.is_relative_to(ROOT) else own.name
-    given = [Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:]]
-    return " ".join(["python", str(program), *given])
+def command(words: list[str] | None = None) -> str:
+    """Command of this process, or one, as others would type it: -o DIR, and MORE for the folder of --more."""
+    program, *given = words or ["python", *sys.argv]
+    shown = [
+        "DIR" if before in ("-o", "--output") else _shown(word)
+        for before, word in zip([program, *given], given, strict=False)
+    ]
+    return shlex.join([Path(program).name, *shown])
+
+
+def _shown(word: str) -> str:
+    path = Path(word)
+    if path.is_file():
+        path = Path(os.path.abspath(path))  # noqa: PTH100 - samples may be links
+    if not path.is_absolute():
+        return word
+    for folder, name in ((ROOT, Path()), (MORE, Path("MORE"))):
+        if path.is_relative_to(folder):
+            return str(name / path.relative_to(folder))
+    return path.name
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
 
 
 def commit() -> str:

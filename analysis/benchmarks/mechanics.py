@@ -1,18 +1,22 @@
 """Forward dynamics and M^-1 tau of serial chains, beside the robotics engines.
 
-    python analysis/benchmarks/mechanics.py
+    python analysis/benchmarks/mechanics.py [-o DIR] [--quick]
 
 Medians of interleaved calls in one process, from q, qd and tau to accelerations; ratios above one mean that
 protochain is faster. Pinocchio comes with the test extra; DART is timed too where dartpy is installed.
 """
 
+import argparse
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 from time import perf_counter
 
+import made
 import numpy as np
+import pandas as pd
 import pinocchio as pin
 
 from protochain.multibody import HingeKind, Tree, forward_dynamics, pose, random_tree, solve_mass
@@ -21,6 +25,9 @@ try:
     import dartpy
 except ImportError:
     dartpy = None
+
+
+LONG, SHORT = (100, 1000, 10_000, 100_000), (100, 400, 800)
 
 
 def medians(calls: dict[str, Callable[[], object]], seconds: float = 1.0) -> dict[str, float]:
@@ -74,17 +81,14 @@ def dart_forward(tree: Tree, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> 
     return call
 
 
-def engines() -> None:
-    """Print the ratios."""
-    print("\n| hinges | forward dynamics us | pin.aba | DART | M^-1 tau us | pin.aba |")
-    print("|--:|--:|--:|--:|--:|--:|")
-    for n in (100, 400, 800):
-        us = {name: 1e6 * taken for name, taken in medians(calls_of(n)).items()}
-        ratios = [
-            f"{us[other]:.1f} ({us[other] / us[own]:.2f}x)" if other in us else "-"
-            for own, other in (("forward", "pin"), ("forward", "dart"), ("solve", "pin"))
-        ]
-        print(f"| {n} | {us['forward']:.1f} | {ratios[0]} | {ratios[1]} | {us['solve']:.1f} | {ratios[2]} |")
+def engines(seconds: float, sizes: tuple[int, ...]) -> pd.DataFrame:
+    """Microseconds of each engine."""
+    rows = []
+    for n in sizes:
+        us = {name: 1e6 * taken for name, taken in medians(calls_of(n), seconds).items()}
+        names = {"forward": "forward", "solve": "solve", "pin": "pinocchio", "dart": "dart"}
+        rows.append({"hinges": n} | {f"{shown}_us": us.get(name) for name, shown in names.items()})
+    return pd.DataFrame(rows, dtype=float).astype({"hinges": int})
 
 
 def calls_of(n: int) -> dict[str, Callable[[], object]]:
@@ -105,20 +109,24 @@ def calls_of(n: int) -> dict[str, Callable[[], object]]:
     return calls
 
 
-def scaling() -> None:
-    """Print the time and the memory for each hinge."""
-    print("| hinges | forward dynamics ns per hinge | bytes per hinge |")
-    print("|--:|--:|--:|")
-    for n in (100, 1000, 10_000, 100_000):
+def scaling(seconds: float, sizes: tuple[int, ...]) -> pd.DataFrame:
+    """Time and memory for each hinge."""
+    rows = []
+    for n in sizes:
+        reader, writer = os.pipe()
         pid = os.fork()
         if pid == 0:
-            report_scaling(n)
+            os.write(writer, json.dumps(of_size(n, seconds)).encode())
             os._exit(0)
+        os.close(writer)
+        with os.fdopen(reader) as told:
+            rows.append(json.loads(told.read()))
         os.waitpid(pid, 0)
+    return pd.DataFrame(rows)
 
 
-def report_scaling(n: int) -> None:
-    """Print one row: run in a process of its own, whose peak memory is then this chain's."""
+def of_size(n: int, seconds: float) -> dict[str, float | None]:
+    """One row: run in a process of its own, whose peak memory is then this chain's."""
     small = random_tree(3, 0, 0.0, HingeKind.REVOLUTE)
     forward_dynamics(small, np.zeros(3), np.zeros(3), np.zeros(3))
     rng = np.random.default_rng(0)
@@ -128,10 +136,14 @@ def report_scaling(n: int) -> None:
     # Linux forgets the peak when told so: what comes after is what forward dynamics needs itself.
     Path("/proc/self/clear_refs").write_text("5")
     before = memory("VmRSS")
-    taken = medians({"forward": lambda: forward_dynamics(tree, q, qd, tau)})["forward"]
+    taken = medians({"forward": lambda: forward_dynamics(tree, q, qd, tau)}, seconds)["forward"]
     used = kept + memory("VmHWM") - before
     # What small chains need is lost in what the process has anyway.
-    print(f"| {n} | {1e9 * taken / n:.0f} | {f'{used / n:.0f}' if n >= 10_000 else '-'} |", flush=True)
+    return {
+        "hinges": n,
+        "ns_per_hinge": 1e9 * taken / n,
+        "bytes_per_hinge": used / n if n >= 10_000 else None,
+    }
 
 
 def memory(name: str) -> int:
@@ -140,7 +152,20 @@ def memory(name: str) -> int:
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(name))
 
 
+def parser() -> argparse.ArgumentParser:
+    return made.parser(__doc__)
+
+
+def main() -> None:
+    options = parser().parse_args()
+    seconds, n = (0.05, 1) if options.quick else (1.0, None)
+    # Scaling first, while the process is small: peak memory is measured.
+    for name, measure, sizes in (("mechanics_scaling", scaling, LONG), ("mechanics", engines, SHORT)):
+        table = measure(seconds, sizes[:n])
+        print(f"\n{table.to_string(index=False, float_format='%.1f')}", flush=True)
+        if options.output:
+            made.write(table, options.output / f"{name}.csv")
+
+
 if __name__ == "__main__":
-    # First, while the process is small: peak memory is measured.
-    scaling()
-    engines()
+    main()

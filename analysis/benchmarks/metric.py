@@ -1,6 +1,6 @@
 """What the metric of the force field's near terms gains over that of springs, which knows positions alone.
 
-    python analysis/benchmarks/metric.py [-o FILE.csv] [--methods NAME ...] [STRUCTURE ...]
+    python analysis/benchmarks/metric.py [STRUCTURE ...] [-o DIR] [--quick] [--methods NAME ...]
 
 Every structure is minimised twice by each method, in one process and on one thread: with its energy, and with
 the same energy given as a callable, of whose terms nothing is known. Evaluations and processor seconds until
@@ -12,12 +12,13 @@ import argparse
 from pathlib import Path
 from time import process_time
 
+import made
 import numpy as np
 import pandas as pd
+from made import SAMPLES
 
 import protochain as pc
 
-SAMPLES = Path(__file__).parents[2] / "structures"
 STRUCTURES = ("1l2y", "1vii", "1ejg", "3i40", "4pti", "1ubq")
 ABOVE = (10.0, 1.0)
 """kJ/mol per 100 residues."""
@@ -47,16 +48,17 @@ def needed(chain: pc.Chain, energy: object, method: str) -> dict[str, float]:
     return row
 
 
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__)
+    own.add_argument("structures", nargs="*", type=Path, default=[SAMPLES / f"{n}.pdb" for n in STRUCTURES])
+    own.add_argument("--methods", nargs="+", default=["lbfgs", "cartesian", "hybrid"])
+    return own
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "structures", nargs="*", type=Path, default=[SAMPLES / f"{n}.pdb" for n in STRUCTURES]
-    )
-    parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--methods", nargs="+", default=["lbfgs", "cartesian", "hybrid"])
-    options = parser.parse_args()
+    options = parser().parse_args()
+    if options.quick:
+        options.structures = [SAMPLES / "ala10.pdb"]
     rows = []
     for path in options.structures:
         structure = pc.load(path)
@@ -72,7 +74,7 @@ def main() -> None:
                 print(*(f"{v:.4g}" if isinstance(v, float) else v for v in rows[-1].values()), flush=True)
     table = pd.DataFrame(rows)
     if options.output:
-        table.to_csv(options.output, index=False)
+        made.write(table, options.output / "metric.csv", options.structures)
     costs = [name for name in table.columns if "_to_" in name]
     of = {name: part.set_index(["structure", "method"])[costs] for name, part in table.groupby("metric")}
     ratios = of["springs"] / of["near terms"]

@@ -1,6 +1,6 @@
 """cartesian and hybrid against OpenMM's LocalEnergyMinimizer: how long to an energy at least as low.
 
-    python analysis/benchmarks/race.py [-o DIR] [--forces obc2,gbsa,gbn2,vacuum] [STRUCTURE ...]
+    python analysis/benchmarks/race.py [-o DIR] [--quick] [--forces obc2,gbsa,gbn2,vacuum] [STRUCTURE ...]
 
 OpenMM runs on its CPU platform, with tolerances of 10 and 1 kJ/mol/nm, from the same start and on the same
 threads. "obc2" and "gbn2" are CustomGBForces, as OpenMM's force field builds them; "gbsa" is OBC2 by its
@@ -25,12 +25,12 @@ import numpy as np
 import openmm
 import pandas as pd
 from engines import with_gbsa_obc
+from made import SAMPLES
 from openmm import unit
 
 import protochain as pc
 from protochain.energies import Energy, build_system
 
-SAMPLES = Path(__file__).parents[2] / "structures"
 DEFAULT = ("1l2y", "1ejg", "1vii", "3i40", "4pti", "1ubq", "1hel")
 TOLERANCES = (10.0, 1.0)
 METHODS = ("cartesian", "hybrid")
@@ -136,14 +136,17 @@ def races(path: Path, force: str):
             )  # fmt: skip
 
 
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__)
+    own.add_argument("structures", nargs="*", type=Path, default=[SAMPLES / f"{n}.pdb" for n in DEFAULT])
+    own.add_argument("--forces", default="gbsa,obc2,gbn2,vacuum")
+    return own
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("structures", nargs="*", type=Path, default=[SAMPLES / f"{n}.pdb" for n in DEFAULT])
-    parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--forces", default="gbsa,obc2,gbn2,vacuum")
-    options = parser.parse_args()
+    options = parser().parse_args()
+    if options.quick:
+        options.structures = [SAMPLES / "ala10.pdb"]
     warm_up = pc.load(SAMPLES / "1l2y.pdb")
     for force in options.forces.split(","):
         energy = pc.energy(warm_up, solvent="obc2" if force == "gbsa" else force, threads=THREADS)

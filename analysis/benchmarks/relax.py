@@ -1,6 +1,6 @@
 """protochain relax against AlphaFold's relaxation by OpenMM: seconds, violations left, fold kept, energies.
 
-    python analysis/benchmarks/relax.py [MODEL ...] [-o DIR] [--made N] [--repeats N]
+    python analysis/benchmarks/relax.py [MODEL ...] [-o DIR] [--quick] [--made N] [--repeats N]
     python analysis/benchmarks/relax.py --many 1000 [--sample 20] [-o DIR]
 
 Each model is relaxed from shell to shell by relax_openmm.py (AlphaFold's protocol as published), by
@@ -31,17 +31,22 @@ from time import perf_counter
 import made
 import numpy as np
 import pandas as pd
+from made import ROOT, SAMPLES
 
 import protochain as pc
 from protochain.validation import measures
 
-ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
-import models  # noqa: E402
+import models
 
-SAMPLES = ROOT / "structures"
 MADE_OF = ("1hel", "1ubq", "4pti")
 MANY_OF = ("1l2y", "1vii", "1ejg", "3i40", "4pti", "1ubq", "1hel")
+KEPT = (
+    "structure", "status", "message", "n_residues", "violations_start", "violations_end", "overlaps_start",
+    "overlaps_end", "wrong_hands_start", "wrong_hands_end", "threaded_rings_start", "threaded_rings_end",
+    "ca_rmsd_angstrom", "n_rounds", "evaluations",
+)  # fmt: skip
+"""Columns of a folder's relaxed.csv that are kept."""
 PROGRAM = shutil.which("protochain") or "protochain"
 OPENMM = Path(__file__).with_name("relax_openmm.py")
 WAYS = ("openmm", "relax", "relax_alphafold")
@@ -278,8 +283,8 @@ def summary(table: pd.DataFrame) -> str:
     return "\n".join([*lines, f"failures: {failed}"])
 
 
-def throughput(n: int, sample: int, scratch: Path, output: Path | None) -> pd.DataFrame:
-    """Models an hour: a folder by protochain relax with two workers, a sample by OpenMM, two at a time."""
+def throughput(n: int, sample: int, scratch: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Rows of a folder by protochain relax with two workers, and models an hour; a sample by OpenMM."""
     folder, ends = scratch / "many", scratch / "relaxed"
     structures = [pc.load(SAMPLES / f"{name}.pdb") for name in MANY_OF]
     files = [write(s, folder / f"{name}.pdb") for name, s in models.damaged(structures, n, seed=1)]
@@ -292,8 +297,6 @@ def throughput(n: int, sample: int, scratch: Path, output: Path | None) -> pd.Da
     seconds += by_openmm(chosen[1::2], scratch)
     theirs = seconds * n / len(chosen)
     table = pd.read_csv(ends / "relaxed.csv")
-    if output:
-        shutil.copy(ends / "relaxed.csv", output / "relax_many_rows.csv")
     statuses = table["status"].fillna("failed").value_counts()
     ended = ", ".join(f"{k} {name}" for name, k in statuses.items())
     row = {
@@ -305,7 +308,7 @@ def throughput(n: int, sample: int, scratch: Path, output: Path | None) -> pd.Da
         "models_an_hour_openmm": 3600 * n / theirs, "times_sooner": theirs / ours, "load": os.getloadavg()[1],
     }  # fmt: skip
     print(done.stderr[-1000:], file=sys.stderr)
-    return pd.DataFrame([row])
+    return table[list(KEPT)], pd.DataFrame([row])
 
 
 def by_openmm(files: list[Path], scratch: Path) -> float:
@@ -319,24 +322,27 @@ def by_openmm(files: list[Path], scratch: Path) -> float:
     return perf_counter() - began - counting / 2
 
 
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__)
+    own.add_argument("models", nargs="*", type=Path, metavar="MODEL")
+    own.add_argument("--made", type=int, default=7, help="damaged copies of samples")
+    own.add_argument("--repeats", type=int, default=3)
+    own.add_argument("--many", type=int, metavar="N", help="throughput of N models instead")
+    own.add_argument("--sample", type=int, default=20, help="models of these that OpenMM relaxes")
+    return own
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("models", nargs="*", type=Path, metavar="MODEL")
-    parser.add_argument("-o", "--output", type=Path, help="folder for relax.csv, or relax_many.csv")
-    parser.add_argument("--made", type=int, default=7, help="damaged copies of samples")
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--many", type=int, metavar="N", help="throughput of N models instead")
-    parser.add_argument("--sample", type=int, default=20, help="models of these that OpenMM relaxes")
-    options = parser.parse_args()
+    options = parser().parse_args()
+    if options.quick:
+        options.models, options.made, options.repeats, options.sample = [], 1, 1, 2
+        options.many = options.many and 4
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:2])
-    if options.output:
-        options.output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         place = Path(scratch)
         if options.many:
-            found, name = throughput(options.many, options.sample, place, options.output), "relax_many.csv"
+            rows, found = throughput(options.many, options.sample, place)
+            name = "relax_throughput.csv"
             print(found.T.to_string(header=False))
         else:
             files = options.models + made_models(place / "models", options.made)
@@ -349,6 +355,8 @@ def main() -> None:
     if options.output:
         given = options.models or [f"{options.many or options.made} damaged copies of samples"]
         made.write(found.round(4), options.output / name, given, 2)
+        if options.many:
+            made.write(rows, options.output / "relax_many.csv", given, 2)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """The first minute: from an installation to its first result, and how long a small structure takes later.
 
-    python analysis/benchmarks/startup.py [STRUCTURE] [-o DIR] [--repeats N] [--install]
+    python analysis/benchmarks/startup.py [STRUCTURE] [-o DIR] [--quick] [--repeats N] [--install]
 
 `protochain minimise` and `protochain relax` of one structure (Trp-cage), from shell to shell: cold, with an
 empty folder of compiled kernels, on all cores and on one; warm, minima of the repeats. Seconds of the wall
@@ -24,8 +24,8 @@ from time import perf_counter
 
 import made
 import pandas as pd
+from made import ROOT, SAMPLES
 
-ROOT = Path(__file__).parents[2]
 COMMANDS = ("minimise", "relax")
 STEPS = """
 import json, sys
@@ -94,16 +94,19 @@ def installed(folder: Path) -> tuple[str, float]:
     return str(folder / "bin" / "protochain"), perf_counter() - began
 
 
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__)
+    own.add_argument("structure", nargs="?", default=str(SAMPLES / "1l2y.pdb"))
+    own.add_argument("--repeats", type=int, default=5)
+    own.add_argument("--install", action="store_true")
+    return own
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("structure", nargs="?", default=str(ROOT / "structures" / "1l2y.pdb"))
-    parser.add_argument("-o", "--output", type=Path, default=Path("startup"))
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--install", action="store_true")
-    options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
+    options = parser().parse_args()
+    if options.quick:
+        options.structure, options.repeats = str(SAMPLES / "ala10.pdb"), 1
+    names = COMMANDS[: 1 if options.quick else None]
     rows: list[tuple[str, str, float, float]] = []
     with tempfile.TemporaryDirectory() as folder:
         scratch = Path(folder)
@@ -113,18 +116,19 @@ def main() -> None:
             rows.append(("pip install .", "", seconds, float("nan")))
         python = str(Path(program).with_name("python"))
         one = {min(os.sched_getaffinity(0))}
-        arguments = {name: [name, options.structure, "-o", str(scratch / f"{name}.pdb")] for name in COMMANDS}
-        for name in COMMANDS:
+        arguments = {name: [name, options.structure, "-o", str(scratch / f"{name}.pdb")] for name in names}
+        for name in names:
             command = [program, *arguments[name]]
             rows.append((name, "cold", *timed(command, scratch / name)))
-            rows.append((name, "cold, one core", *timed(command, scratch / f"{name}_one", one)))
+            if not options.quick:
+                rows.append((name, "cold, one core", *timed(command, scratch / f"{name}_one", one)))
         cache = scratch / COMMANDS[0]
         # The repeats of all are interleaved: other work on the machine then strikes them alike.
-        runs: dict[str, list[tuple[float, float]]] = {name: [] for name in COMMANDS}
+        runs: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
         loaded: list[Counter[str]] = []
         steps: list[dict[str, float]] = []
         for _ in range(options.repeats):
-            for name in COMMANDS:
+            for name in names:
                 runs[name].append(timed([program, *arguments[name]], cache))
             loaded.append(imports(program, arguments["minimise"], cache))
             surroundings = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
@@ -139,8 +143,9 @@ def main() -> None:
     for name, seconds in sorted(packages.items(), key=lambda item: -item[1])[:15]:
         parts.append((f"modules of {name}", seconds))
     split = pd.DataFrame(parts, columns=["part", "seconds"])
-    made.write(table.round(3), options.output / "startup.csv", [options.structure], 2)
-    made.write(split.round(4), options.output / "startup_parts.csv", [options.structure], 2)
+    if options.output:
+        made.write(table.round(3), options.output / "startup.csv", [options.structure], 2)
+        made.write(split.round(4), options.output / "startup_parts.csv", [options.structure], 2)
     print(table.to_string(index=False, float_format="%.2f"))
     print(split.to_string(index=False, float_format="%.3f"))
 

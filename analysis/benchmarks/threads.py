@@ -1,6 +1,6 @@
 """What one energy costs beside other work: on one thread and on two, while other processes keep cores busy.
 
-    python analysis/benchmarks/threads.py [-o DIR] [--seconds S] [STRUCTURE ...]
+    python analysis/benchmarks/threads.py [-o DIR] [--quick] [--seconds S] [STRUCTURE ...]
 
 The process binds itself to two cores; others that do nothing but count are bound to none, one or both of
 them. Calls on one thread and on two are made in turn, in bursts, so that a slow moment strikes both; the mean
@@ -19,7 +19,8 @@ from time import perf_counter, process_time, sleep
 import made
 import numpy as np
 import pandas as pd
-from engines import SAMPLES, copies, with_gbsa_obc
+from engines import copies, with_gbsa_obc
+from made import SAMPLES
 
 import protochain as pc
 from protochain.energies import NativeEnergy, OpenMMEnergy
@@ -68,14 +69,17 @@ def means(energies: dict[int, NativeEnergy], x: np.ndarray, seconds: float) -> d
     return {k: (1e3 * wall[k] / calls[k], 1e3 * cpu[k] / calls[k]) for k in energies}
 
 
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__)
+    own.add_argument("structures", nargs="*", type=Path)
+    own.add_argument("--seconds", type=float, default=3.0, help="of each number of threads, in each place")
+    return own
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("structures", nargs="*", type=Path)
-    parser.add_argument("-o", "--output", type=Path, help="folder for threads.csv")
-    parser.add_argument("--seconds", type=float, default=3.0, help="of each number of threads, in each place")
-    given = parser.parse_args()
+    given = parser().parse_args()
+    if given.quick:
+        given.structures, given.seconds = [SAMPLES / "1l2y.pdb"], 0.3
     cores = sorted(os.sched_getaffinity(0))[:2]
     if len(cores) < 2:
         sys.exit("two cores are needed to compare one thread with two")

@@ -1,0 +1,212 @@
+"""Every table of results, made again, and the pages that quote them.
+
+    python analysis/benchmarks/all.py [--quick] [--only NAME ...] [-o DIR] [--more FOLDER] [--list]
+
+Runs the commands of JOBS one after the other, each in a process of its own. One that fails stops nothing; it
+is named at the end, and the exit status is 1. Tables go to analysis/results, and into the pages; with -o DIR
+to DIR, and pages made from them to DIR/pages. Run it on a machine that does nothing else.
+
+MORE stands for a folder of further structures (--more), which are not in the repository: --list names them.
+"""
+
+import argparse
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+
+import made
+import pages
+import pandas as pd
+from made import MORE, RESULTS, ROOT
+
+
+@dataclass(frozen=True)
+class Job:
+    """One command, as the pages quote it."""
+
+    name: str
+    command: str
+    minutes: float
+    """On two cores."""
+    quick: str = ""
+    """What --quick runs instead; by default the same with --quick."""
+    collects: dict[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
+    """Of a command of protochain, which knows nothing of made.csv: file, name here, columns (empty: all)."""
+
+    @property
+    def inputs(self) -> list[str]:
+        """Files that the command names."""
+        return [word for word in self.command.split() if word.endswith((".pdb", ".cif"))]
+
+    @property
+    def needs_more(self) -> bool:
+        """Whether it reads files that are not in the repository."""
+        return "MORE" in self.command
+
+
+SAMPLES = " ".join(
+    f"structures/{n}.pdb" for n in ("ala10", "1l2y", "1vii", "1ejg", "3i40", "4pti", "1ubq", "1hel")
+)
+PRECISION = " ".join(
+    f"MORE/{name}"
+    for name in (
+        "1le1_trpzip2.pdb", "a6pa6_alpha.pdb", "aaqaa3_capped.pdb", "1as5_conotoxin.cif",
+        "neopetrosiamide.pdb", "1ajj_ldlr.pdb", "1bx8_hirustasin.pdb", "1fas_fasciculin.cif",
+        "1orc_icode.pdb", "2sdf_sdf1_nmr30.pdb", "1a8o_mse.pdb", "1bta_barstar.pdb", "t4l_l99a_amber.pdb",
+    )
+)  # fmt: skip
+RACED = " ".join(f"structures/{name}.pdb" for name in ("1l2y", "1vii", "3i40", "4pti", "1ubq", "1hel"))
+RACED_CUSTOM = " ".join(f"structures/{name}.pdb" for name in ("1vii", "3i40", "4pti", "1ubq"))
+RELAXED = " ".join(
+    f"MORE/{name}"
+    for name in (
+        "af_with_violations.pdb", "af_multiple_disulfides.pdb", "src_1yi6_start.pdb", "6lfo_gap_model.pdb",
+        "boltz2_5ht2c.cif",
+    )
+)  # fmt: skip
+CRYSTALS = " ".join(
+    f"MORE/{name}"
+    for name in (
+        "1a8o_mse.pdb", "1ajj_ldlr.pdb", "1ake_A.pdb", "1bx8_hirustasin.pdb", "1ejg_crambin.pdb",
+        "1fas_fasciculin.cif", "1hel_lysozyme.pdb", "1orc_icode.pdb", "1ubq_ubiquitin.pdb",
+        "2ptc_I_bpti_occ0.pdb", "3i40_insulin.pdb", "3u7t_crambin_neutron.cif", "4cup_missing.cif",
+        "4pti_bpti.pdb", "5pti_bpti.cif",
+    )
+)  # fmt: skip
+OF_CRYSTALS = (
+    "structure", "status", "n_residues", "violations_start", "violations_end",
+    "clashscore_per_1000_atoms_start", "clashscore_per_1000_atoms_end", "ramachandran_outliers_start",
+    "ramachandran_outliers_end", "ramachandran_favoured_percent_start", "ramachandran_favoured_percent_end",
+    "cbeta_outliers_start", "cbeta_outliers_end", "twisted_peptides_start", "twisted_peptides_end",
+    "ca_rmsd_angstrom",
+)  # fmt: skip
+HERE = "python analysis/benchmarks"
+
+JOBS = (
+    Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1),
+    Job("engines", f"{HERE}/engines.py energies -o DIR", 6),
+    Job("engines-cutoff", f"{HERE}/engines.py cutoff -o DIR", 4),
+    Job("engines-moving", f"{HERE}/engines.py moving -o DIR", 1),
+    Job("large", f"{HERE}/large.py -o DIR", 10),
+    Job("threads", f"{HERE}/threads.py -o DIR", 1),
+    Job("startup", f"{HERE}/startup.py -o DIR", 4),
+    Job("files-speed", f"{HERE}/files.py speed --more MORE -o DIR", 2),
+    Job("files-closures", f"{HERE}/files.py closures --more MORE -o DIR", 5),
+    Job("race", f"{HERE}/race.py --forces gbsa,vacuum {RACED} -o DIR", 6),
+    Job("race-custom", f"{HERE}/race.py --forces obc2 {RACED_CUSTOM} -o DIR", 15),
+    Job(
+        "precision", f"protochain bench precision {SAMPLES} {PRECISION} -o DIR", 25,
+        "protochain bench precision structures/ala10.pdb -o DIR",
+        {"precision.csv": ("precision.csv", ()), "ends.csv": ("precision_ends.csv", ())},
+    ),
+    Job("metric", f"{HERE}/metric.py -o DIR", 4),
+    Job("compliance", f"{HERE}/compliance.py -o DIR", 4),
+    Job("relax", f"{HERE}/relax.py {RELAXED} --made 4 -o DIR", 16),
+    Job("relax-many", f"{HERE}/relax.py --many 200 -o DIR", 10),
+    Job(
+        "relax-crystals", f"protochain relax {CRYSTALS} --preset crystal -o DIR", 2,
+        "protochain relax structures/ala10.pdb structures/1l2y.pdb --preset crystal -o DIR",
+        {"relaxed.csv": ("relax_crystals.csv", OF_CRYSTALS)},
+    ),
+    Job("dynamics-energy", f"{HERE}/dynamics.py energy -o DIR", 4),
+    Job("dynamics-steps", f"{HERE}/dynamics.py steps -o DIR", 5),
+    Job("dynamics-cost", f"{HERE}/dynamics.py cost --more MORE -o DIR", 2),
+    Job("dynamics-speed", f"{HERE}/dynamics.py speed --more MORE -o DIR", 8),
+    Job("dipeptide", f"{HERE}/dipeptide.py -o DIR", 45),
+    Job("batch", f"{HERE}/batch.py --more MORE -o DIR", 4),
+    Job(
+        "stability", "protochain bench stability -o DIR", 2, "protochain bench stability -o DIR",
+        {"error_against_time.csv": ("stability.csv", ())},
+    ),
+)  # fmt: skip
+"""The one table of commands."""
+
+
+def words_of(job: Job, output: Path, more: Path, quick: bool) -> list[str]:
+    """Words of a command, with its folders."""
+    line = (job.quick or f"{job.command} --quick") if quick else job.command
+    program, *words = shlex.split(line)
+    given = [re.sub(r"^MORE(?=$|/)", str(more), str(output) if word == "DIR" else word) for word in words]
+    return [sys.executable if program == "python" else shutil.which(program) or program, *given]
+
+
+def run(job: Job, output: Path, more: Path, quick: bool) -> str:
+    """Run a job, its tables written to a folder; return why it failed, or nothing."""
+    if job.needs_more and not quick and not more.is_dir():
+        return f"its files are not in {more}; name their folder by --more"
+    with tempfile.TemporaryDirectory() as scratch:
+        place = Path(scratch) / "out" if job.collects else output
+        words = words_of(job, place, more, quick)
+        path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+        done = subprocess.run(words, cwd=ROOT, env=os.environ | {"PYTHONPATH": path})
+        # 3: usable, not all converged.
+        if done.returncode and not (job.collects and done.returncode == 3):
+            return f"exit status {done.returncode}"
+        for name, (kept_as, columns) in job.collects.items():
+            if not (place / name).exists():
+                return f"wrote no {name}"
+            table = pd.read_csv(place / name)
+            table = table[list(columns)] if columns else table
+            made.write(table, output / kept_as, job.inputs, len(os.sched_getaffinity(0)), words)
+    return ""
+
+
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__ or "", more=True)
+    names = [job.name for job in JOBS]
+    own.add_argument("--only", nargs="+", metavar="NAME", help=f"of {', '.join(names)}, or how some begin")
+    own.add_argument("--list", action="store_true", help="commands, their minutes and files, and stop")
+    return own
+
+
+def chosen(only: list[str] | None) -> list[Job]:
+    """Jobs of these names, or that begin so.
+
+    Raises
+    ------
+    SystemExit
+        If there is none of a name.
+    """
+    if not only:
+        return list(JOBS)
+    for name in only:
+        if not any(job.name == name or job.name.startswith(f"{name}-") for job in JOBS):
+            sys.exit(f"there is no benchmark {name!r}; --list shows them")
+    return [job for job in JOBS if any(job.name == n or job.name.startswith(f"{n}-") for n in only)]
+
+
+def main() -> None:
+    options = parser().parse_args()
+    jobs = chosen(options.only)
+    if options.list:
+        for job in jobs:
+            print(f"{job.name:<16} {job.minutes:>3g} min  {job.command}")
+        print(f"{'all':<16} {sum(job.minutes for job in jobs):>3g} min  MORE: {MORE.name}, by --more FOLDER")
+        return
+    if options.quick and not options.output:
+        sys.exit("with --quick, say where its tables go: -o DIR; they are not what pages quote")
+    output = (options.output or RESULTS).absolute()
+    failed = {}
+    for job in jobs:
+        print(f"\n=== {job.name}: {(options.quick and job.quick) or job.command}", flush=True)
+        began = perf_counter()
+        why = run(job, output, options.more.absolute(), options.quick)
+        if why:
+            failed[job.name] = why
+        print(f"=== {job.name}: {why or 'done'}, {(perf_counter() - began) / 60:.1f} min", flush=True)
+    for page in pages.write(output, ROOT if output == RESULTS else output / "pages"):
+        print(f"made: {page}")
+    for name, why in failed.items():
+        print(f"failed: {name}: {why}", file=sys.stderr)
+    sys.exit(1 if failed else 0)
+
+
+if __name__ == "__main__":
+    main()
