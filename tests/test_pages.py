@@ -17,7 +17,6 @@ from conftest import MORE_STRUCTURES, ROOT
 from test_docs import COMMANDS, options_of
 from typer.exceptions import TyperException
 
-import protochain as pc
 from protochain.analysis.studies import STUDIES
 
 FOLDER = ROOT / "analysis" / "benchmarks"

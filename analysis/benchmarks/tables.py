@@ -265,6 +265,14 @@ def compliance_angles(results: Path) -> str:
     )  # fmt: skip
 
 
+# Relaxation
+
+
+def _more(ours: float, theirs: float) -> str:
+    """Difference of energies, kJ/mol; none without one of them."""
+    return "-" if pd.isna(ours) or pd.isna(theirs) else f"{ours - theirs:+.0f}"
+
+
 @table("relax")
 def relax(results: Path) -> str:
     """Relaxation beside AlphaFold's."""
