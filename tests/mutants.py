@@ -35,7 +35,7 @@ FOLDERS = {
     "structure": (["structure"], []),
     "minimisers": (["minimisers"], []),
     "neighbours": (["energies/native/neighbours.py"], ["native", "neighbours"]),
-    "batches": (["batches"], ["batches", "processes"]),
+    "batches": (["batches"], ["batches", "processes", "task", "relax_command"]),
     "cli": (["cli"], ["cli", "commands", "command_runs", "command_jobs"]),
     "validation": (["validation"], []),
     "analysis": (["analysis/deviation.py", "analysis/quality.py"], []),
@@ -259,7 +259,7 @@ def chosen_tests(
     found, files = reached.get((fault.file, fault.line), set()), FOLDERS[fault.folder][1]
     blind = not found
     named = {f"tests/test_{name}.py" for name in files}
-    if blind or on_import or fault.folder == "cli":
+    if blind or on_import or fault.folder in ("batches", "cli"):
         found = found | {test for test in seconds if test.split("::")[0] in named}
     if not found:
         own = f"tests/test_{Path(fault.file).stem}.py"

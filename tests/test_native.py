@@ -158,6 +158,13 @@ def test_lists_hold_while_atoms_move_and_are_made_anew_when_they_must():
     assert 1 < len(made) < 12
 
 
+def test_positions_may_have_a_unit():
+    s, e = load("ala10.pdb"), pc.energy(load("ala10.pdb"), engine="native")
+    value, forces = e(10.0 * s.positions * unit.angstrom)
+    assert value == pytest.approx(e(s.positions)[0], rel=NATIVE_ENERGY)
+    assert np.linalg.norm(forces - e(s.positions)[1]) < NATIVE_FORCE * np.linalg.norm(forces)
+
+
 @pytest.mark.parametrize("solvent", ["vacuum", "obc2"])
 def test_no_place_is_taken_by_the_padding_of_the_last_block(solvent):
     s = load("ala10.pdb")
