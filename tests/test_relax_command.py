@@ -17,6 +17,7 @@ from test_commands import refusal, run
 
 import protochain as pc
 from protochain.analysis.relaxed import write_relaxed
+from protochain.batches.relaxed import SHOWN_RELAXED
 from protochain.cli.relaxing import print_relaxed, tell_plan
 from protochain.relaxation.record import before_and_after
 from protochain.structure.write import as_text
@@ -125,6 +126,9 @@ def test_a_folder_is_relaxed_with_a_row_for_each_and_resumed(here):
     for name in ("x_relaxed_rank_002_y.pdb", "ala.relaxed.cif", "report.html", "pages/ala.html"):
         assert (here / "out" / name).exists(), name
     assert "relaxed.csv" in (here / "out" / "report.html").read_text()
+    assert {column.key for column in SHOWN_RELAXED} <= set(table.columns)
+    page = (here / "out" / "pages" / "ala.html").read_text()
+    assert all(f">{column.title}<" in page for column in SHOWN_RELAXED)
     kept = (here / "out" / "x_relaxed_rank_002_y.pdb").stat().st_mtime_ns
     assert "--resume continues it" in command(*given).stderr
     other = command(*given, "--resume", "--stiffness", 100)

@@ -168,6 +168,16 @@ def test_a_folder_or_table_of_something_else_is_refused(tmp_path):
     other.close()
 
 
+def test_a_new_batch_without_a_row_leaves_nothing_whatever_is_missing_already(tmp_path):
+    for gone in ("traces", "summary"):
+        made = Tables(tmp_path / "new" / "out", resume=False)
+        made.finished([])
+        getattr(made, gone).unlink()
+        made.abandon()
+        made.close()
+        assert not (tmp_path / "new").exists()
+
+
 def test_names_that_look_like_numbers_stay_text_and_counts_stay_whole(tmp_path):
     path = tmp_path / "summary.csv"
     text = ("structure", "message", "key", "repairs", "left_out", "constant_terms", "restraint_kj_mol_nm2",
