@@ -160,7 +160,7 @@ def _moved(x: Floats, i: int, by: Floats) -> Floats:
 
 
 def coincident(what: str, solvent: str, threads: int) -> Found:
-    """Bonded atoms on one point, or all atoms in a plane, on a line or on a point: all stays finite."""
+    """Bonded atoms on one point, or all atoms in a plane, on a line or a point: all is finite."""
     s, ours = peptide("GAG"), energy_of("GAG", solvent, threads)
     x = s.positions.copy()
     if what == "two bonded atoms":
@@ -222,21 +222,26 @@ def left_out(distance: float, solvent: str, threads: int) -> Found:
     return Found(error, 1e-10 + 1e5 * 1e2 * EPS / np.abs(expected).max(), REFERENCE)
 
 
-def ten_chains(apart: float, solvent: str, threads: int) -> Found:
-    """Ten copies of a peptide on top of one another, or this far (nm) apart."""
-    s = peptide("GA")
+def copies(n: int, apart: float) -> Structure:
+    """Copies of a peptide, as chains of one file, each this far (nm) from the last."""
+    s = peptide("GA" if n > 2 else "AAAA")
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "ten.pdb"
+        path = Path(folder) / "copies.pdb"
         save(s, path)
         atoms = [line for line in path.read_text().splitlines() if line.startswith("ATOM")]
         text = []
-        for k, chain in enumerate("ABCDEFGHIJ"):
+        for k, chain in enumerate("ABCDEFGHIJ"[:n]):
             for line in atoms:
                 at = float(line[30:38]) + 10.0 * apart * k
                 text.append(f"{line[:21]}{chain}{line[22:30]}{at:8.3f}{line[38:]}")
             text.append("TER")
         path.write_text("\n".join([*text, "END", ""]))
-        ten = load(path)
+        return load(path)
+
+
+def ten_chains(apart: float, solvent: str, threads: int) -> Found:
+    """Ten copies of a peptide on top of one another, or this far (nm) apart."""
+    ten = copies(10, apart)
     ours = energy(ten, solvent=solvent, engine="native", cutoff=None, threads=threads)
     if apart:
         return differs(ours, ten.positions)
