@@ -11,6 +11,7 @@ from scipy.linalg import eigh
 import protochain as pc
 from protochain.analysis import studies
 from protochain.analysis.studies import precision, stability, study
+from protochain.analysis.studies.stability import cells, mechanics, solvers
 from protochain.cli import app
 from protochain.multibody import HingeKind, mass_matrix, pose, random_tree
 
@@ -38,22 +39,61 @@ def test_precision_counts_what_it_took(tmp_path, monkeypatch):
     assert (tmp_path / "precision.png").stat().st_size > 20_000
 
 
-def test_stability_measures_backward_errors(tmp_path, monkeypatch):
-    monkeypatch.setattr(stability, "SIZES", (10, 30))
-    monkeypatch.setattr(stability, "REPEATS", 5)
-    kept = ("mass ratio 1e+06", "last body 0 degrees off its axis", "100 beads, masses shared")
-    monkeypatch.setattr(stability, "CASES", {name: stability.CASES[name] for name in kept})
-    table, crossing, cases = stability.run(tmp_path)
-    assert len(table) == 6 and (table["backward_error_eps"] < 2.0).all() and (table["ms"] > 0).all()
-    assert crossing.iloc[0, 0] >= 2
-    cases = cases.set_index("case")
-    assert cases.loc[kept[1]].str.contains("lies on the hinge's axis").all()
-    assert cases.loc[kept[0]].str.endswith(" eps").all()
-    assert {"error_against_time.csv", "error_against_time.png", "extremes.csv"} == {
-        path.name for path in tmp_path.iterdir()
-    }
+def test_the_grid_counts_what_it_found(tmp_path, monkeypatch):
+    def fails(threads):
+        raise RuntimeError("out of order")
+
+    def refuses(threads):
+        raise pc.ProtochainError("give another number")
+
+    table = (
+        cells.Case("sums", "good", lambda threads: cells.Found(1e-16, 1e-15, "by hand")),
+        cells.Case("sums", "bad", lambda threads: cells.Found(1e-14, 1e-15, "by hand")),
+        cells.Case("sums", "NaN", lambda threads: cells.Found(np.nan, 1e-15, "by hand")),
+        cells.Case("sums", "raises", fails),
+        cells.Case("sums", "two lines", lambda threads: pc.from_sequence("A\nB")),
+        cells.Case("limits", "refuses", refuses),
+        cells.Case("limits", "long", lambda threads: cells.Found(0, 0, ""), cells.Part.FULL),
+    )
+    monkeypatch.setattr(mechanics, "CASES", table)
+    run = cells.table_of(cells.run_cells(["mechanics"], cells.Part.QUICK))
+    assert run["verdict"].tolist() == ["right", "wrong", "wrong", "wrong", "refused", "refused"]
+    assert run["message"].tolist()[3] == "RuntimeError: out of order"
+    stability.write_page(run, tmp_path / "report.html", 1)
+    page = (tmp_path / "report.html").read_text()
+    assert page.count('<span class="wrong" title') == 3 and page.count('<span class="refused" title') == 2
+    monkeypatch.setattr(cells, "ROWS", ("mechanics",))
+    monkeypatch.setattr(stability, "processors", lambda: 1)
+    asked = ["bench", "stability", "--quick", "--rows", "mechanics", "-o", str(tmp_path)]
+    assert app(asked, standalone_mode=False) == 1
+    assert len(pd.read_csv(tmp_path / "cells.csv")) == 6
+    monkeypatch.undo()
     with pytest.raises(pc.ProtochainError, match="give no files"):
         next(stability.run(tmp_path, [tmp_path / "x.pdb"]))
+    with pytest.raises(pc.ProtochainError, match="no row 'springy'; choose from mechanics, springs"):
+        next(stability.run(tmp_path, rows=["springy"]))
+
+
+def test_the_whole_grid_has_an_oracle_for_each_of_its_cells():
+    named = [(row, each.name, each.parameters) for row in cells.ROWS for _, each in cells.cases_of(row)]
+    assert len(named) >= 300 and len(set(named)) == len(named)
+
+
+@pytest.mark.parametrize("row", cells.ROWS)
+def test_the_smallest_part_of_the_grid_has_no_wrong_cell(row):
+    found = list(cells.run_cells([row], cells.Part.TESTED))
+    assert not [cell for cell in found if cell.verdict == "wrong"]
+    right = [cell for cell in found if cell.verdict == "right"]
+    assert len(right) >= 2 and all(cell.oracle and cell.error <= cell.bound for cell in right)
+
+
+def test_solvers_are_timed_with_their_errors(tmp_path, monkeypatch):
+    monkeypatch.setattr(solvers, "SIZES", (10, 30))
+    monkeypatch.setattr(solvers, "REPEATS", 5)
+    table, crossing = solvers.write_solvers(tmp_path)
+    assert len(table) == 6 and (table["backward_error_eps"] < 2.0).all() and (table["ms"] > 0).all()
+    assert crossing.iloc[0, 0] >= 2
+    assert {path.name for path in tmp_path.iterdir()} == {"error_against_time.csv", "error_against_time.png"}
 
 
 def test_the_norm_and_the_error_are_those_of_the_dense_matrix():
@@ -62,10 +102,10 @@ def test_the_norm_and_the_error_are_those_of_the_dense_matrix():
     frames, tau = pose(tree, random.uniform(-3, 3, tree.n_q)), random.normal(size=tree.n_v)
     mass = mass_matrix(tree, frames)
     norm = eigh(mass, eigvals_only=True)[-1]
-    assert 0.9 * norm < stability.norm_of_mass(tree, frames) <= norm * (1 + 1e-12)
+    assert 0.9 * norm < solvers.norm_of_mass(tree, frames) <= norm * (1 + 1e-12)
     x = np.linalg.solve(mass, tau) * (1 + 1e-6)
     expected = np.linalg.norm(mass @ x - tau) / (norm * np.linalg.norm(x) + np.linalg.norm(tau))
-    measured = stability.backward_error(tree, frames, x, tau) * np.finfo(float).eps
+    measured = solvers.backward_error(tree, frames, x, tau) * np.finfo(float).eps
     assert measured == pytest.approx(expected, rel=0.1)
 
 

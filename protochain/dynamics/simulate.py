@@ -209,6 +209,9 @@ def _prepare(
 ) -> _Run:
     """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator."""
     given = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
+    if not np.isfinite(given).all():
+        at = int(np.argmin(np.isfinite(given)))
+        raise ProtochainError(f"q: coordinate {at} is {given[at]}, not a finite number")
     root = "free" if chain.root == "auto" else chain.root
     mass = settings.hydrogen_mass if settings.hydrogen_mass is not None else chain.hydrogen_mass
     made = build_chain(chain.structure, chain.opened, root, move=chain.move, hydrogen_mass=mass)

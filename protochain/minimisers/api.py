@@ -288,7 +288,11 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         judged += f"; lowest eigenvalue of the Hessian {lowest:.3g} kJ/mol/rad^2"
     elif met and run.curvature and run.recipe.keeps_geometry:
         judged += "; not tested for a saddle point"
-    status, message = verdict(done.stop, met, f"{measured}, {judged}", structure, at.x, done.n_evaluations)
+    stop = done.stop
+    if not np.isfinite(end.energy) and stop is not Stop.INTERRUPTED:
+        # A callable may return forces that vanish, or are small, and no energy with them.
+        stop, met = Stop.NON_FINITE, False
+    status, message = verdict(stop, met, f"{measured}, {judged}", structure, at.x, done.n_evaluations)
     if start.is_crowded and (far := strayed(structure, at.x)):
         message = f"{message}; {far}"
     x = at.x if at is start.pose else record.frame(at.x)

@@ -1,0 +1,71 @@
+"""Is it right where it is hard: a grid of stiff and extreme cases, each right, refused or wrong.
+
+Each row of the grid is a module with a table ``CASES``; :mod:`.cells` runs and judges them. Beside the grid,
+error and run time of M^-1 tau (:mod:`.solvers`).
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from protochain.analysis.studies.stability.cells import ROWS, Part, cases_of, run_cells, table_of
+from protochain.analysis.studies.stability.page import counts, write_page
+from protochain.analysis.studies.stability.solvers import write_solvers
+from protochain.errors import ProtochainError
+from protochain.processors import processors
+from protochain.storage import write_atomically
+
+
+def run(
+    output: Path,
+    inputs: Sequence[Path] = (),
+    quick: bool = False,
+    rows: Sequence[str] = ROWS,
+    threads: int = 1,
+    workers: int | None = None,
+) -> Iterator[pd.DataFrame]:
+    """Run the grid; write ``cells.csv`` and ``report.html``, and on the whole grid also the solvers' errors.
+
+    Parameters
+    ----------
+    output : Path
+        Folder.
+    inputs : sequence of Path
+        Must be empty: the cases are made here.
+    quick : bool
+        Only cases of some seconds: two minutes on 2 cores.
+    rows : sequence of str
+        Rows of the grid.
+    threads : int
+        Threads of each process.
+    workers : int, optional
+        Processes; as many as there are processors for, by default.
+
+    Yields
+    ------
+    pandas.DataFrame
+        Counts of verdicts by row; the cells that are wrong, or ``wrong`` in the column ``verdict`` of none;
+        and the times and errors of the solvers.
+
+    Raises
+    ------
+    ProtochainError
+        If files are given or a row is not known.
+    """
+    if inputs:
+        raise ProtochainError("stability: makes its own cases; give no files")
+    if threads < 1 or (workers is not None and workers < 1):
+        raise ProtochainError("stability: give at least 1 thread and 1 worker")
+    part = Part.QUICK if quick else Part.FULL
+    for row in rows:
+        cases_of(row, part)
+    table = table_of(run_cells(rows, part, threads, workers or max(1, processors() // threads)))
+    write_atomically(output / "cells.csv", lambda to: table.to_csv(to, index=False))
+    write_page(table, output / "report.html", threads)
+    yield counts(table)
+    yield table.loc[
+        table["verdict"] == "wrong", ["row", "case", "parameters", "verdict", "error", "bound", "message"]
+    ]
+    if not quick and "mechanics" in rows:
+        yield from write_solvers(output)

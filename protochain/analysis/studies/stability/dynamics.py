@@ -1,0 +1,221 @@
+"""Dynamics: long steps, no heat and much, round-off of many steps, restarts at any step, time reversed."""
+
+from collections.abc import Iterator
+from functools import cache, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from scipy.linalg import eigh
+
+from protochain.analysis.studies.stability.cells import EPS, Case, Found, Part, case
+from protochain.analysis.studies.stability.energies import peptide
+from protochain.arrays import Floats
+from protochain.articulate import build_chain
+from protochain.chain import Chain, pose, pull_back
+from protochain.dynamics import Closure, Leapfrog, Simulation, System, chain_potential, simulate
+from protochain.dynamics.settings import INTEGRATORS
+from protochain.energies import Energy, energy
+from protochain.errors import ProtochainError
+from protochain.minimisers import minimise
+from protochain.multibody import HingeKind, mass_matrix, momentum, random_tree
+from protochain.multibody import pose as frames_of
+from protochain.multibody.articulated import Articulated
+from protochain.units import MOLAR_GAS
+
+
+@cache
+def _minimum(threads: int) -> tuple[Chain, Energy, Floats]:
+    """Tetraalanine with a free root, at a minimum in torsions."""
+    s = peptide("AAAA")
+    chain, ours = build_chain(s, root="free"), energy(s, engine="native", threads=threads)
+    return chain, ours, minimise(chain, ours, "newton", 1e-6, 300, curvature=False).q
+
+
+def _run(threads: int, **settings: Any) -> Simulation:
+    """Simulate from the minimum; a run that has become unstable is a refusal, with its message."""
+    chain, ours, q = _minimum(threads)
+    done = simulate(chain, ours, q, seed=5, **settings)
+    if not done.is_sound:
+        raise ProtochainError(done.message)
+    return done
+
+
+def _fastest(chain: Chain, ours: Energy, q: Floats) -> float:
+    """Largest frequency at q, 1/ps: of the Hessian by differences of torques."""
+    hinges, at_v = chain.tree.q_start[chain.hinge_body], chain.tree.v_start[chain.hinge_body]
+    h, columns = 1e-5, []
+    for k in hinges:
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = q.copy()
+            moved[k] += sign * h
+            at = pose(chain, moved)
+            ends.append(pull_back(chain, at, ours(at.x)[1])[at_v])
+        columns.append((ends[1] - ends[0]) / (2 * h))
+    hessian = 0.5 * (np.array(columns) + np.array(columns).T)
+    # Rates of the hinges under their torques alone, the root free: the block of M^-1 that belongs to them.
+    inverse = np.linalg.inv(mass_matrix(chain.tree, frames_of(chain.tree, q)))[np.ix_(at_v, at_v)]
+    return float(np.sqrt(max(eigh(hessian, np.linalg.inv(inverse), eigvals_only=True)[-1], 0.0)))
+
+
+def constant_energy(integrator: str, fs: float, kelvin: float, threads: int) -> Found:
+    """Error of the total energy of 50 steps, relative to the thermal and kinetic energy."""
+    chain, ours, _ = _minimum(threads)
+    points = []
+    done = _run(
+        threads, temperature=kelvin, time_step=fs / 1000, n_steps=50, thermostat="none", every=1,
+        integrator=integrator, watch=lambda row, x: points.append(row["kinetic_kj_mol"]),
+    )  # fmt: skip
+    total = done.trace["total_kj_mol"].to_numpy()
+    size = 0.5 * done.freedoms * MOLAR_GAS * kelvin + max(points)
+    h, rate = fs / 1000, float(np.abs(done.qd).max())
+    # The same path once more, for the frequencies on it: collisions are faster than the minimum.
+    path = _run(threads, temperature=kelvin, time_step=1e-6, n_steps=1, thermostat="none").state.at
+    system, step, hw = System(chain.tree, chain_potential(chain, ours)), INTEGRATORS[integrator], 0.0
+    for k in range(50 if kelvin > 1e3 else 1):
+        hw = max(hw, h * _fastest(chain, ours, path.q)) if k % 2 == 0 else hw
+        path = step.step(system, path, h)
+    error = float(np.abs(total - total[0]).max())
+    # The energy of a spring oscillates by (h w)^2 / (4 - (h w)^2) (Hairer, Lubich, Wanner, 2006, I.5), here
+    # for the fastest mode at every other step, and twice that in between, where pairs meet. M changes by the
+    # turn of a step. No run may lose half of its heat; 1e-10 of the potential is rounding.
+    share = ((2 * hw) ** 2 + (h * rate) ** 2) / 4
+    bound = min(share, 0.5) * size + 1e-10 * abs(done.trace["potential_kj_mol"]).max()
+    return Found(
+        error,
+        float(bound),
+        "(h w)^2 of the Hessian's fastest mode, kJ/mol",
+        f"h w = {hw:.2g}, h qd = {h * rate:.2g}",
+    )
+
+
+def thermostatted(thermostat: str, kelvin: float, threads: int) -> Found:
+    """Mean temperature with a thermostat, against the one it was given."""
+    n = 400
+    length = 10 if thermostat == "hmc" else 1
+    done = _run(
+        threads, temperature=kelvin, time_step=0.002 if kelvin < 1e4 else 0.0002, n_steps=n,
+        thermostat=thermostat, friction=50.0, every=length, trajectory_length=length,
+    )  # fmt: skip
+    warm = done.trace["temperature_k"].to_numpy()[n // length // 4 :]
+    if not kelvin:
+        return Found(float(warm.max()), 1e-6, "0 K", "K, of a start at rest in a minimum")
+    # Of f freedoms and n independent samples, sqrt(2 / f n); samples are as far apart as the friction's time.
+    apart = 1.0 / (50.0 * done.settings.time_step) / length
+    spread = kelvin * np.sqrt(2.0 / done.freedoms * max(1.0, 2 * apart) / len(warm))
+    return Found(abs(float(warm.mean()) - kelvin), 5 * float(spread), f"{kelvin:g} K, five standard errors")
+
+
+def restarted(thermostat: str, step: int, threads: int) -> Found:
+    """Stop at a step and resume, against the run that was not stopped: bit for bit."""
+    given: dict[str, Any] = {"thermostat": thermostat, "every": 1, "time_step": 0.002, "trajectory_length": 1}
+    with TemporaryDirectory() as folder:
+        whole = _run(threads, n_steps=12, output=Path(folder) / "whole", **given)
+        _run(threads, n_steps=step, output=Path(folder) / "parts", **given)
+        resumed = _run(threads, n_steps=12, output=Path(folder) / "parts", resume=True, **given)
+    same = np.array_equal(whole.q, resumed.q) and np.array_equal(whole.qd, resumed.qd)
+    error = 0.0 if same else float(np.abs(whole.q - resumed.q).max()) or np.nan
+    return Found(error, 0.0, "the run that was not stopped, bit for bit")
+
+
+def reversed_in_time(integrator: str, fs: float, kelvin: float, threads: int) -> Found:
+    """Steps forward and as many back, against the start."""
+    n = 20
+    chain, ours, _ = _minimum(threads)
+    start = _run(threads, temperature=kelvin, n_steps=1, time_step=1e-4, thermostat="none").state.at
+    system, step, h = System(chain.tree, chain_potential(chain, ours)), INTEGRATORS[integrator], fs / 1000
+    at = first = system.at(start.q, start.qd)
+    neighbour = system.at(start.q, start.qd * (1 + 1e-9))
+    for _ in range(n):
+        at, neighbour = step.step(system, at, h), step.step(system, neighbour, h)
+    grown = float(np.abs(neighbour.q - at.q).max() / (1e-9 * h * np.abs(start.qd).max()))
+    for _ in range(n):
+        at = step.step(system, at, -h)
+    error = float(np.abs(at.q - first.q).max())
+    # A step is solved to 1e-12 of a velocity (midpoint: 1e-10) and its torques are rounded; of 2 n steps each
+    # error grows on the way back as that of a neighbour grew.
+    solved = 1e-10 if integrator == "midpoint" else 1e-12
+    rounded = 100 * EPS * 0.1 * np.abs(ours(pose(chain, start.q).x)[1]).max()  # torque of a force at 0.1 nm
+    light = np.diagonal(np.linalg.inv(mass_matrix(chain.tree, first.factors.frames))).max()
+    step_error = solved * h * max(1.0, float(np.abs(start.qd).max())) + 10 * EPS + h**2 * light * rounded
+    bound = 2 * n * float(step_error) * max(grown, 1.0)
+    return Found(error, bound, "its own start")
+
+
+def rounded(n_steps: int, closed: bool) -> Found:
+    """Drift of momentum and of quaternions' lengths, or of closures, of free bodies by rounding alone."""
+    tree = random_tree(6, 2, 0.0, HingeKind.FREE)
+    rng = np.random.default_rng(4)
+    q = rng.uniform(-1, 1, tree.n_q)
+    frames, closure = frames_of(tree, q), None
+    if closed:
+        ends = frames.origin[[0, 5]]
+        length = np.array([np.linalg.norm(ends[1] - ends[0])])
+        closure = Closure(tree, np.array([[0, 5]]), np.zeros((1, 2, 3)), length)
+
+    def nothing(q: Floats, factors: Articulated) -> tuple[float, Floats]:
+        return 0.0, np.zeros(tree.n_v)
+
+    system, leapfrog = System(tree, nothing, closure), Leapfrog()
+    at = system.at(q, np.zeros(tree.n_v))
+    at = system.with_velocities(at, rng.normal(size=tree.n_v))
+    before = np.concatenate(momentum(tree, at.factors.frames, at.qd))
+    for _ in range(n_steps):
+        at = leapfrog.step(system, at, 0.002)
+    after = np.concatenate(momentum(tree, at.factors.frames, at.qd))
+    turn = at.q[tree.q_start[0] : tree.q_start[0] + 4]
+    # About the world's origin, which the bodies leave: what is rounded is the moment of momentum there.
+    away = 1.0 + float(np.abs(at.q[4:7]).max())
+    drift = float(np.abs(after - before).max() / (np.abs(before).max() * away))
+    parts = {"momentum": drift, "quaternion": abs(float(np.linalg.norm(turn)) - 1.0)}
+    # Every step rounds by some eps, at worst all to one side; quaternions are made anew.
+    bounds = {"momentum": 10 * EPS * n_steps + 100 * EPS, "quaternion": 10 * EPS}
+    if closure is not None:
+        parts["closure"] = float(np.abs(closure.errors(at.factors.frames)).max())
+        bounds["closure"] = 1e-12  # nm: what each step is solved to
+    worst = max(parts, key=lambda name: parts[name] / bounds[name])
+    note = ", ".join(f"{name} {value:.2g}" for name, value in parts.items())
+    return Found(parts[worst], bounds[worst], f"the {worst} at the start", note)
+
+
+NO_STEP = {"0": 0.0, "negative": -0.001, "NaN": np.nan, "of a ps": 1.0}
+
+
+def _cases() -> Iterator[Case]:
+    for integrator in ("leapfrog", "lobatto", "midpoint", "rk4"):
+        for kelvin in (0.0, 300.0, 1e5):
+            for fs in (1.0, 2.0, 4.0, 8.0, 16.0, 40.0):
+                part = Part.TESTED if integrator == "leapfrog" and fs in (2.0, 40.0) else Part.QUICK
+                part = Part.FULL if integrator == "midpoint" else part
+                check = partial(constant_energy, integrator, fs, kelvin)
+                yield Case("constant energy", f"{integrator}, {fs:g} fs, {kelvin:g} K", check, part)
+    for thermostat in ("langevin", "nose-hoover", "rescale", "hmc"):
+        for kelvin in (0.0, 300.0, 1e5):
+            check = partial(thermostatted, thermostat, kelvin)
+            yield Case("thermostats", f"{thermostat}, {kelvin:g} K", check)
+    for thermostat in ("none", "langevin", "nose-hoover", "rescale", "hmc"):
+        for step in (1, 5, 11):
+            check = partial(restarted, thermostat, step)
+            yield Case("restart", f"{thermostat}, after step {step}", check)
+    for integrator in ("leapfrog", "lobatto", "midpoint"):
+        for kelvin in (10.0, 300.0, 3000.0):
+            for fs in (1.0, 4.0):
+                part = Part.FULL if integrator == "midpoint" else Part.QUICK
+                check = partial(reversed_in_time, integrator, fs, kelvin)
+                yield Case("time reversed", f"{integrator}, {fs:g} fs, {kelvin:g} K", check, part)
+    for n, part in ((1000, Part.TESTED), (30_000, Part.QUICK), (10_000_000, Part.FULL)):
+        yield case("round-off", f"{n} steps, free bodies", rounded, n, False, part=part)
+    for n, part in ((1000, Part.TESTED), (10_000, Part.QUICK), (1_000_000, Part.FULL)):
+        yield case("round-off", f"{n} steps, a closed loop", rounded, n, True, part=part)
+    for name, step in NO_STEP.items():
+        yield Case("no step", name, partial(_refused, step), Part.TESTED)
+
+
+def _refused(step: float, threads: int) -> Found:
+    _run(threads, time_step=step, n_steps=1)
+    return Found(np.nan, 0.0, "a refusal")
+
+
+CASES = tuple(_cases())
