@@ -87,6 +87,11 @@ OF_CRYSTALS = (
     "cbeta_outliers_start", "cbeta_outliers_end", "twisted_peptides_start", "twisted_peptides_end",
     "ca_rmsd_angstrom",
 )  # fmt: skip
+OF_RUNS = (
+    "protein", "model", "solvent", "start", "seed", "method", "status", "evaluations", "seconds",
+    "energy_kj_mol", "torque_max_kj_mol_rad", "torque_rms_kj_mol_rad", "rmsd_start_angstrom",
+    "rmsd_native_angstrom", "polished_energy_kj_mol", "polished_rmsd_start_angstrom",
+)  # fmt: skip
 HERE = "python analysis/benchmarks"
 
 JOBS = (
@@ -108,6 +113,12 @@ JOBS = (
     ),
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
     Job("compliance", f"{HERE}/compliance.py -o DIR", 4),
+    Job(
+        "kcm", "protochain bench kcm structures/1l2y.pdb -o DIR --jobs 2 --minutes 60", 60,
+        "protochain bench kcm --quick -o DIR",
+        {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in ("contrasts", "cost", "ends", "shares")}
+        | {"runs.csv": ("kcm_runs.csv", OF_RUNS)},
+    ),
     Job("relax", f"{HERE}/relax.py {RELAXED} --made 4 -o DIR", 16),
     Job("relax-many", f"{HERE}/relax.py --many 200 -o DIR", 10),
     Job(

@@ -312,3 +312,40 @@ def mutants(results: Path) -> str:
         ("folder", "`{folder}`"), ("noticed", "{noticed}"), ("excused", "{excused}"),
         ("not noticed", "{survived}"), ("share", "{share:.2f}"), ("interval", "{low:.2f} to {high:.2f}"),
     )  # fmt: skip
+
+
+@table("kcm-contrasts")
+def kcm_contrasts(results: Path) -> str:
+    """Share of starts in which methods that differ in one thing reach one minimum."""
+    rows = pd.read_csv(results / "kcm_contrasts.csv")
+    shares = rows[(rows["model"] == "all") & rows["what"].isin(KCM_PAIRS)]
+    percent = {name: 100 * shares[name] for name in ("value", "low", "high")}
+    return of_rows(
+        shares.assign(**percent),
+        ("differ in", lambda row: KCM_PAIRS[row.what]), ("starts", "{starts}"),
+        ("one minimum", "{value:.0f} %"), ("interval", "{low:.0f} to {high:.0f} %"),
+    )  # fmt: skip
+
+
+KCM_PAIRS = {
+    "KCM and dynamics": "KCM (0.005 rad) and dynamics (friction 10 per ps)",
+    "angle": "angle: 0.005 and 0.01 rad",
+    "rule": "rule: fixed angle and adaptive",
+    "metric": "metric: adaptive, of the angles and of masses",
+    "friction 100": "inertia: metric of masses and friction 100 per ps",
+    "friction 10": "inertia: metric of masses and friction 10 per ps",
+    "friction 1": "inertia: metric of masses and friction 1 per ps",
+}
+"""What two methods of the study differ in, and which they are."""
+
+
+@table("kcm-cost")
+def kcm_cost(results: Path) -> str:
+    """Energies of the study for equal cost, above the lowest polished end of each start."""
+    return of_rows(
+        pd.read_csv(results / "kcm_cost.csv"),
+        ("method", "`{method}`"), ("starts", "{starts}"), ("converged", lambda r: f"{r.converged_share:.0%}"),
+        ("evaluations", "{evaluations:.0f}"), ("after 10", "{at_10:.1f}"), ("100", "{at_100:.1f}"),
+        ("1000", "{at_1000:.2f}"), ("10,000", "{at_10000:.2f}"), ("left at the end", "{left_kj_mol:.2f}"),
+        ("after the polish", "{polished_above_kj_mol:.2f}"),
+    )  # fmt: skip
