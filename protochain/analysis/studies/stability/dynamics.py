@@ -134,9 +134,10 @@ def reversed_in_time(integrator: str, fs: float, kelvin: float, threads: int) ->
     for _ in range(n):
         at = step.step(system, at, -h)
     error = float(np.abs(at.q - first.q).max())
-    # A step is solved to 1e-12 of a velocity (midpoint: 1e-10) and its torques are rounded; of 2 n steps each
+    # A step is solved to 1e-12 of a velocity (midpoint: 1e-10; leapfrog, whose momenta are advanced with the
+    # velocities before Newton's last correction, the same) and its torques are rounded; of 2 n steps each
     # error grows on the way back as that of a neighbour grew.
-    solved = 1e-10 if integrator == "midpoint" else 1e-12
+    solved = 1e-12 if integrator == "lobatto" else 1e-10
     rounded = 100 * EPS * 0.1 * np.abs(ours(pose(chain, start.q).x)[1]).max()  # torque of a force at 0.1 nm
     light = np.diagonal(np.linalg.inv(mass_matrix(chain.tree, first.factors.frames))).max()
     step_error = solved * h * max(1.0, float(np.abs(start.qd).max())) + 10 * EPS + h**2 * light * rounded
