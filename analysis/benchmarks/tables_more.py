@@ -182,6 +182,24 @@ def threads(results: Path) -> str:
     )  # fmt: skip
 
 
+@table("large")
+def large(results: Path) -> str:
+    """Copies of one structure side by side, minimised in all atoms."""
+    rows, slopes = pd.read_csv(results / "large.csv"), pd.read_csv(results / "large_exponents.csv")
+    shown = of_rows(
+        rows,
+        ("atoms", "{atoms}"), ("prepared s", "{prepare_s:.2f}"), ("an energy s", "{energy_s:.3f}"),
+        ("evaluations", "{evaluations}"), ("minimisation s", "{minimise_s:.1f}"),
+        ("shell to shell s", "{shell_s:.0f}"), ("memory MB", "{memory_mb:.0f}"), ("status", "{status}"),
+    )  # fmt: skip
+    exponent = slopes.set_index("seconds_of")["exponent"]
+    said = paragraph(
+        f"Exponents with the number of atoms: preparation {exponent['prepare_s']:.2f}, an energy "
+        f"{exponent['energy_s']:.2f}, the minimisation {exponent['minimise_s']:.2f}."
+    )
+    return f"{shown}\n{said}"
+
+
 @table("startup")
 def startup(results: Path) -> str:
     """Shell to shell, with kernels to compile and without."""
