@@ -120,7 +120,7 @@ JOBS = (
         | {"runs.csv": ("kcm_runs.csv", OF_RUNS)},
     ),
     Job("relax", f"{HERE}/relax.py {RELAXED} --made 4 -o DIR", 16),
-    Job("relax-many", f"{HERE}/relax.py --many 200 -o DIR", 10),
+    Job("relax-many", f"{HERE}/relax.py --many 1000 -o DIR", 15),
     Job(
         "relax-crystals", f"protochain relax {CRYSTALS} --preset crystal -o DIR", 2,
         "protochain relax structures/ala10.pdb structures/1l2y.pdb --preset crystal -o DIR",
