@@ -27,6 +27,7 @@ from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import PATIENCE, lowest
 from protochain.minimisers.steps import StrongWolfe
 from protochain.relaxation.hands import Hands
+from protochain.relaxation.planes import Planes
 from protochain.relaxation.presets import Preset
 from protochain.structure import Structure
 from protochain.validation import threaded_rings, violations
@@ -177,8 +178,8 @@ class Relaxer:
         return x, work
 
     def _righted(self, x: Floats, springs: Tethers, work: "_Work") -> "tuple[Floats, _Work]":
-        """Positions of which no chiral atom is nearly flat or of the wrong hand, and the work so far."""
-        if not self.hands(x)[0]:
+        """Positions of which no atom is folded, nearly flat or of the wrong hand, and the work so far."""
+        if not self.shapes(x)[0]:
             return x, work
         x, _, work = self._minimised(getattr(self.energy, "coarse", self.energy), springs, x, work, _ROUGH)
         return x, work
@@ -213,7 +214,7 @@ class Relaxer:
             direction = LBFGS(Held(springs.weight + _STIFFER_NEAR, stage is _SOFT, NEAR_REFRESH), NEAR_MEMORY)
         method = Descent(direction, StrongWolfe())
         # The last of a round is a minimum of energy and springs alone.
-        restraint = Sum([springs, self.hands]) if stage.name == GENTLE else springs
+        restraint = Sum([springs, self.shapes]) if stage.name == GENTLE else springs
         problem = Problem(space, energy, _ENDLESS, restraint)
         seen, allowed = count(), (self.max_iterations or _ENDLESS) - work.iterations
 
@@ -232,6 +233,11 @@ class Relaxer:
         x = space.place(lowest(problem, ending, q)).x
         done = _Work(work.iterations + ending.last.n_iterations, work.evaluations + problem.n_evaluations)
         return x, ending.stop, done
+
+    @cached_property
+    def shapes(self) -> Sum:
+        """Push of chiral atoms to their hands, and of planar ones into the middle of their neighbours."""
+        return Sum([self.hands, Planes.of(self.structure)])
 
     @cached_property
     def hands(self) -> Hands:
