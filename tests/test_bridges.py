@@ -96,6 +96,12 @@ def test_side_chains_joined_by_an_amide_bond_are_refused(amine, nitrogen, acid, 
             f"x: residue 1 {amine} of chain A and residue 3 {acid} of chain A are joined by an amide bond "
             f"({nitrogen}-{carbon}), which the force fields lack; remove that bond"
         )
+    # With both oxygens it is an acid, and the two only overlap.
+    oxygens = [({"CG": "OD", "CD": "OE"}[carbon] + number, 1.0) for number in "12"]
+    refuse_crosslinks(drafted(lone, member(acid, 2, (carbon, 0.1), *oxygens)))
+    for one in oxygens:
+        with pytest.raises(pc.ProtochainError, match="amide bond"):
+            refuse_crosslinks(drafted(lone, member(acid, 2, (carbon, 0.1), one)))
     refuse_crosslinks(drafted(lone, member("ALA", 2, (carbon, 0.1))))
     refuse_crosslinks(drafted(member(acid, 2, (carbon, 0.1)), member("ARG", 1, (nitrogen, 0.0))))
     refuse_crosslinks(drafted(lone, member(acid, 2, ("CB", 0.1))))

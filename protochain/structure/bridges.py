@@ -12,7 +12,9 @@ DISULFIDE = 3.0
 _CROSSLINK = 1.7
 """Angstrom: a side-chain amine nearer than this to a side-chain carboxyl is bonded to it (1.33)."""
 _AMINES = (("LYS", "NZ"), ("ORN", "NE"), ("DAB", "ND"))
-_CARBOXYLS = (("ASP", "CG"), ("GLU", "CD"))
+_CARBOXYLS = (("ASP", "CG", ("OD1", "OD2")), ("GLU", "CD", ("OE1", "OE2")))
+"""With the oxygens, of which an amide bond takes the place of one: where both are there, two side chains of a
+poor model overlap."""
 
 Bridge = tuple[Member, Member]
 
@@ -90,7 +92,10 @@ def refuse_crosslinks(draft: Draft) -> None:
         (m, atom) for m in draft.members for name, n in _AMINES if m.name == name and (atom := m.atom(n))
     ]
     carboxyls = [
-        (m, atom) for m in draft.members for name, c in _CARBOXYLS if m.name == name and (atom := m.atom(c))
+        (m, atom)
+        for m in draft.members
+        for name, c, oxygens in _CARBOXYLS
+        if m.name == name and (atom := m.atom(c)) and not all(map(m.atom, oxygens))
     ]
     if not amines or not carboxyls:
         return
