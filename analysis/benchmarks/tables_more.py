@@ -329,6 +329,7 @@ def mutants(results: Path) -> str:
         pd.read_csv(results / "mutants_score.csv"),
         ("folder", "`{folder}`"), ("noticed", "{noticed}"), ("excused", "{excused}"),
         ("not noticed", "{survived}"), ("share", "{share:.2f}"), ("interval", "{low:.2f} to {high:.2f}"),
+        ("commit", "{commit}"),
     )  # fmt: skip
 
 
