@@ -157,23 +157,36 @@ def with_cutoff(threads: int, quick: bool) -> Iterator[dict[str, object]]:
         yield {"atoms": len(x)} | {f"{name}_us_an_atom": 1e3 * taken / len(x) for name, taken in ms.items()}
 
 
+MOVING = (
+    ("phi psi", "all"),
+    ("phi psi chi", "all"),
+    ("phi psi chi omega rotors", "all"),
+    ("phi psi chi", "resid 10"),
+    ("phi psi chi", "resid 5:14 and not backbone"),
+    ("", "resid 10"),
+)
+"""Hinges, none for all atoms, and what moves."""
+
+
 def left_out(threads: int, quick: bool) -> Iterator[dict[str, object]]:
     """What leaving out constant terms saves, and what the sweeps of the chain add."""
     for name in ("1l2y",) if quick else ("1l2y", "1hel"):
         s = pc.load(SAMPLES / f"{name}.pdb")
         for solvent in ("vacuum", "obc2"):
             whole = pc.energy(s, solvent=solvent, engine="native", threads=threads)
-            for hinges in ("phi psi", "phi psi chi", "phi psi chi omega rotors"):
-                c = pc.build_chain(s, hinges)
+            for hinges, move in MOVING:
+                c = pc.build_chain(s, hinges or "phi psi chi", move=move)
                 x = pc.pose(c, c.q0).x
-                less: Energy = whole.without_constants(c.rigid_groups, x)
+                alone = np.where(c.moving, -1, 0)[:, None]
+                less: Energy = whole.without_constants(c.rigid_groups if hinges else alone, x)
                 _, f = whole(x)
                 ms = medians(
                     {"all": partial(whole, x), "moving": partial(less, x), "sweeps": partial(torques, c, f)},
                     0.1 if quick else 0.7,
                 )
                 yield {
-                    "structure": s.name, "solvent": solvent, "hinges": hinges, "freedoms": c.n_v,
+                    "structure": s.name, "solvent": solvent, "hinges": hinges or "none: atoms", "move": move,
+                    "freedoms": c.n_v if hinges else 3 * int(c.moving.sum()),
                     "all_ms": ms["all"], "moving_ms": ms["moving"], "ratio": ms["all"] / ms["moving"],
                     "sweeps_ms": ms["sweeps"],
                     "sweeps_percent": 100 * ms["sweeps"] / (ms["moving"] + ms["sweeps"]),

@@ -166,8 +166,9 @@ def engines_moving(results: Path) -> str:
     return of_rows(
         pd.read_csv(results / "engines_moving.csv"),
         ("structure", "{structure}"), ("solvent", lambda r: SOLVENTS[r["solvent"]]), ("hinges", "{hinges}"),
-        ("freedoms", "{freedoms}"), ("all ms", "{all_ms:.2f}"), ("moving terms ms", "{moving_ms:.2f}"),
-        ("ratio", "{ratio:.2f}"), ("sweeps ms", "{sweeps_ms:.3f}"), ("share", "{sweeps_percent:.1f} %"),
+        ("moves", "{move}"), ("freedoms", "{freedoms}"), ("all ms", "{all_ms:.2f}"),
+        ("moving terms ms", "{moving_ms:.2f}"), ("ratio", "{ratio:.2f}"), ("sweeps ms", "{sweeps_ms:.3f}"),
+        ("share", "{sweeps_percent:.1f} %"),
     )  # fmt: skip
 
 
