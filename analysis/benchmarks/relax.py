@@ -308,6 +308,7 @@ def throughput(n: int, sample: int, scratch: Path) -> tuple[pd.DataFrame, pd.Dat
         "models_an_hour_openmm": 3600 * n / theirs, "times_sooner": theirs / ours, "load": os.getloadavg()[1],
     }  # fmt: skip
     print(done.stderr[-1000:], file=sys.stderr)
+    table["message"] = table["message"].str.replace(f"{folder}/", "")
     return table[list(KEPT)], pd.DataFrame([row])
 
 

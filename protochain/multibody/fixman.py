@@ -151,23 +151,13 @@ def solve(factors: Eliminated, tau: Floats) -> Floats:
     """
     tree, frames = factors.tree, factors.frames
     tau = floats(tau, (tree.n_v,), "tau")
-    x, norm = _solve_once(factors, tau), 0.0
-    for step in range(_REFINEMENTS):
-        left = tau - multiply_mass(tree, frames, x)
-        if step:
-            norm = norm or _norm_of_mass(tree, frames)
-            if np.linalg.norm(left) <= EPS * (norm * np.linalg.norm(x) + np.linalg.norm(tau)):
-                break
-        x = x + _solve_once(factors, left)
+    x = _solve_once(factors, tau)
+    for _ in range(_REFINEMENTS):
+        change = _solve_once(factors, tau - multiply_mass(tree, frames, x))
+        x = x + change
+        if np.linalg.norm(change) <= 4.0 * EPS * np.linalg.norm(x):
+            break
     return x
-
-
-def _norm_of_mass(tree: Tree, frames: Frames) -> float:
-    """Largest eigenvalue of M from below, within a factor of two or so: by the power method."""
-    x = np.ones(tree.n_v)
-    for _ in range(3):
-        x = multiply_mass(tree, frames, x / max(float(np.linalg.norm(x)), EPS))
-    return float(np.linalg.norm(x))
 
 
 def _thinness(tree: Tree) -> Floats:

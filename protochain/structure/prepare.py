@@ -115,8 +115,9 @@ def prepare(
     known = templates(forcefield)
     links = find_links(draft)
     settle_mobile(draft, links)
-    add_heavy_atoms(draft, known)
+    # Before oxygens that the file lacks are added.
     refuse_crosslinks(draft)
+    add_heavy_atoms(draft, known)
     bridges = disulfides(draft, wanted)
     done = protonate(draft, known, {id(member) for pair in bridges for member in pair}, ph)
     atoms = [atom for member, _ in done for atom in member.atoms]

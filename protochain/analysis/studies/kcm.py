@@ -21,7 +21,7 @@ from protochain.errors import ProtochainError
 from protochain.storage import writing
 
 MINUTES = 60.0
-QUICK = {"peptides": ("met-enkephalin", "ala10"), "starts": 1, "evaluations": 1500}
+QUICK: dict[str, Any] = {"peptides": ("met-enkephalin", "ala10"), "starts": 1, "evaluations": 1500}
 """Two peptides from two starts each, phi psi chi, OBC2: a minute on one core."""
 SHOWN = (
     "protein", "model", "solvent", "start", "seed", "method", "status", "evaluations", "seconds",
@@ -86,7 +86,8 @@ def planned(
 ) -> Iterator[Task]:
     """All runs of the study, in their order: case, method and evaluations at most."""
     chosen = kcm_cases.proteins(tuple(inputs))
-    models, solvents = MODELS, SOLVENTS
+    models: tuple[str, ...] = MODELS
+    solvents: tuple[str, ...] = SOLVENTS
     if quick:
         chosen = [each for each in chosen if each[0] in QUICK["peptides"]]
         models, solvents = MODELS[1:], SOLVENTS[1:]
@@ -149,9 +150,9 @@ def _rows(tasks: Sequence[Task], jobs: int, until: float) -> Iterator[dict[str, 
         while running:
             ended, running = wait(running, return_when=FIRST_COMPLETED)
             for each in ended:
-                task = next(waiting, None) if monotonic() < until else None
-                if task is not None:
-                    running.add(_submitted(pool, task))
+                following = next(waiting, None) if monotonic() < until else None
+                if following is not None:
+                    running.add(_submitted(pool, following))
                 yield each.result()
 
 

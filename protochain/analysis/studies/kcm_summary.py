@@ -110,7 +110,7 @@ def cost(runs: pd.DataFrame) -> pd.DataFrame:
     Energies, in kJ/mol, are above the lowest polished end of all torsion methods from the same start.
     """
     found = _above(_complete(runs))
-    names = [name for name in found if name.startswith("energy_at_")]
+    names = [str(name) for name in found if str(name).startswith("energy_at_")]
     above = found[names].sub(found["lowest_kj_mol"], axis=0).rename(columns=lambda name: name[7:])
     above = above.assign(
         method=found["method"],
@@ -188,12 +188,13 @@ def contrasts(pairs: pd.DataFrame) -> pd.DataFrame:
 
 def answers(table: pd.DataFrame) -> Iterator[str]:
     """Sentences that the contrasts carry; where an interval leaves it open, they say so."""
-    for scope, own in table.groupby([*SCOPE, "starts"], sort=False):
+    for key, own in table.groupby([*SCOPE, "starts"], sort=False):
+        scope: Any = key
         where = ", ".join(name for name in scope[:3] if name != "all") or "All together"
         if scope[3] < FEW:
             yield f"{where}: {scope[3]} starts are too few for an answer."
             continue
-        rows = {row["what"]: row for row in own.to_dict("records")}
+        rows: dict[str, Any] = {row["what"]: row for row in own.to_dict("records")}
         share = {
             what: f"{rows[what]['value']:.0%} ({rows[what]['low']:.0%} to {rows[what]['high']:.0%})"
             for what in PAIRS

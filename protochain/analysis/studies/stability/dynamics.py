@@ -221,8 +221,8 @@ def _cases() -> Iterator[Case]:
         yield case("round-off", f"{n} steps, free bodies", rounded, n, False, part=part)
     for n, part in ((1000, Part.TESTED), (10_000, Part.QUICK), (1_000_000, Part.FULL)):
         yield case("round-off", f"{n} steps, a closed loop", rounded, n, True, part=part)
-    for name, step in NO_STEP.items():
-        yield Case("no step", name, partial(_refused, step), Part.TESTED)
+    for name, h in NO_STEP.items():
+        yield Case("no step", name, partial(_refused, h), Part.TESTED)
 
 
 def _refused(step: float, threads: int) -> Found:

@@ -5,7 +5,6 @@ from functools import partial
 
 import numpy as np
 
-from protochain import from_sequence
 from protochain.analysis.studies.stability import trees
 from protochain.analysis.studies.stability.cells import EPS, Case, Found, Part, case
 from protochain.analysis.studies.stability.solvers import ROUTES, backward_error, norm_of_mass
@@ -31,6 +30,7 @@ from protochain.multibody import (
     solve_closed,
     solve_mass,
 )  # fmt: skip
+from protochain.structure import from_sequence
 
 Build = Callable[[], Tree]
 BACKWARD = 100.0
@@ -264,11 +264,15 @@ def _cases() -> Iterator[Case]:
     for d in (30.0, 1.0, 1e-3, 1e-6, 0.0):
         yield from _by_routes("hinges almost parallel", f"{d:g} degrees", partial(trees.nearly_parallel, d))
     for d in (70.0, 170.0, 179.9, 179.99999, 180.0):
-        yield from _by_routes("chain nearly straight", f"{d} degrees", lambda d=d: trees.beads(40, True, d))
+        yield from _by_routes("chain nearly straight", f"{d} degrees", partial(trees.beads, 40, True, d))
     for name, shared in (("shared", True), ("not shared", False)):
-        yield from _by_routes("bodies of one atom", f"masses {name}", lambda s=shared: trees.beads(100, s))
+        yield from _by_routes("bodies of one atom", f"masses {name}", partial(trees.beads, 100, shared))
     for name, angle in (("0", 0.0), ("pi", np.pi), ("pi/2", np.pi / 2), ("1e9", 1e9)):
-        for kind, of in (("chain", partial(trees.chain, 30)), ("beads", lambda: trees.beads(30, True))):
+        both: tuple[tuple[str, Callable[..., Tree]], ...] = (
+            ("chain", partial(trees.chain, 30)),
+            ("beads", partial(trees.beads, 30, True)),
+        )
+        for kind, of in both:
             where = f"{kind}, all angles {name}"
             yield case("angles at 0 and pi", f"{where}, M^-1", exact, of, angle, part=Part.TESTED)
             yield case("angles at 0 and pi", f"{where}, ln det", log_det, of, "articulated", angle)
