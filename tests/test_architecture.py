@@ -30,6 +30,7 @@ LAYERS = [
         "processors",
     },
     {"multibody", "structure", "energies"},
+    {"motion"},
     {"chain", "hinges", "articulate", "contacts", "frame", "setup"},
     {"dynamics"},
     {"validation"},
@@ -45,6 +46,7 @@ OPEN = (
     "dynamics",
     "energies",
     "minimisers",
+    "motion",
     "multibody",
     "relaxation",
     "structure",
@@ -95,6 +97,8 @@ def test_imports_point_one_way(path):
         assert other == own or layer(other) <= layer(own), f"{own} imports {other}"
         if own == "multibody":
             assert other == own or layer(other) == 0, "multibody knows nothing of proteins or energies"
+        if own == "motion":
+            assert other in ("motion", "multibody") or layer(other) == 0, "motion knows trees only"
         assert not (own == "energies" and other == "multibody")
         assert not (own == "structure" and other in ("multibody", "energies"))
 

@@ -3,13 +3,10 @@
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import remove_com_motion
 from protochain.dynamics.fixman import fixman
-from protochain.dynamics.leapfrog import Leapfrog
 from protochain.dynamics.loop import Ending, Propagator, State, advance, initial, run
-from protochain.dynamics.midpoint import ImplicitMidpoint
-from protochain.dynamics.runge_kutta import DormandPrince, RungeKutta4
+from protochain.dynamics.potential import chain_potential
 from protochain.dynamics.simulate import simulate
 from protochain.dynamics.simulation import Simulation
-from protochain.dynamics.system import Phase, StepTooLargeError, System, chain_potential, total
 from protochain.dynamics.thermostats import (
     HybridMonteCarlo,
     Isolated,
@@ -18,6 +15,10 @@ from protochain.dynamics.thermostats import (
     Rescaling,
     Thermostat,
 )  # fmt: skip
+from protochain.motion.leapfrog import Leapfrog
+from protochain.motion.midpoint import ImplicitMidpoint
+from protochain.motion.runge_kutta import DormandPrince, RungeKutta4
+from protochain.motion.system import Phase, StepTooLargeError, System, total
 
 __all__ = [
     "Closure", "DormandPrince", "Ending", "HybridMonteCarlo", "ImplicitMidpoint", "Isolated", "Langevin",

@@ -7,8 +7,8 @@ from scipy.linalg import cho_solve, solve_triangular
 
 from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, pose
-from protochain.dynamics.system import Drift, Drifted, Phase, StepTooLargeError
 from protochain.errors import ChainError
+from protochain.motion.system import Drift, Drifted, Phase, StepTooLargeError
 from protochain.multibody import (
     Frames,
     Rows,
@@ -148,9 +148,7 @@ class Closure:
             if np.max(np.abs(error)) < CLOSED_NM:
                 return q, end, factors
             impulse += cho_solve(inverse, error) / time_step
-        raise StepTooLargeError(
-            f"no impulses keep the loops closed over a step of {1000 * abs(time_step):g} fs"
-        )
+        raise StepTooLargeError("no impulses keep the loops closed over the time step")
 
 
 def closure_of(chain: Chain, q: Floats | None = None) -> Closure:

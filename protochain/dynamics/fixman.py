@@ -2,7 +2,7 @@
 
 from protochain.arrays import Floats
 from protochain.dynamics.closure import Closure
-from protochain.dynamics.system import Potential
+from protochain.motion.system import Potential
 from protochain.multibody import articulated
 from protochain.multibody.articulated import Articulated
 from protochain.multibody.operational import gradient_of_log_det

@@ -12,9 +12,9 @@ import numpy as np
 
 from protochain.arrays import Floats, frozen
 from protochain.dynamics.loop import State
-from protochain.dynamics.system import Phase
 from protochain.dynamics.thermostats import Bath
 from protochain.errors import ProtochainError, StructureError, WriteError
+from protochain.motion.system import Phase
 from protochain.multibody import Frames, Tree
 from protochain.multibody.articulated import Articulated
 from protochain.storage import check_writable, read_arrays, write_arrays, write_atomically, writing

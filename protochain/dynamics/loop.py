@@ -8,10 +8,10 @@ import numpy as np
 
 from protochain.arrays import Floats
 from protochain.dynamics.com_motion import remove_com_motion
-from protochain.dynamics.system import Integrator, Phase, StepTooLargeError, System
 from protochain.dynamics.thermostats import Bath, Thermostat
 from protochain.errors import MechanicsError
 from protochain.interrupts import held_interrupts
+from protochain.motion.system import Integrator, Phase, StepTooLargeError, System
 from protochain.multibody import sample_velocities
 
 COM_REMOVAL_STEPS = 100
@@ -137,8 +137,8 @@ def _step(propagator: Propagator, before: Phase) -> Phase:
         at = integrator.step(system, before, h)
         if propagator.thermostat.metropolis and at.is_finite:
             integrator.check_return(system, before, at, h)
-    except MechanicsError as error:
-        raise StepTooLargeError(str(error)) from None
+    except (MechanicsError, StepTooLargeError) as error:
+        raise StepTooLargeError(f"{error} ({1000 * abs(h):g} fs)") from None
     if not at.is_finite:
         raise StepTooLargeError("the energy or a torque is not a number")
     jump = abs(at.total - before.total)

@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from protochain.dynamics import lobatto, thermostats
-from protochain.dynamics.leapfrog import Leapfrog
-from protochain.dynamics.midpoint import ImplicitMidpoint
-from protochain.dynamics.runge_kutta import DormandPrince, RungeKutta4
-from protochain.dynamics.system import Integrator
+from protochain.dynamics import thermostats
 from protochain.errors import ProtochainError
+from protochain.motion import lobatto
+from protochain.motion.leapfrog import Leapfrog
+from protochain.motion.midpoint import ImplicitMidpoint
+from protochain.motion.runge_kutta import DormandPrince, RungeKutta4
+from protochain.motion.system import Integrator
 from protochain.units import MOLAR_GAS
 
 INTEGRATORS: dict[str, Integrator] = {

@@ -22,14 +22,15 @@ from protochain.dynamics.fixman import fixman
 from protochain.dynamics.folder import Folder, check_folder, loop_lengths, rescued
 from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
 from protochain.dynamics.loop import run as propagate
+from protochain.dynamics.potential import chain_potential
 from protochain.dynamics.settings import INTEGRATORS, THERMOSTATS, SimulationSettings, build_thermostat
 from protochain.dynamics.simulation import Simulation
-from protochain.dynamics.system import StepTooLargeError, System, chain_potential, total
 from protochain.energies import Energy, as_energy
 from protochain.energies.custom import EnergyFunction
 from protochain.errors import ProtochainError
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts
+from protochain.motion.system import StepTooLargeError, System, total
 from protochain.multibody import HingeKind
 from protochain.structure.chirality import changed_hands, listed
 from protochain.structure.superpose import rmsd_angstrom

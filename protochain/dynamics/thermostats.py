@@ -7,7 +7,7 @@ import numpy as np
 
 from protochain import defaults
 from protochain.arrays import Floats, read_only
-from protochain.dynamics.system import Phase, System
+from protochain.motion.system import Phase, System
 from protochain.multibody.articulated import sample
 
 

@@ -6,12 +6,12 @@ import numpy as np
 
 from protochain import multibody
 from protochain.arrays import Floats
-from protochain.dynamics.leapfrog import Leapfrog
 from protochain.dynamics.loop import noise
-from protochain.dynamics.system import Phase, StepTooLargeError, System
 from protochain.dynamics.thermostats import Langevin
 from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.spaces import Torsions
+from protochain.motion.leapfrog import Leapfrog
+from protochain.motion.system import Phase, StepTooLargeError, System
 from protochain.multibody.articulated import Articulated, articulate, solve
 from protochain.units import MOLAR_GAS
 

@@ -145,6 +145,34 @@ class Tree(Value):
         return read_only(np.column_stack([self.offset, axes, self.rigid, self.twist]))
 
     @cached_property
+    def size(self) -> float:
+        """Largest lever arm or radius of gyration of a body; 1 if all are points without lever arms.
+
+        It makes tolerances independent of the unit of length.
+        """
+        gyration = np.sqrt(np.trace(self.inertia, axis1=1, axis2=2) / self.mass)
+        arms = np.linalg.norm(np.concatenate([self.offset[self.parent >= 0], self.com]), axis=1)
+        size = max(np.max(gyration, initial=0.0), np.max(arms, initial=0.0))
+        return float(size) if size > 0.0 else 1.0
+
+    @cached_property
+    def units(self) -> Floats:
+        """(n_v,) float: of each freedom, what a radian or a :attr:`size` is in it."""
+        return self._units(self.v_start, 3)
+
+    @cached_property
+    def coordinate_units(self) -> Floats:
+        """(n_q,) float: as :attr:`units`, of each coordinate; those of a quaternion are pure numbers."""
+        return self._units(self.q_start, 4)
+
+    def _units(self, starts: Integers, n_turning: int) -> Floats:
+        out, first = np.ones(starts[-1]), starts[:-1]
+        out[first[self.kind == HingeKind.PRISMATIC]] = self.size
+        for start in first[self.kind == HingeKind.FREE]:
+            out[start + n_turning : start + n_turning + 3] = self.size
+        return read_only(out)
+
+    @cached_property
     def n_q(self) -> int:
         """Number of coordinates."""
         return int(self.q_start[-1])

@@ -16,10 +16,10 @@ from protochain.articulate import build_chain
 from protochain.chain import Chain, pose, pull_back
 from protochain.dynamics import Closure, Leapfrog, Simulation, System, chain_potential, simulate
 from protochain.dynamics.settings import INTEGRATORS
-from protochain.dynamics.system import Phase
 from protochain.energies import Energy, energy
 from protochain.errors import ProtochainError
 from protochain.minimisers import minimise
+from protochain.motion.system import Phase
 from protochain.multibody import HingeKind, Tree, centre_of_mass, mass_matrix, momentum, random_tree
 from protochain.multibody import pose as frames_of
 from protochain.multibody.articulated import Articulated

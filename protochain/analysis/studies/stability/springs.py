@@ -23,8 +23,8 @@ from protochain.dynamics import (
     StepTooLargeError,
     System,
 )  # fmt: skip
-from protochain.dynamics.lobatto import drift as lobatto_drift
-from protochain.dynamics.system import Integrator
+from protochain.motion.lobatto import drift as lobatto_drift
+from protochain.motion.system import Integrator
 from protochain.multibody import mass_matrix, pose
 from protochain.multibody.articulated import Articulated
 from protochain.structure import from_sequence

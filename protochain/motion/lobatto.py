@@ -7,14 +7,14 @@ solved by fixed-point iteration of O(n) sweeps, without the energy.
 
 The stage velocities solve M(q) v = p with q and p half a step apart. In long, open chains they are far from
 any velocity of the motion: energy errors are large, and beyond some length the iteration diverges.
-:mod:`protochain.dynamics.leapfrog` takes both at the midpoint and is the default.
+:mod:`protochain.motion.leapfrog` takes both at the midpoint and is the default.
 """
 
 import numpy as np
 
 from protochain.arrays import Floats, Integers
-from protochain.dynamics.leapfrog import Workspace
-from protochain.dynamics.system import Drifted, Phase
+from protochain.motion.leapfrog import Workspace
+from protochain.motion.system import Drifted, Phase
 from protochain.multibody.algebra import kernel, put_at, scale, vector_at
 from protochain.multibody.articulated import factorise, inward_loads, outward_rates, put_rigid
 from protochain.multibody.hamilton import put_momenta
@@ -30,14 +30,14 @@ _NOISE = 1e-10
 
 
 def drift(at: Phase, p: Floats, time_step: float) -> Drifted:
-    """Drift by the Lobatto pair; parameters as for :func:`protochain.dynamics.leapfrog.drift`."""
+    """Drift by the Lobatto pair; parameters as for :func:`protochain.motion.leapfrog.drift`."""
     tree, there = at.factors.tree, Workspace.like(at)
     q, qd, end, old = at.q.copy(), at.qd.copy(), np.empty_like(p), at.factors
     failed = _drift(
         tree.links, tree.bodies, old.frames.rotation, old.frames.origin, old.gain, old.pivot, old.root,
         p, 0.5 * time_step, q, qd, end, *there,
     )  # fmt: skip
-    return q, end, there.factors(tree, failed, time_step)
+    return q, end, there.factors(tree, failed)
 
 
 @kernel

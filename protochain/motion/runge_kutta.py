@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain import multibody
-from protochain.arrays import Floats
-from protochain.dynamics.system import Integrator, Phase, StepTooLargeError, System
-from protochain.errors import MechanicsError
+from protochain.motion.substeps import Tried, in_substeps
+from protochain.motion.system import Integrator, Phase, System
 from protochain.multibody.rotations import displacement_rates
 
 
@@ -68,8 +67,7 @@ class RungeKutta4(Integrator):
 
     def step(self, system: System, at: Phase, time_step: float) -> Phase:
         """Advance by one time step, with four evaluations of the potential."""
-        q, qd, _ = _advance(CLASSICAL, system, at, time_step)
-        return system.at(q, qd)
+        return _advance(CLASSICAL, system, at, time_step)[0]
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,7 @@ class DormandPrince(Integrator):
     Parameters
     ----------
     tolerance : float
-        Error of a coordinate (rad, nm) or a velocity, relative to 1 + the largest velocity.
+        Error of a coordinate, or of a velocity times the time step, in radians and sizes of the tree.
     """
 
     tolerance: float = 1e-8
@@ -92,42 +90,30 @@ class DormandPrince(Integrator):
         StepTooLargeError
             If a substep would have to be shorter than rounding allows.
         """
-        done, part = 0.0, time_step
-        while abs(time_step - done) > 1e-12 * abs(time_step):
-            part = part if abs(part) < abs(time_step - done) else time_step - done
-            if abs(part) < 1e-9 * abs(time_step):
-                raise StepTooLargeError(
-                    f"no substep of a time step of {1000 * abs(time_step):g} fs is accurate"
-                )
-            try:
-                q, qd, error = _advance(DORMAND_PRINCE, system, at, part)
-                size = np.max(error / (1.0 + np.max(np.abs(at.qd)))) / self.tolerance
-            except MechanicsError:
-                # A stage has diverged to NaN.
-                size = np.nan
-            # Hairer, Norsett, Wanner (1993), II.4: 0.9 of the estimated substep, within bounds.
-            factor = min(5.0, max(0.2, 0.9 * size**-0.2)) if np.isfinite(size) and size > 0.0 else 0.2
-            if size <= 1.0:
-                done += part
-                at = system.at(q, qd)
-            elif factor > 0.9:
-                factor = 0.9
-            part *= 5.0 if size == 0.0 else factor
-        return at
+
+        def substep(at: Phase, h: float) -> Tried:
+            return _advance(DORMAND_PRINCE, system, at, h)
+
+        return in_substeps(substep, system.tree, at, time_step, self.tolerance, order=5)
 
 
-def _advance(tableau: Tableau, system: System, at: Phase, h: float) -> tuple[Floats, Floats, Floats]:
-    """Coordinates and velocities after one step, and an estimate of the error of each freedom."""
+def _advance(tableau: Tableau, system: System, at: Phase, h: float) -> Tried:
+    """Phase after one step, and estimates of the errors of its coordinates and velocities."""
     tree = system.tree
     a, b, wrong = (h * np.array(weights) for weights in (tableau.a, tableau.b, tableau.error))
     slopes, accelerations = np.zeros((len(b), tree.n_v)), np.zeros((len(b), tree.n_v))
+    power = np.zeros(len(b))
     for i, row in enumerate(a):
         move, qd = row @ slopes, at.qd + row @ accelerations
-        q, torque = at.q, at.torque
+        q, torque, load = at.q, at.torque, at.load
         if i:
             q = multibody.integrate(tree, at.q, move)
-            _, torque = system.potential(q, system.factors(q))
+            # The sum of a row of the tableau is the time of its stage.
+            _, torque, load = system.forces(at.time + float(np.sum(row)), q, qd, system.factors(q))
         slopes[i] = displacement_rates(tree, move, qd)
         accelerations[i] = multibody.forward_dynamics(tree, q, qd, torque)
-    error = np.maximum(np.abs(wrong @ slopes), np.abs(wrong @ accelerations))
-    return multibody.integrate(tree, at.q, b @ slopes), at.qd + b @ accelerations, error
+        if load is not None:
+            power[i] = load @ qd
+    q, qd = multibody.integrate(tree, at.q, b @ slopes), at.qd + b @ accelerations
+    after = system.at(q, qd, at.time + h, at.work + float(b @ power))
+    return after, wrong @ slopes, wrong @ accelerations

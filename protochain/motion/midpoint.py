@@ -9,9 +9,9 @@ from scipy.sparse.linalg import LinearOperator
 
 from protochain import multibody
 from protochain.arrays import Floats
-from protochain.dynamics.leapfrog import put_end_momenta
-from protochain.dynamics.system import Integrator, Phase, StepTooLargeError, System
-from protochain.multibody.articulated import solve
+from protochain.motion.leapfrog import put_end_momenta
+from protochain.motion.system import Integrator, Phase, StepTooLargeError, System
+from protochain.multibody.articulated import Articulated, solve
 from protochain.multibody.hamilton import momenta
 
 
@@ -27,7 +27,8 @@ class ImplicitMidpoint(Integrator):
     Parameters
     ----------
     tolerance : float
-        Error of the equation for the velocities, relative to the largest velocity.
+        Error of the equation for the velocities, relative to the largest velocity, or to a radian (a size of
+        the tree) in a step if that is more.
     """
 
     reversible: ClassVar[bool] = True
@@ -44,22 +45,34 @@ class ImplicitMidpoint(Integrator):
         """
         tree, h = system.tree, time_step
 
-        def end(qd: Floats, sign: float) -> Floats:
-            """Momenta at the start (1) or the end (-1) of a step with these velocities."""
+        def middle(qd: Floats) -> tuple[Articulated, Floats, Floats | None]:
+            """Factors, torques and loads at the midpoint of a step with these velocities."""
             q = multibody.integrate(tree, at.q, 0.5 * h * qd)
-            factors, p = system.factors(q), np.empty(tree.n_v)
-            _, torque = system.potential(q, factors)
+            factors = system.factors(q)
+            _, torque, load = system.forces(at.time + 0.5 * h, q, qd, factors)
+            return factors, torque, load
+
+        def end(qd: Floats, factors: Articulated, torque: Floats, sign: float) -> Floats:
+            """Momenta at the start (1) or the end (-1) of a step with these velocities."""
+            p = np.empty(tree.n_v)
             mu, gradient = momenta(tree, factors.frames, qd)
             put_end_momenta(tree.links, sign * h, qd, mu, torque + gradient, p)
             return p
 
-        size = max(1.0, float(np.max(np.abs(at.qd))))
-        guess = at.qd + 0.5 * h * solve(at.factors, at.torque)
+        guess = (at.qd + 0.5 * h * solve(at.factors, at.torque)) / tree.units
+        # In radians and sizes of the tree; at the least one of them in a step.
+        size = max(1.0 / abs(h), float(np.max(np.abs(at.qd) / tree.units)))
         identity = LinearOperator((tree.n_v, tree.n_v), matvec=lambda x: x)
+
+        def lack(scaled: Floats) -> Floats:
+            qd = tree.units * scaled
+            factors, torque, _ = middle(qd)
+            return np.asarray(solve(at.factors, end(qd, factors, torque, 1.0) - at.p) / tree.units)
+
         try:
             solve_it: Any = newton_krylov
-            qd: Floats = solve_it(
-                lambda qd: solve(at.factors, end(qd, 1.0) - at.p),
+            scaled: Floats = solve_it(
+                lack,
                 guess,
                 f_tol=self.tolerance * size,
                 maxiter=50,
@@ -67,8 +80,10 @@ class ImplicitMidpoint(Integrator):
                 method="gmres",
             )
         except (NoConvergence, ValueError):
-            raise StepTooLargeError(
-                f"Newton's method finds no velocities for a time step of {1000 * abs(h):g} fs"
-            ) from None
+            raise StepTooLargeError("Newton's method finds no velocities for the time step") from None
+        qd = tree.units * scaled
+        factors, torque, load = middle(qd)
         q = multibody.integrate(tree, at.q, h * qd)
-        return system.kick(q, end(qd, -1.0), system.factors(q), 0.0)
+        work = at.work if load is None else at.work + h * float(load @ qd)
+        p = end(qd, factors, torque, -1.0)
+        return system.arrive(q, p, system.factors(q), at.time + h, work)

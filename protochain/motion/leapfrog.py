@@ -14,8 +14,9 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 
 from protochain.arrays import Floats, Integers, frozen
-from protochain.dynamics.correction import correct
-from protochain.dynamics.system import (
+from protochain.errors import MechanicsError
+from protochain.motion.correction import correct
+from protochain.motion.system import (
     Drift,
     Drifted,
     Integrator,
@@ -59,13 +60,19 @@ class Leapfrog(Integrator):
         ------
         StepTooLargeError
             If Newton's method for the velocities of the drift does not converge.
+        MechanicsError
+            If a load depends on velocities.
         """
-        there = system.kick(*self._drifted(system, at, time_step), time_step)
+        if system.load is not None and system.load.depends_on_velocity:
+            raise MechanicsError(
+                "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
+            )
+        there = system.kick(at, *self._drifted(system, at, time_step), time_step)
         return there if system.constraint is None else system.with_velocities(there, there.qd)
 
     def check_return(self, system: System, before: Phase, after: Phase, time_step: float) -> None:
         """Check that a step backwards ends where the step began, without an energy: its drift decides."""
-        refuse_departure(self._drifted(system, after, -time_step)[0], before.q, time_step)
+        refuse_departure(system.tree, self._drifted(system, after, -time_step)[0], before.q)
 
     def _drifted(self, system: System, at: Phase, time_step: float) -> Drifted:
         """Kick for half a step and drift for a step."""
@@ -84,7 +91,7 @@ def drift(at: Phase, p: Floats, time_step: float) -> Drifted:
         Phase at the start.
     p : (n_v,) float
         Momenta at the start.
-    time_step : float, ps
+    time_step : float
 
     Returns
     -------
@@ -102,7 +109,7 @@ def drift(at: Phase, p: Floats, time_step: float) -> Drifted:
         failed = _drift(tree.links, tree.bodies, time_step, q, solve(at.factors, p), p, *there)
     except np.linalg.LinAlgError:
         failed = True
-    return q, p, there.factors(tree, failed, time_step)
+    return q, p, there.factors(tree, failed)
 
 
 class Workspace(NamedTuple):
@@ -124,7 +131,7 @@ class Workspace(NamedTuple):
             np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 21)), np.zeros((n, 6)), np.empty(n), roots
         )
 
-    def factors(self, tree: Tree, failed: bool, time_step: float) -> Articulated:
+    def factors(self, tree: Tree, failed: bool) -> Articulated:
         """Return the frames and factors of a drift that has succeeded.
 
         Raises
@@ -133,9 +140,7 @@ class Workspace(NamedTuple):
             If it has failed: M is singular, if at all, only where a diverging iteration has led.
         """
         if failed:
-            raise StepTooLargeError(
-                f"no velocities solve the equations of a time step of {1000 * abs(time_step):g} fs"
-            )
+            raise StepTooLargeError("no velocities solve the equations of the time step")
         rotation, origin, *rest = (frozen(array) for array in self)
         return Articulated(tree, Frames(rotation, origin), *rest)
 

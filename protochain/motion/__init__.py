@@ -1,0 +1,28 @@
+"""Motion of trees of rigid bodies in potentials and under loads: phase space, integrators, events.
+
+Knows nothing of proteins. Any consistent set of units will do.
+"""
+
+from protochain.motion.leapfrog import Leapfrog
+from protochain.motion.march import Event, march
+from protochain.motion.midpoint import ImplicitMidpoint
+from protochain.motion.rosenbrock import Rosenbrock
+from protochain.motion.runge_kutta import DormandPrince, RungeKutta4
+from protochain.motion.system import (
+    Applied,
+    Constraint,
+    Integrator,
+    Load,
+    Phase,
+    Potential,
+    StepTooLargeError,
+    System,
+    total,
+    total_load,
+)  # fmt: skip
+
+__all__ = [
+    "Applied", "Constraint", "DormandPrince", "Event", "ImplicitMidpoint", "Integrator", "Leapfrog", "Load",
+    "Phase", "Potential", "Rosenbrock", "RungeKutta4", "StepTooLargeError", "System", "march", "total",
+    "total_load",
+]  # fmt: skip

@@ -1,0 +1,74 @@
+"""Substeps as long as an estimate of their error allows."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from protochain.arrays import Floats
+from protochain.errors import MechanicsError
+from protochain.motion.system import Phase, StepTooLargeError
+from protochain.multibody import Tree
+
+Tried = tuple[Phase, Floats, Floats]
+"""Phase after a substep, and estimates of the errors of its displacement and velocities, (n_v,) each."""
+_LEAST = 1e-9
+"""Shortest substep, relative to the step."""
+
+
+def in_substeps(
+    substep: Callable[[Phase, float], Tried],
+    tree: Tree,
+    at: Phase,
+    time_step: float,
+    tolerance: float,
+    order: int,
+) -> Phase:
+    """Advance by one time step, in as many substeps as the tolerance requires.
+
+    Parameters
+    ----------
+    substep : callable
+        Phase and length of a substep -> :data:`Tried`.
+    tree : Tree
+        Rigid bodies.
+    at : Phase
+        Phase at the start.
+    time_step : float
+        Length of the step; negative backwards.
+    tolerance : float
+        Error of a coordinate, or of a velocity times the time step, in radians and sizes of the tree.
+    order : int
+        Power of the substep with which its error goes.
+
+    Returns
+    -------
+    Phase
+        Phase at the end.
+
+    Raises
+    ------
+    StepTooLargeError
+        If a substep would have to be shorter than rounding allows.
+    """
+    start, done, part = at.time, 0.0, time_step
+    while abs(time_step - done) > 1e-12 * abs(time_step):
+        part = part if abs(part) < abs(time_step - done) else time_step - done
+        if abs(part) < _LEAST * abs(time_step):
+            raise StepTooLargeError("no substep of the time step is accurate")
+        try:
+            after, moved, quickened = substep(at, part)
+            errors = np.maximum(np.abs(moved), abs(time_step) * np.abs(quickened)) / tree.units
+            size = float(np.max(errors, initial=0.0)) / tolerance if after.is_finite else np.nan
+        except MechanicsError:
+            # A stage has diverged to NaN.
+            size = np.nan
+        # Hairer, Norsett, Wanner (1993), II.4: 0.9 of the estimated substep, within bounds.
+        factor = min(5.0, max(0.2, 0.9 * size ** (-1.0 / order))) if np.isfinite(size) and size > 0.0 else 0.2
+        if size <= 1.0:
+            done += part
+            at = after
+        elif factor > 0.9:
+            factor = 0.9
+        part *= 5.0 if size == 0.0 else factor
+    return replace(at, time=start + time_step)

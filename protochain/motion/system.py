@@ -1,0 +1,286 @@
+"""Mechanical system and phase space, as integrators see them: trees in potentials, under loads.
+
+Any consistent set of units will do. Proteins are in nm, ps, amu and kJ/mol, scenes in m, s, kg and J.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple, Protocol
+
+import numpy as np
+
+from protochain import multibody
+from protochain.arrays import Floats
+from protochain.errors import ProtochainError
+from protochain.multibody import Frames, Tree
+from protochain.multibody.articulated import Articulated, articulate, solve
+from protochain.multibody.hamilton import momenta
+
+Potential = Callable[[Floats, Articulated], tuple[float, Floats]]
+"""Coordinates (n_q,) and factors of M there -> energy and torques (n_v,)."""
+RETURNED = 1e-6
+"""How exactly a step back returns, in radians and sizes of the tree; far above round-off, far below the
+distance of solutions."""
+
+
+class StepTooLargeError(ProtochainError):
+    """A time step so large that no solution of its equations is found, or the energy jumps."""
+
+
+class Applied(NamedTuple):
+    """What loads do at one moment.
+
+    Parameters
+    ----------
+    wrenches : (nb, 6) float, optional
+        Moment on each body about the origin of its frame, force; world axes.
+    torques : (n_v,) float, optional
+        Torques (forces) at the hinges.
+    """
+
+    wrenches: Floats | None = None
+    torques: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Load:
+    """Forces that no potential gives: drives, dampers, friction, thrust.
+
+    Parameters
+    ----------
+    applied : callable
+        Time, coordinates (n_q,), velocities (n_v,) and frames -> :class:`Applied`.
+    depends_on_velocity : bool
+        Whether it does. The leapfrog refuses such loads, since its kick would become implicit.
+    """
+
+    applied: Callable[[float, Floats, Floats, Frames], Applied]
+    depends_on_velocity: bool = True
+
+    def along(self, tree: Tree, time: float, q: Floats, qd: Floats, frames: Frames) -> Floats:
+        """(n_v,) float: the loads as torques, whose product with the velocities is their power."""
+        wrenches, torques = self.applied(time, q, qd, frames)
+        out = np.zeros(tree.n_v) if wrenches is None else multibody.pull_back(tree, frames, wrenches)
+        return out if torques is None else out + torques
+
+
+@dataclass(frozen=True, eq=False)
+class Phase:
+    """Point in phase space, from which any integrator can continue.
+
+    Parameters
+    ----------
+    q : (n_q,) float
+        Coordinates.
+    qd : (n_v,) float
+        Velocities.
+    p : (n_v,) float
+        Canonical momenta M qd.
+    potential : float
+        Potential energy.
+    torque : (n_v,) float
+        Minus the gradient of the potential, and the loads.
+    factors : Articulated
+        Factors of the mass matrix at q, with the frames of the bodies.
+    time : float
+        Time since the start.
+    work : float
+        Work of the loads since the start.
+    load : (n_v,) float, optional
+        The loads alone; none without a :class:`Load`.
+    """
+
+    q: Floats
+    qd: Floats
+    p: Floats
+    potential: float
+    torque: Floats
+    factors: Articulated
+    time: float = 0.0
+    work: float = 0.0
+    load: Floats | None = None
+
+    @property
+    def kinetic(self) -> float:
+        """Kinetic energy."""
+        return 0.5 * float(self.p @ self.qd)
+
+    @property
+    def total(self) -> float:
+        """Total energy."""
+        return self.kinetic + self.potential
+
+    @property
+    def power(self) -> float:
+        """Power of the loads."""
+        return 0.0 if self.load is None else float(self.load @ self.qd)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether energy, torques and velocities are all finite."""
+        return bool(
+            np.isfinite(self.potential) and np.isfinite(self.torque).all() and np.isfinite(self.qd).all()
+        )
+
+
+class Constraint(Protocol):
+    """Holonomic constraint on the coordinates."""
+
+    def project_velocities(self, factors: Articulated, p: Floats) -> Floats:
+        """Velocities (n_v,) of momenta p (n_v,), projected onto those that satisfy the constraint."""
+
+    def drift(self, drift: "Drift", at: Phase, p: Floats, time_step: float) -> "Drifted":
+        """Drift with constraint impulses, such that the constraint holds at the end."""
+
+
+Drifted = tuple[Floats, Floats, Articulated]
+"""Coordinates (n_q,), momenta (n_v,) and factors of M at the end of a drift."""
+Drift = Callable[[Phase, Floats, float], Drifted]
+"""Motion without potential: phase at the start, momenta (n_v,) there, time step -> its end."""
+
+
+class Integrator(Protocol):
+    """Integrator of the equations of motion."""
+
+    reversible: ClassVar[bool] = False
+    """Whether steps are time-reversible and preserve phase-space volume."""
+
+    def init(self, system: "System", q: Floats, qd: Floats) -> Phase:
+        """Return the phase at q (n_q,) with velocities qd (n_v,)."""
+        return system.at(q, qd)
+
+    def step(self, system: "System", at: Phase, time_step: float) -> Phase:
+        """Return the phase one time step later; a negative step runs backwards."""
+
+    def check_return(self, system: "System", before: Phase, after: Phase, time_step: float) -> None:
+        """Check that a step from ``after`` backwards ends where the step to it began.
+
+        Raises
+        ------
+        StepTooLargeError
+            If it does not: implicit equations may have several solutions, or be solved in one direction only.
+        """
+        refuse_departure(system.tree, self.step(system, after, -time_step).q, before.q)
+
+
+def refuse_departure(tree: Tree, found: Floats, wanted: Floats) -> None:
+    """Raise if a step back has found other coordinates than those where the step began.
+
+    Raises
+    ------
+    StepTooLargeError
+        If any differs by more than ``RETURNED``.
+    """
+    if not np.max(np.abs(found - wanted) / tree.coordinate_units, initial=0.0) < RETURNED:
+        raise StepTooLargeError("the time step cannot be taken back")
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Forest of rigid bodies in a potential, under loads.
+
+    Parameters
+    ----------
+    tree : Tree
+        Rigid bodies.
+    potential : callable
+        Energy and torques at q.
+    constraint : Constraint, optional
+        Constraint for the leapfrog; other integrators ignore it.
+    load : Load, optional
+        Forces that no potential gives.
+    """
+
+    tree: Tree
+    potential: Potential
+    constraint: Constraint | None = None
+    load: Load | None = None
+
+    def at(self, q: Floats, qd: Floats, time: float = 0.0, work: float = 0.0) -> Phase:
+        """Return the phase at q (n_q,) with velocities qd (n_v,)."""
+        factors = self.factors(q)
+        potential, torque, load = self.forces(time, q, qd, factors)
+        p = momenta(self.tree, factors.frames, qd)[0]
+        return Phase(q, qd, p, potential, torque, factors, time, work, load)
+
+    def forces(
+        self, time: float, q: Floats, qd: Floats, factors: Articulated
+    ) -> tuple[float, Floats, Floats | None]:
+        """Potential energy; torques (n_v,) of potential and loads together, and of the loads alone."""
+        potential, torque = self.potential(q, factors)
+        if self.load is None:
+            return potential, torque, None
+        load = self.load.along(self.tree, time, q, qd, factors.frames)
+        return potential, torque + load, load
+
+    def kick(self, before: Phase, q: Floats, p: Floats, factors: Articulated, time_step: float) -> Phase:
+        """Return the phase a step after ``before``, at q (n_q,), p (n_v,) kicked there for half the step."""
+        time = before.time + time_step
+        # A load that depends on velocities is refused before, so that any will do here.
+        potential, torque, load = self.forces(time, q, before.qd, factors)
+        p = p + 0.5 * time_step * torque
+        at = Phase(q, solve(factors, p), p, potential, torque, factors, time, before.work, load)
+        return at if load is None else replace(at, work=at.work + 0.5 * time_step * (before.power + at.power))
+
+    def arrive(self, q: Floats, p: Floats, factors: Articulated, time: float, work: float) -> Phase:
+        """Return the phase at q (n_q,) with momenta p (n_v,)."""
+        qd = solve(factors, p)
+        potential, torque, load = self.forces(time, q, qd, factors)
+        return Phase(q, qd, p, potential, torque, factors, time, work, load)
+
+    def factors(self, q: Floats) -> Articulated:
+        """Frames of the bodies and factors of M at q (n_q,)."""
+        return articulate(self.tree, multibody.pose(self.tree, q))
+
+    def with_velocities(self, at: Phase, qd: Floats) -> Phase:
+        """Return the phase with other velocities, projected onto the constraint."""
+        p, _ = momenta(self.tree, at.factors.frames, qd)
+        if self.constraint is not None:
+            qd = self.constraint.project_velocities(at.factors, p)
+            p, _ = momenta(self.tree, at.factors.frames, qd)
+        if self.load is not None and self.load.depends_on_velocity:
+            return self.at(at.q, qd, at.time, at.work)
+        return replace(at, qd=qd, p=p)
+
+
+def total(parts: list[Potential]) -> Potential:
+    """Sum of potentials.
+
+    Parameters
+    ----------
+    parts : list of callable
+        Potentials.
+
+    Returns
+    -------
+    callable
+        Their sum.
+    """
+
+    def potential(q: Floats, factors: Articulated) -> tuple[float, Floats]:
+        each = [part(q, factors) for part in parts]
+        return sum(value for value, _ in each), np.sum([torque for _, torque in each], axis=0)
+
+    return potential
+
+
+def total_load(tree: Tree, parts: Sequence[Load]) -> Load:
+    """Sum of loads.
+
+    Parameters
+    ----------
+    tree : Tree
+        Rigid bodies.
+    parts : sequence of Load
+        Loads; at least one.
+
+    Returns
+    -------
+    Load
+        Their sum, which depends on velocities if any part does.
+    """
+
+    def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
+        return Applied(torques=np.sum([part.along(tree, time, q, qd, frames) for part in parts], axis=0))
+
+    return Load(applied, any(part.depends_on_velocity for part in parts))
