@@ -33,8 +33,8 @@ INERTIA = MASS * LENGTH**2
 """Pendulum: a point of mass 2 kg on a rod of 0.7 m."""
 
 
-def pendulum(scale=1.0):
-    """A pendulum about the world's y axis, hanging along -x of its frame's z axis; lengths times ``scale``."""
+def pendulum():
+    """A pendulum that swings about the world's y axis and hangs down at q = 0."""
     down = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # body x along the world's -z
     quarter = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # body z along the world's y
     placement = down.T @ quarter
@@ -44,7 +44,7 @@ def pendulum(scale=1.0):
         np.zeros((1, 3)),
         placement[None],
         np.array([MASS]),
-        np.array([[LENGTH * scale, 0.0, 0.0]]),
+        np.array([[LENGTH, 0.0, 0.0]]),
         np.zeros((1, 3, 3)),
     )
 
@@ -132,11 +132,16 @@ def test_tolerance_is_kept_by_substeps(integrator):
 
 @pytest.mark.parametrize(
     ("integrator", "allowed"),
-    [(DormandPrince(1e-12), 1e-9), (RungeKutta4(), 1e-7), (ImplicitMidpoint(1e-13), 1e-3), (Rosenbrock(), 1e-2)],
+    [
+        (DormandPrince(1e-12), 1e-9),
+        (RungeKutta4(), 1e-7),
+        (ImplicitMidpoint(1e-13), 1e-3),
+        (Rosenbrock(), 1e-2),
+    ],
     ids=["dormand-prince", "rk4", "midpoint", "rosenbrock"],
 )  # fmt: skip
 def test_energy_changes_by_the_work_of_the_loads(integrator, allowed):
-    """Wrenches and torques together on a tree with a free root: kinetic energy, potential and work balance."""
+    """Wrenches and torques together on a tree with a free root: its kinetic energy is their work."""
     rng = np.random.default_rng(3)
     tree = random_tree(5, 3, root=HingeKind.FREE)
     pushed = rng.normal(size=(tree.n_bodies, 6))
@@ -210,7 +215,7 @@ def test_without_loads_a_phase_is_as_before():
 
 @pytest.mark.parametrize("damping", [1e4, 1e8, 1e12])
 def test_rosenbrock_damps_at_once_what_the_step_does_not_resolve(damping):
-    """A damper a thousand to 1e11 times stiffer than the step: exactly, the velocity follows the load."""
+    """A damper a thousand to 1e11 times stiffer than the step: the velocity follows the load."""
     load = Load(lambda t, q, qd, f: Applied(torques=1.0 - damping * qd))
     system = System(pendulum(), nothing, load=load)
     at = system.at(np.array([0.1]), np.array([1.0]))
@@ -225,7 +230,7 @@ def test_rosenbrock_damps_at_once_what_the_step_does_not_resolve(damping):
 def test_rosenbrock_of_a_free_tree_is_of_order_two():
     rng = np.random.default_rng(5)
     tree = random_tree(4, 5, root=HingeKind.FREE, kinds=(HingeKind.REVOLUTE, HingeKind.PRISMATIC))
-    stiff = np.where(np.arange(tree.n_v) < 6, 0.0, 50.0)
+    stiff = np.where(np.arange(tree.n_v) < 6, 0.0, 2.0)
     load = Load(lambda t, q, qd, f: Applied(torques=np.sin(t) - stiff * qd))
     system = System(tree, nothing, load=load)
     q = np.zeros(tree.n_q)
@@ -233,7 +238,7 @@ def test_rosenbrock_of_a_free_tree_is_of_order_two():
     start = system.at(q, rng.normal(size=tree.n_v))
     exactly = DormandPrince(1e-12).step(system, start, 0.5)
     errors = [
-        np.max(np.abs(steps(system, Rosenbrock(), start, n, 0.5 / n).q - exactly.q)) for n in (40, 80)
+        np.max(np.abs(steps(system, Rosenbrock(), start, n, 0.5 / n).q - exactly.q)) for n in (80, 160)
     ]  # fmt: skip
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.3)
 
@@ -305,7 +310,7 @@ def test_bounces_shorter_than_the_step_are_seen():
     system = System(slider(), free_fall)
     at = system.at(np.array([1.0]), np.zeros(1))
     found = [
-        p.time for p, event in march(system, RungeKutta4(), at, 3.4, 0.5, [bouncing(0.8)]) if event is not None
+        p.time for p, event in march(system, RungeKutta4(), at, 3.4, 0.5, [bouncing(0.8)]) if event
     ]  # fmt: skip
     first = np.sqrt(2.0 / G)
     times = first * (1.0 + 2.0 * np.cumsum([0.0, *(0.8**k for k in range(1, len(found)))]))
@@ -316,14 +321,10 @@ def test_bounces_shorter_than_the_step_are_seen():
 def test_endless_bounces_are_refused_by_name():
     system = System(slider(), free_fall)
     at = system.at(np.array([1.0]), np.zeros(1))
-    with pytest.raises(MechanicsError, match="floor: after its jump"):
-        list(march(system, RungeKutta4(), at, 5.0, 0.01, [bouncing(0.3)]))
-    with pytest.raises(MechanicsError, match="floor: after its jump"):
-        list(
-            march(
-                system, RungeKutta4(), at, 5.0, 0.01, [Event("floor", lambda at: at.q[0], lambda s, at: at)]
-            )
-        )
+    still = Event("floor", lambda at: float(at.q[0]), lambda s, at: at)
+    for event in (bouncing(0.3), still):
+        with pytest.raises(MechanicsError, match="floor: after its jump"):
+            list(march(system, RungeKutta4(), at, 5.0, 0.01, [event]))
 
 
 def test_events_of_one_time_follow_each_other_and_the_earliest_comes_first():
@@ -362,7 +363,7 @@ def test_march_ends_at_its_time_and_keeps_the_bare_integrators_bits():
 
 
 def test_motion_knows_nothing_of_proteins():
-    code = "import sys, protochain.motion; print([n for n in sys.modules if n.startswith(('openmm', 'protochain'))])"
+    code = "import sys, protochain.motion; print(list(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "openmm" not in loaded
     for part in ("structure", "energies", "chain", "dynamics", "minimisers"):
