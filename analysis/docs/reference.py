@@ -19,6 +19,7 @@ PACKAGES = (
     "dynamics",
     "energies",
     "minimisers",
+    "motion",
     "relaxation",
     "structure",
     "validation",
@@ -26,6 +27,7 @@ PACKAGES = (
 SHADOWED = (
     "dynamics.fixman",
     "dynamics.simulate",
+    "motion.march",
     "multibody.random_tree",
     "validation.clashes",
     "validation.likeness",

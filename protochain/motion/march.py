@@ -27,13 +27,14 @@ class Event:
     jump : callable
         System, phase -> phase from which the motion goes on, at the same time: with other velocities by
         :meth:`System.with_velocities`.
+    passes : bool
+        Whether the motion goes on below zero, as past a mark. Otherwise the value must rise again.
     """
 
     name: str
     value: Callable[[Phase], float]
     jump: Callable[[System, Phase], Phase]
     passes: bool = False
-    """Whether the motion goes on below zero, as past a mark. Otherwise the value must rise again."""
 
 
 def march(
