@@ -67,7 +67,7 @@ COMMANDS = {
     },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
     "bench": {
-        "name": "all", "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "threads": None,
+        "name": "all", "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "only": None, "threads": None,
         "minutes": None, "jobs": None, "starts": None, "evaluations": None,
     },
     "info": {

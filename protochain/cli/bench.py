@@ -9,7 +9,7 @@ import typer
 from protochain.checks import words
 from protochain.cli.options import CONVERGED, fail
 
-_OF_STABILITY, _OF_KCM = "Of stability: ", "Of kcm: "
+_OF_STABILITY, _OF_KCM, _OF_PRECISION = "Of stability: ", "Of kcm: ", "Of precision: "
 
 
 def bench(
@@ -22,10 +22,13 @@ def bench(
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder.")] = Path("bench"),
     quick: Annotated[
-        bool, typer.Option("--quick", help="Of stability and kcm: a few minutes of it, two peptides.")
+        bool, typer.Option("--quick", help="A few minutes of it, small cases.")
     ] = False,
     rows: Annotated[
         str | None, typer.Option(help=f"{_OF_STABILITY}rows of its grid, with commas between.")
+    ] = None,
+    only: Annotated[
+        str | None, typer.Option(help=f"{_OF_PRECISION}kinds of curves, with commas between.")
     ] = None,
     threads: Annotated[int | None, typer.Option(help=f"{_OF_STABILITY}threads of each process.")] = None,
     minutes: Annotated[
@@ -49,8 +52,8 @@ def bench(
     chosen = {each: study(each) for each in (STUDIES if name == "all" else (name,))}
     check_writable(output / "any.csv")
     given: dict[str, Any] = {
-        "quick": quick or None, "rows": words(rows) if rows else None, "threads": threads, "minutes": minutes,
-        "jobs": jobs, "starts": starts, "evaluations": evaluations,
+        "quick": quick or None, "rows": words(rows) if rows else None,
+        "only": words(only) if only else None, "threads": threads, "minutes": minutes, "jobs": jobs, "starts": starts, "evaluations": evaluations,
     }  # fmt: skip
     given = {option: value for option, value in given.items() if value is not None}
     wrong = 0
