@@ -21,9 +21,7 @@ def bench(
         typer.Argument(metavar="[IN...]", help="Structures for precision and kcm [default: peptides]."),
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder.")] = Path("bench"),
-    quick: Annotated[
-        bool, typer.Option("--quick", help="A few minutes of it, small cases.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="A few minutes of it, small cases.")] = False,
     rows: Annotated[
         str | None, typer.Option(help=f"{_OF_STABILITY}rows of its grid, with commas between.")
     ] = None,
@@ -53,7 +51,8 @@ def bench(
     check_writable(output / "any.csv")
     given: dict[str, Any] = {
         "quick": quick or None, "rows": words(rows) if rows else None,
-        "only": words(only) if only else None, "threads": threads, "minutes": minutes, "jobs": jobs, "starts": starts, "evaluations": evaluations,
+        "only": words(only) if only else None, "threads": threads, "minutes": minutes, "jobs": jobs,
+        "starts": starts, "evaluations": evaluations,
     }  # fmt: skip
     given = {option: value for option, value in given.items() if value is not None}
     wrong = 0
@@ -62,11 +61,16 @@ def bench(
         if len(taken) < len(given) and name != "all":
             other = next(option for option in given if option not in taken)
             raise ProtochainError(f"{other}: study {each!r} has no such option")
-        for table in module.run(output, inputs or (), **taken):
+        # Each has a report of the same name.
+        for table in module.run(output / each if name == "all" else output, inputs or (), **taken):
             if len(table):
                 print(table.to_string(index=False), end="\n\n", flush=True)
             wrong += int((table["verdict"] == "wrong").sum()) if "verdict" in table else 0
     print(f"written: tables and plots in {output}")
     if wrong:
-        raise typer.Exit(fail(f"{wrong} cells are wrong; {output / 'cells.csv'} says how"))
+        raise typer.Exit(
+            fail(
+                f"{wrong} cells are wrong; {output / ('stability' if name == 'all' else '') / 'cells.csv'} says how"
+            )
+        )
     raise typer.Exit(CONVERGED)

@@ -33,9 +33,7 @@ def loop(chain: Chain, q: Floats, first: int, last: int) -> Closure:
     def atom(residue: int, name: str) -> int:
         return int(np.flatnonzero((s.atom_residue == residue) & (s.atom_name == name))[0])
 
-    pairs = np.array(
-        [(atom(first, a), atom(last, b)) for a, b in (("CA", "CA"), ("N", "CA"), ("CA", "N"))]
-    )
+    pairs = np.array([(atom(first, a), atom(last, b)) for a, b in (("CA", "CA"), ("N", "CA"), ("CA", "N"))])
     x = pose(chain, q).x
     length = np.linalg.norm(x[pairs[:, 1]] - x[pairs[:, 0]], axis=1)
     return Closure(chain.tree, chain.atom_body[pairs], chain.atom_local[pairs], length)
@@ -112,9 +110,7 @@ def _iterations(closure: Closure, at: Phase, fs: float) -> Iterator[Point]:
     where = f"distances after one step, {len(closure.length)} of {len(at.qd)} freedoms"
     for k, (error, cost) in enumerate(zip(errors, seconds, strict=True)):
         against = "the distances at the start"
-        yield Point(
-            where, f"{fs:g} fs", f"{k} corrections", error, "nm", against, cost, k + 1, len(at.qd)
-        )
+        yield Point(where, f"{fs:g} fs", f"{k} corrections", error, "nm", against, cost, k + 1, len(at.qd))
 
 
 def _accelerations(n: int) -> Iterator[Point]:
@@ -129,9 +125,7 @@ def _accelerations(n: int) -> Iterator[Point]:
         error = float(np.linalg.norm(route(*given) - exact) / np.linalg.norm(exact))
         seconds = least_seconds(partial(route, *given), 0.05)
         against = f"dense matrices in extended precision ({DIGITS})"
-        yield Point(
-            "accelerations", name, f"{n} residues", error, "1", against, seconds, np.nan, chain.n_v
-        )
+        yield Point("accelerations", name, f"{n} residues", error, "1", against, seconds, np.nan, chain.n_v)
 
 
 def _run(system: System, closure: Closure, at: Phase, steps: int, fs: float) -> Iterator[Point]:
@@ -143,6 +137,4 @@ def _run(system: System, closure: Closure, at: Phase, steps: int, fs: float) -> 
         if k in (steps // 100, steps // 10, steps):
             case, against = "distances in the course of a run", "the distances at the start"
             cost = process_time() - began
-            yield Point(
-                case, f"{fs:g} fs", f"{k} steps", largest, "nm", against, cost, np.nan, len(at.qd)
-            )
+            yield Point(case, f"{fs:g} fs", f"{k} steps", largest, "nm", against, cost, np.nan, len(at.qd))

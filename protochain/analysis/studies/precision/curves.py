@@ -7,6 +7,7 @@ from time import process_time
 
 import numpy as np
 import pandas as pd
+from matplotlib.ticker import NullFormatter
 
 from protochain.analysis.plots import COLOURS, Figure, plain
 
@@ -104,7 +105,9 @@ def _said(case: str, points: pd.DataFrame) -> str:
     closest = sound.sort_values(["error", "seconds"], kind="stable").iloc[0]
     quickest = sound.sort_values(["seconds", "error"], kind="stable").iloc[0]
     against = ", ".join(dict.fromkeys(sound["held_against"]))
-    text = f"{case}: of {_number(len(points), 'setting')} of {_number(points['method'].nunique(), 'method')}, "
+    text = (
+        f"{case}: of {_number(len(points), 'setting')} of {_number(points['method'].nunique(), 'method')}, "
+    )
     text += f"{_setting(closest)} comes closest, with an error of {_error(closest)} for {_cost(closest)}"
     if quickest.name != closest.name:
         text += f"; {_setting(quickest)} is the quickest, with {_error(quickest)} for {_cost(quickest)}"
@@ -127,18 +130,21 @@ def _error(point: pd.Series) -> str:
 
 def _cost(point: pd.Series) -> str:
     counted = np.isfinite(point["evaluations"])
-    return f"{point['seconds']:.1e} s" + (f" and {_number(int(point['evaluations']), 'evaluation')}" if counted else "")
+    return f"{point['seconds']:.1e} s" + (
+        f" and {_number(int(point['evaluations']), 'evaluation')}" if counted else ""
+    )
 
 
 def plot(table: pd.DataFrame, title: str) -> Figure:
     """Error against seconds, and against evaluations where they differ: a row of panels for each case."""
     cases: Sequence[tuple[object, pd.DataFrame]] = list(table.groupby("case", sort=False))
-    costs = ["seconds"] + (["evaluations"] if table["evaluations"].nunique() > 1 else [])
+    counted = [case for case, points in cases if _counts(points)]
+    costs = ["seconds"] + (["evaluations"] if counted else [])
     figure = Figure(figsize=(5.5 * len(costs), 0.4 + 3.6 * len(cases)), layout="constrained")
     grid = figure.subplots(len(cases), len(costs), squeeze=False)
     for row, (case, points) in zip(grid, cases, strict=True):
         for ax, cost in zip(row, costs, strict=True):
-            if not (points[cost] > 0).any():
+            if cost == "evaluations" and case not in counted:
                 ax.set_visible(False)
                 continue
             styles = zip(cycle(COLOURS), cycle(_MARKERS), strict=False)
@@ -151,7 +157,13 @@ def plot(table: pd.DataFrame, title: str) -> Figure:
             unit = points["unit"].iloc[0]
             ax.set(xscale="log", yscale="log", xlabel=cost, title=str(case))
             ax.set_ylabel("relative error" if unit == "1" else f"error, {unit}")
+            ax.xaxis.set_minor_formatter(NullFormatter())
             plain(ax)
         row[0].legend(frameon=False, fontsize=7)
     figure.suptitle(title)
     return figure
+
+
+def _counts(points: pd.DataFrame) -> bool:
+    """Whether evaluations are a cost to compare by: all methods have them, and not the same."""
+    return bool(points["evaluations"].notna().all() and points["evaluations"].nunique() > 1)

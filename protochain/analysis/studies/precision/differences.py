@@ -21,8 +21,8 @@ def extrapolated(f: Callable[[Any], Any], h: Any, levels: int = 5) -> tuple[np.n
     Returns
     -------
     array, float
-        The entry of Romberg's table of central differences that differs least from the one before in its
-        column, and the norm of that difference (Ridders, Adv. Eng. Softw. 4:75, 1982).
+        The entry of Romberg's table of central differences that differs least from its two neighbours, and
+        the larger of these differences (Ridders, Adv. Eng. Softw. 4:75, 1982).
     """
     best, least = np.asarray(np.nan), np.inf
     above: list[np.ndarray] = []
@@ -32,7 +32,7 @@ def extrapolated(f: Callable[[Any], Any], h: Any, levels: int = 5) -> tuple[np.n
         for k, before in enumerate(above, 1):
             row.append(row[-1] + (row[-1] - before) / (4**k - 1))
         if above:
-            change = float(np.max(np.abs(row[-1] - above[-1])))
+            change = float(max(np.max(np.abs(row[-1] - each)) for each in (above[-1], row[-2])))
             if change < least:
                 best, least = row[-1], change
         above = row

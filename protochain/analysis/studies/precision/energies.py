@@ -132,7 +132,7 @@ def _margin(nm: float) -> Iterator[None]:
 
 
 def _margins(sequence: str, margins: tuple[float, ...]) -> Iterator[Point]:
-    """Lists along a way on which all hinges turn: the margin decides how often they are made, not the result."""
+    """Lists along a way on which all hinges turn: the margin decides how often they are made, no more."""
     structure = from_sequence(sequence)
     chain = build_chain(structure, root="fixed")
     along = np.random.default_rng(3).normal(scale=_TURN, size=chain.n_v)

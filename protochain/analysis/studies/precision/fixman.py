@@ -25,17 +25,17 @@ Value = Callable[[Tree, Floats], float]
 
 
 def dense(tree: Tree, q: Floats) -> float:
-    """ln det M of the dense matrix: O(n^3)."""
+    """Value of ln det M by the dense matrix: O(n^3)."""
     return float(np.linalg.slogdet(mass_matrix(tree, pose(tree, q)))[1])
 
 
 def articulated(tree: Tree, q: Floats) -> float:
-    """ln det M from the pivots of articulated bodies."""
+    """Value of ln det M by the pivots of articulated bodies."""
     return log_det_mass(tree, pose(tree, q))
 
 
 def by_fixman(tree: Tree, q: Floats) -> float:
-    """ln det M by the determinant of the locked directions."""
+    """Value of ln det M by the determinant of the locked directions."""
     return log_det_mass(tree, pose(tree, q), "fixman")
 
 
@@ -78,7 +78,9 @@ def _gradients(n: int, quick: bool) -> Iterator[Point]:
         error = off(by_differences)
         # Of all hinges, though only some are compared.
         cost = each * evaluations
-        yield Point(case, "central differences", f"{h:g} rad", error, "1", against, cost, evaluations, tree.n_v)
+        yield Point(
+            case, "central differences", f"{h:g} rad", error, "1", against, cost, evaluations, tree.n_v
+        )
 
 
 def _chain(n: int) -> tuple[Tree, Floats]:

@@ -108,4 +108,6 @@ def measure(quick: bool) -> Iterator[Point]:
             error = backward_error(tree, frames, solver(tree, frames, tau), tau)
             seconds = least_seconds(partial(solver, tree, frames, tau), 0.05)
             against = "M x by Newton-Euler"
-            yield Point("long chains", name, f"{n} bodies", error, "eps, backward", against, seconds, np.nan, tree.n_v)
+            yield Point(
+                "long chains", name, f"{n} bodies", error, "eps, backward", against, seconds, np.nan, tree.n_v
+            )
