@@ -67,8 +67,8 @@ COMMANDS = {
     },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
     "bench": {
-        "name": "all", "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "only": None, "threads": None,
-        "minutes": None, "jobs": None, "starts": None, "evaluations": None,
+        "name": "all", "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "only": None,
+        "threads": None, "minutes": None, "jobs": None, "starts": None, "evaluations": None,
     },
     "info": {
         "source": None, **AS_JSON,

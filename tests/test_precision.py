@@ -124,7 +124,7 @@ def test_integrators_have_their_order(small):
 
 
 def test_what_is_sampled_has_the_distribution_of_theory():
-    """Two hinges without potential but for a cosine of the last: von Mises, but for det M, which is counted."""
+    """Two hinges with a cosine of the last for a potential: von Mises, but for det M, which is counted."""
     of = peptide("AAA", "vacuum", "fixed", "resid 2", settle=False)
     assert of.chain.n_hinges == 2
 
@@ -150,6 +150,7 @@ def test_closures_are_kept_in_a_few_corrections_and_the_dense_matrix_agrees():
     assert np.abs(loop.errors(frames)).max() < 1e-14 and len(loop.length) == 3
     x = closures.wide_closed(chain.tree, frames, tau, loop.rows(frames)).astype(float)
     # Along a motion without constraint forces the distances change at no rate.
+    along = x / np.abs(x).max()
     rates = [loop.errors(pose(chain.tree, integrate(chain.tree, q, h * along))) for h in (1e-5, -1e-5)]
     assert np.abs(rates[0] - rates[1]).max() < 1e-13
 

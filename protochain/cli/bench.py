@@ -68,9 +68,6 @@ def bench(
             wrong += int((table["verdict"] == "wrong").sum()) if "verdict" in table else 0
     print(f"written: tables and plots in {output}")
     if wrong:
-        raise typer.Exit(
-            fail(
-                f"{wrong} cells are wrong; {output / ('stability' if name == 'all' else '') / 'cells.csv'} says how"
-            )
-        )
+        cells = output / ("stability" if name == "all" else "") / "cells.csv"
+        raise typer.Exit(fail(f"{wrong} cells are wrong; {cells} says how"))
     raise typer.Exit(CONVERGED)

@@ -1,7 +1,7 @@
 """Error against run time of everything that approximates or iterates: one curve each.
 
-Each kind is a file with ``measure``, which yields the points of its curve, and a row of ``KINDS``; the runner, the
-tables, the pictures and the page do the rest. Minimisers have tables and a picture of their own besides.
+Each kind is a file with ``measure``, which yields the points of its curve, and a row of ``KINDS``; runner,
+tables, pictures and page are common. Minimisers have tables and a picture of their own besides.
 """
 
 from collections.abc import Iterator, Sequence
