@@ -5,10 +5,9 @@ from contextlib import contextmanager
 from decimal import Decimal, localcontext
 from functools import partial
 from time import process_time
+from typing import Any
 
 import numpy as np
-import openmm
-from openmm import unit
 
 from protochain.analysis.studies.precision.curves import Point, least_seconds
 from protochain.arrays import Floats
@@ -34,17 +33,16 @@ def rms(difference: Floats) -> float:
     return float(np.sqrt((difference**2).sum(axis=1).mean()))
 
 
-def pair_forces(system: openmm.System, x: Floats) -> Floats:
+def pair_forces(system: Any, x: Floats) -> Floats:
     """(na, 3) float, kJ/mol/nm: Coulomb and Lennard-Jones forces, each pair summed with 40 decimal digits."""
-    (force,) = (each for each in system.getForces() if isinstance(each, openmm.NonbondedForce))
+    (force,) = (each for each in system.getForces() if _is_nonbonded(each))
     own = [
-        [given.value_in_unit_system(unit.md_unit_system) for given in force.getParticleParameters(i)]
-        for i in range(len(x))
+        [given.value_in_unit(given.unit) for given in force.getParticleParameters(i)] for i in range(len(x))
     ]
     special = {}
     for k in range(force.getNumExceptions()):
         i, j, *given = force.getExceptionParameters(k)
-        special[i, j] = special[j, i] = [each.value_in_unit_system(unit.md_unit_system) for each in given]
+        special[i, j] = special[j, i] = [each.value_in_unit(each.unit) for each in given]
     with localcontext() as context:
         context.prec = 40
         place = [[Decimal(float(each)) for each in row] for row in x]
@@ -64,10 +62,15 @@ def pair_forces(system: openmm.System, x: Floats) -> Floats:
     return np.array([[float(each) for each in row] for row in out])
 
 
-def only_pairs(system: openmm.System) -> openmm.System:
+def _is_nonbonded(force: Any) -> bool:
+    # By name: OpenMM itself is imported only where energies are built.
+    return type(force).__name__ == "NonbondedForce"
+
+
+def only_pairs(system: Any) -> Any:
     """The System without any force but the nonbonded one."""
     for k in reversed(range(system.getNumForces())):
-        if not isinstance(system.getForce(k), openmm.NonbondedForce):
+        if not _is_nonbonded(system.getForce(k)):
             system.removeForce(k)
     return system
 
