@@ -25,9 +25,7 @@ USED = (
 
 
 def _points(results: Path) -> pd.DataFrame:
-    return pd.read_csv(results / TABLE, keep_default_na=False, na_values=["", "nan"]).fillna(
-        {"parameter": ""}
-    )
+    return pd.read_csv(results / TABLE).fillna({"parameter": ""})
 
 
 def _shown(error: float, unit: str) -> str:
