@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import pandas as pd
+from threadpoolctl import threadpool_limits
 
 from protochain.analysis.studies.precision import (
     closures,
@@ -111,7 +112,9 @@ def run(
             structures = len(inputs) or (1 if quick else len(minimisers.PEPTIDES))
             tables[name] = table_of(name, minimisers.points(needed, structures))
         else:
-            tables[name] = table_of(name, kind.measure(quick))
+            # BLAS on one thread, as in runs.
+            with threadpool_limits(1, "blas"):
+                tables[name] = table_of(name, kind.measure(quick))
             yield tables[name].drop(columns=["kind", "held_against", "n"])
             picture = plot(tables[name], kind.title)
             write_atomically(output / f"{name}.png", partial(picture.savefig, dpi=120))

@@ -7,7 +7,7 @@ from time import process_time
 import numpy as np
 
 from protochain.analysis.studies.precision.curves import Point, least_seconds
-from protochain.analysis.studies.precision.extended import DIGITS, WIDE, wide_mass, wide_solve
+from protochain.analysis.studies.precision.extended import DIGITS, WIDE, wide_cholesky, wide_mass, wide_solve
 from protochain.analysis.studies.precision.peptides import KT
 from protochain.arrays import Floats
 from protochain.articulate import build_chain
@@ -57,9 +57,9 @@ def dense_closed(tree: Tree, frames: Frames, tau: Floats, rows: Rows) -> Floats:
 def wide_closed(tree: Tree, frames: Frames, tau: Floats, rows: Rows) -> np.ndarray:
     """Accelerations in extended precision, with the rows as they are given."""
     g = row_matrix(tree, frames, rows).astype(WIDE)
-    moved = wide_solve(wide_mass(tree, frames), np.column_stack([tau.astype(WIDE), g.T]))
+    moved = wide_mass(tree, frames).solve(np.column_stack([tau.astype(WIDE), g.T]))
     free, inverse = moved[:, 0], moved[:, 1:]
-    return np.asarray(free - inverse @ wide_solve(g @ inverse, g @ free))
+    return np.asarray(free - inverse @ wide_solve(wide_cholesky(g @ inverse), g @ free))
 
 
 ROUTES: dict[str, Callable[[Tree, Frames, Floats, Rows], Floats]] = {

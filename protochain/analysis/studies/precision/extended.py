@@ -3,12 +3,16 @@
 Its precision is numpy's ``longdouble``: 64 bits of mantissa on x86, on some machines no more than a double.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 
 from protochain.arrays import Floats
 from protochain.multibody import Frames, HingeKind, Tree
 
 WIDE = np.longdouble
+_REFINEMENTS = 3
 DIGITS = f"{np.finfo(WIDE).nmant + 1} bits"
 
 
@@ -36,8 +40,58 @@ def wide_frames(tree: Tree, q: Floats) -> tuple[np.ndarray, np.ndarray]:
     return turn, at
 
 
-def wide_mass(tree: Tree, frames: Frames | tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """(n_v, n_v) mass matrix, the sum over bodies of J^T I J, at frames as they are given."""
+@dataclass(frozen=True, eq=False)
+class WideMass:
+    """Mass matrix, the sum over bodies of J^T I J.
+
+    Parameters
+    ----------
+    spin, flow : (nb, 3, n_v) longdouble
+        Angular velocities of the bodies, and velocities of their centres of mass, for unit rates.
+    mass, inertia : (nb,) and (nb, 3, 3) longdouble
+        Masses, and inertia tensors along the world's axes.
+    """
+
+    spin: np.ndarray
+    flow: np.ndarray
+    mass: np.ndarray
+    inertia: np.ndarray
+
+    @cached_property
+    def matrix(self) -> np.ndarray:
+        """(n_v, n_v)."""
+        of_bodies = zip(self.spin, self.flow, self.mass, self.inertia, strict=True)
+        return np.sum([m * f.T @ f + s.T @ i @ s for s, f, m, i in of_bodies], axis=0)
+
+    @cached_property
+    def lower(self) -> np.ndarray:
+        """Cholesky's factor."""
+        return wide_cholesky(self.matrix)
+
+    @property
+    def log_det(self) -> np.longdouble:
+        """Logarithm of the determinant."""
+        return WIDE(2 * np.sum(np.log(np.diagonal(self.lower))))
+
+    def times(self, x: np.ndarray) -> np.ndarray:
+        """Product with x (n_v, k), body by body: more exact than by the matrix, whose entries are rounded."""
+        turning = np.einsum("bij,bjk->bik", self.inertia, self.spin @ x)
+        return np.asarray(
+            np.einsum("bin,bik->nk", self.spin, turning)
+            + np.einsum("b,bin,bik->nk", self.mass, self.flow, self.flow @ x)
+        )
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solution for right sides (n_v,) or (n_v, k), refined with products body by body."""
+        b = np.asarray(right, WIDE).reshape(len(right), -1)
+        x = wide_solve(self.lower, b)
+        for _ in range(_REFINEMENTS):
+            x = x + wide_solve(self.lower, b - self.times(x))
+        return x.reshape(np.shape(right))
+
+
+def wide_mass(tree: Tree, frames: Frames | tuple[np.ndarray, np.ndarray]) -> WideMass:
+    """Mass matrix at frames as they are given."""
     pair = (frames.rotation, frames.origin) if isinstance(frames, Frames) else frames
     turn, at = (np.asarray(each, WIDE) for each in pair)
     n = tree.n_bodies
@@ -53,12 +107,10 @@ def wide_mass(tree: Tree, frames: Frames | tuple[np.ndarray, np.ndarray]) -> np.
             flow[b, :, k + 3 : k + 6] += np.eye(3)
         elif size == 1:
             spin[b, :, k] += turn[b, :, 2]
-    mass = np.zeros((tree.n_v, tree.n_v), WIDE)
-    for b in range(n):
-        centre = flow[b] + np.cross(spin[b], turn[b] @ tree.com[b].astype(WIDE), axis=0)
-        inertia = turn[b] @ tree.inertia[b].astype(WIDE) @ turn[b].T
-        mass += WIDE(tree.mass[b]) * centre.T @ centre + spin[b].T @ inertia @ spin[b]
-    return mass
+    inertia = turn @ tree.inertia.astype(WIDE) @ turn.swapaxes(1, 2)
+    arm = np.einsum("bij,bj->bi", turn, tree.com.astype(WIDE))
+    centre = flow + np.cross(spin, arm[:, :, None], axis=1)
+    return WideMass(spin, centre, tree.mass.astype(WIDE), inertia)
 
 
 def wide_cholesky(matrix: np.ndarray) -> np.ndarray:
@@ -70,17 +122,11 @@ def wide_cholesky(matrix: np.ndarray) -> np.ndarray:
     return lower
 
 
-def wide_solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solution of a positive definite system, for a right side (n,) or several (n, k)."""
-    lower = wide_cholesky(matrix)
+def wide_solve(lower: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solution by Cholesky's factor, for a right side (n,) or several (n, k)."""
     x = np.array(right, WIDE)
     for j in range(len(x)):
         x[j] = (x[j] - lower[j, :j] @ x[:j]) / lower[j, j]
     for j in range(len(x) - 1, -1, -1):
         x[j] = (x[j] - lower[j + 1 :, j] @ x[j + 1 :]) / lower[j, j]
     return x
-
-
-def wide_log_det(matrix: np.ndarray) -> np.longdouble:
-    """Logarithm of the determinant of a positive definite matrix."""
-    return WIDE(2 * np.sum(np.log(np.diagonal(wide_cholesky(matrix)))))

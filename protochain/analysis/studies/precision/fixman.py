@@ -7,7 +7,7 @@ import numpy as np
 
 from protochain.analysis.studies.precision.curves import Point, least_seconds
 from protochain.analysis.studies.precision.differences import extrapolated
-from protochain.analysis.studies.precision.extended import DIGITS, WIDE, wide_frames, wide_log_det, wide_mass
+from protochain.analysis.studies.precision.extended import DIGITS, WIDE, wide_frames, wide_mass
 from protochain.arrays import Floats
 from protochain.multibody import (
     HingeKind,
@@ -46,7 +46,7 @@ def measure(quick: bool) -> Iterator[Point]:
     """Error of the value by size, and of the gradient by rule and step."""
     for n in (10, 30) if quick else (10, 30, 100, 300):
         tree, q = _chain(n)
-        exact = wide_log_det(wide_mass(tree, wide_frames(tree, q)))
+        exact = wide_mass(tree, wide_frames(tree, q)).log_det
         for name, value in VALUES.items():
             seconds = least_seconds(partial(value, tree, q), 0.05)
             against = f"dense matrix in extended precision ({DIGITS})"
@@ -91,7 +91,7 @@ def _chain(n: int) -> tuple[Tree, Floats]:
 def _wide_along(tree: Tree, q: Floats, k: int, h: np.longdouble) -> np.longdouble:
     moved = q.astype(WIDE)
     moved[k] += h
-    return wide_log_det(wide_mass(tree, wide_frames(tree, moved)))
+    return wide_mass(tree, wide_frames(tree, moved)).log_det
 
 
 def _difference(tree: Tree, q: Floats, k: int, h: float) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from protochain.analysis.studies.precision.curves import Point, least_seconds
-from protochain.analysis.studies.precision.extended import DIGITS, wide_mass, wide_solve
+from protochain.analysis.studies.precision.extended import DIGITS, wide_mass
 from protochain.analysis.studies.stability.solvers import backward_error
 from protochain.arrays import Floats
 from protochain.multibody import (
@@ -86,8 +86,8 @@ def measure(quick: bool) -> Iterator[Point]:
     """Error of the solution for short chains, backward error for long ones."""
     for n in (10, 30) if quick else (10, 30, 100, 300):
         tree, frames, tau = posed(n)
-        exact = wide_solve(wide_mass(tree, frames), tau)
-        against = f"dense M and Cholesky in extended precision ({DIGITS})"
+        exact = wide_mass(tree, frames).solve(tau)
+        against = f"dense M, refined, in extended precision ({DIGITS})"
         steps = [n // 2, n, 2 * n, 4 * n, 8 * n, 16 * n]
         runs: list[tuple[str, str, Solver, float]] = [(k, "", f, np.nan) for k, f in SOLVERS.items()]
         runs += [
