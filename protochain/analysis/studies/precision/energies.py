@@ -13,7 +13,7 @@ from protochain.analysis.studies.precision.curves import Point, least_seconds
 from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import pose
-from protochain.energies import NativeEnergy, OpenMMEnergy, build_system, energy
+from protochain.energies import Energy, NativeEnergy, OpenMMEnergy, build_system, energy
 from protochain.energies.native import neighbours
 from protochain.multibody import integrate
 from protochain.structure import from_sequence
@@ -88,7 +88,7 @@ def _digits(sequence: str) -> Iterator[Point]:
     structure = from_sequence(sequence)
     system, x = only_pairs(build_system(structure, solvent="vacuum")), structure.positions
     exact, single = pair_forces(system, x), OpenMMEnergy(system, "CPU", 1)
-    engines = {
+    engines: dict[str, Energy] = {
         "native": NativeEnergy(single, 1), "OpenMM, Reference": single.reference, "OpenMM, CPU": single,
     }  # fmt: skip
     for name, engine in engines.items():

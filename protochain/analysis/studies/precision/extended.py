@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from protochain.arrays import Floats
 from protochain.multibody import Frames, HingeKind, Tree
 
 WIDE = np.longdouble
@@ -16,7 +15,7 @@ _REFINEMENTS = 3
 DIGITS = f"{np.finfo(WIDE).nmant + 1} bits"
 
 
-def wide_frames(tree: Tree, q: Floats) -> tuple[np.ndarray, np.ndarray]:
+def wide_frames(tree: Tree, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotations (nb, 3, 3) and origins (nb, 3) of the bodies' frames at coordinates q (n_q,).
 
     Notes

@@ -94,13 +94,10 @@ def measure(quick: bool) -> Iterator[Point]:
             ("conjugate gradients", f"{k} steps", partial(conjugate_gradients, k), float(k)) for k in steps
         ]
         for name, parameter, solver, products in runs:
-            error = np.linalg.norm((solver(tree, frames, tau) - exact).astype(float)) / np.linalg.norm(
-                exact.astype(float)
-            )
+            off = np.asarray(solver(tree, frames, tau) - exact, float)
+            error = float(np.linalg.norm(off) / np.linalg.norm(exact.astype(float)))
             seconds = least_seconds(partial(solver, tree, frames, tau), 0.05)
-            yield Point(
-                f"{n} bodies", name, parameter, float(error), "1", against, seconds, products, tree.n_v
-            )
+            yield Point(f"{n} bodies", name, parameter, error, "1", against, seconds, products, tree.n_v)
     for n in (1000,) if quick else (1000, 10_000, 100_000):
         tree, frames, tau = posed(n)
         for name in ("articulated", "Fixman"):
