@@ -67,8 +67,8 @@ COMMANDS = {
     },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
     "bench": {
-        "name": "all", "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "threads": None,
-        "minutes": None, "jobs": None, "starts": None, "evaluations": None,
+        "name": "all", "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "only": None,
+        "threads": None, "minutes": None, "jobs": None, "starts": None, "evaluations": None,
     },
     "info": {
         "source": None, **AS_JSON,
@@ -375,7 +375,7 @@ def test_bench_runs_the_studies_it_is_asked_for(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("protochain.analysis.studies.study", study)
     monkeypatch.setattr("protochain.analysis.studies.STUDIES", ("one", "two"))
     out = tmp_path / "out"
-    assert run("bench", "-o", out) == 0 and ran == [("one", out, ()), ("two", out, ())]
+    assert run("bench", "-o", out) == 0 and ran == [("one", out / "one", ()), ("two", out / "two", ())]
     assert capsys.readouterr().out == 2 * " a b\n 1 x\n\n" + f"written: tables and plots in {out}\n"
     assert run("bench", "two", "a.pdb", "-o", out) == 0 and ran[2:] == [("two", out, [Path("a.pdb")])]
     assert refusal("bench", "odd") == "odd: no"

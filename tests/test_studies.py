@@ -10,17 +10,18 @@ from scipy.linalg import eigh
 
 import protochain as pc
 from protochain.analysis import studies
-from protochain.analysis.studies import precision, stability, study
+from protochain.analysis.studies import stability, study
+from protochain.analysis.studies.precision import minimisers
 from protochain.analysis.studies.stability import cells, mechanics, solvers
 from protochain.cli import app
 from protochain.multibody import HingeKind, mass_matrix, pose, random_tree
 
 
 def test_precision_counts_what_it_took(tmp_path, monkeypatch):
-    monkeypatch.setattr(precision, "PEPTIDES", ("GAG", "AYA"))
-    monkeypatch.setattr(precision, "METHODS", ("kcm", "lbfgs", "cartesian"))
-    monkeypatch.setattr(precision, "_MOST", 200)
-    *ends, needed = precision.run(tmp_path)
+    monkeypatch.setattr(minimisers, "PEPTIDES", ("GAG", "AYA"))
+    monkeypatch.setattr(minimisers, "METHODS", ("kcm", "lbfgs", "cartesian"))
+    monkeypatch.setattr(minimisers, "_MOST", 200)
+    *ends, needed = minimisers.run(tmp_path)
     traces = pd.read_csv(tmp_path / "traces.csv")
     ends = pd.concat(ends)
     assert ends["structure"].nunique() == 2 and len(ends) == 6

@@ -40,6 +40,9 @@ class Job:
     collects: dict[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
     """Of a command of protochain, which knows nothing of made.csv: file, name here, columns (empty: all)."""
 
+    threads: int | None = None
+    """Of such a command; as many as there are processors, by default."""
+
     @property
     def inputs(self) -> list[str]:
         """Files that the command names."""
@@ -92,6 +95,7 @@ OF_RUNS = (
     "energy_kj_mol", "torque_max_kj_mol_rad", "torque_rms_kj_mol_rad", "rmsd_start_angstrom",
     "rmsd_native_angstrom", "polished_energy_kj_mol", "polished_rmsd_start_angstrom",
 )  # fmt: skip
+CURVES = "solvers,energies,integrators,sampling,closures,fixman,hessians"
 HERE = "python analysis/benchmarks"
 
 JOBS = (
@@ -107,9 +111,13 @@ JOBS = (
     Job("race", f"{HERE}/race.py --forces gbsa,vacuum {RACED} -o DIR", 6),
     Job("race-custom", f"{HERE}/race.py --forces obc2 {RACED_CUSTOM} -o DIR", 15),
     Job(
-        "precision", f"protochain bench precision {SAMPLES} {PRECISION} -o DIR", 25,
-        "protochain bench precision structures/ala10.pdb -o DIR",
+        "precision", f"protochain bench precision --only minimisers {SAMPLES} {PRECISION} -o DIR", 25,
+        "protochain bench precision --only minimisers structures/ala10.pdb -o DIR",
         {"precision.csv": ("precision.csv", ()), "ends.csv": ("precision_ends.csv", ())},
+    ),
+    Job(
+        "curves", f"protochain bench precision --only {CURVES} -o DIR", 5,
+        collects={"curves.csv": ("precision_curves.csv", ())}, threads=1,
     ),
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
     Job("compliance", f"{HERE}/compliance.py -o DIR", 4),
@@ -165,7 +173,8 @@ def run(job: Job, output: Path, more: Path, quick: bool) -> str:
                 return f"wrote no {name}"
             table = pd.read_csv(place / name)
             table = table[list(columns)] if columns else table
-            made.write(table, output / kept_as, job.inputs, len(os.sched_getaffinity(0)), words)
+            threads = job.threads or len(os.sched_getaffinity(0))
+            made.write(table, output / kept_as, job.inputs, threads, words)
     return ""
 
 

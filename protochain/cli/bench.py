@@ -9,7 +9,7 @@ import typer
 from protochain.checks import words
 from protochain.cli.options import CONVERGED, fail
 
-_OF_STABILITY, _OF_KCM = "Of stability: ", "Of kcm: "
+_OF_STABILITY, _OF_KCM, _OF_PRECISION = "Of stability: ", "Of kcm: ", "Of precision: "
 
 
 def bench(
@@ -21,11 +21,12 @@ def bench(
         typer.Argument(metavar="[IN...]", help="Structures for precision and kcm [default: peptides]."),
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder.")] = Path("bench"),
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Of stability and kcm: a few minutes of it, two peptides.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="A few minutes of it, small cases.")] = False,
     rows: Annotated[
         str | None, typer.Option(help=f"{_OF_STABILITY}rows of its grid, with commas between.")
+    ] = None,
+    only: Annotated[
+        str | None, typer.Option(help=f"{_OF_PRECISION}kinds of curves, with commas between.")
     ] = None,
     threads: Annotated[int | None, typer.Option(help=f"{_OF_STABILITY}threads of each process.")] = None,
     minutes: Annotated[
@@ -49,8 +50,9 @@ def bench(
     chosen = {each: study(each) for each in (STUDIES if name == "all" else (name,))}
     check_writable(output / "any.csv")
     given: dict[str, Any] = {
-        "quick": quick or None, "rows": words(rows) if rows else None, "threads": threads, "minutes": minutes,
-        "jobs": jobs, "starts": starts, "evaluations": evaluations,
+        "quick": quick or None, "rows": words(rows) if rows else None,
+        "only": words(only) if only else None, "threads": threads, "minutes": minutes, "jobs": jobs,
+        "starts": starts, "evaluations": evaluations,
     }  # fmt: skip
     given = {option: value for option, value in given.items() if value is not None}
     wrong = 0
@@ -59,11 +61,13 @@ def bench(
         if len(taken) < len(given) and name != "all":
             other = next(option for option in given if option not in taken)
             raise ProtochainError(f"{other}: study {each!r} has no such option")
-        for table in module.run(output, inputs or (), **taken):
+        # Each has a report of the same name.
+        for table in module.run(output / each if name == "all" else output, inputs or (), **taken):
             if len(table):
                 print(table.to_string(index=False), end="\n\n", flush=True)
             wrong += int((table["verdict"] == "wrong").sum()) if "verdict" in table else 0
     print(f"written: tables and plots in {output}")
     if wrong:
-        raise typer.Exit(fail(f"{wrong} cells are wrong; {output / 'cells.csv'} says how"))
+        cells = output / ("stability" if name == "all" else "") / "cells.csv"
+        raise typer.Exit(fail(f"{wrong} cells are wrong; {cells} says how"))
     raise typer.Exit(CONVERGED)

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from protochain.analysis.plots import COLOURS, Figure, plain
+from protochain.analysis.studies.precision.curves import Point
 from protochain.articulate import build_chain
 from protochain.energies import energy
 from protochain.minimisers import RECIPES, minimise
@@ -30,9 +31,11 @@ ABOVE = (100.0, 10.0, 1.0)
 _WORK, _LEAST, _MOST = 2e6, 200, 1000
 """Evaluations times atoms, and limits of the evaluations: fast methods need no more, and slow ones would take
 hours on a large protein. OpenMM is allowed twice as many."""
+_QUICK = 200
+"""Evaluations where it must be quick."""
 
 
-def run(output: Path, inputs: Sequence[Path] = ()) -> Iterator[pd.DataFrame]:
+def run(output: Path, inputs: Sequence[Path] = (), quick: bool = False) -> Iterator[pd.DataFrame]:
     """Measure all methods; write ``traces.csv``, ``ends.csv``, ``precision.csv`` and ``precision.png``.
 
     Parameters
@@ -41,6 +44,8 @@ def run(output: Path, inputs: Sequence[Path] = ()) -> Iterator[pd.DataFrame]:
         Folder.
     inputs : sequence of Path
         Structures; three peptides by default.
+    quick : bool
+        One peptide by default, and a fifth of the evaluations.
 
     Yields
     ------
@@ -48,8 +53,9 @@ def run(output: Path, inputs: Sequence[Path] = ()) -> Iterator[pd.DataFrame]:
         Ends of each structure when it is done, and finally the table.
     """
     traces, ends = [], []
-    for structure in (load(path) for path in inputs) if inputs else map(from_sequence, PEPTIDES):
-        trace, end = measure(structure)
+    peptides = map(from_sequence, PEPTIDES[: 1 if quick else None])
+    for structure in (load(path) for path in inputs) if inputs else peptides:
+        trace, end = measure(structure, _QUICK if quick else _MOST)
         traces.append(trace)
         ends.append(end)
         for stem, parts in (("traces", traces), ("ends", ends)):
@@ -63,12 +69,15 @@ def run(output: Path, inputs: Sequence[Path] = ()) -> Iterator[pd.DataFrame]:
     yield needed
 
 
-def measure(structure: Structure) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Run all methods on a structure, with the default hinges and energy; return traces and ends."""
+def measure(structure: Structure, most: int = _MOST) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Run all methods on a structure, with the default hinges and energy; return traces and ends.
+
+    At most this many evaluations are allowed, and OpenMM twice as many.
+    """
     chain, own = build_chain(structure), energy(structure)
     traces, ends = [], []
     for method in METHODS:
-        budget = int(np.clip(_WORK / structure.n_atoms, _LEAST, _MOST)) * (2 if method == "openmm" else 1)
+        budget = int(np.clip(_WORK / structure.n_atoms, _LEAST, most)) * (2 if method == "openmm" else 1)
         solution = minimise(chain, own, method, max_evaluations=budget)
         traces.append(solution.trace.assign(structure=structure.name, method=method))
         ends.append(
@@ -112,6 +121,19 @@ def work(traces: pd.DataFrame, ends: pd.DataFrame) -> pd.DataFrame:
     # No interpolation between a number and infinity.
     table = pd.DataFrame({name: groups.quantile(at, interpolation="higher") for name, at in levels.items()})
     return table.reset_index().rename(columns={"above": "above_kj_mol_per_100_residues"})
+
+
+def points(needed: pd.DataFrame, structures: int) -> Iterator[Point]:
+    """Points of the curve: median cost of each method to come within each energy of the best known."""
+    costs = needed.set_index(["cost", "method", "above_kj_mol_per_100_residues"])["median"].sort_index()
+    unit, against = "kJ/mol per 100 residues", "the lowest end of methods with the same freedoms"
+    for method in needed["method"].unique():
+        case = "torsions only" if RECIPES[method].keeps_geometry else "all atoms free"
+        for above in ABOVE:
+            seconds, evaluations = (float(costs[cost, method, above]) for cost in ("seconds", "evaluations"))
+            came = np.isfinite(seconds)
+            error, parameter = (above, f"within {above:g}") if came else (np.inf, f"not within {above:g}")
+            yield Point(case, method, parameter, error, unit, against, seconds, evaluations, structures)
 
 
 def plot(traces: pd.DataFrame, ends: pd.DataFrame) -> Figure:

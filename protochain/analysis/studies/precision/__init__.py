@@ -1,0 +1,128 @@
+"""Error against run time of everything that approximates or iterates: one curve each.
+
+Each kind is a file with ``measure``, which yields the points of its curve, and a row of ``KINDS``; runner,
+tables, pictures and page are common. Minimisers have tables and a picture of their own besides.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import pandas as pd
+from threadpoolctl import threadpool_limits
+
+from protochain.analysis.studies.precision import (
+    closures,
+    energies,
+    fixman,
+    hessians,
+    integrators,
+    minimisers,
+    sampling,
+    solvers,
+)  # fmt: skip
+from protochain.analysis.studies.precision.curves import Kind, plot, said, table_of
+from protochain.analysis.studies.precision.page import write_page
+from protochain.errors import ProtochainError
+from protochain.storage import write_atomically
+
+KINDS = {
+    "solvers": Kind(
+        "Solving with the mass matrix",
+        "M x = tau of random serial chains with a free root, in random poses.",
+        solvers.measure,
+    ),
+    "energies": Kind(
+        "Energy kernels",
+        "Forces of extended peptides in ff14SB: of pairs in decimal digits, by engine, cutoff and list.",
+        energies.measure,
+    ),
+    "minimisers": Kind(
+        "Minimisers",
+        "Median cost over the structures until the energy is first so near to the lowest end known.",
+        lambda quick: (),
+    ),
+    "integrators": Kind(
+        "Integrators",
+        "A small peptide at constant energy, from its minimum: the angles at the end, and the total energy.",
+        integrators.measure,
+    ),
+    "sampling": Kind(
+        "Sampling",
+        "Two hinges at 300 K, against exact values: root mean square errors over several seeds.",
+        sampling.measure,
+    ),
+    "closures": Kind(
+        "Constraints and closed loops",
+        "A loop of polyglycine kept by three distances: in a step, in a run, and in accelerations.",
+        closures.measure,
+    ),
+    "fixman": Kind(
+        "Fixman's potential",
+        "The logarithm of det M of random serial chains with a free root, and its gradient.",
+        fixman.measure,
+    ),
+    "hessians": Kind(
+        "Products with the torsional Hessian",
+        "Differences of torques at a minimum of a small peptide, along a random direction.",
+        hessians.measure,
+    ),
+}
+"""The one table of kinds."""
+
+
+def run(
+    output: Path, inputs: Sequence[Path] = (), quick: bool = False, only: Sequence[str] = tuple(KINDS)
+) -> Iterator[pd.DataFrame]:
+    """Measure; write ``curves.csv``, a CSV and a picture for each kind, and ``report.html``.
+
+    Parameters
+    ----------
+    output : Path
+        Folder.
+    inputs : sequence of Path
+        Structures for the minimisers; three peptides by default. The other kinds make their own.
+    quick : bool
+        Few and small cases: within a minute.
+    only : sequence of str
+        Kinds to measure.
+
+    Yields
+    ------
+    pandas.DataFrame
+        Of the minimisers their ends and their table; of the others the points.
+
+    Raises
+    ------
+    ProtochainError
+        If a kind is not known, or files are given and none of the kinds reads them.
+    """
+    for name in only:
+        if name not in KINDS:
+            raise ProtochainError(f"precision: there is no kind {name!r}; choose from {', '.join(KINDS)}")
+    if inputs and "minimisers" not in only:
+        raise ProtochainError("precision: only minimisers read files; give none, or add minimisers to --only")
+    tables = {}
+    for name in only:
+        kind = KINDS[name]
+        if name == "minimisers":
+            needed = pd.DataFrame()
+            for needed in minimisers.run(output, inputs, quick):
+                yield needed
+            structures = len(inputs) or (1 if quick else len(minimisers.PEPTIDES))
+            tables[name] = table_of(name, minimisers.points(needed, structures))
+        else:
+            # BLAS on one thread, as in runs.
+            with threadpool_limits(1, "blas"):
+                tables[name] = table_of(name, kind.measure(quick))
+            yield tables[name].drop(columns=["kind", "held_against", "n"])
+            picture = plot(tables[name], kind.title)
+            write_atomically(output / f"{name}.png", partial(picture.savefig, dpi=120))
+        write_atomically(output / f"{name}.csv", partial(tables[name].to_csv, index=False))
+        every = pd.concat(tables.values(), ignore_index=True)
+        write_atomically(output / "curves.csv", partial(every.to_csv, index=False))
+        write_page(
+            output,
+            [(each, KINDS[each].title, KINDS[each].measured, said(tables[each])) for each in tables],
+            tables,
+        )

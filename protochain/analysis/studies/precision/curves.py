@@ -1,0 +1,169 @@
+"""What a curve is: points of error against cost, their table, their picture and what they say."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
+from itertools import cycle
+from time import process_time
+
+import numpy as np
+import pandas as pd
+from matplotlib.ticker import NullFormatter
+
+from protochain.analysis.plots import COLOURS, Figure, plain
+
+_MARKERS = "osD^vPX*<>"
+_LEAST = 1e-21
+"""Where an error of nothing is drawn, on a logarithmic axis."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One setting of one method: what it costs, and how far off it is.
+
+    Parameters
+    ----------
+    case : str
+        System or quantity: a panel of the picture.
+    method, parameter : str
+        A line of the panel, and a place on it.
+    error : float
+        In the unit.
+    unit : str
+        Unit of the error; ``1`` where it is relative.
+    held_against : str
+        What the result was compared with.
+    seconds : float
+        Processor seconds, on one thread.
+    evaluations : float
+        Of the energy, or of whatever the method counts; NaN where there is nothing to count.
+    n : int
+        Size of the system: bodies, freedoms or atoms.
+    """
+
+    case: str
+    method: str
+    parameter: str
+    error: float
+    unit: str
+    held_against: str
+    seconds: float
+    evaluations: float
+    n: int
+
+
+COLUMNS = ("kind", *(field.name for field in fields(Point)))
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Something that approximates or iterates.
+
+    Parameters
+    ----------
+    title : str
+        Heading of its part of the page.
+    measured : str
+        One sentence: what is measured, and on what.
+    measure : callable
+        Whether it must be quick -> points.
+    """
+
+    title: str
+    measured: str
+    measure: Callable[[bool], Iterable[Point]]
+
+
+def table_of(name: str, points: Iterable[Point]) -> pd.DataFrame:
+    """Points of a kind as a table."""
+    return pd.DataFrame([{"kind": name, **asdict(point)} for point in points], columns=list(COLUMNS))
+
+
+def least_seconds(call: Callable[[], object], most: float = 0.2) -> float:
+    """Least processor seconds of a call, of at least three and for as long as this; the first not counted."""
+    call()
+    times: list[float] = []
+    while len(times) < 3 or (sum(times) < most and len(times) < 1000):
+        began = process_time()
+        call()
+        times.append(process_time() - began)
+    return min(times)
+
+
+def said(table: pd.DataFrame) -> list[str]:
+    """What each case of a kind says: which setting comes closest, which is quickest, and how errors fall."""
+    return [_said(str(case), points) for case, points in table.groupby("case", sort=False)]
+
+
+def _said(case: str, points: pd.DataFrame) -> str:
+    if points["n"].nunique() > 1:
+        points = points[points["n"] == points["n"].max()]
+        case = f"{case}, the largest"
+    sound = points[np.isfinite(points["error"])]
+    if sound.empty:
+        return f"{case}: no setting gave a finite error."
+    # Of equal errors the cheaper.
+    closest = sound.sort_values(["error", "seconds"], kind="stable").iloc[0]
+    quickest = sound.sort_values(["seconds", "error"], kind="stable").iloc[0]
+    against = ", ".join(dict.fromkeys(sound["held_against"]))
+    text = (
+        f"{case}: of {_number(len(points), 'setting')} of {_number(points['method'].nunique(), 'method')}, "
+    )
+    text += f"{_setting(closest)} comes closest, with an error of {_error(closest)} for {_cost(closest)}"
+    if quickest.name != closest.name:
+        text += f"; {_setting(quickest)} is the quickest, with {_error(quickest)} for {_cost(quickest)}"
+    lost = len(points) - len(sound)
+    text += f"; {lost} gave no result" if lost else ""
+    return f"{text}. Held against {against}."
+
+
+def _number(n: int, what: str) -> str:
+    return f"{n} {what}" if n == 1 else f"{n} {what}s"
+
+
+def _setting(point: pd.Series) -> str:
+    return f"{point['method']} ({point['parameter']})" if point["parameter"] else str(point["method"])
+
+
+def _error(point: pd.Series) -> str:
+    return f"{point['error']:.1e}" + ("" if point["unit"] == "1" else f" {point['unit']}")
+
+
+def _cost(point: pd.Series) -> str:
+    counted = np.isfinite(point["evaluations"])
+    return f"{point['seconds']:.1e} s" + (
+        f" and {_number(int(point['evaluations']), 'evaluation')}" if counted else ""
+    )
+
+
+def plot(table: pd.DataFrame, title: str) -> Figure:
+    """Error against seconds, and against evaluations where they differ: a row of panels for each case."""
+    cases: Sequence[tuple[object, pd.DataFrame]] = list(table.groupby("case", sort=False))
+    counted = [case for case, points in cases if _counts(points)]
+    costs = ["seconds"] + (["evaluations"] if counted else [])
+    figure = Figure(figsize=(5.5 * len(costs), 0.4 + 3.6 * len(cases)), layout="constrained")
+    grid = figure.subplots(len(cases), len(costs), squeeze=False)
+    for row, (case, points) in zip(grid, cases, strict=True):
+        for ax, cost in zip(row, costs, strict=True):
+            if cost == "evaluations" and case not in counted:
+                ax.set_visible(False)
+                continue
+            styles = zip(cycle(COLOURS), cycle(_MARKERS), strict=False)
+            for (method, of), (colour, marker) in zip(
+                points.groupby("method", sort=False), styles, strict=False
+            ):
+                shown = of[np.isfinite(of["error"]) & (of[cost] > 0)]
+                error = shown["error"].clip(lower=_LEAST)
+                ax.plot(shown[cost], error, color=colour, marker=marker, markersize=4, label=str(method))
+            unit = points["unit"].iloc[0]
+            ax.set(xscale="log", yscale="log", xlabel=cost, title=str(case))
+            ax.set_ylabel("relative error" if unit == "1" else f"error, {unit}")
+            ax.xaxis.set_minor_formatter(NullFormatter())
+            plain(ax)
+        row[0].legend(frameon=False, fontsize=7)
+    figure.suptitle(title)
+    return figure
+
+
+def _counts(points: pd.DataFrame) -> bool:
+    """Whether evaluations are a cost to compare by: all methods have them, and not the same."""
+    return bool(points["evaluations"].notna().all() and points["evaluations"].nunique() > 1)
