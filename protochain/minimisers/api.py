@@ -288,6 +288,9 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         judged += f"; lowest eigenvalue of the Hessian {lowest:.3g} kJ/mol/rad^2"
     elif met and run.curvature and run.recipe.keeps_geometry:
         judged += "; not tested for a saddle point"
+        if done.eigenvalue_at_most is not None:
+            most = f"{done.eigenvalue_at_most:.3g} kJ/mol/rad^2"
+            judged += f": the lowest eigenvalue of the Hessian is at most {most}"
     stop = done.stop
     if not np.isfinite(end.energy) and stop is not Stop.INTERRUPTED:
         # A callable may return forces that vanish, or are small, and no energy with them.
