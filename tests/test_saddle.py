@@ -9,6 +9,8 @@ from conftest import SAMPLES, chain, energy
 from quadratics import Along, Flat, Quadratic
 
 import protochain as pc
+from protochain.batches import BatchSettings, task
+from protochain.cli import main
 from protochain.minimisers import Status
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Problem
@@ -244,3 +246,38 @@ def test_several_free_chains_move_as_one():
         assert np.abs(moved - x).max() > 1e-6
         found = np.linalg.norm(moved[:, None] - moved[None, ::50], axis=2)
         assert np.abs(found - apart).max() < 1e-8
+
+
+@pytest.mark.parametrize("given", [(), ("--no-curvature",)])
+def test_comparisons_and_batches_leave_it_out_too(given, tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def seen(*inputs, **settings):
+        asked.append(settings["curvature"])
+        raise pc.ProtochainError("seen")
+
+    monkeypatch.setattr("protochain.analysis.compare", seen)
+    monkeypatch.setattr("protochain.batches.batch", seen)
+    monkeypatch.chdir(tmp_path)
+    pc.save(pc.from_sequence("GG"), "a.pdb")
+    for command in ("compare", "batch"):
+        monkeypatch.setattr("sys.argv", ["protochain", command, "a.pdb", *given])
+        with pytest.raises(SystemExit):
+            main()
+        assert "protochain: seen" in capsys.readouterr().err
+    assert asked == [not given] * 2
+
+
+@pytest.mark.parametrize("curvature", [True, False])
+def test_settings_of_comparisons_and_batches_reach_their_runs(curvature):
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    (compared,) = pc.compare(c, "lbfgs", e, curvature=curvature).solutions
+    for starts in (1, 2):
+        settings = BatchSettings(("lbfgs",), curvature=curvature, n_starts=starts)
+        batched, _ = task._run(c, e, "lbfgs", settings)
+        assert (batched.lowest_eigenvalue is not None) == curvature
+    assert (compared.lowest_eigenvalue is not None) == curvature
+    with pytest.raises(
+        pc.ProtochainError, match=r"compare has no option 'curved'; .* it takes reference, curvature"
+    ):
+        pc.compare(c, "lbfgs", e, curved=True)
