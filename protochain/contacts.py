@@ -7,7 +7,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
-from protochain.arrays import Floats, Integers
+from protochain.arrays import Floats, Integers, read_only
 from protochain.chain import Chain
 from protochain.residues import VAN_DER_WAALS
 from protochain.structure.model import Structure
@@ -46,9 +46,10 @@ class Overlap:
         )
 
 
+@lru_cache(maxsize=16)
 def radii(structure: Structure) -> Floats:
     """(na,) float, nm: van der Waals radii."""
-    return np.array([VAN_DER_WAALS.get(str(element), 0.17) for element in structure.atom_element])
+    return read_only(np.array([VAN_DER_WAALS.get(str(element), 0.17) for element in structure.atom_element]))
 
 
 def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) -> tuple[Integers, Floats]:
@@ -76,9 +77,18 @@ def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) ->
     close = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1) < share * touch
     pairs, touch = pairs[close], touch[close]
     n = structure.n_atoms
-    order = np.argsort(pairs[:, 0] * n + pairs[:, 1])
-    order = order[~np.isin(pairs[order, 0] * n + pairs[order, 1], joined(structure, bonds) @ [n, 1])]
+    keys = pairs[:, 0] * n + pairs[:, 1]
+    left_out = _keys(structure, bonds)
+    place = np.minimum(np.searchsorted(left_out, keys), len(left_out) - 1)
+    order = np.flatnonzero(left_out[place] != keys) if len(left_out) else np.arange(len(keys))
+    order = order[np.argsort(keys[order])]
     return pairs[order].astype(np.int64), touch[order]
+
+
+@lru_cache(maxsize=16)
+def _keys(structure: Structure, bonds: int) -> Integers:
+    """Ascending numbers i na + j of the pairs of :func:`joined`."""
+    return np.sort(joined(structure, bonds) @ [structure.n_atoms, 1])
 
 
 @lru_cache(maxsize=16)

@@ -21,7 +21,7 @@ def rows_of(folder):
         ({"methods": ("lbfgs", "kcm")}, "methods lbfgs, not lbfgs,kcm"),
         ({"solvent": "vacuum"}, "solvent obc2, not vacuum"), ({"seed": 3}, "seed 0, not 3"),
         ({"max_evaluations": 50}, "max_evaluations 5, not 50"),
-        ({"max_rmsd": 2.0}, "max_rmsd unset, not 2.0"),
+        ({"curvature": False}, "curvature True, not False"), ({"max_rmsd": 2.0}, "max_rmsd unset, not 2.0"),
         ({"keep": "water"}, "keep near, not water"), ({"keep": "none"}, "keep near, not none"),
         ({"ph": 5.0}, r"ph 7\.0, not 5\.0"), ({"disulfide": "none"}, "disulfide unset, not none"),
         ({"chains": "A"}, "chains none, not A"), ({"altloc": "B"}, "altloc unset, not B"),

@@ -39,13 +39,14 @@ COMMANDS = {
     "minimize": MINIMISE,
     "compare": {
         "source": None, **OUTPUT, "methods": "kcm,md,lbfgs,hybrid,openmm", "repeats": 3, "reference": None,
-        **RUN, "seed": 0, **AS_JSON, "force": False, **{k: v for k, v in SETUP.items() if k != "move"},
+        **RUN, "no_curvature": False, "seed": 0, **AS_JSON, "force": False,
+        **{k: v for k, v in SETUP.items() if k != "move"},
     },
     "batch": {
         "inputs": None, "output": Path("batch"), "methods": "hybrid", "manifest": None, "workers": None,
         "scheduler": None, "threads": 1, "time_limit": 3600.0, "null": False, "resume": False,
         "dry_run": False, **RUN, "max_rmsd": None, "restrain": "", "starts": 1, "spread": None, "hop": None,
-        "seed": 0, **AS_JSON,
+        "no_curvature": False, "seed": 0, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_BATCH},
     },
     "simulate": {

@@ -86,7 +86,9 @@ ANYTHING_GOES = {
 """Names that no work depends on."""
 FURTHER = {
     "minimise": ("restraint", "max_rmsd", "checkpoint", "resume"),
+    "compare": ("reference", "curvature"),
     "batch": (
+        "curvature",
         "max_evaluations",
         "tolerance",
         "max_rmsd",

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 from protochain import defaults
 from protochain.analysis.comparison import Comparison
@@ -13,9 +13,16 @@ from protochain.energies import as_energy
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Recipe, Solution, Status, recipe_of
-from protochain.minimisers.api import Minimisation, minimise_from
+from protochain.minimisers.api import Minimisation, minimise_from, refuse_further
 from protochain.minimisers.start import Start
 from protochain.structure import as_structure
+
+
+class Options(TypedDict, total=False):
+    """Further options of :func:`compare`."""
+
+    reference: Any
+    curvature: bool
 
 
 @checked(methods=several, repeats=integer, watch=function("method"))
@@ -28,9 +35,9 @@ def compare(
     max_evaluations: int = defaults.MAX_EVALUATIONS,
     seed: int = defaults.SEED,
     *,
-    reference: Any = None,
     repeats: int = defaults.REPEATS,
     watch: Callable[[str], Watcher] | None = None,
+    **options: Unpack[Options],
 ) -> Comparison:
     """Minimise one structure by several methods from the same prepared start.
 
@@ -44,13 +51,15 @@ def compare(
         As in :func:`protochain.minimise`; one energy function serves all methods.
     tolerance, max_evaluations, seed : float, int, int
         As in :func:`protochain.minimise`.
-    reference : Structure, path, or anything that :func:`protochain.as_structure` takes, optional
-        Structure to measure the ends against, for example an experimental one.
     repeats : int
         Runs of each method that does not repeat exactly (it draws random numbers, or OpenMM sums on several
         threads), with consecutive seeds. The first is shown; ``Comparison.spread`` covers all.
     watch : callable, optional
         Given a method's name, returns the ``watch`` of its run.
+    **options
+        ``reference`` : Structure, path, or anything that :func:`protochain.as_structure` takes. Structure to
+        measure the ends against, for example an experimental one.
+        ``curvature`` : bool. As in :func:`protochain.minimise`.
 
     Returns
     -------
@@ -63,6 +72,8 @@ def compare(
     ProtochainError
         If a method is unknown or the input cannot be used.
     """
+    refuse_further("compare", options, Options)
+    reference, curvature = options.get("reference"), options.get("curvature", True)
     recipes: dict[str, Recipe] = {}
     for recipe in map(recipe_of, methods):
         if recipes.setdefault(recipe.name, recipe) != recipe:
@@ -73,7 +84,10 @@ def compare(
         raise ProtochainError(f"no methods to compare; choose from {', '.join(METHODS)}")
     if repeats < 1:
         raise ProtochainError(f"repeats {repeats}: give at least 1")
-    runs = [Minimisation(recipe, tolerance, max_evaluations, seed) for recipe in recipes.values()]
+    runs = [
+        Minimisation(recipe, tolerance, max_evaluations, seed, curvature=curvature)
+        for recipe in recipes.values()
+    ]
     chain = as_chain(structure)
     known = None if reference is None else as_structure(reference)
     energy = as_energy(energy, chain.structure)

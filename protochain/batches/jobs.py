@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 from protochain import defaults
-from protochain.checks import check_fields, integer, number, optional, several, words
+from protochain.checks import check_fields, flag, integer, number, optional, several, words
 from protochain.errors import ProtochainError
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.recipes import recipe_of
@@ -50,6 +50,8 @@ class BatchSettings:
         As in :func:`protochain.explore`.
     hop_temperature : float, K, optional
         As in :func:`protochain.explore`.
+    curvature : bool
+        As in :func:`protochain.minimise`.
 
     Raises
     ------
@@ -67,11 +69,12 @@ class BatchSettings:
     n_starts: int = 1
     spread: float = defaults.SPREAD
     hop_temperature: float | None = None
+    curvature: bool = True
 
     def __post_init__(self) -> None:
         check_fields(
             self, methods=several, tolerance=number, max_rmsd=number, max_evaluations=integer, seed=integer,
-            n_starts=integer, spread=number, hop_temperature=optional(number),
+            n_starts=integer, spread=number, hop_temperature=optional(number), curvature=flag,
         )  # fmt: skip
         object.__setattr__(self, "methods", tuple(dict.fromkeys(self.methods)))
         if not self.methods:

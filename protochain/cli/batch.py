@@ -17,6 +17,7 @@ from protochain.cli.options import (
     Hop,
     MaxEvaluations,
     MaxRmsd,
+    NoCurvature,
     Restrain,
     Seed,
     Spread,
@@ -68,6 +69,7 @@ def batch(
     starts: Starts = 1,
     spread: Spread = None,
     hop: Hop = None,
+    no_curvature: NoCurvature = False,
     seed: Seed = defaults.SEED,
     as_json: AsJson = False,
     *,
@@ -81,7 +83,7 @@ def batch(
     limit = math.inf if max_rmsd is None else max_rmsd
     settings = BatchSettings(
         words(methods), tolerance, limit, max_evaluations, seed, setup, restrain, starts,
-        defaults.SPREAD if spread is None else math.radians(spread), hop,
+        defaults.SPREAD if spread is None else math.radians(spread), hop, not no_curvature,
     )  # fmt: skip
     # Standard input can be read only once.
     given = [line for each in inputs or () for line in (listed(null) if each == "-" else [each])]

@@ -18,6 +18,7 @@ from protochain.cli.options import (
     AsJson,
     Input,
     MaxEvaluations,
+    NoCurvature,
     Seed,
     Tolerance,
     fail,
@@ -48,6 +49,7 @@ def compare(
     reference: Annotated[Path | None, typer.Option(help="Also compare the ends with this structure.")] = None,
     tolerance: Tolerance = defaults.TOLERANCE,
     max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
+    no_curvature: NoCurvature = False,
     seed: Seed = defaults.SEED,
     as_json: AsJson = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the comparison in DIR.")] = False,
@@ -57,14 +59,10 @@ def compare(
     """Minimise one structure by several methods; write tables, plots, structures and report.html."""
     from protochain.analysis import compare as run
     from protochain.analysis.folder import check_folder
-    from protochain.minimisers.api import Minimisation
-    from protochain.minimisers.recipes import recipe_of
     from protochain.storage import claimed
     from protochain.structure import load
 
-    chosen = tuple(dict.fromkeys(words(methods)))
-    for method in chosen:
-        Minimisation(recipe_of(method), tolerance, max_evaluations)
+    chosen = _chosen(methods, tolerance, max_evaluations)
     if repeats < 1:
         raise ProtochainError(f"repeats {repeats}: give at least 1")
     output = output or Path(f"{named_after(source)[0]}-comparison")
@@ -79,7 +77,7 @@ def compare(
     with _one_bar_each(max_evaluations) as watch:
         comparison = run(
             chain, chosen, energy, tolerance, max_evaluations, seed,
-            reference=known, repeats=repeats, watch=watch,
+            reference=known, repeats=repeats, watch=watch, curvature=not no_curvature,
         )  # fmt: skip
     comparison = replace(comparison, origin={"input": str(source), "seconds_preparation": preparation})
     page = comparison.report(output)
@@ -96,6 +94,17 @@ def compare(
         raise SystemExit(fail(f"{source}: no method gave a usable structure; {page} says why"))
     converged = all(solution.status == "converged" for solution in comparison.solutions)
     raise typer.Exit(CONVERGED if converged else UNCONVERGED)
+
+
+def _chosen(methods: str, tolerance: float, max_evaluations: int) -> tuple[str, ...]:
+    """Names of methods, each once; settings that make no sense for one of them are refused."""
+    from protochain.minimisers.api import Minimisation
+    from protochain.minimisers.recipes import recipe_of
+
+    chosen = tuple(dict.fromkeys(words(methods)))
+    for method in chosen:
+        Minimisation(recipe_of(method), tolerance, max_evaluations)
+    return chosen
 
 
 @contextmanager

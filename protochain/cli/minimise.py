@@ -23,6 +23,7 @@ from protochain.cli.options import (
     Input,
     MaxEvaluations,
     MaxRmsd,
+    NoCurvature,
     Restrain,
     Seed,
     Spread,
@@ -67,10 +68,6 @@ Method = Annotated[
     str, typer.Option(help="hybrid, cartesian, lbfgs, newton, kcm, openmm ...: an unknown one lists them.")
 ]
 Angle = Annotated[float | None, typer.Option(help="Turn of a hinge in a step of kcm, rad [default: 0.0005].")]
-NoCurvature = Annotated[
-    bool,
-    typer.Option("--no-curvature", help="Do not look whether a run in torsions ends at a saddle point."),
-]
 Checkpoint = Annotated[Path | None, typer.Option(help="File for the state at the end, .npz.")]
 Resume = Annotated[Path | None, typer.Option(help="Continue from a checkpoint.")]
 Trace = Annotated[Path | None, typer.Option(help="CSV with a row for each iteration.")]

@@ -55,6 +55,10 @@ Spread = Annotated[
 Hop = Annotated[
     float | None, typer.Option(help="Basin hopping: start from the last minimum accepted at this K.")
 ]
+NoCurvature = Annotated[
+    bool,
+    typer.Option("--no-curvature", help="Do not look whether a run in torsions ends at a saddle point."),
+]
 Seed = Annotated[int, typer.Option(help="Seed of methods that draw random numbers.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 

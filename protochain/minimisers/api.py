@@ -2,7 +2,7 @@
 
 import hashlib
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -44,6 +44,14 @@ class Options(TypedDict, total=False):
     checkpoint: str | Path | None
     resume: str | Path | None
     curvature: bool
+
+
+def refuse_further(call: str, given: Mapping[str, Any], options: type) -> None:
+    """Refuse the first option that a call does not take, and name those that it takes."""
+    unknown = next((name for name in given if name not in options.__annotations__), None)
+    if unknown is not None:
+        known = ", ".join(options.__annotations__)
+        raise ProtochainError(f"{call} has no option {unknown!r}; besides its parameters it takes {known}")
 
 
 @checked(watch=WATCHER)
@@ -120,10 +128,7 @@ def minimise(
     tolerance, finds no lower energy or meets a number that is not finite, it continues on the Reference
     platform, within the same budget.
     """
-    unknown = next((name for name in options if name not in Options.__annotations__), None)
-    if unknown is not None:
-        known = ", ".join(Options.__annotations__)
-        raise ProtochainError(f"minimise has no option {unknown!r}; besides its parameters it takes {known}")
+    refuse_further("minimise", options, Options)
     run = Minimisation(recipe_of(method), tolerance, max_evaluations, seed, **options)
     chain = as_chain(chain)
     return minimise_from(Start(chain, as_energy(energy, chain.structure)), run, watch)
@@ -288,6 +293,9 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         judged += f"; lowest eigenvalue of the Hessian {lowest:.3g} kJ/mol/rad^2"
     elif met and run.curvature and run.recipe.keeps_geometry:
         judged += "; not tested for a saddle point"
+        if done.eigenvalue_at_most is not None:
+            most = f"{done.eigenvalue_at_most:.3g} kJ/mol/rad^2"
+            judged += f": the lowest eigenvalue of the Hessian is at most {most}"
     stop = done.stop
     if not np.isfinite(end.energy) and stop is not Stop.INTERRUPTED:
         # A callable may return forces that vanish, or are small, and no energy with them.

@@ -12,6 +12,7 @@ torsions K = J^T C J, as in torsional elastic networks (Mendez, Bastolla, Phys. 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,7 @@ def contacts(structure: Structure, x: Floats, bonds: int) -> Springs:
     return Springs(pairs, 72.0 * DEPTH / touch**2 * np.exp(-DECAY * (distance / touch - 1.0)))
 
 
+@lru_cache(maxsize=4)
 def covalent(structure: Structure) -> Springs:
     """Springs for bonds, angles and dihedrals: between atoms up to three bonds apart."""
     pairs = joined(structure, 3)

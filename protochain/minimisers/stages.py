@@ -11,7 +11,7 @@ from protochain.arrays import Floats
 from protochain.chain import Chain
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS
-from protochain.minimisers.loop import Ending, Method, Snapshot, Stop, run
+from protochain.minimisers.loop import Ending, Method, Snapshot, Stop, Unstarted, run
 from protochain.minimisers.problem import (
     BudgetSpentError,
     Evaluation,
@@ -156,6 +156,8 @@ class Outcome:
         For a checkpoint; None if nothing was computed.
     lowest_eigenvalue : float or None, kJ/mol/rad^2
         Of the Hessian at q, if a stage found it.
+    eigenvalue_at_most : float or None, kJ/mol/rad^2
+        What a search that did not end knows of it.
     """
 
     stop: Stop
@@ -167,6 +169,7 @@ class Outcome:
     complete: bool = True
     waypoint: Waypoint | None = None
     lowest_eigenvalue: float | None = None
+    eigenvalue_at_most: float | None = None
 
     @property
     def x(self) -> Floats:
@@ -208,7 +211,7 @@ def walk(
     space, home, left_out = plan[first].space, None, False
     q, waypoint = plan[0].space.start(chain.structure.positions), resume
     stop = Stop[resume.ended] if resume and resume.ended else Stop.BUDGET
-    n_evaluations, lowest_eigenvalue = 0, None
+    n_evaluations, before = 0, None
     for i, stage in enumerate(plan[first:], first):
         if waiting is not None:
             stage, home = _fitted(stage, resume.at if resume else None)
@@ -225,6 +228,8 @@ def walk(
         space = stage.space
         problem = Problem(stage.space, stage.energy, max_evaluations, stage.restraint, allowed)
         problem.restore(Tally(n_evaluations, None, n_evaluations), stage.space.place(q).x)
+        if waiting is None and stage.looks and before is not None:
+            waiting = _evaluated(problem, *before, q)
 
         def note(at: Evaluation, stage: Stage = stage, problem: Problem = problem) -> None:
             record(at, stage, problem.n_evaluations)
@@ -237,8 +242,8 @@ def walk(
             break
         waypoint = Waypoint(i, n_iterations, ending.last, home, stop.name if i else "")
         waiting, n_evaluations = None, problem.n_evaluations
-        lowest_eigenvalue = getattr(ending.last.state, "lowest_eigenvalue", None)
         q = stage.answer(problem, ending, q)
+        before = problem, ending
         if stage.looks and ending.stop in (Stop.NO_DESCENT, Stop.NON_FINITE):
             break
         stop = ending.stop
@@ -247,12 +252,26 @@ def walk(
             break
         if stop is Stop.NON_FINITE and not (plan[i + 1 :] and stop in plan[i + 1].after):
             break
-    if left_out:
-        stop = Stop.STRAINED
+    stop = Stop.STRAINED if left_out else stop
     complete = not left_out and all(left.after for left in plan[i + 1 :])
     return Outcome(
-        stop, space, q, n_iterations, n_evaluations, stage.restraint, complete, waypoint, lowest_eigenvalue
+        stop, space, q, n_iterations, n_evaluations, stage.restraint, complete, waypoint, *_found(before)
     )
+
+
+def _found(before: tuple[Problem, Ending] | None) -> tuple[float | None, float | None]:
+    """Lowest eigenvalue, and its upper limit, that the last stage found."""
+    state = before and before[1].last.state
+    return getattr(state, "lowest_eigenvalue", None), getattr(state, "eigenvalue_at_most", None)
+
+
+def _evaluated(problem: Problem, before: Problem, ending: Ending, q: Floats) -> Snapshot | None:
+    """Snapshot at q if the stage before, with the same energy, evaluated it; None if it did not."""
+    known = (at for at in (ending.last.state.at, before.best) if at is not None and at.q is q)
+    at = next(known, None) if problem.energy is before.energy else None
+    if at is None:
+        return None
+    return Snapshot(Unstarted(at), at, problem.tally, 0, problem.lists_at)
 
 
 def _fitted(stage: Stage, x: Floats | None) -> tuple[Stage, Floats | None]:
