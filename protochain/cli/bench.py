@@ -18,11 +18,13 @@ def bench(
     ] = "all",
     inputs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[IN...]", help="Structures for precision and kcm [default: peptides]."),
+        typer.Argument(
+            metavar="[IN...]", help="Structures for precision, scenes and kcm [default: peptides]."
+        ),
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder.")] = Path("bench"),
     quick: Annotated[
-        bool, typer.Option("--quick", help="Of stability and kcm: a few minutes of it, two peptides.")
+        bool, typer.Option("--quick", help="Of stability, scenes and kcm: a minute or few of it.")
     ] = False,
     rows: Annotated[
         str | None, typer.Option(help=f"{_OF_STABILITY}rows of its grid, with commas between.")
@@ -38,9 +40,9 @@ def bench(
     ] = None,
     evaluations: Annotated[int | None, typer.Option(help=f"{_OF_KCM}most of a run [default: 20000].")] = None,
 ) -> None:
-    """Measure error against run time, stability in extreme cases, and whether KCM and dynamics agree.
+    """Measure error against run time, stability in extreme cases, what is left out, KCM against dynamics.
 
-    Stability is a grid of cases, each right, refused or wrong; one that is wrong fails the command.
+    Cases of stability are right, refused or wrong, and so are scenes; one that is wrong fails the command.
     """
     from protochain.analysis.studies import STUDIES, study
     from protochain.errors import ProtochainError
@@ -65,5 +67,5 @@ def bench(
             wrong += int((table["verdict"] == "wrong").sum()) if "verdict" in table else 0
     print(f"written: tables and plots in {output}")
     if wrong:
-        raise typer.Exit(fail(f"{wrong} cells are wrong; {output / 'cells.csv'} says how"))
+        raise typer.Exit(fail(f"{wrong} cells are wrong; the tables in {output} say how"))
     raise typer.Exit(CONVERGED)

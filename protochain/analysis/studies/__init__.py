@@ -5,7 +5,7 @@ from typing import Any
 
 from protochain.errors import ProtochainError
 
-STUDIES = ("precision", "stability", "kcm")
+STUDIES = ("precision", "stability", "scenes", "kcm")
 
 
 def study(name: str) -> Any:

@@ -93,6 +93,17 @@ class Layout:
         rows = (12.0 * n.a12, 6.0 * n.b6)
         return np.concatenate([in_types(row, n.lj_type) for row in rows], axis=2)
 
+    def pairs_of(self, lists: Lists) -> int:
+        """Count the pairs of atoms that an evaluation visits: tiles in each pass over them, and lists."""
+        solvent = self.terms.solvent
+        passes = len(lists.changing) * (1 if solvent is None else 2)
+        listed = len(lists.free)
+        if solvent is not None:
+            # Polar energies of all tiles, whose Born radii change; near pairs of integrals, there and back.
+            passes, listed = passes + len(lists.tiles), listed + 2 * len(lists.close)
+            passes += 2 * int(lists.is_necked.sum()) if solvent.necks else 0
+        return W * W * passes + listed
+
     @cached_property
     def neck_type(self) -> Integers:
         """(blocks, W) int: types of the neck tables."""

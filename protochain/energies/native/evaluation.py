@@ -81,6 +81,11 @@ class Evaluation:
         self._state = threading.Lock()
         self._runs, self._helping, self._helpers = False, 0, helpers()
 
+    @property
+    def given(self) -> tuple[Any, ...]:
+        """Arguments of :func:`tasks.work` for the thread that leads."""
+        return True, self._counters, *self._arguments
+
     def __call__(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Evaluate energies by kind in kJ/mol, and forces (na, 3) in kJ/mol/nm, at x (na, 3) in nm."""
         w = self.workspace
