@@ -86,10 +86,12 @@ def test_differences_are_relative_to_the_size_of_each_part():
 
 def test_calls_into_a_package_are_counted_from_outside_it():
     c = pc.build_chain(load("ala10.pdb"))
-    # kinematics.pose calls others of its package, which do not count.
-    answer, n = calls_of("protochain.multibody", lambda: pc.pose(c, c.q0).x)
-    assert n == 1 and np.array_equal(answer, pc.pose(c, c.q0).x)
-    assert calls_of("protochain.multibody", lambda: 1)[1] == 0
+    x = pc.pose(c, c.q0).x
+    pc.pull_back(c, pc.pose(c, c.q0), x)
+    # What these call in their package does not count, and what they keep was made before.
+    assert calls_of("protochain.multibody", lambda: pc.pose(c, c.q0).x) == 1
+    assert calls_of("protochain.multibody", lambda: pc.pull_back(c, pc.pose(c, c.q0), x)) == 2
+    assert calls_of("protochain.multibody", lambda: 1) == 0
 
 
 @pytest.mark.parametrize("scene", energies.SCENES, ids=lambda scene: scene.name)
@@ -144,8 +146,10 @@ def test_every_text_that_a_build_leaves_out_is_there(feature):
 
 
 def test_without_features_the_answers_are_the_same_to_the_bit(trp_cage):
-    found = list(costs(trp_cage, 0.0, quick=True))
-    assert len(found) >= 5 and {row.verdict for row in found} == {"right"}, found
+    # Kernels take seconds to compile: the slow test has them.
+    in_python = [each for each in FEATURES if "kernels" not in each.of]
+    found = list(costs(trp_cage, 0.0, in_python))
+    assert len(found) >= 4 and {row.verdict for row in found} == {"right"}, found
     assert all(row.here_ms > 0 and np.isfinite(row.percent) for row in found)
 
 
@@ -214,7 +218,7 @@ def test_ten_chains_are_ten_molecules():
     s = runs.several("AAA", 10)
     alpha = s.positions[s.alpha_carbons].reshape(10, 3, 3)
     apart = np.diff(alpha, axis=0)
-    assert np.allclose(apart, [2.0, 0.0, 0.0], atol=1e-9)
+    assert np.allclose(apart, [0.0, 2.0, 0.0], atol=1e-9)
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from protochain.analysis.studies.scenes import energies, runs
 from protochain.analysis.studies.scenes.cells import Material, Row, run_scene
-from protochain.analysis.studies.scenes.features import Cost, costs
+from protochain.analysis.studies.scenes.features import FEATURES, Cost, costs
 from protochain.analysis.studies.scenes.page import plot, write_page
 from protochain.storage import write_atomically
 from protochain.structure import from_sequence, load
@@ -50,6 +50,7 @@ def run(output: Path, inputs: Sequence[Path] = (), quick: bool = False) -> Itera
     """
     rows: list[Row] = []
     spent: list[Cost] = []
+    features = [each for each in FEATURES if each.in_quick or not quick]
     with threadpool_limits(1, "blas"):
         for material in _materials(inputs, quick):
             own = []
@@ -58,13 +59,13 @@ def run(output: Path, inputs: Sequence[Path] = (), quick: bool = False) -> Itera
                 own += [] if row is None else [row]
             rows += own
             yield _shown(own)
-            spent += costs(material, _SECONDS_OF_FEATURES[quick], quick)
-    scenes, features = table_of(rows, Row), table_of(spent, Cost)
-    for stem, table in (("scenes", scenes), ("features", features)):
+            spent += costs(material, _SECONDS_OF_FEATURES[quick], features)
+    scenes, unused = table_of(rows, Row), table_of(spent, Cost)
+    for stem, table in (("scenes", scenes), ("features", unused)):
         write_atomically(output / f"{stem}.csv", partial(table.to_csv, index=False))
     write_atomically(output / "scenes.png", partial(plot(scenes).savefig, dpi=110))
-    write_page(scenes, features, output / "report.html")
-    yield features.round(3)
+    write_page(scenes, unused, output / "report.html")
+    yield unused.round(3)
 
 
 def _materials(inputs: Sequence[Path], quick: bool) -> Iterator[Material]:

@@ -6,7 +6,7 @@ has changed so that a line is not found, the study says so and fails.
 
 import inspect
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from types import ModuleType
@@ -96,11 +96,9 @@ def without(where: Any, edits: tuple[Edit, ...]) -> dict[str, Any]:
     return names
 
 
-def costs(material: Material, seconds: float, quick: bool = False) -> Iterator[Cost]:
-    """Time each feature's absence."""
-    for feature in FEATURES:
-        if quick and not feature.in_quick:
-            continue
+def costs(material: Material, seconds: float, features: "Iterable[Feature]") -> Iterator[Cost]:
+    """Time the absence of features."""
+    for feature in features:
         named = (feature.name, feature.of, material.structure.name)
         try:
             here = feature.call(material, without(feature.where, ()))

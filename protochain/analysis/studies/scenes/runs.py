@@ -33,7 +33,7 @@ from protochain.units import MOLAR_GAS
 
 PEPTIDE, CHAINS = "AAAAAAAAAA", 10
 _APART = 2.0
-"""nm between neighbouring chains."""
+"""nm between neighbouring chains, along y: across an extended chain."""
 _TIME_STEP, _KELVIN = 0.001, 300.0
 """ps; K."""
 _LOADED = ("matplotlib.figure", "pandas", "jinja2", "mdtraj", "MDAnalysis")
