@@ -152,7 +152,8 @@ def run_scene(scene: Scene, material: Material, seconds: float) -> Row | None:
         both = scene.make(material)
         if both is None:
             return None
-        error, counts = _compared(both)
+        error, counted = _compared(both)
+        counts: dict[str, Any] = dict(counted)
         times = least([lambda: both.everything(both.points[0]), lambda: both.less(both.points[0])], seconds)
     except Exception as failure:  # whatever it is, the cell is wrong and the others go on
         return Row(**named, verdict="wrong", message=f"{type(failure).__name__}: {failure}")

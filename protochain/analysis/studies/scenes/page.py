@@ -22,13 +22,15 @@ def plot(table: pd.DataFrame) -> Figure:
     """Ratio of each scene's times, those that are wrong in red."""
     table = table[np.isfinite(table["ratio"])]
     several = table["structure"].nunique() > 1
-    names = [f"{r.scene} ({r.structure})" if several else r.scene for r in table.itertuples()]
-    names = [f"{name}: {against}" for name, against in zip(names, table["against"], strict=True)]
+    names = [
+        str(row["scene"]) + (f" ({row['structure']})" if several else "") + f": {row['against']}"
+        for row in table.to_dict("records")
+    ]
     figure = Figure(figsize=(8, 0.9 + 0.27 * len(table)), layout="constrained")
     ax, places = figure.subplots(), np.arange(len(table))
     colours = [COLOURS[0] if verdict == "right" else WRONG for verdict in table["verdict"]]
     ax.barh(places, table["ratio"], color=colours, height=0.65)
-    for place, ratio in zip(places, table["ratio"], strict=True):
+    for place, ratio in enumerate(table["ratio"]):
         ax.text(ratio, place, f" {ratio:.3g}x", va="center", fontsize=8)
     ax.set_yticks(places, names, fontsize=8)
     ax.invert_yaxis()
