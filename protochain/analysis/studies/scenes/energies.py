@@ -16,7 +16,7 @@ from protochain.energies.native.evaluation import Evaluation, Workspace
 from protochain.energies.native.implicit import Necks
 from protochain.energies.native.neighbours import Lists, partners
 from protochain.energies.native.terms import Terms
-from protochain.minimisers.problem import evaluate
+from protochain.minimisers.problem import Space, evaluate
 from protochain.minimisers.spaces import Cartesian, Torsions
 from protochain.multibody import integrate
 from protochain.structure import Structure, load
@@ -42,15 +42,9 @@ def sizes_of(whole: NativeEnergy, x: Floats) -> tuple[float, float]:
     return float(sum(map(abs, parts.values()))), float(np.linalg.norm(forces))
 
 
-def in_torsions(chain: Chain, of: NativeEnergy, q: Floats) -> Answer:
-    """Energy and torques of an evaluation, as minimisers make it."""
-    at = evaluate(Torsions(chain), of, q)
-    return at.energy, at.torque
-
-
-def in_atoms(structure: Structure, moving: np.ndarray, of: NativeEnergy, x: Floats) -> Answer:
-    """Energy and forces of an evaluation in all atoms, as minimisers make it."""
-    at = evaluate(Cartesian(structure, moving), of, x)
+def evaluated(space: Space, of: NativeEnergy, q: Floats) -> Answer:
+    """Energy and torques, or forces, of an evaluation, as minimisers make it."""
+    at = evaluate(space, of, q)
     return at.energy, at.torque
 
 
@@ -62,10 +56,10 @@ def counted(of: NativeEnergy, chain: Chain | None = None) -> Counted:
 def constants(material: Material, solvent: str, hinges: str, move: str) -> Both:
     """Terms that are constant in a chain's bodies: summed, and left out."""
     chain = build_chain(material.structure, hinges, move=move)
-    whole = material.energy(solvent)
+    space, whole = Torsions(chain), material.energy(solvent)
     less = native(whole.without_constants(chain.rigid_groups, material.structure.positions))
     return Both(
-        partial(in_torsions, chain, whole), partial(in_torsions, chain, less), turned(chain),
+        partial(evaluated, space, whole), partial(evaluated, space, less), turned(chain),
         lambda q: sizes_of(whole, pose(chain, q).x), (counted(whole, chain), counted(less, chain)),
         f"{chain.n_v} freedoms; constant: {_said(less.left_out)}",
     )  # fmt: skip
@@ -83,14 +77,16 @@ def region(material: Material, solvent: str, move: str) -> Both:
     coordinate, freedom = _hinges_of(every, which)
     own_coordinate, own_freedom = _hinges_of(own, range(own.n_hinges))
 
+    space_of_every, space_of_own = Torsions(every), Torsions(own)
+
     def all_hinges(q: Floats) -> Answer:
         at = every.q0.copy()
         at[coordinate] = q[own_coordinate]
-        found = evaluate(Torsions(every), of_every, at)
+        found = evaluate(space_of_every, of_every, at)
         return found.energy, found.torque[freedom]
 
     def few_hinges(q: Floats) -> Answer:
-        found = evaluate(Torsions(own), of_own, q)
+        found = evaluate(space_of_own, of_own, q)
         return found.energy, found.torque[own_freedom]
 
     return Both(
@@ -110,9 +106,10 @@ def atoms_of_region(material: Material, solvent: str, move: str) -> Both:
     """A region whose atoms move alone: everything summed, and what is constant among the others left out."""
     s, whole = material.structure, material.energy(solvent)
     moving = build_chain(s, move=move).moving
+    space = Cartesian(s, moving)
     less = native(whole.without_constants(np.where(moving, -1, 0)[:, None], s.positions))
     return Both(
-        partial(in_atoms, s, moving, whole), partial(in_atoms, s, moving, less), shifted(s, moving),
+        partial(evaluated, space, whole), partial(evaluated, space, less), shifted(s, moving),
         lambda x: sizes_of(whole, x.reshape(-1, 3)), (counted(whole), counted(less)),
         f"{moving.sum()} of {s.n_atoms} atoms; constant: {_said(less.left_out)}",
     )  # fmt: skip
@@ -140,7 +137,7 @@ def all_atoms(material: Material) -> Both:
         return value, forces.ravel()
 
     return Both(
-        with_sweeps, partial(in_atoms, s, moving, whole), shifted(s, moving),
+        with_sweeps, partial(evaluated, Cartesian(s, moving), whole), shifted(s, moving),
         lambda x: sizes_of(whole, x.reshape(-1, 3)), (counted(whole, chain), counted(whole)),
         "bodies, and torques of hinges",
     )  # fmt: skip
