@@ -5,12 +5,12 @@ so that what else the machine does strikes neither. What was left out is counted
 and by the calls into the mechanics of trees.
 """
 
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from resource import RUSAGE_CHILDREN, getrusage
 from time import perf_counter, process_time
 from types import FrameType
 from typing import Any
@@ -204,8 +204,8 @@ def least(calls: Sequence[Callable[[], object]], seconds: float) -> list[float]:
 
 def cpu_seconds() -> float:
     """CPU time of this process and of those that it has waited for."""
-    others = getrusage(RUSAGE_CHILDREN)
-    return process_time() + others.ru_utime + others.ru_stime
+    spent = os.times()
+    return process_time() + spent.children_user + spent.children_system
 
 
 def _compared(both: Both) -> tuple[float, dict[str, int]]:
