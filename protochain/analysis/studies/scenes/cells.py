@@ -160,7 +160,7 @@ def run_scene(scene: Scene, material: Material, seconds: float) -> Row | None:
     everything, less = (1e3 * taken for taken in times)
     # Not "error > bound": NaN is wrong.
     verdict = "right" if error <= SAME else "wrong"
-    proof = "bits" if error == 0.0 else f"{SAME:g} at {len(both.points)} points"
+    proof = "bits" if error == 0.0 else f"{SAME:g} at {len(both.points)} point{'s' * (len(both.points) > 1)}"
     return Row(
         **named, verdict=verdict, error=error, proof=proof, everything_ms=everything, left_out_ms=less,
         ratio=everything / less, **counts, message=both.what,
