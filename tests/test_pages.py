@@ -27,7 +27,10 @@ import tables  # noqa: E402
 import tables_more  # noqa: E402
 
 benchmarks = importlib.import_module("all")
-HELPERS = {"all", "made", "pages", "tables", "tables_curves", "tables_kcm", "tables_more", "relax_openmm"}
+HELPERS = {
+    "all", "made", "pages", "relax_openmm", "tables", "tables_curves", "tables_kcm", "tables_more",
+    "tables_scenes",
+}  # fmt: skip
 NOTEBOOKS = sorted((ROOT / "analysis" / "notebooks").glob("*.ipynb"))
 TEXTS = {
     str(page.relative_to(ROOT)): re.sub(

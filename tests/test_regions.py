@@ -6,6 +6,8 @@ from conftest import LEFT_OUT, NATIVE_ENERGY, ROUND_OFF_NM, load
 
 import protochain as pc
 from protochain import multibody
+from protochain.energies.native.evaluate import touched
+from protochain.energies.native.evaluation import Evaluation, Workspace
 from protochain.energies.native.layout import W
 from protochain.energies.native.neighbours import SKIN, block_groups, make_lists, partners
 
@@ -104,3 +106,22 @@ def test_a_run_of_a_region_starts_and_ends_at_the_energies_of_all(method):
     # In torsions, hinges of the residue turn what is behind it.
     off = np.abs(r.x - s.positions)[~c.moving].max()
     assert off < ROUND_OFF_NM if method == "cartesian" else off > 0.001
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+@pytest.mark.parametrize("move", ["resid 20", "all"])
+def test_chunks_write_only_to_the_blocks_that_are_cleared_and_added(name, move):
+    s = load("1ubq.pdb")
+    c = pc.build_chain(s, move=move)
+    less = pc.energy(s, **SETTINGS[name]).without_constants(c.rigid_groups, s.positions)
+    evaluation = Evaluation(less._layout, less._lists, less._constants[1], Workspace(less._layout), threads=1)
+    marked = touched(less._layout, less._lists)
+    evaluation.workspace.sums[:] = 7.0
+    parts, forces = evaluation(s.positions)
+    assert (evaluation.workspace.sums[~marked] == 7.0).all()
+    # What is marked is written to, but for tiles and pairs of the lists' margin.
+    assert ((evaluation.workspace.sums[marked] == 0.0).all(axis=1)).sum() < 0.2 * marked.size
+    value, expected = less(s.positions)
+    assert np.array_equal(forces, expected) and sum(parts.values()) + less._constants[0] == value
+    if name == "vacuum":
+        assert marked.mean() < (0.7 if move == "resid 20" else 1.0)

@@ -141,6 +141,11 @@ JOBS = (
     Job("dipeptide", f"{HERE}/dipeptide.py -o DIR", 45),
     Job("batch", f"{HERE}/batch.py --more MORE -o DIR", 4),
     Job(
+        "scenes", "protochain bench scenes structures/1hel.pdb -o DIR", 5,
+        "protochain bench scenes structures/1l2y.pdb --quick -o DIR",
+        {"scenes.csv": ("scenes.csv", ()), "features.csv": ("scenes_features.csv", ())},
+    ),
+    Job(
         "stability", "protochain bench stability -o DIR", 40, "protochain bench stability --quick -o DIR",
         {"error_against_time.csv": ("stability.csv", ()), "cells.csv": ("stability_cells.csv", ())},
     ),

@@ -3,8 +3,8 @@
     python analysis/benchmarks/pages.py [--check]
 
 A table or paragraph of a page stands between `<!-- table NAME -->` and `<!-- end -->`, and is made anew by
-the function of that name in tables.py, or of a file tables_*.py; where its results are not there, it
-is left as it is. With --check nothing is written, and the exit status is 1 if a page and its results differ.
+the function of that name in tables.py or tables_*.py; where its results are not there, it is left as it is.
+With --check nothing is written, and the exit status is 1 if a page and its results differ.
 """
 
 import argparse
@@ -15,6 +15,7 @@ from pathlib import Path
 import tables_curves  # noqa: F401 - registers its tables
 import tables_kcm  # noqa: F401 - the same
 import tables_more  # noqa: F401 - the same
+import tables_scenes  # noqa: F401 - the same
 from made import RESULTS, ROOT
 from tables import TABLES
 

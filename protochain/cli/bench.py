@@ -18,7 +18,9 @@ def bench(
     ] = "all",
     inputs: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[IN...]", help="Structures for precision and kcm [default: peptides]."),
+        typer.Argument(
+            metavar="[IN...]", help="Structures for precision, scenes and kcm [default: peptides]."
+        ),
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder.")] = Path("bench"),
     quick: Annotated[bool, typer.Option("--quick", help="A few minutes of it, small cases.")] = False,
@@ -39,9 +41,9 @@ def bench(
     ] = None,
     evaluations: Annotated[int | None, typer.Option(help=f"{_OF_KCM}most of a run [default: 20000].")] = None,
 ) -> None:
-    """Measure error against run time, stability in extreme cases, and whether KCM and dynamics agree.
+    """Measure error against run time, stability in extreme cases, what is left out, KCM against dynamics.
 
-    Stability is a grid of cases, each right, refused or wrong; one that is wrong fails the command.
+    Cases of stability are right, refused or wrong, and so are scenes; one that is wrong fails the command.
     """
     from protochain.analysis.studies import STUDIES, study
     from protochain.errors import ProtochainError
@@ -68,6 +70,5 @@ def bench(
             wrong += int((table["verdict"] == "wrong").sum()) if "verdict" in table else 0
     print(f"written: tables and plots in {output}")
     if wrong:
-        cells = output / ("stability" if name == "all" else "") / "cells.csv"
-        raise typer.Exit(fail(f"{wrong} cells are wrong; {cells} says how"))
+        raise typer.Exit(fail(f"{wrong} cells are wrong; the tables in {output} say how"))
     raise typer.Exit(CONVERGED)

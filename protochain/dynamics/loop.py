@@ -89,6 +89,10 @@ def noise(seed: int, step: int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, step]))
 
 
+_UNUSED = noise(0, 0)
+"""For thermostats that draw nothing: a generator of their own would take a tenth of a small system's step."""
+
+
 def advance(propagator: Propagator, state: State) -> State:
     """Return the state one time step later.
 
@@ -121,8 +125,9 @@ def advance(propagator: Propagator, state: State) -> State:
         if not propagator.thermostat.metropolis:
             raise
         at = replace(state.at, potential=np.inf)
-    system, rng = propagator.system, noise(propagator.seed, step)
-    at, bath = propagator.thermostat.apply(system, at, state.bath, propagator.time_step, rng)
+    system, thermostat = propagator.system, propagator.thermostat
+    rng = noise(propagator.seed, step) if thermostat.draws else _UNUSED
+    at, bath = thermostat.apply(system, at, state.bath, propagator.time_step, rng)
     if propagator.removes_com_motion and step % COM_REMOVAL_STEPS == 0:
         at = system.with_velocities(at, remove_com_motion(system.tree, at.factors.frames, at.qd))
     return State(step, at, bath)

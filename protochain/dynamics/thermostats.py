@@ -39,6 +39,8 @@ class Thermostat(Protocol):
     metropolis: ClassVar[bool] = False
     """Whether it accepts or rejects trajectories, which needs a reversible integrator; a failed step then has
     an infinite potential and is rejected."""
+    draws: ClassVar[bool] = True
+    """Whether it uses random numbers."""
 
     def init(self, at: Phase) -> Bath:
         """Return the bath at the start of a simulation."""
@@ -55,6 +57,7 @@ class Isolated(Thermostat):
     """No thermostat: constant energy."""
 
     conserves_momentum: ClassVar[bool] = True
+    draws: ClassVar[bool] = False
 
     def apply(
         self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
@@ -151,6 +154,7 @@ class NoseHoover(Thermostat):
     """
 
     conserves_momentum: ClassVar[bool] = True
+    draws: ClassVar[bool] = False
 
     thermal_energy: float
     freedoms: int

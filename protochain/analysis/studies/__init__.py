@@ -5,7 +5,7 @@ from typing import Any
 
 from protochain.errors import ProtochainError
 
-STUDIES = ("precision", "stability", "kcm")
+STUDIES = ("precision", "stability", "kcm", "scenes")
 
 
 def study(name: str) -> Any:

@@ -91,6 +91,17 @@ class NativeEnergy:
         return (self._layout if self._all is None else self._all[0]).terms
 
     @property
+    def visited(self) -> Mapping[str, int]:
+        """What an evaluation sums: terms, pairs of atoms, and entries of lists, with the lists in use."""
+        terms = self._layout.terms
+        n_terms = sum(len(some.atoms) for some in (*terms.bonded.values(), terms.nonbonded.exceptions))
+        if self._lists is None:
+            return {"terms": n_terms}
+        return {
+            "terms": n_terms, "pairs": self._layout.pairs_of(self._lists), "lists": len(self._lists.close),
+        }  # fmt: skip
+
+    @property
     def reference(self) -> OpenMMEnergy:
         """The same energy on OpenMM's Reference platform."""
         return self.by_openmm.reference

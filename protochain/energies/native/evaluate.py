@@ -8,6 +8,7 @@ import numpy as np
 from protochain.arrays import Floats, Integers
 from protochain.energies.native.layout import (
     CHARGE,
+    CHUNKS,
     GB_CHARGE,
     ROWS,
     S2,
@@ -94,6 +95,25 @@ class Layout:
         return np.concatenate([in_types(row, n.lj_type) for row in rows], axis=2)
 
     @cached_property
+    def touched(self) -> np.ndarray:
+        """(CHUNKS, blocks) bool: blocks whose sums a chunk writes to for bonded terms and exceptions."""
+        found = np.zeros((CHUNKS, n_blocks(self.terms.n_atoms)), dtype=bool)
+        for some in (*self.terms.bonded.values(), self.terms.nonbonded.exceptions):
+            touch(found, some.atoms // W)
+        return found
+
+    def pairs_of(self, lists: Lists) -> int:
+        """Count the pairs of atoms that an evaluation visits: tiles in each pass over them, and lists."""
+        solvent = self.terms.solvent
+        passes = len(lists.changing) * (1 if solvent is None else 2)
+        listed = len(lists.free)
+        if solvent is not None:
+            # Polar energies of all tiles, whose Born radii change; near pairs of integrals, there and back.
+            passes, listed = passes + len(lists.tiles), listed + 2 * len(lists.close)
+            passes += 2 * int(lists.is_necked.sum()) if solvent.necks else 0
+        return W * W * passes + listed
+
+    @cached_property
     def neck_type(self) -> Integers:
         """(blocks, W) int: types of the neck tables."""
         assert self.terms.solvent is not None and self.terms.solvent.necks is not None
@@ -106,6 +126,25 @@ class Layout:
         n = self.terms.solvent.necks
         rows = (n.height, n.place, n.height.T, n.place.T, n.reach**2)
         return np.concatenate([in_types(row, n.kind) for row in rows], axis=2)
+
+
+def touched(layout: Layout, lists: Lists) -> np.ndarray:
+    """(CHUNKS, blocks) bool: blocks whose sums a chunk writes to, in any step."""
+    found = layout.touched.copy()
+    touch(found, lists.changing)
+    touch(found, lists.free // W)
+    if layout.terms.solvent is not None:
+        touch(found, lists.close // W)
+        touch(found, lists.tiles)
+        touch(found, lists.tiles[lists.is_necked])
+    return found
+
+
+def touch(found: np.ndarray, blocks: Integers) -> None:
+    """Mark the blocks (n, k) of items that chunks share as :func:`layout.part` does."""
+    starts = np.arange(CHUNKS + 1) * len(blocks) // CHUNKS
+    chunk = np.repeat(np.arange(CHUNKS), np.diff(starts))
+    found[chunk[:, None], blocks] = True
 
 
 def in_types(table: Floats, kind: Integers) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 
 from protochain.arrays import Floats
 from protochain.energies.native.atomic import TICK
-from protochain.energies.native.evaluate import Layout
+from protochain.energies.native.evaluate import Layout, touched
 from protochain.energies.native.helpers import Helpers, Worth, helpers
 from protochain.energies.native.layout import CHUNKS, SUMS, W, aligned
 from protochain.energies.native.neighbours import Lists
@@ -50,11 +50,6 @@ class Workspace:
         self.worth = Worth()
         self.integral, self.slope, self.pull = np.empty((3, len(self.atoms) * W))
 
-    @property
-    def state(self) -> tuple[Any, ...]:
-        """Arrays of every step."""
-        return self.x, self.atoms, self.sums, self.parts, self.forces
-
 
 class Evaluation:
     """An energy with its lists.
@@ -80,6 +75,11 @@ class Evaluation:
         self._counters[TASKS] = tasks_of_a_step(threads, len(workspace.atoms))
         self._state = threading.Lock()
         self._runs, self._helping, self._helpers = False, 0, helpers()
+
+    @property
+    def given(self) -> tuple[Any, ...]:
+        """Arguments of :func:`tasks.work` for the thread that leads."""
+        return True, self._counters, *self._arguments
 
     def __call__(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Evaluate energies by kind in kJ/mol, and forces (na, 3) in kJ/mol/nm, at x (na, 3) in nm."""
@@ -133,6 +133,7 @@ def tasks_of_a_step(threads: int, n_blocks: int) -> int:
 def arguments(layout: Layout, lists: Lists, fixed: Floats, w: Workspace) -> tuple[Any, ...]:
     """Return the arguments of :func:`tasks.work` behind its counters, by subject; None for what is absent."""
     terms, nonbonded, solvent = layout.terms, layout.terms.nonbonded, layout.terms.solvent
+    state = w.x, w.atoms, w.sums, *_fixed(touched(layout, lists)), w.parts, w.forces
     pairwise = tuple(map(float, (layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf)))
     vacuum = *_fixed(layout.lj, layout.lj_type, lists.changing, lists.is_near, layout.block_near), pairwise
     kinds = _fixed(nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type)
@@ -145,7 +146,7 @@ def arguments(layout: Layout, lists: Lists, fixed: Floats, w: Workspace) -> tupl
         which = maps.parameters[:, 0].astype(np.int64)
         of_maps = _fixed(maps.atoms, which, terms.map_coefficients)
     if solvent is None:
-        return w.state, vacuum, some, of_maps, None, None
+        return state, vacuum, some, of_maps, None, None
     each = (
         *_fixed(solvent.offset_radius, solvent.radius, solvent.bend, solvent.scaled_radius),
         bool(solvent.engulfs), *_fixed(solvent.charge, solvent.surface), float(solvent.cutoff),
@@ -153,9 +154,9 @@ def arguments(layout: Layout, lists: Lists, fixed: Floats, w: Workspace) -> tupl
     written = np.empty((len(lists.close), 2)), w.integral, w.slope, w.pull
     born = each, _fixed(lists.close, fixed, lists.tiles), written
     if solvent.necks is None:
-        return w.state, vacuum, some, of_maps, born, None
+        return state, vacuum, some, of_maps, born, None
     necks = *_fixed(layout.necks, layout.neck_type, lists.tiles[lists.is_necked]), layout.necked
-    return w.state, vacuum, some, of_maps, born, necks
+    return state, vacuum, some, of_maps, born, necks
 
 
 def _fixed(*arrays: Any) -> tuple[Any, ...]:

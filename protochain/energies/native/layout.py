@@ -146,12 +146,14 @@ def atoms_of(begin: int, end: int, n: int) -> tuple[int, int]:
 
 
 @scalar
-def take_scalars(begin: int, end: int, sums: Floats, scalars: Floats) -> None:
+def take_scalars(begin: int, end: int, sums: Floats, touched: np.ndarray, scalars: Floats) -> None:
     """Add up row SCALAR of some blocks over the chunks, in their order, into (blocks * W,), and clear it."""
     for b in range(begin, end):
         row = scalars[b * W : (b + 1) * W]
         row[:] = 0.0
         for c in range(CHUNKS):
+            if not touched[c, b]:
+                continue
             some = sums[c, b]
             for k in range(W):
                 row[k] += some[SCALAR * W + k]
@@ -159,12 +161,17 @@ def take_scalars(begin: int, end: int, sums: Floats, scalars: Floats) -> None:
 
 
 @scalar
-def add_forces(begin: int, end: int, sums: Floats, forces: Floats) -> None:
-    """Add up the forces (CHUNKS, blocks, SUMS * W) of some blocks over the chunks, in their order."""
+def add_forces(begin: int, end: int, sums: Floats, touched: np.ndarray, forces: Floats) -> None:
+    """Add up the forces (CHUNKS, blocks, SUMS * W) of some blocks over the chunks, in their order.
+
+    Only those that a chunk writes to, ``touched`` (CHUNKS, blocks): a region's tiles are few.
+    """
     total = np.empty(3 * W)
     for b in range(begin, end):
         total[:] = 0.0
         for c in range(CHUNKS):
+            if not touched[c, b]:
+                continue
             some = sums[c, b]
             for k in range(3 * W):
                 total[k] += some[k]

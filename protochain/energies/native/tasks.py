@@ -109,18 +109,18 @@ def take(
 @inlined
 def in_vacuum(step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any) -> None:
     """Do some chunks of a step of the energy in vacuum."""
-    _, atoms, sums, parts, forces = state
+    _, atoms, sums, touched, parts, forces = state
     lj, lj_type, tiles, is_near, block_near, pairwise = vacuum
     near, cutoff, krf, crf = pairwise
     if step == 0:
-        clear(mine, sums, parts)
+        clear(mine, sums, touched, parts)
         pairs.pair_sums(
             mine, atoms, lj, lj_type, tiles, is_near, near, block_near, cutoff, krf, crf, sums,
             parts[NONBONDED],
         )  # fmt: skip
         bonded_sums(mine, state, pairwise, terms, maps)
     else:
-        add_forces(*blocks_of(mine, atoms), sums, forces)
+        add_forces(*blocks_of(mine, atoms), sums, touched, forces)
 
 
 @inlined
@@ -128,9 +128,9 @@ def in_solvent(
     step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any
 ) -> None:
     """Do some chunks of a step of the energy with generalised Born."""
-    _, atoms, sums, parts, forces = state
+    _, atoms, sums, touched, parts, forces = state
     if step == 0:
-        clear(mine, sums, parts)
+        clear(mine, sums, touched, parts)
         integrals(mine, state, vacuum, solvent, necks)
     elif step == 1:
         born_radii(mine, state, solvent)
@@ -142,17 +142,18 @@ def in_solvent(
         solvated_pairs(mine, state, vacuum, solvent, necks)
         bonded_sums(mine, state, vacuum[5], terms, maps)
     else:
-        add_forces(*blocks_of(mine, atoms), sums, forces)
+        add_forces(*blocks_of(mine, atoms), sums, touched, forces)
 
 
 @inlined
-def clear(mine: Share, sums: Floats, parts: Floats) -> None:
+def clear(mine: Share, sums: Floats, touched: np.ndarray, parts: Floats) -> None:
     """Begin the sums of some chunks."""
     # Element by element: an assignment of slices takes seconds to compile.
     for c in range(*mine):
         for block in range(sums.shape[1]):
-            for k in range(sums.shape[2]):
-                sums[c, block, k] = 0.0
+            if touched[c, block]:
+                for k in range(sums.shape[2]):
+                    sums[c, block, k] = 0.0
         for k in range(len(parts)):
             parts[k, c] = 0.0
 
@@ -166,7 +167,7 @@ def blocks_of(mine: Share, atoms: Floats) -> Share:
 @inlined
 def integrals(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) -> None:
     """Born integrals."""
-    x, atoms, sums, _, _ = state
+    x, atoms, sums, _, _, _ = state
     _, _, tiles, is_near, block_near, (near, _, _, _) = vacuum
     (offset_radius, _, _, scaled_radius, engulfs, _, _, cutoff), (close, _, _), (slopes, _, _, _) = solvent
     born.integral_sums(mine, atoms, tiles, is_near, near, block_near, cutoff, sums)
@@ -179,10 +180,10 @@ def integrals(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) ->
 @inlined
 def born_radii(mine: Share, state: Any, solvent: Any) -> None:
     """Born radii of some atoms."""
-    x, atoms, sums, _, _ = state
+    x, atoms, sums, touched, _, _ = state
     (offset_radius, radius, bend, _, _, _, _, _), (_, fixed, _), (_, integral, slope, _) = solvent
     blocks = blocks_of(mine, atoms)
-    take_scalars(*blocks, sums, integral)
+    take_scalars(*blocks, sums, touched, integral)
     begin, end = atoms_of(*blocks, len(x))
     for i in range(begin, end):
         integral[i] += fixed[i]
@@ -192,7 +193,7 @@ def born_radii(mine: Share, state: Any, solvent: Any) -> None:
 @inlined
 def polar(mine: Share, state: Any, solvent: Any) -> None:
     """Energies of generalised Born, their forces, and derivatives by Born radii."""
-    _, atoms, sums, parts, _ = state
+    _, atoms, sums, _, parts, _ = state
     # Of all tiles: where no atom has moved relative to another, Born radii have changed.
     born.polar_sums(mine, atoms, solvent[1][2], solvent[0][7], sums, parts[POLAR])
 
@@ -200,9 +201,9 @@ def polar(mine: Share, state: Any, solvent: Any) -> None:
 @inlined
 def pulls(mine: Share, state: Any, solvent: Any) -> None:
     """Derivatives by the Born integrals of some atoms, and their own energies."""
-    x, atoms, sums, parts, _ = state
+    x, atoms, sums, touched, parts, _ = state
     (_, _, _, _, _, gb_charge, surface, _), _, (_, _, slope, pull) = solvent
-    take_scalars(*blocks_of(mine, atoms), sums, pull)
+    take_scalars(*blocks_of(mine, atoms), sums, touched, pull)
     for c in range(*mine):
         begin, end = atoms_of(*part(len(atoms), c), len(x))
         polar, area = born.add_self_energy(begin, end, gb_charge, surface, slope, atoms, pull)
@@ -213,7 +214,7 @@ def pulls(mine: Share, state: Any, solvent: Any) -> None:
 @inlined
 def solvated_pairs(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) -> None:
     """Energies and forces of pairs, with the forces by the change of the Born radii."""
-    x, atoms, sums, parts, _ = state
+    x, atoms, sums, _, parts, _ = state
     lj, lj_type, tiles, is_near, block_near, (near, pair_cutoff, krf, crf) = vacuum
     (_, _, _, _, _, _, _, cutoff), (close, _, _), (slopes, _, _, pull) = solvent
     pairs.solvated_pair_sums(
@@ -229,7 +230,7 @@ def solvated_pairs(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: An
 @inlined
 def bonded_sums(mine: Share, state: Any, pairwise: Pairwise, terms: Listed, maps: Maps | None) -> None:
     """Listed pairs, exceptions and bonded terms."""
-    x, _, sums, parts, _ = state
+    x, _, sums, _, parts, _ = state
     kinds, free, exceptions, bonds, angles, torsions, impropers, ties, tie_angles = terms
     near, _, krf, crf = pairwise
     pairs.near_sums(mine, x, *kinds, free, near, krf, crf, sums, parts[NONBONDED])

@@ -1,0 +1,52 @@
+"""Tables of what scenes leave out, and of what features cost that are not used."""
+
+from pathlib import Path
+
+import pandas as pd
+from tables import Cell, of_rows, table
+
+COUNTED = ("terms", "pairs", "bodies", "sweeps", "lists", "imports")
+SHORT = (
+    "tenth residue, vacuum", "tenth residue, OBC2", "side chains of 10 residues, vacuum",
+    "atoms of the middle residue, vacuum", "vacuum", "ten chains, OBC2 and a cutoff", "closed loops",
+    "constant energy",
+)  # fmt: skip
+"""Scenes of the table of the README."""
+
+
+def _left_out(row: pd.Series) -> str:
+    """What a scene leaves out, counted."""
+    return ", ".join(f"{row[name]:,} {name}" for name in COUNTED if row[name]) or row["message"]
+
+
+def _error(row: pd.Series) -> str:
+    return "bits" if row["error"] == 0.0 else f"{row['error']:.0e}"
+
+
+_COLUMNS: tuple[tuple[str, Cell], ...] = (
+    ("scene", "{scene}"), ("with everything", "{against}"), ("ms", "{everything_ms:.3g}"),
+    ("left out, ms", "{left_out_ms:.3g}"), ("ratio", "{ratio:.2f}"), ("error", _error),
+)  # fmt: skip
+
+
+@table("scenes")
+def scenes(results: Path) -> str:
+    """Every scene, with counts of what it leaves out."""
+    return of_rows(pd.read_csv(results / "scenes.csv"), *_COLUMNS, ("left out", _left_out))
+
+
+@table("scenes-short")
+def scenes_short(results: Path) -> str:
+    """Some scenes, for the README."""
+    rows = pd.read_csv(results / "scenes.csv")
+    return of_rows(rows[rows["scene"].isin(SHORT)], *_COLUMNS)
+
+
+@table("scenes-features")
+def scenes_features(results: Path) -> str:
+    """Cost of features where they are not used."""
+    return of_rows(
+        pd.read_csv(results / "scenes_features.csv"),
+        ("feature", "{feature}"), ("of", "{of}"), ("as it is, ms", "{here_ms:.3f}"),
+        ("cannot be called, ms", "{without_ms:.3f}"), ("cost", "{percent:+.2f} %"),
+    )  # fmt: skip
