@@ -24,6 +24,7 @@ from numba import njit as _njit
 from numba.core.caching import FunctionCache
 from numba.core.codegen import get_host_cpu_features
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.runtime.nrt import rtsys
 
 from protochain import ahead
 
@@ -129,10 +130,12 @@ class Store:
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Compiled code, or None."""
-        context.refresh()
+        # Numba would also tell its compiler of all functions that it knows, for a tenth of a second; where it
+        # compiles, it does so anyway. Loaded code needs no more than its memory manager.
+        rtsys.initialize(context)
         if self._enabled and self.kept:
             with suppress(Exception):  # As above.
-                return self._files.load_overload(signature, context)
+                return self._files._load_overload(signature, context)
         return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:

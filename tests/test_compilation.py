@@ -316,3 +316,36 @@ def test_no_bit_depends_on_which_process_compiled(tmp_path):
         energies = [line.split(",")[3] for line in lines]
         found.append((output.read_bytes(), energies))
     assert found[0] == found[1] == found[2]
+
+
+LOADED = """
+import numpy as np
+from protochain.compilation import njit
+
+@njit(cache=True)
+def loaded(x):
+    seen = set(x[:, 0])
+    return np.sort(np.linalg.solve(x, np.ones(len(x)))), len(seen), np.sin(x).sum()
+
+@njit
+def compiled(x):
+    return np.cumsum(x[::-1])
+
+if __name__ == "__main__":
+    solved, n, total = loaded(np.array([[2.0, 1.0], [1.0, 3.0]]))
+    print(solved.tolist(), n, round(total, 6), sum(loaded.stats.cache_misses.values()))
+    print(compiled(np.arange(3.0)).tolist())
+"""
+
+
+@pytest.mark.slow
+def test_loaded_code_needs_nothing_that_only_the_compiler_knows(tmp_path):
+    """Memory, linear algebra, sets and mathematics work in a process that has compiled nothing."""
+    (tmp_path / "own.py").write_text(LOADED)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
+    for misses in (1, 0):
+        command = [sys.executable, str(tmp_path / "own.py")]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        expected = 2 * np.sin(1.0) + np.sin(2.0) + np.sin(3.0)
+        first, second = done.stdout.splitlines()
+        assert first == f"[0.2, 0.4] 2 {expected:.6f} {misses}" and second == "[2.0, 3.0, 3.0]"
