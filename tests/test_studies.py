@@ -51,22 +51,38 @@ def test_the_grid_counts_what_it_found(tmp_path, monkeypatch):
         cells.Case("sums", "bad", lambda threads: cells.Found(1e-14, 1e-15, "by hand")),
         cells.Case("sums", "NaN", lambda threads: cells.Found(np.nan, 1e-15, "by hand")),
         cells.Case("sums", "raises", fails),
-        cells.Case("sums", "two lines", lambda threads: pc.from_sequence("A\nB")),
-        cells.Case("limits", "refuses", refuses),
+        cells.Case("sums", "two lines", lambda threads: pc.from_sequence("A\nB"), refusal="."),
+        cells.Case("limits", "refuses", refuses, refusal="another number"),
+        cells.Case("limits", "refuses unasked", refuses),
+        cells.Case("limits", "refuses otherwise", refuses, refusal="no number"),
+        cells.Case("limits", "answers", lambda threads: cells.Found(0, 0, ""), refusal="another number"),
+        cells.Case("threads", "a bit", lambda threads: cells.Found(0.25 * threads, 1, "by hand")),
+        cells.Case("threads", "NaN both", lambda threads: cells.Found(0, np.nan, "by hand")),
+        cells.Case("threads", "a word", lambda threads: cells.Found(0, 1, "by hand", str(threads))),
+        cells.case("threads", "has none", lambda: cells.Found(0, 1, "by hand")),
         cells.Case("limits", "long", lambda threads: cells.Found(0, 0, ""), cells.Part.FULL),
     )
     monkeypatch.setattr(mechanics, "CASES", table)
-    run = cells.table_of(cells.run_cells(["mechanics"], cells.Part.QUICK))
-    assert run["verdict"].tolist() == ["right", "wrong", "wrong", "wrong", "refused", "refused"]
-    assert run["message"].tolist()[3] == "RuntimeError: out of order"
-    stability.write_page(run, tmp_path / "report.html", 1)
+    run = cells.table_of(cells.run_cells(["mechanics"], cells.Part.QUICK, (1, 2)))
+    verdicts = ["right", *["wrong"] * 3, "refused", "refused", *["wrong"] * 6, "right"]
+    assert run["verdict"].tolist() == verdicts
+    messages = run["message"].tolist()
+    assert messages[3] == "RuntimeError: out of order" and messages[5] == "give another number"
+    assert messages[6:8] == [
+        "refused where an answer is expected: give another number",
+        "refused otherwise than by 'no number': give another number",
+    ]
+    assert messages[8].startswith("an answer where a refusal is expected") and not messages[10]
+    assert "2 threads: right, error 0.5," in messages[9] and messages[11].startswith("not the same by")
+    assert run["threads"].tolist() == [*["1 2"] * 12, "1"]
+    stability.write_page(run, tmp_path / "report.html", (1, 2))
     page = (tmp_path / "report.html").read_text()
-    assert page.count('<span class="wrong" title') == 3 and page.count('<span class="refused" title') == 2
+    assert page.count('<span class="wrong" title') == 9 and page.count('<span class="refused" title') == 2
     monkeypatch.setattr(cells, "ROWS", ("mechanics",))
     monkeypatch.setattr(stability, "processors", lambda: 1)
     asked = ["bench", "stability", "--quick", "--rows", "mechanics", "-o", str(tmp_path)]
     assert app(asked, standalone_mode=False) == 1
-    assert len(pd.read_csv(tmp_path / "cells.csv")) == 6
+    assert len(pd.read_csv(tmp_path / "cells.csv")) == 13
     monkeypatch.undo()
     with pytest.raises(pc.ProtochainError, match="give no files"):
         next(stability.run(tmp_path, [tmp_path / "x.pdb"]))
@@ -81,7 +97,7 @@ def test_the_whole_grid_has_an_oracle_for_each_of_its_cells():
 
 @pytest.mark.parametrize("row", cells.ROWS)
 def test_the_smallest_part_of_the_grid_has_no_wrong_cell(row):
-    found = list(cells.run_cells([row], cells.Part.TESTED))
+    found = list(cells.run_cells([row], cells.Part.TESTED, (1, 2)))
     assert not [cell for cell in found if cell.verdict == "wrong"]
     right = [cell for cell in found if cell.verdict == "right"]
     assert len(right) >= 2 and all(cell.oracle and cell.error <= cell.bound for cell in right)

@@ -27,7 +27,9 @@ def bench(
     rows: Annotated[
         str | None, typer.Option(help=f"{_OF_STABILITY}rows of its grid, with commas between.")
     ] = None,
-    threads: Annotated[int | None, typer.Option(help=f"{_OF_STABILITY}threads of each process.")] = None,
+    threads: Annotated[
+        int | None, typer.Option(help=f"{_OF_STABILITY}also computed on so many [default: 2].")
+    ] = None,
     minutes: Annotated[
         float | None,
         typer.Option(help=f"{_OF_KCM}start no run after so many; call again to go on [default: 60]."),

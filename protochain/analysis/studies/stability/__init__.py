@@ -22,7 +22,7 @@ def run(
     inputs: Sequence[Path] = (),
     quick: bool = False,
     rows: Sequence[str] = ROWS,
-    threads: int = 1,
+    threads: int = 2,
     workers: int | None = None,
 ) -> Iterator[pd.DataFrame]:
     """Run the grid; write ``cells.csv`` and ``report.html``, and on the whole grid also the solvers' errors.
@@ -38,7 +38,7 @@ def run(
     rows : sequence of str
         Rows of the grid.
     threads : int
-        Threads of each process.
+        What has threads is computed on one and on so many, and must be the same.
     workers : int, optional
         Processes; as many as there are processors for, by default.
 
@@ -57,12 +57,13 @@ def run(
         raise ProtochainError("stability: makes its own cases; give no files")
     if threads < 1 or (workers is not None and workers < 1):
         raise ProtochainError("stability: give at least 1 thread and 1 worker")
+    counted = tuple(dict.fromkeys((1, threads)))
     part = Part.QUICK if quick else Part.FULL
     for row in rows:
         cases_of(row, part)
-    table = table_of(run_cells(rows, part, threads, workers or max(1, processors() // threads)))
+    table = table_of(run_cells(rows, part, counted, workers or processors()))
     write_atomically(output / "cells.csv", lambda to: table.to_csv(to, index=False))
-    write_page(table, output / "report.html", threads)
+    write_page(table, output / "report.html", counted)
     yield counts(table)
     yield table.loc[
         table["verdict"] == "wrong", ["row", "case", "parameters", "verdict", "error", "bound", "message"]

@@ -1,5 +1,6 @@
 """Page of the grid: a matrix of cells coloured by verdict, with what each was held against."""
 
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ def counts(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def write_page(table: pd.DataFrame, path: Path, threads: int) -> None:
+def write_page(table: pd.DataFrame, path: Path, threads: Sequence[int]) -> None:
     """Write the page: one square for each cell, in the rows of the grid, and all cells as a table."""
     grid = [
         {
@@ -40,11 +41,11 @@ def write_page(table: pd.DataFrame, path: Path, threads: int) -> None:
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
 
 
-def _made(threads: int) -> dict[str, Any]:
+def _made(threads: Sequence[int]) -> dict[str, Any]:
     return {
         "protochain": version("protochain"),
         "numpy": np.__version__,
         "numba": numba.__version__,
         "processors": processors(),
-        "threads of each process": threads,
+        "threads that must agree": ", ".join(map(str, threads)),
     }
