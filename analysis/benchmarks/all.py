@@ -24,7 +24,7 @@ from time import perf_counter
 import made
 import pages
 import pandas as pd
-from made import MORE, RESULTS, ROOT
+from made import DOCS, MORE, RESULTS, ROOT
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class Job:
     quick: str = ""
     """What --quick runs instead; by default the same with --quick."""
     collects: dict[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
-    """Of a command of protochain, which knows nothing of made.csv: file, name here, columns (empty: all)."""
+    """Of a command of protochain, which knows nothing of made.csv: file, name here, columns (empty: all).
+    A picture goes to the folder of the pages."""
 
     @property
     def inputs(self) -> list[str]:
@@ -134,7 +135,10 @@ JOBS = (
     Job("batch", f"{HERE}/batch.py --more MORE -o DIR", 4),
     Job(
         "stability", "protochain bench stability -o DIR", 40, "protochain bench stability --quick -o DIR",
-        {"error_against_time.csv": ("stability.csv", ()), "cells.csv": ("stability_cells.csv", ())},
+        {
+            "error_against_time.csv": ("stability.csv", ()), "cells.csv": ("stability_cells.csv", ()),
+            "grid.png": ("stability.png", ()),
+        },
     ),
 )  # fmt: skip
 """The one table of commands."""
@@ -163,6 +167,9 @@ def run(job: Job, output: Path, more: Path, quick: bool) -> str:
         for name, (kept_as, columns) in job.collects.items():
             if not (place / name).exists():
                 return f"wrote no {name}"
+            if name.endswith(".png"):
+                shutil.copy(place / name, (DOCS if output == RESULTS else output) / kept_as)
+                continue
             table = pd.read_csv(place / name)
             table = table[list(columns)] if columns else table
             made.write(table, output / kept_as, job.inputs, len(os.sched_getaffinity(0)), words)

@@ -5,12 +5,13 @@ error and run time of M^-1 tau (:mod:`.solvers`).
 """
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
 
 from protochain.analysis.studies.stability.cells import ROWS, Part, cases_of, run_cells, table_of
-from protochain.analysis.studies.stability.page import counts, write_page
+from protochain.analysis.studies.stability.page import counts, picture, write_page
 from protochain.analysis.studies.stability.solvers import write_solvers
 from protochain.errors import ProtochainError
 from protochain.processors import processors
@@ -25,7 +26,7 @@ def run(
     threads: int = 2,
     workers: int | None = None,
 ) -> Iterator[pd.DataFrame]:
-    """Run the grid; write ``cells.csv`` and ``report.html``, and on the whole grid also the solvers' errors.
+    """Run the grid; write ``cells.csv``, ``grid.png`` and ``report.html``, and of all of it solvers' errors.
 
     Parameters
     ----------
@@ -63,6 +64,7 @@ def run(
         cases_of(row, part)
     table = table_of(run_cells(rows, part, counted, workers or processors()))
     write_atomically(output / "cells.csv", lambda to: table.to_csv(to, index=False))
+    write_atomically(output / "grid.png", partial(picture(table).savefig, dpi=110))
     write_page(table, output / "report.html", counted)
     yield counts(table)
     yield table.loc[
