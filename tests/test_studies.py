@@ -11,7 +11,7 @@ from scipy.linalg import eigh
 import protochain as pc
 from protochain.analysis import studies
 from protochain.analysis.studies import precision, stability, study
-from protochain.analysis.studies.stability import cells, mechanics, solvers
+from protochain.analysis.studies.stability import cells, dynamics, mechanics, page, solvers
 from protochain.cli import app
 from protochain.multibody import HingeKind, mass_matrix, pose, random_tree
 
@@ -101,6 +101,41 @@ def test_the_smallest_part_of_the_grid_has_no_wrong_cell(row):
     assert not [cell for cell in found if cell.verdict == "wrong"]
     right = [cell for cell in found if cell.verdict == "right"]
     assert len(right) >= 2 and all(cell.oracle and cell.error <= cell.bound for cell in right)
+
+
+def test_a_temperature_off_by_three_per_cent_is_noticed():
+    random, half, n = np.random.default_rng(3), 15.0, 4000
+    shares = random.gamma(half, size=n)
+    right = dynamics._canonical(shares, 30)
+    assert right.error <= right.bound and right.bound < 0.05
+    for factor in (0.96, 1.04):
+        off = dynamics._canonical(factor * shares, 30)
+        assert off.error > off.bound
+    # The right mean, and another distribution: that of twice the freedoms.
+    narrow = dynamics._canonical(random.gamma(60.0, size=n) / 4, 30)
+    assert narrow.error > narrow.bound and "Kolmogorov" in narrow.oracle
+    assert np.isnan(dynamics._canonical(shares[:500], 30).error)
+
+
+def test_samples_that_follow_one_another_count_for_less():
+    random, keep = np.random.default_rng(4), 0.8
+    x = np.zeros(40_000)
+    for k in range(1, len(x)):
+        x[k] = keep * x[k - 1] + random.normal()
+    # Of an autoregression of order one.
+    assert dynamics._inefficiency(x) == pytest.approx((1 + keep) / (1 - keep), rel=0.1)
+    assert dynamics._inefficiency(random.normal(size=10_000)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_picture_has_a_dot_for_each_cell():
+    made = [("a", "right", 0.5, 1.0), ("a", "right", 0.0, 0.0), ("b", "refused", np.nan, np.nan)]
+    made.append(("b", "wrong", np.nan, 1.0))
+    table = pd.DataFrame(made, columns=["case", "verdict", "error", "bound"]).assign(row="mechanics")
+    (ax,) = page.picture(table).axes
+    right, refused, wrong = (np.asarray(dots.get_offsets()) for dots in ax.collections)
+    assert right.tolist() == [[0.5, 0], [page._LEAST, 0]]
+    assert refused.tolist() == [[10.0, 1]] and wrong.tolist() == [[10.0, 1]]
+    assert [text.get_text() for text in ax.texts] == ["1"]
 
 
 def test_solvers_are_timed_with_their_errors(tmp_path, monkeypatch):

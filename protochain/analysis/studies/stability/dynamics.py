@@ -119,6 +119,12 @@ def thermostatted(thermostat: str, kelvin: float, threads: int) -> Found:
     return _canonical(shares, done.freedoms)
 
 
+def stiff_bath(threads: int) -> Found:
+    """A bath faster than the steps can follow: refused, for its own equations blow up."""
+    _run(threads, temperature=300, time_step=0.002, n_steps=1000, thermostat="nose-hoover", friction=200.0)
+    return Found(np.nan, 0.0, "a refusal")
+
+
 def _canonical(shares: Floats, freedoms: int) -> Found:
     """Kinetic energies over kT, against Gamma(f / 2): their mean, and by Kolmogorov and Smirnov the rest."""
     half, n = 0.5 * freedoms, len(shares) / _inefficiency(shares)
@@ -188,11 +194,28 @@ def reversed_in_time(integrator: str, fs: float, kelvin: float, threads: int) ->
     return Found(error, bound, "its own start")
 
 
-def rounded(n_steps: int, closed: bool) -> Found:
+def far_away(nm: float, threads: int) -> Found:
+    """Total energies of a run this far from the origin, against the same at the origin."""
+    chain, ours, q = _minimum(threads)
+    away = q.copy()
+    root = chain.tree.q_start[0]
+    away[root + 4 : root + 7] += nm
+    given: dict[str, Any] = {"n_steps": 50, "time_step": 0.001, "thermostat": "none", "every": 1, "seed": 5}
+    home, there = (simulate(chain, ours, each, **given) for each in (q, away))
+    if not there.is_sound:
+        raise ProtochainError(there.message)
+    error = np.abs(home.trace["total_kj_mol"].to_numpy() - there.trace["total_kj_mol"].to_numpy()).max()
+    # Each atom's energy by the rounding of its place; a thermal run's forces, some ten times the start's.
+    size = 1e3 + 10 * np.abs(ours(pose(chain, q).x)[1]).sum()
+    return Found(float(error), 1e-9 + 10 * EPS * nm * float(size), "the run at the origin, kJ/mol")
+
+
+def rounded(n_steps: int, closed: bool, away: float = 0.0) -> Found:
     """Drift of momentum and of quaternions' lengths, or of closures, of free bodies by rounding alone."""
     tree = random_tree(6, 2, 0.0, HingeKind.FREE)
     rng = np.random.default_rng(4)
     q = rng.uniform(-1, 1, tree.n_q)
+    q[tree.q_start[0] + 4 : tree.q_start[0] + 7] += away
     frames, closure = frames_of(tree, q), None
     if closed:
         ends = frames.origin[[0, 5]]
@@ -267,6 +290,8 @@ def _cases() -> Iterator[Case]:
             refusal = "needs a temperature" if thermostat == "nose-hoover" and not kelvin else ""
             check = partial(thermostatted, thermostat, kelvin)
             yield Case("thermostats", f"{thermostat}, {kelvin:g} K", check, part, refusal)
+    where = "nose-hoover, friction times step 0.4"
+    yield Case("thermostats", where, stiff_bath, Part.QUICK, "unstable after .* steps")
     for thermostat in ("none", "langevin", "nose-hoover", "rescale", "hmc"):
         for step in range(1, 12):
             check = partial(restarted, thermostat, step)
@@ -281,6 +306,11 @@ def _cases() -> Iterator[Case]:
         yield case("round-off", f"{n} steps, free bodies", rounded, n, False, part=part)
     for n, part in ((1000, Part.TESTED), (10_000, Part.QUICK), (1_000_000, Part.FULL)):
         yield case("round-off", f"{n} steps, a closed loop", rounded, n, True, part=part)
+    for nm in (1.0, 1e3, 1e6):
+        yield Case("far from the origin", f"{nm:g} nm", partial(far_away, nm))
+        words = "from the origin, where coordinates are rounded" if nm > 1e3 else ""
+        where = f"{nm:g} nm, a closed loop"
+        yield case("far from the origin", where, rounded, 100, True, nm, part=Part.TESTED, refusal=words)
     for name, (h, words) in NO_STEP.items():
         yield Case("no step", name, partial(_refused, h), Part.TESTED, words)
 
