@@ -54,9 +54,7 @@ def flat_energy():
 
 
 def marks(name):
-    """What is slow, and where one per cent is not met: 3.102 for 3.047 kJ/mol/rad^2, 1.8 per cent."""
-    missed = pytest.mark.xfail(strict=True, reason="1.8 per cent off with the present metric's end")
-    return [] if name in QUICK else [pytest.mark.slow, *([missed] if name.startswith("1ubq") else [])]
+    return [] if name in QUICK else [pytest.mark.slow]
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=marks(name)) for name in SAMPLES])

@@ -247,8 +247,9 @@ def _cases() -> Iterator[Case]:
                 yield Case(start, method, check, part)
     for start in SADDLES:
         for method in METHODS:
+            part = Part.QUICK if method in ("newton", "lbfgs") else Part.FULL
             if recipe_of(method).keeps_geometry and method not in ("md", "fire"):
-                yield Case("end of a run", f"{start}, {method}", partial(curved, start, method))
+                yield Case("end of a run", f"{start}, {method}", partial(curved, start, method), part)
 
 
 CASES = tuple(_cases())
