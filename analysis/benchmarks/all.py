@@ -134,7 +134,7 @@ JOBS = (
     Job("dipeptide", f"{HERE}/dipeptide.py -o DIR", 45),
     Job("batch", f"{HERE}/batch.py --more MORE -o DIR", 4),
     Job(
-        "stability", "protochain bench stability -o DIR", 40, "protochain bench stability --quick -o DIR",
+        "stability", "protochain bench stability -o DIR", 25, "protochain bench stability --quick -o DIR",
         {
             "error_against_time.csv": ("stability.csv", ()), "cells.csv": ("stability_cells.csv", ()),
             "grid.png": ("stability.png", ()),

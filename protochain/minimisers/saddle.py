@@ -197,7 +197,7 @@ class Curvature:
             value, _, residual = _ritz(state.vectors, state.products)
             _, _, next_one = _ritz(state.vectors, state.products, 1)
             new, other = solve(residual), solve(next_one)
-            gain, others = abs(residual @ new), WEIGHT * abs(next_one @ other)
+            gain, others = float(abs(residual @ new)), WEIGHT * float(abs(next_one @ other))
             little = SHARE * max(abs(value), LEAST)
             if (max(gain, others, state.fall) < little) or len(state.vectors) >= MOST:
                 return None

@@ -53,11 +53,12 @@ _LEAST = 1e-8
 
 def picture(table: pd.DataFrame) -> Figure:
     """Error of each cell over its bound, a line of dots for each case; refusals beyond the bound."""
-    cases = list(table.groupby(["row", "case"], sort=False).groups)
+    named = table[["row", "case"]].drop_duplicates()
+    cases = list(zip(named["row"], named["case"], strict=True))
     figure = Figure(figsize=(8, 0.17 * len(cases) + 1.2), layout="constrained")
     ax = figure.subplots()
-    place = {case: i for i, case in enumerate(cases)}
-    y = np.array([place[case] for case in zip(table["row"], table["case"], strict=True)])
+    place = {each: i for i, each in enumerate(cases)}
+    y = np.array([place[each] for each in zip(table["row"], table["case"], strict=True)])
     # An error of 0 within a bound of 0: none.
     with np.errstate(invalid="ignore", divide="ignore"):
         share = (table["error"] / table["bound"]).where(table["error"] > 0, 0.0).to_numpy()
