@@ -208,6 +208,13 @@ def test_closed_loops_stay_closed_and_open_ones_are_left_to_the_force_field(name
     assert np.allclose((there - back) / (2 * h), rows @ (closed.qd + 1.0), atol=1e-6)
 
 
+def test_a_loop_too_far_away_to_close_says_so():
+    s = chain("3i40.pdb").structure
+    c = pc.build_chain(s.with_positions(s.positions + 1e5), root="free")
+    with pytest.raises(pc.ProtochainError, match=r"closed .* nm from the origin, .*; move the structure"):
+        simulate(c, lambda x: (0.0, np.zeros_like(x)), n_steps=2, time_step=0.001, loops="closed")
+
+
 @pytest.mark.parametrize("name", ["1ejg.pdb", "3i40.pdb"])
 def test_a_closed_loop_keeps_its_bond_and_both_angles_but_not_its_dihedral(name):
     c = chain(name)

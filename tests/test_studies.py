@@ -12,7 +12,7 @@ import protochain as pc
 from protochain.analysis import studies
 from protochain.analysis.studies import stability, study
 from protochain.analysis.studies.precision import minimisers
-from protochain.analysis.studies.stability import cells, mechanics, solvers
+from protochain.analysis.studies.stability import cells, dynamics, mechanics, page, solvers
 from protochain.cli import app
 from protochain.multibody import HingeKind, mass_matrix, pose, random_tree
 
@@ -52,22 +52,38 @@ def test_the_grid_counts_what_it_found(tmp_path, monkeypatch):
         cells.Case("sums", "bad", lambda threads: cells.Found(1e-14, 1e-15, "by hand")),
         cells.Case("sums", "NaN", lambda threads: cells.Found(np.nan, 1e-15, "by hand")),
         cells.Case("sums", "raises", fails),
-        cells.Case("sums", "two lines", lambda threads: pc.from_sequence("A\nB")),
-        cells.Case("limits", "refuses", refuses),
+        cells.Case("sums", "two lines", lambda threads: pc.from_sequence("A\nB"), refusal="."),
+        cells.Case("limits", "refuses", refuses, refusal="another number"),
+        cells.Case("limits", "refuses unasked", refuses),
+        cells.Case("limits", "refuses otherwise", refuses, refusal="no number"),
+        cells.Case("limits", "answers", lambda threads: cells.Found(0, 0, ""), refusal="another number"),
+        cells.Case("threads", "a bit", lambda threads: cells.Found(0.25 * threads, 1, "by hand")),
+        cells.Case("threads", "NaN both", lambda threads: cells.Found(0, np.nan, "by hand")),
+        cells.Case("threads", "a word", lambda threads: cells.Found(0, 1, "by hand", str(threads))),
+        cells.case("threads", "has none", lambda: cells.Found(0, 1, "by hand")),
         cells.Case("limits", "long", lambda threads: cells.Found(0, 0, ""), cells.Part.FULL),
     )
     monkeypatch.setattr(mechanics, "CASES", table)
-    run = cells.table_of(cells.run_cells(["mechanics"], cells.Part.QUICK))
-    assert run["verdict"].tolist() == ["right", "wrong", "wrong", "wrong", "refused", "refused"]
-    assert run["message"].tolist()[3] == "RuntimeError: out of order"
-    stability.write_page(run, tmp_path / "report.html", 1)
+    run = cells.table_of(cells.run_cells(["mechanics"], cells.Part.QUICK, (1, 2)))
+    verdicts = ["right", *["wrong"] * 3, "refused", "refused", *["wrong"] * 6, "right"]
+    assert run["verdict"].tolist() == verdicts
+    messages = run["message"].tolist()
+    assert messages[3] == "RuntimeError: out of order" and messages[5] == "give another number"
+    assert messages[6:8] == [
+        "refused where an answer is expected: give another number",
+        "refused otherwise than by 'no number': give another number",
+    ]
+    assert messages[8].startswith("an answer where a refusal is expected") and not messages[10]
+    assert "2 threads: right, error 0.5," in messages[9] and messages[11].startswith("not the same by")
+    assert run["threads"].tolist() == [*["1 2"] * 12, "1"]
+    stability.write_page(run, tmp_path / "report.html", (1, 2))
     page = (tmp_path / "report.html").read_text()
-    assert page.count('<span class="wrong" title') == 3 and page.count('<span class="refused" title') == 2
+    assert page.count('<span class="wrong" title') == 9 and page.count('<span class="refused" title') == 2
     monkeypatch.setattr(cells, "ROWS", ("mechanics",))
     monkeypatch.setattr(stability, "processors", lambda: 1)
     asked = ["bench", "stability", "--quick", "--rows", "mechanics", "-o", str(tmp_path)]
     assert app(asked, standalone_mode=False) == 1
-    assert len(pd.read_csv(tmp_path / "cells.csv")) == 6
+    assert len(pd.read_csv(tmp_path / "cells.csv")) == 13
     monkeypatch.undo()
     with pytest.raises(pc.ProtochainError, match="give no files"):
         next(stability.run(tmp_path, [tmp_path / "x.pdb"]))
@@ -82,10 +98,45 @@ def test_the_whole_grid_has_an_oracle_for_each_of_its_cells():
 
 @pytest.mark.parametrize("row", cells.ROWS)
 def test_the_smallest_part_of_the_grid_has_no_wrong_cell(row):
-    found = list(cells.run_cells([row], cells.Part.TESTED))
+    found = list(cells.run_cells([row], cells.Part.TESTED, (1, 2)))
     assert not [cell for cell in found if cell.verdict == "wrong"]
     right = [cell for cell in found if cell.verdict == "right"]
     assert len(right) >= 2 and all(cell.oracle and cell.error <= cell.bound for cell in right)
+
+
+def test_a_temperature_off_by_three_per_cent_is_noticed():
+    random, half, n = np.random.default_rng(3), 15.0, 4000
+    shares = random.gamma(half, size=n)
+    right = dynamics._canonical(shares, 30)
+    assert right.error <= right.bound and right.bound < 0.05
+    for factor in (0.96, 1.04):
+        off = dynamics._canonical(factor * shares, 30)
+        assert off.error > off.bound
+    # The right mean, and another distribution: that of twice the freedoms.
+    narrow = dynamics._canonical(random.gamma(60.0, size=n) / 4, 30)
+    assert narrow.error > narrow.bound and "Kolmogorov" in narrow.oracle
+    assert np.isnan(dynamics._canonical(shares[:500], 30).error)
+
+
+def test_samples_that_follow_one_another_count_for_less():
+    random, keep = np.random.default_rng(4), 0.8
+    x = np.zeros(40_000)
+    for k in range(1, len(x)):
+        x[k] = keep * x[k - 1] + random.normal()
+    # Of an autoregression of order one.
+    assert dynamics._inefficiency(x) == pytest.approx((1 + keep) / (1 - keep), rel=0.1)
+    assert dynamics._inefficiency(random.normal(size=10_000)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_picture_has_a_dot_for_each_cell():
+    made = [("a", "right", 0.5, 1.0), ("a", "right", 0.0, 0.0), ("b", "refused", np.nan, np.nan)]
+    made.append(("b", "wrong", np.nan, 1.0))
+    table = pd.DataFrame(made, columns=["case", "verdict", "error", "bound"]).assign(row="mechanics")
+    (ax,) = page.picture(table).axes
+    right, refused, wrong = (np.asarray(dots.get_offsets()) for dots in ax.collections)
+    assert right.tolist() == [[0.5, 0], [page._LEAST, 0]]
+    assert refused.tolist() == [[10.0, 1]] and wrong.tolist() == [[10.0, 1]]
+    assert [text.get_text() for text in ax.texts] == ["1"]
 
 
 def test_solvers_are_timed_with_their_errors(tmp_path, monkeypatch):

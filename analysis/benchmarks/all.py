@@ -24,7 +24,7 @@ from time import perf_counter
 import made
 import pages
 import pandas as pd
-from made import MORE, RESULTS, ROOT
+from made import DOCS, MORE, RESULTS, ROOT
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class Job:
     quick: str = ""
     """What --quick runs instead; by default the same with --quick."""
     collects: dict[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
-    """Of a command of protochain, which knows nothing of made.csv: file, name here, columns (empty: all)."""
+    """Of a command of protochain, which knows nothing of made.csv: file, name here, columns (empty: all).
+    A picture goes to the folder of the pages."""
 
     threads: int | None = None
     """Of such a command; as many as there are processors, by default."""
@@ -143,11 +144,17 @@ JOBS = (
     Job(
         "scenes", "protochain bench scenes structures/1hel.pdb -o DIR", 5,
         "protochain bench scenes structures/1l2y.pdb --quick -o DIR",
-        {"scenes.csv": ("scenes.csv", ()), "features.csv": ("scenes_features.csv", ())},
+        {
+            "scenes.csv": ("scenes.csv", ()), "features.csv": ("scenes_features.csv", ()),
+            "scenes.png": ("scenes.png", ()),
+        },
     ),
     Job(
-        "stability", "protochain bench stability -o DIR", 40, "protochain bench stability --quick -o DIR",
-        {"error_against_time.csv": ("stability.csv", ()), "cells.csv": ("stability_cells.csv", ())},
+        "stability", "protochain bench stability -o DIR", 25, "protochain bench stability --quick -o DIR",
+        {
+            "error_against_time.csv": ("stability.csv", ()), "cells.csv": ("stability_cells.csv", ()),
+            "grid.png": ("stability.png", ()),
+        },
     ),
 )  # fmt: skip
 """The one table of commands."""
@@ -176,6 +183,9 @@ def run(job: Job, output: Path, more: Path, quick: bool) -> str:
         for name, (kept_as, columns) in job.collects.items():
             if not (place / name).exists():
                 return f"wrote no {name}"
+            if name.endswith(".png"):
+                shutil.copy(place / name, (DOCS if output == RESULTS else output) / kept_as)
+                continue
             table = pd.read_csv(place / name)
             table = table[list(columns)] if columns else table
             threads = job.threads or len(os.sched_getaffinity(0))

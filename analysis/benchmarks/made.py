@@ -17,6 +17,7 @@ SAMPLES = ROOT / "structures"
 MORE = ROOT.parent / "shared" / "structures"
 """Default of --more: the larger collection, which is not in the repository."""
 RESULTS = ROOT / "analysis" / "results"
+DOCS = ROOT / "analysis" / "docs"
 RECORD = "made.csv"
 LIBRARIES = ("protochain", "openmm", "numpy", "scipy", "numba", "gemmi", "pin", "dartpy")
 

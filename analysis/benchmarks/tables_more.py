@@ -299,6 +299,23 @@ def stability(results: Path) -> str:
     )
 
 
+@table("stability-grid")
+def stability_grid(results: Path) -> str:
+    """Verdicts of the grid by row, with the largest error of its bound."""
+    cells = pd.read_csv(results / "stability_cells.csv")
+    share = (cells["error"] / cells["bound"]).where(cells["error"] > 0, 0.0)
+
+    def line(name: str, own: pd.DataFrame) -> tuple[str, ...]:
+        worst = cells.loc[share[own.index].idxmax()]
+        counted = (f"{(own['verdict'] == v).sum()}" for v in ("right", "refused", "wrong"))
+        what = f"{share[own.index].max():.2g} of its bound ({worst['case']}, {worst['parameters']})"
+        return name, f"{len(own)}", *counted, what
+
+    rows = [line(str(name), own) for name, own in cells.groupby("row", sort=False)]
+    heads = ("row", "cells", "right", "refused, as expected", "wrong", "largest error")
+    return markdown(heads, [*rows, line("all", cells)])
+
+
 @table("batch-words")
 def batch_words(results: Path) -> str:
     """Rate of a batch, for the README."""

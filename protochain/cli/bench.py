@@ -30,7 +30,9 @@ def bench(
     only: Annotated[
         str | None, typer.Option(help=f"{_OF_PRECISION}kinds of curves, with commas between.")
     ] = None,
-    threads: Annotated[int | None, typer.Option(help=f"{_OF_STABILITY}threads of each process.")] = None,
+    threads: Annotated[
+        int | None, typer.Option(help=f"{_OF_STABILITY}also computed on so many [default: 2].")
+    ] = None,
     minutes: Annotated[
         float | None,
         typer.Option(help=f"{_OF_KCM}start no run after so many; call again to go on [default: 60]."),

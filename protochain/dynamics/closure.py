@@ -132,6 +132,8 @@ class Closure:
         ------
         StepTooLargeError
             If the iteration for the impulses does not converge.
+        ChainError
+            If it does not because of the distance from the origin.
 
         Notes
         -----
@@ -148,6 +150,12 @@ class Closure:
             if np.max(np.abs(error)) < CLOSED_NM:
                 return q, end, factors
             impulse += cho_solve(inverse, error) / time_step
+        far = float(np.max(np.abs(at.factors.frames.origin)))
+        if np.finfo(float).eps * far > CLOSED_NM / 4:
+            raise ChainError(
+                f"loops cannot be closed {far:.3g} nm from the origin, where coordinates are rounded by more "
+                f"than their tolerance of {CLOSED_NM:g} nm; move the structure to the origin"
+            )
         raise StepTooLargeError("no impulses keep the loops closed over the time step")
 
 

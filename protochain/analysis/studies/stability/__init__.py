@@ -5,12 +5,13 @@ error and run time of M^-1 tau (:mod:`.solvers`).
 """
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
 
 from protochain.analysis.studies.stability.cells import ROWS, Part, cases_of, run_cells, table_of
-from protochain.analysis.studies.stability.page import counts, write_page
+from protochain.analysis.studies.stability.page import counts, picture, write_page
 from protochain.analysis.studies.stability.solvers import write_solvers
 from protochain.errors import ProtochainError
 from protochain.processors import processors
@@ -22,10 +23,10 @@ def run(
     inputs: Sequence[Path] = (),
     quick: bool = False,
     rows: Sequence[str] = ROWS,
-    threads: int = 1,
+    threads: int = 2,
     workers: int | None = None,
 ) -> Iterator[pd.DataFrame]:
-    """Run the grid; write ``cells.csv`` and ``report.html``, and on the whole grid also the solvers' errors.
+    """Run the grid; write ``cells.csv``, ``grid.png`` and ``report.html``, and of all of it solvers' errors.
 
     Parameters
     ----------
@@ -38,7 +39,7 @@ def run(
     rows : sequence of str
         Rows of the grid.
     threads : int
-        Threads of each process.
+        What has threads is computed on one and on so many, and must be the same.
     workers : int, optional
         Processes; as many as there are processors for, by default.
 
@@ -57,12 +58,14 @@ def run(
         raise ProtochainError("stability: makes its own cases; give no files")
     if threads < 1 or (workers is not None and workers < 1):
         raise ProtochainError("stability: give at least 1 thread and 1 worker")
+    counted = tuple(dict.fromkeys((1, threads)))
     part = Part.QUICK if quick else Part.FULL
     for row in rows:
         cases_of(row, part)
-    table = table_of(run_cells(rows, part, threads, workers or max(1, processors() // threads)))
+    table = table_of(run_cells(rows, part, counted, workers or processors()))
     write_atomically(output / "cells.csv", lambda to: table.to_csv(to, index=False))
-    write_page(table, output / "report.html", threads)
+    write_atomically(output / "grid.png", partial(picture(table).savefig, dpi=110))
+    write_page(table, output / "report.html", counted)
     yield counts(table)
     yield table.loc[
         table["verdict"] == "wrong", ["row", "case", "parameters", "verdict", "error", "bound", "message"]

@@ -1,13 +1,15 @@
 """Cells of the grid: what a case is, how it is run, and its verdict.
 
 A new case is one line in the table of its row. Its check computes an error and says what it was held against
-and how large it may be; the runner does the rest.
+and how large it may be; the line says whether an answer is expected or a refusal, and by which words. The
+runner does the rest, with every number of threads that it is given.
 """
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import IntEnum, StrEnum
 from functools import partial
 from importlib import import_module
@@ -75,19 +77,30 @@ class Case:
         Number of threads -> what it found; a ProtochainError is a refusal.
     part : Part
         Smallest part of the grid that it belongs to.
+    refusal : str
+        Pattern of the message of the refusal that is expected; empty where an answer is.
+    threaded : bool
+        Whether what it computes depends on the number of threads.
     """
 
     name: str
     parameters: str
     check: Callable[[int], Found]
     part: Part = Part.QUICK
+    refusal: str = ""
+    threaded: bool = True
 
 
 def case(
-    name: str, parameters: str, check: Callable[..., Found], *given: Any, part: Part = Part.QUICK
+    name: str,
+    parameters: str,
+    check: Callable[..., Found],
+    *given: Any,
+    part: Part = Part.QUICK,
+    refusal: str = "",
 ) -> Case:
     """Make a case of a check that computes on one thread, whatever the number given."""
-    return Case(name, parameters, lambda threads: check(*given), part)
+    return Case(name, parameters, lambda threads: check(*given), part, refusal, threaded=False)
 
 
 @dataclass(frozen=True)
@@ -102,26 +115,55 @@ class Cell:
     bound: float = np.nan
     oracle: str = ""
     message: str = ""
+    threads: str = field(default="1", compare=False)
     seconds: float = field(default=np.nan, compare=False)
 
 
-def run_case(row: str, case: Case, threads: int = 1) -> Cell:
-    """Run a case and judge it: wrong are errors above the bound, NaN, and exceptions of any other kind."""
-    began, cell = perf_counter(), partial(Cell, row, case.name, case.parameters)
+def run_case(row: str, case: Case, threads: Sequence[int] = (1,)) -> Cell:
+    """Run a case with each number of threads, once if it has none, and judge it.
+
+    Wrong are errors above the bound, NaN, a refusal where an answer is expected, an answer or another refusal
+    where one is, exceptions of any other kind, and a result that depends in any bit on the number of threads.
+    """
+    began, used = perf_counter(), tuple(threads) if case.threaded else (1,)
+    cells = [_judged(row, case, n) for n in used]
+    # By what they print as, for NaN is not itself.
+    other = next((cell for cell in cells if repr(_plain(cell)) != repr(_plain(cells[0]))), None)
+    found = cells[0]
+    if other is not None:
+        both = "; ".join(
+            f"{n} threads: {cell.verdict}, error {cell.error:.17g}, {cell.message}"
+            for n, cell in zip(used, cells, strict=True)
+        )
+        found = replace(found, verdict=Verdict.WRONG, message=f"not the same by threads: {both}")
+    return replace(found, threads=" ".join(map(str, used)), seconds=perf_counter() - began)
+
+
+def _plain(cell: Cell) -> dict[str, Any]:
+    return asdict(replace(cell, seconds=0.0))
+
+
+def _judged(row: str, case: Case, threads: int) -> Cell:
+    cell = partial(Cell, row, case.name, case.parameters)
     try:
         # Extreme numbers overflow on the way; what comes of it is judged. BLAS on one thread, as in runs.
         with np.errstate(all="ignore"), threadpool_limits(1, "blas"):
             found = case.check(threads)
     except ProtochainError as error:
-        one_line = "\n" not in str(error) and bool(str(error))
-        verdict = Verdict.REFUSED if one_line else Verdict.WRONG
-        return cell(verdict, message=str(error), seconds=perf_counter() - began)
+        said = str(error)
+        if not case.refusal:
+            return cell(Verdict.WRONG, message=f"refused where an answer is expected: {said}")
+        if "\n" in said or not re.search(case.refusal, said):
+            return cell(Verdict.WRONG, message=f"refused otherwise than by {case.refusal!r}: {said}")
+        return cell(Verdict.REFUSED, message=said)
     except Exception as error:  # whatever it is, the cell is wrong and the grid goes on
-        text = f"{type(error).__name__}: {error}"
-        return cell(Verdict.WRONG, message=text, seconds=perf_counter() - began)
+        return cell(Verdict.WRONG, message=f"{type(error).__name__}: {error}")
     # Not "error > bound": NaN is wrong.
-    verdict = Verdict.RIGHT if found.error <= found.bound else Verdict.WRONG
-    return cell(verdict, **asdict(found), seconds=perf_counter() - began)
+    right = found.error <= found.bound and not case.refusal
+    told = asdict(found)
+    if case.refusal:
+        told["message"] = f"an answer where a refusal is expected: {case.refusal}; {found.message}"
+    return cell(Verdict.RIGHT if right else Verdict.WRONG, **told)
 
 
 def cases_of(row: str, part: Part = Part.FULL) -> list[tuple[int, Case]]:
@@ -139,10 +181,12 @@ def cases_of(row: str, part: Part = Part.FULL) -> list[tuple[int, Case]]:
 
 
 def run_cells(
-    rows: Iterable[str], part: Part = Part.FULL, threads: int = 1, workers: int = 1
+    rows: Iterable[str], part: Part = Part.FULL, threads: Sequence[int] = (1,), workers: int = 1
 ) -> Iterator[Cell]:
-    """Run the cases of some rows in processes of their own, of ``threads`` threads; yield as they end."""
-    todo = [(row, i) for row in rows for i, _ in cases_of(row, part)]
+    """Run the cases of some rows in processes of their own, by each number of threads; yield as they end."""
+    listed = [(row, i, case.part) for row in rows for i, case in cases_of(row, part)]
+    # The long ones first, so that none is waited for at the end.
+    todo = [(row, i) for row, i, _ in sorted(listed, key=lambda each: -each[2])]
     if workers == 1:
         yield from (_run(row, i, threads) for row, i in todo)
         return
@@ -161,7 +205,7 @@ def run_cells(
                 yield Cell(row, lost.name, lost.parameters, Verdict.WRONG, message=message)
 
 
-def _run(row: str, i: int, threads: int) -> Cell:
+def _run(row: str, i: int, threads: Sequence[int]) -> Cell:
     return run_case(row, import_module(f"{__package__}.{row}").CASES[i], threads)
 
 

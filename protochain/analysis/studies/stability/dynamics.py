@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
+from scipy.stats import gamma, kstest
 
 from protochain.analysis.studies.stability.cells import EPS, Case, Found, Part, case
 from protochain.analysis.studies.stability.energies import peptide
@@ -27,16 +28,16 @@ from protochain.units import MOLAR_GAS
 
 
 @cache
-def _minimum(threads: int) -> tuple[Chain, Energy, Floats]:
-    """Tetraalanine with a free root, at a minimum in torsions."""
-    s = peptide("AAAA")
+def _minimum(threads: int, sequence: str = "AAAA") -> tuple[Chain, Energy, Floats]:
+    """Peptide with a free root, at a minimum in torsions."""
+    s = peptide(sequence)
     chain, ours = build_chain(s, root="free"), energy(s, engine="native", threads=threads)
     return chain, ours, minimise(chain, ours, "newton", 1e-6, 300, curvature=False).q
 
 
-def _run(threads: int, **settings: Any) -> Simulation:
+def _run(threads: int, sequence: str = "AAAA", **settings: Any) -> Simulation:
     """Simulate from the minimum; a run that has become unstable is a refusal, with its message."""
-    chain, ours, q = _minimum(threads)
+    chain, ours, q = _minimum(threads, sequence)
     done = simulate(chain, ours, q, seed=5, **settings)
     if not done.is_sound:
         raise ProtochainError(done.message)
@@ -92,21 +93,70 @@ def constant_energy(integrator: str, fs: float, kelvin: float, threads: int) -> 
     )
 
 
+SURE = 1e-5
+"""Share of right runs that a bound on the temperature would call wrong."""
+NARROW = 0.04
+"""Relative: a run whose bound is wider says nothing of its temperature, and is wrong."""
+
+
 def thermostatted(thermostat: str, kelvin: float, threads: int) -> Found:
-    """Mean temperature with a thermostat, against the one it was given."""
-    n = 400
-    length = 10 if thermostat == "hmc" else 1
+    """Kinetic energies with a thermostat, against their law: Gamma of half the freedoms, times kT.
+
+    It holds at any q, whatever the potential. Bounds are its quantiles for as many independent samples as the
+    measured autocorrelation leaves: a few per cent of the temperature.
+    """
+    slow, hot = thermostat == "nose-hoover", kelvin > 1e4
+    n, length = 20_000 if slow else 4000, 1
+    if thermostat == "hmc":  # velocities are drawn anew every other step
+        n, length = 12_000, 2
+    step = 0.0002 if hot else 0.002
     done = _run(
-        threads, temperature=kelvin, time_step=0.002 if kelvin < 1e4 else 0.0002, n_steps=n,
-        thermostat=thermostat, friction=50.0, every=length, trajectory_length=length,
+        threads, "A" * 12, temperature=kelvin, time_step=step, n_steps=n if kelvin else 400,
+        thermostat=thermostat, friction=(0.1 if slow else 1.0) / step, every=length, trajectory_length=length,
     )  # fmt: skip
-    warm = done.trace["temperature_k"].to_numpy()[n // length // 4 :]
     if not kelvin:
+        warm = done.trace["temperature_k"].to_numpy()[100:]
         return Found(float(warm.max()), 1e-6, "0 K", "K, of a start at rest in a minimum")
-    # Of f freedoms and n independent samples, sqrt(2 / f n); samples are as far apart as the friction's time.
-    apart = 1.0 / (50.0 * done.settings.time_step) / length
-    spread = kelvin * np.sqrt(2.0 / done.freedoms * max(1.0, 2 * apart) / len(warm))
-    return Found(abs(float(warm.mean()) - kelvin), 5 * float(spread), f"{kelvin:g} K, five standard errors")
+    shares = done.trace["kinetic_kj_mol"].to_numpy()[n // length // 8 :] / (MOLAR_GAS * kelvin)
+    return _canonical(shares, done.freedoms)
+
+
+def stiff_bath(threads: int) -> Found:
+    """A bath faster than the steps can follow: refused, for its own equations blow up."""
+    _run(threads, temperature=300, time_step=0.002, n_steps=1000, thermostat="nose-hoover", friction=200.0)
+    return Found(np.nan, 0.0, "a refusal")
+
+
+def _canonical(shares: Floats, freedoms: int) -> Found:
+    """Kinetic energies over kT, against Gamma(f / 2): their mean, and by Kolmogorov and Smirnov the rest."""
+    half, n = 0.5 * freedoms, len(shares) / _inefficiency(shares)
+    # The mean of n of Gamma(a) is Gamma(n a) / n.
+    ends = gamma.ppf([0.5 * SURE, 1 - 0.5 * SURE], n * half) / (n * half)
+    off, widest = abs(float(shares.mean()) / half - 1.0), float(np.abs(ends - 1.0).max())
+    apart = float(kstest(shares, gamma(half).cdf).statistic)
+    # Kolmogorov's distribution for many samples: 2 exp(-2 n d^2) is the chance of a distance d.
+    largest = float(np.sqrt(0.5 * np.log(2.0 / SURE) / n))
+    note = f"mean off by {off:.2g} of {widest:.2g}, distribution by {apart:.2g} of {largest:.2g}"
+    note += f", {n:.0f} independent samples"
+    if widest > NARROW:
+        return Found(np.nan, NARROW, "Gamma law", f"too few samples: {note}")
+    if apart / largest > off / widest:
+        return Found(apart, largest, f"Gamma law of {freedoms} freedoms, Kolmogorov-Smirnov", note)
+    return Found(off, widest, f"Gamma law of {freedoms} freedoms, mean", note)
+
+
+def _inefficiency(x: Floats) -> float:
+    """Samples for one independent one: 1 + 2 sums of autocorrelations, as long as their pairs are positive.
+
+    Geyer, Statistical Science 7:473 (1992).
+    """
+    x, n = x - x.mean(), len(x)
+    wave = np.fft.rfft(x, 2 * n)
+    correlation = np.fft.irfft(wave * wave.conj())[:n]
+    correlation /= correlation[0]
+    pairs = correlation[: n // 2 * 2].reshape(-1, 2).sum(axis=1)
+    last = int(np.argmax(pairs < 0)) if (pairs < 0).any() else len(pairs)
+    return max(1.0, 2.0 * float(pairs[:last].sum()) - 1.0)
 
 
 def restarted(thermostat: str, step: int, threads: int) -> Found:
@@ -146,11 +196,28 @@ def reversed_in_time(integrator: str, fs: float, kelvin: float, threads: int) ->
     return Found(error, bound, "its own start")
 
 
-def rounded(n_steps: int, closed: bool) -> Found:
+def far_away(nm: float, threads: int) -> Found:
+    """Total energies of a run this far from the origin, against the same at the origin."""
+    chain, ours, q = _minimum(threads)
+    away = q.copy()
+    root = chain.tree.q_start[0]
+    away[root + 4 : root + 7] += nm
+    given: dict[str, Any] = {"n_steps": 50, "time_step": 0.001, "thermostat": "none", "every": 1, "seed": 5}
+    home, there = (simulate(chain, ours, each, **given) for each in (q, away))
+    if not there.is_sound:
+        raise ProtochainError(there.message)
+    error = np.abs(home.trace["total_kj_mol"].to_numpy() - there.trace["total_kj_mol"].to_numpy()).max()
+    # Each atom's energy by the rounding of its place; a thermal run's forces, some ten times the start's.
+    size = 1e3 + 10 * np.abs(ours(pose(chain, q).x)[1]).sum()
+    return Found(float(error), 1e-9 + 10 * EPS * nm * float(size), "the run at the origin, kJ/mol")
+
+
+def rounded(n_steps: int, closed: bool, away: float = 0.0) -> Found:
     """Drift of momentum and of quaternions' lengths, or of closures, of free bodies by rounding alone."""
     tree = random_tree(6, 2, 0.0, HingeKind.FREE)
     rng = np.random.default_rng(4)
     q = rng.uniform(-1, 1, tree.n_q)
+    q[tree.q_start[0] + 4 : tree.q_start[0] + 7] += away
     frames, closure = frames_of(tree, q), None
     if closed:
         ends = frames.origin[[0, 5]]
@@ -161,8 +228,10 @@ def rounded(n_steps: int, closed: bool) -> Found:
         return 0.0, np.zeros(tree.n_v)
 
     system, leapfrog = System(tree, nothing, closure), Leapfrog()
-    at = system.at(q, np.zeros(tree.n_v))
-    at = system.with_velocities(at, rng.normal(size=tree.n_v))
+    # They turn, and their common centre rests: nanometres away coordinates would be rounded the more.
+    qd = rng.normal(size=tree.n_v)
+    qd[tree.v_start[0] + 3 : tree.v_start[0] + 6] -= momentum(tree, frames, qd)[0] / tree.mass.sum()
+    at = system.with_velocities(system.at(q, np.zeros(tree.n_v)), qd)
     before = _about_the_origin(tree, at)
     for _ in range(n_steps):
         at = leapfrog.step(system, at, 0.002)
@@ -172,11 +241,13 @@ def rounded(n_steps: int, closed: bool) -> Found:
     away = 1.0 + float(np.abs(at.q[4:7]).max())
     drift = float(np.abs(after - before).max() / (np.abs(before).max() * away))
     parts = {"momentum": drift, "quaternion": abs(float(np.linalg.norm(turn)) - 1.0)}
-    # Every step rounds by some eps, at worst all to one side; quaternions are made anew.
-    bounds = {"momentum": 10 * EPS * n_steps + 100 * EPS, "quaternion": 10 * EPS}
+    # Every step rounds by some eps, to either side; quaternions are made anew.
+    bounds = {"momentum": 10 * EPS * (n_steps**0.5 + 100), "quaternion": 10 * EPS}
     if closure is not None:
         parts["closure"] = float(np.abs(closure.errors(at.factors.frames)).max())
         bounds["closure"] = 1e-12  # nm: what each step is solved to
+        # Impulses that are solved no further pull each to the same side as long as the loop keeps its shape.
+        bounds["momentum"] = 10 * EPS * (n_steps + 100)
     worst = max(parts, key=lambda name: parts[name] / bounds[name])
     note = ", ".join(f"{name} {value:.2g}" for name, value in parts.items())
     return Found(parts[worst], bounds[worst], f"the {worst} at the start", note)
@@ -192,7 +263,16 @@ def _about_the_origin(tree: Tree, at: Phase) -> Floats:
     return np.concatenate([linear, angular + np.cross(centre_of_mass(tree, frames), linear)])
 
 
-NO_STEP = {"0": 0.0, "negative": -0.001, "NaN": np.nan, "of a ps": 1.0}
+NO_STEP = {
+    "0": (0.0, "give a number above 0"),
+    "negative": (-0.001, "give a number above 0"),
+    "NaN": (np.nan, "give a number above 0"),
+    "of a ps": (1.0, "give picoseconds"),
+}
+STOPPED = "take a time step below|no velocities solve the equations of a time step"
+"""Words of a run whose step is too long for its collisions."""
+LONGEST = {"leapfrog": 4.0, "lobatto": 4.0, "midpoint": 8.0, "rk4": 8.0}
+"""fs at 1e5 K: a thermal hydrogen crosses an atom in some fs, in which the wall is met and left again."""
 
 
 def _cases() -> Iterator[Case]:
@@ -201,16 +281,25 @@ def _cases() -> Iterator[Case]:
             for fs in (1.0, 2.0, 4.0, 8.0, 16.0, 40.0):
                 part = Part.TESTED if integrator == "leapfrog" and fs in (2.0, 40.0) else Part.QUICK
                 part = Part.FULL if integrator == "midpoint" else part
-                check = partial(constant_energy, integrator, fs, kelvin)
-                yield Case("constant energy", f"{integrator}, {fs:g} fs, {kelvin:g} K", check, part)
+                where = f"{integrator}, {fs:g} fs, {kelvin:g} K"
+                refusal = STOPPED if kelvin == 1e5 and fs > LONGEST[integrator] else ""
+                yield Case(
+                    "constant energy", where, partial(constant_energy, integrator, fs, kelvin), part, refusal
+                )
     for thermostat in ("langevin", "nose-hoover", "rescale", "hmc"):
         for kelvin in (0.0, 300.0, 1e5):
+            long = thermostat in ("nose-hoover", "hmc") or kelvin > 300
+            part = Part.FULL if kelvin and long else Part.QUICK
+            refusal = "needs a temperature" if thermostat == "nose-hoover" and not kelvin else ""
             check = partial(thermostatted, thermostat, kelvin)
-            yield Case("thermostats", f"{thermostat}, {kelvin:g} K", check)
+            yield Case("thermostats", f"{thermostat}, {kelvin:g} K", check, part, refusal)
+    where = "nose-hoover, friction times step 0.4"
+    yield Case("thermostats", where, stiff_bath, Part.QUICK, "unstable after .* steps")
     for thermostat in ("none", "langevin", "nose-hoover", "rescale", "hmc"):
-        for step in (1, 5, 11):
+        for step in range(1, 12):
             check = partial(restarted, thermostat, step)
-            yield Case("restart", f"{thermostat}, after step {step}", check)
+            part = Part.QUICK if step in (1, 5, 11) else Part.FULL
+            yield Case("restart", f"{thermostat}, after step {step}", check, part)
     for integrator in ("leapfrog", "lobatto", "midpoint"):
         for kelvin in (10.0, 300.0, 3000.0):
             for fs in (1.0, 4.0):
@@ -221,8 +310,13 @@ def _cases() -> Iterator[Case]:
         yield case("round-off", f"{n} steps, free bodies", rounded, n, False, part=part)
     for n, part in ((1000, Part.TESTED), (10_000, Part.QUICK), (1_000_000, Part.FULL)):
         yield case("round-off", f"{n} steps, a closed loop", rounded, n, True, part=part)
-    for name, h in NO_STEP.items():
-        yield Case("no step", name, partial(_refused, h), Part.TESTED)
+    for nm in (1.0, 1e3, 1e6):
+        yield Case("far from the origin", f"{nm:g} nm", partial(far_away, nm))
+        words = "from the origin, where coordinates are rounded" if nm > 1e3 else ""
+        where = f"{nm:g} nm, a closed loop"
+        yield case("far from the origin", where, rounded, 100, True, nm, part=Part.TESTED, refusal=words)
+    for name, (h, words) in NO_STEP.items():
+        yield Case("no step", name, partial(_refused, h), Part.TESTED, words)
 
 
 def _refused(step: float, threads: int) -> Found:

@@ -78,13 +78,14 @@ def met(pair: str, distance: float, solvent: str, threads: int) -> Found:
     s, ours = peptide(sequence), energy_of(sequence, solvent, threads)
     i, j = atom(s, 1, first), atom(s, 3, second)
     along = np.array([0.6, 0.0, 0.8])
-    x = s.positions.copy()
-    x[i] = x[j] + distance * along
+    # The one atom at the origin, so that the smallest distances are not rounded away.
+    x = s.positions - s.positions[j]
+    x[i] = distance * along
     if distance >= CLOSEST:
         return differs(ours, x)
     # The energy is that of the least distance; its direction is not known, so forces are only finite.
     value, forces = ours(x)
-    x[i] = x[j] + CLOSEST * along
+    x[i] = CLOSEST * along
     expected = ours.reference(x)[0]
     error = abs(value / expected - 1.0) if np.isfinite(forces).all() else np.nan
     # The distance itself is rounded at coordinates of a nm.
@@ -239,6 +240,17 @@ def copies(n: int, apart: float) -> Structure:
         return load(path)
 
 
+def large(how: str, solvent: str, threads: int) -> Found:
+    """A hundred residues of all kinds, whose pairs several threads share, extended or crossing themselves."""
+    sequence = "ACDEFGHIKLMNPQRSTVWY" * 5
+    s, ours = peptide(sequence), energy_of(sequence, solvent, threads)
+    if how == "extended":
+        return differs(ours, s.positions)
+    made = build_chain(s)
+    turn = np.random.default_rng(5).uniform(-np.pi, np.pi, made.n_q)
+    return differs(ours, pose(made, made.q0 + turn).x)
+
+
 def ten_chains(apart: float, solvent: str, threads: int) -> Found:
     """Ten copies of a peptide on top of one another, or this far (nm) apart."""
     ten = copies(10, apart)
@@ -253,8 +265,8 @@ def ten_chains(apart: float, solvent: str, threads: int) -> Found:
 def refuses(attempt: Callable[[int], Any], threads: int) -> Found:
     """Input that has no answer: anything but a refusal, or a verdict that says so, is wrong."""
     given = attempt(threads)
-    said = getattr(given, "status", None) in (Status.NON_FINITE, "refused")
-    return Found(0.0 if said else np.nan, 0.0, "a refusal, or the status non-finite", str(given))
+    said = getattr(given, "status", None) is Status.NON_FINITE
+    return Found(0.0 if said else np.nan, 0.0, "the status non-finite", str(given))
 
 
 def _one_atom(threads: int) -> Any:
@@ -275,33 +287,39 @@ def _nan_q(threads: int) -> Any:
     return simulate(made, energy_of("KAED", "vacuum", threads), np.full(made.n_q, np.nan), n_steps=1)
 
 
-NO_ANSWER: dict[str, Callable[[int], Any]] = {
-    "a file of one atom": _one_atom,
-    "a structure at NaN": lambda threads: peptide("KAED").with_positions(
-        np.full((peptide("KAED").n_atoms, 3), np.nan)
+def _at(value: float, threads: int) -> Any:
+    return peptide("KAED").with_positions(np.full((peptide("KAED").n_atoms, 3), value))
+
+
+def _given(result: tuple[float, Any], threads: int) -> Any:
+    """Minimise a callable that returns this, its forces in the shape of positions if they are one number."""
+    value, forces = result
+    return minimise(
+        peptide("GA"), lambda x: (value, np.full_like(x, forces) if forces is not None else 0.0), "lbfgs"
+    )
+
+
+NO_ANSWER: dict[str, tuple[Callable[[int], Any], str]] = {
+    "a file of one atom": (_one_atom, "holds only C-alpha atoms"),
+    "a structure at NaN": (partial(_at, np.nan), "its position is not a number"),
+    "a structure at infinity": (partial(_at, np.inf), "its position is not a number"),
+    "dynamics from angles NaN": (_nan_q, "not a finite number"),
+    "a callable whose energy is NaN": (partial(_given, (np.nan, 0.0)), ""),
+    "a callable whose forces are infinite": (partial(_given, (0.0, np.inf)), ""),
+    "a callable whose forces have no shape": (partial(_given, (0.0, None)), "return .energy, forces."),
+    "a cutoff below the lists": (
+        lambda threads: energy(peptide("GA"), engine="native", cutoff=0.01)(peptide("GA").positions),
+        "a cutoff below",
     ),
-    "a structure at infinity": lambda threads: peptide("KAED").with_positions(
-        np.full((peptide("KAED").n_atoms, 3), np.inf)
-    ),
-    "dynamics from angles NaN": _nan_q,
-    "a callable whose energy is NaN": lambda threads: minimise(
-        peptide("GA"), lambda x: (np.nan, np.zeros_like(x)), "lbfgs"
-    ),
-    "a callable whose forces are infinite": lambda threads: minimise(
-        peptide("GA"), lambda x: (0.0, np.full_like(x, np.inf)), "lbfgs"
-    ),
-    "a callable whose forces have no shape": lambda threads: minimise(peptide("GA"), lambda x: (0.0, 0.0)),
-    "a cutoff below the lists": lambda threads: energy(peptide("GA"), engine="native", cutoff=0.01)(
-        peptide("GA").positions
-    ),
-}  # fmt: skip
+}
+"""Attempts, with the words of the refusal expected; a run on a callable ends, with a status that says so."""
 
 
 def _cases() -> Iterator[Case]:
     for solvent in SOLVENTS:
         part = Part.TESTED if solvent == "obc2" else Part.QUICK
         for pair in PAIRS:
-            for distance in (0.0, 1e-300, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.1, 0.2):
+            for distance in (0.0, 5e-324, 1e-310, 1e-100, 1e-6, 1e-5, 1e-4, 1e-3, 0.01, 0.05, 0.1, 0.2):
                 yield Case(pair, f"{distance:g} nm, {solvent}", partial(met, pair, distance, solvent), part)
         for shift in (1.0, 1e3, 1e6, 1e9):
             yield Case(
@@ -328,10 +346,12 @@ def _cases() -> Iterator[Case]:
             yield Case(
                 "constant terms left out", f"{turn:g} rad, {solvent}", partial(left_out, turn, solvent)
             )
+        for how in ("extended", "crossing itself"):
+            yield Case("hundred residues", f"{how}, {solvent}", partial(large, how, solvent), Part.FULL)
         for apart in (0.0, 1e-3, 0.01, 0.1):
             yield Case("ten chains", f"{apart:g} nm apart, {solvent}", partial(ten_chains, apart, solvent))
-    for what, attempt in NO_ANSWER.items():
-        yield Case("no answer", what, partial(refuses, attempt), Part.TESTED)
+    for what, (attempt, words) in NO_ANSWER.items():
+        yield Case("no answer", what, partial(refuses, attempt), Part.TESTED, words)
 
 
 CASES = tuple(_cases())

@@ -1,5 +1,6 @@
-"""Page of the grid: a matrix of cells coloured by verdict, with what each was held against."""
+"""Page of the grid: cells coloured by verdict, with what each was held against; and its picture."""
 
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ import numba
 import numpy as np
 import pandas as pd
 
+from protochain.analysis.plots import Figure
 from protochain.analysis.studies.stability.cells import Verdict
 from protochain.analysis.viewer import template
 from protochain.processors import processors
@@ -25,7 +27,7 @@ def counts(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def write_page(table: pd.DataFrame, path: Path, threads: int) -> None:
+def write_page(table: pd.DataFrame, path: Path, threads: Sequence[int]) -> None:
     """Write the page: one square for each cell, in the rows of the grid, and all cells as a table."""
     grid = [
         {
@@ -40,11 +42,51 @@ def write_page(table: pd.DataFrame, path: Path, threads: int) -> None:
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
 
 
-def _made(threads: int) -> dict[str, Any]:
+_STYLES = {
+    Verdict.RIGHT: ("#0072B2", "o", 9),
+    Verdict.REFUSED: ("#B8860B", "_", 40),
+    Verdict.WRONG: ("#CC0000", "x", 40),
+}
+_LEAST = 1e-8
+"""Of the bound: errors below are drawn there."""
+
+
+def picture(table: pd.DataFrame) -> Figure:
+    """Error of each cell over its bound, a line of dots for each case; refusals beyond the bound."""
+    named = table[["row", "case"]].drop_duplicates()
+    cases = list(zip(named["row"], named["case"], strict=True))
+    figure = Figure(figsize=(8, 0.17 * len(cases) + 1.2), layout="constrained")
+    ax = figure.subplots()
+    place = {each: i for i, each in enumerate(cases)}
+    y = np.array([place[each] for each in zip(table["row"], table["case"], strict=True)])
+    # An error of 0 within a bound of 0: none.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = (table["error"] / table["bound"]).where(table["error"] > 0, 0.0).to_numpy()
+    x = np.clip(share, _LEAST, 1e2)
+    for verdict, (colour, marker, size) in _STYLES.items():
+        own = (table["verdict"] == verdict).to_numpy()
+        at = x[own] if verdict is Verdict.RIGHT else np.full(own.sum(), 10.0)
+        label = f"{verdict}: {own.sum()}"
+        ax.scatter(at, y[own], s=size, c=colour, marker=marker, linewidths=1.2, label=label)
+    for k, n in enumerate(np.bincount(y[(table["verdict"] == Verdict.REFUSED).to_numpy()])):
+        if n:
+            ax.text(16.0, k, str(n), fontsize=7, va="center", color=_STYLES[Verdict.REFUSED][0])
+    ax.axvline(1.0, color="black", lw=0.8)
+    ax.set_xscale("log")
+    ax.set_xlim(0.5 * _LEAST, 50)
+    ax.set_yticks(range(len(cases)), [f"{case}  ({row})" for row, case in cases], fontsize=7)
+    ax.set_ylim(len(cases) - 0.5, -0.5)
+    ax.grid(True, alpha=0.25)
+    ax.set_xlabel(f"error over the largest that theory allows (line); at {_LEAST:g}: less, or none")
+    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    return figure
+
+
+def _made(threads: Sequence[int]) -> dict[str, Any]:
     return {
         "protochain": version("protochain"),
         "numpy": np.__version__,
         "numba": numba.__version__,
         "processors": processors(),
-        "threads of each process": threads,
+        "threads that must agree": ", ".join(map(str, threads)),
     }
