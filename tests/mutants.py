@@ -39,7 +39,10 @@ FOLDERS = {
     "cli": (["cli"], ["cli", "commands", "command_runs", "command_jobs"]),
     "validation": (["validation"], []),
     "analysis": (["analysis/deviation.py", "analysis/quality.py"], []),
-    "mechanics": (["multibody", "dynamics", "chain.py"], ["multibody", "mass", "chain", "dynamics"]),
+    "mechanics": (
+        ["multibody", "motion", "dynamics", "chain.py"],
+        ["multibody", "mass", "chain", "motion", "dynamics"],
+    ),
     "kernels": (["energies/native"], ["native", "energy"]),
 }
 """Name: (what is changed, under protochain; test files for what coverage does not see: kernels, processes)"""

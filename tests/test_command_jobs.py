@@ -195,14 +195,15 @@ def test_batch_hands_its_options_on(batched, capsys):
         "manifest": None, "resume": False, "workers": None, "scheduler": None, "threads": 1,
         "time_limit": 3600.0,
         "methods": ("hybrid",), "tolerance": 1.0, "max_rmsd": math.inf, "max_evaluations": 5000, "seed": 0,
-        "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "setup": Setup(),
+        "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
+        "setup": Setup(),
     }  # fmt: skip
     assert capsys.readouterr().out == "done 1 'page'\n"
     options = (
         "-o", "out", "--methods", "md, kcm", "--manifest", "m.csv", "--workers", 2, "--scheduler", "s",
         "--threads",
         3, "--time-limit", 4, "--resume", "--tolerance", 5, "--max-evaluations", 6, "--max-rmsd", 7,
-        "--seed", 8, "--restrain", "5 0",
+        "--seed", 8, "--restrain", "5 0", "--no-curvature",
         "--json", "--ph", 5,
     )  # fmt: skip
     assert run("batch", *options) == 0
@@ -211,7 +212,7 @@ def test_batch_hands_its_options_on(batched, capsys):
         "manifest": Path("m.csv"), "resume": True, "workers": 2, "scheduler": "s", "threads": 3,
         "time_limit": 4.0,
         "methods": ("md", "kcm"), "tolerance": 5.0, "max_rmsd": 7.0, "max_evaluations": 6, "seed": 8,
-        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "hop_temperature": None,
+        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": False,
         "setup": Setup(ph=5.0),
     }  # fmt: skip
     assert capsys.readouterr().out == '{"a": 1}\n'

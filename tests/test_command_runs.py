@@ -321,8 +321,9 @@ def compared(asked, monkeypatch, tmp_path):
 
 def test_compare_hands_its_options_on(compared, asked, capsys):
     options = ("--tolerance", 2, "--max-evaluations", 7, "--seed", 3, "--repeats", 5, "--reference", "r.pdb")
+    options = (*options, "--no-curvature")
     assert run("compare", "in/a.pdb", "--methods", "md,kcm,md", *options, "--json", "-o", "out") == 0
-    more = {"reference": "loaded r.pdb", "repeats": 5}
+    more = {"reference": "loaded r.pdb", "repeats": 5, "curvature": False}
     assert compared.given == [((asked.chain, ("md", "kcm"), "energy", 2.0, 7, 3), more)]
     assert asked.foretold == [(14, 14)] and not list(Path().iterdir())
     assert asked.shown == [("one", 7, {}), ("two", 7, {})]
@@ -332,7 +333,7 @@ def test_compare_hands_its_options_on(compared, asked, capsys):
     assert run("compare", "in/a.pdb.gz", "--methods", "md,kcm") == 0
     assert compared.given[1] == (
         (asked.chain, ("md", "kcm"), "energy", 1.0, 5000, 0),
-        {"reference": None, "repeats": 3},
+        {"reference": None, "repeats": 3, "curvature": True},
     )
     assert asked.foretold[1] == (sum(typical_evaluations(method, 5000) for method in ("md", "kcm")), 10_000)
     told = capsys.readouterr()

@@ -17,7 +17,7 @@ from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, fin
 
 PLAIN = {
     "methods": ("hybrid",), "tolerance": 1.0, "max_rmsd": float("inf"), "max_evaluations": 5000, "seed": 0,
-    "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None,
+    "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
     "hinges": "phi psi chi", "root": "auto", "move": "all", "forcefield": "amber14", "solvent": "obc2",
     "engine": "auto", "cutoff": "auto", "trust_forcefield": False, "model": None, "altloc": "",
     "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (),
@@ -38,9 +38,9 @@ def names(inputs, settings=None, **options):
 def test_settings_are_recorded_by_name_but_for_threads():
     assert BatchSettings().record() == PLAIN
     assert BatchSettings(setup=pc.Setup(threads=3)).record() == PLAIN
-    assert set(NAMES) == {*PLAIN, "setup", "threads"} and NAMES[:10] == (
+    assert set(NAMES) == {*PLAIN, "setup", "threads"} and NAMES[:11] == (
         "methods", "tolerance", "max_rmsd", "max_evaluations", "seed", "setup", "restraint", "n_starts",
-        "spread", "hop_temperature",
+        "spread", "hop_temperature", "curvature",
     )  # fmt: skip
 
 
@@ -86,14 +86,14 @@ def test_methods_of_one_name_are_refused():
 def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
     row = {
         "methods": "kcm, lbfgs", "tolerance": "2", "max_rmsd": " 0.5 ", "max_evaluations": "7", "seed": "3",
-        "restrain": "5 0",
+        "restrain": "5 0", "curvature": "no",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "cutoff": "2.5", "model": "2", "altloc": "B", "keep": "ZN,CA",
         "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chain": "A, B",
     }  # fmt: skip
     assert BatchSettings().read(row).record() == {
         "methods": ("kcm", "lbfgs"), "tolerance": 2.0, "max_rmsd": 0.5, "max_evaluations": 7, "seed": 3,
-        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "hop_temperature": None,
+        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": False,
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "cutoff": 2.5, "model": 2, "altloc": "B", "keep": ("ZN", "CA"),
         "disulfide": (("A:3", "A:40"),), "ph": 6.5, "strict": True, "trust_forcefield": False,
