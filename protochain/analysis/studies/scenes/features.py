@@ -26,6 +26,7 @@ from protochain.errors import ProtochainError
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.spaces import Torsions
 from protochain.motion.leapfrog import Leapfrog
+from protochain.motion.system import System
 
 ALLOWED = 2.0
 """Per cent that a feature may cost where it is not used."""
@@ -177,6 +178,18 @@ def _leapfrog(material: Material, names: Mapping[str, Any]) -> Callable[[], Any]
     return call
 
 
+def _unloaded(material: Material, names: Mapping[str, Any]) -> Callable[[], Any]:
+    """A step of the leapfrog, of a system as it is edited."""
+    of = propagator(material, Isolated())
+    start, system = begun(of, calm(material)).at, names["System"](of.system.tree, of.system.potential)
+
+    def call() -> Any:
+        at = Leapfrog().step(system, start, of.time_step)
+        return at.q, at.p, at.potential
+
+    return call
+
+
 _TIES = (
     ("    bonded.bond_sums(mine, x, *ties, sums, parts[TIES])\n", ""),
     ("    bonded.angle_sums(mine, x, *tie_angles, sums, parts[TIE_ANGLES])\n", ""),
@@ -216,6 +229,13 @@ _CLOSURES = (
      "        return system.constraint.drift(self.drift, at, kicked, time_step)\n",
      "        return self.drift(at, kicked, time_step)\n"),
 )  # fmt: skip
+_LOADS = (
+    ("        if self.load is None:\n            return potential, torque, None\n"
+     "        load = self.load.along(self.tree, time, q, qd, factors.frames)\n"
+     "        return potential, torque + load, load\n",
+     "        return potential, torque, None\n"),
+    (" if load is None else replace(at, work=at.work + 0.5 * time_step * (before.power + at.power))", ""),
+)  # fmt: skip
 
 FEATURES = (
     Feature("solvent", "kernels, vacuum", tasks, _SOLVENT, _kernel("vacuum")),
@@ -225,6 +245,7 @@ FEATURES = (
     Feature("regions", "kernels, OBC2", tasks, _FIXED, _kernel("obc2"), False),
     Feature("springs", "evaluation, vacuum", evaluate, _SPRINGS, _evaluation),
     Feature("closures", "leapfrog, vacuum", Leapfrog, _CLOSURES, _leapfrog),
+    Feature("loads", "leapfrog, vacuum", System, _LOADS, _unloaded),
     Feature("thermostat", "step, vacuum", advance, _THERMOSTAT, _step),
 )
 """Each is compared to the bit with its absence; solvent and necks are compiled away where they are None."""

@@ -201,7 +201,7 @@ def run_cells(
             except BrokenProcessPool:
                 row, i = futures[future]
                 lost = import_module(f"{__package__}.{row}").CASES[i]
-                message = "its process died, or another's: run the row again with --workers 1"
+                message = f"its process died, or another's; run it again by itself: --rows {row}"
                 yield Cell(row, lost.name, lost.parameters, Verdict.WRONG, message=message)
 
 
