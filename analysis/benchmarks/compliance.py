@@ -30,6 +30,7 @@ from protochain.minimisers import (
     Problem,
     Stop,
     Torsions,
+    near_terms,
     parted,
     run,
 )  # fmt: skip
@@ -61,9 +62,11 @@ def random_starts(structure: pc.Structure, number: int) -> list[pc.Chain]:
 
 
 def problem_of(chain: pc.Chain, energy, budget: int) -> Problem:
-    """Return a chain's energy with what is constant left out."""
+    """A chain's energy with what is constant left out, and the metric that `minimise` has."""
     at = pc.pose(chain, chain.q0).x
-    return Problem(Torsions(chain), energy.without_constants(chain.rigid_groups, at), budget)
+    return Problem(
+        Torsions(chain, near_terms(energy)), energy.without_constants(chain.rigid_groups, at), budget
+    )
 
 
 def enkephalin(quick: bool) -> pd.DataFrame:

@@ -140,7 +140,10 @@ def one_step(chain: pc.Chain, energy) -> tuple[float, float, float, float]:
     at = system.at(chain.q0, np.zeros(chain.n_v))
     qd = sample_velocities(chain.tree, at.factors.frames, KT, np.random.default_rng(0))
     at = system.with_velocities(at, qd)
-    still = System(chain.tree, lambda q, f: (at.potential, at.torque))
+    # No torques: with constant ones the energy would jump, which ends a run.
+    idle = np.zeros(chain.n_v)
+    still = System(chain.tree, lambda q, f: (at.potential, idle))
+    at = still.at(chain.q0, at.qd)
 
     def step(thermostat: Thermostat) -> Callable[[], object]:
         propagator = Propagator(still, Leapfrog(), thermostat, 0.004, KT, 0, False)

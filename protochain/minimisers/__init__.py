@@ -1,6 +1,7 @@
 """One loop for all minimisers; directions times step rules; OpenMM's minimiser as the reference."""
 
 from protochain.minimisers.api import minimise
+from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent, Direction
 from protochain.minimisers.fire import Fire
 from protochain.minimisers.kcm import KCM, Proportional
@@ -23,5 +24,5 @@ __all__ = [
     "Cartesian", "Decaying", "Descent", "Direction", "Euclidean", "Evaluation", "Fire", "Fixed",
     "Judgement", "Mass", "Method", "Newton", "Preconditioner", "Problem", "Proportional", "PseudoTransient",
     "Recipe", "Run", "Solution", "Starts", "Status", "Stiffness", "Stop", "StrongWolfe", "Torsions",
-    "explore", "minimise", "minimize", "parted", "recipe_of", "run",
+    "explore", "minimise", "minimize", "near_terms", "parted", "recipe_of", "run",
 ]  # fmt: skip

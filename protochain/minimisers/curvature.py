@@ -104,7 +104,18 @@ class NearTerms:
 
 
 def near_terms(energy: Energy) -> NearTerms | None:
-    """Near terms of an energy; None if nothing is known of them, as of a callable."""
+    """Near terms of an energy, for the metric of :class:`Torsions` or :class:`Cartesian`.
+
+    Parameters
+    ----------
+    energy : Energy
+        Any energy function.
+
+    Returns
+    -------
+    NearTerms or None
+        None if nothing is known of its terms, as of a callable; the metric is then that of springs.
+    """
     known: Any = energy
     terms = getattr(known, "terms", None)
     if terms is None:
