@@ -126,21 +126,35 @@ def _needed(results: Path, cost: str) -> pd.DataFrame:
 
 
 def _ends(results: Path) -> pd.DataFrame:
-    """Runs that converged, of how many, and median RMSD, by method."""
-    of = pd.read_csv(results / "precision_ends.csv").groupby("method")
+    """Runs that converged, of how many, median RMSD, and ends near the lowest, by method."""
+    ends = pd.read_csv(results / "precision_ends.csv")
+    of = ends.groupby("method")
     done = of["status"].apply(lambda s: f"{(s == 'converged').sum()} of {len(s)}")
-    return pd.DataFrame({"converged": done, "rmsd": of["ca_rmsd_angstrom"].median()})
+    return pd.DataFrame({"converged": done, "rmsd": of["ca_rmsd_angstrom"].median(), "lowest": _lowest(ends)})
+
+
+def _lowest(ends: pd.DataFrame) -> pd.Series:
+    """In how many structures each method ends within 1 kJ/mol per 100 residues of the lowest of its kind."""
+    kind = ends["method"].isin(CARTESIAN)
+    energy = ends["energy_end_reference_kj_mol"]
+    above = (energy - energy.groupby([ends["structure"], kind]).transform("min")) * 100.0 / ends["residues"]
+    return (above <= 1.0).groupby(ends["method"]).sum()
 
 
 @table("precision")
 def precision(results: Path) -> str:
     """Evaluations and seconds to within levels, and how runs ended."""
     needed, ends = _needed(results, "evaluations"), _ends(results)
-    rows = [[f"`{m}`", *needed.loc[m, [100.0, 10.0, 1.0]], ends.loc[m, "converged"],
-             f"{ends.loc[m, 'rmsd']:.2f}"] for m in (*TORSIONS, *CARTESIAN)]  # fmt: skip
-    rows.insert(len(TORSIONS), [""] * 6)
+    rows = [
+        [
+            f"`{m}`", *needed.loc[m, [100.0, 10.0, 1.0]], ends.loc[m, "converged"],
+            str(ends.loc[m, "lowest"]), f"{ends.loc[m, 'rmsd']:.2f}",
+        ]
+        for m in (*TORSIONS, *CARTESIAN)
+    ]  # fmt: skip
+    rows.insert(len(TORSIONS), [""] * 7)
     levels = ("100 kJ/mol", "10 kJ/mol", "1 kJ/mol")
-    first = markdown(("evaluations to within", *levels, "converged", "RMSD angstrom"), rows)
+    first = markdown(("evaluations to within", *levels, "converged", "lowest", "RMSD angstrom"), rows)
     needed = _needed(results, "seconds")
     rows = [[f"`{m}`", *needed.loc[m, [100.0, 10.0, 1.0]]] for m in (*TORSIONS, *CARTESIAN)]
     rows.insert(len(TORSIONS), [""] * 4)
