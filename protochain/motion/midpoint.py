@@ -1,5 +1,7 @@
 """Implicit midpoint rule in the coordinates of a tree: stable for stiff springs."""
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -14,6 +16,11 @@ from protochain.motion.system import Integrator, Phase, StepTooLargeError, Syste
 from protochain.multibody.articulated import Articulated, solve
 from protochain.multibody.hamilton import momenta
 
+LEAST = 1e-3
+"""rad, or size of the tree, in a step: what moves by less is solved for as exactly as if it moved so far."""
+_CLOSER = 3
+"""Iterations from an error of a radian in a step, times the tolerance, to one of the largest velocity."""
+
 
 @dataclass(frozen=True)
 class ImplicitMidpoint(Integrator):
@@ -27,8 +34,8 @@ class ImplicitMidpoint(Integrator):
     Parameters
     ----------
     tolerance : float
-        Error of the equation for the velocities, relative to the largest velocity, or to a radian (a size of
-        the tree) in a step if that is more.
+        Error of the equation for the velocities, relative to the largest velocity, or to ``LEAST`` a step if
+        that is more; where rounding leaves less, relative to a radian in a step.
     """
 
     reversible: ClassVar[bool] = True
@@ -60,9 +67,8 @@ class ImplicitMidpoint(Integrator):
             return p
 
         guess = (at.qd + 0.5 * h * solve(at.factors, at.torque)) / tree.units
-        # In radians and sizes of the tree; at the least one of them in a step.
-        size = max(1.0 / abs(h), float(np.max(np.abs(at.qd) / tree.units)))
-        identity = LinearOperator((tree.n_v, tree.n_v), matvec=lambda x: x)
+        # In radians and sizes of the tree.
+        size = max(LEAST / abs(h), float(np.max(np.abs(at.qd) / tree.units)))
 
         def lack(scaled: Floats) -> Floats:
             qd = tree.units * scaled
@@ -70,20 +76,25 @@ class ImplicitMidpoint(Integrator):
             return np.asarray(solve(at.factors, end(qd, factors, torque, 1.0) - at.p) / tree.units)
 
         try:
-            solve_it: Any = newton_krylov
-            scaled: Floats = solve_it(
-                lack,
-                guess,
-                f_tol=self.tolerance * size,
-                maxiter=50,
-                inner_M=identity,
-                method="gmres",
-            )
+            scaled = _root(lack, guess, self.tolerance * max(1.0 / abs(h), size), 50)
         except (NoConvergence, ValueError):
             raise StepTooLargeError("Newton's method finds no velocities for the time step") from None
+        with suppress(NoConvergence, ValueError):
+            # Closer, unless stiffness leaves no digits for it.
+            scaled = _root(lack, scaled, self.tolerance * size, _CLOSER)
         qd = tree.units * scaled
         factors, torque, load = middle(qd)
         q = multibody.integrate(tree, at.q, h * qd)
         work = at.work if load is None else at.work + h * float(load @ qd)
         p = end(qd, factors, torque, -1.0)
         return system.arrive(q, p, system.factors(q), at.time + h, work)
+
+
+def _root(function: Callable[[Floats], Floats], guess: Floats, tolerance: float, iterations: int) -> Floats:
+    """Where a function (n,) of (n,) is zero, by Newton-Krylov iteration."""
+    find: Any = newton_krylov
+    identity = LinearOperator((len(guess), len(guess)), matvec=lambda x: x)
+    found: Floats = find(
+        function, guess, f_tol=tolerance, maxiter=iterations, inner_M=identity, method="gmres"
+    )
+    return found

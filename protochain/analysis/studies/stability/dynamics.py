@@ -269,7 +269,7 @@ NO_STEP = {
     "NaN": (np.nan, "give a number above 0"),
     "of a ps": (1.0, "give picoseconds"),
 }
-STOPPED = "take a time step below|no velocities solve the equations of a time step"
+STOPPED = "take a time step below|no velocities solve the equations of the time step"
 """Words of a run whose step is too long for its collisions."""
 LONGEST = {"leapfrog": 4.0, "lobatto": 4.0, "midpoint": 8.0, "rk4": 8.0}
 """fs at 1e5 K: a thermal hydrogen crosses an atom in some fs, in which the wall is met and left again."""
