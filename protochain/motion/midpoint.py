@@ -79,9 +79,10 @@ class ImplicitMidpoint(Integrator):
             scaled = _root(lack, guess, self.tolerance * max(1.0 / abs(h), size), 50)
         except (NoConvergence, ValueError):
             raise StepTooLargeError("Newton's method finds no velocities for the time step") from None
-        with suppress(NoConvergence, ValueError):
+        if float(np.max(np.abs(lack(scaled)), initial=0.0)) > self.tolerance * size:
             # Closer, unless stiffness leaves no digits for it.
-            scaled = _root(lack, scaled, self.tolerance * size, _CLOSER)
+            with suppress(NoConvergence, ValueError):
+                scaled = _root(lack, scaled, self.tolerance * size, _CLOSER)
         qd = tree.units * scaled
         factors, torque, load = middle(qd)
         q = multibody.integrate(tree, at.q, h * qd)
