@@ -206,6 +206,8 @@ def _measured(kind: str, k: float) -> tuple[float, float, float, float]:
 
 
 RISING = (1e3, 1e4, 1e5, 1e6, 1e7)
+STIFFEST = 1e8
+"""kJ/mol/rad^2."""
 
 
 def crossover(kind: str) -> Found:
@@ -214,7 +216,8 @@ def crossover(kind: str) -> Found:
     The explicit method must take w_max h < 2, the implicit one is limited by its error: w h < ``ACCURATE``.
     """
     ratios, gains, costs = [], [], []
-    for k in RISING:
+    # Beyond the crossover by a factor of three at the least, however quick a step is.
+    for k in (*RISING, STIFFEST):
         of = springs(kind, k, False)
         explicit, implicit, step, dear = _measured(kind, k)
         ratios.append(of.frequencies[-1] / of.slow)
