@@ -148,12 +148,23 @@ def test_costs_of_minimisers_are_quoted_with_quartiles(tmp_path):
     rows.loc[rows["method"] == "kcm", ["first_quartile", "median"]] = np.inf
     rows.to_csv(tmp_path / "precision.csv", index=False)
     ends = pd.DataFrame({"method": [m for m in (*tables.TORSIONS, *tables.CARTESIAN) for _ in range(2)]})
-    ends = ends.assign(status=["converged", "budget"] * 9, ca_rmsd_angstrom=[0.5, 0.7] * 9)
+    ends = ends.assign(
+        status=["converged", "budget"] * 9, ca_rmsd_angstrom=[0.5, 0.7] * 9, structure=["a", "b"] * 9,
+        residues=50, energy_end_reference_kj_mol=-10.0,
+    )  # fmt: skip
+    # 0.4 kJ/mol of 50 residues are 0.8 of a hundred; those that move all atoms have their own lowest.
+    higher = {("lbfgs", "a"): 0.4, ("lbfgs", "b"): 0.6, ("hybrid", "a"): -9.0}
+    for (method, structure), rise in higher.items():
+        its = (ends["method"] == method) & (ends["structure"] == structure)
+        ends.loc[its, "energy_end_reference_kj_mol"] += rise
     ends.to_csv(tmp_path / "precision_ends.csv", index=False)
     long, short = tables.TABLES["precision"](tmp_path), tables.TABLES["precision-short"](tmp_path)
-    assert "| `lbfgs` | 23 (12 to never) | 23 (12 to never) | 23 (12 to never) | 1 of 2 | 0.60 |\n" in long
+    assert (
+        "| `lbfgs` | 23 (12 to never) | 23 (12 to never) | 23 (12 to never) | 1 of 2 | 1 | 0.60 |\n" in long
+    )
     assert "| `lbfgs` | 23.5 (12.0 to never) | 23.5" in long
-    assert "| `kcm` | never | never | never | 1 of 2 | 0.60 |\n" in long
+    assert "| `kcm` | never | never | never | 1 of 2 | 2 | 0.60 |\n" in long
+    assert [row.split("|")[6].strip() for row in long.splitlines()[9:12]] == ["1", "2", "1"]
     assert short.splitlines()[2] == "| evaluations | never | 23 | 23 | 23 | 23 | 23 | 23 |"
     assert short.splitlines()[4] == "| converged |" + " 1 of 2 |" * 7
 
