@@ -118,7 +118,10 @@ JOBS = (
     ),
     Job(
         "curves", f"protochain bench precision --only {CURVES} -o DIR", 5,
-        collects={"curves.csv": ("precision_curves.csv", ())}, threads=1,
+        collects={
+            "curves.csv": ("precision_curves.csv", ()), "integrators.png": ("integrators.png", ()),
+        },
+        threads=1,
     ),
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
     Job("compliance", f"{HERE}/compliance.py -o DIR", 4),
