@@ -244,10 +244,10 @@ def test_rosenbrock_of_a_free_tree_is_of_order_two():
 
 
 @pytest.mark.parametrize("integrator", [DormandPrince(1e-9), Rosenbrock(1e-4), ImplicitMidpoint()])
-def test_no_tolerance_depends_on_the_unit_of_length(integrator):
-    """A slider in metres and in millimetres takes the same substeps, so that it ends at the same place."""
+def test_no_tolerance_depends_on_the_units(integrator):
+    """In metres or millimetres, seconds or milliseconds, the substeps are the same, and so is the end."""
     ends, counts = [], []
-    for scale in (1.0, 1000.0):
+    for scale, second in ((1.0, 1.0), (1000.0, 1.0), (1.0, 1000.0)):
         tree = Tree(
             np.array([-1, 0]), np.array([HingeKind.PRISMATIC, HingeKind.REVOLUTE]),
             scale * np.array([[0.0, 0, 0], [0.2, 0, 0]]), np.eye(3)[None].repeat(2, 0), np.ones(2),
@@ -255,18 +255,18 @@ def test_no_tolerance_depends_on_the_unit_of_length(integrator):
         )  # fmt: skip
         count = []
 
-        def potential(q, factors, scale=scale, count=count):
+        def potential(q, factors, scale=scale, unit=(scale / second) ** 2, count=count):
             count.append(1)
             x, angle = q[0] / scale, q[1]
             energy = 40.0 * x**2 + 5.0 * np.cos(angle)
-            return scale**2 * energy, scale**2 * np.array([-80.0 * x / scale, 5.0 * np.sin(angle)])
+            return unit * energy, unit * np.array([-80.0 * x / scale, 5.0 * np.sin(angle)])
 
         system = System(tree, potential)
-        at = steps(system, integrator, system.at(np.array([0.1 * scale, 0.3]), np.zeros(2)), 5, 0.1)
+        at = steps(system, integrator, system.at(np.array([0.1 * scale, 0.3]), np.zeros(2)), 5, 0.1 * second)
         ends.append(at.q / tree.coordinate_units)
         counts.append(len(count))
-    assert counts[0] == pytest.approx(counts[1], abs=2)
-    assert np.allclose(*ends, atol=1e-7)
+    assert max(counts) - min(counts) <= 2
+    assert np.allclose(ends[0], ends[1:], atol=1e-7)
 
 
 def test_units_of_freedoms():
@@ -332,7 +332,8 @@ def test_events_of_one_time_follow_each_other_and_the_earliest_comes_first():
     at = system.at(np.array([0.0]), np.ones(1))
 
     def mark(name, place):
-        return Event(name, lambda p: place - float(p.q[0]), lambda s, p: p, passes=True)
+        # Not a straight line, so that its zero is found at a time that is rounded otherwise.
+        return Event(name, lambda p: float(np.sinh(place - p.q[0])) / 3.0, lambda s, p: p, passes=True)
 
     turn = Event("wall", lambda p: 0.35 - float(p.q[0]), lambda s, p: s.with_velocities(p, -p.qd))
     events = [mark("late", 0.34), turn, mark("with the wall", 0.35), mark("early", 0.33)]
