@@ -8,16 +8,17 @@ With --check nothing is written, and the exit status is 1 if a page and its resu
 """
 
 import argparse
+import importlib
 import re
 import sys
 from pathlib import Path
 
-import tables_curves  # noqa: F401 - registers its tables
-import tables_kcm  # noqa: F401 - the same
-import tables_more  # noqa: F401 - the same
-import tables_scenes  # noqa: F401 - the same
 from made import RESULTS, ROOT
 from tables import TABLES
+
+# They register their tables.
+for _path in sorted(Path(__file__).parent.glob("tables_*.py")):
+    importlib.import_module(_path.stem)
 
 PAGES = tuple(
     ROOT / name
