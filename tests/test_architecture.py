@@ -37,7 +37,7 @@ LAYERS = [
     {"minimisers"},
     {"relaxation"},
     {"analysis"},
-    {"batches"},
+    {"batches", "scenes"},
     {"cli"},
 ]
 OPEN = (
@@ -49,6 +49,7 @@ OPEN = (
     "motion",
     "multibody",
     "relaxation",
+    "scenes",
     "structure",
     "validation",
 )
