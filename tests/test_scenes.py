@@ -1,11 +1,22 @@
 """Scenes: their parts, the command, and that commands for proteins load none of them."""
 
+import json
+import subprocess
+import sys
+from importlib import import_module
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import ROOT, STRUCTURES
+from test_commands import refusal
+from test_commands import run as command
 
-from protochain.errors import MechanicsError
-from protochain.scenes import Check, Extreme, LeftOut, Scene
+import protochain.scenes
+from protochain.errors import MechanicsError, ProtochainError
+from protochain.multibody import kinetic_energy, pose
+from protochain.scenes import SCENES, Check, Extreme, LeftOut, Scene, plot_work, run, serial
 from protochain.scenes.scene import check, exponent, extreme, left_out, timed, work_table
 
 
@@ -89,3 +100,139 @@ def test_a_scene_names_what_is_wrong_and_has_a_table_for_each_file():
         *Check.__annotations__,
         "verdict",
     ]
+
+
+@pytest.fixture
+def scenes(monkeypatch):
+    """Make the command run scenes of one's own: by name, a function of quick."""
+
+    def put(**made):
+        monkeypatch.setattr(protochain.scenes, "SCENES", {name: f"one of {name}" for name in made})
+        for name, function in made.items():
+            module = SimpleNamespace(run=function)
+            monkeypatch.setitem(sys.modules, f"protochain.scenes.{name}", module)
+
+    return put
+
+
+def test_every_scene_has_a_line_and_a_module():
+    folder = ROOT / "protochain" / "scenes"
+    modules = {path.stem for path in folder.iterdir() if path.is_dir() or path.suffix == ".py"}
+    assert modules - {"__init__", "__pycache__", "scene", "folder"} == set(SCENES)
+    for name, line in SCENES.items():
+        assert 20 < len(line) < 90 and "\n" not in line
+        assert callable(import_module(f"protochain.scenes.{name}").run)
+
+
+def test_the_command_writes_what_a_scene_finds(scenes, tmp_path, capsys, monkeypatch):
+    asked = []
+    left = (LeftOut("half of it", 2.0, 0.0, 0.0),)
+    found = some((check("k", 1.0, 1.0, 0.1, "one"),), (Extreme("odd", "refused", "no"),), left)
+    scenes(some=lambda quick: asked.append(quick) or found)
+    monkeypatch.chdir(tmp_path)
+    assert command("scene", "some") == 0 and command("scene", "some", "--quick", "-o", "there") == 0
+    assert asked == [False, True]
+    files = {"checks", "work", "extremes", "left_out", "trace"}
+    for folder in (tmp_path / "scene-some", tmp_path / "there"):
+        assert {path.stem for path in folder.glob("*.csv")} == files
+        assert pd.read_csv(folder / "checks.csv")["verdict"].tolist() == ["right"]
+        assert pd.read_csv(folder / "work.csv")["error"].tolist() == [1e-3, 1e-4]
+        assert (folder / "work.png").stat().st_size > 5000
+        record = json.loads((folder / "made.json").read_text())
+        assert set(record) == {"machine", "threads", "versions", "commit"} and "numba" in record["versions"]
+    out = capsys.readouterr().out
+    assert out.startswith("some: a scene\n") and "half of it" in out and "1 extremes: 1 refused" in out
+    assert "written: tables and work.png in scene-some" in out
+    assert command("scene", "some", "--json", "-o", tmp_path / "there") == 0
+    text = json.loads(capsys.readouterr().out)
+    assert text["scene"] == "some" and text["wrong"] == [] and text["output"] == str(tmp_path / "there")
+    assert text["checks"][0]["oracle"] == 1.0 and text["work"][1]["setting"] == "h/2"
+    assert text["left_out"][0]["ratio"] == 2.0 and text["extremes"][0]["outcome"] == "refused"
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        ((check("odd one", np.nan, 1.0, 0.1, "one"),),),
+        ((), (Extreme("odd one", "wrong", "no"),)),
+        ((), (), (LeftOut("odd one", 2.0, 1.0, 0.1),)),
+    ],
+)
+def test_what_is_wrong_fails_the_command(parts, scenes, tmp_path, capsys):
+    scenes(some=lambda quick: some(*parts))
+    assert command("scene", "some", "--json", "-o", tmp_path) == 1
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["wrong"] == ["odd one"]
+    assert captured.err == f"protochain: scene some: wrong: odd one; the tables in {tmp_path} say how\n"
+
+
+def test_many_extremes_are_counted_and_the_wrong_ones_listed(scenes, tmp_path, capsys):
+    many = tuple(Extreme(f"case {k}", "wrong" if k == 33 else "right", "so") for k in range(40))
+    scenes(some=lambda quick: some(extremes=many))
+    assert command("scene", "some", "-o", tmp_path) == 1
+    out = capsys.readouterr().out
+    assert "40 extremes: 39 right, 1 wrong" in out and "case 33" in out and "case 32" not in out
+
+
+def test_without_a_name_scenes_are_listed_and_an_unknown_one_is_refused(scenes, tmp_path, capsys):
+    scenes(some=lambda quick: some(), other=lambda quick: some())
+    assert command("scene") == 0
+    assert capsys.readouterr().out == "some   one of some\nother  one of other\n"
+    assert command("scene", "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {"scenes": {"some": "one of some", "other": "one of other"}}
+    assert refusal("scene", "odd") == "there is no scene 'odd'; choose from some, other"
+    with pytest.raises(ProtochainError, match="choose from"):
+        run("odd")
+    (tmp_path / "file").write_text("")
+    assert "is not a folder" in refusal("scene", "some", "-o", tmp_path / "file")
+
+
+def test_a_picture_has_a_line_for_each_method_with_its_finite_errors():
+    rows = [("a", "1", 0.1, 1e-3), ("a", "2", 0.2, np.inf), ("a", "3", 0.4, 0.0), ("b", "1", 0.1, 1e-2)]
+    of = Scene("some", "a scene", (), work_table(rows), error_of="error, rad")
+    (ax,) = plot_work(of).axes
+    assert [line.get_label() for line in ax.lines] == ["a", "b"]
+    np.testing.assert_array_equal(ax.lines[0].get_xydata(), [[0.1, 1e-3], [0.4, 1e-17]])
+    assert (ax.get_xscale(), ax.get_yscale(), ax.get_ylabel()) == ("log", "log", "error, rad")
+    assert plot_work(Scene("some", "none", (), work_table([]))).axes[0].lines[:] == []
+
+
+def test_commands_for_proteins_load_no_scene(tmp_path):
+    code = (
+        "import sys; from protochain.cli import app; app(['minimise', sys.argv[1], '-o', sys.argv[2],"
+        " '--max-evaluations', '5', '--solvent', 'vacuum'], standalone_mode=False);"
+        " print(*sys.modules, file=sys.__stdout__)"
+    )
+    words = [sys.executable, "-c", code, str(STRUCTURES / "ala10.pdb"), str(tmp_path / "out.pdb")]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    loaded = {name for name in done.stdout.split() if name.startswith("protochain.")}
+    assert "protochain.minimisers" in loaded and (tmp_path / "out.pdb").exists()
+    assert not {name for name in loaded if name.split(".")[1] in ("scenes", "mechanisms")}
+
+
+def test_scenes_load_nothing_of_proteins_before_one_is_run():
+    code = "import sys, protochain.scenes; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert not loaded & {"openmm", "gemmi", "MDAnalysis", "protochain.structure", "protochain.chain"}
+
+
+def test_rods_have_the_kinetic_energy_and_weight_of_rods():
+    tree, rate = serial.rods(3, 1.5, 6.0), np.array([2.0, 0.0, 0.0])
+    straight = pose(tree, np.array([0.3, 0.0, 0.0]))
+    # One rod of 1.5 m and 6 kg about its end.
+    assert kinetic_energy(tree, straight, rate) == pytest.approx(0.5 * 6.0 * 1.5**2 / 3.0 * 4.0, rel=1e-14)
+    energy, torque = serial.weight(tree, straight)
+    assert energy == pytest.approx(6.0 * 9.81 * 0.75 * np.sin(0.3), rel=1e-14)
+    assert torque[0] == pytest.approx(-6.0 * 9.81 * 0.75 * np.cos(0.3), rel=1e-14)
+
+
+def test_serial_chains_are_right():
+    found = run("serial", quick=True)
+    assert found.wrong == () and len(found.checks) == 8
+    names = {each.name.partition(":")[0] for each in found.extremes}
+    assert names == set(serial.SERIAL)
+    assert {each.outcome for each in found.extremes} == {"right", "refused"}
+    assert {"articulated", "Fixman", "dense Cholesky", "conjugate gradients"} <= set(found.work["method"])
+    assert found.work["setting"].str.len().min() > 0 and np.isfinite(found.work["error"]).all()
+    assert len(found.left_out) == 2

@@ -21,6 +21,7 @@ PACKAGES = (
     "minimisers",
     "motion",
     "relaxation",
+    "scenes",
     "structure",
     "validation",
 )
