@@ -76,8 +76,8 @@ def _print(scene: "Scene") -> None:
     ]
     _print_table(console, ("check", "value", "oracle", "error", "bound", ""), checks)
     work = [
-        (w.method, w.setting, f"{w.seconds:.3g}", f"{w.error:.2g}")
-        for w in scene.work.itertuples(index=False)
+        (w["method"], w["setting"], f"{w['seconds']:.3g}", f"{w['error']:.2g}")
+        for w in scene.work.to_dict("records")
     ]
     _print_table(console, ("method", "setting", "seconds", scene.error_of), work)
     few = len(scene.extremes) <= _FEW

@@ -158,7 +158,8 @@ class Scene:
     def wrong(self) -> tuple[str, ...]:
         """Names of the checks, extremes and answers with something left out that are wrong."""
         return (
-            *(each.name for each in (*self.checks, *self.extremes) if not each.right),
+            *(each.name for each in self.checks if not each.right),
+            *(each.name for each in self.extremes if not each.right),
             *(each.what for each in self.left_out if not each.right),
         )
 

@@ -121,7 +121,7 @@ def _frequencies(n: int) -> Floats:
     tree, q, h = rods(n, 1.0), np.zeros(n), 1e-5
     q[0] = -0.5 * np.pi
     ends = [[weight(tree, pose(tree, q + sign * h * one))[1] for one in np.eye(n)] for sign in (-1.0, 1.0)]
-    stiffness = np.subtract(*ends) / (2.0 * h)
+    stiffness = np.subtract(ends[0], ends[1]) / (2.0 * h)
     mass = mass_matrix(tree, pose(tree, q))
     return np.sqrt(eigh(0.5 * (stiffness + stiffness.T), mass, eigvals_only=True)[:3])
 
