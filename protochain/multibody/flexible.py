@@ -7,7 +7,7 @@ by its own centrifugal force (Kane, Ryan, Banerjee, J. Guidance 10:139, 1987). B
 sections. With J what gives the twists of sections from qd, the mass matrix is the sum of J^T I J.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -296,8 +296,12 @@ def _with_frame(tree: Tree, b: int, shapes: Shapes | None) -> Shapes:
             tree.com[b : b + 1], tree.mass[b : b + 1], tree.inertia[b : b + 1], one, one,
             np.zeros((1, 3, 0, 0)), np.zeros((0, 0)),
         )  # fmt: skip
-    parts = (shapes.place, shapes.mass, shapes.inertia, shapes.moves, shapes.turns, shapes.shortening)
-    return Shapes(*(np.concatenate([np.zeros_like(part[:1]), part]) for part in parts), shapes.stiffness)
+    parts = {
+        name: np.concatenate([np.zeros_like(part[:1]), part])
+        for name, part in vars(shapes).items()
+        if name != "stiffness"
+    }
+    return replace(shapes, **parts)
 
 
 def _past_hinge(tree: Tree, b: int, turn: Floats, at: Floats, q: Floats) -> tuple[Floats, Floats]:
