@@ -122,8 +122,10 @@ class Flexible(Value):
         """All nodes, with as many shapes as the body of most has; the stiffness is that of no body."""
         most = max((s.n_shapes for s in self.shapes if s is not None), default=0)
         each = [_nodes(self.tree, b, shapes, most) for b, shapes in enumerate(self.shapes)]
-        parts = zip(*each, strict=True)
-        return Shapes(*(np.concatenate(part) for part in parts), np.zeros((most, most)))
+        place, mass, inertia, moves, turns, shortening = (
+            np.concatenate(part) for part in zip(*each, strict=True)
+        )
+        return Shapes(place, mass, inertia, moves, turns, shortening, np.zeros((most, most)))
 
     @cached_property
     def links(self) -> Integers:
