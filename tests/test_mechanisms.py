@@ -1,8 +1,5 @@
 """Mechanisms by name, against closed forms, scipy's integrators and finite differences."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from conftest import ROUND_OFF
@@ -16,12 +13,7 @@ from protochain.mechanisms.elements import Sum
 from protochain.motion import (
     Applied,
     DormandPrince,
-    Leapfrog,
     Load,
-    Rosenbrock,
-    RungeKutta4,
-    StepTooLargeError,
-    System,
 )  # fmt: skip
 
 G = 9.81
@@ -251,7 +243,7 @@ def test_a_bushing_at_half_a_turn_is_refused_by_name():
 
 
 def test_dampers_take_what_their_definitions_say():
-    """Power of spring dampers c (dl/dt)^2, of torsions c qd^2, of bushings c times rates in b's axes squared."""
+    """Springs c (dl/dt)^2, torsions c qd^2, bushings c times rates in b's axes squared."""
     m, rng = crowd(4), np.random.default_rng(4)
     elements(m, rng)
     model = m.build()
@@ -368,7 +360,7 @@ def test_a_double_pendulum_moves_as_the_textbook_says():
 
 
 def test_a_free_top_precesses():
-    """A symmetric top without forces: omega precesses about its axis at (I3 - I1) / I1 omega_3, in the body."""
+    """A symmetric top without forces: in it, omega precesses at (I3 - I1) / I1 omega_3."""
     m = Mechanism()
     m.body("top", 1.0, inertia=(2.0, 2.0, 3.0), spin=(0.4, 0.0, 5.0))
     model = m.build()
@@ -485,7 +477,7 @@ def test_a_force_off_the_centre_acts_at_its_point_along_world_axes():
 
 
 def test_two_hinges_through_a_body_without_mass_are_a_universal_joint():
-    """A point on one is the spherical pendulum, here in Cartesian coordinates with the force of its string."""
+    """A point on one is a spherical pendulum, here in Cartesian coordinates with a string."""
     m = Mechanism(gravity=DOWN)
     m.body("cross", 0.0)
     m.hinge("x", "world", "cross", axis=(1, 0, 0), q=0.4, qd=1.5)
