@@ -5,6 +5,7 @@ import pytest
 from conftest import ROUND_OFF
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from test_docs import GUIDE, blocks
 
 from protochain import multibody
 from protochain.errors import MechanicsError
@@ -327,6 +328,20 @@ def test_a_slide_with_spring_and_damper_is_the_oscillator_of_the_textbook():
 
 
 # --- Motion
+
+
+def test_the_guides_example_runs_and_its_energy_adds_up(capsys):
+    names = {}
+    (example,) = [block for block in blocks(GUIDE, "python") if "Mechanism(" in block]
+    exec(compile(example, str(GUIDE), "exec"), names)
+    printed = capsys.readouterr().out
+    assert "work motor" in printed
+    run = names["run"]
+    assert run.audit().energy < AUDITED
+    assert run.table["dissipation"].iloc[-1] > 0.1
+    upper, lower = run.q[-1]
+    end = np.array([-np.sin(upper) - np.sin(upper + lower), 0, -np.cos(upper) - np.cos(upper + lower)])
+    assert np.allclose(names["tip"], end)
 
 
 def double_pendulum(t, y, m=(1.0, 2.0), length=(1.0, 0.7)):

@@ -28,7 +28,17 @@ _REMEDY = "take a shorter one, DormandPrince(), or for stiff dampers Rosenbrock(
 
 
 class Happened(NamedTuple):
-    """An event that has happened, and the energy that it gave, negative if it took some."""
+    """An event that has happened.
+
+    Parameters
+    ----------
+    time : float
+        When.
+    name : str
+        Its name.
+    energy : float
+        Kinetic energy that its jump gave, negative if it took some.
+    """
 
     time: float
     name: str
@@ -138,7 +148,7 @@ class Run:
     def dissipation(self) -> Floats:
         """(n,) float: energy that dampers and friction have taken."""
         taking = [k for k, each in enumerate(self.model.loads) if each.dissipates]
-        return np.asarray(-np.sum(self.work[:, taking], axis=1))
+        return np.asarray(0.0 - np.sum(self.work[:, taking], axis=1))
 
     @property
     def momenta(self) -> Floats:
@@ -272,7 +282,8 @@ def carry_out(
         )
     if not (isinstance(balance, int | float) and balance > 0.0):
         raise MechanicsError(f"balance {shown(balance)}: give a number above 0, as inf to accept any")
-    rows, gains = _Rows(model, start, integrator, time_step, balance), []
+    gains: list[tuple[float, str, float]] = []
+    rows = _Rows(model, start, integrator, time_step, balance)
     rows.add(start)
     try:
         # What diverges is refused below, not warned of.
