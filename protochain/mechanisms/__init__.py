@@ -1,0 +1,1 @@
+"""Mechanisms of bodies, hinges, springs, drives and contacts, in any consistent units."""
