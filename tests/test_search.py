@@ -89,10 +89,8 @@ def test_boxes_that_overlap_are_those_of_all_pairs(n):
     low, high = boxes(n, 0.1, rng)
     others = boxes(60, 0.2, rng)
     found = overlapping(box_tree(low, high), *others)
-    expected = [
-        [m, i] for m in range(60) for i in range(n) if np.all((others[0][m] <= high[i]) & (low[i] <= others[1][m]))
-    ]  # fmt: skip
-    assert found.tolist() == expected
+    meet = (others[0][:, None] <= high) & (low <= others[1][:, None])
+    assert found.tolist() == np.argwhere(meet.all(axis=2)).tolist()
     assert n < 500 or len(found) > 100
 
 

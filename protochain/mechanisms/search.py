@@ -1,4 +1,4 @@
-"""Which particles may touch, and which triangles: cells for many of one size, a tree of boxes for a surface."""
+"""Which particles may touch, and which triangles: cells for particles, a tree of boxes for a surface."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -45,22 +45,22 @@ def touching(centre: Floats, radius: Floats) -> Integers:
     Notes
     -----
     Cells with an edge of the largest diameter, of which each is compared with itself and its neighbours:
-    Allen, Tildesley, *Computer Simulation of Liquids* (1987), section 5.3. O(n) for spheres of like size, however
-    far some have flown: cells share the places of a table that is as long as there are spheres.
+    Allen, Tildesley, *Computer Simulation of Liquids* (1987), section 5.3. O(n) for spheres of like size,
+    however far some have flown: cells share the places of a table as long as there are spheres.
     """
     n = len(centre)
     centre, radius = floats(centre, (n, 3), "centre"), floats(radius, (n,), "radius")
     _refuse("centre", ~np.isfinite(centre).all(axis=1))
     _refuse("radius", ~(np.isfinite(radius) & (radius >= 0.0)))
-    return (
-        in_order(near_pairs(centre, radius, edge_of(centre, radius)), n) if n else np.empty((0, 2), np.int64)
-    )
+    if not n:
+        return np.empty((0, 2), np.int64)
+    return in_order(near_pairs(centre, radius, edge_of(centre, radius)), n)
 
 
 def _refuse(name: str, bad: np.ndarray) -> None:
     if np.any(bad):
         raise MechanicsError(
-            f"sphere {int(np.argmax(bad))}: its {name} must be finite, and no radius negative"
+            f"sphere {int(np.argmax(bad))}: its {name} must be finite, a radius not negative"
         )
 
 
@@ -90,8 +90,8 @@ def sort_into_cells(x: Floats, edge: float) -> tuple[Integers, Integers, Integer
     cell : (n,) int
         Number of the cell of each, in that order: x + size[0] (y + size[1] z), with x, y, z from 1.
     start : (m + 1,) int
-        Those of cell c are among ``order[start[k]:start[k + 1]]``, k = c modulo m, a power of two, beside those of
-        cells that share the place.
+        Those of cell c are among ``order[start[k]:start[k + 1]]``, k = c modulo m, a power of two, beside
+        those of cells that share the place.
     size : (2,) int
         Cells along x and along y, with an empty one at each end.
     """
@@ -303,13 +303,8 @@ def _halved(low: Floats, high: Floats) -> tuple[Floats, Floats, Integers, Intege
             waiting += 2
         count += 1
     _link(ends[:count], after)
-    return (
-        node_low[:count].copy(),
-        node_high[:count].copy(),
-        after[:count].copy(),
-        items[:count].copy(),
-        order,
-    )
+    low, high = node_low[:count].copy(), node_high[:count].copy()
+    return low, high, after[:count].copy(), items[:count].copy(), order
 
 
 @kernel
