@@ -18,6 +18,7 @@ PACKAGES = (
     "batches",
     "dynamics",
     "energies",
+    "mechanisms",
     "minimisers",
     "motion",
     "relaxation",
