@@ -6,24 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from protochain import multibody
-from protochain.arrays import Floats, Integers
+from protochain.arrays import read_only
 from protochain.errors import MechanicsError
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.elements import Acting
-from protochain.mechanisms.shapes import Ball, Finder, Plane, Surface, Touches, finder, placed
-from protochain.mechanisms.springs import push, speed_of
-from protochain.motion import Applied, Load
-from protochain.multibody import Frames, Tree
-from protochain.multibody.algebra import (
-    Vector,
-    add,
-    dot,
-    kernel,
-    scale,
-    subtract,
-    vector,
-)  # fmt: skip
+from protochain.mechanisms.pressing import Pressing
+from protochain.mechanisms.shapes import Ball, Plane, Surface, finder
+from protochain.motion import Load
 
 
 @dataclass(frozen=True)
@@ -78,9 +67,7 @@ class Friction:
                 raise MechanicsError(f"the {name} of friction must be finite and not negative")
 
 
-def lankarani_nikravesh(
-    stiffness: float, restitution: float, speed: float, exponent: float = 1.5
-) -> Law:
+def lankarani_nikravesh(stiffness: float, restitution: float, speed: float, exponent: float = 1.5) -> Law:
     """Law whose loss is that of a restitution near one, a = 3 (1 - e^2) / (4 v).
 
     Parameters
@@ -194,116 +181,14 @@ class Contact:
             If a body is not there, or a shape cannot be touched.
         """
         found = finder(bodies, self.balls, self.other, self.name)
-        pressing = Pressing(bodies.tree, found, self.law, self.friction)
-        loses = self.law.damping > 0.0 or self.friction is not None
+        law, rub = self.law, self.friction or Friction(0.0, 0.0)
+        numbers = (law.stiffness, law.exponent, law.damping, rub.coefficient, rub.stiffness, rub.damping)
+        pressing = Pressing(bodies.tree, found, read_only(numbers))
+        loses = law.damping > 0.0 or rub.coefficient > 0.0
         return Acting(
             conservative=pressing,
             load=Load(pressing.resist) if loses else None,
             dissipates=loses,
             inside=pressing.is_inside,
-            memory=pressing,
+            memory=pressing if pressing.must_settle else None,
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Anchors:
-    """Where springs of friction begin: pairs (k, 2), and in each body's frame the ends (k, 6) of the spring."""
-
-    pair: Integers
-    arms: Floats
-
-
-NO_ANCHORS = Anchors(np.empty((0, 2), np.int64), np.empty((0, 6)))
-
-
-class Pressing:
-    """A contact in a mechanism. What changes in a run is the anchors, after each of its steps.
-
-    Parameters
-    ----------
-    tree : Tree
-        Rigid bodies.
-    finder : Finder
-        Where they touch.
-    law : Law
-        Normal force.
-    friction : Friction, optional
-        Tangential force.
-    """
-
-    def __init__(self, tree: Tree, finder: Finder, law: Law, friction: Friction | None) -> None:
-        self.tree, self.finder, self.law, self.friction = tree, finder, law, friction
-        self.anchors = NO_ANCHORS
-        self._last: tuple[Frames, Touches] | None = None
-
-    @property
-    def is_inside(self) -> bool:
-        """Whether all forces act between bodies of the mechanism."""
-        return bool((self.finder.balls.body >= 0).all() and getattr(self.finder, "body", 0) >= 0)
-
-    def touches(self, frames: Frames) -> Touches:
-        """Touches at one pose, which are asked for by the elastic force and the load."""
-        if self._last is None or self._last[0] is not frames:
-            self._last = frames, self.finder.touches(frames)
-        return self._last[1]
-
-    def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
-        """Add the elastic forces."""
-        _, ends, place, normal, depth = self.touches(frames)
-        energy: float = _press(
-            frames.origin, ends, place, normal, depth, self.law.stiffness, self.law.exponent, wrenches
-        )
-        return energy
-
-    def resist(self, time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
-        """Damping and friction."""
-        touches = self.touches(frames)
-        wrenches = np.zeros((self.tree.n_bodies, 6))
-        if len(touches.pair):
-            stretch, _ = self.stretches(frames, touches)
-            twists = multibody.velocities(self.tree, frames, qd)
-            _resist(frames.origin, twists, touches, stretch, _numbers(self.law, self.friction), wrenches)
-        return Applied(wrenches)
-
-    def stretches(self, frames: Frames, touches: Touches) -> tuple[Floats, Integers]:
-        """(k, 3) float: springs of friction, zero where none has been anchored; (k,) int: their anchors."""
-        anchor = _matches(touches.pair, self.anchors.pair)
-        arms = self.anchors.arms[anchor]
-        (turn_a, at_a), (turn_b, at_b) = (placed(frames, body) for body in touches.ends.T)
-        apart = at_a - at_b + np.einsum("nij,nj->ni", turn_a, arms[:, :3])
-        apart -= np.einsum("nij,nj->ni", turn_b, arms[:, 3:])
-        apart[anchor < 0] = 0.0
-        apart -= np.sum(apart * touches.normal, axis=1)[:, None] * touches.normal
-        return apart, anchor
-
-    def forget(self) -> None:
-        """Begin a run."""
-        self.anchors, self._last = NO_ANCHORS, None
-
-    def settle(self, time: float, q: Floats, qd: Floats, frames: Frames) -> None:
-        """End a step: drag anchors along, and set those of new touches.
-
-        Raises
-        ------
-        MechanicsError
-            If a touch is so deep that its direction means nothing.
-        """
-        touches = self.touches(frames)
-        self.finder.refuse_depth(touches)
-        if self.friction is None or not len(touches.pair):
-            self.anchors = NO_ANCHORS
-            return
-        stretch, _ = self.stretches(frames, touches)
-        twists = multibody.velocities(self.tree, frames, qd)
-        _drag(frames.origin, twists, touches, stretch, _numbers(self.law, self.friction))
-        (turn_a, at_a), (turn_b, at_b) = (placed(frames, body) for body in touches.ends.T)
-        # Anchored anew at the present place, lest a ball that rolls be taken for one that slips.
-        arm_a = np.einsum("nji,nj->ni", turn_a, touches.place - at_a)
-        arm_b = np.einsum("nji,nj->ni", turn_b, touches.place - stretch - at_b)
-        self.anchors = Anchors(touches.pair, np.column_stack([arm_a, arm_b]))
-
-
-def _numbers(law: Law, friction: Friction | None) -> Floats:
-    """K, n, a, mu, k, c."""
-    rub = (0.0, 0.0, 0.0) if friction is None else (friction.coefficient, friction.stiffness, friction.damping)
-    return np.array([law.stiffness, law.exponent, law.damping, *rub])

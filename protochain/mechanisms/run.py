@@ -235,7 +235,12 @@ def carry_out(
     rows, at, count, jumped = _Rows(model, integrator, time_step), start, 0, 0.0
     rows.add(start, jumped)
     try:
+        for memory in model.memories:
+            memory.begin(start)
+            memory.settle(start)
         for at, event in march(model.system, integrator, start, until, time_step, model.watched(gains)):
+            for memory in model.memories:
+                memory.settle(at)
             if event is None:
                 count += 1
                 if count % every:
@@ -250,6 +255,9 @@ def carry_out(
     except MechanicsError as error:
         rows.look()
         raise MechanicsError(f"after time {at.time:g}: {model.said(str(error))}") from None
+    finally:
+        for memory in model.memories:
+            memory.end(at)
     if count % every:
         rows.add(at, jumped)
     return rows.finished(gains, at)

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -145,7 +145,7 @@ def placed(frames: Frames, body: Integers) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class OnPlane:
-    """Balls on a plane: body of the plane, a point and its normal along the axes of the tree's frame."""
+    """Balls on a plane: its body, a point and its normal along the axes of the tree's frame."""
 
     balls: Balls
     body: int
@@ -175,6 +175,7 @@ class Among:
     balls: Balls
     first: int
     name: str
+    body: ClassVar[int] = 0
 
     def touches(self, frames: Frames) -> Touches:
         """Balls that overlap."""
@@ -239,11 +240,12 @@ def _refuse(name: str, bad: np.ndarray, touches: Touches) -> None:
 
 
 class Finder(Protocol):
-    """Where some balls touch something."""
+    """Where some balls touch something: the balls, and the body of the other, unless these are balls too."""
 
     @property
-    def balls(self) -> Balls:
-        """The balls."""
+    def balls(self) -> Balls: ...
+    @property
+    def body(self) -> int: ...
 
     def touches(self, frames: Frames) -> Touches:
         """Return the touches at one pose."""
@@ -303,4 +305,6 @@ def _on_surface(bodies: Bodies, balls: Balls, surface: Surface, name: str) -> On
 
 def _refuse_own(balls: Balls, body: int, name: str) -> None:
     if np.any(balls.body == body):
-        raise MechanicsError(f"{name}: ball {int(np.argmax(balls.body == body))} belongs to the body it would touch")
+        raise MechanicsError(
+            f"{name}: ball {int(np.argmax(balls.body == body))} belongs to the body it would touch"
+        )
