@@ -80,7 +80,8 @@ class Bushings:
     def resist(self, frames: Frames, twists: Floats, qd: Floats, wrenches: Floats, torques: Floats) -> None:
         """Add the wrenches of the dampers."""
         _resist(
-            frames.rotation, frames.origin, twists, self.ends, self.points, self.axes[1], self.damping, wrenches
+            frames.rotation, frames.origin, twists, self.ends, self.points, self.axes[1], self.damping,
+            wrenches,
         )  # fmt: skip
 
     def angles(self, frames: Frames) -> Floats:

@@ -1,4 +1,4 @@
-"""What acts in a mechanism: conservative elements, whose energy is exact, and loads, whose work is counted."""
+"""What acts in a mechanism: elements with an exact energy, and loads, whose work is counted."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain.arrays import Floats
+from protochain.arrays import Floats, read_only
 from protochain.checks import shown
 from protochain.errors import MechanicsError
 
@@ -102,3 +102,32 @@ def n_parameters(value: Callable[..., Any], most: int, said: str) -> int:
             continue
         return n
     raise MechanicsError(f"{said}: give a callable of t, or of t and state")
+
+
+def ends(a: Any, b: Any, said: str) -> tuple[tuple[str, str], Floats]:
+    """Return the bodies of two points, and both points in their axes, (6,)."""
+    for end in (a, b):
+        if not (isinstance(end, tuple | list) and len(end) == 2 and isinstance(end[0], str)):
+            raise MechanicsError(f'{said} give its ends as ("body", (x, y, z))')
+    if a[0] == b[0]:
+        raise MechanicsError(f'{said} both of its ends are on "{a[0]}"; join two bodies')
+    return (a[0], b[0]), np.concatenate([numbers(end[1], (3,), f"{said} its point") for end in (a, b)])
+
+
+def constants(stiffness: Any, damping: Any, said: str) -> tuple[float, float]:
+    """Return stiffness and damping, of which one at least is above zero."""
+    k = float(not_negative(stiffness, f"{said} its stiffness"))
+    c = float(not_negative(damping, f"{said} its damping"))
+    if k == c == 0.0:
+        raise MechanicsError(f"{said} it does nothing; give a stiffness or a damping")
+    return k, c
+
+
+def law(value: Any, shape: tuple[int, ...], said: str) -> Any:
+    """Return constants as checked numbers of a shape; a function, or None, as it is."""
+    if value is None:
+        return None
+    if callable(value):
+        n_parameters(value, 2, said)
+        return value
+    return read_only(numbers(value, shape, said))

@@ -1,12 +1,11 @@
-"""The builder: bodies, hinges and what acts on them, by name; :meth:`Mechanism.build` makes a model of them."""
+"""The builder: bodies, hinges and what acts on them, by name, of which it makes a model."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain.arrays import Floats, read_only
+from protochain.arrays import read_only
 from protochain.errors import MechanicsError
 from protochain.mechanisms import given
 from protochain.mechanisms.assemble import KINDS, Body, Hinge, assemble
@@ -124,7 +123,8 @@ class Mechanism:
         rotation : (3, 3) array_like, optional
             Axes of the child at q = 0, as columns, in those of the parent; by default the same.
         **motion : float
-            ``q``, ``qd``: coordinate and rate at the start, by default 0. ``pitch``: slide of a screw per radian.
+            ``q``, ``qd``: coordinate and rate at the start, by default 0; ``pitch``: slide of a screw per
+            radian.
 
         Raises
         ------
@@ -146,8 +146,8 @@ class Mechanism:
                 f"{said} q and qd must be zero as it is fixed; give a rotation, or another kind"
             )
         self._hinges[name] = Hinge(
-            parent, child, kind, given.numbers(at, (3,), f"{said} place"), given.direction(axis, f"{said} axis"),
-            given.rotation(rotation, f"{said} rotation"), **values,
+            parent, child, kind, given.numbers(at, (3,), f"{said} place"),
+            given.direction(axis, f"{said} axis"), given.rotation(rotation, f"{said} rotation"), **values,
         )  # fmt: skip
 
     def spring(
@@ -179,7 +179,7 @@ class Mechanism:
         """
         said = self._named(name, "spring")
         self._parts[name] = Spring(
-            *self._pair(a, b, said), *self._constants(stiffness, damping, said),
+            *given.ends(a, b, said), *given.constants(stiffness, damping, said),
             None if rest is None else float(given.not_negative(rest, f"{said} its rest")),
         )  # fmt: skip
 
@@ -204,7 +204,7 @@ class Mechanism:
         """
         said = self._named(name, "torsion")
         self._parts[name] = Torsion(
-            hinge, *self._constants(stiffness, damping, said),
+            hinge, *given.constants(stiffness, damping, said),
             None if rest is None else given.number(rest, f"{said} its rest"),
         )  # fmt: skip
 
@@ -227,7 +227,7 @@ class Mechanism:
         """
         said = self._named(name, "bushing")
         self._parts[name] = Bushing(
-            *self._pair(a, b, said),
+            *given.ends(a, b, said),
             given.not_negative(stiffness, f"{said} its stiffness", (6,)),
             given.not_negative(damping, f"{said} its damping", (6,)),
         )
@@ -262,7 +262,8 @@ class Mechanism:
         at : (3,) array_like
             Point of the body at which the force acts.
         force, moment : (3,) array_like or callable, optional
-            Along world axes; or a function of the time, or of the time and the :class:`State`, that returns it.
+            Along world axes; or a function of the time, or of the time and the :class:`State`, that returns
+            it.
 
         Raises
         ------
@@ -274,7 +275,7 @@ class Mechanism:
             raise MechanicsError(f"{said} nothing acts; give a force or a moment")
         self._parts[name] = Pushed(
             name, body, given.numbers(at, (3,), f"{said} its point"),
-            *(_law(value, (3,), f"{said} its {what}") for what, value in (("force", force), ("moment", moment))),
+            given.law(force, (3,), f"{said} its force"), given.law(moment, (3,), f"{said} its moment"),
         )  # fmt: skip
 
     def torque(self, name: str, hinge: str, value: Any) -> None:
@@ -293,7 +294,7 @@ class Mechanism:
             If the name is taken.
         """
         said = self._named(name, "torque")
-        self._parts[name] = Turned(name, hinge, _law(value, (), f"{said} its value"))
+        self._parts[name] = Turned(name, hinge, given.law(value, (), f"{said} its value"))
 
     def contact(
         self,
@@ -356,9 +357,10 @@ class Mechanism:
         value : callable
             :class:`State` -> float, positive before the event.
         jump : callable
-            :class:`State` -> velocities (n_v,) from which the motion goes on, or None if it goes on as it was.
+            :class:`State` -> velocities (n_v,) from which the motion goes on, or None if it goes on as it
+            was.
         passes : bool
-            Whether the motion goes on below zero, as past a mark; otherwise the jump makes the value rise again.
+            Whether the motion goes on below zero, as past a mark; otherwise the value must rise again.
 
         Raises
         ------
@@ -405,33 +407,3 @@ class Mechanism:
 
     def _named(self, name: str, kind: str) -> str:
         return f'{kind} "{given.name_of(name, kind, {*self._parts, "drives", "damping"})}":'
-
-    @staticmethod
-    def _pair(a: Point, b: Point, said: str) -> tuple[tuple[str, str], Floats]:
-        for end in (a, b):
-            if not (isinstance(end, tuple | list) and len(end) == 2 and isinstance(end[0], str)):
-                raise MechanicsError(f'{said} give its ends as ("body", (x, y, z))')
-        if a[0] == b[0]:
-            raise MechanicsError(f'{said} both of its ends are on "{a[0]}"; join two bodies')
-        points = [given.numbers(end[1], (3,), f"{said} its point") for end in (a, b)]
-        return (a[0], b[0]), np.concatenate(points)
-
-    @staticmethod
-    def _constants(stiffness: float, damping: float, said: str) -> tuple[float, float]:
-        k, c = (
-            float(given.not_negative(value, f"{said} its {what}"))
-            for what, value in (("stiffness", stiffness), ("damping", damping))
-        )
-        if k == c == 0.0:
-            raise MechanicsError(f"{said} it does nothing; give a stiffness or a damping")
-        return k, c
-
-
-def _law(value: Any, shape: tuple[int, ...], said: str) -> Any:
-    """Return a constant, checked, or a function as it is, with the number of its arguments."""
-    if value is None:
-        return None
-    if callable(value):
-        given.n_parameters(value, 2, said)
-        return value
-    return read_only(given.numbers(value, shape, said))

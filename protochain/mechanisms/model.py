@@ -122,7 +122,7 @@ class Model:
         Raises
         ------
         StepTooLargeError
-            If the time step is too long for the integrator: energy comes from nothing, or a step ends nowhere.
+            If the time step is too long for the integrator: energy comes from nothing, or a step has no end.
         MechanicsError
             If an argument, or what an element gives, is no number.
         """
@@ -133,7 +133,7 @@ class Model:
         return by_name(message, self.bodies.names)
 
     def watched(self, gains: list[tuple[float, str, float]]) -> tuple[Event, ...]:
-        """Events for :func:`protochain.motion.march`; each adds its time, name and gain of energy to a list."""
+        """Return events for :func:`protochain.motion.march`, which add time, name and gain to a list."""
         return tuple(self._event(happening, gains) for happening in self.events)
 
     def _event(self, happening: Happening, gains: list[tuple[float, str, float]]) -> Event:

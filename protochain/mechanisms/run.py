@@ -38,9 +38,10 @@ class Audit(NamedTuple):
     Parameters
     ----------
     energy : float
-        Largest change of energy that is neither work nor an event's, relative to the largest energy in motion.
+        Largest change of energy that is neither work nor an event's, of the largest energy in motion.
     momentum, spin : float or None
-        Largest change of momentum and of angular momentum about the origin; None if something acts from outside.
+        Largest change of momentum, and of that about the origin, of the sum of those of the bodies; None if
+        something acts from outside.
     """
 
     energy: float
@@ -90,14 +91,21 @@ class Run:
 
     @cached_property
     def momenta(self) -> Floats:
-        """(n, 6) float: momentum, and angular momentum about the world's origin."""
-        tree, rows = self.model.tree, np.empty((len(self.time), 6))
-        for row, q, qd in zip(rows, self.q, self.qd, strict=True):
+        """(n, 2, 3) float: momentum, and angular momentum about the world's origin."""
+        return self._momenta[0]
+
+    @cached_property
+    def _momenta(self) -> tuple[Floats, Floats]:
+        """Both, and the sums of the sizes of those of the bodies, (n, 2)."""
+        tree, n = self.model.tree, len(self.time)
+        whole, sizes = np.empty((n, 2, 3)), np.empty((n, 2))
+        for i, (q, qd) in enumerate(zip(self.q, self.qd, strict=True)):
             frames = multibody.pose(tree, q)
             each = momenta_of_bodies(tree, frames, multibody.velocities(tree, frames, qd))
-            row[:3] = np.sum(each[:, 3:], axis=0)
-            row[3:] = np.sum(each[:, :3] + np.cross(frames.origin, each[:, 3:]), axis=0)
-        return read_only(rows)
+            both = each[:, 3:], each[:, :3] + np.cross(frames.origin, each[:, 3:])
+            whole[i] = [np.sum(one, axis=0) for one in both]
+            sizes[i] = [np.sum(np.linalg.norm(one, axis=1)) for one in both]
+        return read_only(whole), read_only(sizes)
 
     @cached_property
     def table(self) -> "pd.DataFrame":
@@ -111,7 +119,7 @@ class Run:
         columns["dissipation"] = self.dissipation
         columns["events"] = self.jumps
         names = [f"{what} {axis}" for what in ("momentum", "spin") for axis in "xyz"]
-        columns |= dict(zip(names, self.momenta.T, strict=True))
+        columns |= dict(zip(names, self.momenta.reshape(-1, 6).T, strict=True))
         return pd.DataFrame(columns)
 
     @property
@@ -132,21 +140,11 @@ class Run:
         energy = float(np.max(np.abs(lack)) / scale[-1]) if scale[-1] > 0.0 else 0.0
         if not self.model.inside:
             return Audit(energy, None, None)
-        return Audit(energy, *(self._kept(part) for part in (slice(0, 3), slice(3, 6))))
-
-    def _kept(self, part: slice) -> float:
-        """Largest change of momentum or spin, relative to the sum of the sizes of those of the bodies."""
-        tree, size = self.model.tree, 0.0
-        for q, qd in zip(self.q, self.qd, strict=True):
-            frames = multibody.pose(tree, q)
-            each = momenta_of_bodies(tree, frames, multibody.velocities(tree, frames, qd))
-            if part.start:
-                each = each[:, :3] + np.cross(frames.origin, each[:, 3:])
-            else:
-                each = each[:, 3:]
-            size = max(size, float(np.sum(np.linalg.norm(each, axis=1))))
-        change = np.linalg.norm(self.momenta[:, part] - self.momenta[0, part], axis=1)
-        return float(np.max(change) / size) if size > 0.0 else 0.0
+        whole, sizes = self._momenta
+        changes = np.max(np.linalg.norm(whole - whole[0], axis=2), axis=0)
+        scales = np.max(sizes, axis=0)
+        momentum, spin = np.divide(changes, scales, out=np.zeros(2), where=scales > 0.0)
+        return Audit(energy, float(momentum), float(spin))
 
 
 def balance(kinetic: Floats, potential: Floats, work: Floats, jumps: Floats) -> tuple[Floats, Floats]:

@@ -61,8 +61,8 @@ class Springs:
         )
         if energy < 0.0:
             raise MechanicsError(
-                f'spring "{self.names[round(-energy) - 1]}": its ends meet, where its force has no direction; '
-                "give it rest=0, or keep its ends apart"
+                f'spring "{self.names[round(-energy) - 1]}": its ends meet, where its force has no '
+                "direction; give it rest=0, or keep its ends apart"
             )
         return energy
 
