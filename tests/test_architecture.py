@@ -38,7 +38,7 @@ LAYERS = [
     {"minimisers"},
     {"relaxation"},
     {"analysis"},
-    {"batches"},
+    {"batches", "scenes"},
     {"cli"},
 ]
 OPEN = (
@@ -51,6 +51,7 @@ OPEN = (
     "motion",
     "multibody",
     "relaxation",
+    "scenes",
     "structure",
     "validation",
 )

@@ -22,6 +22,7 @@ PACKAGES = (
     "minimisers",
     "motion",
     "relaxation",
+    "scenes",
     "structure",
     "validation",
 )
