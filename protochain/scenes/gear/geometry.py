@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from protochain.errors import MechanicsError
 from protochain.multibody.algebra import kernel
 
 STEEL = 7850.0
@@ -73,6 +74,17 @@ class GearPair:
     module: float = 4e-3
     pressure_angle: float = float(np.radians(20.0))
     width: float = 20e-3
+
+    def __post_init__(self) -> None:
+        for name in ("module", "pressure_angle", "width"):
+            if not 0.0 < getattr(self, name) < (0.5 * np.pi if name == "pressure_angle" else np.inf):
+                raise MechanicsError(f"the {name} of gears must be positive")
+        for one, other in (self.wheels, self.wheels[::-1]):
+            if other.reach >= one.pitch * np.sin(self.pressure_angle):
+                raise MechanicsError(
+                    f"a wheel of {one.teeth} teeth is undercut by one of {other.teeth}: its involute begins "
+                    "beyond the other's tip; take more teeth or a larger angle"
+                )
 
     @cached_property
     def wheels(self) -> tuple[Wheel, Wheel]:

@@ -1,6 +1,6 @@
 """The flanks' forces as an element of mechanisms, and the mechanism: wheels, and teeth on springs."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -39,11 +39,11 @@ class Gear:
         Inertia of the teeth relative to steel; what they lack is the wheel's, so that both together stay.
     """
 
-    pair: GearPair = GearPair()
+    pair: GearPair = field(default_factory=GearPair)
     stiffness: float = 14e9
     torque: float = 100.0
     speed: float = 100.0
-    flank: Law = lankarani_nikravesh(1e12, 0.8, 0.1)
+    flank: Law = field(default_factory=lambda: lankarani_nikravesh(1e12, 0.8, 0.1))
     damping: float = 0.07
     tooth: float = 1.0
 

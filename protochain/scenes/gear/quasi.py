@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import eigvals
 from scipy.optimize import brentq, root
 
 from protochain import multibody
@@ -20,7 +19,9 @@ def near(gear: Gear, place: float = 0.0, until: float | None = None) -> tuple[ra
     begin, end = gear.pair.path
     pitch = gear.pair.base_pitch
     last = place if until is None else until
-    numbers = range(int(np.ceil((begin - last) / pitch - 0.5)), int(np.floor((end - place) / pitch + 0.5)) + 1)
+    numbers = range(
+        int(np.ceil((begin - last) / pitch - 0.5)), int(np.floor((end - place) / pitch + 0.5)) + 1
+    )
     return numbers, numbers
 
 
