@@ -23,7 +23,7 @@ from protochain.motion import DormandPrince
 
 G = 9.81
 IMPACT = 1e-5
-"""Of a velocity after an impact: the work of a load whose force begins with a kink, at a tolerance of 1e-10."""
+"""Of a velocity after an impact, whose force begins with a kink, at a tolerance of 1e-10."""
 
 
 def dropped(law, velocity=-1.0, mass=1.0, height=0.0, gravity=0.0, radius=0.1):
@@ -137,9 +137,8 @@ def rolling(other, law=None, friction=None, radius=0.1, start=(0.0, 0.0)):
     m = Mechanism((G * np.sin(angle), 0.0, -G * np.cos(angle)))
     depth = 1.5 * G * np.cos(angle) / 1e5
     m.body("ball", 1.5, inertia=0.4 * 1.5 * radius**2, position=(*start, radius - depth))
-    m.contact(
-        "slope", [Ball("ball", radius)], other, law or Law(1e5, 1.0, 5.0), friction or Friction(0.5, 2e4, 50.0)
-    )  # fmt: skip
+    law, friction = law or Law(1e5, 1.0, 5.0), friction or Friction(0.5, 2e4, 50.0)
+    m.contact("slope", [Ball("ball", radius)], other, law, friction)
     return m.build()
 
 
@@ -219,7 +218,7 @@ def test_a_ball_touches_an_edge_once_and_a_corner_of_a_room_three_times():
 
 
 def cluttered(law, friction=None):
-    """Balls on moving bodies, some of them hinged, against each other, a plane and a surface of another body."""
+    """Balls on moving bodies, some of them hinged, against each other and another's plane and surface."""
     rng = np.random.default_rng(8)
     m = Mechanism()
     m.body("table", 5.0, (0.1, 0, -0.1), (0.3, 0.4, 0.5), velocity=(0, 0.1, 0), spin=(0.2, -0.1, 0.3))
@@ -234,9 +233,10 @@ def cluttered(law, friction=None):
             velocity=rng.normal(size=3),
         )
     balls = [Ball(f"ball {k}", 0.1, 0.01 * rng.normal(size=3)) for k in range(4)]
-    m.contact("top", [*balls[:2], Ball("arm", 0.3, (0.1, 0.3, 0.0))], Plane("table", (0, 0, 0.01), (0.1, 0, 1)), law, friction)  # fmt: skip
+    top = Plane("table", (0, 0, 0.01), (0.1, 0, 1))
+    m.contact("top", [*balls[:2], Ball("arm", 0.3, (0.1, 0.3, 0.0))], top, law, friction)
     vertices, faces = net(rng, 4, 0.3)
-    m.contact("net", balls[2:], Surface("table", vertices + [0, 0.5, 0.005], faces), law, friction)
+    m.contact("net", balls[2:], Surface("table", vertices + np.array([0, 0.5, 0.005]), faces), law, friction)
     m.contact("each other", [*balls, Ball("arm", 0.21, (0.1, 0.0, 0.0))], None, law, friction)
     return m.build()
 
@@ -297,7 +297,7 @@ def test_what_is_too_deep_is_refused_by_name():
     for k, velocity in enumerate((50.0, 0.0)):
         m.body(f"ball {k}", 1.0, inertia=0.1, position=(0.21 * k, 0, 0), velocity=(velocity, 0, 0))
     m.contact("soft", [Ball("ball 0", 0.1), Ball("ball 1", 0.1)], None, Law(10.0))
-    with pytest.raises(MechanicsError, match='contact "soft": ball 0 is .* deep.*raise the stiffness'):
+    with pytest.raises(MechanicsError, match=r'contact "soft": ball 0 is .* deep.*raise the stiffness'):
         m.build().simulate(0.01, 1e-4)
     # A half-space has no other side.
     run = dropped(Law(100.0), -5.0).simulate(0.5, 1e-3)
@@ -335,8 +335,9 @@ def test_what_cannot_touch_is_refused_by_the_name_of_the_contact(balls, other, w
     ("make", "words"),
     [
         (lambda: Law(0.0), "stiffness 0"), (lambda: Law(1.0, 0.5), "exponent 0.5"),
-        (lambda: Law(1.0, damping=-1.0), "damping -1"), (lambda: Friction(-0.1, 1.0), "coefficient of friction"),
-        (lambda: flores(1.0, 0.0, 1.0), "no end at 0"), (lambda: lankarani_nikravesh(1.0, 1.1, 1.0), "0 to 1"),
+        (lambda: Law(1.0, damping=-1.0), "damping -1"), (lambda: flores(1.0, 0.0, 1.0), "no end at 0"),
+        (lambda: Friction(-0.1, 1.0), "coefficient of friction"),
+        (lambda: lankarani_nikravesh(1.0, 1.1, 1.0), "0 to 1"),
         (lambda: lankarani_nikravesh(1.0, 0.5, 0.0), "speed 0 of approach"),
     ],
 )  # fmt: skip

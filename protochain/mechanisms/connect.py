@@ -65,7 +65,8 @@ def connect(
             inside = inside and acting.inside
     drive = _drive(bodies, list(drives.values())) if drives else None
     return Model(
-        bodies, q, qd, tuple(conservative), tuple(loads), drive, tuple(events.values()), inside, tuple(memories)
+        bodies, q, qd, tuple(conservative), tuple(loads), drive, tuple(events.values()), inside,
+        tuple(memories),
     )  # fmt: skip
 
 

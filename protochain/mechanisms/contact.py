@@ -46,8 +46,8 @@ class Law:
 class Friction:
     """Friction of asperities: a spring and a damper from the point where a contact began, which slips.
 
-    The tangential force is -(k s + c v), s from the anchor and v the velocity, and never above ``coefficient``
-    times the normal force: there the anchor is dragged along.
+    The tangential force is -(k s + c v), s from the anchor and v the velocity, and never above
+    ``coefficient`` times the normal force: there the anchor is dragged along.
 
     Parameters
     ----------
@@ -126,8 +126,8 @@ def real_restitution(loss: float) -> float:
     Returns
     -------
     float
-        r that solves c - ln(1 + c) = -c r - ln(1 - c r): both sides are the same integral of v dv / (1 + a v),
-        equal to that of K d^n / m over the depth, in compression and in restitution.
+        r that solves c - ln(1 + c) = -c r - ln(1 - c r): both sides are integrals of v dv / (1 + a v), equal
+        to that of K d^n / m over the depth, in compression and in restitution.
 
     Raises
     ------
@@ -173,7 +173,7 @@ class Contact:
     name: str = "contact"
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return the elastic force with its energy, damping and friction as a load, and anchors between steps.
+        """Return the elastic force with its energy, the rest as a load, and the anchors of friction.
 
         Raises
         ------

@@ -44,7 +44,7 @@ class Damping(Protocol):
 
 
 class Memory(Protocol):
-    """What an element keeps from step to step, as anchors of friction; within a step nothing of it changes."""
+    """What an element keeps from step to step, as anchors of friction; it does not change within one."""
 
     def begin(self, start: Phase) -> None:
         """Begin a run."""

@@ -30,7 +30,7 @@ STIFFNESS, EXPONENT, DAMPING, FRICTION, SPRING, DASHPOT = range(6)
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """Where springs of friction begin: pairs (k, 2), and in each body's frame the ends (k, 6) of the spring."""
+    """Where springs of friction begin: pairs (k, 2), and their ends (k, 6) in the frames of both bodies."""
 
     pair: Integers
     arms: Floats

@@ -1,6 +1,5 @@
 """Where balls touch planes, surfaces and each other."""
 
-from collections.abc import Callable
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol
@@ -170,7 +169,7 @@ class OnPlane:
 
 @dataclass(frozen=True, eq=False)
 class Among:
-    """Balls on balls: of all pairs of other bodies, or of those between the first ``first`` and the others."""
+    """Balls on balls of other bodies: all of them, or the first ``first`` on the others."""
 
     balls: Balls
     first: int
@@ -234,18 +233,21 @@ def _refuse(name: str, bad: np.ndarray, touches: Touches) -> None:
     if np.any(bad):
         k = int(np.argmax(bad))
         raise MechanicsError(
-            f"{name}: ball {touches.pair[k, 0]} is {touches.depth[k]:.3g} deep, beyond half a body; raise the "
-            "stiffness or take shorter steps"
+            f"{name}: ball {touches.pair[k, 0]} is {touches.depth[k]:.3g} deep, beyond half a body; raise "
+            "the stiffness or take shorter steps"
         )
 
 
 class Finder(Protocol):
-    """Where some balls touch something: the balls, and the body of the other, unless these are balls too."""
+    """Where some balls touch something."""
 
     @property
-    def balls(self) -> Balls: ...
+    def balls(self) -> Balls:
+        """The balls."""
+
     @property
-    def body(self) -> int: ...
+    def body(self) -> int:
+        """Body of the other, -1 for the world; any number if these are balls."""
 
     def touches(self, frames: Frames) -> Touches:
         """Return the touches at one pose."""

@@ -2,8 +2,8 @@
 
 Rigid wheels on hinges; each tooth turns about its wheel's axis on a spring and damper; flanks are involutes,
 open beyond the tip circles, and give way by the law of Lankarani and Nikravesh. After Liu, Appl. Mech.
-Mater. 44-47:1273 (2010), of which no data were found: wheels of 20 and 40 teeth, module 4 mm, are taken. Under
-torque the other flanks of the teeth do not meet, and are left out.
+Mater. 44-47:1273 (2010), of which no data were found: wheels of 20 and 40 teeth, module 4 mm, are taken.
+Under torque the other flanks of the teeth do not meet, and are left out.
 """
 
 from collections.abc import Iterator

@@ -31,7 +31,7 @@ def stiff_flanks(gear: Gear, factor: float = 1e5) -> Gear:
 
 
 def at_rest(gear: Gear, place: float) -> tuple[Model, Floats]:
-    """Model with the teeth that may touch, and its coordinates at rest with the driving wheel held at a place.
+    """Model with the teeth that may touch, and its coordinates at rest, the driving wheel held at a place.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def lag_of(model: Model, q: Floats, gear: Gear) -> float:
 
 
 def frequency(gear: Gear, place: float) -> float:
-    """Lowest frequency of the gears about rest at a place, rad/s, from their mass matrix and their torques."""
+    """Lowest frequency of the gears about rest at a place, rad/s, from their mass matrix and torques."""
     model, q = at_rest(gear, place)
     n, factors = model.tree.n_q, model.start().factors
     # Far below what flanks give way, in angles.
