@@ -52,8 +52,8 @@ class Memory(Protocol):
     def settle(self, at: Phase) -> None:
         """End a step; the start of a run is one, too."""
 
-    def end(self, at: Phase) -> None:
-        """End a run."""
+    def end(self, at: Phase | None) -> None:
+        """End a run at a phase from which another may go on; None if it has failed."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,7 +115,7 @@ class Pressing:
         if start is self._ended[0]:
             self.anchors = self._ended[1]
 
-    def end(self, at: Phase) -> None:
+    def end(self, at: Phase | None) -> None:
         """End a run, after which forces are again those without a past."""
         self._ended, self.anchors = (at, self.anchors), NO_ANCHORS
 
