@@ -11,7 +11,7 @@ from protochain.errors import MechanicsError
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.elements import Acting
 from protochain.mechanisms.pressing import Pressing
-from protochain.mechanisms.shapes import Ball, Plane, Surface, finder
+from protochain.mechanisms.shapes import Ball, Other, finder
 from protochain.motion import Load
 
 
@@ -167,7 +167,7 @@ class Contact:
     """
 
     balls: Sequence[Ball]
-    other: Plane | Surface | Sequence[Ball] | None
+    other: Other
     law: Law
     friction: Friction | None = None
     name: str = "contact"

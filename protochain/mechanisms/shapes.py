@@ -70,6 +70,10 @@ class Surface:
     faces: ArrayLike
 
 
+Other = Plane | Surface | Sequence[Ball] | None
+"""What balls touch; None is each other."""
+
+
 class Touches(NamedTuple):
     """Where two bodies a and b overlap.
 
@@ -256,9 +260,7 @@ class Finder(Protocol):
         """Raise if one is so deep that its direction means nothing."""
 
 
-def finder(
-    bodies: Bodies, balls: Sequence[Ball], other: Plane | Surface | Sequence[Ball] | None, name: str
-) -> Finder:
+def finder(bodies: Bodies, balls: Sequence[Ball], other: Other, name: str) -> Finder:
     """What finds where balls touch a plane, a surface, other balls, or each other (None).
 
     Raises
