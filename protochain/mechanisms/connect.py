@@ -11,7 +11,7 @@ from protochain.errors import MechanicsError
 from protochain.mechanisms import given
 from protochain.mechanisms.bodies import Bodies, State
 from protochain.mechanisms.bushing import Bushings
-from protochain.mechanisms.elements import Acting, Conservative, Damping, Gravity, damping
+from protochain.mechanisms.elements import Acting, Conservative, Damping, Gravity, Memory, damping
 from protochain.mechanisms.model import Counted, Model
 from protochain.mechanisms.parts import Bushing, Driven, Forced, Happening, Pushed, Spring, Torsion, Turned
 from protochain.mechanisms.springs import Springs, Torsions
@@ -35,6 +35,7 @@ def connect(
     start = State(bodies, 0.0, q, qd, multibody.pose(bodies.tree, q))
     conservative: list[Conservative] = []
     damped: list[Damping] = []
+    memories: list[Memory] = []
     inside = not np.any(gravity) and not np.any(
         (bodies.tree.parent < 0) & (bodies.tree.kind != HingeKind.FREE)
     )
@@ -60,10 +61,12 @@ def connect(
             acting = _bound(bodies, name, part)
             conservative += [acting.conservative] if acting.conservative else []
             loads += [Counted(name, acting.load, acting.dissipates)] if acting.load else []
+            memories += [acting.memory] if acting.memory else []
             inside = inside and acting.inside
     drive = _drive(bodies, list(drives.values())) if drives else None
     return Model(
-        bodies, q, qd, tuple(conservative), tuple(loads), drive, tuple(events.values()), inside
+        bodies, q, qd, tuple(conservative), tuple(loads), drive, tuple(events.values()), inside,
+        tuple(memories),
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from protochain.defaults import BALANCE
 from protochain.errors import MechanicsError
 from protochain.mechanisms.assemble import by_name
 from protochain.mechanisms.bodies import Bodies, State
-from protochain.mechanisms.elements import Conservative, Sum
+from protochain.mechanisms.elements import Conservative, Memory, Sum
 from protochain.mechanisms.parts import Happening
 from protochain.mechanisms.run import Run, carry_out
 from protochain.motion import Drive, Event, Integrator, Load, Phase, RungeKutta4, System
@@ -47,6 +47,8 @@ class Model:
         Events.
     inside : bool
         Whether nothing acts from outside, so that momentum and spin are kept.
+    memories : tuple of Memory
+        What elements keep from step to step.
     """
 
     bodies: Bodies
@@ -57,6 +59,7 @@ class Model:
     drive: Drive | None = None
     events: tuple[Happening, ...] = ()
     inside: bool = False
+    memories: tuple[Memory, ...] = ()
 
     @property
     def tree(self) -> Tree:

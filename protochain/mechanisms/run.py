@@ -285,10 +285,11 @@ def carry_out(
     gains: list[tuple[float, str, float]] = []
     rows = _Rows(model, start, integrator, time_step, balance)
     rows.add(start)
+    end: Phase | None = None
     try:
         # What diverges is refused below, not warned of.
         with np.errstate(over="ignore", invalid="ignore"):
-            if model.events:
+            if model.events or model.memories:
                 end = _with_events(rows, integrator, until, every, gains)
             else:
                 end = _without_events(rows, integrator, until, every)
@@ -304,6 +305,9 @@ def carry_out(
         with np.errstate(over="ignore", invalid="ignore"):
             rows.look()
         raise MechanicsError(f"after time {rows.rows[-1][0]:g}: {model.said(str(error))}") from None
+    finally:
+        for memory in model.memories:
+            memory.end(end)
     return rows.run(gains, end)
 
 
@@ -327,7 +331,12 @@ def _with_events(
     rows: _Rows, integrator: Integrator, until: float, every: int, gains: list[tuple[float, str, float]]
 ) -> Phase:
     model, at, count, events = rows.model, rows.start, 0, rows.model.watched(gains)
+    for memory in model.memories:
+        memory.begin(at)
+        memory.settle(at)
     for at, event in march(model.system, integrator, rows.start, until, rows.time_step, events):
+        for memory in model.memories:
+            memory.settle(at)
         count += event is None
         if event is not None or count % every == 0:
             rows.add(at, sum(gain for _, _, gain in gains))
