@@ -18,10 +18,11 @@ from protochain.mechanisms.elements import Acting, Conservative, Element, Memory
 from protochain.mechanisms.mechanism import Mechanism
 from protochain.mechanisms.model import Model
 from protochain.mechanisms.run import Audit, Happened, Run
+from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.shapes import Ball, Plane, Surface
 
 __all__ = [
-    "Acting", "Audit", "Ball", "Bodies", "Conservative", "Contact", "Element", "Friction", "Happened", "Law",
-    "Mechanism", "Memory", "Model", "Plane", "Run", "State", "Surface", "flores", "lankarani_nikravesh",
-    "real_restitution",
+    "Acting", "Audit", "Ball", "Bodies", "BoxTree", "Conservative", "Contact", "Element", "Friction",
+    "Happened", "Law", "Mechanism", "Memory", "Model", "Plane", "Run", "State", "Surface", "box_tree",
+    "flores", "lankarani_nikravesh", "overlapping", "real_restitution", "touching",
 ]  # fmt: skip

@@ -23,7 +23,7 @@ def kernel(function: Any) -> Any:
 
 
 def touching(centre: Floats, radius: Floats) -> Integers:
-    """Pairs of spheres that touch or overlap, found by Cartesian cells.
+    """Find the pairs of spheres that touch or overlap, by Cartesian cells.
 
     Parameters
     ----------
