@@ -384,7 +384,7 @@ class Mechanism:
             hinge = self._hinges[name]
             if hinge.kind == "fixed":
                 raise MechanicsError(f'drive: hinge "{name}" is fixed; give it another kind')
-        starts = {name: tuple(drive.at(0.0)[:2]) for name, drive in self._drives.items()}
+        starts = {name: drive.start() for name, drive in self._drives.items()}
         for name, start in starts.items():
             hinge = self._hinges[name]
             if any(has != 0.0 and has != is_ for has, is_ in zip((hinge.q, hinge.qd), start, strict=True)):
