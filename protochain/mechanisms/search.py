@@ -51,7 +51,7 @@ def touching(centre: Floats, radius: Floats) -> Integers:
     n = len(centre)
     centre, radius = floats(centre, (n, 3), "centre"), floats(radius, (n,), "radius")
     _refuse("centre", ~np.isfinite(centre).all(axis=1))
-    _refuse("radius", ~(np.isfinite(radius) & (radius >= 0.0)))
+    _refuse("radius", np.less(radius, 0.0) | ~np.isfinite(radius))
     if not n:
         return np.empty((0, 2), np.int64)
     return in_order(near_pairs(centre, radius, edge_of(centre, radius)), n)
@@ -234,10 +234,11 @@ def box_tree(low: Floats, high: Floats) -> BoxTree:
     wrong = ~(np.isfinite(low) & np.isfinite(high) & (low <= high)).all(axis=1)
     if np.any(wrong):
         raise MechanicsError(f"box {int(np.argmax(wrong))}: its corners must be finite, the low one below")
-    arrays = _halved(low, high)
-    for array in arrays:
+    node_low, node_high, after, items, order = _halved(low, high)
+    for array in (after, items, order):
         array.flags.writeable = False
-    return BoxTree(*arrays, frozen(low.copy()), frozen(high.copy()))
+    own = frozen(low.copy()), frozen(high.copy())
+    return BoxTree(frozen(node_low), frozen(node_high), after, items, order, *own)
 
 
 def overlapping(tree: BoxTree, low: Floats, high: Floats) -> Integers:
