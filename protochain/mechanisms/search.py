@@ -57,7 +57,7 @@ def touching(centre: Floats, radius: Floats) -> Integers:
     return in_order(near_pairs(centre, radius, edge_of(centre, radius)), n)
 
 
-def _refuse(name: str, bad: np.ndarray) -> None:
+def _refuse(name: str, bad: Any) -> None:
     if np.any(bad):
         raise MechanicsError(
             f"sphere {int(np.argmax(bad))}: its {name} must be finite, a radius not negative"

@@ -84,7 +84,7 @@ def started(gear: Gear, until: float, everything: bool = False, rigid: bool = Fa
     if rigid:
         give = (gear.torque / one.base / gear.flank.stiffness) ** (1.0 / gear.flank.exponent)
         return gears(
-            gear, rigid=True, **{"wheel 0": START / one.base, "wheel 1": (START - give) / other.base}
+            gear, rigid=True, start={"wheel 0": START / one.base, "wheel 1": (START - give) / other.base}
         )
     live = None if everything else passing(gear, until)
     rest, q = at_rest(gear, START)
