@@ -25,7 +25,8 @@ from protochain.multibody.tree import HingeKind, Tree, rigid_bodies
 
 __all__ = [
     "ContactPoint", "Frames", "HingeKind", "Impact", "Method", "Rows", "Tree", "centre_of_mass",
-    "close_loops", "forward_dynamics", "impact", "integrate", "inverse_dynamics", "jacobian", "kinetic_energy", "log_det_closed", "log_det_gradient",
+    "close_loops", "forward_dynamics", "impact", "integrate", "inverse_dynamics", "jacobian",
+    "kinetic_energy", "log_det_closed", "log_det_gradient",
     "log_det_mass", "mass_matrix", "momentum", "multiply_mass", "operational_inverse", "point_rows",
     "pose", "pull_back", "random_tree", "rigid_bodies", "row_matrix", "sample_velocities",
     "solve_closed", "solve_mass", "velocities",
