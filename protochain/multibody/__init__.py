@@ -2,7 +2,8 @@
 
 from protochain.multibody.composite import mass_matrix
 from protochain.multibody.forward import forward_dynamics
-from protochain.multibody.impulse import ContactPoint, Impact, close_loops, impact
+from protochain.multibody.impulse import Impact, close_loops, impact
+from protochain.multibody.impulse_points import ContactPoint
 from protochain.multibody.kinematics import Frames, integrate, jacobian, pose, pull_back, velocities
 from protochain.multibody.loops import log_det_closed, solve_closed
 from protochain.multibody.mass import Method, log_det_mass, sample_velocities, solve_mass

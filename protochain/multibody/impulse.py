@@ -6,20 +6,18 @@ W = G M^-1 G^T. After Lidstrom (2015), instantaneous impulses; Keller, J. Appl. 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from protochain import defaults
 from protochain.arrays import Floats, Value, floats, frozen, read_only
 from protochain.errors import MechanicsError
 from protochain.multibody import complementarity, impulse_path
 from protochain.multibody.articulated import Articulated, solve
-from protochain.multibody.kinematics import velocities
-from protochain.multibody.loops import factor_closed
-from protochain.multibody.operational import Rows, operational_inverse, point_rows
+from protochain.multibody.impulse_points import ContactPoint, Struck, rates_along
+from protochain.multibody.operational import Rows
 
 Law = Literal["newton", "poisson", "stronge"]
 """Law of restitution: of velocities, of normal impulses, of the work of the normal impulse."""
@@ -29,61 +27,8 @@ _LAWS = {
     "newton": impulse_path.NEWTON, "poisson": impulse_path.POISSON, "stronge": impulse_path.STRONGE,
 }  # fmt: skip
 _ORDERS = ("together", "in turn")
-_APART = 1e-12
-"""Speed of approach, relative to the largest velocity before, that is rounding error."""
-_TURNS = 100_000
-
-
-@dataclass(frozen=True, eq=False)
-class ContactPoint(Value):
-    """A point at which two bodies, or a body and the world, touch.
-
-    Parameters
-    ----------
-    name : str
-        Name, for messages.
-    bodies : tuple of 2 int
-        Bodies; -1 for the world.
-    point : (3,) float
-        Its world position.
-    normal : (3,) float
-        Direction from the first body to the second, in the world, of any length.
-    friction : float
-        Coulomb's coefficient.
-    restitution : float
-        Coefficient of restitution, 0 to 1.
-
-    Raises
-    ------
-    MechanicsError
-        If a number cannot be what it stands for.
-    """
-
-    name: str
-    bodies: tuple[int, int]
-    point: Floats
-    normal: Floats
-    friction: float = 0.0
-    restitution: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("point", "normal"):
-            value = floats(getattr(self, name), (3,), f"{self.name}: {name}")
-            if not np.isfinite(value).all():
-                raise MechanicsError(f"contact {self.name!r}: its {name} is not finite")
-            object.__setattr__(self, name, read_only(value))
-        length = float(np.linalg.norm(self.normal))
-        if not length > 0.0:
-            raise MechanicsError(f"contact {self.name!r}: its normal has no direction")
-        object.__setattr__(self, "normal", frozen(self.normal / length))
-        if not 0.0 <= self.friction < np.inf:
-            raise MechanicsError(
-                f"contact {self.name!r}: its friction {self.friction:g} must be 0 or more, and finite"
-            )
-        if not 0.0 <= self.restitution <= 1.0:
-            raise MechanicsError(f"contact {self.name!r}: its restitution {self.restitution:g} is not 0 to 1")
-        if self.bodies[0] == self.bodies[1]:
-            raise MechanicsError(f"contact {self.name!r}: a body cannot touch itself")
+_TURNS = 1000
+"""Turns after which what still approaches stops at once: blows without end pass less and less on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,16 +108,23 @@ def impact(
     solution for k points.
     """
     _check(factors, points, law, order)
-    struck = _Struck.of(factors, floats(qd, (factors.tree.n_v,), "qd"), points, loops)
+    struck = Struck.of(factors, floats(qd, (factors.tree.n_v,), "qd"), points, loops)
     local = np.zeros((2, 3 * len(points)))
-    if np.min(struck.u[::3], initial=0.0) < -_APART * np.max(np.abs(struck.u), initial=0.0):
+    approaching = struck.u[::3] < -struck.slow
+    for i in np.flatnonzero(approaching & ~struck.movable):
+        _refuse(impulse_path.IMMOVABLE, points[int(i)])
+    if np.any(approaching):
+        # Nothing happens where nothing can.
+        take = np.flatnonzero(struck.movable)
+        rows = (3 * take[:, None] + np.arange(3)).ravel()
+        some, chosen = struck.part(rows, take), [points[int(i)] for i in take]
         if len(points) == 1:
-            local = _one(struck, points[0], law)
+            local = _one(some, points[0], law)
         elif order == "together":
-            local = _together(struck, points)
+            local[:, rows] = _together(some, chosen)
         else:
-            local = _in_turn(struck, points, law)
-    return struck.with_impulses(local[0], local[1, ::3])
+            local[:, rows] = _in_turn(some, chosen, law)
+    return _after(struck, local[0], local[1, ::3])
 
 
 def close_loops(factors: Articulated, qd: Floats, rows: Rows) -> Floats:
@@ -200,77 +152,24 @@ def close_loops(factors: Articulated, qd: Floats, rows: Rows) -> Floats:
     return impact(factors, qd, (), loops=rows).qd
 
 
-@dataclass(frozen=True, eq=False)
-class _Struck:
-    """Points and loops at one moment: rows, inverse inertia, velocities.
-
-    Parameters
-    ----------
-    factors, qd, rows : Articulated, (n_v,) float, Rows
-        Rows: of the loops, then of the points along their own axes (normal, two tangential).
-    axes : (k, 3, 3) float
-        Axes of the points, as rows.
-    w, u : (3 k, 3 k) float, (3 k,) float
-        Inverse inertia and velocities of the points, with the loops closed.
-    closing : (m, 3 k) float
-        Impulses of the loops per impulse of the points.
-    closed : (m,) float
-        Impulses of the loops without those.
-    """
-
-    factors: Articulated
-    qd: Floats
-    rows: Rows
-    axes: Floats
-    w: Floats
-    u: Floats
-    closing: Floats
-    closed: Floats
-
-    @classmethod
-    def of(
-        cls, factors: Articulated, qd: Floats, points: Sequence[ContactPoint], loops: Rows | None
-    ) -> "_Struck":
-        tree, frames = factors.tree, factors.frames
-        axes = np.array([_axes(point.normal) for point in points]).reshape(-1, 3, 3)
-        parts = [Rows(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2, 6))) if loops is None else loops]
-        for point, own in zip(points, axes, strict=True):
-            along = point_rows(frames, point.bodies, np.stack([point.point, point.point]))
-            parts.append(Rows(along.body, np.einsum("ij,jsk->isk", own, along.wrench)))
-        rows = Rows(
-            np.concatenate([part.body for part in parts]), np.concatenate([part.wrench for part in parts])
-        )
-        m = len(parts[0].body)
-        whole = operational_inverse(tree, frames, rows, factors)
-        rates = _rates(factors, rows, qd)
-        w, u = whole[m:, m:], rates[m:]
-        closing, closed = np.zeros((m, len(u))), np.zeros(m)
-        if m:
-            upper = factor_closed(whole[:m, :m])
-            closing, closed = -cho_solve(upper, whole[:m, m:]), -cho_solve(upper, rates[:m])
-            w, u = w + whole[m:, :m] @ closing, u + whole[m:, :m] @ closed
-        w = np.ascontiguousarray(0.5 * (w + w.T))
-        return cls(factors, qd, rows, axes, w, np.ascontiguousarray(u), closing, closed)
-
-    def with_impulses(self, local: Floats, compression: Floats) -> Impact:
-        """What impulses (3 k,) along the points' axes do."""
-        tree, k = self.factors.tree, len(self.axes)
-        loops = self.closed + self.closing @ local
-        impulses = np.concatenate([loops, local])
-        loads = np.zeros((tree.n_bodies, 6))
-        for side in (0, 1):
-            on = self.rows.body[:, side] >= 0
-            np.add.at(loads, self.rows.body[on, side], -impulses[on, None] * self.rows.wrench[on, side])
-        change = solve(self.factors, np.zeros(tree.n_v), loads) if np.any(impulses) else np.zeros(tree.n_v)
-        qd = self.qd + change
-        m = len(loops)
-        before, after = (_rates(self.factors, self.rows, x) for x in (self.qd, qd))
-        impulse, seen, left = (
-            frozen(np.einsum("kij,ki->kj", self.axes, x.reshape(k, 3)))
-            for x in (local, before[m:], after[m:])
-        )
-        work = 0.5 * float(impulses @ (before + after))
-        return Impact(frozen(qd), impulse, seen, left, read_only(compression), frozen(loops), work)
+def _after(struck: Struck, local: Floats, compression: Floats) -> Impact:
+    """What impulses (3 k,) along the points' axes do."""
+    tree, k = struck.factors.tree, len(struck.axes)
+    loops = struck.closed + struck.closing @ local
+    impulses = np.concatenate([loops, local])
+    loads = np.zeros((tree.n_bodies, 6))
+    for side in (0, 1):
+        on = struck.rows.body[:, side] >= 0
+        np.add.at(loads, struck.rows.body[on, side], -impulses[on, None] * struck.rows.wrench[on, side])
+    change = solve(struck.factors, np.zeros(tree.n_v), loads) if np.any(impulses) else np.zeros(tree.n_v)
+    qd = struck.qd + change
+    m = len(loops)
+    before, after = (rates_along(struck.factors, struck.rows, x) for x in (struck.qd, qd))
+    impulse, seen, left = (
+        frozen(np.einsum("kij,ki->kj", struck.axes, x.reshape(k, 3))) for x in (local, before[m:], after[m:])
+    )
+    work = 0.5 * float(impulses @ (before + after))
+    return Impact(frozen(qd), impulse, seen, left, read_only(compression), frozen(loops), work)
 
 
 def _check(factors: Articulated, points: Sequence[ContactPoint], law: str, order: str) -> None:
@@ -288,25 +187,7 @@ def _check(factors: Articulated, points: Sequence[ContactPoint], law: str, order
                 raise MechanicsError(f"contact {point.name!r}: there is no body {body}")
 
 
-def _axes(normal: Floats) -> Floats:
-    """(3, 3) float: the normal and two directions across it, as rows."""
-    across = np.zeros(3)
-    across[np.argmin(np.abs(normal))] = 1.0
-    # What is left of the axis most across it, so that plane problems along world axes stay in their plane.
-    first = across - (across @ normal) * normal
-    first /= np.linalg.norm(first)
-    return np.stack([normal, first, np.cross(normal, first)])
-
-
-def _rates(factors: Articulated, rows: Rows, qd: Floats) -> Floats:
-    """(m,) float: velocities G qd along the rows."""
-    twists = velocities(factors.tree, factors.frames, qd)
-    # A row of zeros for the world, which index -1 finds.
-    twists = np.concatenate([twists, np.zeros((1, 6))])
-    return np.asarray(np.einsum("msk,msk->m", rows.wrench, twists[rows.body]))
-
-
-def _one(struck: _Struck, point: ContactPoint, law: Law) -> Floats:
+def _one(struck: Struck, point: ContactPoint, law: Law) -> Floats:
     """(2, 3) float: impulse of one point, and that of its compression (normal)."""
     out = np.empty(8)
     status = impulse_path.follow(
@@ -316,13 +197,12 @@ def _one(struck: _Struck, point: ContactPoint, law: Law) -> Floats:
     return np.array([out[:3], (out[3], 0.0, 0.0)])
 
 
-def _together(struck: _Struck, points: Sequence[ContactPoint]) -> Floats:
-    """(2, 3 k) float: impulses, and those of the compression."""
-    for i, point in enumerate(points):
-        _refuse_immovable(struck, 3 * i, point)
+def _together(struck: Struck, points: Sequence[ContactPoint], plastic: bool = False) -> Floats:
+    """(2, 3 k) float: impulses, and those of the compression; without restitution if plastic."""
     friction, restitution = _coefficients(points)
     out = np.zeros((2, 3 * len(points)))
-    status = complementarity.restitute(struck.w, struck.u, friction, restitution, out)
+    given = np.zeros(len(points)) if plastic else restitution
+    status = complementarity.restitute(struck.w, struck.u, friction, given, out)
     if status != complementarity.SOLVED:
         # Of several solutions, where they differ most; otherwise where friction is highest.
         differ = np.linalg.norm(out[0].reshape(-1, 3), axis=1) * (friction > 0.0)
@@ -334,25 +214,31 @@ def _together(struck: _Struck, points: Sequence[ContactPoint]) -> Floats:
     return out
 
 
-def _in_turn(struck: _Struck, points: Sequence[ContactPoint], law: Law) -> Floats:
+def _in_turn(struck: Struck, points: Sequence[ContactPoint], law: Law) -> Floats:
     """(2, 3 k) float: impulses, and those of the compressions, of one point after the other."""
     friction, restitution = _coefficients(points)
     out = np.zeros((2, 3 * len(points)))
     status, i = impulse_path.follow_in_turn(
-        struck.w, struck.u, friction, restitution, _LAWS[law], defaults.IMPACT_TOLERANCE, _APART, _TURNS, out
+        struck.w,
+        struck.u,
+        friction,
+        restitution,
+        _LAWS[law],
+        defaults.IMPACT_TOLERANCE,
+        struck.slow,
+        _TURNS,
+        out,
     )
-    _refuse(status, points[i])
-    return out
+    if status != impulse_path.ENDLESS:
+        _refuse(status, points[i])
+        return out
+    rest = _together(replace(struck, u=struck.u + struck.w @ out[0]), points, plastic=True)
+    return out + rest
 
 
 def _coefficients(points: Sequence[ContactPoint]) -> tuple[Floats, Floats]:
     """Friction and restitution, (k,) each."""
     return np.array([point.friction for point in points]), np.array([point.restitution for point in points])
-
-
-def _refuse_immovable(struck: _Struck, i: int, point: ContactPoint) -> None:
-    if not struck.w[i, i] > 1e-24 * np.max(np.abs(struck.w)):
-        _refuse(impulse_path.IMMOVABLE, point)
 
 
 def _refuse(status: int, point: ContactPoint) -> None:

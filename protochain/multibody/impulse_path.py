@@ -16,9 +16,9 @@ from protochain.multibody.algebra import kernel
 
 NEWTON, POISSON, STRONGE = range(3)
 """Laws of restitution."""
-DONE, IMMOVABLE, JAMMED, LOST = range(4)
+DONE, IMMOVABLE, JAMMED, LOST, ENDLESS = range(5)
 """How a path ended: as it should; nothing gives way along the normal; Newton's law asks for a normal velocity
-that a sticking point cannot have; too many steps."""
+that a sticking point cannot have; too many steps; too many turns."""
 ANGLE = 0
 """Columns of the state of a curved piece: angle and logarithm of slip, impulses, work of the normal one."""
 _STRAIGHT, _ROUNDING, _NOTHING = 1e-12, 4e-15, 1e-12
@@ -118,7 +118,7 @@ def follow(w: Floats, u: Floats, mu: float, e: float, law: int, tolerance: float
                 if restoring and law == NEWTON:
                     status = JAMMED
                     break
-                if restoring or abs(u_n) > 1e-6:
+                if restoring or abs(u_n) > 1e-6 * max(1.0, np.hypot(b1, b2)):
                     status = DONE if restoring else LOST
                     break
                 end = 0.0
@@ -294,7 +294,7 @@ def _from_rest(
 
 @kernel
 def follow_in_turn(
-    w: Floats, u: Floats, mu: Floats, e: Floats, law: int, tolerance: float, apart: float, turns: int,
+    w: Floats, u: Floats, mu: Floats, e: Floats, law: int, tolerance: float, slow: Floats, turns: int,
     out: Floats,
 ) -> tuple[int, int]:  # fmt: skip
     """Write impulses, and those of the compressions, of one point after the other, the fastest first.
@@ -303,10 +303,10 @@ def follow_in_turn(
     ----------
     w, u, mu, e, law, tolerance : as of :func:`follow`, (3 k, 3 k), (3 k,), (k,), (k,)
         Inverse inertia, velocities before, friction and restitution of k points.
-    apart : float
-        Speed of approach that ends it, relative to the largest velocity before.
+    slow : (k,) float
+        Speeds of approach that are none.
     turns : int
-        Largest number of turns. Speeds of approach fall geometrically if turns are endless.
+        Largest number of turns.
     out : (2, 3 k) float
         Impulses; of the compressions.
 
@@ -316,13 +316,15 @@ def follow_in_turn(
         How it ended, and the last point.
     """
     v, block, local, own = u.copy(), np.empty((3, 3)), np.empty(8), np.empty(3)
-    least = apart * np.max(np.abs(u))
     out[:] = 0.0
     i = 0
     for _ in range(turns):
-        i = 3 * int(np.argmin(v[::3]))
-        if v[i] >= -least:
-            return DONE, i // 3
+        i = -1
+        for j in range(len(slow)):
+            if v[3 * j] < -slow[j] and (i < 0 or v[3 * j] < v[i]):
+                i = 3 * j
+        if i < 0:
+            return DONE, 0
         block[:] = w[i : i + 3, i : i + 3]
         own[:] = v[i : i + 3]
         status = follow(block, own, mu[i // 3], e[i // 3], law, tolerance, local)
@@ -333,4 +335,4 @@ def follow_in_turn(
             for k in range(len(v)):
                 v[k] += w[k, i + j] * local[j]
         out[1, i] += local[3]
-    return LOST, i // 3
+    return ENDLESS, i // 3
