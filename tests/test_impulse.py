@@ -258,7 +258,7 @@ def test_paths_in_space_are_those_of_fine_integration(law):
         w = g @ g.T
         expected, rested = brute(w, u, mu, e, law)
         out = np.zeros(8)
-        assert follow(w, u, mu, e, LAWS.index(law), 1e-10, out) == 0
+        assert follow(w, u, mu, e, LAWS.index(law), 0.0, 1e-10, out) == 0
         # The brute force stops slip at 1e-9.
         assert np.allclose(u + w @ out[:3], expected, atol=3e-8)
         slips = np.linalg.norm(expected[1:]) > 1e-8

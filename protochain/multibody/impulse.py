@@ -16,7 +16,7 @@ from protochain.arrays import Floats, Value, floats, frozen, read_only
 from protochain.errors import MechanicsError
 from protochain.multibody import complementarity, impulse_path
 from protochain.multibody.articulated import Articulated, solve
-from protochain.multibody.impulse_points import ContactPoint, Struck, rates_along
+from protochain.multibody.impulse_points import ContactPoint, Struck, twists_of
 from protochain.multibody.operational import Rows
 
 Law = Literal["newton", "poisson", "stronge"]
@@ -164,7 +164,8 @@ def _after(struck: Struck, local: Floats, compression: Floats) -> Impact:
     change = solve(struck.factors, np.zeros(tree.n_v), loads) if np.any(impulses) else np.zeros(tree.n_v)
     qd = struck.qd + change
     m = len(loops)
-    before, after = (rates_along(struck.factors, struck.rows, x) for x in (struck.qd, qd))
+    before = struck.before
+    after = np.einsum("msk,msk->m", struck.rows.wrench, twists_of(struck.factors, struck.rows, qd))
     impulse, seen, left = (
         frozen(np.einsum("kij,ki->kj", struck.axes, x.reshape(k, 3))) for x in (local, before[m:], after[m:])
     )
@@ -191,7 +192,14 @@ def _one(struck: Struck, point: ContactPoint, law: Law) -> Floats:
     """(2, 3) float: impulse of one point, and that of its compression (normal)."""
     out = np.empty(8)
     status = impulse_path.follow(
-        struck.w, struck.u, point.friction, point.restitution, _LAWS[law], defaults.IMPACT_TOLERANCE, out
+        struck.w,
+        struck.u,
+        point.friction,
+        point.restitution,
+        _LAWS[law],
+        struck.slow[0],
+        defaults.IMPACT_TOLERANCE,
+        out,
     )
     _refuse(status, point)
     return np.array([out[:3], (out[3], 0.0, 0.0)])
@@ -219,16 +227,9 @@ def _in_turn(struck: Struck, points: Sequence[ContactPoint], law: Law) -> Floats
     friction, restitution = _coefficients(points)
     out = np.zeros((2, 3 * len(points)))
     status, i = impulse_path.follow_in_turn(
-        struck.w,
-        struck.u,
-        friction,
-        restitution,
-        _LAWS[law],
-        defaults.IMPACT_TOLERANCE,
-        struck.slow,
-        _TURNS,
-        out,
-    )
+        struck.w, struck.u, friction, restitution, _LAWS[law], struck.slow, defaults.IMPACT_TOLERANCE,
+        _TURNS, out,
+    )  # fmt: skip
     if status != impulse_path.ENDLESS:
         _refuse(status, points[i])
         return out

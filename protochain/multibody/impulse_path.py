@@ -43,15 +43,19 @@ _WRONG = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 
 
 
 @kernel
-def follow(w: Floats, u: Floats, mu: float, e: float, law: int, tolerance: float, out: Floats) -> int:
+def follow(
+    w: Floats, u: Floats, mu: float, e: float, law: int, slow: float, tolerance: float, out: Floats
+) -> int:  # fmt: skip
     """Write the impulse (normal, two tangential) that ends an impact, and how it came about.
 
     Parameters
     ----------
     w, u : (3, 3) float, (3,) float
         Inverse inertia and velocity before; u[0] < 0.
-    mu, e, law, tolerance : float, float, int, float
-        Friction, restitution, its law; error of a step of curved pieces, relative to the impulse.
+    mu, e, law : float, float, int
+        Friction, restitution, its law.
+    slow, tolerance : float
+        Speed that is rounding error; error of a step of curved pieces, relative to the impulse.
     out : (8,) float
         Impulse; normal impulse and its work at the end of the compression; work at the end; numbers of exact
         pieces and of steps of curved ones.
@@ -71,7 +75,7 @@ def follow(w: Floats, u: Floats, mu: float, e: float, law: int, tolerance: float
     t11, t12, t22 = w[1, 1] / nn, w[1, 2] / nn, w[2, 2] / nn
     b1, b2 = u[1] / speed, u[2] / speed
     grip = np.hypot(n1, n2) + mu * (t11 + t22)
-    least = _NOTHING * max(1.0, np.sqrt(t11 + t22))
+    least = max(_NOTHING * max(1.0, np.sqrt(t11 + t22)), slow / speed)
 
     y, new, stage = np.zeros(6), np.zeros(6), np.zeros((7, 6))
     restoring, turning = False, mu > 0.0
@@ -118,7 +122,7 @@ def follow(w: Floats, u: Floats, mu: float, e: float, law: int, tolerance: float
                 if restoring and law == NEWTON:
                     status = JAMMED
                     break
-                if restoring or abs(u_n) > 1e-6 * max(1.0, np.hypot(b1, b2)):
+                if restoring or abs(u_n) > max(1e-6 * max(1.0, np.hypot(b1, b2)), 1e3 * slow / speed):
                     status = DONE if restoring else LOST
                     break
                 end = 0.0
@@ -294,17 +298,15 @@ def _from_rest(
 
 @kernel
 def follow_in_turn(
-    w: Floats, u: Floats, mu: Floats, e: Floats, law: int, tolerance: float, slow: Floats, turns: int,
+    w: Floats, u: Floats, mu: Floats, e: Floats, law: int, slow: Floats, tolerance: float, turns: int,
     out: Floats,
 ) -> tuple[int, int]:  # fmt: skip
     """Write impulses, and those of the compressions, of one point after the other, the fastest first.
 
     Parameters
     ----------
-    w, u, mu, e, law, tolerance : as of :func:`follow`, (3 k, 3 k), (3 k,), (k,), (k,)
-        Inverse inertia, velocities before, friction and restitution of k points.
-    slow : (k,) float
-        Speeds of approach that are none.
+    w, u, mu, e, law, slow, tolerance : (3 k, 3 k), (3 k,), (k,), (k,), int, (k,), float
+        As of :func:`follow`, for k points.
     turns : int
         Largest number of turns.
     out : (2, 3 k) float
@@ -327,7 +329,7 @@ def follow_in_turn(
             return DONE, 0
         block[:] = w[i : i + 3, i : i + 3]
         own[:] = v[i : i + 3]
-        status = follow(block, own, mu[i // 3], e[i // 3], law, tolerance, local)
+        status = follow(block, own, mu[i // 3], e[i // 3], law, slow[i // 3], tolerance, local)
         if status != DONE:
             return status, i // 3
         for j in range(3):

@@ -1,6 +1,6 @@
 """Points of contact, and what of the bodies an impact there sees: rows, inverse inertia, velocities."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,9 +9,9 @@ from scipy.linalg import cho_solve
 from protochain.arrays import Floats, Integers, Value, floats, frozen, read_only
 from protochain.errors import MechanicsError
 from protochain.multibody.articulated import Articulated
-from protochain.multibody.kinematics import velocities
+from protochain.multibody.kinematics import Frames, velocities
 from protochain.multibody.loops import factor_closed
-from protochain.multibody.operational import Rows, operational_inverse, point_rows
+from protochain.multibody.operational import Rows, operational_inverse
 
 _APART, _LOCKED = 1e-12, 1e-13
 """Speed of approach, relative to those of the bodies there, and inverse inertia, relative to that without
@@ -80,6 +80,8 @@ class Struck:
         Rows: of the loops, then of the points along their own axes (normal, two tangential).
     axes : (k, 3, 3) float
         Axes of the points, as rows.
+    before : (m + 3 k,) float
+        Velocities along the rows.
     w, u : (3 k, 3 k) float, (3 k,) float
         Inverse inertia and velocities of the points, with the loops closed.
     slow : (k,) float
@@ -96,6 +98,7 @@ class Struck:
     qd: Floats
     rows: Rows
     axes: Floats
+    before: Floats
     w: Floats
     u: Floats
     slow: Floats
@@ -108,18 +111,15 @@ class Struck:
         cls, factors: Articulated, qd: Floats, points: Sequence[ContactPoint], loops: Rows | None
     ) -> "Struck":
         """Of points in the frames of the factors; the velocities are those after the loops have closed."""
-        tree, frames = factors.tree, factors.frames
-        axes = np.array([_axes(point.normal) for point in points]).reshape(-1, 3, 3)
-        parts = [Rows(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2, 6))) if loops is None else loops]
-        for point, own in zip(points, axes, strict=True):
-            along = point_rows(frames, point.bodies, np.stack([point.point, point.point]))
-            parts.append(Rows(along.body, np.einsum("ij,jsk->isk", own, along.wrench)))
-        rows = Rows(
-            np.concatenate([part.body for part in parts]), np.concatenate([part.wrench for part in parts])
-        )
-        m = len(parts[0].body)
-        whole = operational_inverse(tree, frames, rows, factors)
-        before = rates_along(factors, rows, qd)
+        axes = np.array([_axes(*point.normal.tolist()) for point in points]).reshape(-1, 3, 3)
+        rows = _rows(factors.frames, points, axes)
+        m = 0
+        if loops is not None:
+            m = len(loops.body)
+            rows = Rows(np.concatenate([loops.body, rows.body]), np.concatenate([loops.wrench, rows.wrench]))
+        whole = operational_inverse(factors.tree, factors.frames, rows, factors)
+        twists = twists_of(factors, rows, qd)
+        before = np.einsum("msk,msk->m", rows.wrench, twists)
         w, u = whole[m:, m:], before[m:]
         closing, closed = np.zeros((m, len(u))), np.zeros(m)
         if m:
@@ -127,10 +127,11 @@ class Struck:
             closing, closed = -cho_solve(upper, whole[:m, m:]), -cho_solve(upper, before[:m])
             w, u = w + whole[m:, :m] @ closing, u + whole[m:, :m] @ closed
         w = np.ascontiguousarray(0.5 * (w + w.T))
-        slow = _APART * rates_along(factors, rows, qd, np.abs)[m:].reshape(-1, 3).max(axis=1, initial=0.0)
+        largest = np.einsum("msk,msk->m", np.abs(rows.wrench[m:]), np.abs(twists[m:]))
+        slow = _APART * largest.reshape(-1, 3).max(axis=1, initial=0.0)
         free = np.diagonal(whole)[m:].reshape(-1, 3).max(axis=1, initial=0.0)
         movable = np.diagonal(w)[::3] > _LOCKED * free
-        return cls(factors, qd, rows, axes, w, u.copy(), slow, movable, closing, closed)
+        return cls(factors, qd, rows, axes, before, w, u.copy(), slow, movable, closing, closed)
 
     def part(self, rows: Integers, take: Integers) -> "Struck":
         """Some of the points: inverse inertia and velocities only."""
@@ -138,21 +139,39 @@ class Struck:
         return replace(self, w=w, u=u, slow=self.slow[take])
 
 
-def _axes(normal: Floats) -> Floats:
-    """(3, 3) float: the normal and two directions across it, as rows."""
-    across = np.zeros(3)
-    across[np.argmin(np.abs(normal))] = 1.0
-    # What is left of the axis most across it, so that plane problems along world axes stay in their plane.
-    first = across - (across @ normal) * normal
-    first /= np.linalg.norm(first)
-    return np.stack([normal, first, np.cross(normal, first)])
+def twists_of(factors: Articulated, rows: Rows, qd: Floats) -> Floats:
+    """(m, 2, 6) float: twists of the two bodies of each row; the world's is zero."""
+    twists = np.zeros((factors.tree.n_bodies + 1, 6))
+    twists[:-1] = velocities(factors.tree, factors.frames, qd)
+    # Index -1 finds the last, of the world.
+    return np.asarray(twists[rows.body])
 
 
-def rates_along(
-    factors: Articulated, rows: Rows, qd: Floats, of: Callable[[Floats], Floats] = np.asarray
-) -> Floats:
-    """(m,) float: velocities G qd along the rows; of the absolute values, what they can be at most."""
-    twists = velocities(factors.tree, factors.frames, qd)
-    # A row of zeros for the world, which index -1 finds.
-    twists = np.concatenate([twists, np.zeros((1, 6))])
-    return np.asarray(np.einsum("msk,msk->m", of(rows.wrench), of(twists)[rows.body]))
+def _axes(x: float, y: float, z: float) -> list[list[float]]:
+    """Normal and two directions across it, (3, 3); a plane of two world axes has one of them within."""
+    a, b, c = abs(x), abs(y), abs(z)
+    # Across the world's axis that is most across the normal.
+    if a <= b and a <= c:
+        h = np.hypot(y, z)
+        first = [0.0, z / h, -y / h]
+    elif b <= c:
+        h = np.hypot(x, z)
+        first = [-z / h, 0.0, x / h]
+    else:
+        h = np.hypot(x, y)
+        first = [y / h, -x / h, 0.0]
+    p, q, r = first
+    return [[x, y, z], first, [y * r - z * q, z * p - x * r, x * q - y * p]]
+
+
+def _rows(frames: Frames, points: Sequence[ContactPoint], axes: Floats) -> Rows:
+    """Rows of the velocities of the second bodies relative to the first, along the points' axes."""
+    k = len(points)
+    bodies = np.array([point.bodies for point in points], dtype=np.int64).reshape(k, 2)
+    at = np.array([point.point for point in points]).reshape(k, 1, 3)
+    # (k, 3, 2, 3): forces of 1 along each axis on the second body, of -1 on the first.
+    force = axes[:, :, None, :] * np.array([[-1.0], [1.0]])
+    arm = (at - frames.origin[bodies])[:, None]
+    wrench = np.concatenate([np.cross(arm, force), force], axis=3)
+    wrench[np.broadcast_to((bodies < 0)[:, None], (k, 3, 2))] = 0.0
+    return Rows(np.repeat(bodies, 3, axis=0), wrench.reshape(3 * k, 2, 6))
