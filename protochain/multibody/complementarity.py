@@ -83,44 +83,51 @@ def _unique(w: Floats, u: Floats, mu: Floats, floor: Floats, out: Floats) -> int
     for i in range(n):
         soft[i, i] += added
     x, before, shift = np.zeros(n), np.zeros(n), np.zeros(n)
+    starts = 4 if np.max(mu) > 0.0 else 1
     found = False
-    for start in range(4 if np.max(mu) > 0.0 else 1):
-        if start == 1:
+    for step in range(starts + _PROXIMAL):
+        if step == 1 and starts > 1:
             # All points stick, with what impulse it takes.
             x = -u
             _eliminate(soft.copy(), x)
-        elif start > 1:
+        elif 1 < step < starts:
             # All points slip on, or back, pressed ten times as much.
-            sign = 1.0 if start == 2 else -1.0
+            sign = 1.0 if step == 2 else -1.0
             for i in range(0, n, 3):
                 slip = np.hypot(u[i + 1], u[i + 2])
                 x[i] = floor[i // 3] + 10.0 * abs(u[i]) / soft[i, i]
                 for j in range(1, 3):
                     x[i + j] = sign * mu[i // 3] * x[i] * u[i + j] / slip if slip > 0.0 else 0.0
-        before[:] = 0.0
-        solved = False
-        for _ in range(_PROXIMAL):
-            solved = _solved(soft, u - added * before, mu, floor, x, start == 1)
-            shift = x - before
-            before[:] = x
-            if not solved or added * np.max(np.abs(shift)) <= _EXACT * np.max(np.abs(u)):
-                break
-        if solved and found:
-            shift = x - out
+        elif step >= starts:
+            # The shift that takes out what was added.
+            if not found:
+                return UNSOLVED
+            x[:] = out
+            before[:] = out
+        solved = _solved(soft, u - added * before, mu, floor, x, 6 if step < starts else 2, step == 1)
+        shift = x - out
+        if step >= starts:
+            if not solved:
+                # Impulses without a limit, as between wedges: velocities are right but for what was added.
+                return SOLVED
+            out[:] = x
+            if added * np.max(np.abs(shift)) <= _EXACT * np.max(np.abs(u)):
+                return SOLVED
+        elif solved and found:
             if np.max(np.abs(w @ shift)) > _OTHER * (np.max(np.abs(u)) + np.max(np.abs(w @ x))):
                 out[:] = shift
                 return SEVERAL
         elif solved:
             out[:] = x
             found = True
-    return SOLVED if found else UNSOLVED
+    return SOLVED
 
 
 @kernel
-def _solved(w: Floats, u: Floats, mu: Floats, floor: Floats, x: Floats, backwards: bool) -> bool:
+def _solved(w: Floats, u: Floats, mu: Floats, floor: Floats, x: Floats, most: int, backwards: bool) -> bool:
     """Overwrite x by a solution; False if none is found."""
     sweeps = 4
-    for rounds in range(6):
+    for rounds in range(most):
         if _newton(w, u, mu, floor, x):
             return True
         _sweep(w, u, mu, floor, x, sweeps, backwards, 1.0 if rounds < 3 else 0.3)

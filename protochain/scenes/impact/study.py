@@ -23,6 +23,7 @@ from protochain.multibody import (
     kinetic_energy,
     pose,
     random_tree,
+    velocities,
 )  # fmt: skip
 from protochain.multibody.articulated import Articulated, articulate
 from protochain.multibody.impulse import Law, Order
@@ -128,7 +129,7 @@ def _impacts(posed: Posed, kind: Kind, rng: np.random.Generator) -> Iterator[flo
         qd = rng.normal(size=tree.n_v)
         qd = qd if posed.loops is None else close_loops(posed.factors, qd, posed.loops)
         before = kinetic_energy(tree, frames, qd)
-        points = list(_points(posed, at_once * kind.points, rng))
+        points = list(_points(posed, qd, at_once * kind.points, kind.points, rng))
         some = points[: kind.points]
         try:
             after = impact(posed.factors, qd, some, kind.law, posed.loops, kind.order)
@@ -140,7 +141,7 @@ def _impacts(posed: Posed, kind: Kind, rng: np.random.Generator) -> Iterator[flo
 
 
 def each_alone(posed: Posed, qd: Floats, points: Sequence[ContactPoint], law: Law) -> Iterator[float]:
-    """Work of impacts of one point each, all from the same velocities: their W in one sweep; NaN if refused."""
+    """Work of impacts of one point each, from the same velocities; NaN if refused. Their W take one sweep."""
     struck = Struck.of(posed.factors, qd, points, posed.loops)
     out = np.empty(8)
     for i, point in enumerate(points):
@@ -155,19 +156,27 @@ def each_alone(posed: Posed, qd: Floats, points: Sequence[ContactPoint], law: La
         yield float(out[:3] @ (u + 0.5 * w @ out[:3])) if status == DONE else np.nan
 
 
-def _points(posed: Posed, k: int, rng: np.random.Generator) -> Iterator[ContactPoint]:
-    """Points of random bodies with the world or other bodies, friction 0 to 2, restitution 0 to 1."""
-    n, origin = posed.factors.tree.n_bodies, posed.factors.frames.origin
+def _points(posed: Posed, qd: Floats, k: int, every: int, rng: np.random.Generator) -> Iterator[ContactPoint]:
+    """Points of random bodies with the world or other bodies, friction 0 to 2, restitution 0 to 1.
+
+    The first of each ``every`` points approaches.
+    """
+    tree, frames = posed.factors.tree, posed.factors.frames
+    n, origin, twists = tree.n_bodies, frames.origin, velocities(tree, frames, qd)
     for i in range(k):
         body = int(rng.integers(n))
         other = int(rng.integers(n)) if rng.random() < 0.3 else -1
+        pair = (-1 if other == body else other, body)
         point, normal = origin[body] + rng.normal(scale=0.1, size=3), rng.normal(size=3)
         if posed.plane:
             point[2], normal[2] = 0.0, 0.0
-        yield ContactPoint(
-            f"point {i}", (-1 if other == body else other, body), point, normal,
-            rng.uniform(0.0, 2.0), rng.uniform(),
-        )  # fmt: skip
+        if i % every == 0:
+            first, second = (
+                twists[b, 3:] + np.cross(twists[b, :3], point - origin[b]) if b >= 0 else np.zeros(3)
+                for b in pair
+            )
+            normal *= -1.0 if (second - first) @ normal > 0.0 else 1.0
+        yield ContactPoint(f"point {i}", pair, point, normal, rng.uniform(0.0, 2.0), rng.uniform())
 
 
 def random_pose(plane: bool, looped: bool, rng: np.random.Generator) -> Posed:
