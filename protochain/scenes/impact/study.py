@@ -129,7 +129,7 @@ def _impacts(posed: Posed, kind: Kind, rng: np.random.Generator) -> Iterator[flo
         qd = rng.normal(size=tree.n_v)
         qd = qd if posed.loops is None else close_loops(posed.factors, qd, posed.loops)
         before = kinetic_energy(tree, frames, qd)
-        points = list(_points(posed, qd, at_once * kind.points, kind.points, rng))
+        points = list(random_points(posed, qd, at_once * kind.points, kind.points, rng))
         some = points[: kind.points]
         try:
             after = impact(posed.factors, qd, some, kind.law, posed.loops, kind.order)
@@ -156,7 +156,9 @@ def each_alone(posed: Posed, qd: Floats, points: Sequence[ContactPoint], law: La
         yield float(out[:3] @ (u + 0.5 * w @ out[:3])) if status == DONE else np.nan
 
 
-def _points(posed: Posed, qd: Floats, k: int, every: int, rng: np.random.Generator) -> Iterator[ContactPoint]:
+def random_points(
+    posed: Posed, qd: Floats, k: int, every: int, rng: np.random.Generator
+) -> Iterator[ContactPoint]:
     """Points of random bodies with the world or other bodies, friction 0 to 2, restitution 0 to 1.
 
     The first of each ``every`` points approaches.
