@@ -74,7 +74,7 @@ class Leapfrog(Integrator):
 
     def check_return(self, system: System, before: Phase, after: Phase, time_step: float) -> None:
         """Check that a step backwards ends where the step began, without an energy: its drift decides."""
-        refuse_departure(system.tree, self._drifted(system, after, -time_step)[0], before.q)
+        refuse_departure(system, self._drifted(system, after, -time_step)[0], before.q)
 
     def _drifted(self, system: System, at: Phase, time_step: float) -> Drifted:
         """Kick for half a step and drift for a step."""

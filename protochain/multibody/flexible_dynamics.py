@@ -182,15 +182,25 @@ def momenta(flexible: Flexible, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
     """
     bent = bend(flexible, q)
     twists, changes = _twists(flexible, bent, q, qd)
-    turn, inertia = bent.rotation, flexible.sections.inertia
-    spin = np.einsum("nij,njk,nlk,nl->ni", turn, inertia, turn, twists[:, :3], optimize=True)
-    felt = np.concatenate([spin, flexible.sections.mass[:, None] * twists[:, 3:]], axis=1)
+    felt = _momenta_of_nodes(flexible, bent, twists)
     p, gradient = _pulled(flexible, bent, felt), np.empty(flexible.n_v)
     put_gradient(
         flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns, twists, changes, felt,
         gradient,
     )  # fmt: skip
     return p, gradient
+
+
+def multiply_mass(flexible: Flexible, bent: Bent, x: Floats) -> Floats:
+    """Product M x (n_v,) without forming M. O(n)."""
+    return _pulled(flexible, bent, _momenta_of_nodes(flexible, bent, velocities(flexible, bent, x)))
+
+
+def _momenta_of_nodes(flexible: Flexible, bent: Bent, twists: Floats) -> Floats:
+    """(nn, 6) float: each node's angular momentum about its place, and linear momentum."""
+    turn, of = bent.rotation, flexible.sections
+    own = (twists[:, None, :3] @ turn) @ of.inertia @ turn.swapaxes(1, 2)
+    return np.concatenate([own[:, 0], of.mass[:, None] * twists[:, 3:]], axis=1)
 
 
 def _pulled(flexible: Flexible, bent: Bent, felt: Floats) -> Floats:
