@@ -64,11 +64,8 @@ class Leapfrog(Integrator):
         MechanicsError
             If a load depends on velocities, or hinges are driven.
         """
-        if system.loads and system.depends_on_velocity:
-            raise MechanicsError(
-                "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
-            )
-        refuse_drive(system, "leapfrog")
+        if system.loads or system.drive is not None or system.bends:
+            _refuse(system)
         there = system.kick(at, *self._drifted(system, at, time_step), time_step)
         return there if system.constraint is None else system.with_velocities(there, there.qd)
 
@@ -82,6 +79,15 @@ class Leapfrog(Integrator):
         if system.constraint is None:
             return self.drift(at, kicked, time_step)
         return system.constraint.drift(self.drift, at, kicked, time_step)
+
+
+def _refuse(system: System) -> None:
+    """Raise if the leapfrog cannot take a system."""
+    refuse_drive(system, "leapfrog")
+    if system.depends_on_velocity:
+        raise MechanicsError(
+            "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
+        )
 
 
 def drift(at: Phase, p: Floats, time_step: float) -> Drifted:
