@@ -14,7 +14,7 @@ from protochain.arrays import Floats, frozen
 from protochain.dynamics.loop import State
 from protochain.dynamics.thermostats import Bath
 from protochain.errors import ProtochainError, StructureError, WriteError
-from protochain.motion.system import Phase
+from protochain.motion.system import NOTHING, Phase
 from protochain.multibody import Frames, Tree
 from protochain.multibody.articulated import Articulated
 from protochain.storage import check_writable, read_arrays, write_arrays, write_atomically, writing
@@ -155,7 +155,6 @@ class Folder:
             "bath_energy": state.bath.energy,
             "damped": state.damped,
             "time": state.at.time,
-            "work": state.at.work,
             "frames": frames,
             "trajectory_bytes": trajectory_bytes,
             "log_bytes": self.log_part.stat().st_size,
@@ -166,7 +165,7 @@ class Folder:
             "rotation": factors.frames.rotation, "origin": factors.frames.origin, "inertia": factors.inertia,
             "gain": factors.gain, "pivot": factors.pivot, "root": factors.root,
             "start": self.start, "lists_at": np.empty((0, 3)) if lists_at is None else lists_at,
-            "load": np.empty(0) if at.load is None else at.load,
+            "work": at.work, "loads": np.empty((0, len(at.qd))) if at.loads is None else at.loads,
             **{name: self.constants.get(name, np.empty(0)) for name in CONSTANTS},
         }  # fmt: skip
         write_arrays(self.path / CHECKPOINT, arrays, values, self.settings)
@@ -242,9 +241,9 @@ def _state(tree: Tree, arrays: Mapping[str, np.ndarray], values: Mapping[str, An
     a = {name: frozen(array) for name, array in arrays.items()}
     frames = Frames(a["rotation"], a["origin"])
     factors = Articulated(tree, frames, a["inertia"], a["gain"], a["pivot"], a["root"])
-    load = a.get("load")
+    loads = a.get("loads", ())
     at = Phase(
         a["q"], a["qd"], a["p"], values["potential"], a["torque"], factors, values.get("time", 0.0),
-        values.get("work", 0.0), load if load is not None and len(load) else None,
+        a.get("work", NOTHING), loads if len(loads) else None,
     )  # fmt: skip
     return State(values["step"], at, Bath(values["bath_energy"], a["memory"]), values.get("damped", 0.0))

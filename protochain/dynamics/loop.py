@@ -54,7 +54,7 @@ class State:
     @property
     def conserved(self) -> float:
         """Conserved quantity, kJ/mol: total energy and that given to heat bath and dampers, less the work."""
-        return self.at.total - self.at.work + self.bath.energy + self.damped
+        return self.at.total - float(np.sum(self.at.work)) + self.bath.energy + self.damped
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def _step(propagator: Propagator, before: Phase) -> Phase:
         raise StepTooLargeError(f"{error} ({1000 * abs(h):g} fs)") from None
     if not at.is_finite:
         raise StepTooLargeError("the energy or a torque is not a number")
-    jump = abs((at.total - at.work) - (before.total - before.work))
+    jump = abs(at.total - before.total - float(np.sum(at.work - before.work)))
     thermal = 0.5 * len(at.qd) * propagator.thermal_energy
     if jump > BREACH * (thermal + max(before.kinetic, at.kinetic)) + propagator.thermal_energy + 1.0:
         raise StepTooLargeError(f"the energy changed by {jump:.3g} kJ/mol in one step")

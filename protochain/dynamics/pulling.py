@@ -75,7 +75,7 @@ class MovingSpring:
             "pull_distance_nm": distance,
             "pull_extension_nm": distance - self.start,
             "pull_force_kj_mol_nm": tension,
-            "pull_work_kj_mol": at.work + stored,
+            "pull_work_kj_mol": float(np.sum(at.work)) + stored,
         }
 
     def load(self) -> Load:

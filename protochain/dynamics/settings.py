@@ -37,6 +37,10 @@ LONGEST_STEP = 0.5
 """ps. Steps of bodies bound by springs are below a hundredth of this; who gives more means femtoseconds."""
 
 
+FARTHEST_PULL = 0.1
+"""nm. An atom's radius: a spring that moves farther in one step is meant in another unit."""
+
+
 @dataclass(frozen=True)
 class Pull:
     """Spring between two places of a structure, whose length at rest changes at constant speed.
@@ -213,6 +217,11 @@ class SimulationSettings:
                 raise ProtochainError(f"{name} {count}: give at least 1")
         if self.seed < 0:
             raise ProtochainError(f"seed {self.seed}: give 0 or more")
+        if self.pull is not None and abs(self.pull.speed) * self.time_step > FARTHEST_PULL:
+            raise ProtochainError(
+                f"pull: a speed of {self.pull.speed:g} nm/ps moves the spring by more than {FARTHEST_PULL:g} "
+                f"nm in a step; give at most {FARTHEST_PULL / self.time_step:g}"
+            )
         if self.thermostat == "nose-hoover" and not (self.temperature > 0.0 and self.friction > 0.0):
             raise ProtochainError("nose-hoover: needs a temperature and a friction above 0; choose langevin")
         if THERMOSTATS[self.thermostat].metropolis:

@@ -290,8 +290,8 @@ def _prepare(
         parts.append(springs.potential)
     if pull is not None and pull.speed == 0.0:
         parts.append(pull.potential)
-    load = pull.load() if pull is not None and pull.speed != 0.0 else None
-    system = System(made.tree, parts[0] if len(parts) == 1 else total(parts), closure, load)
+    loads = (pull.load(),) if pull is not None and pull.speed != 0.0 else ()
+    system = System(made.tree, parts[0] if len(parts) == 1 else total(parts), closure, loads)
     freedoms = made.n_v - (0 if closure is None else len(closure.length))
     removes = has_free_roots(made.tree) and THERMOSTATS[settings.thermostat].conserves_momentum
     freedoms -= 6 if removes else 0
