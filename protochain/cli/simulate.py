@@ -27,6 +27,7 @@ from protochain.setup import Setup
 if TYPE_CHECKING:
     from protochain.arrays import Floats
     from protochain.chain import Chain
+    from protochain.dynamics import Simulation
     from protochain.energies import Energy
 
 _RELAXED = 10.0
@@ -116,27 +117,24 @@ def simulate(
 
     Unlike pc.simulate it minimises first, since structures in files are strained; --no-relax omits this.
     """
-    from protochain.checks import ends
     from protochain.dynamics import simulate as run
     from protochain.dynamics.folder import check_folder
-    from protochain.dynamics.settings import HingeSpring, Pull, SimulationSettings
+    from protochain.dynamics.settings import SimulationSettings
     from protochain.dynamics.simulate import freed
 
     settings: dict[str, Any] = {
         "temperature": temperature, "time_step": time_step / 1000.0, "thermostat": thermostat,
         "friction": friction, "integrator": integrator, "fixman": fixman, "loops": loops,
         "hydrogen_mass": hydrogen_mass, "trajectory_length": trajectory_length, "every": every, "seed": seed,
-        "pull": None if pull is None else Pull(ends(pull, "pull"), pull_stiffness, pull_speed),
-        "hinge_springs": HingeSpring.several(hinge_spring or (), "hinge_spring"),
+        **_beside(pull, pull_stiffness, pull_speed, hinge_spring),
     }  # fmt: skip
     _check_time_step(time_step)
-    checked = SimulationSettings(**settings)
-    checked.check(steps, checkpoint_every)
+    SimulationSettings(**settings).check(steps, checkpoint_every)
     output = output or Path(f"{named_after(source)[0]}-simulation")
     check_folder(output, trajectory, resume, force)
     chain, energy, preparation = prepare(source, setup)
-    if checked.pull or checked.hinge_springs:
-        freed(chain, checked)  # Says what is not there before the work of minimising.
+    if pull or hinge_spring:
+        freed(chain, SimulationSettings(**settings))  # What is not there is said before the work.
     foretell(source, chain, energy, steps, steps)
     context.with_resource(held_interrupts())
     q = _relaxed(source, chain, energy, loops, seed) if relax and not resume else chain.q0
@@ -146,14 +144,32 @@ def simulate(
             checkpoint_every=checkpoint_every, resume=resume, force=force, watch=watch, **settings,
         )  # fmt: skip
     beside = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
+    _end(done, beside, as_json)
+
+
+def _beside(
+    pull: str | None, stiffness: float, speed: float, hinge_springs: list[str] | None
+) -> dict[str, Any]:
+    """Settings of what acts beside the force field."""
+    from protochain.checks import ends
+    from protochain.dynamics.settings import HingeSpring, Pull
+
+    return {
+        "pull": None if pull is None else Pull(ends(pull, "pull"), stiffness, speed),
+        "hinge_springs": HingeSpring.several(hinge_springs or (), "hinge_spring"),
+    }
+
+
+def _end(done: "Simulation", beside: dict[str, Any], as_json: bool) -> None:
+    """Print what a simulation came to, and exit."""
     record = {**done.record(), **beside}
     if as_json:
         print(json.dumps(record, allow_nan=False))
     else:
         print_simulation(record)
     if not done.is_sound:
-        where = f"the frames until then are in {output}/*.part.*"
-        raise SystemExit(fail(f"{source}: {done.message}; {where}"))
+        where = f"the frames until then are in {beside['output']}/*.part.*"
+        raise SystemExit(fail(f"{beside['input']}: {done.message}; {where}"))
     raise typer.Exit(CONVERGED if done.ending == "completed" else UNCONVERGED)
 
 
