@@ -241,7 +241,7 @@ def _state(tree: Tree, arrays: Mapping[str, np.ndarray], values: Mapping[str, An
     a = {name: frozen(array) for name, array in arrays.items()}
     frames = Frames(a["rotation"], a["origin"])
     factors = Articulated(tree, frames, a["inertia"], a["gain"], a["pivot"], a["root"])
-    loads = a.get("loads", ())
+    loads = a.get("loads", np.empty(0))
     at = Phase(
         a["q"], a["qd"], a["p"], values["potential"], a["torque"], factors, values.get("time", 0.0),
         a.get("work", NOTHING), loads if len(loads) else None,

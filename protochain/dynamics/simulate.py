@@ -183,9 +183,9 @@ class _Run:
     def constants(self) -> dict[str, Floats]:
         """What the run measures at its start and keeps, by names of ``folder.CONSTANTS``."""
         found = {
-            "loop_lengths": self.closure and self.closure.length,
-            "pull_start": self.pull and np.array([self.pull.start]),
-            "hinge_rest": self.springs and self.springs.rest,
+            "loop_lengths": None if self.closure is None else self.closure.length,
+            "pull_start": None if self.pull is None else np.array([self.pull.start]),
+            "hinge_rest": None if self.springs is None else self.springs.rest,
         }
         return {name: values for name, values in found.items() if values is not None}
 
@@ -282,7 +282,9 @@ def _prepare(
     if closure is not None:
         closure = replace(closure, length=constants.get("loop_lengths", closure.length))
     springs = hinge_springs(settings.hinge_springs, made, start, constants.get("hinge_rest"))
-    pull = settings.pull and moving_spring(settings.pull, made, start, constants.get("pull_start"))
+    pull = None
+    if settings.pull is not None:
+        pull = moving_spring(settings.pull, made, start, constants.get("pull_start"))
     parts = [chain_potential(made, varying)]
     if settings.fixman:
         parts.append(fixman(settings.thermal_energy, closure))
