@@ -1,29 +1,17 @@
-"""How the figures of a study were made: machine, threads, versions and commit."""
+"""Where results come from: machine, threads, versions and commit."""
 
 import platform
 import subprocess
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
 from protochain.processors import processors
 
-LIBRARIES = ("protochain", "openmm", "numpy", "scipy", "numba")
 
-
-def made(threads: str) -> dict[str, str]:
-    """Say how figures of this process are made.
-
-    Parameters
-    ----------
-    threads : str
-        On how many threads, and what.
-
-    Returns
-    -------
-    dict of str to str
-        Machine, threads, versions and commit.
-    """
-    versions = [f"{name} {version(name)}" for name in LIBRARIES]
+def made(threads: str, libraries: Sequence[str] = ("openmm", "numpy", "scipy", "numba")) -> dict[str, str]:
+    """Machine, threads, versions of the package, of Python and of some libraries, and commit."""
+    versions = [f"{name} {version(name)}" for name in ("protochain", *libraries)]
     return {
         "machine": f"{_processor()}, {processors()} processors, {platform.system()}",
         "threads": threads,

@@ -40,8 +40,7 @@ def write_page(
         }
         for name, title, measured, sentences in parts
     ]
-    threads = f"1, of minimisers {processors()}"
-    text = template("curves.html").render(parts=shown, made=made(threads))
+    text = template("curves.html").render(parts=shown, made=made(f"1, of minimisers {processors()}"))
     write_atomically(folder / "report.html", lambda to: to.write_text(text, encoding="utf-8"))
 
 
