@@ -166,7 +166,9 @@ def _step(propagator: Propagator, before: Phase) -> Phase:
         raise StepTooLargeError(f"{error} ({1000 * abs(h):g} fs)") from None
     if not at.is_finite:
         raise StepTooLargeError("the energy or a torque is not a number")
-    jump = abs(at.total - before.total - float(np.sum(at.work - before.work)))
+    jump = abs(at.total - before.total)
+    if at.loads is not None:
+        jump = abs(at.total - before.total - float(np.sum(at.work - before.work)))
     thermal = 0.5 * len(at.qd) * propagator.thermal_energy
     if jump > BREACH * (thermal + max(before.kinetic, at.kinetic)) + propagator.thermal_energy + 1.0:
         raise StepTooLargeError(f"the energy changed by {jump:.3g} kJ/mol in one step")
