@@ -20,8 +20,11 @@ from made import SAMPLES
 from scipy.spatial import cKDTree
 
 import protochain as pc
-from protochain.energies.native.neighbours import SKIN, make_lists, partners
-from protochain.mechanisms.search import box_tree, overlapping, touching
+import protochain.energies
+from protochain.mechanisms import box_tree, overlapping, touching
+
+native = protochain.energies.native.neighbours
+"""The lists, which are no public name."""
 
 SIZES = (1_000, 3_162, 10_000, 31_623, 100_000)
 EDGE, PACKING = 0.02, 0.55
@@ -94,14 +97,14 @@ def lists(path: Path, repeats: int) -> pd.DataFrame:
     """Cells against neighbour lists on the atoms of a protein."""
     x = np.ascontiguousarray(pc.load(path).positions)
     blocks = -(-len(x) // 32)
-    none = partners(np.empty((0, 2), np.int64), len(x))
+    none = native.partners(np.empty((0, 2), np.int64), len(x))
     alone, apart = np.full((len(x), 1), -1), np.full(blocks, -1)
     calls: dict[object, Callable[[], object]] = {}
     for distance in DISTANCES:
-        near, radius = distance - SKIN, np.full(len(x), 0.5 * distance)
+        near, radius = distance - native.SKIN, np.full(len(x), 0.5 * distance)
         calls["cells", distance] = lambda r=radius: touching(x, r)
         calls["lists", distance] = lambda d=near: (
-            make_lists(x, d, np.full(blocks, d), 0.0, d, none, alone, apart).close
+            native.make_lists(x, d, np.full(blocks, d), 0.0, d, none, alone, apart).close
         )
     seconds = least(calls, repeats)
     rows = []

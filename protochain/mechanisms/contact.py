@@ -22,11 +22,11 @@ class Law:
     Parameters
     ----------
     stiffness : float
-        K.
+        Stiffness K, force by depth to the power n.
     exponent : float
-        n: 1.5 for round bodies (Hertz), 1 for a spring.
+        Power n: 1.5 for round bodies (Hertz), 1 for a spring.
     damping : float
-        a, time per length: see :func:`lankarani_nikravesh` and :func:`flores`.
+        Damping a, time by length: see :func:`lankarani_nikravesh` and :func:`flores`.
     """
 
     stiffness: float
@@ -52,9 +52,9 @@ class Friction:
     Parameters
     ----------
     coefficient : float
-        mu.
+        Largest tangential force by normal force.
     stiffness, damping : float
-        k and c.
+        Of the spring, k, and of the damper, c.
     """
 
     coefficient: float
@@ -72,12 +72,14 @@ def lankarani_nikravesh(stiffness: float, restitution: float, speed: float, expo
 
     Parameters
     ----------
-    stiffness, exponent : float
-        K and n of :class:`Law`.
+    stiffness : float
+        Stiffness of :class:`Law`.
     restitution : float
-        e, 0 to 1. The real one is higher: :func:`real_restitution`.
+        Restitution e, 0 to 1. The real one is higher: :func:`real_restitution`.
     speed : float
         Speed of approach v for which it holds; slower impacts lose less.
+    exponent : float
+        Exponent of :class:`Law`.
 
     Returns
     -------
@@ -93,10 +95,14 @@ def flores(stiffness: float, restitution: float, speed: float, exponent: float =
 
     Parameters
     ----------
-    stiffness, exponent, speed : float
-        As of :func:`lankarani_nikravesh`.
+    stiffness : float
+        Stiffness of :class:`Law`.
     restitution : float
-        e, above 0, to 1. The real one is near it: :func:`real_restitution`.
+        Restitution e, above 0, to 1. The real one is near it: :func:`real_restitution`.
+    speed : float
+        Speed of approach v for which it holds; slower impacts lose less.
+    exponent : float
+        Exponent of :class:`Law`.
 
     Returns
     -------
@@ -121,12 +127,12 @@ def real_restitution(loss: float) -> float:
     Parameters
     ----------
     loss : float
-        c = a v, of the damping and the speed of approach.
+        Damping by speed of approach, c = a v.
 
     Returns
     -------
     float
-        r that solves c - ln(1 + c) = -c r - ln(1 - c r): both sides are integrals of v dv / (1 + a v), equal
+        Root r of c - ln(1 + c) = -c r - ln(1 - c r): both sides are integrals of v dv / (1 + a v), equal
         to that of K d^n / m over the depth, in compression and in restitution.
 
     Raises

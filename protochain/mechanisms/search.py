@@ -23,7 +23,7 @@ def kernel(function: Any) -> Any:
 
 
 def touching(centre: Floats, radius: Floats) -> Integers:
-    """Pairs of spheres that touch or overlap, found by Cartesian cells.
+    """Find the pairs of spheres that touch or overlap, by Cartesian cells.
 
     Parameters
     ----------
@@ -51,13 +51,13 @@ def touching(centre: Floats, radius: Floats) -> Integers:
     n = len(centre)
     centre, radius = floats(centre, (n, 3), "centre"), floats(radius, (n,), "radius")
     _refuse("centre", ~np.isfinite(centre).all(axis=1))
-    _refuse("radius", ~(np.isfinite(radius) & (radius >= 0.0)))
+    _refuse("radius", np.less(radius, 0.0) | ~np.isfinite(radius))
     if not n:
         return np.empty((0, 2), np.int64)
     return in_order(near_pairs(centre, radius, edge_of(centre, radius)), n)
 
 
-def _refuse(name: str, bad: np.ndarray) -> None:
+def _refuse(name: str, bad: Any) -> None:
     if np.any(bad):
         raise MechanicsError(
             f"sphere {int(np.argmax(bad))}: its {name} must be finite, a radius not negative"
@@ -234,10 +234,11 @@ def box_tree(low: Floats, high: Floats) -> BoxTree:
     wrong = ~(np.isfinite(low) & np.isfinite(high) & (low <= high)).all(axis=1)
     if np.any(wrong):
         raise MechanicsError(f"box {int(np.argmax(wrong))}: its corners must be finite, the low one below")
-    arrays = _halved(low, high)
-    for array in arrays:
+    node_low, node_high, after, items, order = _halved(low, high)
+    for array in (after, items, order):
         array.flags.writeable = False
-    return BoxTree(*arrays, frozen(low.copy()), frozen(high.copy()))
+    own = frozen(low.copy()), frozen(high.copy())
+    return BoxTree(frozen(node_low), frozen(node_high), after, items, order, *own)
 
 
 def overlapping(tree: BoxTree, low: Floats, high: Floats) -> Integers:

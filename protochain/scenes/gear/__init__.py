@@ -84,11 +84,13 @@ def started(gear: Gear, until: float, everything: bool = False, rigid: bool = Fa
     if rigid:
         give = (gear.torque / one.base / gear.flank.stiffness) ** (1.0 / gear.flank.exponent)
         return gears(
-            gear, rigid=True, **{"wheel 0": START / one.base, "wheel 1": (START - give) / other.base}
+            gear, rigid=True, start={"wheel 0": START / one.base, "wheel 1": (START - give) / other.base}
         )
     live = None if everything else passing(gear, until)
     rest, q = at_rest(gear, START)
-    return gears(gear, live, **{name: float(q[rest.bodies.freedom(name)[0]]) for name in rest.bodies.hinges})
+    return gears(
+        gear, live, start={name: float(q[rest.bodies.freedom(name)[0]]) for name in rest.bodies.hinges}
+    )
 
 
 def passing(gear: Gear, until: float) -> tuple[range, range]:
@@ -324,7 +326,7 @@ def _extremes(gear: Gear) -> Iterator[Extreme]:
 def _parted(gear: Gear, until: float) -> Check:
     """Flanks that part: both wheels turn freely, as their torques say."""
     back = replace(gear, torque=-gear.torque)
-    moved = gears(back, rigid=True, **{"wheel 1": 1e-7}).simulate(until, STEP)
+    moved = gears(back, rigid=True, start={"wheel 1": 1e-7}).simulate(until, STEP)
     (first, _), (second, _) = gear.inertias
     oracle = -0.5 * until**2 * gear.torque * (1.0 / first + gear.ratio**2 / second) - 2e-7
     return check("lag", lag_of(moved.model, moved.q[-1], gear), oracle, 1e-9, "torque by inertia")

@@ -39,7 +39,7 @@ def at_rest(gear: Gear, place: float) -> tuple[Model, Floats]:
         If no equilibrium is found.
     """
     base = gear.pair.wheels[0].base
-    model = gears(gear, near(gear, place), **{"wheel 0": place / base})
+    model = gears(gear, near(gear, place), start={"wheel 0": place / base})
     one, other = (model.bodies.freedom(f"wheel {k}")[0] for k in (0, 1))
     radius = np.full(model.tree.n_q, gear.pair.wheels[1].base)
     radius[:other] = base
