@@ -112,6 +112,48 @@ def test_hinges_in_a_loop_are_refused_by_name():
         chained(("a", "b"), ("b", "c"), ("c", "a")).build()
 
 
+@pytest.mark.parametrize("inertia", [0.0, (1.0, 1.0, 0.0), (0.0, 1.0, 1.0)])
+def test_a_free_point_or_needle_is_refused_unless_others_resist(inertia):
+    m = Mechanism()
+    m.body("dust", 1e-9, inertia=inertia)
+    with pytest.raises(MechanicsError, match='body "dust": it is free, and nothing resists its turning'):
+        m.build()
+    m.body("tail", 1.0, com=(1, 2, 3), inertia=1.0)
+    m.hinge("h", "dust", "tail", "fixed")
+    assert m.build().simulate(0.1, 0.01).audit().energy < AUDITED
+
+
+@pytest.mark.parametrize(
+    ("motion", "words"),
+    [
+        (
+            lambda t: (np.sin(t), 2.0 * np.cos(t), -np.sin(t)),
+            "its coordinate changes by 0.9[0-9]* per time, but",
+        ),
+        (
+            lambda t: (np.sin(t), np.cos(t), np.sin(t)),
+            "its rate changes by -0.[0-9]* per time, but its accel",
+        ),
+        (lambda t: (t if t < 0.5 else np.nan, 1.0, 0.0), "it gives"),
+    ],
+)
+def test_a_drive_that_is_no_motion_is_refused(motion, words):
+    m = pendulum(q=0.0)
+    m.drive("pin", motion)
+    with pytest.raises(MechanicsError, match=f'drive of hinge "pin": at time .* {words}'):
+        m.build().simulate(1.0, 0.01)
+
+
+def test_drives_of_any_size_and_with_steps_of_acceleration_are_motions():
+    for size in (1e-6, 1.0, 1e6):
+        m = pendulum(q=0.0)
+        m.drive("pin", lambda t, a=size: (a * np.cos(t), -a * np.sin(t), -a * np.cos(t)))
+        m.build().simulate(0.1, 0.01, balance=np.inf)
+    m = pendulum(q=0.0)
+    m.drive("pin", lambda t: (0.5 * t * t, t, 1.0) if t < 0.5 else (0.125 + 0.5 * (t - 0.5), 0.5, 0.0))
+    m.build().simulate(1.0, 0.1, balance=np.inf)
+
+
 def test_a_hinged_body_starts_by_its_hinge():
     m = Mechanism()
     m.body("b", 1.0, inertia=1.0, position=(0, 0, 1))

@@ -80,8 +80,17 @@ class Model:
         return (*(each.name for each in self.loads), *(("drives",) if self.drive is not None else ()))
 
     def start(self) -> Phase:
-        """Phase at the start."""
-        return self.system.at(self.q, self.qd)
+        """Phase at the start.
+
+        Raises
+        ------
+        MechanicsError
+            If the pose is singular, or what an element gives is no number.
+        """
+        try:
+            return self.system.at(self.q, self.qd)
+        except MechanicsError as error:
+            raise MechanicsError(self.said(str(error))) from None
 
     def state(self, at: Phase | None = None) -> State:
         """State at a phase, by default at the start, from which points and velocities can be had by name."""

@@ -282,6 +282,9 @@ def carry_out(
         )
     if not (isinstance(balance, int | float) and balance > 0.0):
         raise MechanicsError(f"balance {shown(balance)}: give a number above 0, as inf to accept any")
+    if model.drive is not None:
+        for when in (start.time + 0.37 * time_step, start.time + 0.61 * (until - start.time)):
+            _check_drive(model, when, 1e-4 * time_step)
     gains: list[tuple[float, str, float]] = []
     rows = _Rows(model, start, integrator, time_step, balance)
     rows.add(start)
@@ -309,6 +312,24 @@ def carry_out(
         for memory in model.memories:
             memory.end(end)
     return rows.run(gains, end)
+
+
+def _check_drive(model: "Model", time: float, nudge: float) -> None:
+    """Raise if a drive's rates and accelerations are not the derivatives of its coordinates and rates."""
+    assert model.drive is not None
+    before, at, after = (np.array(model.drive(t)) for t in (time - nudge, time, time + nudge))
+    change = (after[:2] - before[:2]) / (2.0 * nudge)
+    # A hundredth, and what the differences are rounded by.
+    allowed = 0.01 * np.maximum(np.abs(change), np.abs(at[1:])) + 1e-12 * np.abs(at[:2]) / nudge
+    if np.any(np.abs(change - at[1:]) > allowed):
+        of, k = (int(i) for i in np.argwhere(np.abs(change - at[1:]) > allowed)[0])
+        driven = [h for h, b in model.bodies.hinges.items() if model.tree.v_start[b] in model.tree.driven_v]
+        name = sorted(driven, key=model.bodies.hinge)[k]
+        what, rate = ("coordinate", "rate") if of == 0 else ("rate", "acceleration")
+        raise MechanicsError(
+            f'drive of hinge "{name}": at time {time:g} its {what} changes by {change[of, k]:g} per time, '
+            f"but its {rate} is {at[of + 1, k]:g}; give the derivative"
+        )
 
 
 def _without_events(rows: _Rows, integrator: Integrator, until: float, every: int) -> Phase:
