@@ -314,6 +314,17 @@ def test_what_is_too_deep_is_refused_by_name():
     assert run.qd[-1, 5] > 0.0
 
 
+def test_what_has_diverged_is_said_to_and_blames_no_hinge():
+    tree = dropped(Law(1.0)).tree
+    nowhere = np.full(tree.n_q, np.nan)
+    for call in (
+        lambda: multibody.forward_dynamics(tree, nowhere, np.zeros(tree.n_v), np.zeros(tree.n_v)),
+        lambda: multibody.solve_mass(tree, multibody.pose(tree, nowhere), np.zeros(tree.n_v)),
+    ):
+        with pytest.raises(MechanicsError, match=r"body 0: its place is no number.*diverged"):
+            call()
+
+
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (2, 2, 0)]
 
 
