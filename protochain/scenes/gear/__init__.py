@@ -318,7 +318,7 @@ def _extremes(gear: Gear) -> Iterator[Extreme]:
         return check("audit", end(of, step).audit().energy, 0.0, 1e-6, "energy less work is kept", "absolute")
 
     def swing(of: Gear, step: float = STEP, integrator: Integrator | None = None) -> Check:
-        source = "teeth of steel, a tenth of the inertia"
+        source = "teeth of steel, whose inertia changes little here"
         value, oracle = (lags(each, gear)[-1] for each in (end(of, step, integrator), end(gear)))
         return check("lag at the end", value, oracle, 0.03, source)
 
