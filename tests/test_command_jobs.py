@@ -27,8 +27,8 @@ def simulated(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     done = SimpleNamespace(record=lambda: {"r": 1.0}, is_sound=True, ending="completed", message="why")
     seen = SimpleNamespace(
-        prepared=[], foretold=[], runs=[], shown=[], given=[], done=done,
-        chain=SimpleNamespace(q0="q0", structure="s"), setups=[], relaxed="converged", troubled=False, checked=[],
+        prepared=[], foretold=[], runs=[], shown=[], given=[], checked=[], setups=[], done=done,
+        chain=SimpleNamespace(q0="q0", structure="s"), relaxed="converged", troubled=False,
     )  # fmt: skip
 
     def prepare(source, setup):
