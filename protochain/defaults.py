@@ -51,3 +51,5 @@ BALANCE = 0.1
 
 BATCH_THREADS = 1
 TIME_LIMIT = 3600.0  # s
+IMPACT_TOLERANCE = 1e-10
+"""Error of a step of an impact's path, relative to its impulse. Plane paths are exact."""
