@@ -366,6 +366,25 @@ def test_a_run_in_parts_is_the_run_in_one(thermostat, integrator, small, tmp_pat
     pd.testing.assert_frame_equal(part.trace, whole.trace, check_exact=True, check_dtype=False)
 
 
+def test_a_held_run_of_hybrid_monte_carlo_goes_on_too(small, tmp_path):
+    c, e, q = small
+    settings = {
+        "thermostat": "hmc", "every": 10, "seed": 3, "pull": pc.Pull(ENDS, 300.0, 0.0), "fixman": True,
+        "hinge_springs": "psi 5",
+    }  # fmt: skip
+    whole = simulate(c, e, q, n_steps=40, **settings)
+    simulate(c, e, q, n_steps=20, output=tmp_path, **settings)
+    part = simulate(c, e, n_steps=40, output=tmp_path, resume=True, **settings)
+    assert np.array_equal(part.q, whole.q) and whole.accepted > 0.0
+    pd.testing.assert_frame_equal(part.trace, whole.trace, check_exact=True, check_dtype=False)
+    # All that is added to the force field's energy is a column of its own.
+    row = whole.trace.iloc[-1]
+    held = 0.5 * row["pull_force_kj_mol_nm"] ** 2 / 300.0
+    added = row["fixman_kj_mol"] + row["hinge_springs_kj_mol"] + held
+    assert row["potential_kj_mol"] + added == pytest.approx(whole.state.at.potential, rel=1e-12)
+    assert row["potential_kj_mol"] == pytest.approx(e(whole.x)[0], abs=1e-6)
+
+
 def test_another_pull_is_another_run(small, tmp_path):
     simulate(*small, n_steps=10, every=5, output=tmp_path, pull=pc.Pull(ENDS))
     for other, word in (

@@ -120,7 +120,11 @@ class Simulation:
     def save(self, path: str | Path) -> None:
         """Write the final structure with its provenance; the suffix selects PDB or mmCIF."""
         s, e = self.settings, self.energy_function
-        beside = [f"HINGE SPRING {spring}".upper() for spring in s.hinge_springs]
+        beside = [
+            f"SPRINGS ON {spring.kind.upper()}: {spring.stiffness:g} KJ/MOL/RAD^2, "
+            f"{spring.damping:g} KJ/MOL PS/RAD^2"
+            for spring in s.hinge_springs
+        ]
         if s.pull is not None:
             beside.append(f"PULLED {s.pull} BY {s.pull.stiffness:g} KJ/MOL/NM^2 AT {s.pull.speed:g} NM/PS")
         save(self.structure, path, [
