@@ -424,6 +424,17 @@ def test_places_are_found_by_chain_number_insertion_code_and_name(tmp_path):
             moving_spring(pc.Pull("A:-3:N-A:7:C"), c, c.q0)
 
 
+def test_a_chain_without_a_name_is_named_by_nothing(tmp_path):
+    lines = (STRUCTURES / "ala10.pdb").read_text().splitlines(keepends=True)
+    named = ("ATOM", "TER")
+    blank = [f"{line[:21]} {line[22:]}" if line.startswith(named) else line for line in lines]
+    (tmp_path / "blank.pdb").write_text("".join(blank))
+    c = pc.build_chain(pc.load(tmp_path / "blank.pdb"), root="free")
+    check_pull(pc.Pull(":1:N-:10:C"), c)
+    with pytest.raises(pc.ProtochainError, match=r"no residues A:1; its chains are \(blank\)"):
+        check_pull(pc.Pull(ENDS), c)
+
+
 @pytest.mark.parametrize(
     ("between", "read"),
     [
