@@ -26,6 +26,7 @@ from protochain.dynamics import (
 from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring
 from protochain.dynamics.settings import INTEGRATORS
 from protochain.multibody import HingeKind, Tree
+from protochain.structure.select import atoms_at
 from protochain.units import MOLAR_GAS
 
 COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]
@@ -422,6 +423,16 @@ def test_places_are_found_by_chain_number_insertion_code_and_name(tmp_path):
             pc.ProtochainError, match=r"A:7:C: there are no residues A:7; chain A has -3 to 5E"
         ):
             moving_spring(pc.Pull("A:-3:N-A:7:C"), c, c.q0)
+
+
+def test_a_water_of_the_same_number_does_not_stand_in_the_way(tmp_path):
+    water = "HETATM 9998  O   HOH A   5       5.000  20.000  20.000  1.00  0.00           O\n"
+    text = (STRUCTURES / "ala10.pdb").read_text().partition("END")[0] + water + "END\n"
+    (tmp_path / "wet.pdb").write_text(text)
+    s = pc.load(tmp_path / "wet.pdb", keep="water")
+    assert s.obstacle.sum() == 3
+    (at,) = atoms_at(s, "A:5:O")
+    assert s.residue_name[s.atom_residue[at]] == "ALA" and not s.obstacle[at]
 
 
 def test_a_chain_without_a_name_is_named_by_nothing(tmp_path):
