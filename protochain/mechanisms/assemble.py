@@ -171,7 +171,8 @@ def _ordered(
         name = waiting.pop()
         order.append(name)
         waiting += reversed(children[name])
-    left = [name for name in bodies if name not in order]
+    found = set(order)
+    left = [name for name in bodies if name not in found]
     if left:
         raise MechanicsError(
             f'body "{left[0]}" hangs on itself: hinge "{inward[left[0]]}" is part of a loop of hinges; '

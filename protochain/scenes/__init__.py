@@ -16,6 +16,7 @@ from protochain.scenes.scene import Check, Extreme, LeftOut, Scene
 __all__ = ["SCENES", "Check", "Extreme", "LeftOut", "Scene", "plot_work", "run"]
 
 SCENES = {
+    "beam": "a cantilever of finite segments: frequencies, rotation, spin-up, rigid ends, limits",
     "serial": "serial chains of revolute hinges: M^-1 by three routes, long, light, thin and straight",
 }
 """One line on each, by name; their modules are imported on use."""
