@@ -114,7 +114,9 @@ def test_a_free_body_starts_where_and_as_it_is_told():
     assert np.allclose(state.rotation("b"), turn)
     assert np.allclose(state.point("b", (1, 1, 1)), (1, 2, 3) + turn @ (1, 1, 1))
     assert np.allclose(state.velocity("b"), (4, 5, 6))
-    assert np.allclose(state.velocity("b", (1, 1, 1)), (4, 5, 6) + np.cross((7, 8, 9), turn @ (1, 1, 1)))
+    assert np.allclose(
+        state.velocity("b", (1, 1, 1)), np.array([4, 5, 6]) + np.cross((7, 8, 9), turn @ (1, 1, 1))
+    )
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1.0, np.pi - 1e-9, np.pi, 4.0])

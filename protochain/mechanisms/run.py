@@ -1,8 +1,9 @@
 """A motion as it was carried out: its rows, table, and audit of energy, work and momentum."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 _LOOK = 64
 """Rows from one look at the balance of energy to the next."""
+_SAME = 1e-9
+"""Difference of times that is none, relative to the time step."""
 _REMEDY = "take a shorter one, DormandPrince(), or for stiff springs and dampers Rosenbrock()"
 
 
@@ -49,24 +52,38 @@ class Audit(NamedTuple):
     spin: float | None
 
 
+class Row(NamedTuple):
+    """A phase without its factors, and the energy that events have given until then."""
+
+    time: float
+    q: Floats
+    qd: Floats
+    p: Floats
+    potential: float
+    work: Floats
+    jumps: float
+
+    @property
+    def kinetic(self) -> float:
+        """Kinetic energy."""
+        return 0.5 * float(self.p @ self.qd)
+
+    @property
+    def unspent(self) -> float:
+        """Energy less work and what events have given, which does not change."""
+        return self.kinetic + self.potential - float(np.sum(self.work)) - self.jumps
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Motion of a mechanism.
+    """Motion of a mechanism; its arrays are made when they are first asked for.
 
     Parameters
     ----------
     model : Model
         The mechanism.
-    time : (n,) float
-        Times of the rows.
-    q, qd : (n, n_q) and (n, n_v) float
-        Coordinates and velocities.
-    kinetic, potential : (n,) float
-        Energies.
-    work : (n, k) float
-        Work since the start of each of ``model.works``.
-    jumps : (n,) float
-        Energy given by events since the start.
+    rows : sequence of tuples
+        The fields of :class:`Row`, row by row.
     events : tuple of Happened
         What has happened.
     end : Phase
@@ -74,22 +91,57 @@ class Run:
     """
 
     model: "Model"
-    time: Floats
-    q: Floats
-    qd: Floats
-    kinetic: Floats
-    potential: Floats
-    work: Floats
-    jumps: Floats
+    rows: Sequence[tuple[Any, ...]]
     events: tuple[Happened, ...]
     end: Phase
+
+    @cached_property
+    def time(self) -> Floats:
+        """(n,) float: times of the rows."""
+        return read_only([row[0] for row in self.rows])
+
+    @cached_property
+    def q(self) -> Floats:
+        """(n, n_q) float: coordinates."""
+        return read_only([row[1] for row in self.rows])
+
+    @cached_property
+    def qd(self) -> Floats:
+        """(n, n_v) float: velocities."""
+        return read_only([row[2] for row in self.rows])
+
+    @cached_property
+    def kinetic(self) -> Floats:
+        """(n,) float: kinetic energy."""
+        return read_only(0.5 * np.einsum("ij,ij->i", [row[3] for row in self.rows], self.qd))
+
+    @cached_property
+    def potential(self) -> Floats:
+        """(n,) float: potential energy."""
+        return read_only([row[4] for row in self.rows])
+
+    @cached_property
+    def work(self) -> Floats:
+        """(n, k) float: work since the start of each of ``model.works``."""
+        return read_only([row[5] for row in self.rows])
+
+    @cached_property
+    def jumps(self) -> Floats:
+        """(n,) float: energy given by events since the start."""
+        return read_only([row[6] for row in self.rows])
 
     @property
     def total(self) -> Floats:
         """(n,) float: energy."""
         return self.kinetic + self.potential
 
-    @cached_property
+    @property
+    def dissipation(self) -> Floats:
+        """(n,) float: energy that dampers and friction have taken."""
+        taking = [k for k, each in enumerate(self.model.loads) if each.dissipates]
+        return np.asarray(-np.sum(self.work[:, taking], axis=1))
+
+    @property
     def momenta(self) -> Floats:
         """(n, 2, 3) float: momentum, and angular momentum about the world's origin."""
         return self._momenta[0]
@@ -122,12 +174,6 @@ class Run:
         columns |= dict(zip(names, self.momenta.reshape(-1, 6).T, strict=True))
         return pd.DataFrame(columns)
 
-    @property
-    def dissipation(self) -> Floats:
-        """(n,) float: energy that dampers and friction have taken."""
-        taking = [k for k, each in enumerate(self.model.loads) if each.dissipates]
-        return np.asarray(-np.sum(self.work[:, taking], axis=1))
-
     def audit(self) -> Audit:
         """Say how far energy less work, and momentum, are from constant.
 
@@ -136,8 +182,9 @@ class Run:
         Audit
             Largest errors, relative.
         """
-        lack, scale = balance(self.kinetic, self.potential, self.work, self.jumps)
-        energy = float(np.max(np.abs(lack)) / scale[-1]) if scale[-1] > 0.0 else 0.0
+        lack = self.total - np.sum(self.work, axis=1) - self.jumps
+        scale = self.in_motion
+        energy = float(np.max(np.abs(lack - lack[0])) / scale) if scale > 0.0 else 0.0
         if not self.model.inside:
             return Audit(energy, None, None)
         whole, sizes = self._momenta
@@ -146,66 +193,54 @@ class Run:
         momentum, spin = np.divide(changes, scales, out=np.zeros(2), where=scales > 0.0)
         return Audit(energy, float(momentum), float(spin))
 
-
-def balance(kinetic: Floats, potential: Floats, work: Floats, jumps: Floats) -> tuple[Floats, Floats]:
-    """Energy that came from nothing, (n,), and the largest energy in motion until then, (n,)."""
-    given = np.sum(work, axis=1) + jumps
-    lack = kinetic + potential - given
-    sizes = [kinetic, np.abs(potential - potential[0]), np.abs(jumps), *np.abs(work.T)]
-    return lack - lack[0], np.maximum.accumulate(np.max(sizes, axis=0))
+    @property
+    def in_motion(self) -> float:
+        """Largest energy that moves: kinetic, that of a change of the potential, of work, of events."""
+        parts = self.kinetic, self.potential - self.potential[0], self.work - self.work[0], self.jumps
+        return max(float(np.max(np.abs(part), initial=0.0)) for part in parts)
 
 
 class _Rows:
-    """Rows of a run, as they come."""
+    """Rows of a run as they come, with a look at the energy now and then."""
 
-    def __init__(self, model: "Model", integrator: Integrator, time_step: float) -> None:
-        self.model, self.time_step, self.looked = model, time_step, 0
+    def __init__(self, model: "Model", start: Phase, integrator: Integrator, time_step: float) -> None:
+        self.model, self.start, self.time_step = model, start, time_step
         self.damps = isinstance(integrator, Rosenbrock)
-        self.phases: list[tuple[float, Floats, Floats, Floats, float, Floats | float]] = []
-        self.jumps: list[float] = []
+        # Plain tuples: to make a NamedTuple takes twice as long.
+        self.rows: list[tuple[float, Floats, Floats, Floats, float, Floats, float]] = []
 
-    def add(self, at: Phase, jumped: float) -> None:
-        """Add a row; look at the energy now and then."""
-        self.phases.append((at.time, at.q, at.qd, at.p, at.potential, at.work))
-        self.jumps.append(jumped)
-        if len(self.phases) - self.looked >= _LOOK:
+    def add(self, at: Phase, jumps: float = 0.0) -> None:
+        """Add a row."""
+        self.rows.append((at.time, at.q, at.qd, at.p, at.potential, at.work, jumps))
+        if len(self.rows) % _LOOK == 0:
             self.look()
 
     def look(self) -> None:
-        """Raise StepTooLargeError if energy has come from nothing, or been lost without a damper."""
-        self.looked = len(self.phases)
-        time, kinetic, potential, work, jumps = self.energies()
+        """Look at the energy of the latest row.
+
+        Raises
+        ------
+        StepTooLargeError
+            If much of it has come from nothing, or gone nowhere.
+        """
+        first, row = Row(*self.rows[0]), Row(*self.rows[-1])
         with np.errstate(all="ignore"):
-            lack, scale = balance(kinetic, potential, work, jumps)
-            floor = 1e3 * np.finfo(float).eps * np.max(np.abs(potential))
-            gain = lack if self.damps else np.abs(lack)
-            bad = ~(gain <= BALANCE * scale + floor)
-        if np.any(bad):
-            first = int(np.argmax(bad))
-            many = (
-                f"{100.0 * lack[first] / scale[first]:.3g} % of" if np.isfinite(lack[first]) else "more than"
-            )
+            lack = row.unspent - first.unspent
+            floor = 1e3 * np.finfo(float).eps * abs(row.potential)
+            wrong = lack if self.damps else abs(lack)
+            if wrong <= BALANCE * row.kinetic + floor:
+                return
+            # Perhaps there was more before: this row may be a turning point.
+            largest = self.run([], self.start).in_motion
+        if not wrong <= BALANCE * largest + floor:
             raise StepTooLargeError(
-                f"at time {time[first]:g} {many} the energy in motion has come from nothing: "
-                f"the time step {self.time_step:g} is too long; {_REMEDY}"
+                f"by time {row.time:g} the energy has changed by {lack:.3g}, of {largest:.3g} in motion, "
+                f"without work: the time step {self.time_step:g} is too long; {_REMEDY}"
             )
 
-    def energies(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """Times, kinetic and potential energies, work of each load, energy of events."""
-        time, _, qd, p, potential, work = zip(*self.phases, strict=True)
-        with np.errstate(all="ignore"):
-            kinetic = 0.5 * np.einsum("ij,ij->i", np.array(qd), np.array(p))
-        n, k = len(time), len(self.model.works)
-        done = np.array(work, dtype=float).reshape(n, -1) if k else np.zeros((n, 0))
-        return np.array(time), kinetic, np.array(potential), done, np.array(self.jumps)
-
-    def finished(self, events: list[tuple[float, str, float]], end: Phase) -> Run:
+    def run(self, gains: list[tuple[float, str, float]], end: Phase) -> Run:
         """Return the run."""
-        self.look()
-        time, kinetic, potential, work, jumps = (read_only(values) for values in self.energies())
-        q, qd = (read_only([row[k] for row in self.phases]) for k in (1, 2))
-        happened = tuple(Happened(*event) for event in events)
-        return Run(self.model, time, q, qd, kinetic, potential, work, jumps, happened, end)
+        return Run(self.model, self.rows, tuple(Happened(*gain) for gain in gains), end)
 
 
 def carry_out(
@@ -225,29 +260,55 @@ def carry_out(
             raise MechanicsError(f"{name} {shown(value)}: give a finite number above {least:g}")
     if not (isinstance(every, int) and every >= 1):
         raise MechanicsError(f"every {shown(every)}: give a whole number from 1")
-    if not np.isfinite(start.potential) or not np.isfinite(start.torque).all():
+    if not start.is_finite:
         raise MechanicsError(
-            "at the start energy or forces are no numbers; see the functions of loads and forces"
+            "at the start energy or forces are no numbers; see functions of loads and forces"
         )
-    gains: list[tuple[float, str, float]] = []
-    rows, at, count, jumped = _Rows(model, integrator, time_step), start, 0, 0.0
-    rows.add(start, jumped)
+    rows, gains = _Rows(model, start, integrator, time_step), []
+    rows.add(start)
     try:
-        for at, event in march(model.system, integrator, start, until, time_step, model.watched(gains)):
-            if event is None:
-                count += 1
-                if count % every:
-                    continue
-            else:
-                jumped = sum(gain for _, _, gain in gains)
-            rows.add(at, jumped)
+        if model.events:
+            end = _with_events(rows, integrator, until, every, gains)
+        else:
+            end = _without_events(rows, integrator, until, every)
     except StepTooLargeError as error:
+        if _REMEDY in str(error):
+            raise
         raise StepTooLargeError(
-            f"after time {at.time:g}: {error}; the step is {time_step:g}: {_REMEDY}"
+            f"after time {rows.rows[-1][0]:g}: {error}; the time step {time_step:g} is too long; {_REMEDY}"
         ) from None
     except MechanicsError as error:
+        # Of what has diverged this says more.
         rows.look()
-        raise MechanicsError(f"after time {at.time:g}: {model.said(str(error))}") from None
+        raise MechanicsError(f"after time {rows.rows[-1][0]:g}: {model.said(str(error))}") from None
+    rows.look()
+    return rows.run(gains, end)
+
+
+def _without_events(rows: _Rows, integrator: Integrator, until: float, every: int) -> Phase:
+    """Steps as :func:`protochain.motion.march` takes them, in a loop that costs a hundredth of a step."""
+    system, step, h, append = rows.model.system, integrator.step, rows.time_step, rows.rows.append
+    at, count = rows.start, 0
+    while (left := until - at.time) > _SAME * h:
+        at = step(system, at, h if left > (1.0 + _SAME) * h else left)
+        count += 1
+        if count % every == 0:
+            append((at.time, at.q, at.qd, at.p, at.potential, at.work, 0.0))
+            if len(rows.rows) % _LOOK == 0:
+                rows.look()
     if count % every:
-        rows.add(at, jumped)
-    return rows.finished(gains, at)
+        rows.add(at)
+    return at
+
+
+def _with_events(
+    rows: _Rows, integrator: Integrator, until: float, every: int, gains: list[tuple[float, str, float]]
+) -> Phase:
+    model, at, count, events = rows.model, rows.start, 0, rows.model.watched(gains)
+    for at, event in march(model.system, integrator, rows.start, until, rows.time_step, events):
+        count += event is None
+        if event is not None or count % every == 0:
+            rows.add(at, sum(gain for _, _, gain in gains))
+    if rows.rows[-1][0] != at.time:
+        rows.add(at, sum(gain for _, _, gain in gains))
+    return at

@@ -64,7 +64,7 @@ class Leapfrog(Integrator):
         MechanicsError
             If a load depends on velocities, or hinges are driven.
         """
-        if system.depends_on_velocity:
+        if system.loads and system.depends_on_velocity:
             raise MechanicsError(
                 "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
             )

@@ -102,10 +102,10 @@ def _advance(tableau: Tableau, system: System, at: Phase, h: float) -> Tried:
     tree = system.tree
     a, b, wrong = (h * np.array(weights) for weights in (tableau.a, tableau.b, tableau.error))
     slopes, accelerations = np.zeros((len(b), tree.n_v)), np.zeros((len(b), tree.n_v))
-    powers = []
+    # The sum of a row of the tableau is the time of its stage.
+    times, powers = at.time + np.sum(a, axis=1), []
     for i, row in enumerate(a):
-        # The sum of a row of the tableau is the time of its stage.
-        time, move, qd = at.time + float(np.sum(row)), row @ slopes, at.qd + row @ accelerations
+        time, move, qd = float(times[i]), row @ slopes, at.qd + row @ accelerations
         q, torque, loads = at.q, at.torque, at.loads
         if i:
             q, qd = system.driven_to(time, multibody.integrate(tree, at.q, move), qd)

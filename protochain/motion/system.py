@@ -283,9 +283,9 @@ class System:
         potential, torque, loads = self.forces(time, q, before.qd, factors)
         p = p + 0.5 * time_step * torque
         at = Phase(q, solve(factors, p), p, potential, torque, factors, time, before.work, loads)
-        return (
-            at if loads is None else replace(at, work=at.work + 0.5 * time_step * (before.power + at.power))
-        )
+        if loads is None:
+            return at
+        return replace(at, work=before.work + 0.5 * time_step * (before.power + at.power))
 
     def arrive(self, q: Floats, p: Floats, factors: Articulated, time: float, work: Floats) -> Phase:
         """Return the phase at q (n_q,) with momenta p (n_v,)."""

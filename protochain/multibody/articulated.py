@@ -131,25 +131,20 @@ def solve(factors: Articulated, tau: Floats, loads: Floats | None = None) -> Flo
     """
     tree, frames = factors.tree, factors.frames
     wrench = np.zeros((tree.n_bodies, 6)) if loads is None else loads.copy()
-    x = _undriven(tree, floats(tau, (tree.n_v,), "tau"))
+    x = floats(tau, (tree.n_v,), "tau").copy()
+    if tree.driven is not None:
+        x = x[tree.undriven_v]
     inward_loads(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot, wrench, x
     )
     outward_rates(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.root, wrench, x
     )
-    return _among_all(tree, x)
-
-
-def _undriven(tree: Tree, x: Floats) -> Floats:
-    """Copy of x, (n_v,), without the freedoms of driven hinges."""
-    return x.copy() if tree.driven is None else x[tree.undriven_v]
+    return x if tree.driven is None else _among_all(tree, x)
 
 
 def _among_all(tree: Tree, x: Floats) -> Floats:
-    """(n_v,) float: x with zeros for the freedoms of driven hinges."""
-    if tree.driven is None:
-        return x
+    """(n_v,) float: x, of the freedoms that are not driven, and zeros."""
     out = np.zeros(tree.n_v)
     out[tree.undriven_v] = x
     return out
@@ -173,7 +168,7 @@ def solve_at_once(tree: Tree, frames: Frames, tau: Floats) -> Floats:
     MechanicsError
         As :func:`articulate`.
     """
-    if tree.driven is not None or len(tree.massless):
+    if not tree.is_plain:
         return solve(articulate(tree, frames), tau)
     x = floats(tau, (tree.n_v,), "tau").copy()
     refuse_singular(_solve(tree.links, tree.bodies, frames.rotation, frames.origin, x))
@@ -220,7 +215,7 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
     for factor, b in zip(factors.root, np.flatnonzero(tree.kind == HingeKind.FREE), strict=True):
         own = slice(tree.v_start[b], tree.v_start[b + 1])
         x[own] = np.tril(factor) @ x[own]
-    x = _undriven(tree, x)
+    x = x[tree.undriven_v]
     outward_rates(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.root,
         np.empty((tree.n_bodies, 6)), x,
