@@ -7,13 +7,16 @@ of units will do.
 
 from protochain.mechanisms.bodies import Bodies, State
 from protochain.mechanisms.elements import Acting, Conservative, Element
+from protochain.mechanisms.linear import frequencies, state_matrix
 from protochain.mechanisms.mechanism import Mechanism
 from protochain.mechanisms.model import Model
 from protochain.mechanisms.run import Audit, Happened, Run
+from protochain.mechanisms.segments import Beam, Segments, add_beam
 
 __all__ = [
     "Acting",
     "Audit",
+    "Beam",
     "Bodies",
     "Conservative",
     "Element",
@@ -21,5 +24,9 @@ __all__ = [
     "Mechanism",
     "Model",
     "Run",
+    "Segments",
     "State",
+    "add_beam",
+    "frequencies",
+    "state_matrix",
 ]

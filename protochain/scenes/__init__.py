@@ -17,6 +17,7 @@ __all__ = ["SCENES", "Check", "Extreme", "LeftOut", "Scene", "plot_work", "run"]
 
 SCENES = {
     "beam": "a cantilever of finite segments: frequencies, rotation, spin-up, rigid ends, limits",
+    "manipulator": "an arm of three flexible links: cells, explicit and implicit integrators, rigid ends",
     "serial": "serial chains of revolute hinges: M^-1 by three routes, long, light, thin and straight",
 }
 """One line on each, by name; their modules are imported on use."""
