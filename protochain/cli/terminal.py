@@ -254,11 +254,22 @@ def print_simulation(record: dict[str, Any]) -> None:
         f"{record['structure']}: {record['message']}, {record['ns_per_day']:.1f} ns/day\n"
         f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half, "
         f"conserved energy drifts {record['conserved_drift_kj_mol_ps_per_100_atoms']:.2g} kJ/mol/ps "
-        f"for 100 atoms{kept}\n"
+        f"for 100 atoms{kept}\n{_pulled(record)}"
         f"C-alpha RMSD to the start {record['ca_rmsd_angstrom']:.2f} angstrom\n"
         f"to the input {record['ca_rmsd_input_angstrom']:.2f}, as filed "
         f"{record['ca_rmsd_input_as_filed_angstrom']:.2f}: {record['frame']}\n"
         f"written: {record['output']}"
+    )
+
+
+def _pulled(record: dict[str, Any]) -> str:
+    """Line on what was pulled, if anything was."""
+    if record["pull"] is None:
+        return ""
+    return (
+        f"pulled {record['pull']}: {record['pull_distance_start_nm']:.3f} -> "
+        f"{record['pull_distance_end_nm']:.3f} nm, work {record['pull_work_end_kj_mol']:.1f} kJ/mol, "
+        f"largest force {record['pull_force_largest_kj_mol_nm']:.0f} kJ/mol/nm\n"
     )
 
 

@@ -119,10 +119,14 @@ class Simulation:
     def save(self, path: str | Path) -> None:
         """Write the final structure with its provenance; the suffix selects PDB or mmCIF."""
         s, e = self.settings, self.energy_function
+        beside = [f"HINGE SPRING {spring}".upper() for spring in s.hinge_springs]
+        if s.pull is not None:
+            beside.append(f"PULLED {s.pull} BY {s.pull.stiffness:g} KJ/MOL/NM^2 AT {s.pull.speed:g} NM/PS")
         save(self.structure, path, [
             f"PROTOCHAIN {version('protochain')}, CONSTRAINED DYNAMICS, {self.message.upper()}",
             f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}",
             f"{s.integrator.upper()}, {1000 * s.time_step:g} FS, {s.thermostat.upper()}, {s.temperature:g} K",
+            *beside,
         ])  # fmt: skip
 
     def record(self) -> dict[str, Any]:
@@ -158,6 +162,7 @@ class Simulation:
             "potential_end_kj_mol": self.rows[-1]["potential_kj_mol"],
             "conserved_drift_kj_mol_ps_per_100_atoms": self.drift,
             "accepted": self.accepted,
+            **self._pulled(),
             "ca_rmsd_angstrom": self.rows[-1]["ca_rmsd_angstrom"],
             "ca_rmsd_input_angstrom": superposed,
             "ca_rmsd_input_as_filed_angstrom": filed,
@@ -169,6 +174,18 @@ class Simulation:
             "left_out": dict(s.left_out),
             "repairs": list(s.repairs),
             "threads": e.threads,
+        }
+
+    def _pulled(self) -> dict[str, float]:
+        """What a pull has come to; nothing without one."""
+        if self.settings.pull is None:
+            return {}
+        first, last = self.rows[0], self.rows[-1]
+        return {
+            "pull_distance_start_nm": first["pull_distance_nm"],
+            "pull_distance_end_nm": last["pull_distance_nm"],
+            "pull_work_end_kj_mol": last["pull_work_kj_mol"],
+            "pull_force_largest_kj_mol_nm": max((row["pull_force_kj_mol_nm"] for row in self.rows), key=abs),
         }
 
     def __repr__(self) -> str:

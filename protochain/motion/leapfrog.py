@@ -8,7 +8,7 @@ conserves momentum to rounding. The step is implicit in the velocities only, whi
 O(n), without the energy.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -69,8 +69,13 @@ class Leapfrog(Integrator):
                 "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
             )
         refuse_drive(system, "leapfrog")
-        there = system.kick(at, *self._drifted(system, at, time_step), time_step)
-        return there if system.constraint is None else system.with_velocities(there, there.qd)
+        kicked = system.kick(at, *self._drifted(system, at, time_step), time_step)
+        if system.constraint is None:
+            return kicked
+        there = system.with_velocities(kicked, kicked.qd)
+        # The power at the end is that of velocities on the constraint.
+        work = kicked.work + 0.5 * time_step * (there.power - kicked.power)
+        return there if kicked.loads is None else replace(there, work=work)
 
     def check_return(self, system: System, before: Phase, after: Phase, time_step: float) -> None:
         """Check that a step backwards ends where the step began, without an energy: its drift decides."""
