@@ -19,6 +19,7 @@ from protochain.motion import (
 
 G = 9.81
 DOWN = (0.0, 0.0, -G)
+ORIGIN = (0.0, 0.0, 0.0)
 AUDITED = 1e-8
 """Of the energy in motion. What the project asks of smooth scenes; the steps here are short enough."""
 DIFFERENCE = 1e-7
@@ -205,6 +206,25 @@ def _with_only(model, part):
     from dataclasses import replace
 
     return replace(model, conservative=(part,))
+
+
+def test_energies_are_those_of_their_definitions():
+    """Of two springs, two torsions, a bushing and weight at once: the sum, to rounding."""
+    m = Mechanism(gravity=(0.0, -2.0, -9.0))
+    m.body("rod", 2.0, (0, 0, -0.5), 0.1)
+    m.hinge("pin", "world", "rod", at=(0, 0, 3.0), axis=(0, 1, 0), q=np.pi / 2)  # along the world's -x
+    m.body("ball", 3.0, inertia=1.0, position=(1.0, 2.0, 3.0))
+    m.spring("long", ("rod", (0, 0, -1.0)), ("ball", ORIGIN), stiffness=5.0, rest=0.5)
+    m.spring("slack", ("world", ORIGIN), ("ball", ORIGIN), stiffness=7.0, rest=4.0)
+    m.torsion("t1", "pin", stiffness=3.0, rest=0.5)
+    m.torsion("t2", "pin", stiffness=2.0)
+    m.bushing("u", ("ball", ORIGIN), ("world", (0, 2.0, 1.0)), stiffness=(1, 1, 1, 10, 20, 30))
+    weight = 2.0 * 9.0 * 3.0 + 3.0 * (2.0 * 2.0 + 9.0 * 3.0)
+    springs = 2.5 * (np.sqrt(8.0) - 0.5) ** 2 + 3.5 * (np.sqrt(14.0) - 4.0) ** 2
+    torsions = 1.5 * (np.pi / 2 - 0.5) ** 2 + 1.0 * (np.pi / 2) ** 2
+    bushing = 5.0 * 1.0 + 15.0 * 4.0
+    start = m.build().start()
+    assert start.potential == pytest.approx(weight + springs + torsions + bushing, rel=ROUND_OFF)
 
 
 @pytest.mark.parametrize("angle", [1e-9, 1e-3, 0.099, 0.101, 1.0, 2.0, 3.0, 3.09])

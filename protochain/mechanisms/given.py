@@ -11,7 +11,13 @@ from protochain.arrays import Floats, read_only
 from protochain.checks import shown
 from protochain.errors import MechanicsError
 
-_KINDS = {(): "a number", (3,): "three numbers, as (0, 0, 1)", (6,): "six numbers", (3, 3): "a matrix of 3x3"}
+_KINDS = {
+    (): "a number",
+    (2,): "two numbers",
+    (3,): "three numbers, as (0, 0, 1)",
+    (6,): "six numbers",
+    (3, 3): "a matrix of 3x3",
+}
 
 
 def numbers(value: Any, shape: tuple[int, ...], said: str) -> Floats:
