@@ -252,6 +252,23 @@ def test_a_damper_of_any_stiffness_is_right_by_rosenbrock(damping):
             m.build().simulate(0.1, 1e-3)
 
 
+def test_substeps_without_end_are_refused(monkeypatch):
+    """A stiff damper keeps explicit substeps short, however little moves; the true number takes seconds."""
+    monkeypatch.setattr("protochain.motion.substeps._MOST", 1000)
+    model = oscillator(0.0, 1.0, damping=1e8, qd=1.0)
+    with pytest.raises(StepTooLargeError, match=r"1000 substeps make only 0\.000\d of .*Rosenbrock\(\)"):
+        model.simulate(0.1, 0.1, DormandPrince())
+    assert model.simulate(0.1, 0.1, Rosenbrock()).qd[-1, 0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_reason_why_no_substep_is_taken_is_said():
+    m = Mechanism()
+    m.body("wheel", 1.0, inertia=1.0, spin=(0, 0, 10.0))
+    m.bushing("soft", ("wheel", ORIGIN), ("world", ORIGIN), stiffness=1.0)
+    with pytest.raises(StepTooLargeError, match=r'accurate .bushing "soft": it is turned by half a turn'):
+        m.build().simulate(1.0, 0.01, DormandPrince())
+
+
 def test_balance_says_what_is_no_error():
     model = oscillator(1e8, 1.0)
     with pytest.raises(StepTooLargeError):
