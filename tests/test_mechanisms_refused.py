@@ -319,6 +319,17 @@ def test_events_happen_and_their_energy_is_counted():
     assert np.any(np.isclose(run.time, first, atol=1e-12))
 
 
+@pytest.mark.parametrize("passes", [True, False])
+def test_momentum_is_audited_past_marks_but_not_after_strikes(passes):
+    m = Mechanism()
+    m.body("ball", 1.0, inertia=1.0, velocity=(-1.0, 0, 0), position=(0.25, 0, 0))
+    m.on("wall", lambda s: s.point("ball")[0], lambda s: None if passes else -s.qd, passes=passes)
+    run = m.build().simulate(0.5, 0.1)
+    assert [event.name for event in run.events] == ["wall"]
+    assert (run.audit().momentum is not None) == passes
+    assert run.momenta[-1, 0, 0] == pytest.approx(-1.0 if passes else 1.0)
+
+
 def test_a_jump_that_is_none_or_no_velocities():
     m = pendulum(q=0.5)
     m.on("down", lambda s: s.angle("pin"), lambda s: (1.0, 2.0))
