@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import ROUND_OFF
+from conftest import AUDITED, ELEMENT_DIFFERENCE, ROUND_OFF
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from test_docs import GUIDE, blocks
@@ -20,11 +20,6 @@ from protochain.motion import (
 G = 9.81
 DOWN = (0.0, 0.0, -G)
 ORIGIN = (0.0, 0.0, 0.0)
-AUDITED = 1e-8
-"""Of the energy in motion. What the project asks of smooth scenes; the steps here are short enough."""
-DIFFERENCE = 1e-7
-"""Relative. Central differences with a step of 1e-6: truncation 1e-12, cancellation eps / step = 2e-10, of
-energies up to a hundred times their gradients."""
 
 
 def pendulum(q=0.3, qd=0.0, **more):
@@ -197,7 +192,7 @@ def test_forces_are_minus_the_gradient_of_the_energy(seed, free):
     for part in model.conservative:
         torques = Sum(model.tree, [part])(q, model.system.factors(q))[1]
         alone = gradient(_with_only(model, part), q)
-        assert np.allclose(torques, alone, atol=DIFFERENCE * np.linalg.norm(alone))
+        assert np.allclose(torques, alone, atol=ELEMENT_DIFFERENCE * np.linalg.norm(alone))
     torques = model.system.potential(q, model.system.factors(q))[1]
     assert np.linalg.norm(torques) > 1.0
 
@@ -252,7 +247,7 @@ def test_a_bushing_is_conservative_for_large_rotations(angle):
     wanted = 0.5 * (k[:3] @ (angle * axis) ** 2 + k[3:] @ d**2)
     assert state.potential == pytest.approx(wanted, rel=1e-12, abs=1e-15)
     # A nudge keeps the rotation below half a turn.
-    assert np.allclose(state.torque, gradient(model, q), atol=DIFFERENCE * 20.0)
+    assert np.allclose(state.torque, gradient(model, q), atol=ELEMENT_DIFFERENCE * 20.0)
 
 
 def test_a_bushing_at_half_a_turn_is_refused_by_name():
@@ -352,7 +347,7 @@ def test_a_slide_with_spring_and_damper_is_the_oscillator_of_the_textbook():
 
 def test_the_guides_example_runs_and_its_energy_adds_up(capsys):
     names = {}
-    (example,) = [block for block in blocks(GUIDE, "python") if "Mechanism(" in block]
+    (example,) = [block for block in blocks(GUIDE, "python") if 'hinge("elbow"' in block]
     exec(compile(example, str(GUIDE), "exec"), names)
     printed = capsys.readouterr().out
     assert "work motor" in printed

@@ -5,7 +5,8 @@ import sys
 
 import numpy as np
 import pytest
-from test_mechanisms import AUDITED, DOWN, G, pendulum
+from conftest import AUDITED
+from test_mechanisms import DOWN, G, pendulum
 
 from protochain.errors import MechanicsError
 from protochain.mechanisms import Mechanism
