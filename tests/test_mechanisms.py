@@ -497,6 +497,24 @@ def test_loads_do_work_each_by_itself():
     assert run.audit().energy < AUDITED
 
 
+@pytest.mark.parametrize(
+    ("value", "turned"),
+    [(3.0, 0.75), (lambda t: 6.0 * t, 0.5), (lambda t, s: 8.0 * np.cos(s.t) - 2.0 * s.rate("pin"), None)],
+)
+def test_a_torque_turns_its_hinge(value, turned):
+    """I qdd = tau with I = 2: constant, of the time, of time and state; its work is the energy."""
+    m = Mechanism()
+    m.body("wheel", 1.0, inertia=(1, 1, 2.0))
+    m.hinge("pin", "world", "wheel")
+    m.torque("motor", "pin", value)
+    run = m.build().simulate(1.0, 1e-2)
+    if turned is None:
+        # qd' = 4 cos t - qd from rest: qd = 2 (cos t + sin t - e^-t).
+        turned = 2.0 * (np.sin(1.0) - np.cos(1.0) + np.exp(-1.0))
+    assert run.q[-1, 0] == pytest.approx(turned, rel=1e-8)
+    assert run.table["work motor"].iloc[-1] == pytest.approx(run.kinetic[-1], rel=1e-6)
+
+
 def test_a_force_off_the_centre_acts_at_its_point_along_world_axes():
     turn = Rotation.from_euler("z", 90, degrees=True).as_matrix()
     m = Mechanism()
