@@ -54,7 +54,7 @@ class Audit(NamedTuple):
         Largest change of energy that is neither work nor an event's, of the largest energy in motion.
     momentum, spin : float or None
         Largest change of momentum, and of that about the origin, of the sum of those of the bodies; None if
-        something acts from outside.
+        something acts from outside, as the jump of an event that does not pass may.
     """
 
     energy: float
@@ -194,7 +194,8 @@ class Run:
         lack = self.total - np.sum(self.work, axis=1) - self.jumps
         scale = self.in_motion(np.ones(self.work.shape[1], dtype=bool))
         energy = float(np.max(np.abs(lack - lack[0])) / scale) if scale > 0.0 else 0.0
-        if not self.model.inside:
+        strikes = {each.name for each in self.model.events if not each.passes}
+        if not self.model.inside or any(event.name in strikes for event in self.events):
             return Audit(energy, None, None)
         whole, sizes = self._momenta
         changes = np.max(np.linalg.norm(whole - whole[0], axis=2), axis=0)
