@@ -19,7 +19,7 @@ _PARALLEL = 1e-10
 def box_on_plane(
     up: Vector, offset: float, c: Vector, r: Matrix, half: Vector, found: Floats
 ) -> tuple[int, float]:
-    """Put corners below a plane into ``found`` (8, 5), rows of x, y, z, depth, share; return their number, depth."""
+    """Put corners below a plane into ``found`` (8, 5): x, y, z, depth, share. Their number, and the depth."""
     x = scale(half[0], (r[0], r[3], r[6]))
     y = scale(half[1], (r[1], r[4], r[7]))
     z = scale(half[2], (r[2], r[5], r[8]))

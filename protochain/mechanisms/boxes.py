@@ -69,7 +69,8 @@ def touch_boxes(first: Box, second: Box, prefer_faces: float = 0.0) -> Touch:
     ----------
     first, second : Box
     prefer_faces : float
-        Length by which a contact of two edges must be shallower than one with a face, to be taken: of bodies that lie almost flat upon each other either may be shallower, but only a face carries.
+        Length by which a contact of two edges must be shallower than one with a face, to be taken: of
+        bodies almost flat upon each other either may be shallower, but only a face carries.
 
     Returns
     -------
