@@ -44,5 +44,8 @@ EVERY = 100
 TRAJECTORY = "dcd"
 CHECKPOINT_EVERY = 10
 
+BALANCE = 0.1
+"""Energy that a motion of a mechanism may gain or lose by its integrator, of the largest in motion."""
+
 BATCH_THREADS = 1
 TIME_LIMIT = 3600.0  # s

@@ -31,13 +31,14 @@ LAYERS = [
     },
     {"multibody", "structure", "energies"},
     {"motion"},
+    {"mechanisms"},
     {"chain", "hinges", "articulate", "contacts", "frame", "setup"},
     {"dynamics"},
     {"validation"},
     {"minimisers"},
     {"relaxation"},
     {"analysis"},
-    {"batches"},
+    {"batches", "scenes"},
     {"cli"},
 ]
 OPEN = (
@@ -45,10 +46,12 @@ OPEN = (
     "batches",
     "dynamics",
     "energies",
+    "mechanisms",
     "minimisers",
     "motion",
     "multibody",
     "relaxation",
+    "scenes",
     "structure",
     "validation",
 )
@@ -99,6 +102,9 @@ def test_imports_point_one_way(path):
             assert other == own or layer(other) == 0, "multibody knows nothing of proteins or energies"
         if own == "motion":
             assert other in ("motion", "multibody") or layer(other) == 0, "motion knows trees only"
+        if own == "mechanisms":
+            known = ("mechanisms", "motion", "multibody")
+            assert other in known or layer(other) == 0, "mechanisms know nothing of proteins or energies"
         assert not (own == "energies" and other == "multibody")
         assert not (own == "structure" and other in ("multibody", "energies"))
 

@@ -71,6 +71,7 @@ COMMANDS = {
         "name": "all", "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "only": None,
         "threads": None, "minutes": None, "jobs": None, "starts": None, "evaluations": None,
     },
+    "scene": {"name": None, **OUTPUT, "quick": False, **AS_JSON},
     "info": {
         "source": None, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in ("engine", "move", "threads")},
@@ -81,6 +82,7 @@ METAVARS = {
     ("source", None): "IN", ("inputs", "batch"): "IN...", ("inputs", "validate"): "IN...",
     ("inputs", "relax"): "IN...", ("output", "batch"): "DIR",
     ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
+    ("output", "scene"): "DIR", ("name", "scene"): "[NAME]",
     ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
     "bench"): "[IN...]",
     ("sequence", "build"): "SEQUENCE", ("disulfide", None): "A:3-A:40", ("chains", None): "A,B",

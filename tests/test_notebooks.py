@@ -8,12 +8,18 @@ import pytest
 from conftest import ROOT
 from test_architecture import PACKAGES
 
-FOLDER = ROOT / "analysis" / "notebooks"
-NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+from protochain.scenes import SCENES
+
+LONG = sorted((ROOT / "analysis" / "notebooks").glob("*.ipynb"))
+OF_SCENES = sorted((ROOT / "analysis" / "scenes").glob("*.ipynb"))
+NOTEBOOKS = [*LONG, *OF_SCENES]
 BENCHMARKS = sorted((ROOT / "analysis" / "benchmarks").glob("*.py"))
 PUBLIC = {package.__name__: set(package.__all__) for package in PACKAGES}
 LONGEST = 180
 """Seconds for a cell; each notebook takes less than a minute where nothing else runs."""
+
+FULL, QUICK = "QUICK = False", "QUICK = True"
+"""Line of the notebooks of scenes, and the one that the tests put in its place."""
 
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
@@ -33,7 +39,15 @@ def program(path):
 
 
 def test_all_five_are_there():
-    assert [path.name[:3] for path in NOTEBOOKS] == ["01-", "02-", "03-", "04-", "05-"]
+    assert [path.name[:3] for path in LONG] == ["01-", "02-", "03-", "04-", "05-"]
+
+
+def test_every_scene_has_one():
+    """Each runs its scene, in full unless the tests ask for the quick one."""
+    assert {path.stem for path in OF_SCENES} == set(SCENES)
+    for path in OF_SCENES:
+        code = cells(path, "code")
+        assert FULL in code[0].splitlines() and f'run("{path.stem}", quick=QUICK)' in code[0]
 
 
 @every_notebook
@@ -81,9 +95,12 @@ def test_it_runs(path, tmp_path, monkeypatch):
     nbclient = pytest.importorskip("nbclient")
     pytest.importorskip("ipykernel")
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
-    before = sorted(FOLDER.iterdir())
+    before = sorted(path.parent.iterdir())
     notebook = nbformat.read(path, as_version=4)
+    if path in OF_SCENES:
+        first = next(cell for cell in notebook.cells if cell.cell_type == "code")
+        first.source = first.source.replace(FULL, QUICK)
     nbclient.NotebookClient(
-        notebook, timeout=LONGEST, kernel_name="python3", resources={"metadata": {"path": str(FOLDER)}}
+        notebook, timeout=LONGEST, kernel_name="python3", resources={"metadata": {"path": str(path.parent)}}
     ).execute()
-    assert sorted(FOLDER.iterdir()) == before, "it leaves files behind"
+    assert sorted(path.parent.iterdir()) == before, "it leaves files behind"

@@ -18,9 +18,11 @@ PACKAGES = (
     "batches",
     "dynamics",
     "energies",
+    "mechanisms",
     "minimisers",
     "motion",
     "relaxation",
+    "scenes",
     "structure",
     "validation",
 )

@@ -23,6 +23,7 @@ from protochain.cli.minimise import minimise
 from protochain.cli.options import BAD_INPUT, fail, with_options
 from protochain.cli.relax import relax
 from protochain.cli.rmsd import rmsd
+from protochain.cli.scene import scene
 from protochain.cli.simulate import simulate
 from protochain.cli.terminal import in_commands
 from protochain.cli.validate import validate
@@ -39,7 +40,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-_COMMANDS = (minimise, relax, compare, batch, simulate, validate, rmsd, bench, info, build)
+_COMMANDS = (minimise, relax, compare, batch, simulate, validate, rmsd, bench, scene, info, build)
 
 
 @app.callback(invoke_without_command=True)

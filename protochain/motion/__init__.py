@@ -11,6 +11,7 @@ from protochain.motion.runge_kutta import DormandPrince, RungeKutta4
 from protochain.motion.system import (
     Applied,
     Constraint,
+    Drive,
     Integrator,
     Load,
     Phase,
@@ -18,11 +19,10 @@ from protochain.motion.system import (
     StepTooLargeError,
     System,
     total,
-    total_load,
 )  # fmt: skip
 
 __all__ = [
-    "Applied", "Constraint", "DormandPrince", "Event", "ImplicitMidpoint", "Integrator", "Leapfrog", "Load",
-    "Phase", "Potential", "Rosenbrock", "RungeKutta4", "StepTooLargeError", "System", "march", "total",
-    "total_load",
+    "Applied", "Constraint", "DormandPrince", "Drive", "Event", "ImplicitMidpoint", "Integrator", "Leapfrog",
+    "Load", "Phase", "Potential", "Rosenbrock", "RungeKutta4", "StepTooLargeError", "System", "march",
+    "total",
 ]  # fmt: skip

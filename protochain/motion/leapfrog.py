@@ -24,6 +24,7 @@ from protochain.motion.system import (
     StepTooLargeError,
     System,
     refuse_departure,
+    refuse_drive,
 )  # fmt: skip
 from protochain.multibody import Frames
 from protochain.multibody.algebra import add, cross, kernel, put_at, scale, subtract, vector_at
@@ -61,12 +62,13 @@ class Leapfrog(Integrator):
         StepTooLargeError
             If Newton's method for the velocities of the drift does not converge.
         MechanicsError
-            If a load depends on velocities.
+            If a load depends on velocities, or hinges are driven.
         """
-        if system.load is not None and system.load.depends_on_velocity:
+        if system.depends_on_velocity:
             raise MechanicsError(
                 "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
             )
+        refuse_drive(system, "leapfrog")
         there = system.kick(at, *self._drifted(system, at, time_step), time_step)
         return there if system.constraint is None else system.with_velocities(there, there.qd)
 

@@ -12,7 +12,7 @@ from scipy.sparse.linalg import LinearOperator
 from protochain import multibody
 from protochain.arrays import Floats
 from protochain.motion.leapfrog import put_end_momenta
-from protochain.motion.system import Integrator, Phase, StepTooLargeError, System
+from protochain.motion.system import Integrator, Phase, StepTooLargeError, System, refuse_drive
 from protochain.multibody.articulated import Articulated, solve
 from protochain.multibody.hamilton import momenta
 
@@ -49,15 +49,18 @@ class ImplicitMidpoint(Integrator):
         ------
         StepTooLargeError
             If Newton's method does not converge.
+        MechanicsError
+            If hinges are driven.
         """
+        refuse_drive(system, "midpoint rule")
         tree, h = system.tree, time_step
 
         def middle(qd: Floats) -> tuple[Articulated, Floats, Floats | None]:
             """Factors, torques and loads at the midpoint of a step with these velocities."""
             q = multibody.integrate(tree, at.q, 0.5 * h * qd)
             factors = system.factors(q)
-            _, torque, load = system.forces(at.time + 0.5 * h, q, qd, factors)
-            return factors, torque, load
+            _, torque, loads = system.forces(at.time + 0.5 * h, q, qd, factors)
+            return factors, torque, loads
 
         def end(qd: Floats, factors: Articulated, torque: Floats, sign: float) -> Floats:
             """Momenta at the start (1) or the end (-1) of a step with these velocities."""
@@ -84,9 +87,9 @@ class ImplicitMidpoint(Integrator):
             with suppress(NoConvergence, ValueError):
                 scaled = _root(lack, scaled, self.tolerance * size, _CLOSER)
         qd = tree.units * scaled
-        factors, torque, load = middle(qd)
+        factors, torque, loads = middle(qd)
         q = multibody.integrate(tree, at.q, h * qd)
-        work = at.work if load is None else at.work + h * float(load @ qd)
+        work = at.work if loads is None else at.work + h * (loads @ qd)
         p = end(qd, factors, torque, -1.0)
         return system.arrive(q, p, system.factors(q), at.time + h, work)
 

@@ -9,7 +9,7 @@ from protochain import multibody
 from protochain.arrays import Floats
 from protochain.errors import MechanicsError
 from protochain.motion.substeps import Tried, in_substeps
-from protochain.motion.system import Integrator, Phase, StepTooLargeError, System
+from protochain.motion.system import NOTHING, Integrator, Phase, StepTooLargeError, System
 from protochain.multibody.rotations import displacement_rates
 
 GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
@@ -50,7 +50,7 @@ class Rosenbrock(Integrator):
             return _advance(system, at, h)
 
         if self.tolerance is not None:
-            return in_substeps(substep, system.tree, at, time_step, self.tolerance, order=2)
+            return in_substeps(substep, system, at, time_step, self.tolerance, order=2)
         try:
             after = substep(at, time_step)[0]
         except MechanicsError as error:
@@ -63,20 +63,23 @@ class Rosenbrock(Integrator):
 def _advance(system: System, at: Phase, h: float) -> Tried:
     tree = system.tree
 
-    def rates(time: float, move: Floats, qd: Floats) -> tuple[Floats, Floats, float]:
-        """Rates of displacement and velocity, and the power of the loads."""
-        q = multibody.integrate(tree, at.q, move)
-        _, torque, load = system.forces(time, q, qd, system.factors(q))
-        acceleration = multibody.forward_dynamics(tree, q, qd, torque)
-        return displacement_rates(tree, move, qd), acceleration, 0.0 if load is None else float(load @ qd)
+    def rates(time: float, move: Floats, qd: Floats) -> tuple[Floats, Floats, Floats]:
+        """Rates of displacement and velocity, none of driven hinges; power of loads and drive."""
+        q, qd = system.driven_to(time, multibody.integrate(tree, at.q, move), qd)
+        _, torque, loads = system.forces(time, q, qd, system.factors(q))
+        qdd, loads = system.accelerations(time, q, qd, torque, loads)
+        slope = displacement_rates(tree, move, qd)
+        slope[tree.driven_v], qdd[tree.driven_v] = 0.0, 0.0
+        return slope, qdd, NOTHING if loads is None else loads @ qd
 
     still = np.zeros(tree.n_v)
     slope, acceleration, power = rates(at.time, still, at.qd)
     nudge = _NUDGE * tree.units
     # A velocity's nudge moves as far in a step as a coordinate's.
     push = nudge / abs(h)
-    by_place, by_speed = np.empty((tree.n_v, tree.n_v)), np.empty((tree.n_v, tree.n_v))
-    for k, one in enumerate(np.eye(tree.n_v)):
+    by_place, by_speed = np.zeros((tree.n_v, tree.n_v)), np.zeros((tree.n_v, tree.n_v))
+    for k in tree.undriven_v:
+        one = np.eye(1, tree.n_v, k)[0]
         by_place[:, k] = (rates(at.time, nudge[k] * one, at.qd)[1] - acceleration) / nudge[k]
         by_speed[:, k] = (rates(at.time, still, at.qd + push[k] * one)[1] - acceleration) / push[k]
     g = GAMMA * h
@@ -88,7 +91,7 @@ def _advance(system: System, at: Phase, h: float) -> Tried:
         return place + g * k, k
 
     later = np.zeros(tree.n_v)
-    if system.load is not None:
+    if system.loads or system.drive is not None:
         later = g * (rates(at.time + _NUDGE * h, still, at.qd)[1] - acceleration) / (_NUDGE * h)
     place, speed = solved(slope, acceleration + later)
     there, quicker, power_there = rates(at.time + h, h * place, at.qd + h * speed)

@@ -94,7 +94,7 @@ class DormandPrince(Integrator):
         def substep(at: Phase, h: float) -> Tried:
             return _advance(DORMAND_PRINCE, system, at, h)
 
-        return in_substeps(substep, system.tree, at, time_step, self.tolerance, order=5)
+        return in_substeps(substep, system, at, time_step, self.tolerance, order=5)
 
 
 def _advance(tableau: Tableau, system: System, at: Phase, h: float) -> Tried:
@@ -102,18 +102,18 @@ def _advance(tableau: Tableau, system: System, at: Phase, h: float) -> Tried:
     tree = system.tree
     a, b, wrong = (h * np.array(weights) for weights in (tableau.a, tableau.b, tableau.error))
     slopes, accelerations = np.zeros((len(b), tree.n_v)), np.zeros((len(b), tree.n_v))
-    power = np.zeros(len(b))
+    powers = []
     for i, row in enumerate(a):
-        move, qd = row @ slopes, at.qd + row @ accelerations
-        q, torque, load = at.q, at.torque, at.load
+        # The sum of a row of the tableau is the time of its stage.
+        time, move, qd = at.time + float(np.sum(row)), row @ slopes, at.qd + row @ accelerations
+        q, torque, loads = at.q, at.torque, at.loads
         if i:
-            q = multibody.integrate(tree, at.q, move)
-            # The sum of a row of the tableau is the time of its stage.
-            _, torque, load = system.forces(at.time + float(np.sum(row)), q, qd, system.factors(q))
+            q, qd = system.driven_to(time, multibody.integrate(tree, at.q, move), qd)
+            _, torque, loads = system.forces(time, q, qd, system.factors(q))
         slopes[i] = displacement_rates(tree, move, qd)
-        accelerations[i] = multibody.forward_dynamics(tree, q, qd, torque)
-        if load is not None:
-            power[i] = load @ qd
+        accelerations[i], loads = system.accelerations(time, q, qd, torque, loads)
+        if loads is not None:
+            powers.append(loads @ qd)
     q, qd = multibody.integrate(tree, at.q, b @ slopes), at.qd + b @ accelerations
-    after = system.at(q, qd, at.time + h, at.work + float(b @ power))
-    return after, wrong @ slopes, wrong @ accelerations
+    work = at.work + b @ powers if powers else at.work
+    return system.at(q, qd, at.time + h, work), wrong @ slopes, wrong @ accelerations

@@ -1,14 +1,12 @@
 """Substeps as long as an estimate of their error allows."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from protochain.arrays import Floats
 from protochain.errors import MechanicsError
-from protochain.motion.system import Phase, StepTooLargeError
-from protochain.multibody import Tree
+from protochain.motion.system import Phase, StepTooLargeError, System
 
 Tried = tuple[Phase, Floats, Floats]
 """Phase after a substep, and estimates of the errors of its displacement and velocities, (n_v,) each."""
@@ -18,7 +16,7 @@ _LEAST = 1e-9
 
 def in_substeps(
     substep: Callable[[Phase, float], Tried],
-    tree: Tree,
+    system: System,
     at: Phase,
     time_step: float,
     tolerance: float,
@@ -30,8 +28,8 @@ def in_substeps(
     ----------
     substep : callable
         Phase and length of a substep -> :data:`Tried`.
-    tree : Tree
-        Rigid bodies.
+    system : System
+        Rigid bodies, potential and loads.
     at : Phase
         Phase at the start.
     time_step : float
@@ -58,7 +56,7 @@ def in_substeps(
             raise StepTooLargeError("no substep of the time step is accurate")
         try:
             after, moved, quickened = substep(at, part)
-            errors = np.maximum(np.abs(moved), abs(time_step) * np.abs(quickened)) / tree.units
+            errors = np.maximum(np.abs(moved), abs(time_step) * np.abs(quickened)) / system.tree.units
             size = float(np.max(errors, initial=0.0)) / tolerance if after.is_finite else np.nan
         except MechanicsError:
             # A stage has diverged to NaN.
@@ -71,4 +69,4 @@ def in_substeps(
         elif factor > 0.9:
             factor = 0.9
         part *= 5.0 if size == 0.0 else factor
-    return replace(at, time=start + time_step)
+    return system.at_time(at, start + time_step)

@@ -3,21 +3,25 @@
 Any consistent set of units will do. Proteins are in nm, ps, amu and kJ/mol, scenes in m, s, kg and J.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
 from protochain import multibody
-from protochain.arrays import Floats
-from protochain.errors import ProtochainError
+from protochain.arrays import Floats, read_only
+from protochain.errors import MechanicsError, ProtochainError
 from protochain.multibody import Frames, Tree
 from protochain.multibody.articulated import Articulated, articulate, solve
 from protochain.multibody.hamilton import momenta
 
 Potential = Callable[[Floats, Articulated], tuple[float, Floats]]
 """Coordinates (n_q,) and factors of M there -> energy and torques (n_v,)."""
+Drive = Callable[[float], tuple[Floats, Floats, Floats]]
+"""Time -> coordinates, velocities and accelerations (k,) of the driven hinges, in the tree's order."""
+NOTHING: Floats = read_only(np.zeros(0))
+"""Work of no loads."""
 RETURNED = 1e-6
 """How exactly a step back returns, in radians and sizes of the tree; far above round-off, far below the
 distance of solutions."""
@@ -84,10 +88,10 @@ class Phase:
         Factors of the mass matrix at q, with the frames of the bodies.
     time : float
         Time since the start.
-    work : float
-        Work of the loads since the start.
-    load : (n_v,) float, optional
-        The loads alone; none without a :class:`Load`.
+    work : (k,) float
+        Work since the start, of each of the system's loads, then of its drive if it has one.
+    loads : (k, n_v) float, optional
+        Each of them alone, as torques; the last the torques of the drive. None without loads and drive.
     """
 
     q: Floats
@@ -97,8 +101,8 @@ class Phase:
     torque: Floats
     factors: Articulated
     time: float = 0.0
-    work: float = 0.0
-    load: Floats | None = None
+    work: Floats = field(default_factory=lambda: NOTHING)
+    loads: Floats | None = None
 
     @property
     def kinetic(self) -> float:
@@ -111,9 +115,9 @@ class Phase:
         return self.kinetic + self.potential
 
     @property
-    def power(self) -> float:
-        """Power of the loads."""
-        return 0.0 if self.load is None else float(self.load @ self.qd)
+    def power(self) -> Floats:
+        """(k,) float: power of each of the loads, and of the drive."""
+        return NOTHING if self.loads is None else np.asarray(self.loads @ self.qd)
 
     @property
     def is_finite(self) -> bool:
@@ -187,58 +191,125 @@ class System:
         Energy and torques at q.
     constraint : Constraint, optional
         Constraint for the leapfrog; other integrators ignore it.
-    load : Load, optional
+    loads : tuple of Load
         Forces that no potential gives.
+    drive : callable, optional
+        Motion of the tree's driven hinges, see :data:`Drive`. Velocities and accelerations must be the
+        derivatives of the coordinates: nothing else makes up for a difference.
+
+    Raises
+    ------
+    MechanicsError
+        If the tree has driven hinges and there is no drive, or the other way round.
     """
 
     tree: Tree
     potential: Potential
     constraint: Constraint | None = None
-    load: Load | None = None
+    loads: tuple[Load, ...] = ()
+    drive: Drive | None = None
 
-    def at(self, q: Floats, qd: Floats, time: float = 0.0, work: float = 0.0) -> Phase:
-        """Return the phase at q (n_q,) with velocities qd (n_v,)."""
+    def __post_init__(self) -> None:
+        if (self.drive is None) != (self.tree.driven is None):
+            raise MechanicsError(
+                "the tree has driven hinges, but the system no drive to say how they move"
+                if self.drive is None
+                else "the system has a drive, but the tree no driven hinge"
+            )
+
+    @property
+    def depends_on_velocity(self) -> bool:
+        """Whether any load does."""
+        return any(load.depends_on_velocity for load in self.loads)
+
+    def at(self, q: Floats, qd: Floats, time: float = 0.0, work: Floats | None = None) -> Phase:
+        """Return the phase at q (n_q,) with velocities qd (n_v,), where the drive puts its hinges."""
+        q, qd = self.driven_to(time, q, qd)
         factors = self.factors(q)
-        potential, torque, load = self.forces(time, q, qd, factors)
+        potential, torque, loads = self.forces(time, q, qd, factors)
         p = momenta(self.tree, factors.frames, qd)[0]
-        return Phase(q, qd, p, potential, torque, factors, time, work, load)
+        if self.drive is not None:
+            _, loads = self.accelerations(time, q, qd, torque, loads)
+        if work is None:
+            work = NOTHING if loads is None else np.zeros(len(loads))
+        return Phase(q, qd, p, potential, torque, factors, time, work, loads)
+
+    def driven_to(self, time: float, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
+        """Coordinates (n_q,) and velocities (n_v,) with those of driven hinges as they are at a time."""
+        if self.drive is None:
+            return q, qd
+        q, qd = q.copy(), qd.copy()
+        q[self.tree.driven_q], qd[self.tree.driven_v], _ = self._drive(time)
+        return q, qd
 
     def forces(
         self, time: float, q: Floats, qd: Floats, factors: Articulated
     ) -> tuple[float, Floats, Floats | None]:
-        """Potential energy; torques (n_v,) of potential and loads together, and of the loads alone."""
+        """Potential energy; torques (n_v,) of potential and loads together, and of each load alone."""
         potential, torque = self.potential(q, factors)
-        if self.load is None:
+        if not self.loads:
             return potential, torque, None
-        load = self.load.along(self.tree, time, q, qd, factors.frames)
-        return potential, torque + load, load
+        loads = np.array([load.along(self.tree, time, q, qd, factors.frames) for load in self.loads])
+        return potential, torque + loads.sum(axis=0), loads
+
+    def accelerations(
+        self, time: float, q: Floats, qd: Floats, torque: Floats, loads: Floats | None
+    ) -> tuple[Floats, Floats | None]:
+        """Accelerations (n_v,) under torques (n_v,); the loads, the torques of the drive as their last."""
+        tree = self.tree
+        if self.drive is None:
+            return multibody.forward_dynamics(tree, q, qd, torque), loads
+        given, driving = torque.copy(), np.zeros(tree.n_v)
+        given[tree.driven_v] = self._drive(time)[2]
+        qdd = multibody.forward_dynamics(tree, q, qd, given)
+        needed = multibody.inverse_dynamics(tree, q, qd, qdd) - torque
+        driving[tree.driven_v] = needed[tree.driven_v]
+        return qdd, np.vstack([driving] if loads is None else [*loads[: len(self.loads)], driving])
+
+    def _drive(self, time: float) -> tuple[Floats, Floats, Floats]:
+        assert self.drive is not None
+        k = len(self.tree.driven_v)
+        q, qd, qdd = (np.asarray(each, dtype=float) for each in self.drive(time))
+        if not (q.shape == qd.shape == qdd.shape == (k,)):
+            raise MechanicsError(
+                f"the drive of {k} hinges gives shapes {q.shape}, {qd.shape} and {qdd.shape}, not ({k},)"
+            )
+        return q, qd, qdd
 
     def kick(self, before: Phase, q: Floats, p: Floats, factors: Articulated, time_step: float) -> Phase:
         """Return the phase a step after ``before``, at q (n_q,), p (n_v,) kicked there for half the step."""
         time = before.time + time_step
         # A load that depends on velocities is refused before, so that any will do here.
-        potential, torque, load = self.forces(time, q, before.qd, factors)
+        potential, torque, loads = self.forces(time, q, before.qd, factors)
         p = p + 0.5 * time_step * torque
-        at = Phase(q, solve(factors, p), p, potential, torque, factors, time, before.work, load)
-        return at if load is None else replace(at, work=at.work + 0.5 * time_step * (before.power + at.power))
+        at = Phase(q, solve(factors, p), p, potential, torque, factors, time, before.work, loads)
+        return (
+            at if loads is None else replace(at, work=at.work + 0.5 * time_step * (before.power + at.power))
+        )
 
-    def arrive(self, q: Floats, p: Floats, factors: Articulated, time: float, work: float) -> Phase:
+    def arrive(self, q: Floats, p: Floats, factors: Articulated, time: float, work: Floats) -> Phase:
         """Return the phase at q (n_q,) with momenta p (n_v,)."""
         qd = solve(factors, p)
-        potential, torque, load = self.forces(time, q, qd, factors)
-        return Phase(q, qd, p, potential, torque, factors, time, work, load)
+        potential, torque, loads = self.forces(time, q, qd, factors)
+        return Phase(q, qd, p, potential, torque, factors, time, work, loads)
+
+    def at_time(self, at: Phase, time: float) -> Phase:
+        """Return the phase at a time that differs from its own by rounding."""
+        if self.drive is None or time == at.time:
+            return replace(at, time=time)
+        return self.at(at.q, at.qd, time, at.work)
 
     def factors(self, q: Floats) -> Articulated:
         """Frames of the bodies and factors of M at q (n_q,)."""
         return articulate(self.tree, multibody.pose(self.tree, q))
 
     def with_velocities(self, at: Phase, qd: Floats) -> Phase:
-        """Return the phase with other velocities, projected onto the constraint."""
+        """Return the phase with other velocities, on the constraint; driven hinges keep theirs."""
         p, _ = momenta(self.tree, at.factors.frames, qd)
         if self.constraint is not None:
             qd = self.constraint.project_velocities(at.factors, p)
             p, _ = momenta(self.tree, at.factors.frames, qd)
-        if self.load is not None and self.load.depends_on_velocity:
+        if self.depends_on_velocity or self.drive is not None:
             return self.at(at.q, qd, at.time, at.work)
         return replace(at, qd=qd, p=p)
 
@@ -264,23 +335,15 @@ def total(parts: list[Potential]) -> Potential:
     return potential
 
 
-def total_load(tree: Tree, parts: Sequence[Load]) -> Load:
-    """Sum of loads.
+def refuse_drive(system: System, name: str) -> None:
+    """Raise if hinges are driven, for an integrator that moves by momenta alone.
 
-    Parameters
-    ----------
-    tree : Tree
-        Rigid bodies.
-    parts : sequence of Load
-        Loads; at least one.
-
-    Returns
-    -------
-    Load
-        Their sum, which depends on velocities if any part does.
+    Raises
+    ------
+    MechanicsError
+        If any is.
     """
-
-    def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
-        return Applied(torques=np.sum([part.along(tree, time, q, qd, frames) for part in parts], axis=0))
-
-    return Load(applied, any(part.depends_on_velocity for part in parts))
+    if system.drive is not None:
+        raise MechanicsError(
+            f"the {name} takes no driven hinges; take Runge-Kutta, Dormand-Prince or Rosenbrock"
+        )

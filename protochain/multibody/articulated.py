@@ -38,6 +38,7 @@ from protochain.multibody.algebra import (
     turned_back,
 )  # fmt: skip
 from protochain.multibody.kinematics import Frames
+from protochain.multibody.massless import unresisted
 from protochain.multibody.small import cholesky, dense_inertia, solve_lower, solve_upper
 from protochain.multibody.tree import PARENT, SLIDE, TURN, HingeKind, Q, Tree, V
 
@@ -57,9 +58,10 @@ class Articulated:
         Articulated-body inertia P = [[I, C], [C^T, M]] of each body about its origin along world axes, with
         its own hinge locked: upper triangle of I, C row by row, upper triangle of M.
     gain : (nb, 6) float
-        Gain G = P h / D, with h the hinge's twist, about the parent's origin (of a root: its own).
+        Gain G = P h / D, with h the hinge's twist, about the parent's origin (of a root: its own); 0 where
+        the hinge is driven.
     pivot : (nb,) float
-        Pivot D = h^T P h; 1 where there is no hinge.
+        Pivot D = h^T P h; 1 where there is no hinge, or a driven one.
     root : (n_free, 6, 6) float
         Cholesky factors of P of the free roots.
     """
@@ -99,10 +101,16 @@ def articulate(tree: Tree, frames: Frames) -> Articulated:
     root = np.empty((tree.n_q - tree.n_v, 6, 6))
     put_rigid(frames.rotation, tree.bodies, packed)
     failed = factorise(
-        tree.links, tree.bodies, frames.rotation, frames.origin, packed, gain, pivot, root,
+        tree.locked_links, tree.bodies, frames.rotation, frames.origin, packed, gain, pivot, root,
         np.zeros((n, 6)), np.zeros(tree.n_v),
     )  # fmt: skip
     refuse_singular(failed)
+    if tree.driven is not None:
+        gain[tree.driven] = 0.0
+    if len(tree.massless):
+        refuse_singular(
+            unresisted(tree.locked_links, tree.bodies, frames.rotation, frames.origin, packed, pivot, root)
+        )
     return Articulated(tree, frames, frozen(packed), frozen(gain), frozen(pivot), frozen(root))
 
 
@@ -119,17 +127,32 @@ def solve(factors: Articulated, tau: Floats, loads: Floats | None = None) -> Flo
     Returns
     -------
     (n_v,) float
+        Solution, 0 where hinges are driven; what tau has there is not read.
     """
     tree, frames = factors.tree, factors.frames
     wrench = np.zeros((tree.n_bodies, 6)) if loads is None else loads.copy()
-    x = floats(tau, (tree.n_v,), "tau").copy()
+    x = _undriven(tree, floats(tau, (tree.n_v,), "tau"))
     inward_loads(
-        tree.links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot, wrench, x
+        tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot, wrench, x
     )
     outward_rates(
-        tree.links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.root, wrench, x
+        tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.root, wrench, x
     )
-    return x
+    return _among_all(tree, x)
+
+
+def _undriven(tree: Tree, x: Floats) -> Floats:
+    """Copy of x, (n_v,), without the freedoms of driven hinges."""
+    return x.copy() if tree.driven is None else x[tree.undriven_v]
+
+
+def _among_all(tree: Tree, x: Floats) -> Floats:
+    """(n_v,) float: x with zeros for the freedoms of driven hinges."""
+    if tree.driven is None:
+        return x
+    out = np.zeros(tree.n_v)
+    out[tree.undriven_v] = x
+    return out
 
 
 def solve_at_once(tree: Tree, frames: Frames, tau: Floats) -> Floats:
@@ -150,6 +173,8 @@ def solve_at_once(tree: Tree, frames: Frames, tau: Floats) -> Floats:
     MechanicsError
         As :func:`articulate`.
     """
+    if tree.driven is not None or len(tree.massless):
+        return solve(articulate(tree, frames), tau)
     x = floats(tau, (tree.n_v,), "tau").copy()
     refuse_singular(_solve(tree.links, tree.bodies, frames.rotation, frames.origin, x))
     return x
@@ -165,7 +190,7 @@ def log_det(factors: Articulated) -> float:
     Returns
     -------
     float
-        Value of ln det M, with M in amu nm^2 (amu for slides).
+        Value of ln det M, with M in amu nm^2 (amu for slides); of the freedoms that are not driven.
     """
     roots = np.diagonal(factors.root, axis1=1, axis2=2)
     return float(np.sum(np.log(factors.pivot)) + 2.0 * np.sum(np.log(roots)))
@@ -182,6 +207,7 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
     Returns
     -------
     (n_v,) float
+        Sample, 0 where hinges are driven.
 
     Notes
     -----
@@ -194,11 +220,12 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
     for factor, b in zip(factors.root, np.flatnonzero(tree.kind == HingeKind.FREE), strict=True):
         own = slice(tree.v_start[b], tree.v_start[b + 1])
         x[own] = np.tril(factor) @ x[own]
+    x = _undriven(tree, x)
     outward_rates(
-        tree.links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.root,
+        tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.root,
         np.empty((tree.n_bodies, 6)), x,
     )  # fmt: skip
-    return x
+    return _among_all(tree, x)
 
 
 def refuse_singular(failed: int) -> None:

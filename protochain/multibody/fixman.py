@@ -56,7 +56,7 @@ class Eliminated:
     gain : (nb, 6, 6) float
         Inverse of that block times the block that couples the hinge to its parent body.
     n_hard : (nb,) int
-        Number of directions locked by each hinge.
+        Number of directions locked by each hinge; all six by a driven one.
     """
 
     tree: Tree
@@ -83,7 +83,7 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
     Raises
     ------
     MechanicsError
-        If a body is a point or a line, so that it has no inverse inertia.
+        If a body has no mass, or is a point or a line, so that it has no inverse inertia.
 
     Notes
     -----
@@ -97,7 +97,7 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
             "of use; share the mass of an atom on its hinge's axis with it, or use method articulated"
         )
     inverse = _inverse_inertias(tree, frames)
-    factor, gain, n_hard = np.empty((n, 6, 6)), np.empty((n, 6, 6)), 6 - np.diff(tree.v_start)
+    factor, gain, n_hard = np.empty((n, 6, 6)), np.empty((n, 6, 6)), 6 - np.diff(tree.locked_links[:, V])
     failed = _eliminate(
         tree.links, n_hard, tree.bodies, frames.rotation, frames.origin, inverse.copy(), factor, gain
     )
@@ -165,7 +165,7 @@ def _thinness(tree: Tree) -> Floats:
     length = np.linalg.norm(tree.offset[tree.parent >= 0], axis=1)
     own = np.maximum(np.linalg.norm(tree.com, axis=1), np.max(length, initial=0.0))
     moments = np.linalg.eigvalsh(tree.inertia)
-    # A point at its own origin, alone, has no length to compare with: nor has it any inertia.
+    # A point at its own origin, alone, or a body without mass has nothing to compare with: nor any inertia.
     return np.asarray(moments[:, 0] / (tree.mass * own**2 + moments[:, 2] + np.finfo(float).tiny))
 
 
@@ -176,7 +176,11 @@ def _solve_once(factors: Eliminated, tau: Floats) -> Floats:
         tree.links, tree.bodies, frames.rotation, frames.origin,
         tau, wrench,
     )  # fmt: skip
-    return soft_rates(tree, frames, respond(factors, wrench))
+    rates = soft_rates(tree, frames, respond(factors, wrench))
+    if tree.driven is not None:
+        # No solution depends on their torques; of their rates rounding is left.
+        rates[tree.driven_v] = 0.0
+    return rates
 
 
 def soft_rates(tree: Tree, frames: Frames, twists: Floats) -> Floats:

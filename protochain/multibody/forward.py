@@ -19,11 +19,12 @@ from protochain.multibody.algebra import (
     vector,
     vector_at,
 )  # fmt: skip
-from protochain.multibody.articulated import accelerate, refuse_singular
-from protochain.multibody.kinematics import WORLD, moved_freely, seat, turned_by_hinge
+from protochain.multibody.articulated import accelerate, articulate, refuse_singular, solve
+from protochain.multibody.kinematics import WORLD, moved_freely, pose, seat, turned_by_hinge
 from protochain.multibody.newton_euler import (
     AT_REST,
     carried_along,
+    inertial_loads,
     load,
     motion_of,
     moved_by_hinge,
@@ -41,14 +42,15 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     tree, q : Tree and (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
         Rigid bodies and their coordinates.
     qd, tau : (n_v,) float, rad/ps (nm/ps for slides) and kJ/mol
-        Velocities and torques.
+        Velocities and torques; of driven hinges the accelerations, in place of torques.
     wrench : (nb, 6) float, optional, kJ/mol/rad and kJ/mol/nm
         Moment on each body about its origin, force; world axes.
 
     Returns
     -------
     (n_v,) float, rad/ps^2 (nm/ps^2 for slides)
-        Accelerations.
+        Accelerations; those of driven hinges as given. Their torques are then
+        :func:`~protochain.multibody.inverse_dynamics` there.
 
     Raises
     ------
@@ -65,9 +67,19 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     else:
         loads = floats(wrench, (tree.n_bodies, 6), "wrench").copy()
     x = floats(tau, (tree.n_v,), "tau").copy()
+    if tree.driven is not None or len(tree.massless):
+        return _by_parts(tree, q, qd, x, loads)
     q, qd = floats(q, (tree.n_q,), "q"), floats(qd, (tree.n_v,), "qd")
     refuse_singular(_forward(tree.links, tree.bodies, q, qd, loads, x))
     return x
+
+
+def _by_parts(tree: Tree, q: Floats, qd: Floats, x: Floats, wrench: Floats) -> Floats:
+    """Accelerations by sweeps of their own, where hinges are driven or bodies have no mass."""
+    frames, given = pose(tree, q), np.zeros(tree.n_v)
+    given[tree.driven_v] = x[tree.driven_v]
+    loads = inertial_loads(tree, frames, qd, given) - wrench
+    return solve(articulate(tree, frames), x, loads) + given
 
 
 @kernel

@@ -17,6 +17,9 @@ from protochain.multibody.kinematics import Frames, pull_back
 from protochain.multibody.small import dense_inertia, solve_lower, solve_upper
 from protochain.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 
+_LOCKED = 1e300
+"""Pivot of a driven hinge, where ln det M is asked for along it: nothing turns a hinge of this inertia."""
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -131,9 +134,11 @@ def log_det_gradient(tree: Tree, frames: Frames) -> Floats:
 def gradient_of_log_det(factors: Articulated) -> Floats:
     """Gradient of ln det M, as :func:`log_det_gradient`, from known factors."""
     tree, frames = factors.tree, factors.frames
-    gradient = np.zeros(tree.n_v)
+    gradient, pivot = np.zeros(tree.n_v), factors.pivot
+    if tree.driven is not None:
+        pivot = np.where(tree.driven, _LOCKED, pivot)
     _outward_gradient(
-        tree.links, tree.bodies, frames.rotation, frames.origin, _gain_at_hinge(factors), factors.pivot,
+        tree.links, tree.bodies, frames.rotation, frames.origin, _gain_at_hinge(factors), pivot,
         factors.root, factors.inertia, gradient,
     )  # fmt: skip
     return gradient
@@ -170,7 +175,7 @@ def operational_inverse(tree: Tree, frames: Frames, rows: Rows) -> Floats:
     out = np.zeros((len(rows.body), len(rows.body)))
     if out.size:
         _operational(
-            tree.links, tree.bodies, frames.rotation, frames.origin, _gain_at_hinge(factors),
+            tree.locked_links, tree.bodies, frames.rotation, frames.origin, _gain_at_hinge(factors),
             factors.pivot, factors.root, rows.body, rows.wrench, out,
         )  # fmt: skip
     return out

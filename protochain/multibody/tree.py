@@ -5,6 +5,7 @@ from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers, Value, read_only
 from protochain.errors import MechanicsError
@@ -52,17 +53,21 @@ class Tree(Value):
     placement : (nb, 3, 3) float
         Rotation of the body's frame in the parent's frame at q = 0.
     mass, com : (nb,) float, amu, and (nb, 3) float, nm
-        Mass, and centre of mass in the body's frame.
+        Mass, and centre of mass in the body's frame. A body may be without mass, as between the two hinges
+        of a universal joint, if what is outward of it resists its hinge.
     inertia : (nb, 3, 3) float, amu nm^2
         Inertia tensor about the centre of mass, along the body's axes.
     pitch : (nb,) float, nm/rad, optional
         Translation per radian of SCREW hinges.
+    driven : (nb,) bool, optional
+        Hinges of one freedom whose motion is prescribed: solutions with M leave their freedoms out, and
+        :func:`~protochain.multibody.forward_dynamics` is told their accelerations. None by default.
 
     Raises
     ------
     MechanicsError
-        If a parent does not come before its child, an array has a wrong shape or unphysical values, or a
-        hinge has no inertia.
+        If a parent does not come before its child, an array has a wrong shape or unphysical values, a
+        hinge has no inertia, or what is driven is not a hinge of one freedom.
     """
 
     parent: Integers
@@ -73,6 +78,7 @@ class Tree(Value):
     com: Floats
     inertia: Floats
     pitch: Floats | None = None
+    driven: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.parent)
@@ -90,6 +96,7 @@ class Tree(Value):
                 raise MechanicsError(f"body {_first(~np.isfinite(array))}: its {name} is not finite")
             object.__setattr__(self, name, array)
         _check_topology(self)
+        object.__setattr__(self, "driven", _driven(self))
         _check_geometry(self)
         _check_inertia(self)
 
@@ -112,6 +119,30 @@ class Tree(Value):
     def hinged(self) -> Integers:
         """(k,) int: bodies with one freedom."""
         return read_only(np.flatnonzero(np.diff(self.v_start) == 1), np.int64)
+
+    @cached_property
+    def massless(self) -> Integers:
+        """(k,) int: bodies without mass."""
+        return read_only(np.flatnonzero(self.mass == 0.0), np.int64)
+
+    @cached_property
+    def driven_q(self) -> Integers:
+        """(k,) int: coordinates of the driven hinges."""
+        return read_only(self.q_start[:-1][self._is_driven], np.int64)
+
+    @cached_property
+    def driven_v(self) -> Integers:
+        """(k,) int: freedoms of the driven hinges."""
+        return read_only(self.v_start[:-1][self._is_driven], np.int64)
+
+    @cached_property
+    def undriven_v(self) -> Integers:
+        """(n_v - k,) int: all other freedoms."""
+        return read_only(np.setdiff1d(np.arange(self.n_v), self.driven_v), np.int64)
+
+    @property
+    def _is_driven(self) -> NDArray[np.bool_]:
+        return np.zeros(self.n_bodies, dtype=np.bool_) if self.driven is None else self.driven
 
     @cached_property
     def twist(self) -> Floats:
@@ -139,6 +170,17 @@ class Tree(Value):
         return read_only(np.column_stack([parent, self.q_start, self.v_start]), np.int64)
 
     @cached_property
+    def locked_links(self) -> Integers:
+        """(nb + 1, 3) int: :attr:`links` of the tree with its driven hinges fixed.
+
+        Read by sweeps that solve with M: so a hinge is locked there, at no cost where none is driven.
+        """
+        if self.driven is None:
+            return self.links
+        before = np.concatenate([[0], np.cumsum(self.driven)])
+        return read_only(self.links - np.outer(before, [0, 1, 1]), np.int64)
+
+    @cached_property
     def bodies(self) -> Floats:
         """(nb, 24) float: offset, columns of placement, rigid, twist, as read by the sweeps."""
         axes = self.placement.swapaxes(1, 2).reshape(self.n_bodies, 9)
@@ -150,7 +192,8 @@ class Tree(Value):
 
         It makes tolerances independent of the unit of length.
         """
-        gyration = np.sqrt(np.trace(self.inertia, axis1=1, axis2=2) / self.mass)
+        mass = np.where(self.mass > 0.0, self.mass, 1.0)
+        gyration = np.sqrt(np.trace(self.inertia, axis1=1, axis2=2) / mass)
         arms = np.linalg.norm(np.concatenate([self.offset[self.parent >= 0], self.com]), axis=1)
         size = max(np.max(gyration, initial=0.0), np.max(arms, initial=0.0))
         return float(size) if size > 0.0 else 1.0
@@ -200,12 +243,12 @@ def rigid_bodies(point_body: Integers, point: Floats, mass: Floats, n: int) -> t
     Returns
     -------
     (n,) float; (n, 3) float; (n, 3, 3) float
-        Parameters ``mass``, ``com`` and ``inertia`` of :class:`Tree`.
+        Parameters ``mass``, ``com`` and ``inertia`` of :class:`Tree`; zeros for bodies without points.
     """
     total, first, second = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
     np.add.at(total, point_body, mass)
     np.add.at(first, point_body, mass[:, None] * point)
-    com = first / total[:, None]
+    com = first / np.where(total > 0.0, total, 1.0)[:, None]
     # About the centre of mass from the start: the parallel-axis theorem would cancel digits.
     np.add.at(second, point_body, mass[:, None, None] * _squared_cross(point - com[point_body]))
     return total, com, second
@@ -244,6 +287,24 @@ def _check_topology(tree: Tree) -> None:
         )
 
 
+def _driven(tree: Tree) -> NDArray[np.bool_] | None:
+    """Return what is driven, checked; nothing if no hinge is."""
+    if tree.driven is None:
+        return None
+    n, driven = tree.n_bodies, np.asarray(tree.driven)
+    if driven.shape != (n,) or driven.dtype != np.bool_:
+        raise MechanicsError(
+            f"driven of a tree of {n} bodies is {driven.dtype} of shape {driven.shape}, not bool of ({n},)"
+        )
+    wrong = driven & (np.diff(tree.v_start) != 1)
+    if np.any(wrong):
+        b = _first(wrong)
+        raise MechanicsError(
+            f"body {b}: only a hinge of one freedom can be driven, not a {HingeKind(tree.kind[b]).name} one"
+        )
+    return read_only(driven, np.bool_) if np.any(driven) else None
+
+
 def _check_geometry(tree: Tree) -> None:
     product = tree.placement @ tree.placement.swapaxes(1, 2)
     skew = np.any(np.abs(product - np.eye(3)) > 1e-9, axis=(1, 2)) | (np.linalg.det(tree.placement) < 0)
@@ -252,9 +313,12 @@ def _check_geometry(tree: Tree) -> None:
 
 
 def _check_inertia(tree: Tree) -> None:
-    if np.any(tree.mass <= 0):
-        b = _first(tree.mass <= 0)
-        raise MechanicsError(f"body {b}: its mass {tree.mass[b]:g} must be positive")
+    if np.any(tree.mass < 0):
+        b = _first(tree.mass < 0)
+        raise MechanicsError(f"body {b}: its mass {tree.mass[b]:g} must not be negative")
+    ghost = (tree.mass == 0) & np.any(tree.inertia != 0.0, axis=(1, 2))
+    if np.any(ghost):
+        raise MechanicsError(f"body {_first(ghost)}: it has inertia but no mass")
     size = np.trace(tree.inertia, axis1=1, axis2=2)
     skew = np.any(
         np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)) > 1e-9 * size[:, None, None], axis=(1, 2)
@@ -264,12 +328,29 @@ def _check_inertia(tree: Tree) -> None:
     wrong = skew | (moments[:, 2] - moments[:, 1] - moments[:, 0] > 1e-9 * size) | (moments[:, 2] < 0)
     if np.any(wrong):
         raise MechanicsError(f"body {_first(wrong)}: its inertia is not that of any rigid body")
-    phantom = _turns_nothing(tree)
+    moves = (np.diff(tree.v_start) > 0) & ~tree._is_driven
+    idle = moves & _carries_nothing(tree)
+    if np.any(idle):
+        raise MechanicsError(
+            f"body {_first(idle)}: neither it nor any body beyond it has mass, so nothing resists its hinge; "
+            "give it mass, or make the hinge FIXED or driven"
+        )
+    phantom = moves & _turns_nothing(tree)
     if np.any(phantom):
         raise MechanicsError(
             f"body {_first(phantom)}: all mass beyond its hinge lies on the hinge's axis, so it has no "
             "inertia; make the hinge FIXED"
         )
+
+
+def _carries_nothing(tree: Tree) -> np.ndarray:
+    """(nb,) bool: bodies without mass, with nothing but such bodies beyond them."""
+    empty = tree.mass == 0.0
+    if np.any(empty):
+        for b in range(tree.n_bodies - 1, -1, -1):
+            if tree.parent[b] >= 0:
+                empty[tree.parent[b]] &= empty[b]
+    return empty
 
 
 def _turns_nothing(tree: Tree) -> np.ndarray:

@@ -230,11 +230,13 @@ _CLOSURES = (
      "        return self.drift(at, kicked, time_step)\n"),
 )  # fmt: skip
 _LOADS = (
-    ("        if self.load is None:\n            return potential, torque, None\n"
-     "        load = self.load.along(self.tree, time, q, qd, factors.frames)\n"
-     "        return potential, torque + load, load\n",
+    ("        if not self.loads:\n            return potential, torque, None\n"
+     "        loads = np.array([load.along(self.tree, time, q, qd, factors.frames) for load in self.loads])\n"
+     "        return potential, torque + loads.sum(axis=0), loads\n",
      "        return potential, torque, None\n"),
-    (" if load is None else replace(at, work=at.work + 0.5 * time_step * (before.power + at.power))", ""),
+    ("        if loads is None:\n            return at\n"
+     "        return replace(at, work=before.work + 0.5 * time_step * (before.power + at.power))\n",
+     "        return at\n"),
 )  # fmt: skip
 
 FEATURES = (

@@ -1,0 +1,163 @@
+"""Bodies by name, and what a mechanism does at one moment, as callables see it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from protochain import multibody
+from protochain.arrays import Floats
+from protochain.errors import MechanicsError
+from protochain.multibody import Frames, Tree
+from protochain.multibody.articulated import Articulated, articulate
+
+WORLD = "world"
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Bodies of a tree by name, each with axes of its own.
+
+    A body's axes are those in which its points, centre of mass and inertia were given; the frame of the
+    tree has the same origin, but its z axis along the hinge.
+
+    Parameters
+    ----------
+    tree : Tree
+        Rigid bodies.
+    names : tuple of str
+        Names of the bodies.
+    turn : (nb, 3, 3) float
+        Axes of the tree's frame of each body, as columns, in the body's own axes.
+    hinges : mapping
+        Name of each hinge -> number of the body beyond it.
+    """
+
+    tree: Tree
+    names: tuple[str, ...]
+    turn: Floats
+    hinges: Mapping[str, int]
+
+    @cached_property
+    def numbers(self) -> dict[str, int]:
+        """Name of each body -> its number; -1 is the world."""
+        return {WORLD: -1} | {name: number for number, name in enumerate(self.names)}
+
+    def number(self, name: str, asking: str = "") -> int:
+        """Return the number of a body, -1 for the world.
+
+        Raises
+        ------
+        MechanicsError
+            If there is none of this name; ``asking`` says who asks.
+        """
+        return _of(self.numbers, name, "body", asking)
+
+    def hinge(self, name: str, asking: str = "") -> int:
+        """Return the number of the body beyond a hinge.
+
+        Raises
+        ------
+        MechanicsError
+            If there is none of this name.
+        """
+        return _of(self.hinges, name, "hinge", asking)
+
+    def freedom(self, hinge: str) -> tuple[int, int]:
+        """Places of a hinge's coordinate in q and of its rate in qd.
+
+        Raises
+        ------
+        MechanicsError
+            If there is no such hinge, or it is fixed.
+        """
+        b = self.hinge(hinge)
+        if self.tree.v_start[b] == self.tree.v_start[b + 1]:
+            raise MechanicsError(f'hinge "{hinge}" is fixed and has no coordinate')
+        return int(self.tree.q_start[b]), int(self.tree.v_start[b])
+
+    def inside(self, b: int, point: ArrayLike) -> Floats:
+        """(3,) float: a point or direction in a body's own axes -> along those of the tree's frame."""
+        vector = np.asarray(point, dtype=float)
+        return vector if b < 0 else np.asarray(self.turn[b].T @ vector)
+
+    def axes(self, b: int) -> Floats:
+        """(3, 3) float: a body's own axes, as columns, along those of the tree's frame."""
+        return np.eye(3) if b < 0 else np.asarray(self.turn[b].T)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A mechanism at one moment.
+
+    Parameters
+    ----------
+    bodies : Bodies
+        Bodies by name.
+    t : float
+        Time.
+    q : (n_q,) float
+        Coordinates.
+    qd : (n_v,) float
+        Velocities.
+    frames : Frames
+        Frames of the bodies.
+    """
+
+    bodies: Bodies
+    t: float
+    q: Floats
+    qd: Floats
+    frames: Frames
+
+    @cached_property
+    def twists(self) -> Floats:
+        """(nb, 6) float: angular velocities and velocities of the bodies' origins, world axes."""
+        return multibody.velocities(self.bodies.tree, self.frames, self.qd)
+
+    @cached_property
+    def factors(self) -> Articulated:
+        """Factors of the mass matrix, as impulses need them."""
+        return articulate(self.bodies.tree, self.frames)
+
+    def rotation(self, body: str) -> Floats:
+        """(3, 3) float: a body's own axes in the world, as columns."""
+        b = self.bodies.number(body)
+        return np.eye(3) if b < 0 else np.asarray(self.frames.rotation[b] @ self.bodies.turn[b].T)
+
+    def point(self, body: str, at: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
+        """(3,) float: where a point of a body is in the world."""
+        b, arm = self.bodies.number(body), self._arm(body, at)
+        return arm if b < 0 else np.asarray(self.frames.origin[b] + arm)
+
+    def velocity(self, body: str, at: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
+        """(3,) float: velocity of a point of a body, world axes."""
+        b = self.bodies.number(body)
+        if b < 0:
+            return np.zeros(3)
+        return np.asarray(self.twists[b, 3:] + np.cross(self.twists[b, :3], self._arm(body, at)))
+
+    def spin(self, body: str) -> Floats:
+        """(3,) float: angular velocity of a body, world axes."""
+        b = self.bodies.number(body)
+        return np.zeros(3) if b < 0 else self.twists[b, :3].copy()
+
+    def angle(self, hinge: str) -> float:
+        """Coordinate of a hinge: an angle, or the length of a slide."""
+        return float(self.q[self.bodies.freedom(hinge)[0]])
+
+    def rate(self, hinge: str) -> float:
+        """Rate of a hinge's coordinate."""
+        return float(self.qd[self.bodies.freedom(hinge)[1]])
+
+    def _arm(self, body: str, at: ArrayLike) -> Floats:
+        return np.asarray(self.rotation(body) @ np.asarray(at, dtype=float))
+
+
+def _of(numbers: Mapping[str, int], name: str, kind: str, asking: str) -> int:
+    if name in numbers:
+        return numbers[name]
+    known = ", ".join(f'"{each}"' for each in list(numbers)[:12]) or "none"
+    raise MechanicsError(f'{asking}{": " if asking else ""}there is no {kind} "{name}"; there are {known}')

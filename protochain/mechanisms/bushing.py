@@ -1,0 +1,210 @@
+"""Bushings: elastic joints of six stiffnesses between two bodies."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers
+from protochain.errors import MechanicsError
+from protochain.mechanisms.springs import end_of, push, speed_of
+from protochain.multibody import Frames
+from protochain.multibody.algebra import (
+    Matrix,
+    Vector,
+    add,
+    add_pair,
+    dot,
+    kernel,
+    matrix,
+    scale,
+    subtract,
+    turned,
+    turned_back,
+    vector,
+)  # fmt: skip
+from protochain.multibody.kinematics import WORLD
+from protochain.multibody.rotations import tangent_inverse
+
+HALF_A_TURN = 3.1
+"""rad. Largest rotation of a bushing: at pi its rotation vector jumps to the other side."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bushings:
+    """Elastic joints: energy (theta K_r theta + d K_t d) / 2 in the axes of the second body, and dampers.
+
+    theta is the rotation vector of the first body relative to the second, away from rest, and d the place of
+    the first body's point from the second's. The gradient along a rotation omega is exp's tangent transposed,
+    dexp_theta^-T K_r theta, so that the energy is exact for large rotations, up to half a turn.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Names, for messages.
+    ends : (n, 2) int
+        Bodies of each; -1 is the world.
+    points : (n, 6) float
+        Points of both bodies, along the axes of the tree's frames.
+    axes : (2, n, 3, 3) float
+        Axes, as columns, in the tree's frame of each body, which coincide at rest.
+    stiffness, damping : (n, 6) float
+        Of rotations and translations along the second body's axes.
+    """
+
+    names: tuple[str, ...]
+    ends: Integers
+    points: Floats
+    axes: Floats
+    stiffness: Floats
+    damping: Floats
+
+    def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
+        """Add the wrenches of the springs.
+
+        Raises
+        ------
+        MechanicsError
+            If one is turned by almost half a turn, where its rotation vector has no direction.
+        """
+        energy: float = _bend(
+            frames.rotation, frames.origin, self.ends, self.points, self.axes, self.stiffness, wrenches
+        )
+        if energy == np.inf:
+            name = self.names[int(np.argmax(self.angles(frames)))]
+            raise MechanicsError(
+                f'bushing "{name}": it is turned by half a turn, where its torque has no direction; '
+                "take a hinge with a torsion for large turns"
+            )
+        return energy
+
+    def resist(self, frames: Frames, twists: Floats, qd: Floats, wrenches: Floats, torques: Floats) -> None:
+        """Add the wrenches of the dampers."""
+        _resist(
+            frames.rotation, frames.origin, twists, self.ends, self.points, self.axes[1], self.damping,
+            wrenches,
+        )  # fmt: skip
+
+    def angles(self, frames: Frames) -> Floats:
+        """(n,) float: angle of each away from rest, up to pi."""
+        out = np.empty(len(self.ends))
+        _angles(frames.rotation, self.ends, self.axes, out)
+        return out
+
+
+@kernel
+def axes_of(rotation: Floats, b: int, axes: Matrix) -> Matrix:
+    """Axes fixed in a body, in the world; as rows of the result, so that ``turned`` resolves along them."""
+    turn = matrix(rotation, b) if b >= 0 else WORLD[0]
+    x = turned(turn, (axes[0], axes[3], axes[6]))
+    y = turned(turn, (axes[1], axes[4], axes[7]))
+    z = turned(turn, (axes[2], axes[5], axes[8]))
+    return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
+
+
+@kernel
+def rotation_vector(r: Matrix) -> Vector:
+    """Logarithm of a rotation, of an angle up to pi, by its quaternion."""
+    trace = r[0] + r[4] + r[8]
+    # Of the four, the largest component of the quaternion is found without cancellation.
+    if trace >= max(r[0], max(r[4], r[8])):
+        w, v = 1.0 + trace, (r[7] - r[5], r[2] - r[6], r[3] - r[1])
+    elif r[0] >= max(r[4], r[8]):
+        w, v = r[7] - r[5], (1.0 + r[0] - r[4] - r[8], r[1] + r[3], r[2] + r[6])
+    elif r[4] >= r[8]:
+        w, v = r[2] - r[6], (r[1] + r[3], 1.0 + r[4] - r[0] - r[8], r[5] + r[7])
+    else:
+        w, v = r[3] - r[1], (r[2] + r[6], r[5] + r[7], 1.0 + r[8] - r[0] - r[4])
+    if w < 0.0:
+        w, v = -w, scale(-1.0, v)
+    half = np.sqrt(dot(v, v))
+    if half < 1e-8 * w:
+        return scale(2.0 / w, v)
+    return scale(2.0 * np.arctan2(half, w) / half, v)
+
+
+@kernel
+def _turned_away(rotation: Floats, a: int, b: int, axes_a: Matrix, along: Matrix) -> Vector:
+    """Rotation vector of a's axes in those of b, whose rows are ``along``."""
+    rows = axes_of(rotation, a, axes_a)
+    x, y, z = (
+        turned(along, (rows[0], rows[1], rows[2])),
+        turned(along, (rows[3], rows[4], rows[5])),
+        turned(along, (rows[6], rows[7], rows[8])),
+    )
+    return rotation_vector((x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]))
+
+
+@kernel
+def _angles(rotation: Floats, ends: Integers, axes: Floats, out: Floats) -> None:
+    for i in range(len(ends)):
+        along = axes_of(rotation, ends[i, 1], matrix(axes[1], i))
+        theta = _turned_away(rotation, ends[i, 0], ends[i, 1], matrix(axes[0], i), along)
+        out[i] = np.sqrt(dot(theta, theta))
+
+
+@kernel
+def _bend(
+    rotation: Floats, origin: Floats, ends: Integers, points: Floats, axes: Floats, stiffness: Floats,
+    wrenches: Floats,
+) -> float:  # fmt: skip
+    energy = 0.0
+    for i in range(len(ends)):
+        a, b = ends[i, 0], ends[i, 1]
+        arm_a, place_a = end_of(rotation, origin, a, vector(points, i, 0))
+        arm_b, place_b = end_of(rotation, origin, b, vector(points, i, 3))
+        along = axes_of(rotation, b, matrix(axes[1], i))
+        theta = _turned_away(rotation, a, b, matrix(axes[0], i), along)
+        if dot(theta, theta) > HALF_A_TURN * HALF_A_TURN:
+            return np.inf
+        gap = subtract(place_a, place_b)
+        d = turned(along, gap)
+        k, s = vector(stiffness, i, 0), vector(stiffness, i, 3)
+        moment = (k[0] * theta[0], k[1] * theta[1], k[2] * theta[2])
+        force = (s[0] * d[0], s[1] * d[1], s[2] * d[2])
+        energy += 0.5 * (dot(moment, theta) + dot(force, d))
+        # The tangent at -theta is the transposed one.
+        moment = turned_back(along, tangent_inverse(scale(-1.0, theta), moment))
+        force = turned_back(along, force)
+        _apply(scale(-1.0, moment), scale(-1.0, force), a, b, arm_a, add(arm_b, gap), wrenches)
+    return energy
+
+
+@kernel
+def _resist(
+    rotation: Floats, origin: Floats, twists: Floats, ends: Integers, points: Floats, axes: Floats,
+    damping: Floats, wrenches: Floats,
+) -> None:  # fmt: skip
+    for i in range(len(ends)):
+        a, b = ends[i, 0], ends[i, 1]
+        arm_a, place_a = end_of(rotation, origin, a, vector(points, i, 0))
+        arm_b, place_b = end_of(rotation, origin, b, vector(points, i, 3))
+        # Where a's point is, both bodies have a velocity; their difference is the rate of d in b's axes.
+        arm_b = add(arm_b, subtract(place_a, place_b))
+        along = axes_of(rotation, b, matrix(axes, i))
+        spin = subtract(_spin_of(twists, a), _spin_of(twists, b))
+        speed = subtract(speed_of(twists, a, arm_a), speed_of(twists, b, arm_b))
+        w, u = turned(along, spin), turned(along, speed)
+        c, e = vector(damping, i, 0), vector(damping, i, 3)
+        moment = turned_back(along, (-c[0] * w[0], -c[1] * w[1], -c[2] * w[2]))
+        force = turned_back(along, (-e[0] * u[0], -e[1] * u[1], -e[2] * u[2]))
+        _apply(moment, force, a, b, arm_a, arm_b, wrenches)
+
+
+@kernel
+def _spin_of(twists: Floats, b: int) -> Vector:
+    if b < 0:
+        return 0.0, 0.0, 0.0
+    return vector(twists, b, 0)
+
+
+@kernel
+def _apply(
+    moment: Vector, force: Vector, a: int, b: int, arm_a: Vector, arm_b: Vector, wrenches: Floats
+) -> None:
+    """Add a wrench on a, and its reaction on b, where the force acts at one place of both."""
+    push(force, arm_a, a, wrenches)
+    push(scale(-1.0, force), arm_b, b, wrenches)
+    if a >= 0:
+        add_pair(moment, (0.0, 0.0, 0.0), wrenches, a)
+    if b >= 0:
+        add_pair(scale(-1.0, moment), (0.0, 0.0, 0.0), wrenches, b)

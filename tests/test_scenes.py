@@ -1,0 +1,238 @@
+"""Scenes: their parts, the command, and that commands for proteins load none of them."""
+
+import json
+import subprocess
+import sys
+from importlib import import_module
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import ROOT, STRUCTURES
+from test_commands import refusal
+from test_commands import run as command
+
+import protochain.scenes
+from protochain.errors import MechanicsError, ProtochainError
+from protochain.multibody import kinetic_energy, pose
+from protochain.scenes import SCENES, Check, Extreme, LeftOut, Scene, plot_work, run, serial
+from protochain.scenes.scene import check, exponent, extreme, left_out, timed, work_table
+
+
+def some(checks=(), extremes=(), left=()):
+    work = work_table([("a", "h", 0.1, 1e-3), ("a", "h/2", 0.2, 1e-4)])
+    return Scene("some", "a scene", checks, work, extremes, left, {"trace": pd.DataFrame({"t": [0.0, 1.0]})})
+
+
+def test_a_check_says_how_far_off_it_is_and_nan_is_wrong():
+    assert check("k", 2.02, 2.0, 0.011, "by hand").error == pytest.approx(0.01)
+    assert check("k", 2.02, 2.0, 0.011, "by hand", "absolute").error == pytest.approx(0.02)
+    assert check("k", -2.0, 2.0, 1.9, "a sign").error == 2.0
+    verdicts = {value: check("k", value, 1.0, 0.1, "").right for value in (0.89, 0.91, 1.09, 1.11, np.inf)}
+    assert verdicts == {0.89: False, 0.91: True, 1.09: True, 1.11: False, np.inf: False}
+    assert not check("k", np.nan, 1.0, np.inf, "").right
+    assert check("none", 0.0, 0.0, 0.0, "").right and not check("some", 1e-300, 0.0, 1.0, "").right
+
+
+def test_an_extreme_is_right_refused_in_the_words_expected_or_wrong():
+    def refuses(text):
+        def call():
+            raise MechanicsError(text)
+
+        return call
+
+    def of(value):
+        return lambda: check("k", value, 1.0, 0.1, "one")
+
+    assert extreme("e", of(1.05)) == Extreme("e", "right", "relative error 0.05, bound 0.1: one")
+    assert extreme("e", of(1.2)).outcome == "wrong"
+    assert extreme("e", lambda: of(np.float64(1.0) / np.zeros(1)[0])()).outcome == "wrong"
+    assert extreme("e", refuses("the step is too long"), "too long") == Extreme(
+        "e", "refused", "the step is too long"
+    )
+    assert extreme("e", refuses("the step is too long")).outcome == "wrong"
+    assert extreme("e", refuses("the step is too long"), "no inertia").outcome == "wrong"
+    assert extreme("e", refuses("too long\nreally"), "too long").outcome == "wrong"
+    assert extreme("e", of(1.0), "too long").outcome == "wrong"
+    broken = extreme("e", lambda: {}["k"], "too long")
+    assert broken.outcome == "wrong" and broken.detail == "KeyError: 'k'"
+
+
+def test_what_is_left_out_must_leave_the_answer():
+    def slow():
+        for _ in range(50):
+            np.linalg.eigvalsh(np.eye(30))
+        return np.array([1.0, 2.0])
+
+    found = left_out("the rest", slow, lambda: np.array([1.0, 2.0 + 1e-6]), 1e-6, repeats=2)
+    assert found.right and found.difference == pytest.approx(5e-7, rel=1e-6) and found.ratio > 1.0
+    assert not left_out("the rest", slow, lambda: np.array([1.0, 2.1]), 1e-6, 1).right
+    assert not left_out("the rest", slow, lambda: np.array([1.0, np.nan]), np.inf, 1).right
+    assert not left_out("the rest", slow, lambda: 1.0, 1e-6, 1).right
+    assert left_out("the rest", lambda: 0.0, lambda: 0.0, 0.0, 1).difference == 0.0
+
+
+def test_the_least_time_and_the_exponent_of_a_line():
+    calls = []
+    result, seconds = timed(lambda: calls.append(1) or len(calls), repeats=4)
+    assert result == 4 and 0.0 <= seconds < np.inf
+    h = np.array([0.1, 0.05, 0.02, 0.01])
+    assert exponent(h, 3.0 * h**4) == pytest.approx(4.0)
+    assert exponent([*h, 0.005, 0.002], [*(3.0 * h**-1.5), 0.0, np.nan]) == pytest.approx(-1.5)
+    assert np.isnan(exponent([1.0, 1.0], [1.0, 2.0])) and np.isnan(exponent([1.0], [1.0]))
+
+
+def test_a_scene_names_what_is_wrong_and_has_a_table_for_each_file():
+    good, bad = check("good", 1.0, 1.0, 0.1, "one"), check("bad", 2.0, 1.0, 0.1, "one")
+    of = some(
+        (good, bad),
+        (Extreme("odd", "refused", "no"), Extreme("worse", "wrong", "nan")),
+        (LeftOut("all", 2.0, 0.0, 0.0), LeftOut("too much", 9.0, 1.0, 0.5)),
+    )
+    assert of.wrong == ("bad", "worse", "too much")
+    frames = of.frames()
+    assert list(frames) == ["checks", "work", "extremes", "left_out", "trace"]
+    assert frames["checks"]["verdict"].tolist() == ["right", "wrong"]
+    assert frames["left_out"]["verdict"].tolist() == ["right", "wrong"]
+    assert frames["extremes"]["outcome"].tolist() == ["refused", "wrong"]
+    assert some().wrong == () and list(some().frames()["checks"].columns) == [
+        *Check.__annotations__,
+        "verdict",
+    ]
+
+
+@pytest.fixture
+def scenes(monkeypatch):
+    """Make the command run scenes of one's own: by name, a function of quick."""
+
+    def put(**made):
+        monkeypatch.setattr(protochain.scenes, "SCENES", {name: f"one of {name}" for name in made})
+        for name, function in made.items():
+            module = SimpleNamespace(run=function)
+            monkeypatch.setitem(sys.modules, f"protochain.scenes.{name}", module)
+
+    return put
+
+
+def test_every_scene_has_a_line_and_a_module():
+    folder = ROOT / "protochain" / "scenes"
+    modules = {path.stem for path in folder.iterdir() if path.is_dir() or path.suffix == ".py"}
+    assert modules - {"__init__", "__pycache__", "scene", "folder"} == set(SCENES)
+    for name, line in SCENES.items():
+        assert 20 < len(line) < 90 and "\n" not in line
+        assert callable(import_module(f"protochain.scenes.{name}").run)
+
+
+def test_the_command_writes_what_a_scene_finds(scenes, tmp_path, capsys, monkeypatch):
+    asked = []
+    left = (LeftOut("half of it", 2.0, 0.0, 0.0),)
+    found = some((check("k", 1.0, 1.0, 0.1, "one"),), (Extreme("odd", "refused", "no"),), left)
+    scenes(some=lambda quick: asked.append(quick) or found)
+    monkeypatch.chdir(tmp_path)
+    assert command("scene", "some") == 0 and command("scene", "some", "--quick", "-o", "there") == 0
+    assert asked == [False, True]
+    files = {"checks", "work", "extremes", "left_out", "trace"}
+    for folder in (tmp_path / "scene-some", tmp_path / "there"):
+        assert {path.stem for path in folder.glob("*.csv")} == files
+        assert pd.read_csv(folder / "checks.csv")["verdict"].tolist() == ["right"]
+        assert pd.read_csv(folder / "work.csv")["error"].tolist() == [1e-3, 1e-4]
+        assert (folder / "work.png").stat().st_size > 5000
+        record = json.loads((folder / "made.json").read_text())
+        assert set(record) == {"machine", "threads", "versions", "commit"} and "numba" in record["versions"]
+    out = capsys.readouterr().out
+    assert out.startswith("some: a scene\n") and "half of it" in out and "1 extremes: 1 refused" in out
+    assert "written: tables and work.png in scene-some" in out
+    assert command("scene", "some", "--json", "-o", tmp_path / "there") == 0
+    text = json.loads(capsys.readouterr().out)
+    assert text["scene"] == "some" and text["wrong"] == [] and text["output"] == str(tmp_path / "there")
+    assert text["checks"][0]["oracle"] == 1.0 and text["work"][1]["setting"] == "h/2"
+    assert text["left_out"][0]["ratio"] == 2.0 and text["extremes"][0]["outcome"] == "refused"
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        ((check("odd one", np.nan, 1.0, 0.1, "one"),),),
+        ((), (Extreme("odd one", "wrong", "no"),)),
+        ((), (), (LeftOut("odd one", 2.0, 1.0, 0.1),)),
+    ],
+)
+def test_what_is_wrong_fails_the_command(parts, scenes, tmp_path, capsys):
+    scenes(some=lambda quick: some(*parts))
+    assert command("scene", "some", "--json", "-o", tmp_path) == 1
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["wrong"] == ["odd one"]
+    assert captured.err == f"protochain: scene some: wrong: odd one; the tables in {tmp_path} say how\n"
+
+
+def test_many_extremes_are_counted_and_the_wrong_ones_listed(scenes, tmp_path, capsys):
+    many = tuple(Extreme(f"case {k}", "wrong" if k == 33 else "right", "so") for k in range(40))
+    scenes(some=lambda quick: some(extremes=many))
+    assert command("scene", "some", "-o", tmp_path) == 1
+    out = capsys.readouterr().out
+    assert "40 extremes: 39 right, 1 wrong" in out and "case 33" in out and "case 32" not in out
+
+
+def test_without_a_name_scenes_are_listed_and_an_unknown_one_is_refused(scenes, tmp_path, capsys):
+    scenes(some=lambda quick: some(), other=lambda quick: some())
+    assert command("scene") == 0
+    assert capsys.readouterr().out == "some   one of some\nother  one of other\n"
+    assert command("scene", "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {"scenes": {"some": "one of some", "other": "one of other"}}
+    assert refusal("scene", "odd") == "there is no scene 'odd'; choose from some, other"
+    with pytest.raises(ProtochainError, match="choose from"):
+        run("odd")
+    (tmp_path / "file").write_text("")
+    assert "is not a folder" in refusal("scene", "some", "-o", tmp_path / "file")
+
+
+def test_a_picture_has_a_line_for_each_method_with_its_finite_errors():
+    rows = [("a", "1", 0.1, 1e-3), ("a", "2", 0.2, np.inf), ("a", "3", 0.4, 0.0), ("b", "1", 0.1, 1e-2)]
+    of = Scene("some", "a scene", (), work_table(rows), error_of="error, rad")
+    (ax,) = plot_work(of).axes
+    assert [line.get_label() for line in ax.lines] == ["a", "b"]
+    np.testing.assert_array_equal(ax.lines[0].get_xydata(), [[0.1, 1e-3], [0.4, 1e-17]])
+    assert (ax.get_xscale(), ax.get_yscale(), ax.get_ylabel()) == ("log", "log", "error, rad")
+    assert plot_work(Scene("some", "none", (), work_table([]))).axes[0].lines[:] == []
+
+
+def test_commands_for_proteins_load_no_scene(tmp_path):
+    code = (
+        "import sys; from protochain.cli import app; app(['minimise', sys.argv[1], '-o', sys.argv[2],"
+        " '--max-evaluations', '5', '--solvent', 'vacuum'], standalone_mode=False);"
+        " print(*sys.modules, file=sys.__stdout__)"
+    )
+    words = [sys.executable, "-c", code, str(STRUCTURES / "ala10.pdb"), str(tmp_path / "out.pdb")]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    loaded = {name for name in done.stdout.split() if name.startswith("protochain.")}
+    assert "protochain.minimisers" in loaded and (tmp_path / "out.pdb").exists()
+    assert not {name for name in loaded if name.split(".")[1] in ("scenes", "mechanisms")}
+
+
+def test_scenes_load_nothing_of_proteins_before_one_is_run():
+    code = "import sys, protochain.scenes; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert not loaded & {"openmm", "gemmi", "MDAnalysis", "protochain.structure", "protochain.chain"}
+
+
+def test_rods_have_the_kinetic_energy_and_weight_of_rods():
+    tree, rate = serial.rods(3, 1.5, 6.0), np.array([2.0, 0.0, 0.0])
+    straight = pose(tree, np.array([0.3, 0.0, 0.0]))
+    # One rod of 1.5 m and 6 kg about its end.
+    assert kinetic_energy(tree, straight, rate) == pytest.approx(0.5 * 6.0 * 1.5**2 / 3.0 * 4.0, rel=1e-14)
+    energy, torque = serial.weight(tree, straight)
+    assert energy == pytest.approx(6.0 * 9.81 * 0.75 * np.sin(0.3), rel=1e-14)
+    assert torque[0] == pytest.approx(-6.0 * 9.81 * 0.75 * np.cos(0.3), rel=1e-14)
+
+
+def test_serial_chains_are_right():
+    found = run("serial", quick=True)
+    assert found.wrong == () and len(found.checks) == 8
+    names = {each.name.partition(":")[0] for each in found.extremes}
+    assert names == set(serial.SERIAL)
+    assert {each.outcome for each in found.extremes} == {"right", "refused"}
+    assert {"articulated", "Fixman", "dense Cholesky", "conjugate gradients"} <= set(found.work["method"])
+    assert found.work["setting"].str.len().min() > 0 and np.isfinite(found.work["error"]).all()
+    assert len(found.left_out) == 2
