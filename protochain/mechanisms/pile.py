@@ -1,8 +1,8 @@
 """Many free cubes that touch each other, fixed planes, and plates on bodies that move: a soil.
 
 A contact has the points of :mod:`protochain.mechanisms.boxes`. At each a spring and a damper push along the
-normal; together, at the centre of pressure, an anchored spring resists sliding, up to friction times the
-force, and turning about the normal. Cundall, Strack, Geotechnique 29:47 (1979), for boxes.
+normal; together, at the centre of pressure, anchored springs resist sliding and turning about the normal, up
+to friction times the force. Cundall, Strack, Geotechnique 29:47 (1979), for boxes.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -36,8 +36,9 @@ FACES_PREFERRED = 1e-2
 """See ``prefer_faces`` of touch_boxes, in half edges: cubes that lie on each other tilt by less."""
 DEEPEST = 1.0
 """Deepest contact, in half edges: beyond it, the shortest way out may be through the body."""
-STEP = 0.2
-"""Longest time step, in sqrt(m/k). With six faces pressed, a cube's fastest mode has about sqrt(50 k/m)."""
+STIFFEST = 50.0
+"""Stiffness of a cube's fastest mode, in those of one contact, where six faces are pressed: each pushes and
+rubs, also against turning, and gives way from both sides."""
 
 
 @dataclass(frozen=True)
@@ -286,8 +287,13 @@ class Pile(Value):
 
     @property
     def longest_step(self) -> float:
-        """Longest time step that holds where cubes press from all sides."""
-        return STEP * float(np.sqrt(np.min(self.mass, initial=np.inf) / self.law.stiffness))
+        """Longest time step that is stable where cubes press from all sides.
+
+        Of central differences with damping ratio z: 2/w (sqrt(1 + z^2) - z).
+        """
+        lightest = float(np.min(self.mass, initial=np.inf))
+        ratio = self.law.damping * np.sqrt(0.5 * STIFFEST)
+        return float(2.0 * np.sqrt(lightest / self.law.stiffness / STIFFEST) * (np.hypot(1.0, ratio) - ratio))
 
     def kinetic(self, heap: Heap) -> float:
         """Kinetic energy."""
@@ -345,7 +351,7 @@ class Pile(Value):
             np.zeros(n + 1, np.int64), np.empty(0, np.int64), np.empty((0, N_MEMORY)),
             np.zeros((n * len(self.offset), N_MEMORY)), np.zeros(5),
         )  # fmt: skip
-        return self._advance(heap, 0, 0.0, motion)[0]
+        return self._advance(heap, 0, 0.0, motion and Motion(*(a[:1] for a in motion)))[0]
 
     def advance(
         self, heap: Heap, steps: int, time_step: float, motion: Motion | None = None
@@ -371,14 +377,14 @@ class Pile(Value):
         Raises
         ------
         StepTooLargeError
-            If the time step is longer than :attr:`longest_step`, or a cube moves by more than half of its edge.
+            If the time step is longer than :attr:`longest_step`, or a cube moves by half of its edge.
         MechanicsError
             If a contact is deeper than half an edge.
         """
         if not 0.0 < time_step <= self.longest_step * (1.0 + 1e-9):
             raise StepTooLargeError(
                 f"the time step {time_step:g} must be positive and at most {self.longest_step:.3g}, "
-                f"{STEP:g} sqrt(m/k) of the lightest cube"
+                "by mass and stiffness of the lightest cube"
             )
         after, reaction = self._advance(heap, steps, time_step, motion)
         return after, reaction[1:]
@@ -472,8 +478,8 @@ class Pile(Value):
             n = len(self.edge)
             what = f"plane {-1 - j}" if j < 0 else f"cube {j}" if j < n else f"plate {j - n}"
             raise MechanicsError(
-                f"at time {time:g}: cube {i} is {depth:.3g} deep in {what}, more than half of its edge, so that "
-                "no side is its way out; take stiffer contacts, or start without overlap"
+                f"at time {time:g}: cube {i} is {depth:.3g} deep in {what}, more than half of its edge, so "
+                "that no side is its way out; take stiffer contacts, or start without overlap"
             )
         raise StepTooLargeError(
             f"at time {time:g}: cube {i} moves by more than half of its edge in a step; take a shorter one"

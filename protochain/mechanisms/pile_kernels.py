@@ -81,8 +81,9 @@ def respond(
     """Put force and moments of a contact into its memory; whether it presses.
 
     Springs and dampers at the points push along the normal n, never pull. Together they are one force at the
-    centre of pressure, where the tangential spring acts, which slides where it exceeds friction times the
-    force; and so does that against turning about the normal, with the points' radius of gyration.
+    centre of pressure, where a spring acts against sliding and one against turning about the normal, with the
+    points' radius of gyration as its lever. Both slip where they exceed friction times the force together: an
+    ellipsoid as limit surface (Howe, Cutkosky, Int. J. Robot. Res. 15:603, 1996).
     """
     k, kt, mu = law[NORMAL], law[TANGENT], law[FRICTION]
     c, ct = 2.0 * law[DAMPING] * np.sqrt(k * mass), 2.0 * law[DAMPING] * np.sqrt(kt * mass)
@@ -120,39 +121,31 @@ def respond(
         else:
             sums[RUBBED] += 0.5 * kt * (size2 - left)
     slip = add(slip, scale(h, slide))
-    most, size = mu * total, kt * np.sqrt(dot(slip, slip))
+    # Sliding, and turning by the radius of gyration, share what friction there is.
+    radius, spin = np.sqrt(radius2), dot(w, n)
+    turned_by = memory[row, TWIST] + h * spin if radius2 > 0.0 else 0.0
+    drag, grip, most = scale(kt, slip), kt * radius * turned_by, mu * total
+    size = np.sqrt(dot(drag, drag) + grip * grip)
     if size > most:
         sums[RUBBED] += most * (size - most) / kt
-        slip = scale(most / size, slip)
-        drag = scale(kt, slip)
+        slip, turned_by = scale(most / size, slip), most / size * turned_by
+        drag, grip = scale(kt, slip), kt * radius * turned_by
     else:
-        drag = add(scale(kt, slip), scale(ct, slide))
-        size = np.sqrt(dot(drag, drag))
+        drag, grip = add(drag, scale(ct, slide)), grip + ct * radius * spin
+        size = np.sqrt(dot(drag, drag) + grip * grip)
         if size > most:
-            drag = scale(most / size, drag)
-        sums[RUBBED] += h * dot(subtract(drag, scale(kt, slip)), slide)
-    spin, twist, most = dot(w, n), 0.0, most * np.sqrt(radius2)
-    resist = 0.0
-    if radius2 > 0.0:
-        twist = memory[row, TWIST] + h * spin
-        resist = kt * radius2 * twist
-        if abs(resist) > most:
-            sums[RUBBED] += most * (abs(resist) - most) / (kt * radius2)
-            resist = most if resist > 0.0 else -most
-            twist = resist / (kt * radius2)
-        else:
-            bound = min(max(resist + ct * radius2 * spin, -most), most)
-            sums[RUBBED] += h * (bound - resist) * spin
-            resist = bound
+            drag, grip = scale(most / size, drag), most / size * grip
+        along = dot(subtract(drag, scale(kt, slip)), slide)
+        sums[RUBBED] += h * (along + (grip - kt * radius * turned_by) * radius * spin)
     force = scale(-1.0, add(scale(total, n), drag))
-    moment = scale(-resist, n)
+    moment = scale(-radius * grip, n)
     put(slip, memory, row, SLIP)
-    memory[row, TWIST] = twist
+    memory[row, TWIST] = turned_by
     put(force, memory, row, FORCE)
     put(add(cross(lever, force), moment), memory, row, MOMENT)
     other = add(lever, subtract(xi, xj))
     put(scale(-1.0, add(cross(other, force), moment)), memory, row, BACK)
-    memory[row, ENERGY] = stored + 0.5 * kt * (dot(slip, slip) + radius2 * twist * twist)
+    memory[row, ENERGY] = stored + 0.5 * kt * (dot(slip, slip) + radius2 * turned_by * turned_by)
     return True
 
 
@@ -347,10 +340,16 @@ def march(
                     both, apart = mass[i], False
                 if not rests:
                     count, depth, normal = 0, -1.0, zero
-                    if not apart:
+                    if not apart and j < n:
                         count, depth, normal, _ = box_on_box(
                             xi, ri, hi, xj, rj, hj, law[PREFER] * half[i], 0.0, polygon, spare, found
                         )
+                    elif not apart:
+                        # Of two faces the first's gives the direction: the plate's, which hardly tilts.
+                        count, depth, normal, _ = box_on_box(
+                            xj, rj, hj, xi, ri, hi, law[PREFER] * half[i], 0.0, polygon, spare, found
+                        )
+                        normal = scale(-1.0, normal)
                     if count == 0:
                         if memory_used(memory, row):
                             forget(memory, row, sums, law[TANGENT])
