@@ -8,7 +8,8 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from protochain.errors import MechanicsError, ProtochainError
-from protochain.mechanisms.pile import Heap, Law, Motion, Pile, Plates, Sleep
+from protochain.mechanisms.pile import Pile
+from protochain.mechanisms.pile_parts import Heap, Law, Motion, Plates, Sleep
 from protochain.motion.system import StepTooLargeError
 
 EDGE, MASS, STIFFNESS, GRAVITY = 0.02, 0.016, 1e5, 9.81

@@ -8,11 +8,27 @@ import numpy as np
 
 from protochain.arrays import Floats, Integers
 from protochain.mechanisms.box_kernels import box_on_box, box_on_plane
+from protochain.mechanisms.pile_contact import (
+    BACK,
+    DEEPEST,
+    FORCE,
+    JOLT,
+    N_MEMORY,
+    PATIENCE,
+    PREFER,
+    SLEPT,
+    STILL,
+    STORED,
+    WORK,
+    collect,
+    forget,
+    memory_used,
+    respond,
+)
 from protochain.multibody.algebra import (
     Matrix,
     Vector,
     add,
-    cross,
     dot,
     kernel,
     put,
@@ -22,18 +38,8 @@ from protochain.multibody.algebra import (
     vector,
 )
 
-NORMAL, TANGENT, DAMPING, FRICTION, PREFER, DEEPEST, STILL, JOLT, PATIENCE = range(9)
-"""Of ``law``: stiffnesses, damping ratio, friction, length by which faces are preferred, deepest contact in
-half edges; speed and acceleration below which a cube may sleep, and for how long."""
-DAMPED, RUBBED, SLEPT, WORK, STORED = range(5)
-"""Of ``sums``: energy lost to dampers, friction and sleep, work of the plates, energy in the springs now."""
-SLIP, TWIST, FORCE, MOMENT, BACK, ENERGY, N_MEMORY = 0, 3, 4, 7, 10, 13, 14
-"""What is remembered of a contact: tangential displacement, turn about the normal, force and moment on the
-first, moment on the second, energy in its springs."""
 DONE, LISTS, TOO_DEEP, TOO_FAST = range(4)
 """Why the kernel returns: all steps are taken, new lists are needed, or something is refused."""
-_SAME = 0.9
-"""Cosine of the angle by which a contact's normal may turn in a step and its memory turns with it."""
 
 
 @kernel
@@ -62,91 +68,6 @@ def turn_quaternion(q: Floats, i: int, turn: Vector) -> None:
 def matrix_at(m: Floats, i: int) -> Matrix:
     """Row i of nine numbers."""
     return m[i, 0], m[i, 1], m[i, 2], m[i, 3], m[i, 4], m[i, 5], m[i, 6], m[i, 7], m[i, 8]
-
-
-@kernel
-def forget(memory: Floats, row: int, sums: Floats, kt: float) -> None:
-    """End a contact; what its tangential spring held is lost."""
-    slip = vector(memory, row, SLIP)
-    sums[RUBBED] += 0.5 * kt * dot(slip, slip)
-    for k in range(N_MEMORY):
-        memory[row, k] = 0.0
-
-
-@kernel
-def respond(
-    number: int, n: Vector, found: Floats, xi: Vector, vi: Vector, wi: Vector, xj: Vector, vj: Vector,
-    wj: Vector, mass: float, law: Floats, h: float, memory: Floats, row: int, sums: Floats,
-) -> bool:  # fmt: skip
-    """Put force and moments of a contact into its memory; whether it presses.
-
-    Springs and dampers at the points push along the normal n, never pull. Together they are one force at the
-    centre of pressure, where a spring acts against sliding and one against turning about the normal, with the
-    points' radius of gyration as its lever. Both slip where they exceed friction times the force together: an
-    ellipsoid as limit surface (Howe, Cutkosky, Int. J. Robot. Res. 15:603, 1996).
-    """
-    k, kt, mu = law[NORMAL], law[TANGENT], law[FRICTION]
-    c, ct = 2.0 * law[DAMPING] * np.sqrt(k * mass), 2.0 * law[DAMPING] * np.sqrt(kt * mass)
-    total, stored, square, lever = 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
-    v, w = subtract(vi, vj), subtract(wi, wj)
-    # Velocity of i relative to j at a lever from xi: v - wj x (xi - xj) + w x lever.
-    v = subtract(v, cross(wj, subtract(xi, xj)))
-    for a in range(number):
-        arm = subtract(vector(found, a), xi)
-        depth, share = found[a, 3], found[a, 4]
-        rate = dot(n, add(v, cross(w, arm)))
-        spring = k * share * depth
-        push = max(spring + c * share * rate, 0.0)
-        sums[DAMPED] += (push - spring) * rate * h
-        stored += 0.5 * spring * depth
-        total += push
-        square += push * dot(arm, arm)
-        lever = add(lever, scale(push, arm))
-    if total <= 0.0:
-        forget(memory, row, sums, kt)
-        return False
-    lever = scale(1.0 / total, lever)
-    radius2 = max(square / total - dot(lever, lever), 0.0)
-    slide = add(v, cross(w, lever))
-    slide = subtract(slide, scale(dot(slide, n), n))
-    # The spring turns with the two bodies, and stays in the plane of contact.
-    old = vector(memory, row, SLIP)
-    size2 = dot(old, old)
-    slip = add(old, scale(0.5 * h, cross(add(wi, wj), old)))
-    slip = subtract(slip, scale(dot(slip, n), n))
-    if size2 > 0.0:
-        left = dot(slip, slip)
-        if left > _SAME * _SAME * size2:
-            slip = scale(np.sqrt(size2 / left), slip)
-        else:
-            sums[RUBBED] += 0.5 * kt * (size2 - left)
-    slip = add(slip, scale(h, slide))
-    # Sliding, and turning by the radius of gyration, share what friction there is.
-    radius, spin = np.sqrt(radius2), dot(w, n)
-    turned_by = memory[row, TWIST] + h * spin if radius2 > 0.0 else 0.0
-    drag, grip, most = scale(kt, slip), kt * radius * turned_by, mu * total
-    size = np.sqrt(dot(drag, drag) + grip * grip)
-    if size > most:
-        sums[RUBBED] += most * (size - most) / kt
-        slip, turned_by = scale(most / size, slip), most / size * turned_by
-        drag, grip = scale(kt, slip), kt * radius * turned_by
-    else:
-        drag, grip = add(drag, scale(ct, slide)), grip + ct * radius * spin
-        size = np.sqrt(dot(drag, drag) + grip * grip)
-        if size > most:
-            drag, grip = scale(most / size, drag), most / size * grip
-        along = dot(subtract(drag, scale(kt, slip)), slide)
-        sums[RUBBED] += h * (along + (grip - kt * radius * turned_by) * radius * spin)
-    force = scale(-1.0, add(scale(total, n), drag))
-    moment = scale(-radius * grip, n)
-    put(slip, memory, row, SLIP)
-    memory[row, TWIST] = turned_by
-    put(force, memory, row, FORCE)
-    put(add(cross(lever, force), moment), memory, row, MOMENT)
-    other = add(lever, subtract(xi, xj))
-    put(scale(-1.0, add(cross(other, force), moment)), memory, row, BACK)
-    memory[row, ENERGY] = stored + 0.5 * kt * (dot(slip, slip) + radius2 * turned_by * turned_by)
-    return True
 
 
 @kernel
@@ -246,14 +167,6 @@ def settle(
 
 
 @kernel
-def collect(memory: Floats, row: int, total: Floats, i: int, sums: Floats) -> None:
-    """Add force and moment of a contact to those of its first cube."""
-    for k in range(6):
-        total[i, k] += memory[row, FORCE + k]
-    sums[STORED] += memory[row, ENERGY]
-
-
-@kernel
 def march(
     first: int, last: int, drifted: bool, h: float, x: Floats, q: Floats, v: Floats, w: Floats, acc: Floats,
     asleep: Integers, still: Floats, half: Floats, mass: Floats, law: Floats, gravity: Vector,
@@ -299,7 +212,7 @@ def march(
         step = h if s <= last else 0.0
         for i in range(n):
             xi, ri, hi = vector(x, i), matrix_at(turn, i), (half[i], half[i], half[i])
-            vi, wi = vector(guess, i), vector(guess, i, 3)
+            vi, wi, ui, oi = vector(guess, i), vector(guess, i, 3), vector(v, i), vector(w, i)
             reach = np.sqrt(3.0) * half[i]
             for p in range(n_planes):
                 row = i * n_planes + p
@@ -307,14 +220,14 @@ def march(
                 if not asleep[i]:
                     if dot(up, xi) - plane[p, 3] > reach:
                         if memory_used(plane_memory, row):
-                            forget(plane_memory, row, sums, law[TANGENT])
+                            forget(plane_memory, row, sums)
                         continue
                     count, depth = box_on_plane(up, plane[p, 3], xi, ri, hi, found)
                     if depth > law[DEEPEST] * half[i]:
                         return s, TOO_DEEP, i, -1 - p, depth
                     down = scale(-1.0, up)
-                    respond(count, down, found, xi, vi, wi, xi, zero, zero, mass[i], law, step,
-                            plane_memory, row, sums)  # fmt: skip
+                    respond(count, down, found, xi, vi, wi, ui, oi, xi, zero, zero, zero, zero, mass[i], law,
+                            step, plane_memory, row, sums)  # fmt: skip
                 collect(plane_memory, row, total, i, sums)
             for row in range(start[i], start[i + 1]):
                 j = other[row]
@@ -322,7 +235,13 @@ def march(
                 if j < n:
                     rests = asleep[i] and asleep[j]
                     xj, rj, hj = vector(x, j), matrix_at(turn, j), (half[j], half[j], half[j])
-                    vj, wj, ref = vector(guess, j), vector(guess, j, 3), xj
+                    vj, wj, uj, oj, ref = (
+                        vector(guess, j),
+                        vector(guess, j, 3),
+                        vector(v, j),
+                        vector(w, j),
+                        xj,
+                    )
                     both = mass[i] * mass[j] / (mass[i] + mass[j])
                     d, far = subtract(xj, xi), reach + np.sqrt(3.0) * half[j]
                     apart = dot(d, d) > far * far
@@ -337,6 +256,10 @@ def march(
                     ref = (origin[at, b, 0], origin[at, b, 1], origin[at, b, 2])
                     vj = (twist[at, b, 3], twist[at, b, 4], twist[at, b, 5])
                     wj = (twist[at, b, 0], twist[at, b, 1], twist[at, b, 2])
+                    # Half a step ago: the mean of both ends.
+                    k = at - 1 if at > 0 else 0
+                    uj = add(scale(0.5, vj), scale(0.5, (twist[k, b, 3], twist[k, b, 4], twist[k, b, 5])))
+                    oj = add(scale(0.5, wj), scale(0.5, (twist[k, b, 0], twist[k, b, 1], twist[k, b, 2])))
                     both, apart = mass[i], False
                 if not rests:
                     count, depth, normal = 0, -1.0, zero
@@ -352,11 +275,12 @@ def march(
                         normal = scale(-1.0, normal)
                     if count == 0:
                         if memory_used(memory, row):
-                            forget(memory, row, sums, law[TANGENT])
+                            forget(memory, row, sums)
                         continue
                     if depth > law[DEEPEST] * half[i]:
                         return s, TOO_DEEP, i, j, depth
-                    respond(count, normal, found, xi, vi, wi, ref, vj, wj, both, law, step, memory, row, sums)
+                    respond(count, normal, found, xi, vi, wi, ui, oi, ref, vj, wj, uj, oj, both, law, step,
+                            memory, row, sums)  # fmt: skip
                 collect(memory, row, total, i, sums)
                 force, back = vector(memory, row, FORCE), vector(memory, row, BACK)
                 if j < n:
@@ -378,12 +302,6 @@ def march(
         settle(h, v, w, acc, half, mass, total, gravity, asleep, still, law, sums)
         s += 1
     return s, DONE, 0, 0, 0.0
-
-
-@kernel
-def memory_used(memory: Floats, row: int) -> bool:
-    """Whether a contact is remembered."""
-    return memory[row, ENERGY] > 0.0
 
 
 @kernel

@@ -1,0 +1,123 @@
+"""Force of a contact that remembers how far it was sheared: springs, dampers and friction."""
+
+import numpy as np
+
+from protochain.arrays import Floats
+from protochain.multibody.algebra import Vector, add, cross, dot, kernel, put, scale, subtract, vector
+
+NORMAL, TANGENT, DAMPING, FRICTION, PREFER, DEEPEST, STILL, JOLT, PATIENCE = range(9)
+"""Of ``law``: stiffnesses, damping ratio, friction, length by which faces are preferred, deepest contact in
+half edges; speed and acceleration below which a cube may sleep, and for how long."""
+DAMPED, RUBBED, SLEPT, WORK, STORED = range(5)
+"""Of ``sums``: energy lost to dampers, friction and sleep, work of the plates, energy in the springs now."""
+SLIP, TWIST, FORCE, MOMENT, BACK, ENERGY, HELD, N_MEMORY = 0, 3, 4, 7, 10, 13, 14, 15
+"""What is remembered of a contact: tangential displacement, turn about the normal, force and moment on the
+first, moment on the second, energy in its springs, and that of the tangential ones."""
+_SAME = 0.9
+"""Cosine of the angle by which a contact's normal may turn in a step and its memory turns with it."""
+
+
+@kernel
+def memory_used(memory: Floats, row: int) -> bool:
+    """Whether a contact is remembered."""
+    return memory[row, ENERGY] > 0.0
+
+
+@kernel
+def forget(memory: Floats, row: int, sums: Floats) -> None:
+    """End a contact; what its tangential springs held is lost."""
+    sums[RUBBED] += memory[row, HELD]
+    for k in range(N_MEMORY):
+        memory[row, k] = 0.0
+
+
+@kernel
+def respond(
+    number: int, n: Vector, found: Floats, xi: Vector, vi: Vector, wi: Vector, ui: Vector, oi: Vector,
+    xj: Vector, vj: Vector, wj: Vector, uj: Vector, oj: Vector, mass: float, law: Floats, h: float,
+    memory: Floats, row: int, sums: Floats,
+) -> bool:  # fmt: skip
+    """Put force and moments of a contact into its memory; whether it presses.
+
+    Bodies i and j have velocities v, w now and had u, o half a step ago, which moved them to where they are.
+    Springs and dampers at the points push along the normal n, never pull. Together they are one force at the
+    centre of pressure, where a spring acts against sliding and one against turning about the normal, with the
+    points' radius of gyration as its lever. Both slip where they exceed friction times the force together: an
+    ellipsoid as limit surface (Howe, Cutkosky, Int. J. Robot. Res. 15:603, 1996).
+    """
+    k, kt, mu = law[NORMAL], law[TANGENT], law[FRICTION]
+    c, ct = 2.0 * law[DAMPING] * np.sqrt(k * mass), 2.0 * law[DAMPING] * np.sqrt(kt * mass)
+    total, stored, square, lever = 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
+    v, w = subtract(vi, vj), subtract(wi, wj)
+    # Velocity of i relative to j at a lever from xi: v - wj x (xi - xj) + w x lever.
+    v = subtract(v, cross(wj, subtract(xi, xj)))
+    for a in range(number):
+        arm = subtract(vector(found, a), xi)
+        depth, share = found[a, 3], found[a, 4]
+        rate = dot(n, add(v, cross(w, arm)))
+        spring = k * share * depth
+        push = max(spring + c * share * rate, 0.0)
+        sums[DAMPED] += (push - spring) * rate * h
+        stored += 0.5 * spring * depth
+        total += push
+        square += push * dot(arm, arm)
+        lever = add(lever, scale(push, arm))
+    if total <= 0.0:
+        forget(memory, row, sums)
+        return False
+    lever = scale(1.0 / total, lever)
+    radius2 = max(square / total - dot(lever, lever), 0.0)
+    slide = add(v, cross(w, lever))
+    slide = subtract(slide, scale(dot(slide, n), n))
+    # The spring turns with the two bodies, and stays in the plane of contact.
+    old = vector(memory, row, SLIP)
+    size2 = dot(old, old)
+    slip = add(old, scale(0.5 * h, cross(add(wi, wj), old)))
+    slip = subtract(slip, scale(dot(slip, n), n))
+    if size2 > 0.0:
+        left = dot(slip, slip)
+        if left > _SAME * _SAME * size2:
+            slip = scale(np.sqrt(size2 / left), slip)
+        else:
+            sums[RUBBED] += 0.5 * kt * (size2 - left)
+    # One that has begun in this step did so halfway, as far as we know.
+    since = h if memory_used(memory, row) else 0.5 * h
+    moved = subtract(ui, uj)
+    moved = subtract(moved, cross(oj, subtract(subtract(xi, xj), scale(0.5 * h, moved))))
+    moved = add(moved, cross(subtract(oi, oj), lever))
+    slip = add(slip, scale(since, subtract(moved, scale(dot(moved, n), n))))
+    # Sliding, and turning by the radius of gyration, share what friction there is.
+    radius, spin = np.sqrt(radius2), dot(w, n)
+    turned_by = memory[row, TWIST] + since * dot(subtract(oi, oj), n) if radius2 > 0.0 else 0.0
+    drag, grip, most = scale(kt, slip), kt * radius * turned_by, mu * total
+    size = np.sqrt(dot(drag, drag) + grip * grip)
+    if size > most:
+        sums[RUBBED] += most * (size - most) / kt
+        slip, turned_by = scale(most / size, slip), most / size * turned_by
+        drag, grip = scale(kt, slip), kt * radius * turned_by
+    else:
+        drag, grip = add(drag, scale(ct, slide)), grip + ct * radius * spin
+        size = np.sqrt(dot(drag, drag) + grip * grip)
+        if size > most:
+            drag, grip = scale(most / size, drag), most / size * grip
+        along = dot(subtract(drag, scale(kt, slip)), slide)
+        sums[RUBBED] += h * (along + (grip - kt * radius * turned_by) * radius * spin)
+    force = scale(-1.0, add(scale(total, n), drag))
+    moment = scale(-radius * grip, n)
+    put(slip, memory, row, SLIP)
+    memory[row, TWIST] = turned_by
+    put(force, memory, row, FORCE)
+    put(add(cross(lever, force), moment), memory, row, MOMENT)
+    other = add(lever, subtract(xi, xj))
+    put(scale(-1.0, add(cross(other, force), moment)), memory, row, BACK)
+    memory[row, HELD] = 0.5 * kt * (dot(slip, slip) + radius2 * turned_by * turned_by)
+    memory[row, ENERGY] = stored + memory[row, HELD]
+    return True
+
+
+@kernel
+def collect(memory: Floats, row: int, total: Floats, i: int, sums: Floats) -> None:
+    """Add force and moment of a contact to those of its first cube."""
+    for k in range(6):
+        total[i, k] += memory[row, FORCE + k]
+    sums[STORED] += memory[row, ENERGY]
