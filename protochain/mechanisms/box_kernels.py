@@ -8,7 +8,9 @@ from protochain.multibody.algebra import Matrix, Vector, add, cross, dot, kernel
 MOST_POINTS = 8
 """Points of one contact: corners of a rectangle cut by four lines, or corners of a box below a plane."""
 POINT_SHARE = 0.25
-"""Share of a single point, as of a corner or of two crossed edges: that of one corner of a square face."""
+"""Share of a corner: that of one of the four of a square face."""
+EDGE_SHARE = 0.5
+"""Share of two crossed edges: that of one of the four sides of a square face."""
 FACES = 6
 """Axes that are normals of faces; those after them lie across edges."""
 _PARALLEL = 1e-10
@@ -135,53 +137,73 @@ def at(v: Vector, k: int) -> float:
 
 
 @kernel
-def box_on_box(
-    c1: Vector, r1: Matrix, h1: Vector, c2: Vector, r2: Matrix, h2: Vector, prefer_faces: float, gap: float,
-    polygon: Floats, other: Floats, found: Floats,
-) -> tuple[int, float, Vector, int]:  # fmt: skip
-    """Contact of two boxes; if they are further apart than ``gap`` along some axis, that is the last tried.
-
-    Points go into ``found`` (8, 5): x, y, z, depth, share. Returns their number, depth, normal, axis.
-    """
+def best_axis(
+    c1: Vector, r1: Matrix, h1: Vector, c2: Vector, r2: Matrix, h2: Vector, prefer_faces: float, gap: float
+) -> tuple[float, int]:
+    """Largest gap, and its axis; if it is wider than ``gap`` along some axis, that is the last tried."""
     d = subtract(c2, c1)
     t, m = turned_back(r1, d), product(r1, r2)
     best, axis = best_face(t, m, h1, h2)
     if best > gap:
-        return 0, -best, column(r1, axis), axis
+        return best, axis
     second, which = best_face(turned_back(r2, d), transposed(m), h2, h1)
     if second > gap:
-        return 0, -second, column(r2, which), 3 + which
+        return second, 3 + which
     if second > best + prefer_faces:
         best, axis = second, 3 + which
     edges, which = best_edges(t, m, h1, h2)
     # Without a contact, the largest gap says most.
     if edges > best + (prefer_faces if edges <= 0.0 else 0.0):
-        i, j = which // 3, which % 3
-        n = cross(column(r1, i), column(r2, j))
-        n = scale((1.0 if dot(n, d) >= 0.0 else -1.0) / np.sqrt(dot(n, n)), n)
-        if edges < 0.0:
-            crossing(c1, r1, h1, c2, r2, h2, i, j, n, -edges, found)
-            return 1, -edges, n, FACES + which
-        return 0, -edges, n, FACES + which
-    if axis < 3:
-        n = column(r1, axis)
-        n = scale(1.0 if dot(n, d) >= 0.0 else -1.0, n)
-        number = on_face(c1, r1, h1, axis, c2, r2, h2, n, polygon, other, found) if best < 0.0 else 0
+        return edges, FACES + which
+    return best, axis
+
+
+@kernel
+def axis_normal(c1: Vector, r1: Matrix, c2: Vector, r2: Matrix, axis: int) -> Vector:
+    """Direction of an axis, from the first box to the second; none across parallel edges."""
+    if axis < FACES:
+        n = column(r1, axis) if axis < 3 else column(r2, axis - 3)
     else:
-        n = column(r2, axis - 3)
-        n = scale(1.0 if dot(n, d) >= 0.0 else -1.0, n)
-        number = 0
-        if best < 0.0:
-            number = on_face(c2, r2, h2, axis - 3, c1, r1, h1, scale(-1.0, n), polygon, other, found)
-    return number, -best, n, axis
+        n = cross(column(r1, (axis - FACES) // 3), column(r2, (axis - FACES) % 3))
+        square = dot(n, n)
+        n = scale(1.0 / np.sqrt(square) if square >= _PARALLEL else 0.0, n)
+    return scale(1.0 if dot(n, subtract(c2, c1)) >= 0.0 else -1.0, n)
+
+
+@kernel
+def box_on_axis(
+    c1: Vector, r1: Matrix, h1: Vector, c2: Vector, r2: Matrix, h2: Vector, axis: int, n: Vector,
+    polygon: Floats, other: Floats, found: Floats,
+) -> int:  # fmt: skip
+    """Put points of a contact along an axis with normal n into ``found`` (8, 5): x, y, z, depth, share."""
+    if axis >= FACES:
+        return crossing(c1, r1, h1, c2, r2, h2, (axis - FACES) // 3, (axis - FACES) % 3, n, found)
+    if axis < 3:
+        c, r, h, k, up = c1, r1, h1, axis, n
+        c1, r1, h1 = c2, r2, h2
+    else:
+        c, r, h, k, up = c2, r2, h2, axis - 3, scale(-1.0, n)
+    return on_face(c, r, h, k, c1, r1, h1, up, polygon, other, found)
+
+
+@kernel
+def box_on_box(
+    c1: Vector, r1: Matrix, h1: Vector, c2: Vector, r2: Matrix, h2: Vector, prefer_faces: float,
+    polygon: Floats, other: Floats, found: Floats,
+) -> tuple[int, float, Vector, int]:  # fmt: skip
+    """Contact of two boxes: the number of its points in ``found``, depth, normal, axis."""
+    gap, axis = best_axis(c1, r1, h1, c2, r2, h2, prefer_faces, np.inf)
+    n = axis_normal(c1, r1, c2, r2, axis)
+    number = box_on_axis(c1, r1, h1, c2, r2, h2, axis, n, polygon, other, found) if gap < 0.0 else 0
+    return number, -gap, n, axis
 
 
 @kernel
 def crossing(
     c1: Vector, r1: Matrix, h1: Vector, c2: Vector, r2: Matrix, h2: Vector, i: int, j: int, n: Vector,
-    depth: float, found: Floats,
-) -> None:  # fmt: skip
-    """Put the point between edge i of the first box and edge j of the second into ``found``."""
+    found: Floats,
+) -> int:  # fmt: skip
+    """Put the point between edge i of one box and edge j of the other into ``found``, if they cross."""
     e, f = column(r1, i), column(r2, j)
     # Middles of the two edges: the outermost ones along the normal.
     x, y = c1, c2
@@ -192,10 +214,15 @@ def crossing(
         if k != j:
             y = add(y, scale(-at(h2, k) if dot(v, n) > 0.0 else at(h2, k), v))
     w, c = subtract(y, x), dot(e, f)
-    s = (dot(w, e) - c * dot(w, f)) / (1.0 - c * c)
-    p = add(add(x, scale(s, e)), scale(-0.5 * depth, n))
-    found[0, 0], found[0, 1], found[0, 2] = p
-    found[0, 3], found[0, 4] = depth, POINT_SHARE
+    depth, s2 = -dot(w, n), 1.0 - c * c
+    if depth <= 0.0 or s2 < _PARALLEL:
+        return 0
+    s, t = (dot(w, e) - c * dot(w, f)) / s2, (c * dot(w, e) - dot(w, f)) / s2
+    if abs(s) > at(h1, i) + depth or abs(t) > at(h2, j) + depth:
+        return 0
+    found[0, 0], found[0, 1], found[0, 2] = add(add(x, scale(s, e)), scale(-0.5 * depth, n))
+    found[0, 3], found[0, 4] = depth, EDGE_SHARE
+    return 1
 
 
 @kernel

@@ -32,7 +32,8 @@ class Touch(NamedTuple):
     depths : (k,) float
         Depths there, positive.
     shares : (k,) float
-        Parts of the contact that the points stand for: a whole face is 1, and 1/4 a corner.
+        Parts of the contact that the points stand for: a whole face is 1, a corner 1/4, and crossed edges
+        1/2.
     axis : int
         Which axis: 0-2 normals of the first, 3-5 of the second, 6 + 3 i + j across their edges i and j.
     """
@@ -82,9 +83,7 @@ def touch_boxes(first: Box, second: Box, prefer_faces: float = 0.0) -> Touch:
         If a box is none: its edges not positive, its rotation none, a number not finite.
     """
     work = _room()
-    number, depth, normal, axis = box_on_box(
-        *_plain(first), *_plain(second), float(prefer_faces), np.inf, *work
-    )
+    number, depth, normal, axis = box_on_box(*_plain(first), *_plain(second), float(prefer_faces), *work)
     return _touch(number, depth, normal, axis, work[2])
 
 

@@ -3,16 +3,18 @@
 import numpy as np
 
 from protochain.arrays import Floats
-from protochain.multibody.algebra import Vector, add, cross, dot, kernel, put, scale, subtract, vector
+from protochain.mechanisms.box_kernels import axis_normal, best_axis, box_on_axis
+from protochain.multibody.algebra import Matrix, Vector, add, cross, dot, kernel, put, scale, subtract, vector
 
 NORMAL, TANGENT, DAMPING, FRICTION, PREFER, DEEPEST, STILL, JOLT, PATIENCE = range(9)
 """Of ``law``: stiffnesses, damping ratio, friction, length by which faces are preferred, deepest contact in
 half edges; speed and acceleration below which a cube may sleep, and for how long."""
 DAMPED, RUBBED, SLEPT, WORK, STORED = range(5)
 """Of ``sums``: energy lost to dampers, friction and sleep, work of the plates, energy in the springs now."""
-SLIP, TWIST, FORCE, MOMENT, BACK, ENERGY, HELD, N_MEMORY = 0, 3, 4, 7, 10, 13, 14, 15
-"""What is remembered of a contact: tangential displacement, turn about the normal, force and moment on the
-first, moment on the second, energy in its springs, and that of the tangential ones."""
+SLIP, TWIST, FORCE, MOMENT, BACK, ENERGY, HELD, AXIS, N_MEMORY = 0, 3, 4, 7, 10, 13, 14, 15, 16
+"""What is remembered of a contact: tangential displacement, that of its turning about the normal, force and moment on the
+first, moment on the second, energy in its springs, and that of the tangential ones, 1 + the
+axis."""
 _SAME = 0.9
 """Cosine of the angle by which a contact's normal may turn in a step and its memory turns with it."""
 
@@ -21,6 +23,51 @@ _SAME = 0.9
 def memory_used(memory: Floats, row: int) -> bool:
     """Whether a contact is remembered."""
     return memory[row, ENERGY] > 0.0
+
+
+@kernel
+def pressed(number: int, found: Floats) -> float:
+    """Twice the energy of the normal springs, at stiffness 1."""
+    energy = 0.0
+    for a in range(number):
+        energy += found[a, 4] * found[a, 3] * found[a, 3]
+    return energy
+
+
+@kernel
+def deepest(number: int, found: Floats) -> float:
+    """Depth of the deepest point."""
+    depth = 0.0
+    for a in range(number):
+        depth = max(depth, found[a, 3])
+    return depth
+
+
+@kernel
+def meet(
+    c1: Vector, r1: Matrix, h1: Vector, c2: Vector, r2: Matrix, h2: Vector, prefer_faces: float,
+    memory: Floats, row: int, polygon: Floats, other: Floats, found: Floats, spare: Floats,
+) -> tuple[int, float, Vector]:  # fmt: skip
+    """Contact of two boxes that remembers its axis: points in ``found``, depth of the deepest, normal.
+
+    Energy must not come from a choice: another axis is taken only once its springs would hold no more.
+    """
+    gap, axis = best_axis(c1, r1, h1, c2, r2, h2, prefer_faces, 0.0)
+    if gap >= 0.0:
+        return 0, 0.0, (0.0, 0.0, 0.0)
+    n = axis_normal(c1, r1, c2, r2, axis)
+    number = box_on_axis(c1, r1, h1, c2, r2, h2, axis, n, polygon, other, found)
+    old = int(memory[row, AXIS]) - 1
+    if memory_used(memory, row) and old != axis:
+        m = axis_normal(c1, r1, c2, r2, old)
+        count = box_on_axis(c1, r1, h1, c2, r2, h2, old, m, polygon, other, spare)
+        if count > 0 and (number == 0 or pressed(number, found) > pressed(count, spare)):
+            number, n, axis = count, m, old
+            for a in range(count):
+                for k in range(5):
+                    found[a, k] = spare[a, k]
+    memory[row, AXIS] = 1.0 + axis
+    return number, deepest(number, found), n
 
 
 @kernel
@@ -88,29 +135,29 @@ def respond(
     slip = add(slip, scale(since, subtract(moved, scale(dot(moved, n), n))))
     # Sliding, and turning by the radius of gyration, share what friction there is.
     radius, spin = np.sqrt(radius2), dot(w, n)
-    turned_by = memory[row, TWIST] + since * dot(subtract(oi, oj), n) if radius2 > 0.0 else 0.0
-    drag, grip, most = scale(kt, slip), kt * radius * turned_by, mu * total
+    rolled = memory[row, TWIST] + since * radius * dot(subtract(oi, oj), n)
+    drag, grip, most = scale(kt, slip), kt * rolled, mu * total
     size = np.sqrt(dot(drag, drag) + grip * grip)
     if size > most:
         sums[RUBBED] += most * (size - most) / kt
-        slip, turned_by = scale(most / size, slip), most / size * turned_by
-        drag, grip = scale(kt, slip), kt * radius * turned_by
+        slip, rolled = scale(most / size, slip), most / size * rolled
+        drag, grip = scale(kt, slip), kt * rolled
     else:
         drag, grip = add(drag, scale(ct, slide)), grip + ct * radius * spin
         size = np.sqrt(dot(drag, drag) + grip * grip)
         if size > most:
             drag, grip = scale(most / size, drag), most / size * grip
         along = dot(subtract(drag, scale(kt, slip)), slide)
-        sums[RUBBED] += h * (along + (grip - kt * radius * turned_by) * radius * spin)
+        sums[RUBBED] += h * (along + (grip - kt * rolled) * radius * spin)
     force = scale(-1.0, add(scale(total, n), drag))
     moment = scale(-radius * grip, n)
     put(slip, memory, row, SLIP)
-    memory[row, TWIST] = turned_by
+    memory[row, TWIST] = rolled
     put(force, memory, row, FORCE)
     put(add(cross(lever, force), moment), memory, row, MOMENT)
     other = add(lever, subtract(xi, xj))
     put(scale(-1.0, add(cross(other, force), moment)), memory, row, BACK)
-    memory[row, HELD] = 0.5 * kt * (dot(slip, slip) + radius2 * turned_by * turned_by)
+    memory[row, HELD] = 0.5 * kt * (dot(slip, slip) + rolled * rolled)
     memory[row, ENERGY] = stored + memory[row, HELD]
     return True
 

@@ -7,7 +7,7 @@ them. A cube turns alike about all axes, so that nothing gyroscopic is left; its
 import numpy as np
 
 from protochain.arrays import Floats, Integers
-from protochain.mechanisms.box_kernels import box_on_box, box_on_plane
+from protochain.mechanisms.box_kernels import box_on_plane
 from protochain.mechanisms.pile_contact import (
     BACK,
     DEEPEST,
@@ -22,6 +22,7 @@ from protochain.mechanisms.pile_contact import (
     WORK,
     collect,
     forget,
+    meet,
     memory_used,
     respond,
 )
@@ -181,7 +182,7 @@ def march(
     n, n_planes, n_plates = len(x), len(plane), len(body)
     turn, total, guess = np.empty((n, 9)), np.zeros((n, 6)), np.empty((n, 6))
     placed, found = np.empty((n_plates, 12)), np.empty((8, 5))
-    polygon, spare = np.empty((12, 3)), np.empty((12, 3))
+    polygon, spare, more = np.empty((12, 3)), np.empty((12, 3)), np.empty((8, 5))
     zero = (0.0, 0.0, 0.0)
     s = first
     while s <= last or s == first:
@@ -262,16 +263,18 @@ def march(
                     oj = add(scale(0.5, wj), scale(0.5, (twist[k, b, 0], twist[k, b, 1], twist[k, b, 2])))
                     both, apart = mass[i], False
                 if not rests:
-                    count, depth, normal = 0, -1.0, zero
+                    count, depth, normal = 0, 0.0, zero
                     if not apart and j < n:
-                        count, depth, normal, _ = box_on_box(
-                            xi, ri, hi, xj, rj, hj, law[PREFER] * half[i], 0.0, polygon, spare, found
-                        )
+                        count, depth, normal = meet(
+                            xi, ri, hi, xj, rj, hj, law[PREFER] * half[i], memory, row, polygon, spare, found,
+                            more,
+                        )  # fmt: skip
                     elif not apart:
                         # Of two faces the first's gives the direction: the plate's, which hardly tilts.
-                        count, depth, normal, _ = box_on_box(
-                            xj, rj, hj, xi, ri, hi, law[PREFER] * half[i], 0.0, polygon, spare, found
-                        )
+                        count, depth, normal = meet(
+                            xj, rj, hj, xi, ri, hi, law[PREFER] * half[i], memory, row, polygon, spare, found,
+                            more,
+                        )  # fmt: skip
                         normal = scale(-1.0, normal)
                     if count == 0:
                         if memory_used(memory, row):
