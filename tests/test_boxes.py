@@ -7,7 +7,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from protochain.errors import MechanicsError
-from protochain.mechanisms.box_kernels import FACES
+from protochain.mechanisms.box_kernels import FACES, STEEPEST
 from protochain.mechanisms.boxes import Box, touch_boxes, touch_plane
 
 SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -126,6 +126,24 @@ def test_points_lie_between_the_two_surfaces_and_stand_for_at_most_a_face():
         assert np.all(touch.depths > 0.0) and np.all(touch.depths <= touch.depth + EXACT)
         assert len(touch.points) and np.sum(touch.shares) <= 1.0 + EXACT
     assert {(True, 1), (False, 1), (False, 2), (False, 3)} <= kinds
+
+
+def test_forces_at_the_points_are_the_gradients_of_their_depths():
+    step, clipped = 1e-6, 0
+    for a, b in pairs(300, 0.9, 8):
+        touch = touch_boxes(a, b)
+        if touch.depth <= 0.0 or np.any(
+            np.linalg.norm(touch.pushes, axis=1) > np.hypot(1.0, 0.99 * STEEPEST)
+        ):
+            continue
+        np.testing.assert_allclose(touch.pushes @ touch.normal, 1.0, atol=EXACT)
+        clipped += np.any(np.abs(touch.pushes - touch.normal) > 1e-3)
+        for direction in np.eye(3):
+            moved = touch_boxes(a, b._replace(centre=b.centre + step * direction))
+            if moved.axis == touch.axis and len(moved.depths) == len(touch.depths):
+                slope = (moved.depths - touch.depths) / step
+                np.testing.assert_allclose(slope, -touch.pushes @ direction, atol=1e-4)
+    assert clipped > 50
 
 
 def test_the_other_way_round_it_is_the_same_contact_turned_over():

@@ -13,6 +13,8 @@ EDGE_SHARE = 0.5
 """Share of two crossed edges: that of one of the four sides of a square face."""
 FACES = 6
 """Axes that are normals of faces; those after them lie across edges."""
+STEEPEST = 2.0
+"""Largest gradient along the face of the depth of a point where edges cross; beyond it they are almost parallel."""
 _PARALLEL = 1e-10
 """Squared sine of the angle between edges, below which they span no axis that a face does not have."""
 
@@ -21,7 +23,7 @@ _PARALLEL = 1e-10
 def box_on_plane(
     up: Vector, offset: float, c: Vector, r: Matrix, half: Vector, found: Floats
 ) -> tuple[int, float]:
-    """Put corners below a plane into ``found`` (8, 5): x, y, z, depth, share. Their number, and the depth."""
+    """Put corners below a plane into ``found`` (8, 8): x, y, z, depth, share, force. Their number, and the depth."""
     x = scale(half[0], (r[0], r[3], r[6]))
     y = scale(half[1], (r[1], r[4], r[7]))
     z = scale(half[2], (r[2], r[5], r[8]))
@@ -40,6 +42,7 @@ def box_on_plane(
                 p = add(p, scale(0.5 * depth, up))
                 found[number, 0], found[number, 1], found[number, 2] = p
                 found[number, 3], found[number, 4] = depth, POINT_SHARE
+                found[number, 5], found[number, 6], found[number, 7] = up
                 number += 1
     return number, deepest
 
@@ -175,15 +178,15 @@ def box_on_axis(
     c1: Vector, r1: Matrix, h1: Vector, c2: Vector, r2: Matrix, h2: Vector, axis: int, n: Vector,
     polygon: Floats, other: Floats, found: Floats,
 ) -> int:  # fmt: skip
-    """Put points of a contact along an axis with normal n into ``found`` (8, 5): x, y, z, depth, share."""
+    """Put points of a contact along an axis with normal n into ``found`` (8, 8): x, y, z, depth, share, force."""
     if axis >= FACES:
         return crossing(c1, r1, h1, c2, r2, h2, (axis - FACES) // 3, (axis - FACES) % 3, n, found)
     if axis < 3:
-        c, r, h, k, up = c1, r1, h1, axis, n
+        c, r, h, k, sign = c1, r1, h1, axis, 1.0
         c1, r1, h1 = c2, r2, h2
     else:
-        c, r, h, k, up = c2, r2, h2, axis - 3, scale(-1.0, n)
-    return on_face(c, r, h, k, c1, r1, h1, up, polygon, other, found)
+        c, r, h, k, sign = c2, r2, h2, axis - 3, -1.0
+    return on_face(c, r, h, k, c1, r1, h1, scale(sign, n), sign, polygon, other, found)
 
 
 @kernel
@@ -222,15 +225,21 @@ def crossing(
         return 0
     found[0, 0], found[0, 1], found[0, 2] = add(add(x, scale(s, e)), scale(-0.5 * depth, n))
     found[0, 3], found[0, 4] = depth, EDGE_SHARE
+    found[0, 5], found[0, 6], found[0, 7] = n
     return 1
 
 
 @kernel
 def on_face(
-    c1: Vector, r1: Matrix, h1: Vector, axis: int, c2: Vector, r2: Matrix, h2: Vector, n: Vector,
+    c1: Vector, r1: Matrix, h1: Vector, axis: int, c2: Vector, r2: Matrix, h2: Vector, n: Vector, sign: float,
     polygon: Floats, other: Floats, found: Floats,
 ) -> int:  # fmt: skip
-    """Put points of a box's face with outward normal n and of the other box into ``found``; their number."""
+    """Put points of a box's face with outward normal n and of the other box into ``found``; their number.
+
+    Rows of ``polygon``: two coordinates and the height above the face, what the depth there loses as the other box
+    moves along either, and on which sides of the face it is. Forces, on the other box times the sign, follow
+    the gradient of the depth: a corner of the face is pushed along the normal of what it presses on.
+    """
     u, v = column(r1, (axis + 1) % 3), column(r1, (axis + 2) % 3)
     hu, hv = at(h1, (axis + 1) % 3), at(h1, (axis + 2) % 3)
     face = add(c1, scale(at(h1, axis), n))
@@ -241,20 +250,22 @@ def on_face(
         k = 1
     if abs(a[2]) > abs(at(a, k)):
         k = 2
-    e, f = (
-        scale(at(h2, (k + 1) % 3), column(r2, (k + 1) % 3)),
-        scale(at(h2, (k + 2) % 3), column(r2, (k + 2) % 3)),
-    )
-    middle = subtract(add(c2, scale(-at(h2, k) if at(a, k) > 0.0 else at(h2, k), column(r2, k))), face)
+    e = scale(at(h2, (k + 1) % 3), column(r2, (k + 1) % 3))
+    f = scale(at(h2, (k + 2) % 3), column(r2, (k + 2) % 3))
+    m = column(r2, k)
+    middle = subtract(add(c2, scale(-at(h2, k) if at(a, k) > 0.0 else at(h2, k), m)), face)
     for corner in range(4):
         se = 1.0 if corner == 1 or corner == 2 else -1.0
         sf = 1.0 if corner > 1 else -1.0
         p = add(middle, add(scale(se, e), scale(sf, f)))
         polygon[corner, 0], polygon[corner, 1], polygon[corner, 2] = dot(p, u), dot(p, v), dot(p, n)
-    count = cut(polygon, 4, 0, 1.0, hu, other)
-    count = cut(other, count, 0, -1.0, hu, polygon)
-    count = cut(polygon, count, 1, 1.0, hv, other)
-    count = cut(other, count, 1, -1.0, hv, polygon)
+        for c in range(3, 7):
+            polygon[corner, c] = 0.0
+    slope_u, slope_v = dot(m, u) / dot(m, n), dot(m, v) / dot(m, n)
+    count = cut(polygon, 4, 0, 1.0, hu, slope_u, slope_v, other)
+    count = cut(other, count, 0, -1.0, hu, slope_u, slope_v, polygon)
+    count = cut(polygon, count, 1, 1.0, hv, slope_u, slope_v, other)
+    count = cut(other, count, 1, -1.0, hv, slope_u, slope_v, polygon)
     around = 0.0
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
@@ -271,24 +282,46 @@ def on_face(
             found[number, 3] = depth
             # A corner stands for half of each side beside it, so that points may join or part without a jump.
             found[number, 4] = 0.5 * (before + other[i, 0]) / around if around > 0.0 else POINT_SHARE
+            push = add(n, add(scale(polygon[i, 3], u), scale(polygon[i, 4], v)))
+            found[number, 5], found[number, 6], found[number, 7] = scale(sign, push)
             number += 1
     return number
 
 
 @kernel
-def cut(polygon: Floats, count: int, k: int, sign: float, bound: float, out: Floats) -> int:
+def cut(
+    polygon: Floats,
+    count: int,
+    k: int,
+    sign: float,
+    bound: float,
+    slope_u: float,
+    slope_v: float,
+    out: Floats,
+) -> int:
     """Keep the part of a polygon where sign times coordinate k is at most the bound; count its corners."""
     kept = 0
     for i in range(count):
         j = i + 1 if i + 1 < count else 0
         a, b = bound - sign * polygon[i, k], bound - sign * polygon[j, k]
         if a >= 0.0 and kept < len(out):
-            out[kept, 0], out[kept, 1], out[kept, 2] = polygon[i, 0], polygon[i, 1], polygon[i, 2]
+            for c in range(7):
+                out[kept, c] = polygon[i, c]
             kept += 1
         # A line cuts a convex polygon twice, but rounding may see more of it.
         if (a >= 0.0) != (b >= 0.0) and kept < len(out):
             s = a / (a - b)
             for c in range(3):
                 out[kept, c] = polygon[i, c] + s * (polygon[j, c] - polygon[i, c])
+            for c in range(3, 7):
+                out[kept, c] = 0.0
+            # Between two points on one side of the face lies that side, and a corner of the face.
+            side = 5 + 1 - k
+            if polygon[i, side] != 0.0 and polygon[i, side] == polygon[j, side]:
+                out[kept, 3], out[kept, 4], out[kept, side] = slope_u, slope_v, polygon[i, side]
+            else:
+                steep = (polygon[i, 2] - polygon[j, 2]) / (polygon[j, k] - polygon[i, k])
+                out[kept, 3 + k] = min(max(steep, -STEEPEST), STEEPEST)
+            out[kept, 5 + k] = sign
             kept += 1
     return kept

@@ -34,6 +34,9 @@ class Touch(NamedTuple):
     shares : (k,) float
         Parts of the contact that the points stand for: a whole face is 1, a corner 1/4, and crossed edges
         1/2.
+    pushes : (k, 3) float
+        Directions of the force there on the second, whose part along the normal is 1: minus the gradient of
+        the depth by its place. An edge or corner is pushed along the normal of what it presses on.
     axis : int
         Which axis: 0-2 normals of the first, 3-5 of the second, 6 + 3 i + j across their edges i and j.
     """
@@ -43,6 +46,7 @@ class Touch(NamedTuple):
     points: Floats
     depths: Floats
     shares: Floats
+    pushes: Floats
     axis: int
 
 
@@ -118,12 +122,12 @@ def touch_plane(normal: ArrayLike, offset: float, box: Box) -> Touch:
 
 def _room() -> tuple[Floats, Floats, Floats]:
     """Work space of the kernels: two polygons, and the points found."""
-    return np.empty((MOST_POINTS + 4, 3)), np.empty((MOST_POINTS + 4, 3)), np.empty((MOST_POINTS, 5))
+    return np.empty((MOST_POINTS + 4, 7)), np.empty((MOST_POINTS + 4, 7)), np.empty((MOST_POINTS, 8))
 
 
 def _touch(number: int, depth: float, normal: Vector, axis: int, found: Floats) -> Touch:
     rows = found[:number].copy()
-    return Touch(depth, np.array(normal), rows[:, :3], rows[:, 3], rows[:, 4], int(axis))
+    return Touch(depth, np.array(normal), rows[:, :3], rows[:, 3], rows[:, 4], rows[:, 5:], int(axis))
 
 
 def _plain(box: Box) -> tuple[Vector, Matrix, Vector]:

@@ -64,7 +64,7 @@ def meet(
         if count > 0 and (number == 0 or pressed(number, found) > pressed(count, spare)):
             number, n, axis = count, m, old
             for a in range(count):
-                for k in range(5):
+                for k in range(8):
                     found[a, k] = spare[a, k]
     memory[row, AXIS] = 1.0 + axis
     return number, deepest(number, found), n
@@ -81,13 +81,13 @@ def forget(memory: Floats, row: int, sums: Floats) -> None:
 @kernel
 def respond(
     number: int, n: Vector, found: Floats, xi: Vector, vi: Vector, wi: Vector, ui: Vector, oi: Vector,
-    xj: Vector, vj: Vector, wj: Vector, uj: Vector, oj: Vector, mass: float, law: Floats, h: float,
+    xj: Vector, vj: Vector, wj: Vector, uj: Vector, oj: Vector, sign: float, mass: float, law: Floats, h: float,
     memory: Floats, row: int, sums: Floats,
 ) -> bool:  # fmt: skip
     """Put force and moments of a contact into its memory; whether it presses.
 
     Bodies i and j have velocities v, w now and had u, o half a step ago, which moved them to where they are.
-    Springs and dampers at the points push along the normal n, never pull. Together they are one force at the
+    Springs and dampers at the points push along their directions, ``sign`` times what ``found`` has, never pull. Together they are one force at the
     centre of pressure, where a spring acts against sliding and one against turning about the normal, with the
     points' radius of gyration as its lever. Both slip where they exceed friction times the force together: an
     ellipsoid as limit surface (Howe, Cutkosky, Int. J. Robot. Res. 15:603, 1996).
@@ -95,13 +95,15 @@ def respond(
     k, kt, mu = law[NORMAL], law[TANGENT], law[FRICTION]
     c, ct = 2.0 * law[DAMPING] * np.sqrt(k * mass), 2.0 * law[DAMPING] * np.sqrt(kt * mass)
     total, stored, square, lever = 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
+    force, moment = lever, lever
     v, w = subtract(vi, vj), subtract(wi, wj)
     # Velocity of i relative to j at a lever from xi: v - wj x (xi - xj) + w x lever.
     v = subtract(v, cross(wj, subtract(xi, xj)))
     for a in range(number):
         arm = subtract(vector(found, a), xi)
         depth, share = found[a, 3], found[a, 4]
-        rate = dot(n, add(v, cross(w, arm)))
+        along = scale(sign, vector(found, a, 5))
+        rate = dot(along, add(v, cross(w, arm)))
         spring = k * share * depth
         push = max(spring + c * share * rate, 0.0)
         sums[DAMPED] += (push - spring) * rate * h
@@ -109,6 +111,8 @@ def respond(
         total += push
         square += push * dot(arm, arm)
         lever = add(lever, scale(push, arm))
+        force = subtract(force, scale(push, along))
+        moment = subtract(moment, scale(push, cross(arm, along)))
     if total <= 0.0:
         forget(memory, row, sums)
         return False
@@ -147,16 +151,15 @@ def respond(
         size = np.sqrt(dot(drag, drag) + grip * grip)
         if size > most:
             drag, grip = scale(most / size, drag), most / size * grip
-        along = dot(subtract(drag, scale(kt, slip)), slide)
-        sums[RUBBED] += h * (along + (grip - kt * rolled) * radius * spin)
-    force = scale(-1.0, add(scale(total, n), drag))
-    moment = scale(-radius * grip, n)
+        loss = dot(subtract(drag, scale(kt, slip)), slide)
+        sums[RUBBED] += h * (loss + (grip - kt * rolled) * radius * spin)
+    force = subtract(force, drag)
+    moment = subtract(moment, add(cross(lever, drag), scale(radius * grip, n)))
     put(slip, memory, row, SLIP)
     memory[row, TWIST] = rolled
     put(force, memory, row, FORCE)
-    put(add(cross(lever, force), moment), memory, row, MOMENT)
-    other = add(lever, subtract(xi, xj))
-    put(scale(-1.0, add(cross(other, force), moment)), memory, row, BACK)
+    put(moment, memory, row, MOMENT)
+    put(scale(-1.0, add(moment, cross(subtract(xi, xj), force))), memory, row, BACK)
     memory[row, HELD] = 0.5 * kt * (dot(slip, slip) + rolled * rolled)
     memory[row, ENERGY] = stored + memory[row, HELD]
     return True

@@ -181,8 +181,8 @@ def march(
     """
     n, n_planes, n_plates = len(x), len(plane), len(body)
     turn, total, guess = np.empty((n, 9)), np.zeros((n, 6)), np.empty((n, 6))
-    placed, found = np.empty((n_plates, 12)), np.empty((8, 5))
-    polygon, spare, more = np.empty((12, 3)), np.empty((12, 3)), np.empty((8, 5))
+    placed, found = np.empty((n_plates, 12)), np.empty((8, 8))
+    polygon, spare, more = np.empty((12, 7)), np.empty((12, 7)), np.empty((8, 8))
     zero = (0.0, 0.0, 0.0)
     s = first
     while s <= last or s == first:
@@ -227,7 +227,7 @@ def march(
                     if depth > law[DEEPEST] * half[i]:
                         return s, TOO_DEEP, i, -1 - p, depth
                     down = scale(-1.0, up)
-                    respond(count, down, found, xi, vi, wi, ui, oi, xi, zero, zero, zero, zero, mass[i], law,
+                    respond(count, down, found, xi, vi, wi, ui, oi, xi, zero, zero, zero, zero, -1.0, mass[i], law,
                             step, plane_memory, row, sums)  # fmt: skip
                 collect(plane_memory, row, total, i, sums)
             for row in range(start[i], start[i + 1]):
@@ -282,7 +282,7 @@ def march(
                         continue
                     if depth > law[DEEPEST] * half[i]:
                         return s, TOO_DEEP, i, j, depth
-                    respond(count, normal, found, xi, vi, wi, ui, oi, ref, vj, wj, uj, oj, both, law, step,
+                    respond(count, normal, found, xi, vi, wi, ui, oi, ref, vj, wj, uj, oj, 1.0 if j < n else -1.0, both, law, step,
                             memory, row, sums)  # fmt: skip
                 collect(memory, row, total, i, sums)
                 force, back = vector(memory, row, FORCE), vector(memory, row, BACK)
