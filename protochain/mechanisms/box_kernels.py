@@ -14,7 +14,7 @@ EDGE_SHARE = 0.5
 FACES = 6
 """Axes that are normals of faces; those after them lie across edges."""
 STEEPEST = 2.0
-"""Largest gradient along the face of the depth of a point where edges cross; beyond it they are almost parallel."""
+"""Largest gradient of the depth along a face, where edges cross; beyond it they are almost parallel."""
 _PARALLEL = 1e-10
 """Squared sine of the angle between edges, below which they span no axis that a face does not have."""
 
@@ -23,7 +23,7 @@ _PARALLEL = 1e-10
 def box_on_plane(
     up: Vector, offset: float, c: Vector, r: Matrix, half: Vector, found: Floats
 ) -> tuple[int, float]:
-    """Put corners below a plane into ``found`` (8, 8): x, y, z, depth, share, force. Their number, and the depth."""
+    """Put corners below a plane into ``found`` (8, 8): place, depth, share, force; their number, depth."""
     x = scale(half[0], (r[0], r[3], r[6]))
     y = scale(half[1], (r[1], r[4], r[7]))
     z = scale(half[2], (r[2], r[5], r[8]))
@@ -178,7 +178,7 @@ def box_on_axis(
     c1: Vector, r1: Matrix, h1: Vector, c2: Vector, r2: Matrix, h2: Vector, axis: int, n: Vector,
     polygon: Floats, other: Floats, found: Floats,
 ) -> int:  # fmt: skip
-    """Put points of a contact along an axis with normal n into ``found`` (8, 8): x, y, z, depth, share, force."""
+    """Put points of a contact along an axis with normal n in ``found`` (8, 8): place, depth, share, force."""
     if axis >= FACES:
         return crossing(c1, r1, h1, c2, r2, h2, (axis - FACES) // 3, (axis - FACES) % 3, n, found)
     if axis < 3:
@@ -236,9 +236,10 @@ def on_face(
 ) -> int:  # fmt: skip
     """Put points of a box's face with outward normal n and of the other box into ``found``; their number.
 
-    Rows of ``polygon``: two coordinates and the height above the face, what the depth there loses as the other box
-    moves along either, and on which sides of the face it is. Forces, on the other box times the sign, follow
-    the gradient of the depth: a corner of the face is pushed along the normal of what it presses on.
+    Rows of ``polygon``: two coordinates and the height above the face, what the depth there loses as the
+    other box moves along either, and on which sides of the face it is. Forces, on the other box times the
+    sign, follow the gradient of the depth: a corner of the face is pushed along the normal of what it presses
+    on.
     """
     u, v = column(r1, (axis + 1) % 3), column(r1, (axis + 2) % 3)
     hu, hv = at(h1, (axis + 1) % 3), at(h1, (axis + 2) % 3)

@@ -11,10 +11,12 @@ NORMAL, TANGENT, DAMPING, FRICTION, PREFER, DEEPEST, STILL, JOLT, PATIENCE = ran
 half edges; speed and acceleration below which a cube may sleep, and for how long."""
 DAMPED, RUBBED, SLEPT, WORK, STORED = range(5)
 """Of ``sums``: energy lost to dampers, friction and sleep, work of the plates, energy in the springs now."""
-SLIP, TWIST, FORCE, MOMENT, BACK, ENERGY, HELD, AXIS, N_MEMORY = 0, 3, 4, 7, 10, 13, 14, 15, 16
-"""What is remembered of a contact: tangential displacement, that of its turning about the normal, force and moment on the
-first, moment on the second, energy in its springs, and that of the tangential ones, 1 + the
-axis."""
+SLIP, TWIST, FORCE, MOMENT, BACK, ENERGY, HELD, AXIS, PART, N_MEMORY = 0, 3, 4, 7, 10, 13, 14, 15, 16, 17
+"""What is remembered of a contact: tangential displacement, and that of its turning about the normal; force
+and moment on the first, moment on the second; energy in its springs, and in the tangential ones; 1 + its
+axis; part of the stiffness that is left."""
+LEAST_PART = 0.1
+"""Of the stiffness: less would let bodies through."""
 _SAME = 0.9
 """Cosine of the angle by which a contact's normal may turn in a step and its memory turns with it."""
 
@@ -46,11 +48,13 @@ def deepest(number: int, found: Floats) -> float:
 @kernel
 def meet(
     c1: Vector, r1: Matrix, h1: Vector, c2: Vector, r2: Matrix, h2: Vector, prefer_faces: float,
-    memory: Floats, row: int, polygon: Floats, other: Floats, found: Floats, spare: Floats,
+    law: Floats, memory: Floats, row: int, sums: Floats, polygon: Floats, other: Floats, found: Floats,
+    spare: Floats,
 ) -> tuple[int, float, Vector]:  # fmt: skip
     """Contact of two boxes that remembers its axis: points in ``found``, depth of the deepest, normal.
 
-    Energy must not come from a choice: another axis is taken only once its springs would hold no more.
+    Energy must not come from a choice: another axis is taken only once its springs would hold no more, or
+    where the old one has no points left; then they are softened until they hold the same.
     """
     gap, axis = best_axis(c1, r1, h1, c2, r2, h2, prefer_faces, 0.0)
     if gap >= 0.0:
@@ -58,14 +62,24 @@ def meet(
     n = axis_normal(c1, r1, c2, r2, axis)
     number = box_on_axis(c1, r1, h1, c2, r2, h2, axis, n, polygon, other, found)
     old = int(memory[row, AXIS]) - 1
-    if memory_used(memory, row) and old != axis:
+    if not memory_used(memory, row):
+        memory[row, PART] = 1.0
+    elif old != axis:
         m = axis_normal(c1, r1, c2, r2, old)
         count = box_on_axis(c1, r1, h1, c2, r2, h2, old, m, polygon, other, spare)
-        if count > 0 and (number == 0 or pressed(number, found) > pressed(count, spare)):
+        before, after = pressed(count, spare), pressed(number, found)
+        if count > 0 and (number == 0 or after > before):
             number, n, axis = count, m, old
             for a in range(count):
                 for k in range(8):
                     found[a, k] = spare[a, k]
+        elif number > 0:
+            held = 0.5 * law[NORMAL] * memory[row, PART] * before
+            if count == 0:
+                held = memory[row, ENERGY] - memory[row, HELD]
+            now = 0.5 * law[NORMAL] * after
+            memory[row, PART] = min(max(held / now, LEAST_PART), 1.0)
+            sums[DAMPED] += max(held - memory[row, PART] * now, 0.0)
     memory[row, AXIS] = 1.0 + axis
     return number, deepest(number, found), n
 
@@ -81,19 +95,21 @@ def forget(memory: Floats, row: int, sums: Floats) -> None:
 @kernel
 def respond(
     number: int, n: Vector, found: Floats, xi: Vector, vi: Vector, wi: Vector, ui: Vector, oi: Vector,
-    xj: Vector, vj: Vector, wj: Vector, uj: Vector, oj: Vector, sign: float, mass: float, law: Floats, h: float,
-    memory: Floats, row: int, sums: Floats,
+    xj: Vector, vj: Vector, wj: Vector, uj: Vector, oj: Vector, sign: float, part: float,
+    mass: float, law: Floats, h: float, memory: Floats, row: int, sums: Floats,
 ) -> bool:  # fmt: skip
     """Put force and moments of a contact into its memory; whether it presses.
 
     Bodies i and j have velocities v, w now and had u, o half a step ago, which moved them to where they are.
-    Springs and dampers at the points push along their directions, ``sign`` times what ``found`` has, never pull. Together they are one force at the
+    Springs, with ``part`` of the stiffness, and dampers at the points push along their directions, ``sign``
+    times those found, and never pull. Together they are one force at the
     centre of pressure, where a spring acts against sliding and one against turning about the normal, with the
     points' radius of gyration as its lever. Both slip where they exceed friction times the force together: an
     ellipsoid as limit surface (Howe, Cutkosky, Int. J. Robot. Res. 15:603, 1996).
     """
     k, kt, mu = law[NORMAL], law[TANGENT], law[FRICTION]
     c, ct = 2.0 * law[DAMPING] * np.sqrt(k * mass), 2.0 * law[DAMPING] * np.sqrt(kt * mass)
+    k *= part
     total, stored, square, lever = 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)
     force, moment = lever, lever
     v, w = subtract(vi, vj), subtract(wi, wj)

@@ -14,6 +14,7 @@ from protochain.mechanisms.pile_contact import (
     FORCE,
     JOLT,
     N_MEMORY,
+    PART,
     PATIENCE,
     PREFER,
     SLEPT,
@@ -227,8 +228,10 @@ def march(
                     if depth > law[DEEPEST] * half[i]:
                         return s, TOO_DEEP, i, -1 - p, depth
                     down = scale(-1.0, up)
-                    respond(count, down, found, xi, vi, wi, ui, oi, xi, zero, zero, zero, zero, -1.0, mass[i], law,
-                            step, plane_memory, row, sums)  # fmt: skip
+                    respond(
+                        count, down, found, xi, vi, wi, ui, oi, xi, zero, zero, zero, zero, -1.0, 1.0,
+                        mass[i], law, step, plane_memory, row, sums,
+                    )  # fmt: skip
                 collect(plane_memory, row, total, i, sums)
             for row in range(start[i], start[i + 1]):
                 j = other[row]
@@ -266,14 +269,14 @@ def march(
                     count, depth, normal = 0, 0.0, zero
                     if not apart and j < n:
                         count, depth, normal = meet(
-                            xi, ri, hi, xj, rj, hj, law[PREFER] * half[i], memory, row, polygon, spare, found,
-                            more,
+                            xi, ri, hi, xj, rj, hj, law[PREFER] * half[i], law, memory, row, sums,
+                            polygon, spare, found, more,
                         )  # fmt: skip
                     elif not apart:
                         # Of two faces the first's gives the direction: the plate's, which hardly tilts.
                         count, depth, normal = meet(
-                            xj, rj, hj, xi, ri, hi, law[PREFER] * half[i], memory, row, polygon, spare, found,
-                            more,
+                            xj, rj, hj, xi, ri, hi, law[PREFER] * half[i], law, memory, row, sums,
+                            polygon, spare, found, more,
                         )  # fmt: skip
                         normal = scale(-1.0, normal)
                     if count == 0:
@@ -282,8 +285,10 @@ def march(
                         continue
                     if depth > law[DEEPEST] * half[i]:
                         return s, TOO_DEEP, i, j, depth
-                    respond(count, normal, found, xi, vi, wi, ui, oi, ref, vj, wj, uj, oj, 1.0 if j < n else -1.0, both, law, step,
-                            memory, row, sums)  # fmt: skip
+                    respond(
+                        count, normal, found, xi, vi, wi, ui, oi, ref, vj, wj, uj, oj, 1.0 if j < n else -1.0,
+                        memory[row, PART], both, law, step, memory, row, sums,
+                    )  # fmt: skip
                 collect(memory, row, total, i, sums)
                 force, back = vector(memory, row, FORCE), vector(memory, row, BACK)
                 if j < n:

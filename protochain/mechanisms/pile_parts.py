@@ -140,7 +140,7 @@ class Heap(Value):
         How long each has been slow.
     start, other : (n + 1,) and (c,) int
         Neighbours of cube i: ``other[start[i]:start[i + 1]]``; those from n on are plates.
-    memory, plane_memory : (c, 16) and (n p, 16) float
+    memory, plane_memory : (c, 17) and (n p, 17) float
         What is remembered of each contact.
     sums : (5,) float
         See the properties.
