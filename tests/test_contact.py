@@ -23,7 +23,7 @@ from protochain.motion import DormandPrince
 
 G = 9.81
 IMPACT = 1e-5
-"""Of a velocity after an impact: the work of a load whose force begins with a kink, at a tolerance of 1e-10."""
+"""Of a velocity after an impact, whose force begins with a kink, at a tolerance of 1e-10."""
 
 
 def dropped(law, velocity=-1.0, mass=1.0, height=0.0, gravity=0.0, radius=0.1):
@@ -92,6 +92,15 @@ def test_the_floor_carries_the_weight_and_the_energy_is_that_of_the_law():
         )
 
 
+def test_endless_bounces_come_to_rest_on_the_floor():
+    """Each lower than the one before, until the ball stays at the depth where it is carried."""
+    run = dropped(flores(2e4, 0.5, 0.1, 1.0), 0.0, height=0.1, gravity=G).simulate(2.5, 1e-3, every=10)
+    assert run.q[-1, 6] == pytest.approx(0.1 - G / 2e4, abs=1e-7)
+    assert abs(run.qd[-1, 5]) < 1e-5
+    assert np.sum(np.diff(np.sign(run.qd[:, 5])) < 0) > 2
+    assert run.audit().energy < 1e-2
+
+
 def test_contacts_never_pull():
     law = Law(1e5, 1.5, 0.5)
     for velocity, factor in ((1.0, 0.5), (1.99, 0.005), (3.0, 0.0), (-2.0, 2.0)):
@@ -109,20 +118,20 @@ def block(angle, friction, law):
     return m.build()
 
 
-@pytest.mark.parametrize("degrees", [20.0, 35.0])
-def test_a_block_on_a_slope_stays_or_slides_as_friction_says(degrees):
-    angle, mu = np.radians(degrees), 0.5
-    run = block(angle, Friction(mu, 1e5, 400.0), Law(1e5, 1.0, 10.0)).simulate(0.8, 4e-4, every=20)
-    late = run.time > 0.4
+@pytest.mark.parametrize(("degrees", "mu"), [(20.0, 0.5), (35.0, 0.5), (35.0, 0.0), (35.0, 10.0)])
+def test_a_block_on_a_slope_stays_or_slides_as_friction_says(degrees, mu):
+    angle = np.radians(degrees)
+    run = block(angle, Friction(mu, 1e5, 400.0), Law(1e5, 1.0, 10.0)).simulate(0.6, 4e-4, every=20)
+    late = run.time > 0.35
     gained = np.polyfit(run.time[late], run.qd[late, 3], 1)[0]
     assert gained == pytest.approx(max(0.0, G * (np.sin(angle) - mu * np.cos(angle))), abs=1e-5 * G)
-    if np.tan(angle) < mu:
+    if mu == 0.5 > np.tan(angle):
         # Held by the springs at four corners, and tilted, since they hold it below.
         pull = 2.0 * G * np.sin(angle)
         moved = pull / 4e5 + 0.05 * pull * 0.05 / (4e5 * 0.1**2)
         assert run.q[-1, 4] == pytest.approx(moved, rel=0.1)
     assert run.audit().energy < 1e-3
-    assert run.dissipation[-1] > 1e-5
+    assert run.dissipation[-1] > 1e-5 or mu == 0.0
 
 
 def test_a_block_that_stays_does_not_creep():
@@ -137,9 +146,8 @@ def rolling(other, law=None, friction=None, radius=0.1, start=(0.0, 0.0)):
     m = Mechanism((G * np.sin(angle), 0.0, -G * np.cos(angle)))
     depth = 1.5 * G * np.cos(angle) / 1e5
     m.body("ball", 1.5, inertia=0.4 * 1.5 * radius**2, position=(*start, radius - depth))
-    m.contact(
-        "slope", [Ball("ball", radius)], other, law or Law(1e5, 1.0, 5.0), friction or Friction(0.5, 2e4, 50.0)
-    )  # fmt: skip
+    law, friction = law or Law(1e5, 1.0, 5.0), friction or Friction(0.5, 2e4, 50.0)
+    m.contact("slope", [Ball("ball", radius)], other, law, friction)
     return m.build()
 
 
@@ -170,9 +178,9 @@ def net(rng, n=9, size=0.35):
 def test_a_ball_rolls_over_triangles_as_over_the_plane_that_they_make():
     """Neither edges nor corners push it, and its friction goes from one triangle to the next."""
     vertices, faces = net(np.random.default_rng(2))
-    flat = rolling(Plane(), start=(0.013, 0.021)).simulate(0.6, 1e-3, every=10)
-    tiled = rolling(Surface("world", vertices, faces), start=(0.013, 0.021)).simulate(0.6, 1e-3, every=10)
-    assert flat.q[-1, 4] > 0.4
+    flat = rolling(Plane(), start=(0.013, 0.021)).simulate(0.45, 1e-3, every=10)
+    tiled = rolling(Surface("world", vertices, faces), start=(0.013, 0.021)).simulate(0.45, 1e-3, every=10)
+    assert flat.q[-1, 4] > 0.2
     assert np.abs(tiled.q - flat.q).max() < 1e-10
 
 
@@ -219,7 +227,7 @@ def test_a_ball_touches_an_edge_once_and_a_corner_of_a_room_three_times():
 
 
 def cluttered(law, friction=None):
-    """Balls on moving bodies, some of them hinged, against each other, a plane and a surface of another body."""
+    """Balls on moving bodies, some of them hinged, against each other and another's plane and surface."""
     rng = np.random.default_rng(8)
     m = Mechanism()
     m.body("table", 5.0, (0.1, 0, -0.1), (0.3, 0.4, 0.5), velocity=(0, 0.1, 0), spin=(0.2, -0.1, 0.3))
@@ -234,9 +242,10 @@ def cluttered(law, friction=None):
             velocity=rng.normal(size=3),
         )
     balls = [Ball(f"ball {k}", 0.1, 0.01 * rng.normal(size=3)) for k in range(4)]
-    m.contact("top", [*balls[:2], Ball("arm", 0.3, (0.1, 0.3, 0.0))], Plane("table", (0, 0, 0.01), (0.1, 0, 1)), law, friction)  # fmt: skip
+    top = Plane("table", (0, 0, 0.01), (0.1, 0, 1))
+    m.contact("top", [*balls[:2], Ball("arm", 0.3, (0.1, 0.3, 0.0))], top, law, friction)
     vertices, faces = net(rng, 4, 0.3)
-    m.contact("net", balls[2:], Surface("table", vertices + [0, 0.5, 0.005], faces), law, friction)
+    m.contact("net", balls[2:], Surface("table", vertices + np.array([0, 0.5, 0.005]), faces), law, friction)
     m.contact("each other", [*balls, Ball("arm", 0.21, (0.1, 0.0, 0.0))], None, law, friction)
     return m.build()
 
@@ -261,7 +270,7 @@ def test_action_is_reaction_in_all_contacts():
     assert audit.spin < 1e-9
     assert audit.energy < 1e-4
     assert run.dissipation[-1] > 0.05
-    assert np.abs(run.momenta[0, 3:]).max() > 0.1
+    assert np.abs(run.momenta[0, 1]).max() > 0.1
 
 
 def test_loads_of_contacts_only_take_energy_where_anchors_are_new():
@@ -297,12 +306,23 @@ def test_what_is_too_deep_is_refused_by_name():
     for k, velocity in enumerate((50.0, 0.0)):
         m.body(f"ball {k}", 1.0, inertia=0.1, position=(0.21 * k, 0, 0), velocity=(velocity, 0, 0))
     m.contact("soft", [Ball("ball 0", 0.1), Ball("ball 1", 0.1)], None, Law(10.0))
-    with pytest.raises(MechanicsError, match='contact "soft": ball 0 is .* deep.*raise the stiffness'):
+    with pytest.raises(MechanicsError, match=r'contact "soft": ball 0 is .* deep.*raise the stiffness'):
         m.build().simulate(0.01, 1e-4)
     # A half-space has no other side.
     run = dropped(Law(100.0), -5.0).simulate(0.5, 1e-3)
     assert run.q[:, 6].min() < -0.2
     assert run.qd[-1, 5] > 0.0
+
+
+def test_what_has_diverged_is_said_to_and_blames_no_hinge():
+    tree = dropped(Law(1.0)).tree
+    nowhere = np.full(tree.n_q, np.nan)
+    for call in (
+        lambda: multibody.forward_dynamics(tree, nowhere, np.zeros(tree.n_v), np.zeros(tree.n_v)),
+        lambda: multibody.solve_mass(tree, multibody.pose(tree, nowhere), np.zeros(tree.n_v)),
+    ):
+        with pytest.raises(MechanicsError, match=r"body 0: its place is no number.*diverged"):
+            call()
 
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (2, 2, 0)]
@@ -335,8 +355,9 @@ def test_what_cannot_touch_is_refused_by_the_name_of_the_contact(balls, other, w
     ("make", "words"),
     [
         (lambda: Law(0.0), "stiffness 0"), (lambda: Law(1.0, 0.5), "exponent 0.5"),
-        (lambda: Law(1.0, damping=-1.0), "damping -1"), (lambda: Friction(-0.1, 1.0), "coefficient of friction"),
-        (lambda: flores(1.0, 0.0, 1.0), "no end at 0"), (lambda: lankarani_nikravesh(1.0, 1.1, 1.0), "0 to 1"),
+        (lambda: Law(1.0, damping=-1.0), "damping -1"), (lambda: flores(1.0, 0.0, 1.0), "no end at 0"),
+        (lambda: Friction(-0.1, 1.0), "coefficient of friction"),
+        (lambda: lankarani_nikravesh(1.0, 1.1, 1.0), "0 to 1"),
         (lambda: lankarani_nikravesh(1.0, 0.5, 0.0), "speed 0 of approach"),
     ],
 )  # fmt: skip

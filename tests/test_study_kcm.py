@@ -241,14 +241,14 @@ def ends(kcm_end, metric, dynamics):
 
 def contrasts_of(runs):
     table = kcm_summary.contrasts(kcm_summary.compared(runs))
-    return table[table["model"] == "all"].set_index("what"), next(iter(kcm_summary.answers(table)))
+    return table[table["start"] == "all"].set_index("what"), next(iter(kcm_summary.answers(table)))
 
 
 def test_shares_count_starts_that_end_in_one_minimum_however_turned():
     runs = made_up([{"kcm-0.01": 1, "md-10": 1, "lbfgs": 2}] * 3 + [{"kcm-0.01": 1, "md-10": 3, "lbfgs": 2}])
     pairs = kcm_summary.compared(runs)
     table = kcm_summary.shares(pairs)
-    pooled = table[table["model"] == "all"].set_index(["a", "b"])
+    pooled = table[table["start"] == "all"].set_index(["a", "b"])
     assert pooled["polished_share"].to_dict() == {
         ("kcm-0.01", "md-10"): 0.75, ("kcm-0.01", "lbfgs"): 0.0, ("md-10", "lbfgs"): 0.0,
     }  # fmt: skip
@@ -259,6 +259,15 @@ def test_shares_count_starts_that_end_in_one_minimum_however_turned():
     none = pooled.loc[("kcm-0.01", "lbfgs")]
     exact = binomtest(0, 4).proportion_ci(0.95, "exact")
     assert (none["polished_share_low"], none["polished_share_high"]) == pytest.approx((0.0, exact.high))
+
+
+def test_kinds_of_start_are_told_apart():
+    near = made_up([ends(1, 1, 1)] * 2).assign(start="deposited")
+    far = made_up([ends(1, 2, 3)] * 3).assign(start="extended")
+    table = kcm_summary.contrasts(kcm_summary.compared(pd.concat([near, far])))
+    found = table[(table["model"] == "all") & (table["what"] == "KCM and dynamics")].set_index("start")
+    assert found["starts"].to_dict() == {"all": 5, "deposited": 2, "extended": 3}
+    assert found["value"].to_dict() == {"all": 0.4, "deposited": 1.0, "extended": 0.0}
 
 
 def test_one_minimum_needs_both_the_place_and_the_energy():

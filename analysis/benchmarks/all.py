@@ -67,6 +67,9 @@ PRECISION = " ".join(
     )
 )  # fmt: skip
 RACED = " ".join(f"structures/{name}.pdb" for name in ("1l2y", "1vii", "3i40", "4pti", "1ubq", "1hel"))
+STARTED = " ".join(
+    f"structures/{name}.pdb" for name in ("1l2y", "1vii", "1ejg", "3i40", "4pti", "1ubq", "1hel")
+)
 RACED_CUSTOM = " ".join(f"structures/{name}.pdb" for name in ("1vii", "3i40", "4pti", "1ubq"))
 RELAXED = " ".join(
     f"MORE/{name}"
@@ -106,6 +109,7 @@ JOBS = (
     Job("engines-moving", f"{HERE}/engines.py moving -o DIR", 1),
     Job("large", f"{HERE}/large.py -o DIR", 10),
     Job("threads", f"{HERE}/threads.py -o DIR", 1),
+    Job("search", f"{HERE}/search.py -o DIR", 1),
     Job("startup", f"{HERE}/startup.py -o DIR", 4),
     Job("files-speed", f"{HERE}/files.py speed --more MORE -o DIR", 2),
     Job("files-closures", f"{HERE}/files.py closures --more MORE -o DIR", 5),
@@ -126,7 +130,7 @@ JOBS = (
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
     Job("compliance", f"{HERE}/compliance.py -o DIR", 4),
     Job(
-        "kcm", "protochain bench kcm structures/1l2y.pdb -o DIR --jobs 2 --minutes 60", 60,
+        "kcm", f"protochain bench kcm {STARTED} -o DIR --jobs 2 --minutes 240", 240,
         "protochain bench kcm --quick -o DIR",
         {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in ("contrasts", "cost", "ends", "shares")}
         | {"runs.csv": ("kcm_runs.csv", OF_RUNS)},

@@ -65,7 +65,8 @@ def connect(
             inside = inside and acting.inside
     drive = _drive(bodies, list(drives.values())) if drives else None
     return Model(
-        bodies, q, qd, tuple(conservative), tuple(loads), drive, tuple(events.values()), inside, tuple(memories)
+        bodies, q, qd, tuple(conservative), tuple(loads), drive, tuple(events.values()), inside,
+        tuple(memories),
     )  # fmt: skip
 
 
@@ -150,19 +151,20 @@ def _pushed(bodies: Bodies, part: Pushed) -> Load:
     if b < 0:
         raise MechanicsError(f'load "{part.name}": the world does not move; name a body')
     point, said = bodies.inside(b, part.at), f'load "{part.name}": its'
-    zero = np.zeros(3)
-    force, by_force = _law(zero if part.force is None else part.force, said)
-    moment, by_moment = _law(zero if part.moment is None else part.moment, said)
+    force, by_force = _law(part.force, f"{said} force")
+    moment, by_moment = _law(part.moment, f"{said} moment")
 
     def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
         def state() -> State:
             return State(bodies, time, q, qd, frames)
 
         wrenches = np.zeros((bodies.tree.n_bodies, 6))
-        pushing = given.numbers(force(time, state), (3,), f"{said} force")
-        turning = given.numbers(moment(time, state), (3,), f"{said} moment")
-        wrenches[b, :3] = turning + np.cross(frames.rotation[b] @ point, pushing)
-        wrenches[b, 3:] = pushing
+        if part.force is not None:
+            fx, fy, fz = given.numbers(force(time, state), (3,), f"{said} force").tolist()
+            x, y, z = (frames.rotation[b] @ point).tolist()
+            wrenches[b] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx, fx, fy, fz
+        if part.moment is not None:
+            wrenches[b, :3] += given.numbers(moment(time, state), (3,), f"{said} moment")
         return Applied(wrenches)
 
     return Load(applied, by_force or by_moment)

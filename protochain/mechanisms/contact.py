@@ -11,7 +11,7 @@ from protochain.errors import MechanicsError
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.elements import Acting
 from protochain.mechanisms.pressing import Pressing
-from protochain.mechanisms.shapes import Ball, Plane, Surface, finder
+from protochain.mechanisms.shapes import Ball, Other, finder
 from protochain.motion import Load
 
 
@@ -22,11 +22,11 @@ class Law:
     Parameters
     ----------
     stiffness : float
-        K.
+        Stiffness K, force by depth to the power n.
     exponent : float
-        n: 1.5 for round bodies (Hertz), 1 for a spring.
+        Power n: 1.5 for round bodies (Hertz), 1 for a spring.
     damping : float
-        a, time per length: see :func:`lankarani_nikravesh` and :func:`flores`.
+        Damping a, time by length: see :func:`lankarani_nikravesh` and :func:`flores`.
     """
 
     stiffness: float
@@ -46,15 +46,15 @@ class Law:
 class Friction:
     """Friction of asperities: a spring and a damper from the point where a contact began, which slips.
 
-    The tangential force is -(k s + c v), s from the anchor and v the velocity, and never above ``coefficient``
-    times the normal force: there the anchor is dragged along.
+    The tangential force is -(k s + c v), s from the anchor and v the velocity, and never above
+    ``coefficient`` times the normal force: there the anchor is dragged along.
 
     Parameters
     ----------
     coefficient : float
-        mu.
+        Largest tangential force by normal force.
     stiffness, damping : float
-        k and c.
+        Of the spring, k, and of the damper, c.
     """
 
     coefficient: float
@@ -72,12 +72,14 @@ def lankarani_nikravesh(stiffness: float, restitution: float, speed: float, expo
 
     Parameters
     ----------
-    stiffness, exponent : float
-        K and n of :class:`Law`.
+    stiffness : float
+        Stiffness of :class:`Law`.
     restitution : float
-        e, 0 to 1. The real one is higher: :func:`real_restitution`.
+        Restitution e, 0 to 1. The real one is higher: :func:`real_restitution`.
     speed : float
         Speed of approach v for which it holds; slower impacts lose less.
+    exponent : float
+        Exponent of :class:`Law`.
 
     Returns
     -------
@@ -93,10 +95,14 @@ def flores(stiffness: float, restitution: float, speed: float, exponent: float =
 
     Parameters
     ----------
-    stiffness, exponent, speed : float
-        As of :func:`lankarani_nikravesh`.
+    stiffness : float
+        Stiffness of :class:`Law`.
     restitution : float
-        e, above 0, to 1. The real one is near it: :func:`real_restitution`.
+        Restitution e, above 0, to 1. The real one is near it: :func:`real_restitution`.
+    speed : float
+        Speed of approach v for which it holds; slower impacts lose less.
+    exponent : float
+        Exponent of :class:`Law`.
 
     Returns
     -------
@@ -121,13 +127,13 @@ def real_restitution(loss: float) -> float:
     Parameters
     ----------
     loss : float
-        c = a v, of the damping and the speed of approach.
+        Damping by speed of approach, c = a v.
 
     Returns
     -------
     float
-        r that solves c - ln(1 + c) = -c r - ln(1 - c r): both sides are the same integral of v dv / (1 + a v),
-        equal to that of K d^n / m over the depth, in compression and in restitution.
+        Root r of c - ln(1 + c) = -c r - ln(1 - c r): both sides are integrals of v dv / (1 + a v), equal
+        to that of K d^n / m over the depth, in compression and in restitution.
 
     Raises
     ------
@@ -167,13 +173,13 @@ class Contact:
     """
 
     balls: Sequence[Ball]
-    other: Plane | Surface | Sequence[Ball] | None
+    other: Other
     law: Law
     friction: Friction | None = None
     name: str = "contact"
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return the elastic force with its energy, damping and friction as a load, and anchors between steps.
+        """Return the elastic force with its energy, the rest as a load, and the anchors of friction.
 
         Raises
         ------

@@ -44,7 +44,7 @@ class Damping(Protocol):
 
 
 class Memory(Protocol):
-    """What an element keeps from step to step, as anchors of friction; within a step nothing of it changes."""
+    """What an element keeps from step to step, as anchors of friction; it does not change within one."""
 
     def begin(self, start: Phase) -> None:
         """Begin a run."""
@@ -52,8 +52,8 @@ class Memory(Protocol):
     def settle(self, at: Phase) -> None:
         """End a step; the start of a run is one, too."""
 
-    def end(self, at: Phase) -> None:
-        """End a run."""
+    def end(self, at: Phase | None) -> None:
+        """End a run at a phase from which another may go on; None if it has failed."""
 
 
 @dataclass(frozen=True, eq=False)

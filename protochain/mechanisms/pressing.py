@@ -30,7 +30,7 @@ STIFFNESS, EXPONENT, DAMPING, FRICTION, SPRING, DASHPOT = range(6)
 
 @dataclass(frozen=True, eq=False)
 class Anchors:
-    """Where springs of friction begin: pairs (k, 2), and in each body's frame the ends (k, 6) of the spring."""
+    """Where springs of friction begin: pairs (k, 2), and their ends (k, 6) in the frames of both bodies."""
 
     pair: Integers
     arms: Floats
@@ -115,7 +115,7 @@ class Pressing:
         if start is self._ended[0]:
             self.anchors = self._ended[1]
 
-    def end(self, at: Phase) -> None:
+    def end(self, at: Phase | None) -> None:
         """End a run, after which forces are again those without a past."""
         self._ended, self.anchors = (at, self.anchors), NO_ANCHORS
 

@@ -23,7 +23,7 @@ def kernel(function: Any) -> Any:
 
 
 def touching(centre: Floats, radius: Floats) -> Integers:
-    """Pairs of spheres that touch or overlap, found by Cartesian cells.
+    """Find the pairs of spheres that touch or overlap, by Cartesian cells.
 
     Parameters
     ----------
@@ -51,13 +51,13 @@ def touching(centre: Floats, radius: Floats) -> Integers:
     n = len(centre)
     centre, radius = floats(centre, (n, 3), "centre"), floats(radius, (n,), "radius")
     _refuse("centre", ~np.isfinite(centre).all(axis=1))
-    _refuse("radius", ~(np.isfinite(radius) & (radius >= 0.0)))
+    _refuse("radius", np.less(radius, 0.0) | ~np.isfinite(radius))
     if not n:
         return np.empty((0, 2), np.int64)
     return in_order(near_pairs(centre, radius, edge_of(centre, radius)), n)
 
 
-def _refuse(name: str, bad: np.ndarray) -> None:
+def _refuse(name: str, bad: Any) -> None:
     if np.any(bad):
         raise MechanicsError(
             f"sphere {int(np.argmax(bad))}: its {name} must be finite, a radius not negative"
@@ -134,25 +134,25 @@ def near_pairs(centre: Floats, radius: Floats, edge: float) -> Integers:
     layer = size[0] * size[1]
     first = np.array([0, size[0] - 1, layer - size[0] - 1, layer - 1, layer + size[0] - 1])
     for a in range(n):
+        own = order[a]
         for row in range(5):
             wanted, width = cell[a] + first[row], 3 if row else 2
             place = wanted & (places - 1)
             # A row goes on at the beginning of the table where it passes the end.
             beyond = place + width - places
             b, end = start[place] if row else a + 1, start[min(place + width, places)]
-            while b < end or beyond > 0:
-                if b == end:
-                    b, end, beyond = 0, start[beyond], 0
-                    continue
-                if 0 <= cell[b] - wanted < width:
-                    dx, dy, dz, reach = x[a, 0] - x[b, 0], x[a, 1] - x[b, 1], x[a, 2] - x[b, 2], r[a] + r[b]
-                    if dx * dx + dy * dy + dz * dz <= reach * reach:
-                        if count == room:
-                            room *= 2
-                            pairs = wider(pairs, room)
-                        pairs[count, 0], pairs[count, 1] = min(order[a], order[b]), max(order[a], order[b])
-                        count += 1
-                b += 1
+            for _ in range(2 if beyond > 0 else 1):
+                while count + end - b > room:
+                    room *= 2
+                    pairs = wider(pairs, room)
+                for other in range(b, end):
+                    dx, dy, dz = x[a, 0] - x[other, 0], x[a, 1] - x[other, 1], x[a, 2] - x[other, 2]
+                    reach, step = r[a] + r[other], cell[other] - wanted
+                    # Written in any case and kept if near: a branch that cannot be foreseen costs more.
+                    near = dx * dx + dy * dy + dz * dz <= reach * reach
+                    pairs[count, 0], pairs[count, 1] = min(own, order[other]), max(own, order[other])
+                    count += near & (step >= 0) & (step < width)
+                b, end = 0, start[max(beyond, 0)]
     return pairs[:count].copy()
 
 
@@ -234,10 +234,11 @@ def box_tree(low: Floats, high: Floats) -> BoxTree:
     wrong = ~(np.isfinite(low) & np.isfinite(high) & (low <= high)).all(axis=1)
     if np.any(wrong):
         raise MechanicsError(f"box {int(np.argmax(wrong))}: its corners must be finite, the low one below")
-    arrays = _halved(low, high)
-    for array in arrays:
+    node_low, node_high, after, items, order = _halved(low, high)
+    for array in (after, items, order):
         array.flags.writeable = False
-    return BoxTree(*arrays, frozen(low.copy()), frozen(high.copy()))
+    own = frozen(low.copy()), frozen(high.copy())
+    return BoxTree(frozen(node_low), frozen(node_high), after, items, order, *own)
 
 
 def overlapping(tree: BoxTree, low: Floats, high: Floats) -> Integers:

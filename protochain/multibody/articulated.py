@@ -104,12 +104,13 @@ def articulate(tree: Tree, frames: Frames) -> Articulated:
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, packed, gain, pivot, root,
         np.zeros((n, 6)), np.zeros(tree.n_v),
     )  # fmt: skip
-    refuse_singular(failed)
+    refuse_singular(failed, frames.rotation)
     if tree.driven is not None:
         gain[tree.driven] = 0.0
     if len(tree.massless):
         refuse_singular(
-            unresisted(tree.locked_links, tree.bodies, frames.rotation, frames.origin, packed, pivot, root)
+            unresisted(tree.locked_links, tree.bodies, frames.rotation, frames.origin, packed, pivot, root),
+            frames.rotation,
         )
     return Articulated(tree, frames, frozen(packed), frozen(gain), frozen(pivot), frozen(root))
 
@@ -131,25 +132,20 @@ def solve(factors: Articulated, tau: Floats, loads: Floats | None = None) -> Flo
     """
     tree, frames = factors.tree, factors.frames
     wrench = np.zeros((tree.n_bodies, 6)) if loads is None else loads.copy()
-    x = _undriven(tree, floats(tau, (tree.n_v,), "tau"))
+    x = floats(tau, (tree.n_v,), "tau").copy()
+    if tree.driven is not None:
+        x = x[tree.undriven_v]
     inward_loads(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot, wrench, x
     )
     outward_rates(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.root, wrench, x
     )
-    return _among_all(tree, x)
-
-
-def _undriven(tree: Tree, x: Floats) -> Floats:
-    """Copy of x, (n_v,), without the freedoms of driven hinges."""
-    return x.copy() if tree.driven is None else x[tree.undriven_v]
+    return x if tree.driven is None else _among_all(tree, x)
 
 
 def _among_all(tree: Tree, x: Floats) -> Floats:
-    """(n_v,) float: x with zeros for the freedoms of driven hinges."""
-    if tree.driven is None:
-        return x
+    """(n_v,) float: x, of the freedoms that are not driven, and zeros."""
     out = np.zeros(tree.n_v)
     out[tree.undriven_v] = x
     return out
@@ -173,10 +169,10 @@ def solve_at_once(tree: Tree, frames: Frames, tau: Floats) -> Floats:
     MechanicsError
         As :func:`articulate`.
     """
-    if tree.driven is not None or len(tree.massless):
+    if not tree.is_plain:
         return solve(articulate(tree, frames), tau)
     x = floats(tau, (tree.n_v,), "tau").copy()
-    refuse_singular(_solve(tree.links, tree.bodies, frames.rotation, frames.origin, x))
+    refuse_singular(_solve(tree.links, tree.bodies, frames.rotation, frames.origin, x), frames.rotation)
     return x
 
 
@@ -220,7 +216,7 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
     for factor, b in zip(factors.root, np.flatnonzero(tree.kind == HingeKind.FREE), strict=True):
         own = slice(tree.v_start[b], tree.v_start[b + 1])
         x[own] = np.tril(factor) @ x[own]
-    x = _undriven(tree, x)
+    x = x[tree.undriven_v]
     outward_rates(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.root,
         np.empty((tree.n_bodies, 6)), x,
@@ -228,8 +224,13 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
     return _among_all(tree, x)
 
 
-def refuse_singular(failed: int) -> None:
-    """Raise MechanicsError if a sweep returned a body rather than -1."""
+def refuse_singular(failed: int, pose: Floats) -> None:
+    """Raise MechanicsError if a sweep returned a body rather than -1; ``pose`` is q, or the rotations."""
+    if failed >= 0 and not np.isfinite(pose).all():
+        raise MechanicsError(
+            f"body {failed}: its place is no number; if it was one before, the motion has diverged: take "
+            "shorter steps"
+        )
     if failed >= 0:
         raise MechanicsError(
             f"body {failed}: its hinge has no inertia at this pose, so accelerations are undefined"

@@ -67,10 +67,10 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     else:
         loads = floats(wrench, (tree.n_bodies, 6), "wrench").copy()
     x = floats(tau, (tree.n_v,), "tau").copy()
-    if tree.driven is not None or len(tree.massless):
+    if not tree.is_plain:
         return _by_parts(tree, q, qd, x, loads)
     q, qd = floats(q, (tree.n_q,), "q"), floats(qd, (tree.n_v,), "qd")
-    refuse_singular(_forward(tree.links, tree.bodies, q, qd, loads, x))
+    refuse_singular(_forward(tree.links, tree.bodies, q, qd, loads, x), q)
     return x
 
 

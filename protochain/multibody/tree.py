@@ -126,6 +126,11 @@ class Tree(Value):
         return read_only(np.flatnonzero(self.mass == 0.0), np.int64)
 
     @cached_property
+    def is_plain(self) -> bool:
+        """Whether no hinge is driven and every body has mass."""
+        return self.driven is None and len(self.massless) == 0
+
+    @cached_property
     def driven_q(self) -> Integers:
         """(k,) int: coordinates of the driven hinges."""
         return read_only(self.q_start[:-1][self._is_driven], np.int64)

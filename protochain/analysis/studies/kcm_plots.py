@@ -44,7 +44,7 @@ def plot_traces(found: pd.DataFrame) -> Figure:
 
 def plot_shares(table: pd.DataFrame) -> Figure:
     """Share of starts in which two methods reach one minimum, of all together, as a matrix."""
-    own = table[table["model"] == "all"]
+    own = table[table["start"] == "all"]
     names = [name for name in METHODS if name in set(own["a"]) | set(own["b"])]
     grid = pd.DataFrame(np.nan, index=names, columns=names)
     for row in own.to_dict("records"):

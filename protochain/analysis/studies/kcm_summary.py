@@ -261,8 +261,12 @@ def _markdown(table: pd.DataFrame) -> str:
 
 
 def _scopes(pairs: pd.DataFrame) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
-    """All together, then by model, solvent and kind of start."""
-    yield dict.fromkeys(SCOPE, "all"), pairs
+    """All together; by kind of start; by model, solvent and kind of start."""
+    together = dict.fromkeys(SCOPE, "all")
+    yield together, pairs
+    if pairs["start"].nunique() > 1:
+        for kind, own in pairs.groupby("start", sort=False):
+            yield {**together, "start": kind}, own
     for key, own in pairs.groupby(SCOPE, sort=False):
         yield dict(zip(SCOPE, key, strict=True)), own
 

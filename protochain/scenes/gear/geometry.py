@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from protochain.errors import MechanicsError
 from protochain.multibody.algebra import kernel
 
 STEEL = 7850.0
@@ -57,9 +58,9 @@ class Wheel:
 class GearPair:
     """Two wheels at their standard distance.
 
-    A flank's place s is where it crosses the line of action, from the pitch point in the direction in which it
-    moves. With base radius r and angle a of its wheel, positive in that direction, s = r a + n p for flank n,
-    p the base pitch: the gap of two flanks is linear in the angles.
+    A flank's place s is where it crosses the line of action, from the pitch point in the direction in which
+    it moves. With base radius r and angle a of its wheel, positive in that direction, s = r a + n p for
+    flank n, p the base pitch: the gap of two flanks is linear in the angles.
 
     Parameters
     ----------
@@ -73,6 +74,17 @@ class GearPair:
     module: float = 4e-3
     pressure_angle: float = float(np.radians(20.0))
     width: float = 20e-3
+
+    def __post_init__(self) -> None:
+        for name in ("module", "pressure_angle", "width"):
+            if not 0.0 < getattr(self, name) < (0.5 * np.pi if name == "pressure_angle" else np.inf):
+                raise MechanicsError(f"the {name} of gears must be positive")
+        for one, other in (self.wheels, self.wheels[::-1]):
+            if other.reach >= one.pitch * np.sin(self.pressure_angle):
+                raise MechanicsError(
+                    f"a wheel of {one.teeth} teeth is undercut by one of {other.teeth}: its involute begins "
+                    "beyond the other's tip; take more teeth or a larger angle"
+                )
 
     @cached_property
     def wheels(self) -> tuple[Wheel, Wheel]:
@@ -104,7 +116,7 @@ class GearPair:
 
 
 def _corner(own: Wheel, other: Wheel) -> tuple[float, ...]:
-    """Base and tip radius, angle of the tip where contact begins; distance; of the other base, pitch, angle."""
+    """Base and tip radius, the tip's angle where contact begins; distance; the other's base, pitch, angle."""
     distance, alpha, begin = own.pitch + other.pitch, own.pressure_angle, -own.reach
     # In axes from the other wheel's centre to its own; the line of action goes along (sin, cos) of its angle.
     x, y = other.pitch + begin * np.sin(alpha) - distance, begin * np.cos(alpha)
@@ -115,9 +127,9 @@ def _corner(own: Wheel, other: Wheel) -> tuple[float, ...]:
 def outer(s: float, corner: tuple[float, ...]) -> tuple[float, float]:
     """Place of the flank of the other wheel that would touch a driven flank at s, and its derivative.
 
-    That is s itself on the path of contact. Before it the flank's tip corner is off the line of action, and lags
-    behind: the gap opens with the square of the way. Exact, by the involute through the corner: involutes
-    of one base circle are parallel curves.
+    That is s itself on the path of contact. Before it the flank's tip corner is off the line of action, and
+    lags behind: the gap opens with the square of the way. Exact, by the involute through the corner:
+    involutes of one base circle are parallel curves.
     """
     base, tip, angle, distance, other, pitch, alpha, begin = corner
     if s >= begin:

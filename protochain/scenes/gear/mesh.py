@@ -1,7 +1,9 @@
 """The flanks' forces as an element of mechanisms, and the mechanism: wheels, and teeth on springs."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
@@ -39,11 +41,11 @@ class Gear:
         Inertia of the teeth relative to steel; what they lack is the wheel's, so that both together stay.
     """
 
-    pair: GearPair = GearPair()
+    pair: GearPair = field(default_factory=GearPair)
     stiffness: float = 14e9
     torque: float = 100.0
     speed: float = 100.0
-    flank: Law = lankarani_nikravesh(1e12, 0.8, 0.1)
+    flank: Law = field(default_factory=lambda: lankarani_nikravesh(1e12, 0.8, 0.1))
     damping: float = 0.07
     tooth: float = 1.0
 
@@ -213,7 +215,12 @@ def _press(
     return energy, pairs
 
 
-def gears(gear: Gear, live: tuple[range, range] | None = None, rigid: bool = False, **start: float) -> Model:
+def gears(
+    gear: Gear,
+    live: tuple[range, range] | None = None,
+    rigid: bool = False,
+    start: Mapping[str, float] = MappingProxyType({}),
+) -> Model:
     """Build the mechanism.
 
     Parameters
@@ -224,8 +231,8 @@ def gears(gear: Gear, live: tuple[range, range] | None = None, rigid: bool = Fal
         Teeth that are bodies, of both wheels; the others are part of them. By default all.
     rigid : bool
         Whether no tooth is: wheels with rigid teeth, which give way at the flanks only.
-    **start : float
-        Coordinates of hinges at the start, by name.
+    start : mapping of str to float
+        Coordinates of hinges at the start, by name; 0 of the others.
 
     Returns
     -------

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import eigvals
 from scipy.optimize import brentq, root
 
 from protochain import multibody
@@ -20,7 +19,9 @@ def near(gear: Gear, place: float = 0.0, until: float | None = None) -> tuple[ra
     begin, end = gear.pair.path
     pitch = gear.pair.base_pitch
     last = place if until is None else until
-    numbers = range(int(np.ceil((begin - last) / pitch - 0.5)), int(np.floor((end - place) / pitch + 0.5)) + 1)
+    numbers = range(
+        int(np.ceil((begin - last) / pitch - 0.5)), int(np.floor((end - place) / pitch + 0.5)) + 1
+    )
     return numbers, numbers
 
 
@@ -30,7 +31,7 @@ def stiff_flanks(gear: Gear, factor: float = 1e5) -> Gear:
 
 
 def at_rest(gear: Gear, place: float) -> tuple[Model, Floats]:
-    """Model with the teeth that may touch, and its coordinates at rest with the driving wheel held at a place.
+    """Model with the teeth that may touch, and its coordinates at rest, the driving wheel held at a place.
 
     Raises
     ------
@@ -38,7 +39,7 @@ def at_rest(gear: Gear, place: float) -> tuple[Model, Floats]:
         If no equilibrium is found.
     """
     base = gear.pair.wheels[0].base
-    model = gears(gear, near(gear, place), **{"wheel 0": place / base})
+    model = gears(gear, near(gear, place), start={"wheel 0": place / base})
     one, other = (model.bodies.freedom(f"wheel {k}")[0] for k in (0, 1))
     radius = np.full(model.tree.n_q, gear.pair.wheels[1].base)
     radius[:other] = base
@@ -103,7 +104,7 @@ def lag_of(model: Model, q: Floats, gear: Gear) -> float:
 
 
 def frequency(gear: Gear, place: float) -> float:
-    """Lowest frequency of the gears about rest at a place, rad/s, from their mass matrix and their torques."""
+    """Lowest frequency of the gears about rest at a place, rad/s, from their mass matrix and torques."""
     model, q = at_rest(gear, place)
     n, factors = model.tree.n_q, model.start().factors
     # Far below what flanks give way, in angles.
