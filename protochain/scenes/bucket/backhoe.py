@@ -86,7 +86,8 @@ def bucket_plates(body: int, model: Model) -> Plates:
     """Bottom, back and sides of the bucket, for the number of its body."""
     length, width, height = -EDGE[0], 0.06, -0.5 * EDGE[2]
     centre = np.array(
-        [[0, 0, EDGE[2] - THICK], [length, 0, -height], [0, -width, -height], [0, width, -height]], dtype=float
+        [[0, 0, EDGE[2] - THICK], [length, 0, -height], [0, -width, -height], [0, width, -height]],
+        dtype=float,
     )
     half = np.array(
         [[length, width, THICK], [THICK, width, height], [length, THICK, height], [length, THICK, height]]

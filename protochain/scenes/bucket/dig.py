@@ -30,7 +30,6 @@ PITCH = 1.76 * SIDE
 """Of cubes before they fall: turned anyhow, they reach sqrt 3 edges."""
 WINDOW = 1e-3
 """s. Over which forces on the bucket are averaged: far above the time of an impact, far below that of the way."""
-NEVER = Sleep(0.0, 0.0, np.inf)
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,10 @@ def soil(site: Site, model: Model, sleep: Sleep | None = None) -> Pile:
     """Cubes, with the bin and the bucket."""
     one, other = bin_plates(site, len(BODIES)), bucket_plates(model.bodies.number("bucket"), model)
     both = Plates(
-        *(np.concatenate([getattr(p, name) for p in (one, other)]) for name in ("body", "centre", "rotation", "half"))
+        *(
+            np.concatenate([getattr(p, name) for p in (one, other)])
+            for name in ("body", "centre", "rotation", "half")
+        )
     )
     n = site.cubes
     return Pile(
@@ -165,8 +167,8 @@ class Dug:
         Places and rotations of the cubes at some times.
     machine : pandas.DataFrame
         Angles of the hinges, torques and work of the drives, energy of the machine, by time.
-    unaccounted : float
-        Work of the drives that is neither energy nor dissipation, of that work.
+    unexplained : float, J
+        Work of the drives that is neither energy, of machine or soil, nor dissipation.
     seconds : float
         Processor seconds.
     """
@@ -175,7 +177,7 @@ class Dug:
     table: pd.DataFrame
     snapshots: pd.DataFrame
     machine: pd.DataFrame
-    unaccounted: float
+    unexplained: float
     seconds: float
 
 
@@ -190,9 +192,10 @@ def dig(settled: Settled, duration: float = 1.0, sleep: Sleep | None = None, loo
     h, steps = duration / looks / windows / per_window, windows * per_window
     first = settled.heap
     heap = replace(first, time=0.0, sums=np.zeros_like(first.sums))
-    heap = pile.start(heap.position, heap.rotation, heap.velocity, heap.spin, motion_of(model, path, np.zeros(1)))
+    heap = pile.start(
+        heap.position, heap.rotation, heap.velocity, heap.spin, motion_of(model, path, np.zeros(1))
+    )
     rows, shots, forces, seconds = [], [_snapshot(heap)], [], 0.0
-    before = pile.total(heap)
     rows.append(_row(pile, heap, model, path))
     for look in range(looks):
         times = (look * steps + np.arange(steps + 1)) * h
@@ -204,13 +207,12 @@ def dig(settled: Settled, duration: float = 1.0, sleep: Sleep | None = None, loo
         rows.append(_row(pile, heap, model, path))
         if (look + 1) % max(looks // 5, 1) == 0:
             shots.append(_snapshot(heap))
-    assert abs(pile.total(heap)) < np.inf and before < np.inf
     machine = _drives(path, np.concatenate(forces), h * per_window, duration)
     table = pd.DataFrame(rows)
     work = machine["work"].iloc[-1]
     gained = machine["energy"].iloc[-1] - machine["energy"].iloc[0]
     soil_gained = table["kinetic"] + table["potential"] + table["stored"] + table["dissipated"]
-    off = abs(work - gained - (soil_gained.iloc[-1] - soil_gained.iloc[0])) / abs(work)
+    off = work - gained - (soil_gained.iloc[-1] - soil_gained.iloc[0])
     return Dug(heap, table, pd.concat(shots, ignore_index=True), machine, float(off), seconds)
 
 
@@ -240,7 +242,6 @@ def _snapshot(heap: Heap) -> pd.DataFrame:
 
 def _drives(path: Path, forces: Floats, window: float, duration: float) -> pd.DataFrame:
     """The machine under the forces of the soil (windows, nb, 6): what its drives do."""
-    middles = (np.arange(len(forces)) + 0.5) * window
 
     def applied(t: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
         place = np.clip(t / window - 0.5, 0.0, len(forces) - 1.0)
@@ -250,7 +251,6 @@ def _drives(path: Path, forces: Floats, window: float, duration: float) -> pd.Da
     machine = backhoe(path)
     machine.force("soil", Load(applied, depends_on_velocity=False))
     run = machine.build().simulate(duration, window)
-    assert len(middles) == len(forces)
     table = pd.DataFrame({"time": run.time, "energy": run.total, "work": run.work[:, -1]})
     table[["boom", "stick", "bucket"]] = run.q
     return table
