@@ -177,10 +177,13 @@ def axis_normal(c1: Vector, r1: Matrix, c2: Vector, r2: Matrix, axis: int) -> Ve
 def box_on_axis(
     c1: Vector, r1: Matrix, h1: Vector, c2: Vector, r2: Matrix, h2: Vector, axis: int, n: Vector,
     polygon: Floats, other: Floats, found: Floats,
-) -> int:  # fmt: skip
-    """Put points of a contact along an axis with normal n in ``found`` (8, 8): place, depth, share, force."""
+) -> tuple[int, int]:  # fmt: skip
+    """Put points of a contact along an axis with normal n in ``found`` (8, 8): place, depth, share, force.
+
+    Returns their number, and which face of the other box a face meets.
+    """
     if axis >= FACES:
-        return crossing(c1, r1, h1, c2, r2, h2, (axis - FACES) // 3, (axis - FACES) % 3, n, found)
+        return crossing(c1, r1, h1, c2, r2, h2, (axis - FACES) // 3, (axis - FACES) % 3, n, found), 0
     if axis < 3:
         c, r, h, k, sign = c1, r1, h1, axis, 1.0
         c1, r1, h1 = c2, r2, h2
@@ -197,7 +200,9 @@ def box_on_box(
     """Contact of two boxes: the number of its points in ``found``, depth, normal, axis."""
     gap, axis = best_axis(c1, r1, h1, c2, r2, h2, prefer_faces, np.inf)
     n = axis_normal(c1, r1, c2, r2, axis)
-    number = box_on_axis(c1, r1, h1, c2, r2, h2, axis, n, polygon, other, found) if gap < 0.0 else 0
+    number = 0
+    if gap < 0.0:
+        number, _ = box_on_axis(c1, r1, h1, c2, r2, h2, axis, n, polygon, other, found)
     return number, -gap, n, axis
 
 
@@ -233,8 +238,10 @@ def crossing(
 def on_face(
     c1: Vector, r1: Matrix, h1: Vector, axis: int, c2: Vector, r2: Matrix, h2: Vector, n: Vector, sign: float,
     polygon: Floats, other: Floats, found: Floats,
-) -> int:  # fmt: skip
-    """Put points of a box's face with outward normal n and of the other box into ``found``; their number.
+) -> tuple[int, int]:  # fmt: skip
+    """Put points of a box's face with outward normal n and of the other box into ``found``.
+
+    Returns their number, and which face of the other box it is.
 
     Rows of ``polygon``: two coordinates and the height above the face, what the depth there loses as the
     other box moves along either, and on which sides of the face it is. Forces, on the other box times the
@@ -254,6 +261,7 @@ def on_face(
     e = scale(at(h2, (k + 1) % 3), column(r2, (k + 1) % 3))
     f = scale(at(h2, (k + 2) % 3), column(r2, (k + 2) % 3))
     m = column(r2, k)
+    side = k + (3 if at(a, k) > 0.0 else 0)
     middle = subtract(add(c2, scale(-at(h2, k) if at(a, k) > 0.0 else at(h2, k), m)), face)
     for corner in range(4):
         se = 1.0 if corner == 1 or corner == 2 else -1.0
@@ -286,7 +294,7 @@ def on_face(
             push = add(n, add(scale(polygon[i, 3], u), scale(polygon[i, 4], v)))
             found[number, 5], found[number, 6], found[number, 7] = scale(sign, push)
             number += 1
-    return number
+    return number, side
 
 
 @kernel

@@ -15,6 +15,8 @@ SLIP, TWIST, FORCE, MOMENT, BACK, ENERGY, HELD, AXIS, PART, N_MEMORY = 0, 3, 4, 
 """What is remembered of a contact: tangential displacement, and that of its turning about the normal; force
 and moment on the first, moment on the second; energy in its springs, and in the tangential ones; 1 + its
 axis; part of the stiffness that is left."""
+AXES = 16
+"""More than there are axes: what is remembered is axis + AXES x face of the other."""
 LEAST_PART = 0.1
 """Of the stiffness: less would let bodies through."""
 _SAME = 0.9
@@ -54,33 +56,41 @@ def meet(
     """Contact of two boxes that remembers its axis: points in ``found``, depth of the deepest, normal.
 
     Energy must not come from a choice: another axis is taken only once its springs would hold no more, or
-    where the old one has no points left; then they are softened until they hold the same.
+    where the old one has no points left; then, and where a face meets another one, they are softened until
+    they hold the same.
     """
-    gap, axis = best_axis(c1, r1, h1, c2, r2, h2, prefer_faces, 0.0)
-    if gap >= 0.0:
-        return 0, 0.0, (0.0, 0.0, 0.0)
-    n = axis_normal(c1, r1, c2, r2, axis)
-    number = box_on_axis(c1, r1, h1, c2, r2, h2, axis, n, polygon, other, found)
-    old = int(memory[row, AXIS]) - 1
+    n, number, side, axis = (0.0, 0.0, 0.0), 0, 0, 0
+    # A face that is preferred to edges may have no points.
+    for preferred in (prefer_faces, 0.0):
+        gap, axis = best_axis(c1, r1, h1, c2, r2, h2, preferred, 0.0)
+        if gap >= 0.0:
+            return 0, 0.0, n
+        n = axis_normal(c1, r1, c2, r2, axis)
+        number, side = box_on_axis(c1, r1, h1, c2, r2, h2, axis, n, polygon, other, found)
+        if number > 0:
+            break
+    last = int(memory[row, AXIS]) - 1
     if not memory_used(memory, row):
         memory[row, PART] = 1.0
-    elif old != axis:
-        m = axis_normal(c1, r1, c2, r2, old)
-        count = box_on_axis(c1, r1, h1, c2, r2, h2, old, m, polygon, other, spare)
-        before, after = pressed(count, spare), pressed(number, found)
-        if count > 0 and (number == 0 or after > before):
-            number, n, axis = count, m, old
-            for a in range(count):
-                for k in range(8):
-                    found[a, k] = spare[a, k]
-        elif number > 0:
-            held = 0.5 * law[NORMAL] * memory[row, PART] * before
-            if count == 0:
-                held = memory[row, ENERGY] - memory[row, HELD]
+    else:
+        before, after, old = 0.0, pressed(number, found), last % AXES
+        if old != axis:
+            m = axis_normal(c1, r1, c2, r2, old)
+            count, own = box_on_axis(c1, r1, h1, c2, r2, h2, old, m, polygon, other, spare)
+            before = pressed(count, spare)
+            if count > 0 and (number == 0 or after > before):
+                number, n, axis, side, after = count, m, old, own, before
+                for a in range(count):
+                    for k in range(8):
+                        found[a, k] = spare[a, k]
+        if last != axis + AXES * side and number > 0:
             now = 0.5 * law[NORMAL] * after
+            held = memory[row, ENERGY] - memory[row, HELD]
+            if old != axis and before > 0.0:
+                held = 0.5 * law[NORMAL] * memory[row, PART] * before
             memory[row, PART] = min(max(held / now, LEAST_PART), 1.0)
             sums[DAMPED] += max(held - memory[row, PART] * now, 0.0)
-    memory[row, AXIS] = 1.0 + axis
+    memory[row, AXIS] = 1.0 + axis + AXES * side
     return number, deepest(number, found), n
 
 
