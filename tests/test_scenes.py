@@ -17,6 +17,7 @@ import protochain.scenes
 from protochain.errors import MechanicsError, ProtochainError
 from protochain.multibody import kinetic_energy, pose
 from protochain.scenes import SCENES, Check, Extreme, LeftOut, Scene, plot_work, run, serial
+from protochain.scenes.beam.extremes import REFUSED
 from protochain.scenes.scene import check, exponent, extreme, left_out, timed, work_table
 
 
@@ -236,3 +237,23 @@ def test_serial_chains_are_right():
     assert {"articulated", "Fixman", "dense Cholesky", "conjugate gradients"} <= set(found.work["method"])
     assert found.work["setting"].str.len().min() > 0 and np.isfinite(found.work["error"]).all()
     assert len(found.left_out) == 2
+
+
+def test_a_beam_is_right():
+    found = run("beam", quick=True)
+    assert found.wrong == () and len(found.checks) == 33
+    outcomes = {each.name: each.outcome for each in found.extremes}
+    assert {name for name, outcome in outcomes.items() if outcome == "refused"} == {
+        "steps three times too long", *(name for name, *_ in REFUSED)
+    }  # fmt: skip
+    assert {"spin_up", "rotation", "lengths"} == set(found.tables)
+
+
+def test_a_manipulator_is_right():
+    found = run("manipulator", quick=True)
+    assert found.wrong == () and len(found.checks) == 8
+    assert [each.name for each in found.extremes if each.outcome == "refused"] == [
+        "steps three times too long for Kutta's method"
+    ]
+    assert {"cells", "rigid_ends", "motion"} == set(found.tables)
+    assert {name.partition(",")[0] for name in found.work["method"]} == {"Kutta", "midpoint", "Rosenbrock"}

@@ -15,14 +15,17 @@ from protochain.mechanisms.contact import (
     real_restitution,
 )  # fmt: skip
 from protochain.mechanisms.elements import Acting, Conservative, Element, Memory
+from protochain.mechanisms.linear import frequencies, state_matrix
 from protochain.mechanisms.mechanism import Mechanism
 from protochain.mechanisms.model import Model
 from protochain.mechanisms.run import Audit, Happened, Run
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
+from protochain.mechanisms.segments import Beam, Segments, add_beam
 from protochain.mechanisms.shapes import Ball, Plane, Surface
 
 __all__ = [
-    "Acting", "Audit", "Ball", "Bodies", "BoxTree", "Conservative", "Contact", "Element", "Friction",
-    "Happened", "Law", "Mechanism", "Memory", "Model", "Plane", "Run", "State", "Surface", "box_tree",
-    "flores", "lankarani_nikravesh", "overlapping", "real_restitution", "touching",
+    "Acting", "Audit", "Ball", "Beam", "Bodies", "BoxTree", "Conservative", "Contact", "Element", "Friction",
+    "Happened", "Law", "Mechanism", "Memory", "Model", "Plane", "Run", "Segments", "State", "Surface",
+    "add_beam", "box_tree", "flores", "frequencies", "lankarani_nikravesh", "overlapping",
+    "real_restitution", "state_matrix", "touching",
 ]  # fmt: skip

@@ -1,0 +1,65 @@
+"""Small motions about a state: the matrix of their equations, and frequencies."""
+
+import numpy as np
+
+from protochain import multibody
+from protochain.arrays import Floats
+from protochain.mechanisms.model import Model
+from protochain.motion import Phase
+
+_NUDGE = 1e-5
+"""Displacement for the derivatives by central differences, in radians and sizes of the tree: the cube root of
+rounding, where both errors of a derivative are about 1e-10."""
+
+
+def state_matrix(model: Model, at: Phase | None = None) -> Floats:
+    """Matrix A of small motions d(x, v)/dt = A (x, v) about a state, driven hinges going on as they do.
+
+    Parameters
+    ----------
+    model : Model
+        The mechanism.
+    at : Phase, optional
+        State about which it moves, by default the start: at rest, or in steady motion.
+
+    Returns
+    -------
+    (2 k, 2 k) float
+        For displacements and velocities of the k freedoms that are not driven. A free root must be at rest.
+    """
+    system, tree = model.system, model.tree
+    at = model.start() if at is None else at
+    free = tree.undriven_v
+
+    def acceleration(move: Floats, rate: Floats) -> Floats:
+        q, qd = multibody.integrate(tree, at.q, move), at.qd + rate
+        _, torque, loads = system.forces(at.time, q, qd, system.factors(q))
+        return system.accelerations(at.time, q, qd, torque, loads)[0][free]
+
+    k, still = len(free), np.zeros(tree.n_v)
+    out = np.zeros((2 * k, 2 * k))
+    out[:k, k:] = np.eye(k)
+    for i, freedom in enumerate(free):
+        step = _NUDGE * tree.units[freedom]
+        one = step * np.eye(1, tree.n_v, freedom)[0]
+        out[k:, i] = (acceleration(one, still) - acceleration(-one, still)) / (2.0 * step)
+        out[k:, k + i] = (acceleration(still, one) - acceleration(still, -one)) / (2.0 * step)
+    return out
+
+
+def frequencies(model: Model, at: Phase | None = None) -> Floats:
+    """Angular frequencies of small motions about a state, ascending.
+
+    Parameters
+    ----------
+    model : Model
+    at : Phase, optional
+        As of :func:`state_matrix`.
+
+    Returns
+    -------
+    (m,) float
+        Imaginary parts of the eigenvalues that have one, in pairs counted once.
+    """
+    found = np.linalg.eigvals(state_matrix(model, at)).imag
+    return np.sort(found[found > 0.0])
