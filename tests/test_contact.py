@@ -92,6 +92,15 @@ def test_the_floor_carries_the_weight_and_the_energy_is_that_of_the_law():
         )
 
 
+def test_endless_bounces_come_to_rest_on_the_floor():
+    """Each lower than the one before, until the ball stays at the depth where it is carried."""
+    run = dropped(flores(2e4, 0.5, 0.1, 1.0), 0.0, height=0.1, gravity=G).simulate(2.5, 1e-3, every=10)
+    assert run.q[-1, 6] == pytest.approx(0.1 - G / 2e4, abs=1e-7)
+    assert abs(run.qd[-1, 5]) < 1e-5
+    assert np.sum(np.diff(np.sign(run.qd[:, 5])) < 0) > 2
+    assert run.audit().energy < 1e-2
+
+
 def test_contacts_never_pull():
     law = Law(1e5, 1.5, 0.5)
     for velocity, factor in ((1.0, 0.5), (1.99, 0.005), (3.0, 0.0), (-2.0, 2.0)):
@@ -109,20 +118,20 @@ def block(angle, friction, law):
     return m.build()
 
 
-@pytest.mark.parametrize("degrees", [20.0, 35.0])
-def test_a_block_on_a_slope_stays_or_slides_as_friction_says(degrees):
-    angle, mu = np.radians(degrees), 0.5
-    run = block(angle, Friction(mu, 1e5, 400.0), Law(1e5, 1.0, 10.0)).simulate(0.8, 4e-4, every=20)
-    late = run.time > 0.4
+@pytest.mark.parametrize(("degrees", "mu"), [(20.0, 0.5), (35.0, 0.5), (35.0, 0.0), (35.0, 10.0)])
+def test_a_block_on_a_slope_stays_or_slides_as_friction_says(degrees, mu):
+    angle = np.radians(degrees)
+    run = block(angle, Friction(mu, 1e5, 400.0), Law(1e5, 1.0, 10.0)).simulate(0.6, 4e-4, every=20)
+    late = run.time > 0.35
     gained = np.polyfit(run.time[late], run.qd[late, 3], 1)[0]
     assert gained == pytest.approx(max(0.0, G * (np.sin(angle) - mu * np.cos(angle))), abs=1e-5 * G)
-    if np.tan(angle) < mu:
+    if mu == 0.5 > np.tan(angle):
         # Held by the springs at four corners, and tilted, since they hold it below.
         pull = 2.0 * G * np.sin(angle)
         moved = pull / 4e5 + 0.05 * pull * 0.05 / (4e5 * 0.1**2)
         assert run.q[-1, 4] == pytest.approx(moved, rel=0.1)
     assert run.audit().energy < 1e-3
-    assert run.dissipation[-1] > 1e-5
+    assert run.dissipation[-1] > 1e-5 or mu == 0.0
 
 
 def test_a_block_that_stays_does_not_creep():
@@ -169,9 +178,9 @@ def net(rng, n=9, size=0.35):
 def test_a_ball_rolls_over_triangles_as_over_the_plane_that_they_make():
     """Neither edges nor corners push it, and its friction goes from one triangle to the next."""
     vertices, faces = net(np.random.default_rng(2))
-    flat = rolling(Plane(), start=(0.013, 0.021)).simulate(0.6, 1e-3, every=10)
-    tiled = rolling(Surface("world", vertices, faces), start=(0.013, 0.021)).simulate(0.6, 1e-3, every=10)
-    assert flat.q[-1, 4] > 0.4
+    flat = rolling(Plane(), start=(0.013, 0.021)).simulate(0.45, 1e-3, every=10)
+    tiled = rolling(Surface("world", vertices, faces), start=(0.013, 0.021)).simulate(0.45, 1e-3, every=10)
+    assert flat.q[-1, 4] > 0.2
     assert np.abs(tiled.q - flat.q).max() < 1e-10
 
 
@@ -303,6 +312,17 @@ def test_what_is_too_deep_is_refused_by_name():
     run = dropped(Law(100.0), -5.0).simulate(0.5, 1e-3)
     assert run.q[:, 6].min() < -0.2
     assert run.qd[-1, 5] > 0.0
+
+
+def test_what_has_diverged_is_said_to_and_blames_no_hinge():
+    tree = dropped(Law(1.0)).tree
+    nowhere = np.full(tree.n_q, np.nan)
+    for call in (
+        lambda: multibody.forward_dynamics(tree, nowhere, np.zeros(tree.n_v), np.zeros(tree.n_v)),
+        lambda: multibody.solve_mass(tree, multibody.pose(tree, nowhere), np.zeros(tree.n_v)),
+    ):
+        with pytest.raises(MechanicsError, match=r"body 0: its place is no number.*diverged"):
+            call()
 
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (2, 2, 0)]

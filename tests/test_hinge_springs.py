@@ -361,7 +361,10 @@ def test_the_command_takes_several(tmp_path):
     assert json.loads(done.stdout)["hinge_springs"] == ["omega 40.0 0.5", "angles 200.0 0.0"]
     log = pd.read_csv(tmp_path / "run" / "log.csv")
     assert log["dampers_kj_mol"].iloc[-1] != 0.0 and log["hinge_springs_kj_mol"].iloc[-1] > 0.0
-    assert "HINGE SPRING OMEGA 40.0 0.5" in (tmp_path / "run" / "last.pdb").read_text()
+    assert (
+        "SPRINGS ON OMEGA: 40 KJ/MOL/RAD^2, 0.5 KJ/MOL PS/RAD^2"
+        in (tmp_path / "run" / "last.pdb").read_text()
+    )
     for wrong, said in (
         ("omega 40", "no hinge of this kind"),
         ("omega", "--hinge-spring 'omega': give kind"),

@@ -26,6 +26,7 @@ from protochain.dynamics import (
 from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring
 from protochain.dynamics.settings import INTEGRATORS
 from protochain.multibody import HingeKind, Tree
+from protochain.structure.select import atoms_at
 from protochain.units import MOLAR_GAS
 
 COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]
@@ -366,6 +367,25 @@ def test_a_run_in_parts_is_the_run_in_one(thermostat, integrator, small, tmp_pat
     pd.testing.assert_frame_equal(part.trace, whole.trace, check_exact=True, check_dtype=False)
 
 
+def test_a_held_run_of_hybrid_monte_carlo_goes_on_too(small, tmp_path):
+    c, e, q = small
+    settings = {
+        "thermostat": "hmc", "every": 10, "seed": 3, "pull": pc.Pull(ENDS, 300.0, 0.0), "fixman": True,
+        "hinge_springs": "psi 5",
+    }  # fmt: skip
+    whole = simulate(c, e, q, n_steps=40, **settings)
+    simulate(c, e, q, n_steps=20, output=tmp_path, **settings)
+    part = simulate(c, e, n_steps=40, output=tmp_path, resume=True, **settings)
+    assert np.array_equal(part.q, whole.q) and whole.accepted > 0.0
+    pd.testing.assert_frame_equal(part.trace, whole.trace, check_exact=True, check_dtype=False)
+    # All that is added to the force field's energy is a column of its own.
+    row = whole.trace.iloc[-1]
+    held = 0.5 * row["pull_force_kj_mol_nm"] ** 2 / 300.0
+    added = row["fixman_kj_mol"] + row["hinge_springs_kj_mol"] + held
+    assert row["potential_kj_mol"] + added == pytest.approx(whole.state.at.potential, rel=1e-12)
+    assert row["potential_kj_mol"] == pytest.approx(e(whole.x)[0], abs=1e-6)
+
+
 def test_another_pull_is_another_run(small, tmp_path):
     simulate(*small, n_steps=10, every=5, output=tmp_path, pull=pc.Pull(ENDS))
     for other, word in (
@@ -403,6 +423,27 @@ def test_places_are_found_by_chain_number_insertion_code_and_name(tmp_path):
             pc.ProtochainError, match=r"A:7:C: there are no residues A:7; chain A has -3 to 5E"
         ):
             moving_spring(pc.Pull("A:-3:N-A:7:C"), c, c.q0)
+
+
+def test_a_water_of_the_same_number_does_not_stand_in_the_way(tmp_path):
+    water = "HETATM 9998  O   HOH A   5       5.000  20.000  20.000  1.00  0.00           O\n"
+    text = (STRUCTURES / "ala10.pdb").read_text().partition("END")[0] + water + "END\n"
+    (tmp_path / "wet.pdb").write_text(text)
+    s = pc.load(tmp_path / "wet.pdb", keep="water")
+    assert s.obstacle.sum() == 3
+    (at,) = atoms_at(s, "A:5:O")
+    assert s.residue_name[s.atom_residue[at]] == "ALA" and not s.obstacle[at]
+
+
+def test_a_chain_without_a_name_is_named_by_nothing(tmp_path):
+    lines = (STRUCTURES / "ala10.pdb").read_text().splitlines(keepends=True)
+    named = ("ATOM", "TER")
+    blank = [f"{line[:21]} {line[22:]}" if line.startswith(named) else line for line in lines]
+    (tmp_path / "blank.pdb").write_text("".join(blank))
+    c = pc.build_chain(pc.load(tmp_path / "blank.pdb"), root="free")
+    check_pull(pc.Pull(":1:N-:10:C"), c)
+    with pytest.raises(pc.ProtochainError, match=r"no residues A:1; its chains are \(blank\)"):
+        check_pull(pc.Pull(ENDS), c)
 
 
 @pytest.mark.parametrize(

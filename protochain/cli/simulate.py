@@ -19,7 +19,15 @@ from protochain.cli.options import (
     prepare,
     with_setup,
 )
-from protochain.cli.terminal import foretell, print_simulation, run_progress, simulation_progress
+from protochain.cli.terminal import (
+    TROUBLED,
+    foretell,
+    print_outlook,
+    print_simulation,
+    run_progress,
+    simulation_progress,
+    typical_evaluations,
+)
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.setup import Setup
@@ -135,9 +143,10 @@ def simulate(
     chain, energy, preparation = prepare(source, setup)
     if pull or hinge_spring:
         freed(chain, SimulationSettings(**settings))  # What is not there is said before the work.
-    foretell(source, chain, energy, steps, steps)
+    relax = relax and not resume
+    _foretell(source, chain, energy, steps, relax)
     context.with_resource(held_interrupts())
-    q = _relaxed(source, chain, energy, loops, seed) if relax and not resume else chain.q0
+    q = _relaxed(source, chain, energy, loops, seed) if relax else chain.q0
     with simulation_progress(source.stem, steps, time_step / 1000.0) as watch:
         done = run(
             chain, energy, q, n_steps=steps, output=output, trajectory=trajectory,
@@ -165,7 +174,7 @@ def _end(done: "Simulation", beside: dict[str, Any], as_json: bool) -> None:
     record = {**done.record(), **beside}
     if as_json:
         print(json.dumps(record, allow_nan=False))
-    else:
+    elif done.is_sound:
         print_simulation(record)
     if not done.is_sound:
         where = f"the frames until then are in {beside['output']}/*.part.*"
@@ -187,11 +196,21 @@ def _check_time_step(given: float) -> None:
         )
 
 
+def _foretell(source: Path, chain: "Chain", energy: "Energy", steps: int, relax: bool) -> None:
+    """Say before a long run how long it will be, and what a minimisation does about a bad start."""
+    usual = most = steps
+    if relax:
+        troubled = print_outlook(source, chain.structure, "lbfgs")
+        usual += (TROUBLED if troubled else 1) * typical_evaluations("lbfgs", defaults.MAX_EVALUATIONS)
+        most += defaults.MAX_EVALUATIONS
+    foretell(source, chain, energy, usual, most)
+
+
 def _relaxed(source: Path, chain: "Chain", energy: "Energy", loops: str, seed: int) -> "Floats":
     """Minimise by turning hinges; report what it changed, and return the coordinates."""
     from protochain.minimisers import minimise
 
-    with run_progress("lbfgs", defaults.MAX_EVALUATIONS) as watch:
+    with run_progress("lbfgs", defaults.MAX_EVALUATIONS, writes=False) as watch:
         relaxed = minimise(chain, energy, "lbfgs", _RELAXED, seed=seed, watch=watch)
     if relaxed.status == "interrupted":
         raise KeyboardInterrupt

@@ -34,7 +34,7 @@ from protochain.dynamics.settings import (
     SimulationSettings,
     build_thermostat,
 )
-from protochain.dynamics.simulation import Simulation
+from protochain.dynamics.simulation import Simulation, said_of
 from protochain.energies import Energy, as_energy
 from protochain.energies.custom import EnergyFunction
 from protochain.errors import ProtochainError
@@ -355,7 +355,7 @@ def _simulate(
         freedoms=run.freedoms,
         state=state,
         ending=ending,
-        message=_message(ending, why, state, run.settings),
+        message=said_of(ending, why, state.step, run.settings, structure, origin),
         rows=tuple(rows),
         n_steps=state.step - start.step,
         seconds=seconds,
@@ -381,14 +381,3 @@ def _start(run: _Run, folder: Folder | None, resume: bool) -> tuple[State, Float
     if folder:
         folder.open(run.chain.structure, origin, interval, list(run.row(state, origin)[0]))
     return state, origin, []
-
-
-def _message(ending: Ending, why: str, state: State, settings: SimulationSettings) -> str:
-    done = f"{state.step} steps, {state.step * settings.time_step:g} ps"
-    if ending is Ending.UNSTABLE:
-        return (
-            f"unstable after {done}: {why}; take a time step below {settings.time_step:g} ps "
-            f"({1000 * settings.time_step:g} fs) or heavier hydrogens, or minimise first"
-            + ("; or pull more slowly, by a softer spring" if settings.pull else "")
-        )
-    return f"{ending}: {done}"

@@ -104,8 +104,9 @@ def _refuse_free_needles(
     names: tuple[str, ...], parent: Integers, kind: Integers, bodies: Sequence[Body]
 ) -> None:
     """Raise if a free body without others on it can turn about an axis without inertia."""
+    with_others = set(parent.tolist())
     for b, body in enumerate(bodies):
-        if kind[b] != HingeKind.FREE or b in parent:
+        if kind[b] != HingeKind.FREE or b in with_others:
             continue
         moments = np.linalg.eigvalsh(body.inertia)
         if body.mass > 0.0 and moments[0] <= NO_INERTIA * np.sum(moments):

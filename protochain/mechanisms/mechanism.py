@@ -82,7 +82,7 @@ class Mechanism:
         MechanicsError
             If the name is taken, or an argument is unphysical.
         """
-        given.name_of(name, "body", {*self._bodies, WORLD})
+        given.name_of(name, "body", self._bodies, (WORLD,))
         said = f'body "{name}": its'
         where = {"position": position, "rotation": rotation, "velocity": velocity, "spin": spin}
         self._bodies[name] = Body(
@@ -396,4 +396,4 @@ class Mechanism:
         return connect(bodies, q, qd, read_only(self._gravity), self._parts, self._drives, self._events)
 
     def _named(self, name: str, kind: str) -> str:
-        return f'{kind} "{given.name_of(name, kind, {*self._parts, "drives", "damping"})}":'
+        return f'{kind} "{given.name_of(name, kind, self._parts, ("drives", "damping"))}":'

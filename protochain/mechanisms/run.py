@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from protochain.mechanisms.model import Model
 
-_LOOK = 64
+_LOOK = 256
 """Rows from one look at the balance of energy to the next."""
 _SAME = 1e-9
 """Difference of times that is none, relative to the time step."""
@@ -335,13 +335,13 @@ def _check_drive(model: "Model", time: float, nudge: float) -> None:
 def _without_events(rows: _Rows, integrator: Integrator, until: float, every: int) -> Phase:
     """Steps as :func:`protochain.motion.march` takes them, in a loop that costs a hundredth of a step."""
     system, step, h, append = rows.model.system, integrator.step, rows.time_step, rows.rows.append
-    at, count = rows.start, 0
+    at, count, look = rows.start, 0, every * _LOOK
     while (left := until - at.time) > _SAME * h:
         at = step(system, at, h if left > (1.0 + _SAME) * h else left)
         count += 1
         if count % every == 0:
             append((at.time, at.q, at.qd, at.p, at.potential, at.work, 0.0))
-            if len(rows.rows) % _LOOK == 0:
+            if count % look == 0:
                 rows.look()
     if count % every:
         rows.add(at)

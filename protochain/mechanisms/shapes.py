@@ -11,8 +11,10 @@ from protochain.arrays import Floats, Integers, read_only
 from protochain.errors import MechanicsError
 from protochain.mechanisms.bodies import WORLD, Bodies
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
+from protochain.mechanisms.springs import end_of
 from protochain.mechanisms.triangles import least_distances
 from protochain.multibody import Frames
+from protochain.multibody.algebra import dot, kernel, put, scale, subtract, vector, vector_at
 
 
 @dataclass(frozen=True)
@@ -108,8 +110,8 @@ class Balls:
 
     def centres(self, frames: Frames) -> Floats:
         """(n, 3) float: centres in the world."""
-        rotation, origin = placed(frames, self.body)
-        return origin + np.einsum("nij,nj->ni", rotation, self.at)
+        found: Floats = _centres(frames.rotation, frames.origin, self.body, self.at)
+        return found
 
 
 def _three(values: ArrayLike, what: str) -> Floats:
@@ -138,14 +140,6 @@ def balls_of(bodies: Bodies, balls: Sequence[Ball], asking: str) -> Balls:
     return Balls(read_only(numbers, np.int64), read_only(at), read_only(radius))
 
 
-def placed(frames: Frames, body: Integers) -> tuple[Floats, Floats]:
-    """Rotations (n, 3, 3) and origins (n, 3) of bodies; -1 is the world."""
-    rotation, origin = frames.rotation[body], frames.origin[body]
-    fixed = body < 0
-    rotation[fixed], origin[fixed] = np.eye(3), 0.0
-    return rotation, origin
-
-
 @dataclass(frozen=True, eq=False)
 class OnPlane:
     """Balls on a plane: its body, a point and its normal along the axes of the tree's frame."""
@@ -157,15 +151,12 @@ class OnPlane:
 
     def touches(self, frames: Frames) -> Touches:
         """Balls that reach below the plane."""
-        rotation, origin = placed(frames, np.array([self.body]))
-        normal, at = rotation[0] @ self.normal, origin[0] + rotation[0] @ self.at
-        centre = self.balls.centres(frames)
-        depth = self.balls.radius - (centre - at) @ normal
-        i = np.flatnonzero(depth > 0.0)
-        place = centre[i] - (self.balls.radius[i] - 0.5 * depth[i])[:, None] * normal
-        ends = np.column_stack([self.balls.body[i], np.full(len(i), self.body)])
-        pair = np.column_stack([i, np.zeros(len(i), np.int64)])
-        return Touches(pair, ends, place, np.tile(normal, (len(i), 1)), depth[i])
+        balls = self.balls
+        found = _below(
+            frames.rotation, frames.origin, balls.body, balls.at, balls.radius, self.body, self.at,
+            self.normal,
+        )  # fmt: skip
+        return Touches(*found)
 
     def refuse_depth(self, touches: Touches) -> None:
         """Nothing: a half-space is right at any depth."""
@@ -182,20 +173,9 @@ class Among:
 
     def touches(self, frames: Frames) -> Touches:
         """Balls that overlap."""
-        centre, body, radius = self.balls.centres(frames), self.balls.body, self.balls.radius
-        pair = touching(centre, radius)
-        i, j = pair[body[pair[:, 0]] != body[pair[:, 1]]].T
-        if self.first:
-            i, j = np.array([i, j])[:, (i < self.first) & (j >= self.first)]
-        apart = centre[i] - centre[j]
-        length = np.linalg.norm(apart, axis=1)
-        # Centres that coincide have no direction; any will do, until the step is refused.
-        normal = np.divide(
-            apart, length[:, None], out=np.tile([0.0, 0.0, 1.0], (len(i), 1)), where=length[:, None] > 0
-        )
-        depth = radius[i] + radius[j] - length
-        place = centre[i] - (radius[i] - 0.5 * depth)[:, None] * normal
-        return Touches(np.column_stack([i, j]), np.column_stack([body[i], body[j]]), place, normal, depth)
+        centre, balls = self.balls.centres(frames), self.balls
+        pair = touching(centre, balls.radius)
+        return Touches(*_between(pair, centre, balls.body, balls.radius, self.first))
 
     def refuse_depth(self, touches: Touches) -> None:
         """Raise if a ball has all but passed through another."""
@@ -215,16 +195,17 @@ class OnSurface:
 
     def touches(self, frames: Frames) -> Touches:
         """Points of the surface within a ball that are nearer to its centre than those around them."""
-        rotation, origin = placed(frames, np.array([self.body]))
-        turn, radius = rotation[0], self.balls.radius
+        radius, turn, at = self.balls.radius, np.eye(3), np.zeros(3)
+        if self.body >= 0:
+            turn, at = frames.rotation[self.body], frames.origin[self.body]
         # In the frame of the surface.
-        centre = np.ascontiguousarray((self.balls.centres(frames) - origin[0]) @ turn)
+        centre = np.ascontiguousarray((self.balls.centres(frames) - at) @ turn)
         near = overlapping(self.tree, centre - radius[:, None], centre + radius[:, None])
         pair, point, distance = least_distances(near, centre, radius, self.corners)
         i = pair[:, 0]
         normal = (centre[i] - point) / np.where(distance > 0.0, distance, 1.0)[:, None]
         depth = radius[i] - distance
-        place = (point + 0.5 * depth[:, None] * -normal) @ turn.T + origin[0]
+        place = (point - 0.5 * depth[:, None] * normal) @ turn.T + at
         ends = np.column_stack([self.balls.body[i], np.full(len(i), self.body)])
         return Touches(pair, ends, place, normal @ turn.T, depth)
 
@@ -312,3 +293,61 @@ def _refuse_own(balls: Balls, body: int, name: str) -> None:
         raise MechanicsError(
             f"{name}: ball {int(np.argmax(balls.body == body))} belongs to the body it would touch"
         )
+
+
+@kernel
+def _centres(rotation: Floats, origin: Floats, body: Integers, at: Floats) -> Floats:
+    found = np.empty((len(body), 3))
+    for i in range(len(body)):
+        put(end_of(rotation, origin, body[i], vector(at, i))[1], found, i, 0)
+    return found
+
+
+@kernel
+def _below(
+    rotation: Floats, origin: Floats, body: Integers, at: Floats, radius: Floats, plane: int, point: Floats,
+    normal: Floats,
+) -> tuple[Integers, Integers, Floats, Floats, Floats]:  # fmt: skip
+    """Fields of :class:`Touches` of balls and a plane."""
+    n, count = len(body), 0
+    pair, ends = np.zeros((n, 2), np.int64), np.empty((n, 2), np.int64)
+    place, out, depth = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+    _, base = end_of(rotation, origin, plane, vector_at(point, 0))
+    up, _ = end_of(rotation, origin, plane, vector_at(normal, 0))
+    for i in range(n):
+        _, centre = end_of(rotation, origin, body[i], vector(at, i))
+        deep = radius[i] - dot(subtract(centre, base), up)
+        if deep > 0.0:
+            pair[count, 0], ends[count, 0], ends[count, 1], depth[count] = i, body[i], plane, deep
+            put(up, out, count, 0)
+            put(subtract(centre, scale(radius[i] - 0.5 * deep, up)), place, count, 0)
+            count += 1
+    pair, ends, depth = pair[:count].copy(), ends[:count].copy(), depth[:count].copy()
+    return pair, ends, place[:count].copy(), out[:count].copy(), depth
+
+
+@kernel
+def _between(
+    pairs: Integers, centre: Floats, body: Integers, radius: Floats, first: int
+) -> tuple[Integers, Integers, Floats, Floats, Floats]:
+    """Fields of :class:`Touches` of balls and balls."""
+    n, count = len(pairs), 0
+    pair, ends = np.empty((n, 2), np.int64), np.empty((n, 2), np.int64)
+    place, out, depth = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+    for k in range(n):
+        i, j = pairs[k, 0], pairs[k, 1]
+        if body[i] == body[j] or (first > 0 and (i >= first or j < first)):
+            continue
+        apart = subtract(vector(centre, i), vector(centre, j))
+        length = np.sqrt(dot(apart, apart))
+        deep = radius[i] + radius[j] - length
+        # Centres that coincide have no direction; any will do, until the step is refused.
+        up = scale(1.0 / length, apart) if length > 0.0 else (0.0, 0.0, 1.0)
+        if deep > 0.0:
+            pair[count, 0], pair[count, 1], ends[count, 0], ends[count, 1] = i, j, body[i], body[j]
+            depth[count] = deep
+            put(up, out, count, 0)
+            put(subtract(vector(centre, i), scale(radius[i] - 0.5 * deep, up)), place, count, 0)
+            count += 1
+    pair, ends, depth = pair[:count].copy(), ends[:count].copy(), depth[:count].copy()
+    return pair, ends, place[:count].copy(), out[:count].copy(), depth

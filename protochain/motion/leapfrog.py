@@ -64,11 +64,8 @@ class Leapfrog(Integrator):
         MechanicsError
             If a load depends on velocities, or hinges are driven.
         """
-        if system.loads and system.depends_on_velocity:
-            raise MechanicsError(
-                "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
-            )
-        refuse_drive(system, "leapfrog")
+        if system.loads or system.drive is not None or system.bends:
+            _refuse(system)
         kicked = system.kick(at, *self._drifted(system, at, time_step), time_step)
         if system.constraint is None:
             return kicked
@@ -79,7 +76,7 @@ class Leapfrog(Integrator):
 
     def check_return(self, system: System, before: Phase, after: Phase, time_step: float) -> None:
         """Check that a step backwards ends where the step began, without an energy: its drift decides."""
-        refuse_departure(system.tree, self._drifted(system, after, -time_step)[0], before.q)
+        refuse_departure(system, self._drifted(system, after, -time_step)[0], before.q)
 
     def _drifted(self, system: System, at: Phase, time_step: float) -> Drifted:
         """Kick for half a step and drift for a step."""
@@ -87,6 +84,15 @@ class Leapfrog(Integrator):
         if system.constraint is None:
             return self.drift(at, kicked, time_step)
         return system.constraint.drift(self.drift, at, kicked, time_step)
+
+
+def _refuse(system: System) -> None:
+    """Raise if the leapfrog cannot take a system."""
+    refuse_drive(system, "leapfrog")
+    if system.depends_on_velocity:
+        raise MechanicsError(
+            "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
+        )
 
 
 def drift(at: Phase, p: Floats, time_step: float) -> Drifted:

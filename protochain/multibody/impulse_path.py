@@ -330,6 +330,9 @@ def follow_in_turn(
         block[:] = w[i : i + 3, i : i + 3]
         own[:] = v[i : i + 3]
         status = follow(block, own, mu[i // 3], e[i // 3], law, slow[i // 3], tolerance, local)
+        if status == LOST:
+            # Of what approach is left, rounding errors are too large a part.
+            return ENDLESS, i // 3
         if status != DONE:
             return status, i // 3
         for j in range(3):

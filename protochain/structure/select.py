@@ -76,7 +76,8 @@ def atoms_at(structure: Structure, place: str) -> Integers:
         beside = np.unique(structure.atom_residue[structure.kept])
         found = np.setdiff1d(found, beside) if len(np.setdiff1d(found, beside)) else found
     if len(found) != 1:
-        known = f"its chains are {', '.join(dict.fromkeys(structure.residue_chain.tolist()))}"
+        chains = dict.fromkeys(name or "(blank)" for name in structure.residue_chain.tolist())
+        known = f"its chains are {', '.join(chains)}"
         if of_chain.any():
             known = f"chain {chain} has {numbers[of_chain][0]} to {numbers[of_chain][-1]}"
         how_many = len(found) or "no"

@@ -67,6 +67,7 @@ def run(quick: bool = False) -> Scene:
         "trace": pd.concat([table.assign(model=name) for name, table in traces.items()]),
         "rest": sweep,
         "stiffness": stiffness,
+        "light": _light(gear, quick),
         "models": pd.DataFrame([{"model": name, **_summary(t, gear)} for name, t in traces.items()]),
     }
     work, found = _work(gear, 3e-4 if quick else 1e-3, quick)
@@ -270,6 +271,30 @@ def _work(gear: Gear, until: float, quick: bool) -> tuple[pd.DataFrame, list[Che
     return work_table([*rows, Work("DOP853", "1e-12", seconds, np.nan)]), [found]
 
 
+def _light(gear: Gear, quick: bool) -> pd.DataFrame:
+    """Light teeth between flanks that damp: an explicit method must resolve what an implicit one need not.
+
+    Evaluations of all forces, and the error of the lag after 0.1 ms, of that at rest; against the explicit
+    method at half a step near its longest.
+    """
+    until, tooth, h = 1e-4, *((0.1, 1e-7) if quick else (0.01, 1e-8))
+    light = replace(gear, tooth=tooth)
+    model = started(light, until)
+
+    def lag(integrator: Integrator, step: float) -> float:
+        return float(lags(model.simulate(until, step, integrator, 10**9), gear)[-1])
+
+    wanted, rows = lag(RungeKutta4(), 0.5 * h), []
+    for method, integrator, step, calls in (
+        ("RK4", RungeKutta4(), h, 4), ("ROS2", Rosenbrock(), 2e-6, 2 * model.tree.n_v + 3),
+        ("ROS2", Rosenbrock(), 1e-6, 2 * model.tree.n_v + 3),
+    ):  # fmt: skip
+        found, seconds = timed(partial(lag, integrator, step))
+        error = abs(found - wanted) / gear.error(1)
+        rows.append((method, tooth, step, calls * round(until / step), seconds, error))
+    return pd.DataFrame(rows, columns=["method", "tooth", "step", "evaluations", "seconds", "error"])
+
+
 def _left_out(gear: Gear, until: float) -> Iterator[LeftOut]:
     """Teeth that do not come near the mesh, as parts of their wheels."""
 
@@ -293,7 +318,7 @@ def _extremes(gear: Gear) -> Iterator[Extreme]:
         return check("audit", end(of, step).audit().energy, 0.0, 1e-6, "energy less work is kept", "absolute")
 
     def swing(of: Gear, step: float = STEP, integrator: Integrator | None = None) -> Check:
-        source = "teeth of steel, a tenth of the inertia"
+        source = "teeth of steel, whose inertia changes little here"
         value, oracle = (lags(each, gear)[-1] for each in (end(of, step, integrator), end(gear)))
         return check("lag at the end", value, oracle, 0.03, source)
 
@@ -313,7 +338,7 @@ def _extremes(gear: Gear) -> Iterator[Extreme]:
     yield extreme("torque turned round", partial(_parted, gear, short))
     yield extreme("step of three radians", lambda: swing(gear, 5e-6), "too long")
     light = replace(gear, tooth=1e-6)
-    yield extreme("teeth of a millionth, explicit", lambda: swing(light), "too long|no inertia")
+    yield extreme("teeth of a millionth, explicit", lambda: swing(light), "too long|has diverged")
     yield extreme("teeth of a millionth, implicit", lambda: swing(light, STEP, Rosenbrock()))
     yield extreme(
         "teeth without inertia", lambda: audit(replace(gear, tooth=0.0)), "tooth 0 .*(mass|inertia)"

@@ -8,14 +8,16 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 from protochain.arrays import Floats
-from protochain.mechanisms import Model
+from protochain.mechanisms import Ball, Model, Plane, flores, real_restitution
 from protochain.multibody.impulse_path import POISSON, follow
 from protochain.multibody.impulse_points import Struck
-from protochain.scenes.impact.systems import Blow, brick, rods
+from protochain.scenes.impact.systems import TIP, UP, Blow, brick, rods, two_rods
 from protochain.scenes.scene import Check, Work, check, timed
 
 SMOOTH = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4)
 """Slip, relative to the speed of approach, below which smoothed friction falls off."""
+STIFF = (1e5, 1e7, 1e9, 1e11)
+"""N/m^1.5, of a floor that gives way."""
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 KEPT = 1e-13
 """Tolerance of the reference."""
@@ -110,6 +112,10 @@ def work(quick: bool) -> Iterator[Work]:
         after, seconds = timed(lambda: integrated(plane, 1e-8, smooth)[0])  # noqa: B023  # called at once
         error = abs(after[0] - exact[0]) + float(np.linalg.norm(after[1:]))
         yield Work("rods: smoothed friction, Radau", f"{smooth:g}", seconds, error / size)
+    for stiffness in STIFF[: 2 if quick else None]:
+        (normal, expected), seconds = timed(partial(soft_floor, stiffness, 300), 2)
+        error = abs(normal - expected) / size
+        yield Work("rods without friction: soft floor", f"{stiffness:g}", seconds, error)
     reference = integrated(space, KEPT)[0]
     size = float(np.linalg.norm(space[1]))
     for tolerance in TOLERANCES:
@@ -124,6 +130,35 @@ def work(quick: bool) -> Iterator[Work]:
         after, seconds = timed(lambda: integrated(space, 1e-8, smooth)[0])  # noqa: B023  # called at once
         error = float(np.linalg.norm(after - reference))
         yield Work("brick: smoothed friction, Radau", f"{smooth:g}", seconds, error / size)
+
+
+def soft_floor(stiffness: float, steps: int) -> tuple[float, float]:
+    """Let the rods' tip sink into a floor without friction, and come out of it.
+
+    Parameters
+    ----------
+    stiffness : float
+        Of Flores' law with exponent 1.5, N/m^1.5, for a restitution of 0.5.
+    steps : int
+        Time steps over some two times the time of contact.
+
+    Returns
+    -------
+    float, float
+        Normal velocity of the tip after, and that of an impulse with the law's real restitution.
+    """
+    model, blow = rods(0.0)
+    (w, *_), (u, *_) = point_of(model, blow)[:2]
+    law = flores(stiffness, 0.5, -u)
+    height = float(model.state().point("lower", TIP)[2])
+    m = two_rods()
+    m.contact("floor", [Ball("lower", 0.0, TIP)], Plane("world", (0.0, 0.0, height), UP), law)
+    # Hertz' time of contact; damped, it is longer.
+    until = 2.0 * 3.0 * ((1.0 / w[0]) ** 2 / (stiffness**2 * -u)) ** 0.2
+    soft = m.build()
+    run = soft.simulate(until, until / steps, every=steps)
+    after = float(soft.state(run.end).velocity("lower", TIP)[2])
+    return after, -u * real_restitution(law.damping * -u)
 
 
 def path_checks() -> Iterator[Check]:

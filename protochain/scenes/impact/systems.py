@@ -75,17 +75,26 @@ def struck(
     return impact(state.factors, state.qd, [b.point(state) for b in blows], law, None, order), start.kinetic
 
 
-def rods(friction: float, restitution: float = 0.5, tip_mass: float = 1.0) -> tuple[Model, Blow]:
-    """Make two uniform rods in a row from a pin, whose tip strikes a level floor.
+def two_rods(tip_mass: float = 1.0) -> Mechanism:
+    """Make two uniform rods of 1 m in a row from a pin, without what their tip strikes.
 
-    Each of 1 m, 1 kg (the lower of ``tip_mass``), 20 and 30 degrees off the vertical, at -0.1 and -0.2 rad/s.
+    Of 1 kg (the lower of ``tip_mass``), 20 and 30 degrees off the vertical, at -0.1 and -0.2 rad/s.
     """
     m = Mechanism()
     for name, mass in (("upper", 1.0), ("lower", tip_mass)):
         m.body(name, mass=mass, com=(0.0, 0.0, -0.5), inertia=(mass / 12.0, mass / 12.0, 0.0))
     m.hinge("pin", "world", "upper", axis=(0.0, 1.0, 0.0), q=np.radians(20.0), qd=-0.1)
     m.hinge("knee", "upper", "lower", at=(0.0, 0.0, -1.0), axis=(0.0, 1.0, 0.0), q=np.radians(10.0), qd=-0.1)
-    return m.build(), Blow("world", "lower", (0.0, 0.0, -1.0), UP, friction, restitution)
+    return m
+
+
+TIP = (0.0, 0.0, -1.0)
+"""Tip of the lower rod."""
+
+
+def rods(friction: float, restitution: float = 0.5, tip_mass: float = 1.0) -> tuple[Model, Blow]:
+    """Make the rods of :func:`two_rods`, whose tip strikes a level floor."""
+    return two_rods(tip_mass).build(), Blow("world", "lower", TIP, UP, friction, restitution)
 
 
 def cradle(masses: Sequence[float], speeds: Sequence[float], restitution: float) -> tuple[Model, list[Blow]]:

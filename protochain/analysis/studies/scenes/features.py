@@ -243,7 +243,7 @@ _CLOSURES = (
 )  # fmt: skip
 _LOADS = (
     ("        if not self.loads:\n            return potential, torque, None\n"
-     "        loads = np.array([load.along(self.tree, time, q, qd, factors.frames) for load in self.loads])\n"
+     "        loads = np.array([self.along(load, time, q, qd, factors) for load in self.loads])\n"
      "        return potential, torque + loads.sum(axis=0), loads\n",
      "        return potential, torque, None\n"),
     ("        if loads is None:\n            return at\n"
