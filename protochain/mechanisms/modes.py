@@ -8,7 +8,7 @@ and its elastic energy stays exact. No high frequency is left that would ask for
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, eigh
@@ -20,8 +20,7 @@ from protochain.errors import MechanicsError
 from protochain.mechanisms.elements import Sum
 from protochain.mechanisms.model import Model
 from protochain.mechanisms.springs import STIFFNESS, Torsions
-from protochain.motion import Phase, System
-from protochain.multibody.articulated import Articulated
+from protochain.motion import System
 
 _PARALLEL = 1e-9
 """Largest part of the start's velocities that no shape has, of their size."""
@@ -38,6 +37,7 @@ class ReducedSystem(System):
     """
 
     directions: Floats = ()  # type: ignore[assignment]
+    by_momenta: ClassVar[bool] = False
 
     def accelerations(
         self, time: float, q: Floats, qd: Floats, torque: Floats, loads: Floats | None
@@ -60,14 +60,6 @@ class ReducedSystem(System):
         driving = np.zeros(tree.n_v)
         driving[tree.driven_v] = (mass @ amplitude - lacking)[tree.driven_v]
         return qdd, np.vstack([driving] if loads is None else [*loads[: len(self.loads)], driving])
-
-    def kick(self, before: Phase, q: Floats, p: Floats, factors: Articulated, time_step: float) -> Phase:
-        """Refuse, as integrators that move by momenta know nothing of directions."""
-        raise _by_momenta()
-
-    def arrive(self, q: Floats, p: Floats, factors: Articulated, time: float, work: Floats) -> Phase:
-        """Refuse, as integrators that move by momenta know nothing of directions."""
-        raise _by_momenta()
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +106,8 @@ def in_modes(model: Model, groups: Iterable[tuple[Sequence[str], int]]) -> Reduc
     Raises
     ------
     MechanicsError
-        If a hinge is in two groups or has no spring, there are not as many modes, or the start moves otherwise.
+        If a hinge is in two groups or has no spring, there are not as many modes, or the start moves
+        otherwise.
     """
     tree = model.tree
     springs = _stiffness(model)
@@ -155,9 +148,3 @@ def _stiffness(model: Model) -> Floats:
         if isinstance(part, Torsions):
             np.add.at(out, part.freedoms, part.constants[:, STIFFNESS])
     return out
-
-
-def _by_momenta() -> MechanicsError:
-    return MechanicsError(
-        "a mechanism in modes takes no leapfrog or midpoint rule; take Runge-Kutta, Dormand-Prince or Rosenbrock"
-    )

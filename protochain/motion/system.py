@@ -208,6 +208,8 @@ class System:
     constraint: Constraint | None = None
     loads: tuple[Load, ...] = ()
     drive: Drive | None = None
+    by_momenta: ClassVar[bool] = True
+    """Whether it moves along all freedoms, so that momenta say what velocities are."""
 
     def __post_init__(self) -> None:
         if (self.drive is None) != (self.tree.driven is None):
@@ -336,13 +338,17 @@ def total(parts: list[Potential]) -> Potential:
 
 
 def refuse_drive(system: System, name: str) -> None:
-    """Raise if hinges are driven, for an integrator that moves by momenta alone.
+    """Raise if hinges are driven, or held in modes, for an integrator that moves by momenta alone.
 
     Raises
     ------
     MechanicsError
         If any is.
     """
+    if not system.by_momenta:
+        raise MechanicsError(
+            f"the {name} takes no mechanism in modes; take Runge-Kutta, Dormand-Prince or Rosenbrock"
+        )
     if system.drive is not None:
         raise MechanicsError(
             f"the {name} takes no driven hinges; take Runge-Kutta, Dormand-Prince or Rosenbrock"

@@ -98,7 +98,7 @@ def turning(beam: Beam, cells: int, rate: float, modes: bool = False, bends: str
 
 
 def exactly(beam: Beam, rate: float) -> Floats:
-    """(4,) float: frequencies of two modes of flap, of lag and of torsion, without rotary inertia in bending."""
+    """(4,) float: frequencies of two modes of flap, of lag and of torsion; bending without rotary inertia."""
     flap, lag = (np.sqrt(k / (beam.mass * beam.length**4)) for k in np.broadcast_to(beam.bending, 2))
     in_plane = lag * np.sqrt(ritz(rate / lag)[0] ** 2 - (rate / lag) ** 2)
     # Rods as round as these twist as if they did not rotate.

@@ -1,15 +1,16 @@
 """Cases: touchdown, run-up, gust and a step of the pitch, with their traces; and their closed forms."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 from scipy.linalg import expm
 
+from protochain import multibody
 from protochain.arrays import Floats
 from protochain.mechanisms import Run, State
 from protochain.motion import Integrator
+from protochain.scenes.helicopter.lift import Motion
 from protochain.scenes.helicopter.parts import (
     BLADE_MASS,
     BLADES,
@@ -48,7 +49,7 @@ def touchdown(
 
 def traced(helicopter: Helicopter, run: Run) -> pd.DataFrame:
     """Legs' forces, height, tilt, and how far the tips of the blades are above the hub, along the shaft."""
-    model, legs, rows = helicopter.model, helicopter.given.legs, []
+    legs, rows = helicopter.given.legs, []
     for time, q, qd in zip(run.time, run.q, run.qd, strict=True):
         state = _state(helicopter, time, q, qd)
         turn = state.rotation("fuselage")
@@ -64,8 +65,6 @@ def traced(helicopter: Helicopter, run: Run) -> pd.DataFrame:
 
 
 def _state(helicopter: Helicopter, time: float, q: Floats, qd: Floats) -> State:
-    from protochain import multibody
-
     bodies = helicopter.model.bodies
     return State(bodies, time, q, qd, multibody.pose(bodies.tree, q))
 
@@ -162,8 +161,7 @@ def step(time: float, size: float = 0.02, length: float = 0.1) -> float:
 
 def hovering(
     given: Given, until: float, time_step: float, every: int = 1,
-    wind: Callable[[float], float] | None = None, change: Callable[[float], float] | None = None,
-    integrator: Integrator | None = None,
+    wind: Motion | None = None, change: Motion | None = None, integrator: Integrator | None = None,
 ) -> tuple[Helicopter, Run]:  # fmt: skip
     """Hover far from the ground, through a gust or a change of the pitch."""
     given = replace(given, legs=None, gust=wind or (lambda t: 0.0))
@@ -172,9 +170,8 @@ def hovering(
     return helicopter, helicopter.model.simulate(until, time_step, integrator, every, start)
 
 
-def climbing(helicopter: Helicopter, until: float, wind: Callable[[float], float] | None,
-             change: Callable[[float], float] | None) -> float:  # fmt: skip
-    """Speed of climbing of a rigid helicopter at the end of a hover: M z'' = - air (z' - w) + dL/dtheta theta."""
+def climbing(helicopter: Helicopter, until: float, wind: Motion | None, change: Motion | None) -> float:
+    """Speed of a rigid helicopter after a hover, of M z'' = - air (z' - w) + dL/dtheta theta."""
     air = heave_damping(helicopter)
     r, dr = np.array([(strip.radius, strip.width) for strip in helicopter.lift.strips]).T
     by_pitch = helicopter.lift.constant * float(np.sum((RATE * r) ** 2 * dr))
@@ -194,5 +191,3 @@ def lowest_tip(table: pd.DataFrame) -> float:
     tilt = np.radians(table["tilt"])
     hub = table["height"] + 1.3 * np.cos(tilt)
     return float(np.min(hub - RADIUS * np.sin(tilt)))
-
-
