@@ -16,6 +16,8 @@ from .chain import mass_matrix as mass_matrix
 from .chain import pose as pose
 from .chain import pull_back as pull_back
 from .chain import solve_mass as solve_mass
+from .dynamics import HingeSpring as HingeSpring
+from .dynamics import Pull as Pull
 from .dynamics import Simulation as Simulation
 from .dynamics import simulate as simulate
 from .energies import energy as energy

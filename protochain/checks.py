@@ -158,6 +158,25 @@ def _pair(bond: Any, name: str) -> tuple[str, str]:
     raise ProtochainError(f"{name} {shown(bond)}: give chain:number-chain:number, as A:3-A:40")
 
 
+def ends(given: Any, name: str) -> tuple[str, str]:
+    """Read two places: ``("A:1:N", "A:20:C")``, ``"A:1:N-A:20:C"``, or any two with `` - `` between."""
+    if isinstance(given, str):
+        found = re.fullmatch(rf"({_PLACE})-({_PLACE})", given.strip())
+        parts = tuple(part.strip() for part in given.split(" - "))
+        read = found.groups() if found else parts
+    else:
+        read = tuple(given) if isinstance(given, tuple | list) else ()
+    if len(read) == 2 and all(isinstance(end, str) and end.strip() for end in read):
+        return read[0].strip(), read[1].strip()
+    raise ProtochainError(
+        f"{name} {shown(given)}: give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between"
+    )
+
+
+_PLACE = r"\S*?:-?\d+\w?(?::[^\s:]+?)?"
+"""A residue, or an atom of it."""
+
+
 def words(value: str | Iterable[str], name: str = "keep") -> tuple[str, ...]:
     """Split a text at its commas; leave a sequence of words as it is."""
     split = value.split(",") if isinstance(value, str) else _listed(value, name)

@@ -43,9 +43,13 @@ TRAJECTORY_LENGTH = 10
 EVERY = 100
 TRAJECTORY = "dcd"
 CHECKPOINT_EVERY = 10
+PULL_STIFFNESS = 1000.0  # kJ/mol/nm^2
+PULL_SPEED = 0.01  # nm/ps
 
 BALANCE = 0.1
 """Energy that a motion of a mechanism may gain or lose by its integrator, of the largest in motion."""
 
 BATCH_THREADS = 1
 TIME_LIMIT = 3600.0  # s
+IMPACT_TOLERANCE = 1e-10
+"""Error of a step of an impact's path, relative to its impulse. Plane paths are exact."""

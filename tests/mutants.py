@@ -41,7 +41,7 @@ FOLDERS = {
     "analysis": (["analysis/deviation.py", "analysis/quality.py"], []),
     "mechanics": (
         ["multibody", "motion", "dynamics", "chain.py"],
-        ["multibody", "mass", "chain", "motion", "dynamics"],
+        ["multibody", "mass", "chain", "motion", "dynamics", "driven", "massless", "flexible"],
     ),
     "kernels": (["energies/native"], ["native", "energy"]),
 }

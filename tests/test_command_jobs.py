@@ -13,6 +13,7 @@ import pytest
 from conftest import is_held
 from test_commands import refusal, run
 
+import protochain as pc
 from protochain.batches import BatchSettings
 from protochain.setup import Setup
 
@@ -26,8 +27,8 @@ def simulated(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     done = SimpleNamespace(record=lambda: {"r": 1.0}, is_sound=True, ending="completed", message="why")
     seen = SimpleNamespace(
-        prepared=[], foretold=[], runs=[], shown=[], given=[], done=done, chain=SimpleNamespace(q0="q0"),
-        setups=[], relaxed="converged",
+        prepared=[], foretold=[], runs=[], shown=[], given=[], checked=[], setups=[], done=done,
+        chain=SimpleNamespace(q0="q0", structure="s"), relaxed="converged", troubled=False,
     )  # fmt: skip
 
     def prepare(source, setup):
@@ -53,10 +54,18 @@ def simulated(monkeypatch, tmp_path):
         return seen.done
 
     @contextmanager
-    def progress(*given):
+    def progress(*given, writes=True):
+        assert writes == (given[0] != "lbfgs")
         yield lambda row, x: seen.shown.append((*given, row))
 
+    def outlook(*given):
+        assert given == (seen.prepared[-1], "s", "lbfgs")
+        return seen.troubled
+
     monkeypatch.setattr(SIMULATE, "prepare", prepare)
+    monkeypatch.setattr(SIMULATE, "print_outlook", outlook)
+    module = importlib.import_module("protochain.dynamics.simulate")
+    monkeypatch.setattr(module, "freed", lambda chain, settings: seen.checked.append(settings))
     monkeypatch.setattr(SIMULATE, "foretell", foretell)
     monkeypatch.setattr(SIMULATE, "run_progress", progress)
     monkeypatch.setattr(SIMULATE, "simulation_progress", progress)
@@ -71,7 +80,7 @@ SIMULATED = {
     "resume": False, "force": False, "temperature": 300.0, "time_step": 0.005, "thermostat": "langevin",
     "friction": 1.0,
     "integrator": "leapfrog", "fixman": False, "loops": "open", "hydrogen_mass": None,
-    "trajectory_length": 10, "every": 100, "seed": 0,
+    "trajectory_length": 10, "every": 100, "seed": 0, "pull": None, "hinge_springs": (),
 }  # fmt: skip
 
 
@@ -79,7 +88,8 @@ def test_simulate_minimises_first_and_hands_its_options_on(simulated, capsys):
     assert run("simulate", "in/a.pdb") == 0
     assert simulated.given == [((simulated.chain, "energy", "q"), SIMULATED)]
     assert simulated.runs == [((simulated.chain, "energy", "lbfgs", 10.0), {"seed": 0})]
-    assert simulated.foretold == [(Path("in/a.pdb"), simulated.chain, "energy", 10_000, 10_000)]
+    assert simulated.foretold == [(Path("in/a.pdb"), simulated.chain, "energy", 10_050, 15_000)]
+    assert simulated.checked == []
     assert simulated.shown == [("lbfgs", 5000, {"k": 1}), ("a", 10_000, 0.005, {})]
     told = capsys.readouterr()
     beside = {"input": "in/a.pdb", "output": "a-simulation", "seconds_preparation": 1.5}
@@ -89,15 +99,21 @@ def test_simulate_minimises_first_and_hands_its_options_on(simulated, capsys):
         "--steps", 40, "--time-step", 2, "--temperature", 10, "--thermostat", "hmc", "--friction", 3,
         "--fixman", "--integrator", "leapfrog", "--hydrogen-mass", 3, "--trajectory-length", 4, "--every", 4,
         "--trajectory", "xtc", "--checkpoint-every", 5, "--seed", 6, "--json", "-o", "out", "--force",
-        "--ph", 5,
+        "--ph", 5, "--pull", "A:1:N-B:2:C", "--pull-stiffness", 20, "--pull-speed", 0,
+        "--hinge-spring", "omega 40", "--hinge-spring", "phi 3 0",
     )  # fmt: skip
+    simulated.troubled = True
     assert run("simulate", "in/a.pdb", *options) == 0
     assert simulated.given[1][1] == SIMULATED | {
+        "pull": pc.Pull(("A:1:N", "B:2:C"), 20.0, 0.0),
+        "hinge_springs": (pc.HingeSpring("omega", 40.0), pc.HingeSpring("phi", 3.0)),
         "n_steps": 40, "output": Path("out"), "trajectory": "xtc", "checkpoint_every": 5, "force": True,
         "temperature": 10.0, "time_step": 0.002, "thermostat": "hmc", "friction": 3.0, "fixman": True,
         "hydrogen_mass": 3.0, "trajectory_length": 4, "every": 4, "seed": 6,
     }  # fmt: skip
-    assert simulated.foretold[1][3:] == (40, 40) and simulated.shown[3] == ("a", 40, 0.002, {})
+    assert [settings.pull.speed for settings in simulated.checked] == [0.0]
+    # From a start with overlaps, three times as many evaluations as usual.
+    assert simulated.foretold[1][3:] == (190, 5040) and simulated.shown[3] == ("a", 40, 0.002, {})
     assert simulated.runs[1][1] == {"seed": 6} and [each.ph for each in simulated.setups] == [7.0, 5.0]
     assert json.loads(capsys.readouterr().out) == {"r": 1.0} | beside | {"output": "out"}
 
@@ -110,6 +126,7 @@ def test_simulate_relaxes_what_begins(simulated, capsys):
     for options in (("--no-relax",), ("-o", "out", "--resume")):
         assert run("simulate", "a.pdb", *options) == 0
         given, more = simulated.given[-1]
+        assert simulated.foretold[-1][3:] == (10_000, 10_000)
         assert given[2] == "q0" and simulated.runs == [] and more["resume"] is ("--resume" in options)
     capsys.readouterr()
     assert run("simulate", "a.pdb", "--loops", "closed") == 0
@@ -136,7 +153,7 @@ def test_simulate_ends_by_how_the_run_ended(simulated, capsys):
     with pytest.raises(SystemExit) as ended:
         run("simulate", "a.pdb", "--no-relax")
     told = capsys.readouterr()
-    assert ended.value.code == 1 and told.out.startswith("summary ")
+    assert ended.value.code == 1 and told.out == ""
     assert told.err == "protochain: a.pdb: why; the frames until then are in a-simulation/*.part.*\n"
 
 

@@ -50,6 +50,8 @@ def at():
 
 REQUIRED = {
     "EveryFrame": lambda: (pc.to_mdanalysis(S()),),
+    "HingeSpring": lambda: ("omega", 40.0),
+    "Pull": lambda: ("A:1:N-A:10:C",),
     "Setup": tuple,
     "as_structure": lambda: (S(),),
     "batch": lambda: ([FILE], "never-written"),
@@ -128,7 +130,12 @@ def arguments():
 
 def test_every_public_function_is_tried():
     functions = {name for name in pc.__all__ if inspect.isfunction(getattr(pc, name))}
-    assert functions - {"minimize", "progress"} == set(REQUIRED) - {"EveryFrame", "Setup"}
+    assert functions - {"minimize", "progress"} == set(REQUIRED) - {
+        "EveryFrame",
+        "HingeSpring",
+        "Pull",
+        "Setup",
+    }
 
 
 @pytest.mark.parametrize(("name", "argument"), list(arguments()))
@@ -164,6 +171,12 @@ def test_what_makes_no_sense_is_refused_in_one_line_that_names_it(name, argument
         (lambda: pc.explore(C(), vacuum(), seed=-1), "seed -1: give 0 or more"),
         (lambda: pc.minimise(C(), vacuum(), "anneal", seed=-1), "seed -1: give 0 or more"),
         (lambda: pc.simulate(C(), vacuum(), time_step="0.002"), "time_step=0.002"),
+        (lambda: pc.simulate(C(), vacuum(), pull=("A:1:N", 3)), "pull ('A:1:N', 3): give two atoms, as"),
+        (lambda: pc.simulate(C(), vacuum(), pull=pc.Setup()), "give two atoms, as A:1:N-A:20:C"),
+        (lambda: pc.simulate(C(), vacuum(), hinge_springs=[pc.Setup()]), "give HingeSprings"),
+        (lambda: pc.Pull("A:1:N-A:10:C", speed=1 * unit.kelvin), "speed is in kelvin; give it in nanometer"),
+        (lambda: pc.Pull("A:1-A:10", "1e3"), "stiffness '1e3': give a number, not a text: stiffness=1e3"),
+        (lambda: pc.HingeSpring("omega", None), "stiffness None: give a number"),
         (lambda: pc.simulate(C(), vacuum(), resume="folder"), "resume 'folder': give True or False"),
         (lambda: pc.simulate(C(), vacuum(), time_step=3 * unit.kelvin), "time_step is in kelvin; give it in"),
         (lambda: pc.batch(FILE, "x", workers="2"), "workers=2"),
@@ -254,6 +267,11 @@ def test_quantities_are_converted():
         friction=5.0 / unit.picosecond, **settings,
     )  # fmt: skip
     assert np.allclose(units.x, plainly.x, atol=1e-12)
+    per_mol = unit.kilocalorie_per_mole
+    pull = pc.Pull("A:1:N-A:10:C", 1.0 * per_mol / unit.angstrom**2, 1.0 * unit.angstrom / unit.picosecond)
+    assert (pull.stiffness, pull.speed) == (pytest.approx(418.4), pytest.approx(0.1))
+    degree = pc.HingeSpring("omega", 1.0 * per_mol / unit.degree**2)
+    assert degree.stiffness == pytest.approx(4.184 * np.degrees(1.0) ** 2)
     assert pc.minimise(C(), vacuum(), "lbfgs", max_evaluations=3e0).n_evaluations <= 3
     assert pc.to_mdtraj(s, x[None] * 10.0 * unit.angstrom).xyz == pytest.approx(x[None], rel=1e-6)
 

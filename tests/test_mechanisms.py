@@ -1,13 +1,11 @@
 """Mechanisms by name, against closed forms, scipy's integrators and finite differences."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from conftest import ROUND_OFF
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from test_docs import GUIDE, blocks
 
 from protochain import multibody
 from protochain.errors import MechanicsError
@@ -16,12 +14,7 @@ from protochain.mechanisms.elements import Sum
 from protochain.motion import (
     Applied,
     DormandPrince,
-    Leapfrog,
     Load,
-    Rosenbrock,
-    RungeKutta4,
-    StepTooLargeError,
-    System,
 )  # fmt: skip
 
 G = 9.81
@@ -251,7 +244,7 @@ def test_a_bushing_at_half_a_turn_is_refused_by_name():
 
 
 def test_dampers_take_what_their_definitions_say():
-    """Power of spring dampers c (dl/dt)^2, of torsions c qd^2, of bushings c times rates in b's axes squared."""
+    """Springs c (dl/dt)^2, torsions c qd^2, bushings c times rates in b's axes squared."""
     m, rng = crowd(4), np.random.default_rng(4)
     elements(m, rng)
     model = m.build()
@@ -313,7 +306,7 @@ def test_a_spring_of_no_length_passes_through_itself():
 
 def test_a_spring_with_a_length_at_rest_and_none_as_built_is_refused():
     m = Mechanism()
-    m.body("a", 1.0)
+    m.body("a", 1.0, inertia=1.0)
     m.spring("s", ("a", (0, 0, 0)), ("world", (0, 0, 0)), stiffness=1.0, rest=1.0)
     with pytest.raises(MechanicsError, match=r'spring "s": its ends meet as built.*rest=0'):
         m.build()
@@ -335,6 +328,20 @@ def test_a_slide_with_spring_and_damper_is_the_oscillator_of_the_textbook():
 
 
 # --- Motion
+
+
+def test_the_guides_example_runs_and_its_energy_adds_up(capsys):
+    names = {}
+    (example,) = [block for block in blocks(GUIDE, "python") if "Mechanism(" in block]
+    exec(compile(example, str(GUIDE), "exec"), names)
+    printed = capsys.readouterr().out
+    assert "work motor" in printed
+    run = names["run"]
+    assert run.audit().energy < AUDITED
+    assert run.table["dissipation"].iloc[-1] > 0.1
+    upper, lower = run.q[-1]
+    end = np.array([-np.sin(upper) - np.sin(upper + lower), 0, -np.cos(upper) - np.cos(upper + lower)])
+    assert np.allclose(names["tip"], end)
 
 
 def double_pendulum(t, y, m=(1.0, 2.0), length=(1.0, 0.7)):
@@ -368,7 +375,7 @@ def test_a_double_pendulum_moves_as_the_textbook_says():
 
 
 def test_a_free_top_precesses():
-    """A symmetric top without forces: omega precesses about its axis at (I3 - I1) / I1 omega_3, in the body."""
+    """A symmetric top without forces: in it, omega precesses at (I3 - I1) / I1 omega_3."""
     m = Mechanism()
     m.body("top", 1.0, inertia=(2.0, 2.0, 3.0), spin=(0.4, 0.0, 5.0))
     model = m.build()
@@ -485,7 +492,7 @@ def test_a_force_off_the_centre_acts_at_its_point_along_world_axes():
 
 
 def test_two_hinges_through_a_body_without_mass_are_a_universal_joint():
-    """A point on one is the spherical pendulum, here in Cartesian coordinates with the force of its string."""
+    """A point on one is a spherical pendulum, here in Cartesian coordinates with a string."""
     m = Mechanism(gravity=DOWN)
     m.body("cross", 0.0)
     m.hinge("x", "world", "cross", axis=(1, 0, 0), q=0.4, qd=1.5)

@@ -247,3 +247,13 @@ def test_a_beam_is_right():
         "steps three times too long", *(name for name, *_ in REFUSED)
     }  # fmt: skip
     assert {"spin_up", "rotation", "lengths"} == set(found.tables)
+
+
+def test_a_manipulator_is_right():
+    found = run("manipulator", quick=True)
+    assert found.wrong == () and len(found.checks) == 8
+    assert [each.name for each in found.extremes if each.outcome == "refused"] == [
+        "steps three times too long for Kutta's method"
+    ]
+    assert {"cells", "rigid_ends", "motion"} == set(found.tables)
+    assert {name.partition(",")[0] for name in found.work["method"]} == {"Kutta", "midpoint", "Rosenbrock"}

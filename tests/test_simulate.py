@@ -16,6 +16,7 @@ from scipy.stats import kstest
 
 import protochain as pc
 from protochain import multibody
+from protochain.contacts import overlaps
 from protochain.dynamics import Leapfrog, Simulation, StepTooLargeError, System, closure_of, simulate
 from protochain.multibody import HingeKind, random_tree
 from protochain.structure.superpose import rmsd
@@ -410,9 +411,23 @@ def test_a_step_too_large_is_named_and_nothing_is_written_as_if_good(tmp_path):
     )
     assert done.returncode == 1
     assert "unstable after" in done.stderr and "time step" in done.stderr and "Traceback" not in done.stderr
+    assert done.stdout == ""
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {"checkpoint.npz", "log.part.csv", "summary.json", "trajectory.part.dcd"}
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["status"] == "unstable"
+
+
+def test_overlaps_at_the_start_are_named_as_the_reason():
+    c, e = chain("ala10.pdb"), energy("ala10.pdb", solvent="vacuum")
+    for seed in range(20):
+        q = c.q0 + np.random.default_rng(seed).normal(scale=1.5, size=c.n_q)
+        crowd = len(overlaps(c.structure, pc.pose(c, q).x))
+        if crowd > 1:
+            break
+    m = simulate(c, e, q, n_steps=50, every=10)
+    assert m.ending == "unstable"
+    assert m.message.endswith(f"{crowd} pairs of atoms overlap at the start: minimise first")
+    assert m.record()["conserved_drift_kj_mol_ps_per_100_atoms"] is None and np.isnan(m.drift)
 
 
 @pytest.mark.parametrize(

@@ -1,20 +1,24 @@
 """The studies of ``protochain bench``, cut short: what they measure, and what they write."""
 
+import subprocess
 import sys
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import ROOT
 from scipy.linalg import eigh
 
 import protochain as pc
 from protochain.analysis import studies
-from protochain.analysis.studies import stability, study
+from protochain.analysis.studies import made, stability, study
 from protochain.analysis.studies.precision import minimisers
 from protochain.analysis.studies.stability import cells, dynamics, mechanics, page, solvers
 from protochain.cli import app
 from protochain.multibody import HingeKind, mass_matrix, pose, random_tree
+from protochain.processors import processors
 
 
 def test_precision_counts_what_it_took(tmp_path, monkeypatch):
@@ -174,3 +178,17 @@ def test_a_study_is_a_module_and_its_name(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(studies, "STUDIES", (*studies.STUDIES, "mine"))
     assert app(["bench", "mine", "a.pdb", "-o", str(tmp_path)], standalone_mode=False) == 0
     assert capsys.readouterr().out.split()[:2] == ["measured", "1"]
+
+
+def test_pages_say_how_they_were_made(monkeypatch):
+    said = made.made("2, which must agree")
+    assert list(said) == ["machine", "threads", "versions", "commit"]
+    assert said["threads"] == "2, which must agree" and f"{processors()} processors" in said["machine"]
+    assert f"numpy {np.__version__}" in said["versions"] and "protochain " in said["versions"]
+    head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
+    if (ROOT / ".git").exists():
+        assert said["commit"].removesuffix(" and changes") == head.stdout.strip()
+    monkeypatch.setattr(made.subprocess, "run", Mock(side_effect=FileNotFoundError))
+    assert made.made("1")["commit"] in ("unknown: git is not installed", "none: an installed package")
+    monkeypatch.setattr(made, "__file__", str(ROOT / "tests" / "site" / "analysis" / "studies" / "made.py"))
+    assert made.made("1")["commit"] == "none: an installed package"

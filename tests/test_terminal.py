@@ -214,6 +214,9 @@ def test_an_interrupt_is_answered_in_words_at_once(clock, capsys):
         watch.at_stage("torsions", 3)
         watch.at_stage("interrupted, judging the end", 4)
     assert capsys.readouterr().err == "lbfgs: interrupted, judging the end; the best so far will be written\n"
+    with terminal.run_progress("lbfgs", 1000, writes=False) as watch:
+        watch.at_stage("interrupted, judging the end", 4)
+    assert capsys.readouterr().err == "lbfgs: interrupted, judging the end\n"
 
 
 def test_on_a_terminal_the_bar_names_the_stage_and_the_time_left(clock, monkeypatch):

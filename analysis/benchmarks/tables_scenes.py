@@ -1,4 +1,4 @@
-"""Tables of what scenes leave out, and of what features cost that are not used."""
+"""Tables of what scenes leave out, of what features cost that are not used, and of searches for contacts."""
 
 from pathlib import Path
 
@@ -49,4 +49,26 @@ def scenes_features(results: Path) -> str:
         pd.read_csv(results / "scenes_features.csv"),
         ("feature", "{feature}"), ("of", "{of}"), ("as it is, ms", "{here_ms:.3f}"),
         ("cannot be called, ms", "{without_ms:.3f}"), ("cost", "{percent:+.2f} %"),
+    )  # fmt: skip
+
+
+@table("search")
+def search(results: Path) -> str:
+    """Cost of searches for contacts by size."""
+    rows = pd.read_csv(results / "search.csv")
+    wide = rows.pivot(index="search", columns="bodies", values="ns_each")
+    wide["exponent"] = rows.groupby("search")["exponent"].first()
+    sizes = tuple((f"{n:,}", f"{{n{n}:.0f}}") for n in wide.columns[:-1])
+    wide.columns = [*(f"n{n}" for n in wide.columns[:-1]), "exponent"]
+    return of_rows(wide.reset_index(), ("search", "{search}"), *sizes, ("exponent", "{exponent:.2f}"))
+
+
+@table("search-lists")
+def search_lists(results: Path) -> str:
+    """Cells against the neighbour lists of the energy."""
+    return of_rows(
+        pd.read_csv(results / "search_lists.csv"),
+        ("structure", "{structure}"), ("atoms", "{atoms}"), ("distance nm", "{distance_nm:.1f}"),
+        ("pairs", "{pairs:,}"), ("cells ms", "{cells_ms:.2f}"), ("lists ms", "{lists_ms:.2f}"),
+        ("lists over cells", "{ratio:.1f}"),
     )  # fmt: skip

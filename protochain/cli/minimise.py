@@ -36,6 +36,7 @@ from protochain.cli.options import (
     with_setup,
 )
 from protochain.cli.terminal import (
+    TROUBLED,
     foretell,
     print_distribution,
     print_outlook,
@@ -54,9 +55,6 @@ if TYPE_CHECKING:
     from protochain.minimisers import Recipe, Solution
     from protochain.structure import Structure
     from protochain.structure.trajectory import TrajectoryFile
-
-TROUBLED = 3
-"""Times as many evaluations as usual from starts with overlaps or violations, as of predicted models."""
 
 Output = Annotated[
     Path | None,

@@ -19,7 +19,15 @@ from protochain.cli.options import (
     prepare,
     with_setup,
 )
-from protochain.cli.terminal import foretell, print_simulation, run_progress, simulation_progress
+from protochain.cli.terminal import (
+    TROUBLED,
+    foretell,
+    print_outlook,
+    print_simulation,
+    run_progress,
+    simulation_progress,
+    typical_evaluations,
+)
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.setup import Setup
@@ -27,6 +35,7 @@ from protochain.setup import Setup
 if TYPE_CHECKING:
     from protochain.arrays import Floats
     from protochain.chain import Chain
+    from protochain.dynamics import Simulation
     from protochain.energies import Energy
 
 _RELAXED = 10.0
@@ -57,6 +66,26 @@ TrajectoryLength = Annotated[int, typer.Option(help="Steps in each trajectory of
 Every = Annotated[int, typer.Option(help="Steps between frames and rows of the log.")]
 Trajectory = Annotated[str, typer.Option(help="dcd or xtc.")]
 CheckpointEvery = Annotated[int, typer.Option(help="Rows between checkpoints.")]
+Pulled = Annotated[
+    str | None,
+    typer.Option(
+        "--pull",
+        metavar="A:1:N-A:20:C",
+        help="Pull two atoms apart by a moving spring; or residues (A:1-A:20), or selections, ' - ' between.",
+    ),
+]
+PullStiffness = Annotated[float, typer.Option(metavar="K", help="Stiffness of this spring, kJ/mol/nm^2.")]
+PullSpeed = Annotated[
+    float, typer.Option(metavar="NM/PS", help="Speed of its length, nm/ps; below 0 together, 0 to hold.")
+]
+HingeSprings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--hinge-spring",
+        metavar="'KIND K C'",
+        help="Spring (kJ/mol/rad^2) and damper (kJ/mol ps/rad^2) on all hinges of a kind, as 'omega 40 0.5'.",
+    ),
+]
 Relax = Annotated[bool, typer.Option(help="Minimise first, by turning hinges.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue the simulation in DIR.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the simulation in DIR.")]
@@ -80,6 +109,10 @@ def simulate(
     every: Every = defaults.EVERY,
     trajectory: Trajectory = defaults.TRAJECTORY,
     checkpoint_every: CheckpointEvery = defaults.CHECKPOINT_EVERY,
+    pull: Pulled = None,
+    pull_stiffness: PullStiffness = defaults.PULL_STIFFNESS,
+    pull_speed: PullSpeed = defaults.PULL_SPEED,
+    hinge_spring: HingeSprings = None,
     relax: Relax = True,
     resume: Resume = False,
     force: Force = False,
@@ -95,34 +128,57 @@ def simulate(
     from protochain.dynamics import simulate as run
     from protochain.dynamics.folder import check_folder
     from protochain.dynamics.settings import SimulationSettings
+    from protochain.dynamics.simulate import freed
 
     settings: dict[str, Any] = {
         "temperature": temperature, "time_step": time_step / 1000.0, "thermostat": thermostat,
         "friction": friction, "integrator": integrator, "fixman": fixman, "loops": loops,
         "hydrogen_mass": hydrogen_mass, "trajectory_length": trajectory_length, "every": every, "seed": seed,
+        **_beside(pull, pull_stiffness, pull_speed, hinge_spring),
     }  # fmt: skip
     _check_time_step(time_step)
     SimulationSettings(**settings).check(steps, checkpoint_every)
     output = output or Path(f"{named_after(source)[0]}-simulation")
     check_folder(output, trajectory, resume, force)
     chain, energy, preparation = prepare(source, setup)
-    foretell(source, chain, energy, steps, steps)
+    if pull or hinge_spring:
+        freed(chain, SimulationSettings(**settings))  # What is not there is said before the work.
+    relax = relax and not resume
+    _foretell(source, chain, energy, steps, relax)
     context.with_resource(held_interrupts())
-    q = _relaxed(source, chain, energy, loops, seed) if relax and not resume else chain.q0
+    q = _relaxed(source, chain, energy, loops, seed) if relax else chain.q0
     with simulation_progress(source.stem, steps, time_step / 1000.0) as watch:
         done = run(
             chain, energy, q, n_steps=steps, output=output, trajectory=trajectory,
             checkpoint_every=checkpoint_every, resume=resume, force=force, watch=watch, **settings,
         )  # fmt: skip
     beside = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
+    _end(done, beside, as_json)
+
+
+def _beside(
+    pull: str | None, stiffness: float, speed: float, hinge_springs: list[str] | None
+) -> dict[str, Any]:
+    """Settings of what acts beside the force field."""
+    from protochain.checks import ends
+    from protochain.dynamics.settings import HingeSpring, Pull
+
+    return {
+        "pull": None if pull is None else Pull(ends(pull, "pull"), stiffness, speed),
+        "hinge_springs": HingeSpring.several(hinge_springs or (), "hinge_spring"),
+    }
+
+
+def _end(done: "Simulation", beside: dict[str, Any], as_json: bool) -> None:
+    """Print what a simulation came to, and exit."""
     record = {**done.record(), **beside}
     if as_json:
         print(json.dumps(record, allow_nan=False))
-    else:
+    elif done.is_sound:
         print_simulation(record)
     if not done.is_sound:
-        where = f"the frames until then are in {output}/*.part.*"
-        raise SystemExit(fail(f"{source}: {done.message}; {where}"))
+        where = f"the frames until then are in {beside['output']}/*.part.*"
+        raise SystemExit(fail(f"{beside['input']}: {done.message}; {where}"))
     raise typer.Exit(CONVERGED if done.ending == "completed" else UNCONVERGED)
 
 
@@ -140,11 +196,21 @@ def _check_time_step(given: float) -> None:
         )
 
 
+def _foretell(source: Path, chain: "Chain", energy: "Energy", steps: int, relax: bool) -> None:
+    """Say before a long run how long it will be, and what a minimisation does about a bad start."""
+    usual = most = steps
+    if relax:
+        troubled = print_outlook(source, chain.structure, "lbfgs")
+        usual += (TROUBLED if troubled else 1) * typical_evaluations("lbfgs", defaults.MAX_EVALUATIONS)
+        most += defaults.MAX_EVALUATIONS
+    foretell(source, chain, energy, usual, most)
+
+
 def _relaxed(source: Path, chain: "Chain", energy: "Energy", loops: str, seed: int) -> "Floats":
     """Minimise by turning hinges; report what it changed, and return the coordinates."""
     from protochain.minimisers import minimise
 
-    with run_progress("lbfgs", defaults.MAX_EVALUATIONS) as watch:
+    with run_progress("lbfgs", defaults.MAX_EVALUATIONS, writes=False) as watch:
         relaxed = minimise(chain, energy, "lbfgs", _RELAXED, seed=seed, watch=watch)
     if relaxed.status == "interrupted":
         raise KeyboardInterrupt

@@ -95,6 +95,8 @@ class _RunProgress(_Progress):
     """Watcher of a minimisation: its stage, energy, torque and evaluations."""
 
     each: "Callable[[Any], None] | None" = None
+    writes = True
+    """Whether the result will be written."""
     counts = True
     """Whether only evaluations are known of the stage: its energy is not the force field's."""
 
@@ -108,7 +110,9 @@ class _RunProgress(_Progress):
         if name != self.stage:
             self.stage, self.counts = name, True
             if name.startswith("interrupted"):
-                self.say(f"{self.name}: {name}; the best so far will be written")
+                self.say(
+                    f"{self.name}: {name}" + ("; the best so far will be written" if self.writes else "")
+                )
         self.show(evaluations, f"{evaluations} evaluations" if self.counts else None)
 
     def at_warning(self, line: str) -> None:
@@ -127,12 +131,18 @@ class _RunProgress(_Progress):
 
 @contextmanager
 def run_progress(
-    method: "str | Recipe", max_evaluations: int, each: "Callable[[Any], None] | None" = None
+    method: "str | Recipe",
+    max_evaluations: int,
+    each: "Callable[[Any], None] | None" = None,
+    writes: bool = True,
 ) -> Iterator["Watcher"]:
-    """Show stage, energy, torque, evaluations and the time left of a run; ``each`` gets all positions."""
+    """Show stage, energy, torque, evaluations and the time left of a run.
+
+    ``each`` gets all positions; ``writes`` says whether the result will be written.
+    """
     name = method if isinstance(method, str) else method.name
     progress = _RunProgress(name, typical_evaluations(method, max_evaluations), max_evaluations)
-    progress.each = each
+    progress.each, progress.writes = each, writes
     with progress.bar:
         yield progress
 
@@ -179,6 +189,9 @@ def print_outlook(source: object, structure: "Structure", method: "str | Recipe"
         print(f"{source}: {in_commands(line)}", file=sys.stderr)
     return bool(lines)
 
+
+TROUBLED = 3
+"""Times as many evaluations as usual from starts with overlaps or violations, as of predicted models."""
 
 _CALLS = 5
 """Energies that are timed; the quickest counts."""
@@ -249,16 +262,28 @@ def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
 
 def print_simulation(record: dict[str, Any]) -> None:
     """Print a short summary of a simulation."""
+    drift = record["conserved_drift_kj_mol_ps_per_100_atoms"]
+    drifts = "" if drift is None else f", conserved energy drifts {drift:.2g} kJ/mol/ps for 100 atoms"
     kept = "" if record["accepted"] is None else f", {100 * record['accepted']:.0f} % of trajectories kept"
     print(
         f"{record['structure']}: {record['message']}, {record['ns_per_day']:.1f} ns/day\n"
-        f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half, "
-        f"conserved energy drifts {record['conserved_drift_kj_mol_ps_per_100_atoms']:.2g} kJ/mol/ps "
-        f"for 100 atoms{kept}\n"
+        f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half{drifts}{kept}\n"
+        f"{_pulled(record)}"
         f"C-alpha RMSD to the start {record['ca_rmsd_angstrom']:.2f} angstrom\n"
         f"to the input {record['ca_rmsd_input_angstrom']:.2f}, as filed "
         f"{record['ca_rmsd_input_as_filed_angstrom']:.2f}: {record['frame']}\n"
         f"written: {record['output']}"
+    )
+
+
+def _pulled(record: dict[str, Any]) -> str:
+    """Line on what was pulled, if anything was."""
+    if record.get("pull") is None:
+        return ""
+    return (
+        f"pulled {record['pull']}: {record['pull_distance_start_nm']:.3f} -> "
+        f"{record['pull_distance_end_nm']:.3f} nm, work {record['pull_work_end_kj_mol']:.1f} kJ/mol, "
+        f"largest force {record['pull_force_largest_kj_mol_nm']:.0f} kJ/mol/nm\n"
     )
 
 

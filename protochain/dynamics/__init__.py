@@ -5,6 +5,7 @@ from protochain.dynamics.com_motion import remove_com_motion
 from protochain.dynamics.fixman import fixman
 from protochain.dynamics.loop import Ending, Propagator, State, advance, initial, run
 from protochain.dynamics.potential import chain_potential
+from protochain.dynamics.settings import HingeSpring, Pull
 from protochain.dynamics.simulate import simulate
 from protochain.dynamics.simulation import Simulation
 from protochain.dynamics.thermostats import (
@@ -21,8 +22,8 @@ from protochain.motion.runge_kutta import DormandPrince, RungeKutta4
 from protochain.motion.system import Phase, StepTooLargeError, System, total
 
 __all__ = [
-    "Closure", "DormandPrince", "Ending", "HybridMonteCarlo", "ImplicitMidpoint", "Isolated", "Langevin",
-    "Leapfrog", "NoseHoover", "Phase", "Propagator", "Rescaling", "RungeKutta4", "Simulation", "State",
-    "StepTooLargeError", "System", "Thermostat", "advance", "chain_potential", "closure_of", "fixman",
-    "initial", "remove_com_motion", "run", "simulate", "total",
+    "Closure", "DormandPrince", "Ending", "HingeSpring", "HybridMonteCarlo", "ImplicitMidpoint", "Isolated",
+    "Langevin", "Leapfrog", "NoseHoover", "Phase", "Propagator", "Pull", "Rescaling", "RungeKutta4",
+    "Simulation", "State", "StepTooLargeError", "System", "Thermostat", "advance", "chain_potential",
+    "closure_of", "fixman", "initial", "remove_com_motion", "run", "simulate", "total",
 ]  # fmt: skip

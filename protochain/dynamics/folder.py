@@ -14,7 +14,7 @@ from protochain.arrays import Floats, frozen
 from protochain.dynamics.loop import State
 from protochain.dynamics.thermostats import Bath
 from protochain.errors import ProtochainError, StructureError, WriteError
-from protochain.motion.system import Phase
+from protochain.motion.system import NOTHING, Phase
 from protochain.multibody import Frames, Tree
 from protochain.multibody.articulated import Articulated
 from protochain.storage import check_writable, read_arrays, write_arrays, write_atomically, writing
@@ -58,10 +58,15 @@ def _read(path: Path, settings: Mapping[str, Any]) -> tuple[dict[str, np.ndarray
     return read_arrays(path / CHECKPOINT, settings, "simulation", "start again with force=True")
 
 
-def loop_lengths(path: Path) -> Floats | None:
-    """Constant distances at the loops, nm, of the simulation in a folder; None if it has none."""
-    lengths = _read(path, {})[0].get("loop_lengths", np.empty(0))
-    return lengths if len(lengths) else None
+CONSTANTS = ("loop_lengths", "pull_start", "hinge_rest")
+"""What a run measures at its start and keeps: distances at closed loops, nm, and between the places of a
+pull, nm; values of hinges with springs, rad."""
+
+
+def constants_of(path: Path) -> dict[str, Floats]:
+    """What the simulation in a folder measured at its start, by name; what it has not is left out."""
+    arrays = _read(path, {})[0]
+    return {name: arrays[name] for name in CONSTANTS if len(arrays.get(name, ()))}
 
 
 class Folder:
@@ -77,12 +82,14 @@ class Folder:
         ``dcd`` or ``xtc``.
     settings : mapping of plain values
         Settings that a run must share to resume from the checkpoint.
-    loop_lengths : (m,) float, nm
-        Constant distances at closed loops.
+    constants : mapping of str to array
+        What the run measures at its start and keeps, by names of ``CONSTANTS``.
     """
 
-    def __init__(self, path: Path, suffix: str, settings: Mapping[str, Any], loop_lengths: Floats) -> None:
-        self.path, self.settings, self.loop_lengths = path, settings, loop_lengths
+    def __init__(
+        self, path: Path, suffix: str, settings: Mapping[str, Any], constants: Mapping[str, Floats]
+    ) -> None:
+        self.path, self.settings, self.constants = path, settings, constants
         self.trajectory = path / f"trajectory.{suffix}"
         self.log, self.log_part = path / "log.csv", path / "log.part.csv"
         self.stored: dict[str, Any] = {}
@@ -146,6 +153,8 @@ class Folder:
             "step": state.step,
             "potential": state.at.potential,
             "bath_energy": state.bath.energy,
+            "damped": state.damped,
+            "time": state.at.time,
             "frames": frames,
             "trajectory_bytes": trajectory_bytes,
             "log_bytes": self.log_part.stat().st_size,
@@ -156,7 +165,8 @@ class Folder:
             "rotation": factors.frames.rotation, "origin": factors.frames.origin, "inertia": factors.inertia,
             "gain": factors.gain, "pivot": factors.pivot, "root": factors.root,
             "start": self.start, "lists_at": np.empty((0, 3)) if lists_at is None else lists_at,
-            "loop_lengths": self.loop_lengths,
+            "work": at.work, "loads": np.empty((0, len(at.qd))) if at.loads is None else at.loads,
+            **{name: self.constants.get(name, np.empty(0)) for name in CONSTANTS},
         }  # fmt: skip
         write_arrays(self.path / CHECKPOINT, arrays, values, self.settings)
         self.stored = values
@@ -231,5 +241,9 @@ def _state(tree: Tree, arrays: Mapping[str, np.ndarray], values: Mapping[str, An
     a = {name: frozen(array) for name, array in arrays.items()}
     frames = Frames(a["rotation"], a["origin"])
     factors = Articulated(tree, frames, a["inertia"], a["gain"], a["pivot"], a["root"])
-    at = Phase(a["q"], a["qd"], a["p"], values["potential"], a["torque"], factors)
-    return State(values["step"], at, Bath(values["bath_energy"], a["memory"]))
+    loads = a.get("loads", np.empty(0))
+    at = Phase(
+        a["q"], a["qd"], a["p"], values["potential"], a["torque"], factors, values.get("time", 0.0),
+        a.get("work", NOTHING), loads if len(loads) else None,
+    )  # fmt: skip
+    return State(values["step"], at, Bath(values["bath_energy"], a["memory"]), values.get("damped", 0.0))

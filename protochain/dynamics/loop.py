@@ -8,6 +8,7 @@ import numpy as np
 
 from protochain.arrays import Floats
 from protochain.dynamics.com_motion import remove_com_motion
+from protochain.dynamics.hinge_springs import Dampers
 from protochain.dynamics.thermostats import Bath, Thermostat
 from protochain.errors import MechanicsError
 from protochain.interrupts import held_interrupts
@@ -41,16 +42,19 @@ class State:
         Point in phase space.
     bath : Bath
         State of the thermostat.
+    damped : float, kJ/mol
+        Energy given to the dampers of hinges.
     """
 
     step: int
     at: Phase
     bath: Bath
+    damped: float = 0.0
 
     @property
     def conserved(self) -> float:
-        """Conserved quantity: total energy plus the energy given to the heat bath, kJ/mol."""
-        return self.at.total + self.bath.energy
+        """Conserved quantity, kJ/mol: total energy and that given to heat bath and dampers, less the work."""
+        return self.at.total - float(np.sum(self.at.work)) + self.bath.energy + self.damped
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,8 @@ class Propagator:
         Seed of all random numbers.
     removes_com_motion : bool
         Whether centre-of-mass translation and rotation are removed.
+    dampers : Dampers, optional
+        Dampers of hinges, which act for half a step before and after the integrator.
     """
 
     system: System
@@ -82,11 +88,12 @@ class Propagator:
     thermal_energy: float
     seed: int
     removes_com_motion: bool
+    dampers: Dampers | None = None
 
 
-def noise(seed: int, step: int) -> np.random.Generator:
+def noise(seed: int, step: int, stream: int = 0) -> np.random.Generator:
     """Random generator of one step, which depends only on the seed and the step: so runs can be resumed."""
-    return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, step]))
+    return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, stream, step]))
 
 
 _UNUSED = noise(0, 0)
@@ -118,19 +125,32 @@ def advance(propagator: Propagator, state: State) -> State:
     Metropolis' criterion needs every step to have its reverse: one that is taken but would not be taken back
     is refused (Zappa, Holmes-Cerfon, Goodman, Commun. Pure Appl. Math. 71:2609, 2018).
     """
-    step = state.step + 1
+    step, at, damped, dampers = state.step + 1, state.at, state.damped, propagator.dampers
+    shake = noise(propagator.seed, step, 1) if dampers is not None else _UNUSED
+    if dampers is not None:
+        at, damped = _damped(propagator, dampers, at, damped, shake)
     try:
-        at = _step(propagator, state.at)
+        at = _step(propagator, at)
     except StepTooLargeError:
         if not propagator.thermostat.metropolis:
             raise
         at = replace(state.at, potential=np.inf)
+    if dampers is not None:
+        at, damped = _damped(propagator, dampers, at, damped, shake)
     system, thermostat = propagator.system, propagator.thermostat
     rng = noise(propagator.seed, step) if thermostat.draws else _UNUSED
     at, bath = thermostat.apply(system, at, state.bath, propagator.time_step, rng)
     if propagator.removes_com_motion and step % COM_REMOVAL_STEPS == 0:
         at = system.with_velocities(at, remove_com_motion(system.tree, at.factors.frames, at.qd))
-    return State(step, at, bath)
+    return State(step, at, bath, damped)
+
+
+def _damped(
+    propagator: Propagator, dampers: Dampers, at: Phase, damped: float, shake: np.random.Generator
+) -> tuple[Phase, float]:
+    """Let the dampers act for half a step; return also the energy that they have by then."""
+    after = dampers.apply(propagator.system, at, 0.5 * abs(propagator.time_step), shake)
+    return after, damped + at.kinetic - after.kinetic
 
 
 def _step(propagator: Propagator, before: Phase) -> Phase:
@@ -147,6 +167,8 @@ def _step(propagator: Propagator, before: Phase) -> Phase:
     if not at.is_finite:
         raise StepTooLargeError("the energy or a torque is not a number")
     jump = abs(at.total - before.total)
+    if at.loads is not None:
+        jump = abs(at.total - before.total - float(np.sum(at.work - before.work)))
     thermal = 0.5 * len(at.qd) * propagator.thermal_energy
     if jump > BREACH * (thermal + max(before.kinetic, at.kinetic)) + propagator.thermal_energy + 1.0:
         raise StepTooLargeError(f"the energy changed by {jump:.3g} kJ/mol in one step")

@@ -1,12 +1,16 @@
 """Settings of a simulation: their checks, and the integrators and thermostats by name."""
 
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Any, Self
 
 import numpy as np
 
+from protochain import defaults
+from protochain.checks import check_fields, ends, number, quantity, shown, text
 from protochain.dynamics import thermostats
 from protochain.errors import ProtochainError
+from protochain.hinges import HINGES
 from protochain.motion import lobatto
 from protochain.motion.leapfrog import Leapfrog
 from protochain.motion.midpoint import ImplicitMidpoint
@@ -33,6 +37,123 @@ LONGEST_STEP = 0.5
 """ps. Steps of bodies bound by springs are below a hundredth of this; who gives more means femtoseconds."""
 
 
+FARTHEST_PULL = 0.1
+"""nm. An atom's radius: a spring that moves farther in one step is meant in another unit."""
+
+
+@dataclass(frozen=True)
+class Pull:
+    """Spring between two places of a structure, whose length at rest changes at constant speed.
+
+    Parameters
+    ----------
+    between : pair of str, or str
+        Two atoms, ``("A:1:N", "A:20:C")`` or ``"A:1:N-A:20:C"``: chain, number with insertion code, name. A
+        residue, ``A:20``, or a selection in MDAnalysis's language stands for its centre of mass; two of these
+        in one text have `` - `` between them.
+    stiffness : float, kJ/mol/nm^2
+        Of the spring.
+    speed : float, nm/ps
+        At which its length at rest grows from the distance at the start; below 0 it shrinks, down to no
+        length; 0 holds the distance.
+
+    Raises
+    ------
+    ProtochainError
+        If a number makes no sense, or the places cannot be read.
+    """
+
+    between: tuple[str, str]
+    stiffness: float = defaults.PULL_STIFFNESS
+    speed: float = defaults.PULL_SPEED
+
+    def __post_init__(self) -> None:
+        check_fields(
+            self, between=ends, stiffness=quantity("kilojoule_per_mole/nanometer/nanometer"),
+            speed=quantity("nanometer/picosecond"),
+        )  # fmt: skip
+        if not 0.0 < self.stiffness < np.inf:
+            raise ProtochainError(f"stiffness {self.stiffness:g} kJ/mol/nm^2: give a number above 0")
+        if not np.isfinite(self.speed):
+            raise ProtochainError(f"speed {self.speed:g} nm/ps: give a finite number")
+
+    @classmethod
+    def of(cls, value: Any, name: str = "pull") -> "Pull | None":
+        """Read what :func:`protochain.simulate` takes: a Pull, two places, or None."""
+        if value is None or isinstance(value, cls):
+            return value
+        return cls(ends(value, name))
+
+    def record(self) -> dict[str, Any]:
+        """Return the settings as plain values by name, with their units."""
+        return {
+            "pull": str(self),
+            "pull_stiffness_kj_mol_nm2": float(self.stiffness),
+            "pull_speed_nm_ps": float(self.speed),
+        }
+
+    def __str__(self) -> str:
+        return " - ".join(self.between)
+
+
+@dataclass(frozen=True)
+class HingeSpring:
+    """Springs and dampers on all hinges of a kind, beside the force field's own terms.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of hinge, of ``phi psi omega chi rotors angles``, which the chain must have open.
+    stiffness : float, kJ/mol/rad^2
+        E = stiffness (1 - cos(q - q0)) of a dihedral, stiffness/2 (q - q0)^2 of a bond angle, with q0 the
+        value at the start.
+    damping : float, kJ/mol ps/rad^2
+        Torque against the motion, over the rate of the hinge. With a thermostat random torques come with it,
+        as many as keep the temperature.
+
+    Raises
+    ------
+    ProtochainError
+        If a number makes no sense, or the kind is unknown.
+    """
+
+    kind: str
+    stiffness: float
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        unit = "kilojoule_per_mole/radian/radian"
+        check_fields(self, kind=text, stiffness=quantity(unit), damping=number)
+        if self.kind not in HINGES:
+            raise ProtochainError(f"kind {self.kind!r} is no kind of hinge; choose from {', '.join(HINGES)}")
+        for name, value in (("stiffness", self.stiffness), ("damping", self.damping)):
+            if not 0.0 <= value < np.inf:
+                raise ProtochainError(f"{name} {value:g}: give 0 or more")
+
+    @classmethod
+    def read(cls, said: str, name: str = "hinge_springs") -> Self:
+        """Read ``omega 40 0.5``: kind, stiffness, and damping if there is any."""
+        kind, *rest = said.split() or [""]
+        try:
+            return cls(kind, *(float(word) for word in rest))
+        except (TypeError, ValueError) as error:
+            why = str(error) if isinstance(error, ProtochainError) else "give kind, stiffness, damping"
+            raise ProtochainError(f"{name} {said!r}: {why}, as 'omega 40 0.5'") from None
+
+    @classmethod
+    def several(cls, value: Any, name: str = "hinge_springs") -> tuple[Self, ...]:
+        """Read what :func:`protochain.simulate` takes: one, several, or texts of them."""
+        given = value if isinstance(value, Iterable) and not isinstance(value, str) else (value,)
+        springs = [cls.read(each, name) if isinstance(each, str) else each for each in given]
+        for spring in springs:
+            if not isinstance(spring, cls):
+                raise ProtochainError(f"{name} {shown(spring)}: give HingeSprings, as of 'omega 40 0.5'")
+        return tuple(springs)
+
+    def __str__(self) -> str:
+        return f"{self.kind} {float(self.stiffness)!r} {float(self.damping)!r}"
+
+
 @dataclass(frozen=True)
 class SimulationSettings:
     """Settings that define a simulation; for their meaning see :func:`protochain.simulate`."""
@@ -48,6 +169,8 @@ class SimulationSettings:
     trajectory_length: int
     every: int
     seed: int
+    pull: Pull | None = None
+    hinge_springs: tuple[HingeSpring, ...] = ()
 
     @property
     def thermal_energy(self) -> float:
@@ -56,7 +179,9 @@ class SimulationSettings:
 
     def record(self) -> dict[str, Any]:
         """Return the settings as plain values by name."""
-        return asdict(self)
+        plain = {field.name: getattr(self, field.name) for field in fields(self)}
+        plain["hinge_springs"] = [str(spring) for spring in self.hinge_springs] or None
+        return plain | ({"pull": None} if self.pull is None else self.pull.record())
 
     def check(self, n_steps: int, checkpoint_every: int) -> None:
         """Check the settings before any work is done.
@@ -92,6 +217,11 @@ class SimulationSettings:
                 raise ProtochainError(f"{name} {count}: give at least 1")
         if self.seed < 0:
             raise ProtochainError(f"seed {self.seed}: give 0 or more")
+        if self.pull is not None and abs(self.pull.speed) * self.time_step > FARTHEST_PULL:
+            raise ProtochainError(
+                f"pull: a speed of {self.pull.speed:g} nm/ps moves the spring by more than {FARTHEST_PULL:g} "
+                f"nm in a step; give at most {FARTHEST_PULL / self.time_step:g}"
+            )
         if self.thermostat == "nose-hoover" and not (self.temperature > 0.0 and self.friction > 0.0):
             raise ProtochainError("nose-hoover: needs a temperature and a friction above 0; choose langevin")
         if THERMOSTATS[self.thermostat].metropolis:
@@ -103,6 +233,16 @@ class SimulationSettings:
                 raise ProtochainError(
                     f"every {self.every}: give a multiple of the trajectory length, "
                     f"{self.trajectory_length}: only the end of a trajectory is a valid sample"
+                )
+            if self.pull is not None and self.pull.speed != 0.0:
+                raise ProtochainError(
+                    f"{self.thermostat}: its trajectories are proposals, in no time in which a spring could "
+                    "move; choose langevin, or a speed of 0"
+                )
+            if any(spring.damping > 0.0 for spring in self.hinge_springs):
+                raise ProtochainError(
+                    f"{self.thermostat}: draws velocities anew, which leaves a damper nothing to do; choose "
+                    "langevin, or a damping of 0"
                 )
         if self.loops == "closed" and self.integrator != "leapfrog":
             raise ProtochainError("loops closed: only the leapfrog supports constraints; choose it")

@@ -1,6 +1,7 @@
 """``simulate``: constrained dynamics of a chain, from settings to output files and a result."""
 
 import hashlib
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,18 +20,27 @@ from protochain.checks import WATCHER, checked, flag, integer, path, quantity, t
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import has_free_roots
 from protochain.dynamics.fixman import fixman
-from protochain.dynamics.folder import Folder, check_folder, loop_lengths, rescued
+from protochain.dynamics.folder import Folder, check_folder, constants_of, rescued
+from protochain.dynamics.hinge_springs import HingeSprings, dampers, hinge_springs, hinges_of
 from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
 from protochain.dynamics.loop import run as propagate
 from protochain.dynamics.potential import chain_potential
-from protochain.dynamics.settings import INTEGRATORS, THERMOSTATS, SimulationSettings, build_thermostat
-from protochain.dynamics.simulation import Simulation
+from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring
+from protochain.dynamics.settings import (
+    INTEGRATORS,
+    THERMOSTATS,
+    HingeSpring,
+    Pull,
+    SimulationSettings,
+    build_thermostat,
+)
+from protochain.dynamics.simulation import Simulation, said_of
 from protochain.energies import Energy, as_energy
 from protochain.energies.custom import EnergyFunction
 from protochain.errors import ProtochainError
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts
-from protochain.motion.system import StepTooLargeError, System, total
+from protochain.motion.system import Phase, StepTooLargeError, System, total
 from protochain.multibody import HingeKind
 from protochain.structure.chirality import changed_hands, listed
 from protochain.structure.superpose import rmsd_angstrom
@@ -42,6 +52,7 @@ from protochain.units import MOLAR_GAS
     seed=integer, friction=quantity("1/picosecond"), integrator=text, fixman=flag, loops=text,
     hydrogen_mass=quantity("dalton"), trajectory_length=integer, every=integer, output=path,
     trajectory=text, checkpoint_every=integer, resume=flag, force=flag, watch=WATCHER,
+    pull=Pull.of, hinge_springs=HingeSpring.several,
 )  # fmt: skip
 def simulate(
     chain: Any,
@@ -66,6 +77,8 @@ def simulate(
     resume: bool = False,
     force: bool = False,
     watch: Watcher | None = None,
+    pull: Pull | str | None = None,
+    hinge_springs: HingeSpring | str | Sequence[HingeSpring | str] = (),
 ) -> Simulation:
     """Simulate a chain of rigid bodies at constant energy or temperature.
 
@@ -117,6 +130,11 @@ def simulate(
         Replace the simulation in the folder.
     watch : callable, optional
         Called with every row of the log and its positions, as written: superposed on the input.
+    pull : Pull or str, optional
+        Spring that pulls two places apart, or together, at constant speed; the log has its distance,
+        extension, force and work. A text, as ``"A:1:N-A:20:C"``, takes the default stiffness and speed.
+    hinge_springs : HingeSpring, str, or sequence of them
+        Springs and dampers on all hinges of a kind; as text ``"omega 40 0.5"``.
 
     Returns
     -------
@@ -130,7 +148,7 @@ def simulate(
     """
     settings = SimulationSettings(
         temperature, time_step, thermostat, friction, integrator, fixman, loops, hydrogen_mass,
-        trajectory_length, every, seed,
+        trajectory_length, every, seed, Pull.of(pull), HingeSpring.several(hinge_springs),
     )  # fmt: skip
     settings.check(n_steps, checkpoint_every)
     if output is not None:
@@ -140,8 +158,8 @@ def simulate(
     chain = as_chain(chain)
     energy = as_energy(energy, chain.structure)
     # A resumed run has the loops of its own start, not of this q.
-    run = _prepare(chain, energy, q, settings, loop_lengths(Path(output)) if resume and output else None)
-    folder = Folder(Path(output), trajectory, run.identity, run.loop_lengths) if output is not None else None
+    run = _prepare(chain, energy, q, settings, constants_of(Path(output)) if resume and output else {})
+    folder = Folder(Path(output), trajectory, run.identity, run.constants) if output is not None else None
     with threadpool_limits(1, "blas"), rescued(folder):
         return _simulate(run, folder, resume, n_steps, checkpoint_every, watch)
 
@@ -158,11 +176,18 @@ class _Run:
     propagator: Propagator
     closure: Closure | None
     freedoms: int
+    pull: MovingSpring | None
+    springs: HingeSprings | None
 
     @property
-    def loop_lengths(self) -> Floats:
-        """Constant distances at the loops, nm; none where they are open."""
-        return np.empty(0) if self.closure is None else self.closure.length
+    def constants(self) -> dict[str, Floats]:
+        """What the run measures at its start and keeps, by names of ``folder.CONSTANTS``."""
+        found = {
+            "loop_lengths": None if self.closure is None else self.closure.length,
+            "pull_start": None if self.pull is None else np.array([self.pull.start]),
+            "hinge_rest": None if self.springs is None else self.springs.rest,
+        }
+        return {name: values for name, values in found.items() if values is not None}
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -186,7 +211,8 @@ class _Run:
         """Row of the log, and positions to write; RMSDs are relative to positions ``start``."""
         s, at = self.settings, state.at
         x = place_atoms(self.chain, at.factors.frames)
-        bias = fixman(s.thermal_energy, self.closure)(at.q, at.factors)[0] if s.fixman else 0.0
+        biases = self._biases(at)
+        bias = sum(biases.values())
         alpha = self.chain.structure.alpha_carbons
         row = {
             "step": state.step,
@@ -198,41 +224,85 @@ class _Run:
             "temperature_k": 2.0 * at.kinetic / (self.freedoms * MOLAR_GAS),
             "ca_rmsd_angstrom": rmsd_angstrom(x[alpha], start[alpha]),
         }
-        if s.fixman:
-            row["fixman_kj_mol"] = bias
+        row |= {name: value for name, value in biases.items() if name != "pull"}
+        if self.propagator.dampers is not None:
+            row["dampers_kj_mol"] = state.damped
         if self.closure is not None:
             row["closure_error_nm"] = float(np.max(np.abs(self.closure.errors(at.factors.frames))))
+        if self.pull is not None:
+            row |= self.pull.row(at)
         return row, self.frame(x)
+
+    def _biases(self, at: Phase) -> dict[str, float]:
+        """Energies that the run has beside the force field's, kJ/mol: by column of the log, and of a pull."""
+        found = {}
+        if self.settings.fixman:
+            found["fixman_kj_mol"] = fixman(self.settings.thermal_energy, self.closure)(at.q, at.factors)[0]
+        if self.springs is not None:
+            found["hinge_springs_kj_mol"] = self.springs.potential(at.q, at.factors)[0]
+        if self.pull is not None and self.pull.speed == 0.0:
+            found["pull"] = self.pull.energy(at.time, at.factors.frames)
+        return found
+
+
+def freed(chain: Chain, settings: SimulationSettings) -> Chain:
+    """Chain as it is simulated: a root that ``auto`` has fixed is freed, and hydrogens have their mass.
+
+    Raises
+    ------
+    ProtochainError
+        If it has not what is to be pulled, or no hinges for springs.
+    """
+    root = "free" if chain.root == "auto" else chain.root
+    mass = settings.hydrogen_mass if settings.hydrogen_mass is not None else chain.hydrogen_mass
+    made = build_chain(chain.structure, chain.opened, root, move=chain.move, hydrogen_mass=mass)
+    if settings.pull is not None:
+        check_pull(settings.pull, made)
+    for spring in settings.hinge_springs:
+        hinges_of(spring, made)
+    return made
 
 
 def _prepare(
-    chain: Chain, energy: Energy, q: Floats | None, settings: SimulationSettings, lengths: Floats | None
+    chain: Chain,
+    energy: Energy,
+    q: Floats | None,
+    settings: SimulationSettings,
+    constants: Mapping[str, Floats],
 ) -> _Run:
     """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator."""
     given = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
     if not np.isfinite(given).all():
         at = int(np.argmin(np.isfinite(given)))
         raise ProtochainError(f"q: coordinate {at} is {given[at]}, not a finite number")
-    root = "free" if chain.root == "auto" else chain.root
-    mass = settings.hydrogen_mass if settings.hydrogen_mass is not None else chain.hydrogen_mass
-    made = build_chain(chain.structure, chain.opened, root, move=chain.move, hydrogen_mass=mass)
+    made = freed(chain, settings)
     varying = energy.without_constants(made.rigid_groups, made.structure.positions)
     start = _transferred(chain, made, given)
     closure = closure_of(made, start) if settings.loops == "closed" else None
-    if closure is not None and lengths is not None:
-        closure = replace(closure, length=lengths)
+    if closure is not None:
+        closure = replace(closure, length=constants.get("loop_lengths", closure.length))
+    springs = hinge_springs(settings.hinge_springs, made, start, constants.get("hinge_rest"))
+    pull = None
+    if settings.pull is not None:
+        pull = moving_spring(settings.pull, made, start, constants.get("pull_start"))
     parts = [chain_potential(made, varying)]
     if settings.fixman:
         parts.append(fixman(settings.thermal_energy, closure))
-    system = System(made.tree, parts[0] if len(parts) == 1 else total(parts), closure)
+    if springs is not None:
+        parts.append(springs.potential)
+    if pull is not None and pull.speed == 0.0:
+        parts.append(pull.potential)
+    loads = (pull.load(),) if pull is not None and pull.speed != 0.0 else ()
+    system = System(made.tree, parts[0] if len(parts) == 1 else total(parts), closure, loads)
     freedoms = made.n_v - (0 if closure is None else len(closure.length))
     removes = has_free_roots(made.tree) and THERMOSTATS[settings.thermostat].conserves_momentum
     freedoms -= 6 if removes else 0
+    noise = 0.0 if settings.thermostat == "none" else settings.thermal_energy
     propagator = Propagator(
         system, INTEGRATORS[settings.integrator], build_thermostat(settings, freedoms), settings.time_step,
-        settings.thermal_energy, settings.seed, removes,
+        settings.thermal_energy, settings.seed, removes, dampers(settings.hinge_springs, made, noise),
     )  # fmt: skip
-    return _Run(made, energy, varying, start, settings, propagator, closure, freedoms)
+    return _Run(made, energy, varying, start, settings, propagator, closure, freedoms, pull, springs)
 
 
 def _transferred(chain: Chain, made: Chain, q: Floats) -> Floats:
@@ -285,7 +355,7 @@ def _simulate(
         freedoms=run.freedoms,
         state=state,
         ending=ending,
-        message=_message(ending, why, state, run.settings),
+        message=said_of(ending, why, state.step, run.settings, structure, origin),
         rows=tuple(rows),
         n_steps=state.step - start.step,
         seconds=seconds,
@@ -311,13 +381,3 @@ def _start(run: _Run, folder: Folder | None, resume: bool) -> tuple[State, Float
     if folder:
         folder.open(run.chain.structure, origin, interval, list(run.row(state, origin)[0]))
     return state, origin, []
-
-
-def _message(ending: Ending, why: str, state: State, settings: SimulationSettings) -> str:
-    done = f"{state.step} steps, {state.step * settings.time_step:g} ps"
-    if ending is Ending.UNSTABLE:
-        return (
-            f"unstable after {done}: {why}; take a time step below {settings.time_step:g} ps "
-            f"({1000 * settings.time_step:g} fs) or heavier hydrogens, or minimise first"
-        )
-    return f"{ending}: {done}"

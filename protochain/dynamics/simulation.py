@@ -10,6 +10,7 @@ import numpy as np
 
 from protochain.arrays import Floats
 from protochain.chain import Chain, place_atoms
+from protochain.contacts import overlaps
 from protochain.dynamics.loop import Ending, State
 from protochain.dynamics.settings import THERMOSTATS, SimulationSettings
 from protochain.energies.protocol import Energy
@@ -102,11 +103,11 @@ class Simulation:
 
     @property
     def drift(self) -> float:
-        """Drift of the conserved energy: slope by least squares, kJ/mol/ps per 100 atoms."""
+        """Drift of the conserved energy: slope by least squares, kJ/mol/ps per 100 atoms; NaN of two rows."""
         t, conserved = (
             np.array([row[name] for row in self.rows]) for name in ("time_ps", "conserved_kj_mol")
         )
-        return float(100.0 / self.chain.n_atoms * np.polyfit(t, conserved, 1)[0]) if len(t) > 2 else 0.0
+        return float(100.0 / self.chain.n_atoms * np.polyfit(t, conserved, 1)[0]) if len(t) > 2 else np.nan
 
     @property
     def accepted(self) -> float | None:
@@ -119,10 +120,18 @@ class Simulation:
     def save(self, path: str | Path) -> None:
         """Write the final structure with its provenance; the suffix selects PDB or mmCIF."""
         s, e = self.settings, self.energy_function
+        beside = [
+            f"SPRINGS ON {spring.kind.upper()}: {spring.stiffness:g} KJ/MOL/RAD^2, "
+            f"{spring.damping:g} KJ/MOL PS/RAD^2"
+            for spring in s.hinge_springs
+        ]
+        if s.pull is not None:
+            beside.append(f"PULLED {s.pull} BY {s.pull.stiffness:g} KJ/MOL/NM^2 AT {s.pull.speed:g} NM/PS")
         save(self.structure, path, [
             f"PROTOCHAIN {version('protochain')}, CONSTRAINED DYNAMICS, {self.message.upper()}",
             f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}",
             f"{s.integrator.upper()}, {1000 * s.time_step:g} FS, {s.thermostat.upper()}, {s.temperature:g} K",
+            *beside,
         ])  # fmt: skip
 
     def record(self) -> dict[str, Any]:
@@ -156,8 +165,9 @@ class Simulation:
             "time_ps": self.state.step * self.settings.time_step,
             "mean_temperature_second_half_k": float(np.mean(warm)),
             "potential_end_kj_mol": self.rows[-1]["potential_kj_mol"],
-            "conserved_drift_kj_mol_ps_per_100_atoms": self.drift,
+            "conserved_drift_kj_mol_ps_per_100_atoms": self.drift if len(self.rows) > 2 else None,
             "accepted": self.accepted,
+            **self._pulled(),
             "ca_rmsd_angstrom": self.rows[-1]["ca_rmsd_angstrom"],
             "ca_rmsd_input_angstrom": superposed,
             "ca_rmsd_input_as_filed_angstrom": filed,
@@ -171,5 +181,35 @@ class Simulation:
             "threads": e.threads,
         }
 
+    def _pulled(self) -> dict[str, float]:
+        """What a pull has come to; nothing without one."""
+        if self.settings.pull is None:
+            return {}
+        first, last = self.rows[0], self.rows[-1]
+        return {
+            "pull_distance_start_nm": first["pull_distance_nm"],
+            "pull_distance_end_nm": last["pull_distance_nm"],
+            "pull_work_end_kj_mol": last["pull_work_kj_mol"],
+            "pull_force_largest_kj_mol_nm": max((row["pull_force_kj_mol_nm"] for row in self.rows), key=abs),
+        }
+
     def __repr__(self) -> str:
         return f"<Simulation of {self.chain.structure.name}: {self.message}>"
+
+
+def said_of(
+    ending: Ending, why: str, step: int, settings: SimulationSettings, structure: Structure, start: Floats
+) -> str:
+    """Outcome of a simulation in one line, with a remedy if it has become unstable."""
+    done = f"{step} steps, {step * settings.time_step:g} ps"
+    if ending is not Ending.UNSTABLE:
+        return f"{ending}: {done}"
+    crowd = len(overlaps(structure, start))
+    if crowd:
+        pairs = "pair of atoms overlaps" if crowd == 1 else "pairs of atoms overlap"
+        return f"unstable after {done}: {why}; {crowd} {pairs} at the start: minimise first"
+    return (
+        f"unstable after {done}: {why}; take a time step below {settings.time_step:g} ps "
+        f"({1000 * settings.time_step:g} fs) or heavier hydrogens, or minimise first"
+        + ("; or pull more slowly, by a softer spring" if settings.pull else "")
+    )

@@ -1,4 +1,4 @@
-"""Mechanisms of rigid bodies by name: hinges, springs, dampers, bushings, drives, loads and events.
+"""Mechanisms of rigid bodies by name: hinges, springs, dampers, bushings, drives, loads, contacts and events.
 
 A :class:`Mechanism` is the builder, its :meth:`~Mechanism.build` gives a frozen :class:`Model`, and
 :meth:`Model.simulate` a :class:`Run` with a table and an audit. Knows nothing of proteins. Any consistent set
@@ -6,20 +6,26 @@ of units will do.
 """
 
 from protochain.mechanisms.bodies import Bodies, State
-from protochain.mechanisms.elements import Acting, Conservative, Element
+from protochain.mechanisms.contact import (
+    Contact,
+    Friction,
+    Law,
+    flores,
+    lankarani_nikravesh,
+    real_restitution,
+)  # fmt: skip
+from protochain.mechanisms.elements import Acting, Conservative, Element, Memory
+from protochain.mechanisms.linear import frequencies, state_matrix
 from protochain.mechanisms.mechanism import Mechanism
 from protochain.mechanisms.model import Model
 from protochain.mechanisms.run import Audit, Happened, Run
+from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
+from protochain.mechanisms.segments import Beam, Segments, add_beam
+from protochain.mechanisms.shapes import Ball, Plane, Surface
 
 __all__ = [
-    "Acting",
-    "Audit",
-    "Bodies",
-    "Conservative",
-    "Element",
-    "Happened",
-    "Mechanism",
-    "Model",
-    "Run",
-    "State",
-]
+    "Acting", "Audit", "Ball", "Beam", "Bodies", "BoxTree", "Conservative", "Contact", "Element", "Friction",
+    "Happened", "Law", "Mechanism", "Memory", "Model", "Plane", "Run", "Segments", "State", "Surface",
+    "add_beam", "box_tree", "flores", "frequencies", "lankarani_nikravesh", "overlapping",
+    "real_restitution", "state_matrix", "touching",
+]  # fmt: skip

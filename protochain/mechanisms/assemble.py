@@ -1,15 +1,16 @@
 """Bodies and hinges by name -> a tree, each body with its frame along its hinge."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats, read_only
+from protochain.arrays import Floats, Integers, read_only
 from protochain.errors import MechanicsError
 from protochain.mechanisms.bodies import WORLD, Bodies
 from protochain.multibody import HingeKind, Tree
+from protochain.multibody.tree import NO_INERTIA
 
 KINDS = {
     "revolute": HingeKind.REVOLUTE,
@@ -83,6 +84,7 @@ def assemble(
             qd.append(start[1])
         offset[b], placement[b] = above.T @ hinge.at, above.T @ hinge.rotation @ turn[b]
     given = [bodies[name] for name in order]
+    _refuse_free_needles(order, parent, kind, given)
     more: dict[str, Any] = {}
     if driven:
         more["driven"] = np.array([inward.get(name) in driven for name in order])
@@ -96,6 +98,22 @@ def assemble(
         raise MechanicsError(by_name(str(error), order)) from None
     numbers = {hinge: place[each.child] for hinge, each in hinges.items()}
     return Bodies(tree, order, read_only(turn), numbers), read_only(q), read_only(qd)
+
+
+def _refuse_free_needles(
+    names: tuple[str, ...], parent: Integers, kind: Integers, bodies: Sequence[Body]
+) -> None:
+    """Raise if a free body without others on it can turn about an axis without inertia."""
+    with_others = set(parent.tolist())
+    for b, body in enumerate(bodies):
+        if kind[b] != HingeKind.FREE or b in with_others:
+            continue
+        moments = np.linalg.eigvalsh(body.inertia)
+        if body.mass > 0.0 and moments[0] <= NO_INERTIA * np.sum(moments):
+            raise MechanicsError(
+                f'body "{names[b]}": it is free, and nothing resists its turning; give it an inertia about '
+                "all axes, or hinges that do not turn it"
+            )
 
 
 def by_name(message: str, names: tuple[str, ...]) -> str:

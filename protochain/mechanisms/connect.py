@@ -11,7 +11,7 @@ from protochain.errors import MechanicsError
 from protochain.mechanisms import given
 from protochain.mechanisms.bodies import Bodies, State
 from protochain.mechanisms.bushing import Bushings
-from protochain.mechanisms.elements import Acting, Conservative, Damping, Gravity, damping
+from protochain.mechanisms.elements import Acting, Conservative, Damping, Gravity, Memory, damping
 from protochain.mechanisms.model import Counted, Model
 from protochain.mechanisms.parts import Bushing, Driven, Forced, Happening, Pushed, Spring, Torsion, Turned
 from protochain.mechanisms.springs import Springs, Torsions
@@ -35,6 +35,7 @@ def connect(
     start = State(bodies, 0.0, q, qd, multibody.pose(bodies.tree, q))
     conservative: list[Conservative] = []
     damped: list[Damping] = []
+    memories: list[Memory] = []
     inside = not np.any(gravity) and not np.any(
         (bodies.tree.parent < 0) & (bodies.tree.kind != HingeKind.FREE)
     )
@@ -60,10 +61,12 @@ def connect(
             acting = _bound(bodies, name, part)
             conservative += [acting.conservative] if acting.conservative else []
             loads += [Counted(name, acting.load, acting.dissipates)] if acting.load else []
+            memories += [acting.memory] if acting.memory else []
             inside = inside and acting.inside
     drive = _drive(bodies, list(drives.values())) if drives else None
     return Model(
-        bodies, q, qd, tuple(conservative), tuple(loads), drive, tuple(events.values()), inside
+        bodies, q, qd, tuple(conservative), tuple(loads), drive, tuple(events.values()), inside,
+        tuple(memories),
     )  # fmt: skip
 
 
@@ -148,19 +151,20 @@ def _pushed(bodies: Bodies, part: Pushed) -> Load:
     if b < 0:
         raise MechanicsError(f'load "{part.name}": the world does not move; name a body')
     point, said = bodies.inside(b, part.at), f'load "{part.name}": its'
-    zero = np.zeros(3)
-    force, by_force = _law(zero if part.force is None else part.force, said)
-    moment, by_moment = _law(zero if part.moment is None else part.moment, said)
+    force, by_force = _law(part.force, f"{said} force")
+    moment, by_moment = _law(part.moment, f"{said} moment")
 
     def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
         def state() -> State:
             return State(bodies, time, q, qd, frames)
 
         wrenches = np.zeros((bodies.tree.n_bodies, 6))
-        pushing = given.numbers(force(time, state), (3,), f"{said} force")
-        turning = given.numbers(moment(time, state), (3,), f"{said} moment")
-        wrenches[b, :3] = turning + np.cross(frames.rotation[b] @ point, pushing)
-        wrenches[b, 3:] = pushing
+        if part.force is not None:
+            fx, fy, fz = given.numbers(force(time, state), (3,), f"{said} force").tolist()
+            x, y, z = (frames.rotation[b] @ point).tolist()
+            wrenches[b] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx, fx, fy, fz
+        if part.moment is not None:
+            wrenches[b, :3] += given.numbers(moment(time, state), (3,), f"{said} moment")
         return Applied(wrenches)
 
     return Load(applied, by_force or by_moment)

@@ -9,7 +9,7 @@ import numpy as np
 from protochain import multibody
 from protochain.arrays import Floats
 from protochain.mechanisms.bodies import Bodies
-from protochain.motion import Applied, Load
+from protochain.motion import Applied, Load, Phase
 from protochain.multibody import Frames, Tree
 from protochain.multibody.algebra import (
     add_pair,
@@ -43,6 +43,19 @@ class Damping(Protocol):
         """Add wrenches (nb, 6) and torques (n_v,) in place, from the twists (nb, 6) of the bodies."""
 
 
+class Memory(Protocol):
+    """What an element keeps from step to step, as anchors of friction; it does not change within one."""
+
+    def begin(self, start: Phase) -> None:
+        """Begin a run."""
+
+    def settle(self, at: Phase) -> None:
+        """End a step; the start of a run is one, too."""
+
+    def end(self, at: Phase | None) -> None:
+        """End a run at a phase from which another may go on; None if it has failed."""
+
+
 @dataclass(frozen=True, eq=False)
 class Acting:
     """What one element does.
@@ -57,12 +70,15 @@ class Acting:
         Whether the work of the load is dissipation.
     inside : bool
         Whether all of it acts between bodies of the mechanism, so that it keeps their momentum.
+    memory : Memory, optional
+        What it keeps from step to step.
     """
 
     conservative: Conservative | None = None
     load: Load | None = None
     dissipates: bool = False
     inside: bool = False
+    memory: Memory | None = None
 
 
 class Element(Protocol):

@@ -1,7 +1,7 @@
 """Arguments of the builder, converted or refused in one line that names the element and the remedy."""
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from typing import Any
 
 import numpy as np
@@ -86,10 +86,12 @@ def choice(value: Any, among: Sequence[str], said: str) -> str:
     raise MechanicsError(f"{said} {shown(value)}: give {', '.join(among[:-1])} or {among[-1]}")
 
 
-def name_of(value: Any, kind: str, taken: Any) -> str:
-    """Return a name that is not taken."""
+def name_of(value: Any, kind: str, taken: Container[str], reserved: Container[str] = ()) -> str:
+    """Return a name that is neither taken nor reserved."""
     if not isinstance(value, str) or not value:
         raise MechanicsError(f"the name {shown(value)} of a {kind}: give a text")
+    if value in reserved:
+        raise MechanicsError(f'"{value}" is no name for a {kind}: it has a meaning; give another')
     if value in taken:
         raise MechanicsError(f'{kind} "{value}" is named twice; give each a name of its own')
     return value

@@ -56,7 +56,8 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
 
     Parameters
     ----------
-    model, at
+    model : Model
+    at : Phase, optional
         As of :func:`state_matrix`.
 
     Returns

@@ -1,6 +1,6 @@
 """The builder: bodies, hinges and what acts on them, by name, of which it makes a model."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -11,9 +11,11 @@ from protochain.mechanisms import given
 from protochain.mechanisms.assemble import KINDS, Body, Hinge, assemble
 from protochain.mechanisms.bodies import WORLD
 from protochain.mechanisms.connect import connect
+from protochain.mechanisms.contact import Contact, Friction, Law
 from protochain.mechanisms.elements import Element
 from protochain.mechanisms.model import Model
 from protochain.mechanisms.parts import Bushing, Driven, Forced, Happening, Pushed, Spring, Torsion, Turned
+from protochain.mechanisms.shapes import Ball, Other
 from protochain.motion import Load
 
 Point = tuple[str, ArrayLike]
@@ -80,7 +82,7 @@ class Mechanism:
         MechanicsError
             If the name is taken, or an argument is unphysical.
         """
-        given.name_of(name, "body", {*self._bodies, WORLD})
+        given.name_of(name, "body", self._bodies, (WORLD,))
         said = f'body "{name}": its'
         where = {"position": position, "rotation": rotation, "velocity": velocity, "spin": spin}
         self._bodies[name] = Body(
@@ -294,6 +296,25 @@ class Mechanism:
         said = self._named(name, "torque")
         self._parts[name] = Turned(name, hinge, given.law(value, (), f"{said} its value"))
 
+    def contact(
+        self, name: str, balls: Sequence[Ball], other: Other, law: Law, friction: Friction | None = None
+    ) -> None:
+        """Let balls touch a plane, a surface, other balls, or each other.
+
+        Parameters
+        ----------
+        name : str
+            Name.
+        balls : sequence of Ball
+            Balls, or points, fixed in bodies. Those of one body do not touch each other.
+        other : Plane, Surface, sequence of Ball or None
+            What they touch; None is each other.
+        law, friction : Law, and Friction, optional
+            Normal and tangential forces.
+        """
+        self._named(name, "contact")
+        self._parts[name] = Forced(Contact(tuple(balls), other, law, friction, f'contact "{name}"'))
+
     def force(self, name: str, element: Element | Load) -> None:
         """Add forces of one's own, as contacts are.
 
@@ -363,7 +384,7 @@ class Mechanism:
             hinge = self._hinges[name]
             if hinge.kind == "fixed":
                 raise MechanicsError(f'drive: hinge "{name}" is fixed; give it another kind')
-        starts = {name: tuple(drive.at(0.0)[:2]) for name, drive in self._drives.items()}
+        starts = {name: drive.start() for name, drive in self._drives.items()}
         for name, start in starts.items():
             hinge = self._hinges[name]
             if any(has != 0.0 and has != is_ for has, is_ in zip((hinge.q, hinge.qd), start, strict=True)):
@@ -375,4 +396,4 @@ class Mechanism:
         return connect(bodies, q, qd, read_only(self._gravity), self._parts, self._drives, self._events)
 
     def _named(self, name: str, kind: str) -> str:
-        return f'{kind} "{given.name_of(name, kind, {*self._parts, "drives", "damping"})}":'
+        return f'{kind} "{given.name_of(name, kind, self._parts, ("drives", "damping"))}":'

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from protochain.arrays import Floats
+from protochain.defaults import BALANCE
 from protochain.errors import MechanicsError
 from protochain.mechanisms.assemble import by_name
 from protochain.mechanisms.bodies import Bodies, State
-from protochain.mechanisms.elements import Conservative, Sum
+from protochain.mechanisms.elements import Conservative, Memory, Sum
 from protochain.mechanisms.parts import Happening
 from protochain.mechanisms.run import Run, carry_out
 from protochain.motion import Drive, Event, Integrator, Load, Phase, RungeKutta4, System
@@ -46,6 +47,8 @@ class Model:
         Events.
     inside : bool
         Whether nothing acts from outside, so that momentum and spin are kept.
+    memories : tuple of Memory
+        What elements keep from step to step.
     """
 
     bodies: Bodies
@@ -56,6 +59,7 @@ class Model:
     drive: Drive | None = None
     events: tuple[Happening, ...] = ()
     inside: bool = False
+    memories: tuple[Memory, ...] = ()
 
     @property
     def tree(self) -> Tree:
@@ -81,8 +85,17 @@ class Model:
         return (*(each.name for each in self.loads), *(("drives",) if self.drive is not None else ()))
 
     def start(self) -> Phase:
-        """Phase at the start."""
-        return self.system.at(self.q, self.qd)
+        """Phase at the start.
+
+        Raises
+        ------
+        MechanicsError
+            If the pose is singular, or what an element gives is no number.
+        """
+        try:
+            return self.system.at(self.q, self.qd)
+        except MechanicsError as error:
+            raise MechanicsError(self.said(str(error))) from None
 
     def state(self, at: Phase | None = None) -> State:
         """State at a phase, by default at the start, from which points and velocities can be had by name."""
@@ -99,7 +112,8 @@ class Model:
         integrator: Integrator | None = None,
         every: int = 1,
         start: Phase | None = None,
-    ) -> "Run":
+        balance: float = BALANCE,
+    ) -> Run:
         """Follow the motion.
 
         Parameters
@@ -109,12 +123,15 @@ class Model:
         time_step : float
             Longest step.
         integrator : Integrator, optional
-            By default :class:`protochain.motion.RungeKutta4`; ``Rosenbrock()`` for stiff springs and dampers,
-            ``DormandPrince()`` for a tolerance.
+            By default :class:`protochain.motion.RungeKutta4`. ``DormandPrince()`` keeps a tolerance;
+            ``Rosenbrock()`` takes any damper, however stiff, and damps vibrations that its step does not
+            resolve; ``ImplicitMidpoint()`` keeps their energy, not their phase.
         every : int
             Steps from one row of the result to the next; events and the end have rows besides.
         start : Phase, optional
             Phase from which to go on, as :attr:`Run.end`.
+        balance : float
+            Largest change of energy without work, of the largest in motion, that is no error.
 
         Returns
         -------
@@ -128,7 +145,8 @@ class Model:
         MechanicsError
             If an argument, or what an element gives, is no number.
         """
-        return carry_out(self, until, time_step, integrator or RungeKutta4(), every, start or self.start())
+        integrator, start = integrator or RungeKutta4(), start or self.start()
+        return carry_out(self, until, time_step, integrator, every, start, balance)
 
     def said(self, message: str) -> str:
         """Return a message with the names of bodies in place of their numbers."""

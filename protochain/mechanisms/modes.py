@@ -36,8 +36,9 @@ class ReducedSystem(System):
         Columns that span the velocities, none of them of driven hinges.
     """
 
+    bends: ClassVar[bool] = True
+
     directions: Floats = ()  # type: ignore[assignment]
-    by_momenta: ClassVar[bool] = False
 
     def accelerations(
         self, time: float, q: Floats, qd: Floats, torque: Floats, loads: Floats | None

@@ -78,6 +78,11 @@ class Driven:
     hinge: str
     motion: Callable[[float], tuple[float, float, float]]
 
+    def start(self) -> tuple[float, float]:
+        """Coordinate and rate at the start."""
+        q, qd, _ = self.at(0.0)
+        return q, qd
+
     def at(self, time: float) -> tuple[float, float, float]:
         """Coordinate, rate and acceleration at a time.
 

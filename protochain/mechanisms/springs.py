@@ -89,14 +89,29 @@ class Torsions:
 
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
         """Add the torques of the springs."""
-        turn = q[self.coordinates] - self.constants[:, REST]
-        pull = self.constants[:, STIFFNESS] * turn
-        np.subtract.at(torques, self.freedoms, pull)
-        return 0.5 * float(pull @ turn)
+        energy: float = _wind(self.coordinates, self.freedoms, self.constants, q, torques)
+        return energy
 
     def resist(self, frames: Frames, twists: Floats, qd: Floats, wrenches: Floats, torques: Floats) -> None:
         """Add the torques of the dampers."""
-        np.subtract.at(torques, self.freedoms, self.constants[:, DAMPING] * qd[self.freedoms])
+        _slow(self.freedoms, self.constants, qd, torques)
+
+
+@kernel
+def _wind(coordinates: Integers, freedoms: Integers, constants: Floats, q: Floats, torques: Floats) -> float:
+    energy = 0.0
+    for i in range(len(coordinates)):
+        turn = q[coordinates[i]] - constants[i, REST]
+        pull = constants[i, STIFFNESS] * turn
+        energy += 0.5 * pull * turn
+        torques[freedoms[i]] -= pull
+    return energy
+
+
+@kernel
+def _slow(freedoms: Integers, constants: Floats, qd: Floats, torques: Floats) -> None:
+    for i in range(len(freedoms)):
+        torques[freedoms[i]] -= constants[i, DAMPING] * qd[freedoms[i]]
 
 
 @kernel

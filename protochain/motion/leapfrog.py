@@ -8,7 +8,7 @@ conserves momentum to rounding. The step is implicit in the velocities only, whi
 O(n), without the energy.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -64,17 +64,19 @@ class Leapfrog(Integrator):
         MechanicsError
             If a load depends on velocities, or hinges are driven.
         """
-        if system.loads and system.depends_on_velocity:
-            raise MechanicsError(
-                "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
-            )
-        refuse_drive(system, "leapfrog")
-        there = system.kick(at, *self._drifted(system, at, time_step), time_step)
-        return there if system.constraint is None else system.with_velocities(there, there.qd)
+        if system.loads or system.drive is not None or system.bends:
+            _refuse(system)
+        kicked = system.kick(at, *self._drifted(system, at, time_step), time_step)
+        if system.constraint is None:
+            return kicked
+        there = system.with_velocities(kicked, kicked.qd)
+        # The power at the end is that of velocities on the constraint.
+        work = kicked.work + 0.5 * time_step * (there.power - kicked.power)
+        return there if kicked.loads is None else replace(there, work=work)
 
     def check_return(self, system: System, before: Phase, after: Phase, time_step: float) -> None:
         """Check that a step backwards ends where the step began, without an energy: its drift decides."""
-        refuse_departure(system.tree, self._drifted(system, after, -time_step)[0], before.q)
+        refuse_departure(system, self._drifted(system, after, -time_step)[0], before.q)
 
     def _drifted(self, system: System, at: Phase, time_step: float) -> Drifted:
         """Kick for half a step and drift for a step."""
@@ -82,6 +84,15 @@ class Leapfrog(Integrator):
         if system.constraint is None:
             return self.drift(at, kicked, time_step)
         return system.constraint.drift(self.drift, at, kicked, time_step)
+
+
+def _refuse(system: System) -> None:
+    """Raise if the leapfrog cannot take a system."""
+    refuse_drive(system, "leapfrog")
+    if system.depends_on_velocity:
+        raise MechanicsError(
+            "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
+        )
 
 
 def drift(at: Phase, p: Floats, time_step: float) -> Drifted:

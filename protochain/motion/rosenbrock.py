@@ -5,12 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 
-from protochain import multibody
 from protochain.arrays import Floats
 from protochain.errors import MechanicsError
 from protochain.motion.substeps import Tried, in_substeps
 from protochain.motion.system import NOTHING, Integrator, Phase, StepTooLargeError, System
-from protochain.multibody.rotations import displacement_rates
 
 GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
 """With it the method is L-stable: what is stiffer than the step resolves is damped at once."""
@@ -61,42 +59,42 @@ class Rosenbrock(Integrator):
 
 
 def _advance(system: System, at: Phase, h: float) -> Tried:
-    tree = system.tree
+    n, driven = system.n_v, system.tree.driven_v
 
     def rates(time: float, move: Floats, qd: Floats) -> tuple[Floats, Floats, Floats]:
         """Rates of displacement and velocity, none of driven hinges; power of loads and drive."""
-        q, qd = system.driven_to(time, multibody.integrate(tree, at.q, move), qd)
+        q, qd = system.driven_to(time, system.integrate(at.q, move), qd)
         _, torque, loads = system.forces(time, q, qd, system.factors(q))
         qdd, loads = system.accelerations(time, q, qd, torque, loads)
-        slope = displacement_rates(tree, move, qd)
-        slope[tree.driven_v], qdd[tree.driven_v] = 0.0, 0.0
+        slope = system.displacement_rates(move, qd)
+        slope[driven], qdd[driven] = 0.0, 0.0
         return slope, qdd, NOTHING if loads is None else loads @ qd
 
-    still = np.zeros(tree.n_v)
+    still = np.zeros(n)
     slope, acceleration, power = rates(at.time, still, at.qd)
-    nudge = _NUDGE * tree.units
+    nudge = _NUDGE * system.units
     # A velocity's nudge moves as far in a step as a coordinate's.
     push = nudge / abs(h)
-    by_place, by_speed = np.zeros((tree.n_v, tree.n_v)), np.zeros((tree.n_v, tree.n_v))
-    for k in tree.undriven_v:
-        one = np.eye(1, tree.n_v, k)[0]
+    by_place, by_speed = np.zeros((n, n)), np.zeros((n, n))
+    for k in np.setdiff1d(np.arange(n), driven):
+        one = np.eye(1, n, k)[0]
         by_place[:, k] = (rates(at.time, nudge[k] * one, at.qd)[1] - acceleration) / nudge[k]
         by_speed[:, k] = (rates(at.time, still, at.qd + push[k] * one)[1] - acceleration) / push[k]
     g = GAMMA * h
     # Displacements change by velocities to first order, so that half of the equations are solved at once.
-    factor = lu_factor(np.eye(tree.n_v) - g * by_speed - g * g * by_place)
+    factor = lu_factor(np.eye(n) - g * by_speed - g * g * by_place)
 
     def solved(place: Floats, speed: Floats) -> tuple[Floats, Floats]:
         k = lu_solve(factor, speed + g * by_place @ place)
         return place + g * k, k
 
-    later = np.zeros(tree.n_v)
+    later = np.zeros(n)
     if system.loads or system.drive is not None:
         later = g * (rates(at.time + _NUDGE * h, still, at.qd)[1] - acceleration) / (_NUDGE * h)
     place, speed = solved(slope, acceleration + later)
     there, quicker, power_there = rates(at.time + h, h * place, at.qd + h * speed)
     place_2, speed_2 = solved(there - 2.0 * place, quicker - 2.0 * speed - later)
-    q = multibody.integrate(tree, at.q, h * (1.5 * place + 0.5 * place_2))
+    q = system.integrate(at.q, h * (1.5 * place + 0.5 * place_2))
     qd = at.qd + h * (1.5 * speed + 0.5 * speed_2)
     work = at.work + 0.5 * h * (power + power_there)
     # Against the method of order one, y + h k1.

@@ -4,10 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain import multibody
 from protochain.motion.substeps import Tried, in_substeps
 from protochain.motion.system import Integrator, Phase, System
-from protochain.multibody.rotations import displacement_rates
 
 
 @dataclass(frozen=True)
@@ -99,21 +97,20 @@ class DormandPrince(Integrator):
 
 def _advance(tableau: Tableau, system: System, at: Phase, h: float) -> Tried:
     """Phase after one step, and estimates of the errors of its coordinates and velocities."""
-    tree = system.tree
     a, b, wrong = (h * np.array(weights) for weights in (tableau.a, tableau.b, tableau.error))
-    slopes, accelerations = np.zeros((len(b), tree.n_v)), np.zeros((len(b), tree.n_v))
+    slopes, accelerations = np.zeros((len(b), system.n_v)), np.zeros((len(b), system.n_v))
     # The sum of a row of the tableau is the time of its stage.
     times, powers = at.time + np.sum(a, axis=1), []
     for i, row in enumerate(a):
         time, move, qd = float(times[i]), row @ slopes, at.qd + row @ accelerations
         q, torque, loads = at.q, at.torque, at.loads
         if i:
-            q, qd = system.driven_to(time, multibody.integrate(tree, at.q, move), qd)
+            q, qd = system.driven_to(time, system.integrate(at.q, move), qd)
             _, torque, loads = system.forces(time, q, qd, system.factors(q))
-        slopes[i] = displacement_rates(tree, move, qd)
+        slopes[i] = system.displacement_rates(move, qd)
         accelerations[i], loads = system.accelerations(time, q, qd, torque, loads)
         if loads is not None:
             powers.append(loads @ qd)
-    q, qd = multibody.integrate(tree, at.q, b @ slopes), at.qd + b @ accelerations
+    q, qd = system.integrate(at.q, b @ slopes), at.qd + b @ accelerations
     work = at.work + b @ powers if powers else at.work
     return system.at(q, qd, at.time + h, work), wrong @ slopes, wrong @ accelerations

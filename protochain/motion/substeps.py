@@ -56,7 +56,7 @@ def in_substeps(
             raise StepTooLargeError("no substep of the time step is accurate")
         try:
             after, moved, quickened = substep(at, part)
-            errors = np.maximum(np.abs(moved), abs(time_step) * np.abs(quickened)) / system.tree.units
+            errors = np.maximum(np.abs(moved), abs(time_step) * np.abs(quickened)) / system.units
             size = float(np.max(errors, initial=0.0)) / tolerance if after.is_finite else np.nan
         except MechanicsError:
             # A stage has diverged to NaN.

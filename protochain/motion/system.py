@@ -15,6 +15,7 @@ from protochain.errors import MechanicsError, ProtochainError
 from protochain.multibody import Frames, Tree
 from protochain.multibody.articulated import Articulated, articulate, solve
 from protochain.multibody.hamilton import momenta
+from protochain.multibody.rotations import displacement_rates
 
 Potential = Callable[[Floats, Articulated], tuple[float, Floats]]
 """Coordinates (n_q,) and factors of M there -> energy and torques (n_v,)."""
@@ -164,10 +165,10 @@ class Integrator(Protocol):
         StepTooLargeError
             If it does not: implicit equations may have several solutions, or be solved in one direction only.
         """
-        refuse_departure(system.tree, self.step(system, after, -time_step).q, before.q)
+        refuse_departure(system, self.step(system, after, -time_step).q, before.q)
 
 
-def refuse_departure(tree: Tree, found: Floats, wanted: Floats) -> None:
+def refuse_departure(system: "System", found: Floats, wanted: Floats) -> None:
     """Raise if a step back has found other coordinates than those where the step began.
 
     Raises
@@ -175,7 +176,7 @@ def refuse_departure(tree: Tree, found: Floats, wanted: Floats) -> None:
     StepTooLargeError
         If any differs by more than ``RETURNED``.
     """
-    if not np.max(np.abs(found - wanted) / tree.coordinate_units, initial=0.0) < RETURNED:
+    if not np.max(np.abs(found - wanted) / system.coordinate_units, initial=0.0) < RETURNED:
         raise StepTooLargeError("the time step cannot be taken back")
 
 
@@ -203,13 +204,14 @@ class System:
         If the tree has driven hinges and there is no drive, or the other way round.
     """
 
+    bends: ClassVar[bool] = False
+    """Whether bodies may bend."""
+
     tree: Tree
     potential: Potential
     constraint: Constraint | None = None
     loads: tuple[Load, ...] = ()
     drive: Drive | None = None
-    by_momenta: ClassVar[bool] = True
-    """Whether it moves along all freedoms, so that momenta say what velocities are."""
 
     def __post_init__(self) -> None:
         if (self.drive is None) != (self.tree.driven is None):
@@ -229,7 +231,7 @@ class System:
         q, qd = self.driven_to(time, q, qd)
         factors = self.factors(q)
         potential, torque, loads = self.forces(time, q, qd, factors)
-        p = momenta(self.tree, factors.frames, qd)[0]
+        p = self.momenta(factors, qd)
         if self.drive is not None:
             _, loads = self.accelerations(time, q, qd, torque, loads)
         if work is None:
@@ -251,21 +253,19 @@ class System:
         potential, torque = self.potential(q, factors)
         if not self.loads:
             return potential, torque, None
-        loads = np.array([load.along(self.tree, time, q, qd, factors.frames) for load in self.loads])
+        loads = np.array([self.along(load, time, q, qd, factors) for load in self.loads])
         return potential, torque + loads.sum(axis=0), loads
 
     def accelerations(
         self, time: float, q: Floats, qd: Floats, torque: Floats, loads: Floats | None
     ) -> tuple[Floats, Floats | None]:
         """Accelerations (n_v,) under torques (n_v,); the loads, the torques of the drive as their last."""
-        tree = self.tree
         if self.drive is None:
-            return multibody.forward_dynamics(tree, q, qd, torque), loads
-        given, driving = torque.copy(), np.zeros(tree.n_v)
-        given[tree.driven_v] = self._drive(time)[2]
-        qdd = multibody.forward_dynamics(tree, q, qd, given)
-        needed = multibody.inverse_dynamics(tree, q, qd, qdd) - torque
-        driving[tree.driven_v] = needed[tree.driven_v]
+            return self.forward_dynamics(q, qd, torque), loads
+        driven, given, driving = self.tree.driven_v, torque.copy(), np.zeros(self.n_v)
+        given[driven] = self._drive(time)[2]
+        qdd = self.forward_dynamics(q, qd, given)
+        driving[driven] = self.inverse_dynamics(q, qd, qdd)[driven] - torque[driven]
         return qdd, np.vstack([driving] if loads is None else [*loads[: len(self.loads)], driving])
 
     def _drive(self, time: float) -> tuple[Floats, Floats, Floats]:
@@ -301,19 +301,60 @@ class System:
             return replace(at, time=time)
         return self.at(at.q, at.qd, time, at.work)
 
+    def with_velocities(self, at: Phase, qd: Floats) -> Phase:
+        """Return the phase with other velocities, on the constraint; driven hinges keep theirs."""
+        p = self.momenta(at.factors, qd)
+        if self.constraint is not None:
+            qd = self.constraint.project_velocities(at.factors, p)
+            p = self.momenta(at.factors, qd)
+        if self.depends_on_velocity or self.drive is not None:
+            return self.at(at.q, qd, at.time, at.work)
+        return replace(at, qd=qd, p=p)
+
+    # What bodies that bend do in another way, see ``motion.bending``:
+
+    @property
+    def n_v(self) -> int:
+        """Number of freedoms."""
+        return self.tree.n_v
+
+    @property
+    def units(self) -> Floats:
+        """(n_v,) float: of each freedom, what a radian or a size of the tree is in it."""
+        return self.tree.units
+
+    @property
+    def coordinate_units(self) -> Floats:
+        """(n_q,) float: as :attr:`units`, of each coordinate."""
+        return self.tree.coordinate_units
+
     def factors(self, q: Floats) -> Articulated:
         """Frames of the bodies and factors of M at q (n_q,)."""
         return articulate(self.tree, multibody.pose(self.tree, q))
 
-    def with_velocities(self, at: Phase, qd: Floats) -> Phase:
-        """Return the phase with other velocities, on the constraint; driven hinges keep theirs."""
-        p, _ = momenta(self.tree, at.factors.frames, qd)
-        if self.constraint is not None:
-            qd = self.constraint.project_velocities(at.factors, p)
-            p, _ = momenta(self.tree, at.factors.frames, qd)
-        if self.depends_on_velocity or self.drive is not None:
-            return self.at(at.q, qd, at.time, at.work)
-        return replace(at, qd=qd, p=p)
+    def momenta(self, factors: Articulated, qd: Floats) -> Floats:
+        """Momenta (n_v,) of velocities."""
+        return momenta(self.tree, factors.frames, qd)[0]
+
+    def along(self, load: Load, time: float, q: Floats, qd: Floats, factors: Articulated) -> Floats:
+        """Torques (n_v,) of a load."""
+        return load.along(self.tree, time, q, qd, factors.frames)
+
+    def forward_dynamics(self, q: Floats, qd: Floats, tau: Floats) -> Floats:
+        """Accelerations (n_v,) under torques; of driven hinges those given in their place."""
+        return multibody.forward_dynamics(self.tree, q, qd, tau)
+
+    def inverse_dynamics(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
+        """Torques (n_v,) of accelerations."""
+        return multibody.inverse_dynamics(self.tree, q, qd, qdd)
+
+    def integrate(self, q: Floats, move: Floats) -> Floats:
+        """Coordinates (n_q,) after a displacement (n_v,)."""
+        return multibody.integrate(self.tree, q, move)
+
+    def displacement_rates(self, move: Floats, qd: Floats) -> Floats:
+        """Rates (n_v,) of a displacement, for velocities at its end."""
+        return displacement_rates(self.tree, move, qd)
 
 
 def total(parts: list[Potential]) -> Potential:
@@ -338,16 +379,16 @@ def total(parts: list[Potential]) -> Potential:
 
 
 def refuse_drive(system: System, name: str) -> None:
-    """Raise if hinges are driven, or held in modes, for an integrator that moves by momenta alone.
+    """Raise if hinges are driven or bodies bend, for an integrator that moves by momenta of rigid bodies.
 
     Raises
     ------
     MechanicsError
-        If any is.
+        If any is, or does.
     """
-    if not system.by_momenta:
+    if system.bends:
         raise MechanicsError(
-            f"the {name} takes no mechanism in modes; take Runge-Kutta, Dormand-Prince or Rosenbrock"
+            f"the {name} takes no bodies that bend; take Runge-Kutta, Dormand-Prince or Rosenbrock"
         )
     if system.drive is not None:
         raise MechanicsError(

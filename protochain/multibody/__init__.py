@@ -2,6 +2,8 @@
 
 from protochain.multibody.composite import mass_matrix
 from protochain.multibody.forward import forward_dynamics
+from protochain.multibody.impulse import Impact, close_loops, impact
+from protochain.multibody.impulse_points import ContactPoint
 from protochain.multibody.kinematics import Frames, integrate, jacobian, pose, pull_back, velocities
 from protochain.multibody.loops import log_det_closed, solve_closed
 from protochain.multibody.mass import Method, log_det_mass, sample_velocities, solve_mass
@@ -23,8 +25,9 @@ from protochain.multibody.random_tree import random_tree
 from protochain.multibody.tree import HingeKind, Tree, rigid_bodies
 
 __all__ = [
-    "Frames", "HingeKind", "Method", "Rows", "Tree", "centre_of_mass", "forward_dynamics", "integrate",
-    "inverse_dynamics", "jacobian", "kinetic_energy", "log_det_closed", "log_det_gradient",
+    "ContactPoint", "Frames", "HingeKind", "Impact", "Method", "Rows", "Tree", "centre_of_mass",
+    "close_loops", "forward_dynamics", "impact", "integrate", "inverse_dynamics", "jacobian",
+    "kinetic_energy", "log_det_closed", "log_det_gradient",
     "log_det_mass", "mass_matrix", "momentum", "multiply_mass", "operational_inverse", "point_rows",
     "pose", "pull_back", "random_tree", "rigid_bodies", "row_matrix", "sample_velocities",
     "solve_closed", "solve_mass", "velocities",

@@ -104,12 +104,13 @@ def articulate(tree: Tree, frames: Frames) -> Articulated:
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, packed, gain, pivot, root,
         np.zeros((n, 6)), np.zeros(tree.n_v),
     )  # fmt: skip
-    refuse_singular(failed)
+    refuse_singular(failed, frames.rotation)
     if tree.driven is not None:
         gain[tree.driven] = 0.0
     if len(tree.massless):
         refuse_singular(
-            unresisted(tree.locked_links, tree.bodies, frames.rotation, frames.origin, packed, pivot, root)
+            unresisted(tree.locked_links, tree.bodies, frames.rotation, frames.origin, packed, pivot, root),
+            frames.rotation,
         )
     return Articulated(tree, frames, frozen(packed), frozen(gain), frozen(pivot), frozen(root))
 
@@ -171,7 +172,7 @@ def solve_at_once(tree: Tree, frames: Frames, tau: Floats) -> Floats:
     if not tree.is_plain:
         return solve(articulate(tree, frames), tau)
     x = floats(tau, (tree.n_v,), "tau").copy()
-    refuse_singular(_solve(tree.links, tree.bodies, frames.rotation, frames.origin, x))
+    refuse_singular(_solve(tree.links, tree.bodies, frames.rotation, frames.origin, x), frames.rotation)
     return x
 
 
@@ -223,8 +224,13 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
     return _among_all(tree, x)
 
 
-def refuse_singular(failed: int) -> None:
-    """Raise MechanicsError if a sweep returned a body rather than -1."""
+def refuse_singular(failed: int, pose: Floats) -> None:
+    """Raise MechanicsError if a sweep returned a body rather than -1; ``pose`` is q, or the rotations."""
+    if failed >= 0 and not np.isfinite(pose).all():
+        raise MechanicsError(
+            f"body {failed}: its place is no number; if it was one before, the motion has diverged: take "
+            "shorter steps"
+        )
     if failed >= 0:
         raise MechanicsError(
             f"body {failed}: its hinge has no inertia at this pose, so accelerations are undefined"

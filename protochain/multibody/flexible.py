@@ -7,19 +7,16 @@ by its own centrifugal force (Kane, Ryan, Banerjee, J. Guidance 10:139, 1987). B
 sections. With J what gives the twists of sections from qd, the mass matrix is the sum of J^T I J.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from protochain.arrays import Floats, Integers, Value, floats, frozen, read_only
 from protochain.errors import MechanicsError
+from protochain.multibody.flexible_kernels import put_frames
 from protochain.multibody.kinematics import integrate as integrate_rigid
-from protochain.multibody.tree import HingeKind, Tree
-
-_SMALL = 1e-2
-"""rad. Below it quotients of differences lose digits, while three terms of their series do not."""
+from protochain.multibody.tree import Tree
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +118,42 @@ class Flexible(Value):
         return read_only(np.concatenate([[0], np.cumsum(counts)]), np.int64)
 
     @cached_property
-    def bodies(self) -> tuple[Shapes, ...]:
-        """Shapes of all bodies, with their frames as a first section: of a rigid one there are none."""
-        return tuple(_with_frame(self.tree, b, shapes) for b, shapes in enumerate(self.shapes))
+    def sections(self) -> Shapes:
+        """All nodes, with as many shapes as the body of most has; the stiffness is that of no body."""
+        most = max((s.n_shapes for s in self.shapes if s is not None), default=0)
+        each = [_nodes(self.tree, b, shapes, most) for b, shapes in enumerate(self.shapes)]
+        place, mass, inertia, moves, turns, shortening = (
+            np.concatenate(part) for part in zip(*each, strict=True)
+        )
+        return Shapes(place, mass, inertia, moves, turns, shortening, np.zeros((most, most)))
+
+    @cached_property
+    def links(self) -> Integers:
+        """(nb + 1, 6) int: columns of ``flexible_algebra``, as read by the sweeps."""
+        tree, n = self.tree, self.tree.n_bodies
+        carrier = np.where(tree.parent >= 0, self.node_start[tree.parent] + 1 + self.section, -1)
+        driven = np.zeros(n) if tree.driven is None else tree.driven
+        columns = (
+            np.append(carrier, -1), tree.q_start, tree.v_start, self.node_start, self.shape_start,
+            np.append(driven, 0),
+        )  # fmt: skip
+        return read_only(np.column_stack(columns), np.int64)
+
+    @cached_property
+    def seats(self) -> Floats:
+        """(nb, 24) float: :attr:`Tree.bodies`, with offsets from the sections that carry the bodies."""
+        seats, carrier = self.tree.bodies.copy(), self.links[:-1, 0]
+        seats[:, :3] -= np.where(carrier[:, None] >= 0, self.sections.place[carrier], 0.0)
+        return read_only(seats)
+
+    @cached_property
+    def arrays(self) -> tuple[Floats, ...]:
+        """Places, masses, inertias (nn, ...), moves and turns (nn, K, 3), shortening (nn, K, K, 3)."""
+        of = self.sections
+        return (
+            of.place, of.mass, of.inertia, read_only(of.moves.swapaxes(1, 2)),
+            read_only(of.turns.swapaxes(1, 2)), read_only(np.moveaxis(of.shortening, 1, 3)),
+        )  # fmt: skip
 
     @property
     def n_v(self) -> int:
@@ -144,13 +174,13 @@ class Bent(Value):
     ----------
     rotation, origin : (nn, 3, 3) and (nn, 3) float
         Axes of the nodes in the world, as columns, and their places.
-    columns : tuple of (n, 6, k) float
-        Of each body: twists of its nodes about their places, for unit rates of its amplitudes.
+    columns : (nn, K, 6) float
+        Twists of the nodes about their places, for unit rates of their body's amplitudes.
     """
 
     rotation: Floats
     origin: Floats
-    columns: tuple[Floats, ...]
+    columns: Floats
 
 
 def bend(flexible: Flexible, q: Floats) -> Bent:
@@ -166,26 +196,14 @@ def bend(flexible: Flexible, q: Floats) -> Bent:
     Bent
         World frames of the nodes.
     """
-    tree, starts = flexible.tree, flexible.node_start
-    q = floats(q, (flexible.n_q,), "q")
-    rotation, origin = np.empty((starts[-1], 3, 3)), np.empty((starts[-1], 3))
-    columns = []
-    for b, shapes in enumerate(flexible.bodies):
-        above, at, offset = np.eye(3), np.zeros(3), tree.offset[b]
-        if tree.parent[b] >= 0:
-            k = carrier_of(flexible, b)
-            above, at = rotation[k], origin[k]
-            offset = offset - flexible.bodies[tree.parent[b]].place[k - starts[tree.parent[b]]]
-        turn, at = _past_hinge(tree, b, above @ tree.placement[b], at + above @ offset, q)
-        eta = amplitudes(flexible, q, b)
-        short = shapes.shortening @ eta
-        nodes = slice(starts[b], starts[b + 1])
-        theta = shapes.turns @ eta
-        rotation[nodes] = turn @ Rotation.from_rotvec(theta).as_matrix()
-        origin[nodes] = at + (shapes.place + shapes.moves @ eta - 0.5 * short @ eta) @ turn.T
-        local = np.concatenate([dexp(theta) @ shapes.turns, shapes.moves - short], axis=1)
-        columns.append(frozen(np.concatenate([turn @ local[:, :3], turn @ local[:, 3:]], axis=1)))
-    return Bent(frozen(rotation), frozen(origin), tuple(columns))
+    place, _, _, moves, turns, shortening = flexible.arrays
+    n, most = len(place), moves.shape[1]
+    rotation, origin, columns = np.empty((n, 3, 3)), np.empty((n, 3)), np.zeros((n, most, 6))
+    put_frames(
+        flexible.links, flexible.seats, place, moves, turns, shortening, floats(q, (flexible.n_q,), "q"),
+        rotation, origin, columns,
+    )  # fmt: skip
+    return Bent(frozen(rotation), frozen(origin), frozen(columns))
 
 
 def integrate(flexible: Flexible, q: Floats, qd: Floats) -> Floats:
@@ -199,118 +217,31 @@ def integrate(flexible: Flexible, q: Floats, qd: Floats) -> Floats:
 def elastic(flexible: Flexible, q: Floats) -> tuple[float, Floats]:
     """Elastic energy, and the torques (n_v,) of all bodies that bend: minus its gradient."""
     energy, torque = 0.0, np.zeros(flexible.n_v)
-    for b, shapes in enumerate(flexible.bodies):
-        eta, own = amplitudes(flexible, q, b), slice(*flexible.shape_start[b : b + 2])
-        torque[own] = -shapes.stiffness @ eta
-        energy -= 0.5 * float(torque[own] @ eta)
+    shift = flexible.tree.n_q - flexible.tree.n_v
+    for b, shapes in enumerate(flexible.shapes):
+        if shapes is not None:
+            start, end = flexible.shape_start[b : b + 2]
+            eta = q[start + shift : end + shift]
+            torque[start:end] = -shapes.stiffness @ eta
+            energy -= 0.5 * float(torque[start:end] @ eta)
     return energy, torque
 
 
-def amplitudes(flexible: Flexible, q: Floats, b: int) -> Floats:
-    """(k,) float: how far body b is bent in each of its shapes."""
-    shift = flexible.tree.n_q - flexible.tree.n_v
-    return q[flexible.shape_start[b] + shift : flexible.shape_start[b + 1] + shift]
-
-
-def carrier_of(flexible: Flexible, b: int) -> int:
-    """Node that body b rides on; -1 for the world."""
-    p = flexible.tree.parent[b]
-    return int(flexible.node_start[p] + 1 + flexible.section[b]) if p >= 0 else -1
-
-
-def hinge_columns(flexible: Flexible, bent: Bent, b: int) -> Floats:
-    """(6, n_v of the hinge) float: twist of body b about its origin for unit rates of its hinge."""
-    kind = flexible.tree.kind[b]
-    if kind == HingeKind.FREE:
-        return np.eye(6)
-    if kind == HingeKind.FIXED:
-        return np.zeros((6, 0))
-    axis, (turn, slide) = bent.rotation[flexible.node_start[b], :, 2], flexible.tree.twist[b]
-    return np.concatenate([turn * axis, slide * axis])[:, None]
-
-
-def shifts(lever: Floats) -> Floats:
-    """(..., 6, 6) float: twist about a point -> the same twist about another, a lever (..., 3) away."""
-    out = np.zeros((*lever.shape[:-1], 6, 6))
-    out[..., range(6), range(6)] = 1.0
-    x, y, z = np.moveaxis(lever, -1, 0)
-    out[..., 3, 1], out[..., 3, 2], out[..., 4, 2] = z, -y, x
-    out[..., 4, 0], out[..., 5, 0], out[..., 5, 1] = -z, y, -x
-    return out
-
-
-def inertias(flexible: Flexible, bent: Bent) -> Floats:
-    """(nn, 6, 6) float: spatial inertia of each node about its place, world axes; none of bodies' frames."""
-    out = np.zeros((len(bent.origin), 6, 6))
-    mass = np.concatenate([shapes.mass for shapes in flexible.bodies])
-    inertia = np.concatenate([shapes.inertia for shapes in flexible.bodies])
-    out[:, :3, :3] = bent.rotation @ inertia @ bent.rotation.swapaxes(1, 2)
-    out[:, 3:, 3:] = mass[:, None, None] * np.eye(3)
-    return out
-
-
-def dexp(theta: Floats) -> Floats:
-    """(n, 3, 3) float: rate of a rotation vector (n, 3) -> angular velocity."""
-    a, b, _, _ = _coefficients(theta)
-    cross = _crosses(theta)
-    return np.asarray(np.eye(3) + a[:, None, None] * cross + b[:, None, None] * cross @ cross)
-
-
-def dexp_rate(theta: Floats, rate: Floats) -> Floats:
-    """(n, 3, 3) float: time derivative of :func:`dexp` as a rotation vector changes at a rate (n, 3)."""
-    a, b, a_slope, b_slope = _coefficients(theta)
-    along = np.einsum("ni,ni->n", theta, rate)
-    k, kd = _crosses(theta), _crosses(rate)
-    return np.asarray(
-        (a_slope * along)[:, None, None] * k
-        + a[:, None, None] * kd
-        + (b_slope * along)[:, None, None] * k @ k
-        + b[:, None, None] * (kd @ k + k @ kd)
-    )
-
-
-def _coefficients(theta: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Values of a = (1 - cos t) / t^2, b = (t - sin t) / t^3, and their derivatives by t, over t."""
-    t2 = np.einsum("ni,ni->n", theta, theta)
-    t = np.sqrt(np.maximum(t2, _SMALL**2))
-    sine, cosine = np.sin(t), np.cos(t)
-    near = t2 < _SMALL**2
-    return (
-        np.where(near, 1 / 2 - t2 / 24 + t2**2 / 720, (1 - cosine) / t**2),
-        np.where(near, 1 / 6 - t2 / 120 + t2**2 / 5040, (t - sine) / t**3),
-        np.where(near, -1 / 12 + t2 / 180 - t2**2 / 6720, (t * sine - 2 * (1 - cosine)) / t**4),
-        np.where(near, -1 / 60 + t2 / 1260 - t2**2 / 60480, (3 * sine - 2 * t - t * cosine) / t**5),
-    )
-
-
-def _crosses(a: Floats) -> Floats:
-    """(n, 3, 3) float: matrices of cross products a x."""
-    return np.asarray(-shifts(a)[:, 3:, :3])
-
-
-def _with_frame(tree: Tree, b: int, shapes: Shapes | None) -> Shapes:
-    """Shapes with the body's frame as the first section."""
+def _nodes(tree: Tree, b: int, shapes: Shapes | None, most: int) -> tuple[Floats, ...]:
+    """Fields of a body's shapes but the stiffness, for ``most`` shapes, its frame as the first section."""
     if shapes is None:
-        one = np.zeros((1, 3, 0))
-        shapes = Shapes(
-            tree.com[b : b + 1], tree.mass[b : b + 1], tree.inertia[b : b + 1], one, one,
-            np.zeros((1, 3, 0, 0)), np.zeros((0, 0)),
+        fields: tuple[Floats, ...] = (
+            tree.com[b : b + 1], tree.mass[b : b + 1], tree.inertia[b : b + 1], np.zeros((1, 3, 0)),
+            np.zeros((1, 3, 0)), np.zeros((1, 3, 0, 0)),
         )  # fmt: skip
-    parts = {
-        name: np.concatenate([np.zeros_like(part[:1]), part])
-        for name, part in vars(shapes).items()
-        if name != "stiffness"
-    }
-    return replace(shapes, **parts)
-
-
-def _past_hinge(tree: Tree, b: int, turn: Floats, at: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """Frame of body b with its hinge at q, from the frame at q = 0."""
-    k, kind = tree.q_start[b], tree.kind[b]
-    if kind == HingeKind.FREE:
-        return Rotation.from_quat(q[k : k + 4], scalar_first=True).as_matrix(), at + q[k + 4 : k + 7]
-    if kind == HingeKind.FIXED:
-        return turn, at
-    angle, slide = tree.twist[b] * q[k]
-    c, s = np.cos(angle), np.sin(angle)
-    return turn @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), at + slide * turn[:, 2]
+    else:
+        fields = (
+            shapes.place, shapes.mass, shapes.inertia, shapes.moves, shapes.turns, shapes.shortening
+        )  # fmt: skip
+    more = most - fields[3].shape[2]
+    frame = [(1, 0)]
+    widths = [[], [], [], [(0, more)], [(0, more)], [(0, more)] * 2]
+    return tuple(
+        np.pad(field, frame + [(0, 0)] * (field.ndim - 1 - len(width)) + width)
+        for field, width in zip(fields, widths, strict=True)
+    )

@@ -70,7 +70,7 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     if not tree.is_plain:
         return _by_parts(tree, q, qd, x, loads)
     q, qd = floats(q, (tree.n_q,), "q"), floats(qd, (tree.n_v,), "qd")
-    refuse_singular(_forward(tree.links, tree.bodies, q, qd, loads, x))
+    refuse_singular(_forward(tree.links, tree.bodies, q, qd, loads, x), q)
     return x
 
 

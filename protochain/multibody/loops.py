@@ -6,6 +6,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from protochain.arrays import Floats, floats
 from protochain.errors import MechanicsError
 from protochain.multibody import articulated, fixman
+from protochain.multibody.articulated import Articulated
 from protochain.multibody.kinematics import Frames
 from protochain.multibody.mass import Method, checked
 from protochain.multibody.operational import Rows, operational_inverse, row_loads, row_matrix
@@ -13,7 +14,12 @@ from protochain.multibody.tree import Tree
 
 
 def solve_closed(
-    tree: Tree, frames: Frames, tau: Floats, rows: Rows, method: Method = "articulated"
+    tree: Tree,
+    frames: Frames,
+    tau: Floats,
+    rows: Rows,
+    method: Method = "articulated",
+    factors: Articulated | None = None,
 ) -> Floats:
     """Solve for the accelerations from rest under torques tau and constraints G x = 0.
 
@@ -27,6 +33,8 @@ def solve_closed(
         Constraint rows.
     method : str
         Method as in :func:`solve_mass`.
+    factors : Articulated, optional
+        Factors of M at these frames, if they are known; ``fixman`` has its own.
 
     Returns
     -------
@@ -54,7 +62,7 @@ def solve_closed(
             ]
         )
     else:
-        factors = articulated.articulate(tree, frames)
+        factors = articulated.articulate(tree, frames) if factors is None else factors
         free = articulated.solve(factors, floats(tau, (tree.n_v,), "tau"))
         moved = np.array([articulated.solve(factors, row) for row in g])
     if len(g) == 0:

@@ -144,7 +144,7 @@ def gradient_of_log_det(factors: Articulated) -> Floats:
     return gradient
 
 
-def operational_inverse(tree: Tree, frames: Frames, rows: Rows) -> Floats:
+def operational_inverse(tree: Tree, frames: Frames, rows: Rows, factors: Articulated | None = None) -> Floats:
     """Operational-space inverse inertia G M^-1 G^T of m constraint rows.
 
     Parameters
@@ -153,6 +153,8 @@ def operational_inverse(tree: Tree, frames: Frames, rows: Rows) -> Floats:
         Rigid bodies and their world frames.
     rows : Rows
         Constraint rows.
+    factors : Articulated, optional
+        Factors of M at these frames, if they are known.
 
     Returns
     -------
@@ -171,7 +173,7 @@ def operational_inverse(tree: Tree, frames: Frames, rows: Rows) -> Floats:
     from node to node, and two of them combine by Y of the outermost body that both reach. O(n + m^2) for
     rows that share few bodies, after Wensing, Featherstone, Orin, ICRA (2012) and Jain (2011).
     """
-    factors = articulate(tree, frames)
+    factors = articulate(tree, frames) if factors is None else factors
     out = np.zeros((len(rows.body), len(rows.body)))
     if out.size:
         _operational(

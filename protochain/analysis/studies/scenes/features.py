@@ -223,15 +223,27 @@ _THERMOSTAT = (
     ("    at, bath = thermostat.apply(system, at, state.bath, propagator.time_step, rng)\n",
      "    bath = state.bath\n"),
 )  # fmt: skip
+_DAMPERS = (
+    ("    shake = noise(propagator.seed, step, 1) if dampers is not None else _UNUSED\n"
+     "    if dampers is not None:\n"
+     "        at, damped = _damped(propagator, dampers, at, damped, shake)\n", ""),
+    ("    if dampers is not None:\n"
+     "        at, damped = _damped(propagator, dampers, at, damped, shake)\n", ""),
+)  # fmt: skip
 _CLOSURES = (
-    (" if system.constraint is None else system.with_velocities(there, there.qd)", ""),
+    ("        if system.constraint is None:\n            return kicked\n"
+     "        there = system.with_velocities(kicked, kicked.qd)\n"
+     "        # The power at the end is that of velocities on the constraint.\n"
+     "        work = kicked.work + 0.5 * time_step * (there.power - kicked.power)\n"
+     "        return there if kicked.loads is None else replace(there, work=work)\n",
+     "        return kicked\n"),
     ("        if system.constraint is None:\n            return self.drift(at, kicked, time_step)\n"
      "        return system.constraint.drift(self.drift, at, kicked, time_step)\n",
      "        return self.drift(at, kicked, time_step)\n"),
 )  # fmt: skip
 _LOADS = (
     ("        if not self.loads:\n            return potential, torque, None\n"
-     "        loads = np.array([load.along(self.tree, time, q, qd, factors.frames) for load in self.loads])\n"
+     "        loads = np.array([self.along(load, time, q, qd, factors) for load in self.loads])\n"
      "        return potential, torque + loads.sum(axis=0), loads\n",
      "        return potential, torque, None\n"),
     ("        if loads is None:\n            return at\n"
@@ -249,5 +261,6 @@ FEATURES = (
     Feature("closures", "leapfrog, vacuum", Leapfrog, _CLOSURES, _leapfrog),
     Feature("loads", "leapfrog, vacuum", System, _LOADS, _unloaded),
     Feature("thermostat", "step, vacuum", advance, _THERMOSTAT, _step),
+    Feature("dampers", "step, vacuum", advance, _DAMPERS, _step),
 )
 """Each is compared to the bit with its absence; solvent and necks are compiled away where they are None."""

@@ -1,18 +1,15 @@
 """Page and picture of the scenes: what each leaves out, what that saves, and the proof."""
 
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
-import numba
 import numpy as np
 import pandas as pd
 
 from protochain.analysis.plots import COLOURS, Figure
+from protochain.analysis.studies.made import made
 from protochain.analysis.studies.scenes.cells import COUNTS
 from protochain.analysis.studies.scenes.features import ALLOWED
 from protochain.analysis.viewer import template
-from protochain.processors import processors
 from protochain.storage import write_atomically
 
 WRONG = "#cc0000"
@@ -45,16 +42,6 @@ def write_page(scenes: pd.DataFrame, features: pd.DataFrame, path: Path) -> None
     """Write the page, with all text escaped."""
     text = template("scenes.html").render(
         scenes=scenes.to_dict("records"), features=features.to_dict("records"), counts=COUNTS,
-        allowed=ALLOWED, made=_made(),
+        allowed=ALLOWED, made=made("1"),
     )  # fmt: skip
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
-
-
-def _made() -> dict[str, Any]:
-    return {
-        "protochain": version("protochain"),
-        "numpy": np.__version__,
-        "numba": numba.__version__,
-        "processors": processors(),
-        "threads": 1,
-    }

@@ -1,18 +1,15 @@
 """Page of the grid: cells coloured by verdict, with what each was held against; and its picture."""
 
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
-import numba
 import numpy as np
 import pandas as pd
 
 from protochain.analysis.plots import Figure
+from protochain.analysis.studies.made import made
 from protochain.analysis.studies.stability.cells import Verdict
 from protochain.analysis.viewer import template
-from protochain.processors import processors
 from protochain.storage import write_atomically
 
 
@@ -36,9 +33,11 @@ def write_page(table: pd.DataFrame, path: Path, threads: Sequence[int]) -> None:
         }
         for row, own in table.groupby("row", sort=False)
     ]
+    must_agree = f"{', '.join(map(str, threads))}, which must agree"
     text = template("grid.html").render(
-        grid=grid, counts=counts(table), cells=table.to_dict("records"), total=len(table), made=_made(threads)
-    )
+        grid=grid, counts=counts(table), cells=table.to_dict("records"), total=len(table),
+        made=made(must_agree),
+    )  # fmt: skip
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
 
 
@@ -80,13 +79,3 @@ def picture(table: pd.DataFrame) -> Figure:
     ax.set_xlabel(f"error over the largest that theory allows (line); at {_LEAST:g}: less, or none")
     figure.legend(loc="outside upper center", ncols=3, frameon=False)
     return figure
-
-
-def _made(threads: Sequence[int]) -> dict[str, Any]:
-    return {
-        "protochain": version("protochain"),
-        "numpy": np.__version__,
-        "numba": numba.__version__,
-        "processors": processors(),
-        "threads that must agree": ", ".join(map(str, threads)),
-    }

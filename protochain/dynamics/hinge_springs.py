@@ -1,0 +1,202 @@
+"""Springs on hinges, and dampers with the random torques that belong to them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers
+from protochain.chain import Chain
+from protochain.dynamics.settings import HingeSpring
+from protochain.errors import ChainError
+from protochain.hinges import Hinge
+from protochain.motion.system import Phase, System
+from protochain.multibody.articulated import Articulated, solve
+
+
+@dataclass(frozen=True, eq=False)
+class HingeSprings:
+    """Springs on hinges: E = k (1 - cos(q - q0)) for dihedrals, k/2 (q - q0)^2 for bond angles.
+
+    Parameters
+    ----------
+    n_v : int
+        Number of freedoms.
+    at_q, at_v : (m,) int
+        Their coordinates and freedoms.
+    stiffness : (m,) float, kJ/mol/rad^2
+    rest : (m,) float, rad
+        Values without torque.
+    is_angle : (m,) bool
+        Whether each is a bond angle.
+    """
+
+    n_v: int
+    at_q: Integers
+    at_v: Integers
+    stiffness: Floats
+    rest: Floats
+    is_angle: np.ndarray
+
+    def potential(self, q: Floats, factors: Articulated) -> tuple[float, Floats]:
+        """Energy and torques (n_v,)."""
+        away = q[self.at_q] - self.rest
+        # 2 sin^2(x/2) is 1 - cos x without cancellation.
+        energy = np.where(self.is_angle, 0.5 * away**2, 2.0 * np.sin(0.5 * away) ** 2)
+        torque = np.zeros(self.n_v)
+        np.add.at(torque, self.at_v, -self.stiffness * np.where(self.is_angle, away, np.sin(away)))
+        return float(self.stiffness @ energy), torque
+
+
+@dataclass(frozen=True, eq=False)
+class Dampers:
+    """Dampers of hinges: torques -c qd, and sqrt(2 c kT) times white noise.
+
+    Parameters
+    ----------
+    at_v : (m,) int
+        Their freedoms, each once.
+    damping : (m,) float, kJ/mol ps/rad^2
+        Constants c, above 0.
+    thermal_energy : float, kJ/mol
+        Value of kT; 0 for no noise.
+
+    Notes
+    -----
+    At constant q torques at the hinges S change their rates u = S^T qd by W = S^T M^-1 S, so that
+    du = -W C u dt + W sqrt(2 kT C) dw. With C^1/2 W C^1/2 = V L V^T this is m scalar equations for
+    z = V^T C^1/2 u, each of whose solutions over a time t is z exp(-L t) and a normal number of variance
+    kT L (1 - exp(-2 L t)); the impulse at the hinges is C^1/2 V (z(t) - z(0)) / L. It damps at once what a
+    step does not resolve, however large c, and leaves the canonical distribution as it is. Half a step of
+    it on either side of an integrator's step is of order two (Strang, SIAM J. Numer. Anal. 5:506, 1968).
+    """
+
+    at_v: Integers
+    damping: Floats
+    thermal_energy: float
+
+    def apply(self, system: System, at: Phase, time: float, rng: np.random.Generator | None) -> Phase:
+        """Phase after the dampers alone have acted for a time; without ``rng`` they only damp."""
+        root, rate, modes = _modes(self, system, at.factors)
+        gone = -np.expm1(-rate * time)
+        # Where closed loops leave no motion the rate is 0, and the quotients are their limits.
+        stands = rate < 1e-12 * rate.max(initial=0.0) + 1e-300
+        safe = np.where(stands, 1.0, rate)
+        impulse = -np.where(stands, time, gone / safe) * (modes.T @ (root * at.qd[self.at_v]))
+        if rng is not None and self.thermal_energy > 0.0:
+            spread = np.where(stands, 2.0 * time, gone * (2.0 - gone) / safe)
+            impulse += np.sqrt(self.thermal_energy * spread) * rng.standard_normal(len(rate))
+        p = np.zeros_like(at.qd)
+        p[self.at_v] = root * (modes @ impulse)
+        return system.with_velocities(at, at.qd + _moved(system, at.factors, p))
+
+
+@lru_cache(maxsize=1)
+def _modes(dampers: Dampers, system: System, factors: Articulated) -> tuple[Floats, Floats, Floats]:
+    """Roots of c (m,), rates L (m,) and modes V (m, m); kept, as a step begins where the last one ended."""
+    root, n_v = np.sqrt(dampers.damping), system.tree.n_v
+    moved = np.array([_moved(system, factors, one) for one in np.eye(n_v)[dampers.at_v]])
+    response = root[:, None] * moved[:, dampers.at_v] * root
+    rate, modes = np.linalg.eigh(0.5 * (response + response.T))
+    return root, np.maximum(rate, 0.0), modes
+
+
+def _moved(system: System, factors: Articulated, p: Floats) -> Floats:
+    """Velocities (n_v,) of momenta p (n_v,), which closed loops allow."""
+    if system.constraint is None:
+        return solve(factors, p)
+    return system.constraint.project_velocities(factors, p)
+
+
+def hinges_of(spring: HingeSpring, chain: Chain) -> Integers:
+    """Hinges of a chain that a spring is for, by number.
+
+    Raises
+    ------
+    ChainError
+        If there are none.
+    """
+    found = np.flatnonzero([_is_kind(hinge, spring.kind) for hinge in chain.hinges])
+    if not len(found):
+        opened = " ".join(dict.fromkeys([*chain.opened.split(), spring.kind]))
+        raise ChainError(
+            f"{chain.structure.name}: hinge spring {spring.kind}: no hinge of this kind turns; "
+            f"open them with hinges {opened!r}"
+        )
+    return found
+
+
+def _is_kind(hinge: Hinge, kind: str) -> bool:
+    if kind == "angles":
+        return hinge.is_angle
+    return hinge.kind.rstrip("12345") == kind.removesuffix("s")
+
+
+def hinge_springs(
+    springs: Sequence[HingeSpring], chain: Chain, q: Floats, rest: Floats | None = None
+) -> HingeSprings | None:
+    """Springs of these settings for a chain that starts at q; None without any.
+
+    Parameters
+    ----------
+    springs : sequence of HingeSpring
+        Settings.
+    chain : Chain
+        Chain of rigid bodies.
+    q : (n_q,) float
+        Coordinates at the start.
+    rest : (m,) float, optional
+        Values without torque; by default those of q.
+
+    Returns
+    -------
+    HingeSprings or None
+
+    Raises
+    ------
+    ChainError
+        If the chain has no hinge of a kind.
+    """
+    if not springs:
+        return None
+    each = [hinges_of(spring, chain) for spring in springs]
+    found = np.concatenate(each)
+    body = chain.hinge_body[found]
+    at_q = chain.tree.q_start[body]
+    return HingeSprings(
+        chain.n_v,
+        at_q,
+        chain.tree.v_start[body],
+        np.repeat([float(spring.stiffness) for spring in springs], [len(its) for its in each]),
+        np.asarray(q)[at_q] if rest is None else rest,
+        np.array([chain.hinges[i].is_angle for i in found]),
+    )
+
+
+def dampers(springs: Sequence[HingeSpring], chain: Chain, thermal_energy: float) -> Dampers | None:
+    """Dampers of these settings for a chain; None without any.
+
+    Parameters
+    ----------
+    springs : sequence of HingeSpring
+        Settings.
+    chain : Chain
+        Chain of rigid bodies.
+    thermal_energy : float, kJ/mol
+        Value of kT; 0 for no noise.
+
+    Returns
+    -------
+    Dampers or None
+
+    Raises
+    ------
+    ChainError
+        If the chain has no hinge of a kind.
+    """
+    damping = np.zeros(chain.n_v)
+    for spring in springs:
+        damping[chain.tree.v_start[chain.hinge_body[hinges_of(spring, chain)]]] += spring.damping
+    (at_v,) = np.nonzero(damping)
+    return Dampers(at_v, damping[at_v], thermal_energy) if len(at_v) else None

@@ -1,0 +1,185 @@
+"""Spring between two places of a chain, whose length at rest changes at constant speed."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from protochain import multibody
+from protochain.arrays import Floats, Integers
+from protochain.chain import Chain, pose
+from protochain.dynamics.settings import Pull
+from protochain.errors import ChainError
+from protochain.motion.system import Applied, Load, Phase
+from protochain.multibody import Frames, HingeKind, Tree
+from protochain.multibody.articulated import Articulated
+from protochain.structure.model import Structure
+from protochain.structure.select import atoms_at
+
+_LEAST = 1e-9
+"""nm. Nearer than this the direction between the places is rounding; the force is then 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class MovingSpring:
+    """Spring E = k/2 (r - l)^2 between two points, with l = l0 + v t, at least 0.
+
+    Parameters
+    ----------
+    tree : Tree
+        Rigid bodies.
+    body : (m,) int
+        Bodies that carry the two places.
+    local : (m, 3) float, nm
+        Points of these bodies, in their frames.
+    share : (m,) float
+        Weights with which they add up to the vector from the first place to the second.
+    stiffness, speed : float, kJ/mol/nm^2 and nm/ps
+        Constants k and v.
+    start : float, nm
+        Length at rest at time 0, l0.
+
+    Notes
+    -----
+    The spring takes the work of whoever moves it, -k v (r - l) dt; the molecule takes what it gives back, so
+    that work is that of the load plus the energy in the spring. It is the work in Jarzynski's equation,
+    Phys. Rev. Lett. 78:2690 (1997), with the spring as part of the system: Hummer, Szabo, Proc. Natl. Acad.
+    Sci. USA 98:3658 (2001).
+    """
+
+    tree: Tree
+    body: Integers
+    local: Floats
+    share: Floats
+    stiffness: float
+    speed: float
+    start: float
+
+    def length(self, time: float) -> float:
+        """Length at rest, nm."""
+        return max(0.0, self.start + self.speed * time)
+
+    def tension(self, time: float, frames: Frames) -> tuple[float, float]:
+        """Distance of the places in nm, and the force that draws them apart in kJ/mol/nm."""
+        distance = float(np.linalg.norm(self._across(frames)[1]))
+        return distance, self.stiffness * (self.length(time) - distance)
+
+    def energy(self, time: float, frames: Frames) -> float:
+        """Energy in the spring, kJ/mol."""
+        return 0.5 * self.tension(time, frames)[1] ** 2 / self.stiffness
+
+    def row(self, at: Phase) -> dict[str, float]:
+        """Columns of the log."""
+        distance, tension = self.tension(at.time, at.factors.frames)
+        stored = 0.0 if self.speed == 0.0 else self.energy(at.time, at.factors.frames)
+        return {
+            "pull_distance_nm": distance,
+            "pull_extension_nm": distance - self.start,
+            "pull_force_kj_mol_nm": tension,
+            "pull_work_kj_mol": float(np.sum(at.work)) + stored,
+        }
+
+    def load(self) -> Load:
+        """Forces of the spring, for integrators that know the time."""
+        return Load(
+            lambda time, q, qd, frames: Applied(self._wrenches(time, frames)), depends_on_velocity=False
+        )
+
+    def potential(self, q: Floats, factors: Articulated) -> tuple[float, Floats]:
+        """Energy and torques (n_v,) of the spring as it is at time 0, for one that does not move."""
+        frames = factors.frames
+        return self.energy(0.0, frames), multibody.pull_back(self.tree, frames, self._wrenches(0.0, frames))
+
+    def _across(self, frames: Frames) -> tuple[Floats, Floats]:
+        """Points from the origins of their bodies (m, 3), and the vector from place to place (3,)."""
+        arm = np.einsum("mij,mj->mi", frames.rotation[self.body], self.local)
+        return arm, self.share @ (arm + frames.origin[self.body])
+
+    def _wrenches(self, time: float, frames: Frames) -> Floats:
+        """Moments and forces (nb, 6) on the bodies."""
+        arm, across = self._across(frames)
+        distance = float(np.linalg.norm(across))
+        # A spring of no length at rest has a force at any distance: k times the vector itself.
+        pull = self.stiffness * (self.length(time) / max(distance, _LEAST) - 1.0) * across
+        force = self.share[:, None] * pull
+        out = np.zeros((self.tree.n_bodies, 6))
+        np.add.at(out, self.body, np.concatenate([np.cross(arm, force), force], axis=1))
+        return out
+
+
+def places_of(pull: Pull, structure: Structure) -> tuple[Integers, Integers]:
+    """Atoms of the two places.
+
+    Raises
+    ------
+    StructureError
+        If there are none of a name.
+    """
+    first, second = (atoms_at(structure, place) for place in pull.between)
+    return first, second
+
+
+def check_pull(pull: Pull, chain: Chain) -> None:
+    """Check that a spring between these places of a chain can pull.
+
+    Raises
+    ------
+    StructureError
+        If a place names no atom.
+    ChainError
+        If the places lie on one rigid body, or on one another.
+    """
+    first, second = places_of(pull, chain.structure)
+    fixed = chain.tree.kind == HingeKind.FIXED
+    of_atoms = chain.rigid_groups[np.concatenate([first, second])]
+    # What no hinge moves is one body with the world; -1 fills rows.
+    groups = [{-2 if fixed[b] else b for b in row if b >= 0} for row in of_atoms.tolist()]
+    if set.intersection(*groups):
+        raise ChainError(
+            f"{chain.structure.name}: pull {pull}: no hinge changes this distance, within one rigid body; "
+            "give places farther apart, or open more hinges"
+        )
+    mass, x = chain.structure.atom_mass, chain.structure.positions
+    a, b = (np.average(x[atoms], axis=0, weights=mass[atoms]) for atoms in (first, second))
+    if float(np.linalg.norm(b - a)) < _LEAST:
+        raise ChainError(f"{chain.structure.name}: pull {pull}: both are at one point; give two places")
+
+
+def moving_spring(pull: Pull, chain: Chain, q: Floats, start: Floats | None = None) -> MovingSpring:
+    """Spring of these settings for a chain that starts at q.
+
+    Parameters
+    ----------
+    pull : Pull
+        Settings.
+    chain : Chain
+        Chain of rigid bodies.
+    q : (n_q,) float
+        Coordinates at the start.
+    start : (1,) float, optional
+        Length at rest at time 0, nm; by default the distance at q.
+
+    Returns
+    -------
+    MovingSpring
+        Its places are centres of mass, one point for each body that has a part of them.
+
+    Raises
+    ------
+    StructureError, ChainError
+        As :func:`check_pull`.
+    """
+    check_pull(pull, chain)
+    mass = chain.structure.atom_mass
+    body, local, share = list[int](), list[Floats](), list[float]()
+    for atoms, sign in zip(places_of(pull, chain.structure), (-1.0, 1.0), strict=True):
+        weight = mass[atoms] / mass[atoms].sum()
+        for b in np.unique(chain.atom_body[atoms]).tolist():
+            on = chain.atom_body[atoms] == b
+            body.append(b)
+            local.append(np.average(chain.atom_local[atoms[on]], axis=0, weights=weight[on]))
+            share.append(sign * float(weight[on].sum()))
+    made = MovingSpring(
+        chain.tree, np.array(body), np.array(local), np.array(share), pull.stiffness, pull.speed, 0.0
+    )
+    at_start = made.tension(0.0, pose(chain, q).frames)[0] if start is None else float(start[0])
+    return replace(made, start=at_start)

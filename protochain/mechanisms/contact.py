@@ -1,0 +1,200 @@
+"""Contact of balls with planes, surfaces and each other: laws of the normal force, and friction."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from protochain.arrays import read_only
+from protochain.errors import MechanicsError
+from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.elements import Acting
+from protochain.mechanisms.pressing import Pressing
+from protochain.mechanisms.shapes import Ball, Other, finder
+from protochain.motion import Load
+
+
+@dataclass(frozen=True)
+class Law:
+    """Normal force F = K d^n (1 + a d') at depth d, which never pulls.
+
+    Parameters
+    ----------
+    stiffness : float
+        Stiffness K, force by depth to the power n.
+    exponent : float
+        Power n: 1.5 for round bodies (Hertz), 1 for a spring.
+    damping : float
+        Damping a, time by length: see :func:`lankarani_nikravesh` and :func:`flores`.
+    """
+
+    stiffness: float
+    exponent: float = 1.5
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.stiffness) and self.stiffness > 0.0):
+            raise MechanicsError(f"the stiffness {self.stiffness:g} of a contact must be positive and finite")
+        if not 1.0 <= self.exponent < np.inf:
+            raise MechanicsError(f"the exponent {self.exponent:g} of a contact must be 1 or more")
+        if not 0.0 <= self.damping < np.inf:
+            raise MechanicsError(f"the damping {self.damping:g} of a contact must be finite, not negative")
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Friction of asperities: a spring and a damper from the point where a contact began, which slips.
+
+    The tangential force is -(k s + c v), s from the anchor and v the velocity, and never above
+    ``coefficient`` times the normal force: there the anchor is dragged along.
+
+    Parameters
+    ----------
+    coefficient : float
+        Largest tangential force by normal force.
+    stiffness, damping : float
+        Of the spring, k, and of the damper, c.
+    """
+
+    coefficient: float
+    stiffness: float
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("coefficient", "stiffness", "damping"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise MechanicsError(f"the {name} of friction must be finite and not negative")
+
+
+def lankarani_nikravesh(stiffness: float, restitution: float, speed: float, exponent: float = 1.5) -> Law:
+    """Law whose loss is that of a restitution near one, a = 3 (1 - e^2) / (4 v).
+
+    Parameters
+    ----------
+    stiffness : float
+        Stiffness of :class:`Law`.
+    restitution : float
+        Restitution e, 0 to 1. The real one is higher: :func:`real_restitution`.
+    speed : float
+        Speed of approach v for which it holds; slower impacts lose less.
+    exponent : float
+        Exponent of :class:`Law`.
+
+    Returns
+    -------
+    Law
+        Lankarani, Nikravesh, J. Mech. Des. 112:369 (1990).
+    """
+    _refuse_restitution(restitution, 0.0, speed)
+    return Law(stiffness, exponent, 0.75 * (1.0 - restitution**2) / speed)
+
+
+def flores(stiffness: float, restitution: float, speed: float, exponent: float = 1.5) -> Law:
+    """Law for any restitution but zero, a = 8 (1 - e) / (5 e v).
+
+    Parameters
+    ----------
+    stiffness : float
+        Stiffness of :class:`Law`.
+    restitution : float
+        Restitution e, above 0, to 1. The real one is near it: :func:`real_restitution`.
+    speed : float
+        Speed of approach v for which it holds; slower impacts lose less.
+    exponent : float
+        Exponent of :class:`Law`.
+
+    Returns
+    -------
+    Law
+        Flores, Machado, Silva, Martins, Multibody Syst. Dyn. 25:357 (2011).
+    """
+    _refuse_restitution(restitution, np.nextafter(0.0, 1.0), speed)
+    return Law(stiffness, exponent, 1.6 * (1.0 - restitution) / (restitution * speed))
+
+
+def _refuse_restitution(restitution: float, least: float, speed: float) -> None:
+    if not least <= restitution <= 1.0:
+        above = "0 to 1" if least == 0.0 else "above 0, to 1 (its damping has no end at 0)"
+        raise MechanicsError(f"the restitution {restitution:g} must be {above}")
+    if not 0.0 < speed < np.inf:
+        raise MechanicsError(f"the speed {speed:g} of approach must be positive and finite")
+
+
+def real_restitution(loss: float) -> float:
+    """Ratio of the speeds after and before an impact by F = K d^n (1 + a d'), whatever K, n and the masses.
+
+    Parameters
+    ----------
+    loss : float
+        Damping by speed of approach, c = a v.
+
+    Returns
+    -------
+    float
+        Root r of c - ln(1 + c) = -c r - ln(1 - c r): both sides are integrals of v dv / (1 + a v), equal
+        to that of K d^n / m over the depth, in compression and in restitution.
+
+    Raises
+    ------
+    MechanicsError
+        If c is negative or not finite.
+    """
+    if not 0.0 <= loss < np.inf:
+        raise MechanicsError(f"the loss {loss:g} of an impact must be finite and not negative")
+    if loss < 1e-5:
+        return 1.0 - 2.0 * loss / 3.0 + 4.0 * loss**2 / 9.0
+    spent = float(loss - np.log1p(loss))
+    if spent > 30.0:
+        return (1.0 - float(np.exp(-1.0 - spent))) / loss
+
+    def excess(out: float) -> float:
+        return float(-out - np.log1p(-out)) - spent
+
+    return float(brentq(excess, 0.0, min(loss, 1.0 - 1e-16), xtol=1e-16)) / loss
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """Balls that touch a plane, a surface, other balls or each other; an element of a mechanism.
+
+    Parameters
+    ----------
+    balls : sequence of Ball
+        Balls.
+    other : Plane, Surface or sequence of Ball, optional
+        What they touch; by default each other.
+    law : Law
+        Normal force.
+    friction : Friction, optional
+        Tangential force; none by default.
+    name : str
+        Name, for messages.
+    """
+
+    balls: Sequence[Ball]
+    other: Other
+    law: Law
+    friction: Friction | None = None
+    name: str = "contact"
+
+    def bind(self, bodies: Bodies) -> Acting:
+        """Return the elastic force with its energy, the rest as a load, and the anchors of friction.
+
+        Raises
+        ------
+        MechanicsError
+            If a body is not there, or a shape cannot be touched.
+        """
+        found = finder(bodies, self.balls, self.other, self.name)
+        law, rub = self.law, self.friction or Friction(0.0, 0.0)
+        numbers = (law.stiffness, law.exponent, law.damping, rub.coefficient, rub.stiffness, rub.damping)
+        pressing = Pressing(bodies.tree, found, read_only(numbers))
+        loses = law.damping > 0.0 or rub.coefficient > 0.0
+        return Acting(
+            conservative=pressing,
+            load=Load(pressing.resist) if loses else None,
+            dissipates=loses,
+            inside=pressing.is_inside,
+            memory=pressing if pressing.must_settle else None,
+        )

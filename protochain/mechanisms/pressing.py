@@ -1,0 +1,262 @@
+"""Forces where bodies press on each other, and the anchors of their friction from step to step."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protochain import multibody
+from protochain.arrays import Floats, Integers
+from protochain.mechanisms.shapes import Finder, OnPlane, Touches
+from protochain.mechanisms.springs import end_of, push, speed_of
+from protochain.motion import Applied, Phase
+from protochain.multibody import Frames, Tree
+from protochain.multibody.algebra import (
+    ZERO,
+    Vector,
+    add,
+    dot,
+    kernel,
+    matrix,
+    put,
+    scale,
+    subtract,
+    turned_back,
+    vector,
+)  # fmt: skip
+
+STIFFNESS, EXPONENT, DAMPING, FRICTION, SPRING, DASHPOT = range(6)
+"""Constants of a contact."""
+
+
+@dataclass(frozen=True, eq=False)
+class Anchors:
+    """Where springs of friction begin: pairs (k, 2), and their ends (k, 6) in the frames of both bodies."""
+
+    pair: Integers
+    arms: Floats
+
+
+NO_ANCHORS = Anchors(np.empty((0, 2), np.int64), np.empty((0, 6)))
+
+
+class Pressing:
+    """A contact in a mechanism. What changes in a run is the anchors, after each of its steps.
+
+    Parameters
+    ----------
+    tree : Tree
+        Rigid bodies.
+    finder : Finder
+        Where they touch.
+    constants : (6,) float
+        Stiffness, exponent and damping of the normal force; coefficient, stiffness and damping of friction.
+    """
+
+    def __init__(self, tree: Tree, finder: Finder, constants: Floats) -> None:
+        self.tree, self.finder, self.constants = tree, finder, constants
+        self.anchors = NO_ANCHORS
+        self._last: tuple[Frames, Touches] | None = None
+        self._ended: tuple[Phase | None, Anchors] = None, NO_ANCHORS
+
+    @property
+    def must_settle(self) -> bool:
+        """Whether something is to be done after a step."""
+        return self.constants[FRICTION] > 0.0 or not isinstance(self.finder, OnPlane)
+
+    @property
+    def is_inside(self) -> bool:
+        """Whether all forces act between bodies of the mechanism."""
+        return bool((self.finder.balls.body >= 0).all() and self.finder.body >= 0)
+
+    def touches(self, frames: Frames) -> Touches:
+        """Touches at one pose, which are asked for by the elastic force and the load."""
+        if self._last is None or self._last[0] is not frames:
+            self._last = frames, self.finder.touches(frames)
+        return self._last[1]
+
+    def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
+        """Add the elastic forces."""
+        _, ends, place, normal, depth = self.touches(frames)
+        energy: float = _press(frames.origin, ends, place, normal, depth, self.constants, wrenches)
+        return energy
+
+    def resist(self, time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
+        """Damping and friction."""
+        touches = self.touches(frames)
+        wrenches = np.zeros((self.tree.n_bodies, 6))
+        if len(touches.pair):
+            _, ends, place, normal, depth = touches
+            twists = multibody.velocities(self.tree, frames, qd)
+            _resist(
+                frames.origin, twists, ends, place, normal, depth, self.stretches(frames, touches),
+                self.constants, wrenches,
+            )  # fmt: skip
+        return Applied(wrenches)
+
+    def stretches(self, frames: Frames, touches: Touches) -> Floats:
+        """(k, 3) float: springs of friction, zero where none has been anchored."""
+        apart = np.zeros((len(touches.pair), 3))
+        if len(self.anchors.pair):
+            arms, ends = self.anchors.arms, touches.ends
+            _stretch(
+                frames.rotation,
+                frames.origin,
+                touches.pair,
+                ends,
+                touches.normal,
+                self.anchors.pair,
+                arms,
+                apart,
+            )
+        return apart
+
+    def begin(self, start: Phase) -> None:
+        """Begin a run; one that goes on where the last ended has its anchors."""
+        if start is self._ended[0]:
+            self.anchors = self._ended[1]
+
+    def end(self, at: Phase | None) -> None:
+        """End a run, after which forces are again those without a past."""
+        self._ended, self.anchors = (at, self.anchors), NO_ANCHORS
+
+    def settle(self, at: Phase) -> None:
+        """End a step: drag anchors along, and set those of new touches.
+
+        Raises
+        ------
+        MechanicsError
+            If a touch is so deep that its direction means nothing.
+        """
+        frames = at.factors.frames
+        touches = self.touches(frames)
+        self.finder.refuse_depth(touches)
+        if not self.constants[FRICTION] or not len(touches.pair):
+            self.anchors = NO_ANCHORS
+            return
+        stretch = self.stretches(frames, touches)
+        twists = multibody.velocities(self.tree, frames, at.qd)
+        arms = np.empty((len(stretch), 6))
+        _, ends, place, normal, depth = touches
+        _drag(
+            frames.rotation, frames.origin, twists, ends, place, normal, depth, stretch, self.constants, arms
+        )  # fmt: skip
+        self.anchors = Anchors(touches.pair, arms)
+
+
+@kernel
+def _relative(origin: Floats, twists: Floats, a: int, b: int, place: Vector) -> Vector:
+    """Velocity of a's point at a place relative to b's."""
+    of_a, of_b = ZERO, ZERO
+    if a >= 0:
+        of_a = speed_of(twists, a, subtract(place, vector(origin, a)))
+    if b >= 0:
+        of_b = speed_of(twists, b, subtract(place, vector(origin, b)))
+    return subtract(of_a, of_b)
+
+
+@kernel
+def _apply(force: Vector, origin: Floats, a: int, b: int, place: Vector, wrenches: Floats) -> None:
+    """Add a force on a at a place, and its reaction on b."""
+    if a >= 0:
+        push(force, subtract(place, vector(origin, a)), a, wrenches)
+    if b >= 0:
+        push(scale(-1.0, force), subtract(place, vector(origin, b)), b, wrenches)
+
+
+@kernel
+def _press(
+    origin: Floats, ends: Integers, place: Floats, normal: Floats, depth: Floats, constants: Floats,
+    wrenches: Floats,
+) -> float:  # fmt: skip
+    """Add the elastic forces; return their energy."""
+    energy, exponent = 0.0, constants[EXPONENT]
+    for k in range(len(depth)):
+        force = constants[STIFFNESS] * depth[k] ** exponent
+        energy += force * depth[k] / (exponent + 1.0)
+        _apply(scale(force, vector(normal, k)), origin, ends[k, 0], ends[k, 1], vector(place, k), wrenches)
+    return energy
+
+
+@kernel
+def _forces(
+    moving: Vector, normal: Vector, depth: float, stretch: Vector, constants: Floats
+) -> tuple[float, float, Vector, Vector]:
+    """Elastic force, whole normal force, tangential velocity, and force of friction before it is capped."""
+    elastic = constants[STIFFNESS] * depth ** constants[EXPONENT]
+    closing = -dot(moving, normal)
+    pressed = max(0.0, elastic * (1.0 + constants[DAMPING] * closing))
+    slip = add(moving, scale(closing, normal))
+    wanted = add(scale(-constants[SPRING], stretch), scale(-constants[DASHPOT], slip))
+    return elastic, pressed, slip, wanted
+
+
+@kernel
+def _resist(
+    origin: Floats, twists: Floats, ends: Integers, place: Floats, normal: Floats, depth: Floats,
+    stretch: Floats, constants: Floats, wrenches: Floats,
+) -> None:  # fmt: skip
+    """Add damping and friction."""
+    for k in range(len(depth)):
+        a, b, at, out = ends[k, 0], ends[k, 1], vector(place, k), vector(normal, k)
+        moving = _relative(origin, twists, a, b, at)
+        elastic, pressed, _, wanted = _forces(moving, out, depth[k], vector(stretch, k), constants)
+        size, most = np.sqrt(dot(wanted, wanted)), constants[FRICTION] * pressed
+        force = add(scale(pressed - elastic, out), scale(most / size if size > most else 1.0, wanted))
+        _apply(force, origin, a, b, at, wrenches)
+
+
+@kernel
+def _drag(
+    rotation: Floats, origin: Floats, twists: Floats, ends: Integers, place: Floats, normal: Floats,
+    depth: Floats, stretch: Floats, constants: Floats, arms: Floats,
+) -> None:  # fmt: skip
+    """Anchor springs at the present places, lest a ball that rolls seem to slip, as long as friction allows.
+
+    An anchor is dragged to where the spring alone has the greatest friction.
+    """
+    for k in range(len(depth)):
+        a, b, at, spring = ends[k, 0], ends[k, 1], vector(place, k), vector(stretch, k)
+        moving = _relative(origin, twists, a, b, at)
+        _, pressed, _, _ = _forces(moving, vector(normal, k), depth[k], spring, constants)
+        pull = constants[SPRING] * np.sqrt(dot(spring, spring))
+        most = constants[FRICTION] * pressed
+        if pull > most:
+            spring = scale(most / pull, spring)
+        put(_inside(rotation, origin, a, at), arms, k, 0)
+        put(_inside(rotation, origin, b, subtract(at, spring)), arms, k, 3)
+
+
+@kernel
+def _inside(rotation: Floats, origin: Floats, b: int, place: Vector) -> Vector:
+    """Place in the frame of a body."""
+    if b < 0:
+        return place
+    return turned_back(matrix(rotation, b), subtract(place, vector(origin, b)))
+
+
+@kernel
+def _stretch(
+    rotation: Floats, origin: Floats, pair: Integers, ends: Integers, normal: Floats, anchored: Integers,
+    arms: Floats, apart: Floats,
+) -> None:  # fmt: skip
+    """Write the springs of friction from their anchors, for pairs in order.
+
+    A ball that has come to another triangle takes its anchor along, if it had but one and has but one.
+    """
+    n, m, first = len(pair), len(anchored), 0
+    for k in range(n):
+        while first < m and anchored[first, 0] < pair[k, 0]:
+            first += 1
+        found, last = -1, first
+        while last < m and anchored[last, 0] == pair[k, 0]:
+            if anchored[last, 1] == pair[k, 1]:
+                found = last
+            last += 1
+        alone = (k == 0 or pair[k - 1, 0] != pair[k, 0]) and (k + 1 == n or pair[k + 1, 0] != pair[k, 0])
+        if found < 0 and last == first + 1 and alone:
+            found = first
+        if found >= 0:
+            _, place_a = end_of(rotation, origin, ends[k, 0], vector(arms, found, 0))
+            _, place_b = end_of(rotation, origin, ends[k, 1], vector(arms, found, 3))
+            spring, out = subtract(place_a, place_b), vector(normal, k)
+            put(subtract(spring, scale(dot(spring, out), out)), apart, k, 0)

@@ -1,0 +1,353 @@
+"""Where balls touch planes, surfaces and each other."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from protochain.arrays import Floats, Integers, read_only
+from protochain.errors import MechanicsError
+from protochain.mechanisms.bodies import WORLD, Bodies
+from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
+from protochain.mechanisms.springs import end_of
+from protochain.mechanisms.triangles import least_distances
+from protochain.multibody import Frames
+from protochain.multibody.algebra import dot, kernel, put, scale, subtract, vector, vector_at
+
+
+@dataclass(frozen=True)
+class Ball:
+    """Sphere fixed in a body; with a radius of zero, a point, as the corner of a block.
+
+    Parameters
+    ----------
+    body : str
+        Name of the body, or ``"world"``.
+    radius : float
+        Radius.
+    at : (3,) float
+        Centre, in the body's axes.
+    """
+
+    body: str
+    radius: float
+    at: ArrayLike = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Half-space fixed in a body; whatever is below the plane is inside, however deep.
+
+    Parameters
+    ----------
+    body : str
+        Name of the body, or ``"world"``.
+    at, normal : (3,) float
+        A point of the plane and the direction out of the half-space, in the body's axes.
+    """
+
+    body: str = WORLD
+    at: ArrayLike = (0.0, 0.0, 0.0)
+    normal: ArrayLike = (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Triangles fixed in a body, with two sides.
+
+    Parameters
+    ----------
+    body : str
+        Name of the body, or ``"world"``.
+    vertices : (n, 3) float
+        Corners, in the body's axes.
+    faces : (m, 3) int
+        Corners of each triangle.
+    """
+
+    body: str
+    vertices: ArrayLike
+    faces: ArrayLike
+
+
+Other = Plane | Surface | Sequence[Ball] | None
+"""What balls touch; None is each other."""
+
+
+class Touches(NamedTuple):
+    """Where two bodies a and b overlap.
+
+    Parameters
+    ----------
+    pair : (k, 2) int
+        Number of the ball, and of what it touches, in order.
+    ends : (k, 2) int
+        Bodies a and b; -1 is the world.
+    place : (k, 3) float
+        Middle of the overlap.
+    normal : (k, 3) float
+        Unit vectors from b to a.
+    depth : (k,) float
+        Overlaps, all positive.
+    """
+
+    pair: Integers
+    ends: Integers
+    place: Floats
+    normal: Floats
+    depth: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Balls:
+    """Balls of a tree: bodies (n,), centres (n, 3) along the axes of the tree's frames, radii (n,)."""
+
+    body: Integers
+    at: Floats
+    radius: Floats
+
+    def centres(self, frames: Frames) -> Floats:
+        """(n, 3) float: centres in the world."""
+        found: Floats = _centres(frames.rotation, frames.origin, self.body, self.at)
+        return found
+
+
+def _three(values: ArrayLike, what: str) -> Floats:
+    array = np.asarray(values, dtype=float)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise MechanicsError(f"{what} must be three finite numbers")
+    return array
+
+
+def balls_of(bodies: Bodies, balls: Sequence[Ball], asking: str) -> Balls:
+    """Balls by numbers of bodies.
+
+    Raises
+    ------
+    MechanicsError
+        If there is none, a body is not there, or a radius or centre is no length.
+    """
+    if not balls:
+        raise MechanicsError(f"{asking}: give at least one ball")
+    numbers = [bodies.number(ball.body, asking) for ball in balls]
+    centres = [_three(ball.at, f"{asking}: the centre of a ball") for ball in balls]
+    radius = np.array([ball.radius for ball in balls], dtype=float)
+    if not (np.isfinite(radius) & (radius >= 0.0)).all():
+        raise MechanicsError(f"{asking}: the radius of a ball must be finite and not negative")
+    at = [bodies.inside(b, centre) for b, centre in zip(numbers, centres, strict=True)]
+    return Balls(read_only(numbers, np.int64), read_only(at), read_only(radius))
+
+
+@dataclass(frozen=True, eq=False)
+class OnPlane:
+    """Balls on a plane: its body, a point and its normal along the axes of the tree's frame."""
+
+    balls: Balls
+    body: int
+    at: Floats
+    normal: Floats
+
+    def touches(self, frames: Frames) -> Touches:
+        """Balls that reach below the plane."""
+        balls = self.balls
+        found = _below(
+            frames.rotation, frames.origin, balls.body, balls.at, balls.radius, self.body, self.at,
+            self.normal,
+        )  # fmt: skip
+        return Touches(*found)
+
+    def refuse_depth(self, touches: Touches) -> None:
+        """Nothing: a half-space is right at any depth."""
+
+
+@dataclass(frozen=True, eq=False)
+class Among:
+    """Balls on balls of other bodies: all of them, or the first ``first`` on the others."""
+
+    balls: Balls
+    first: int
+    name: str
+    body: ClassVar[int] = 0
+
+    def touches(self, frames: Frames) -> Touches:
+        """Balls that overlap."""
+        centre, balls = self.balls.centres(frames), self.balls
+        pair = touching(centre, balls.radius)
+        return Touches(*_between(pair, centre, balls.body, balls.radius, self.first))
+
+    def refuse_depth(self, touches: Touches) -> None:
+        """Raise if a ball has all but passed through another."""
+        radius = self.balls.radius[touches.pair]
+        _refuse(self.name, radius.sum(axis=1) - touches.depth < 0.5 * radius.max(axis=1), touches)
+
+
+@dataclass(frozen=True, eq=False)
+class OnSurface:
+    """Balls on triangles: body of the surface, corners (m, 3, 3) along the axes of the tree's frame."""
+
+    balls: Balls
+    body: int
+    corners: Floats
+    tree: BoxTree
+    name: str
+
+    def touches(self, frames: Frames) -> Touches:
+        """Points of the surface within a ball that are nearer to its centre than those around them."""
+        radius, turn, at = self.balls.radius, np.eye(3), np.zeros(3)
+        if self.body >= 0:
+            turn, at = frames.rotation[self.body], frames.origin[self.body]
+        # In the frame of the surface.
+        centre = np.ascontiguousarray((self.balls.centres(frames) - at) @ turn)
+        near = overlapping(self.tree, centre - radius[:, None], centre + radius[:, None])
+        pair, point, distance = least_distances(near, centre, radius, self.corners)
+        i = pair[:, 0]
+        normal = (centre[i] - point) / np.where(distance > 0.0, distance, 1.0)[:, None]
+        depth = radius[i] - distance
+        place = (point - 0.5 * depth[:, None] * normal) @ turn.T + at
+        ends = np.column_stack([self.balls.body[i], np.full(len(i), self.body)])
+        return Touches(pair, ends, place, normal @ turn.T, depth)
+
+    def refuse_depth(self, touches: Touches) -> None:
+        """Raise if a ball has all but passed through."""
+        _refuse(self.name, touches.depth > 0.5 * self.balls.radius[touches.pair[:, 0]], touches)
+
+
+def _refuse(name: str, bad: np.ndarray, touches: Touches) -> None:
+    if np.any(bad):
+        k = int(np.argmax(bad))
+        raise MechanicsError(
+            f"{name}: ball {touches.pair[k, 0]} is {touches.depth[k]:.3g} deep, beyond half a body; raise "
+            "the stiffness or take shorter steps"
+        )
+
+
+class Finder(Protocol):
+    """Where some balls touch something."""
+
+    @property
+    def balls(self) -> Balls:
+        """The balls."""
+
+    @property
+    def body(self) -> int:
+        """Body of the other, -1 for the world; any number if these are balls."""
+
+    def touches(self, frames: Frames) -> Touches:
+        """Return the touches at one pose."""
+
+    def refuse_depth(self, touches: Touches) -> None:
+        """Raise if one is so deep that its direction means nothing."""
+
+
+def finder(bodies: Bodies, balls: Sequence[Ball], other: Other, name: str) -> Finder:
+    """What finds where balls touch a plane, a surface, other balls, or each other (None).
+
+    Raises
+    ------
+    MechanicsError
+        If a shape cannot be touched.
+    """
+    found = balls_of(bodies, balls, name)
+    if isinstance(other, Plane):
+        body = bodies.number(other.body, name)
+        normal = _three(other.normal, f"{name}: the normal of the plane")
+        if not np.any(normal):
+            raise MechanicsError(f"{name}: the normal of the plane has no direction")
+        _refuse_own(found, body, name)
+        at = bodies.inside(body, _three(other.at, f"{name}: the point of the plane"))
+        return OnPlane(found, body, at, bodies.inside(body, normal / np.linalg.norm(normal)))
+    if isinstance(other, Surface):
+        return _on_surface(bodies, found, other, name)
+    if other is None:
+        return Among(found, 0, name)
+    return Among(balls_of(bodies, [*balls, *other], name), len(balls), name)
+
+
+def _on_surface(bodies: Bodies, balls: Balls, surface: Surface, name: str) -> OnSurface:
+    body = bodies.number(surface.body, name)
+    _refuse_own(balls, body, name)
+    if not (balls.radius > 0.0).all():
+        raise MechanicsError(f"{name}: a point cannot lie in a surface; give every ball a radius")
+    vertices, faces = np.asarray(surface.vertices, dtype=float), np.asarray(surface.faces)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        raise MechanicsError(f"{name}: vertices must be (n, 3) and faces (m, 3)")
+    if not np.isfinite(vertices).all() or faces.dtype.kind not in "iu":
+        raise MechanicsError(f"{name}: vertices must be finite, and faces integers")
+    outside = ((faces < 0) | (faces >= len(vertices))).any(axis=1)
+    if outside.any():
+        raise MechanicsError(f"{name}: triangle {int(np.argmax(outside))} has a corner that is not there")
+    corners = vertices[faces]
+    sides = corners[:, 1:] - corners[:, :1]
+    flat = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) <= 1e-12 * np.sum(sides**2, axis=(1, 2))
+    if flat.any():
+        raise MechanicsError(f"{name}: triangle {int(np.argmax(flat))} has no area")
+    corners = corners @ bodies.axes(body).T
+    tree = box_tree(corners.min(axis=1), corners.max(axis=1))
+    return OnSurface(balls, body, read_only(corners), tree, name)
+
+
+def _refuse_own(balls: Balls, body: int, name: str) -> None:
+    if np.any(balls.body == body):
+        raise MechanicsError(
+            f"{name}: ball {int(np.argmax(balls.body == body))} belongs to the body it would touch"
+        )
+
+
+@kernel
+def _centres(rotation: Floats, origin: Floats, body: Integers, at: Floats) -> Floats:
+    found = np.empty((len(body), 3))
+    for i in range(len(body)):
+        put(end_of(rotation, origin, body[i], vector(at, i))[1], found, i, 0)
+    return found
+
+
+@kernel
+def _below(
+    rotation: Floats, origin: Floats, body: Integers, at: Floats, radius: Floats, plane: int, point: Floats,
+    normal: Floats,
+) -> tuple[Integers, Integers, Floats, Floats, Floats]:  # fmt: skip
+    """Fields of :class:`Touches` of balls and a plane."""
+    n, count = len(body), 0
+    pair, ends = np.zeros((n, 2), np.int64), np.empty((n, 2), np.int64)
+    place, out, depth = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+    _, base = end_of(rotation, origin, plane, vector_at(point, 0))
+    up, _ = end_of(rotation, origin, plane, vector_at(normal, 0))
+    for i in range(n):
+        _, centre = end_of(rotation, origin, body[i], vector(at, i))
+        deep = radius[i] - dot(subtract(centre, base), up)
+        if deep > 0.0:
+            pair[count, 0], ends[count, 0], ends[count, 1], depth[count] = i, body[i], plane, deep
+            put(up, out, count, 0)
+            put(subtract(centre, scale(radius[i] - 0.5 * deep, up)), place, count, 0)
+            count += 1
+    pair, ends, depth = pair[:count].copy(), ends[:count].copy(), depth[:count].copy()
+    return pair, ends, place[:count].copy(), out[:count].copy(), depth
+
+
+@kernel
+def _between(
+    pairs: Integers, centre: Floats, body: Integers, radius: Floats, first: int
+) -> tuple[Integers, Integers, Floats, Floats, Floats]:
+    """Fields of :class:`Touches` of balls and balls."""
+    n, count = len(pairs), 0
+    pair, ends = np.empty((n, 2), np.int64), np.empty((n, 2), np.int64)
+    place, out, depth = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+    for k in range(n):
+        i, j = pairs[k, 0], pairs[k, 1]
+        if body[i] == body[j] or (first > 0 and (i >= first or j < first)):
+            continue
+        apart = subtract(vector(centre, i), vector(centre, j))
+        length = np.sqrt(dot(apart, apart))
+        deep = radius[i] + radius[j] - length
+        # Centres that coincide have no direction; any will do, until the step is refused.
+        up = scale(1.0 / length, apart) if length > 0.0 else (0.0, 0.0, 1.0)
+        if deep > 0.0:
+            pair[count, 0], pair[count, 1], ends[count, 0], ends[count, 1] = i, j, body[i], body[j]
+            depth[count] = deep
+            put(up, out, count, 0)
+            put(subtract(vector(centre, i), scale(radius[i] - 0.5 * deep, up)), place, count, 0)
+            count += 1
+    pair, ends, depth = pair[:count].copy(), ends[:count].copy(), depth[:count].copy()
+    return pair, ends, place[:count].copy(), out[:count].copy(), depth

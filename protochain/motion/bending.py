@@ -1,0 +1,114 @@
+"""Systems of which some bodies bend, for the integrators that take any equations of motion."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from protochain.arrays import Floats, read_only
+from protochain.errors import MechanicsError
+from protochain.motion.system import Load, System
+from protochain.multibody import flexible_dynamics
+from protochain.multibody.flexible import Bent, Flexible, bend, elastic, integrate
+from protochain.multibody.rotations import displacement_rates
+
+
+@dataclass(frozen=True, eq=False)
+class BendingSystem(System):
+    """Bodies of which some bend, in a potential beside their elastic energy, under loads.
+
+    Coordinates and freedoms are those of :class:`~protochain.multibody.flexible.Flexible`. Potentials and
+    loads get :class:`~protochain.multibody.flexible.Bent` for factors and frames, and loads may give wrenches
+    (nn, 6) on all nodes. Runge-Kutta and Rosenbrock methods take it.
+
+    Parameters
+    ----------
+    flexible : Flexible
+        Bodies, on the hinges of ``tree``.
+
+    Raises
+    ------
+    MechanicsError
+        If they are on another tree, or a constraint is given.
+    """
+
+    bends: ClassVar[bool] = True
+
+    flexible: Flexible | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.flexible is None or self.flexible.tree is not self.tree or self.constraint is not None:
+            raise MechanicsError("give bodies that bend, on the tree of the system, and no constraint")
+
+    @property
+    def bodies(self) -> Flexible:
+        """The bodies."""
+        assert self.flexible is not None
+        return self.flexible
+
+    @property
+    def n_v(self) -> int:
+        """Number of freedoms."""
+        return self.bodies.n_v
+
+    @cached_property
+    def units(self) -> Floats:
+        """(n_v,) float: of an amplitude, what moves a section by a size of the tree, or turns by a radian."""
+        return read_only(np.concatenate([self.tree.units, self._of_shapes]))
+
+    @cached_property
+    def coordinate_units(self) -> Floats:
+        """(n_q,) float: as :attr:`units`, of each coordinate."""
+        return read_only(np.concatenate([self.tree.coordinate_units, self._of_shapes]))
+
+    @cached_property
+    def _of_shapes(self) -> Floats:
+        most = [
+            np.maximum(np.abs(s.moves).max(axis=(0, 1)) / self.tree.size, np.abs(s.turns).max(axis=(0, 1)))
+            for s in self.bodies.shapes
+            if s is not None
+        ]
+        return 1.0 / np.concatenate([np.zeros(0), *most])
+
+    def factors(self, q: Floats) -> Any:
+        """Frames of all nodes at q (n_q,)."""
+        return bend(self.bodies, q)
+
+    def forces(self, time: float, q: Floats, qd: Floats, factors: Any) -> tuple[float, Floats, Floats | None]:
+        """Potential and elastic energy; torques (n_v,) of these and the loads, and of each load alone."""
+        potential, torque, loads = super().forces(time, q, qd, factors)
+        energy, bending = elastic(self.bodies, q)
+        return potential + energy, torque + bending, loads
+
+    def momenta(self, factors: Any, qd: Floats) -> Floats:
+        """Momenta (n_v,) of velocities."""
+        return flexible_dynamics.multiply_mass(self.bodies, factors, qd)
+
+    def along(self, load: Load, time: float, q: Floats, qd: Floats, factors: Any) -> Floats:
+        """Torques (n_v,) of a load."""
+        bent: Bent = factors
+        wrenches, torques = load.applied(time, q, qd, factors)
+        out = np.zeros(self.n_v)
+        if wrenches is not None:
+            out = flexible_dynamics.pull_back(self.bodies, bent, wrenches)
+        return out if torques is None else out + torques
+
+    def forward_dynamics(self, q: Floats, qd: Floats, tau: Floats) -> Floats:
+        """Accelerations (n_v,) under torques; of driven hinges those given in their place."""
+        return flexible_dynamics.forward_dynamics(self.bodies, q, qd, tau)
+
+    def inverse_dynamics(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
+        """Torques (n_v,) of accelerations."""
+        return flexible_dynamics.inverse_dynamics(self.bodies, q, qd, qdd)
+
+    def integrate(self, q: Floats, move: Floats) -> Floats:
+        """Coordinates (n_q,) after a displacement (n_v,)."""
+        return integrate(self.bodies, q, move)
+
+    def displacement_rates(self, move: Floats, qd: Floats) -> Floats:
+        """Rates (n_v,) of a displacement, for velocities at its end."""
+        rigid, out = self.tree.n_v, qd.copy()
+        out[:rigid] = displacement_rates(self.tree, move[:rigid], qd[:rigid])
+        return out

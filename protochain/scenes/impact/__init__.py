@@ -1,0 +1,69 @@
+"""Impacts: instantaneous impulses at one point and at several, by the laws of Newton, Poisson and Stronge.
+
+After Lidstrom (2015), for trees with and without loops. Two rods whose tip strikes a floor: after Kane and
+Levinson, *Dynamics* (1985).
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from protochain.arrays import Floats
+from protochain.multibody import impact, mass_matrix, point_rows, row_matrix
+from protochain.multibody.articulated import articulate
+from protochain.scenes.impact import bounces, checks
+from protochain.scenes.impact.extremes import extremes
+from protochain.scenes.impact.paths import path_checks, traces, work
+from protochain.scenes.impact.study import random_impacts
+from protochain.scenes.impact.systems import chain
+from protochain.scenes.scene import LeftOut, Scene, left_out, work_table
+
+IMPACTS, FEW = 100_000, 2000
+"""Random impacts; of the quick scene."""
+
+
+def run(quick: bool = False) -> Scene:
+    """Run the scene.
+
+    Parameters
+    ----------
+    quick : bool
+        Fewer random impacts, short chains: some seconds.
+
+    Returns
+    -------
+    Scene
+    """
+    gains = random_impacts(FEW if quick else IMPACTS, 0)
+    bounced, end = bounces.bounce(bounces.ball(), ends=True)
+    found = (
+        *checks.known(), *bounces.bounce_checks(bounced, end), *path_checks(),
+        *checks.random_checks(20 if quick else 200), *checks.gain_checks(gains),
+    )  # fmt: skip
+    return Scene(
+        "impact", "impacts with friction: impulses on trees, with and without loops", found,
+        work_table(work(quick)), tuple(extremes(quick)), tuple(_left_out(100 if quick else 1000)),
+        {"gains": gains, "bounces": bounced, "paths": traces(), "cradles": checks.cradle_table()},
+        "error of the velocities after",
+    )  # fmt: skip
+
+
+def _left_out(n: int) -> Iterator[LeftOut]:
+    """What an impact of a chain does without."""
+    factors, qd, wall = chain(n)
+    tree, frames = factors.tree, factors.frames
+
+    def known() -> Floats:
+        return impact(factors, qd, [wall]).qd
+
+    def anew() -> Floats:
+        return impact(articulate(tree, frames), qd, [wall]).qd
+
+    def dense() -> Floats:
+        rows = point_rows(frames, wall.bodies, np.stack([wall.point, wall.point]))
+        g = row_matrix(tree, frames, rows)
+        change = np.linalg.solve(mass_matrix(tree, frames), g.T @ impact(factors, qd, [wall]).impulse[0])
+        return np.asarray(qd + change)
+
+    yield left_out(f"factors of {n} bodies, which the motion has already", anew, known, 0.0, 20)
+    yield left_out(f"the mass matrix of {n} bodies, as a matrix", dense, known, 1e-9)

@@ -1,0 +1,113 @@
+"""Canonical momenta of bodies that bend: three ways to rates, and two links against equations by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from test_flexible import some
+
+from protochain.errors import MechanicsError
+from protochain.multibody import HingeKind, Tree
+from protochain.multibody.beams import Beam, beam
+from protochain.multibody.canonical import canonical_rates, rates_of
+from protochain.multibody.flexible import Flexible, bend, elastic
+from protochain.multibody.flexible_dynamics import forward_dynamics, mass_matrix, momenta
+
+EPS = np.finfo(float).eps
+
+
+def two_links(sections=3):
+    """Two links in a plane about the world's z axis, one shape of lag each; nothing holds the first hinge."""
+    first = beam(Beam(1.0, 2.0, lag=3.0), lag=1, sections=sections)
+    second = beam(Beam(0.8, 1.5, lag=2.0), lag=1, sections=sections)
+    tree = Tree(
+        np.array([-1, 0]), np.array([HingeKind.REVOLUTE] * 2), np.array([[0.0, 0, 0], [1.0, 0, 0]]),
+        np.stack([np.eye(3)] * 2), np.array([2.0, 1.2]), np.array([[0.5, 0, 0], [0.4, 0, 0]]),
+        np.stack([0.1 * np.eye(3)] * 2),
+    )  # fmt: skip
+    return Flexible(tree, (first, second), np.array([-1, sections]))
+
+
+def by_hand(flexible):
+    """(t, (q, qd)) -> its rate, from sections in the complex plane: z = z0 + w exp(i angle)."""
+    links = [(s.mass, s.place[:, 0], s.moves[:, 1, 0], s.shortening[:, 0, 0, 0]) for s in flexible.shapes]
+    slope = flexible.shapes[0].turns[-1, 2, 0]
+    springs = np.array([0.0, 0.0, *(s.stiffness[0, 0] for s in flexible.shapes)])
+
+    def rates(t, y):
+        (a, b, *eta), (da, db, *deta) = y[:4], y[4:]
+        m, load = np.zeros((4, 4)), -springs * y[:4]
+        origin, columns, quick = 0.0, np.zeros(4, complex), 0.0
+        angle, spin, turning = a, da, np.array([1.0, 0.0, 0.0, 0.0])
+        for k, (mass, x, phi, short) in enumerate(links):
+            e, rate = eta[k], deta[k]
+            w, dw = x - 0.5 * short * e**2 + 1j * phi * e, (1j * phi - short * e) * rate
+            turn = np.exp(1j * angle)
+            j = columns + (1j * w * turn)[:, None] * turning
+            j[:, 2 + k] += (1j * phi - short * e) * turn
+            acceleration = quick + turn * (-short * rate**2 + 2j * spin * dw - spin**2 * w)
+            m += np.einsum("n,nk,nl->kl", mass, j.conj(), j).real
+            load -= np.einsum("n,nk,n->k", mass, j.conj(), acceleration).real
+            origin, columns, quick = origin + turn * w[-1], j[-1], acceleration[-1]
+            # The second link rides on the slope of the first one's tip.
+            turning = turning + np.array([0.0, 1.0, slope, 0.0])
+            angle, spin = a + b + slope * eta[0], da + db + slope * deta[0]
+        return np.concatenate([y[4:], np.linalg.solve(m, load)])
+
+    return rates
+
+
+def test_two_links_move_as_by_hand_in_both_forms():
+    flexible = two_links()
+    q, qd = np.array([0.3, 0.9, 0.05, -0.04]), np.array([2.0, -3.0, 0.5, 0.4])
+    p = momenta(flexible, q, qd)[0]
+
+    def canonical(t, y):
+        return np.concatenate(canonical_rates(flexible, y[:4], y[4:], elastic(flexible, y[:4])[1]))
+
+    def accelerated(t, y):
+        return np.concatenate([y[4:], forward_dynamics(flexible, y[:4], y[4:], elastic(flexible, y[:4])[1])])
+
+    expected, other, found = (
+        solve_ivp(rates, (0.0, 0.2), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        for rates, start in (
+            (by_hand(flexible), np.concatenate([q, qd])),
+            (accelerated, np.concatenate([q, qd])),
+            (canonical, np.concatenate([q, p])),
+        )
+    )
+    assert np.abs(expected - np.concatenate([q, qd])).max() > 0.3
+    assert np.allclose(other, expected, atol=1e-9)
+    assert np.allclose(found[:4], expected[:4], atol=1e-9)
+    assert np.allclose(momenta(flexible, expected[:4], expected[4:])[0], found[4:], atol=1e-9)
+    # Nothing depends on the first angle: no term adds to its momentum, not even rounding.
+    assert found[4] == pytest.approx(p[0], abs=1e-13)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_three_ways_to_rates_agree(seed):
+    flexible, q, qd, _, _ = some(seed, (HingeKind.FREE, HingeKind.REVOLUTE)[seed % 2])
+    bent, p = bend(flexible, q), momenta(flexible, q, qd)[0]
+    blocks = mass_matrix(flexible, bent)
+    m = np.block([[blocks.rr, blocks.rf], [blocks.rf.T, blocks.ff]])
+    condition = np.linalg.cond(m)
+    for route in ("articulated", "blocks", "dense"):
+        found = rates_of(flexible, bent, p, route)
+        assert np.abs(found - qd).max() < 100 * EPS * condition * np.abs(qd).max(), route
+        residual = momenta(flexible, q, found)[0] - p
+        assert np.abs(residual).max() < 100 * EPS * np.abs(m).max() * np.abs(qd).max(), route
+
+
+def test_what_has_no_momenta_is_refused():
+    flexible = two_links()
+    bent = bend(flexible, np.zeros(4))
+    with pytest.raises(MechanicsError, match="route 'magic' is not known; choose articulated, blocks or"):
+        rates_of(flexible, bent, np.zeros(4), "magic")
+    driven = replace(flexible, tree=replace(flexible.tree, driven=np.array([True, False])))
+    with pytest.raises(MechanicsError, match="driven hinges have velocities, not momenta"):
+        rates_of(driven, bent, np.zeros(4))
+    empty = replace(flexible, shapes=tuple(replace(s, mass=0.0 * s.mass) for s in flexible.shapes))
+    for route in ("articulated", "blocks", "dense"):
+        with pytest.raises(MechanicsError, match=r"singular|no inertia"):
+            rates_of(empty, bent, np.zeros(4), route)

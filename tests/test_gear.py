@@ -1,0 +1,150 @@
+"""Gears: flanks against drawn involutes, forces against energies, and the scene itself."""
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+from scipy.spatial import cKDTree
+
+from protochain.errors import MechanicsError
+from protochain.motion import System
+from protochain.multibody import kinetic_energy, pose
+from protochain.scenes import run
+from protochain.scenes.gear import flanks_of, started
+from protochain.scenes.gear.geometry import GearPair, outer, overlap
+from protochain.scenes.gear.mesh import Gear, gears
+from protochain.scenes.gear.oracle import corner_place
+from protochain.scenes.gear.quasi import at_rest, lag_of
+
+DRAWN = 3e-8
+"""m. Of gaps of 50 um between curves of points 2 um apart."""
+
+
+def involute(wheel, place, points=6001):
+    """Points of a flank that crosses the line of action at a place, from near the base circle to the tip.
+
+    A string unwound from the base circle, whose foot falls back as it grows longer; the other wheel is half a
+    turn about the pitch point away, and its places count the other way.
+    """
+    alpha = wheel.pressure_angle
+    roll = np.linspace(0.02, np.sqrt((wheel.tip / wheel.base) ** 2 - 1.0), points)
+    begin = place / wheel.base - alpha + np.tan(alpha)
+    return wheel.base * np.exp(1j * (begin - roll)) * (1.0 + 1j * roll)
+
+
+def gap(pair, driving, driven):
+    """Distance of two drawn flanks."""
+    one, other = pair.wheels
+    front, back = involute(one, driving), one.pitch + other.pitch - involute(other, -driven)
+    return (
+        cKDTree(np.column_stack([front.real, front.imag]))
+        .query(np.column_stack([back.real, back.imag]))[0]
+        .min()
+    )
+
+
+@pytest.mark.parametrize("teeth", [(20, 40), (33, 25)])
+def test_gaps_are_those_of_drawn_involutes_on_the_path_of_contact_and_beyond_it(teeth):
+    pair = GearPair(teeth)
+    begin, end = pair.path
+    for place in (begin - 2e-3, begin - 3e-4, begin + 1e-4, 0.0, end - 1e-4, end + 3e-4, end + 2e-3):
+        depth, _, _ = overlap(place - 2.5e-5, place + 2.5e-5, *pair.corners)
+        assert gap(pair, place - 2.5e-5, place + 2.5e-5) == pytest.approx(-depth, abs=DRAWN)
+        if begin < place < end:
+            assert depth == pytest.approx(-5e-5, rel=1e-12)
+        else:
+            assert depth < -5.1e-5
+
+
+def test_the_slope_of_a_gap_and_its_other_derivation():
+    pair = GearPair()
+    for corner, own, other in ((pair.corners[0], 1, 0), (pair.corners[1], 0, 1)):
+        wheels = pair.wheels[own], pair.wheels[other]
+        for place in (-0.015, -0.0111, 0.002):
+            value, slope = outer(place, corner)
+            ahead, behind = (outer(place + h, corner)[0] for h in (1e-7, -1e-7))
+            assert slope == pytest.approx((ahead - behind) / 2e-7, rel=1e-7)
+            assert corner_place(place, *wheels) == pytest.approx((value, slope), rel=1e-12)
+
+
+def test_numbers_of_the_pair():
+    pair = GearPair()
+    assert pair.contact_ratio == pytest.approx(1.635, abs=5e-4)
+    assert [wheel.base for wheel in pair.wheels] == pytest.approx([37.588e-3, 75.175e-3], abs=1e-6)
+    gear = Gear()
+    assert gear.error(1) == pytest.approx(100.0 / (37.588e-3**2 * 14e9 * 20e-3), rel=1e-4)
+    # Of a disc of steel, with its teeth.
+    assert gear.inertias[0][0] == pytest.approx(0.5 * 7850 * np.pi * 0.04**2 * 0.02 * 0.04**2)
+    with pytest.raises(MechanicsError, match="8 teeth is undercut by one of 40"):
+        GearPair((40, 8))
+
+
+def test_all_wheels_and_teeth_together_have_the_inertia_of_discs():
+    gear = Gear()
+    for model in (gears(gear), gears(gear, rigid=True), gears(gear, (range(-3, 2), range(38, 43)))):
+        qd = np.zeros(model.tree.n_v)
+        qd[model.bodies.freedom("wheel 0")[1]], qd[model.bodies.freedom("wheel 1")[1]] = 3.0, 2.0
+        energy = kinetic_energy(model.tree, pose(model.tree, model.q), qd)
+        assert energy == pytest.approx(
+            0.5 * (9.0 * gear.inertias[0][0] + 4.0 * gear.inertias[1][0]), rel=1e-12
+        )
+    assert model.tree.n_bodies == 12
+
+
+def test_flanks_push_with_the_gradient_of_their_energy():
+    model = started(Gear(), 1e-3)
+    flanks = flanks_of(model)
+    rng = np.random.default_rng(1)
+    factors = model.start().factors
+    # Where two pairs touch, one at a tip corner.
+    turned = model.q + 1e-6 * rng.normal(size=len(model.q))
+    for k, base in ((0, 37.588e-3), (1, 75.175e-3)):
+        turned[model.bodies.freedom(f"wheel {k}")[0]] += 6e-4 / base
+    pairs = flanks.pressing(turned, np.zeros_like(turned))
+    assert np.sum(pairs[:, 1] > 0.0) == 2
+    only = System(model.tree, lambda q, _: (flanks.add(q, factors.frames, None, torques), torques))
+    torques = np.zeros(model.tree.n_v)
+    _, force = only.potential(turned, factors)
+    gradient = approx_fprime(turned, lambda q: flanks.add(q, factors.frames, None, np.zeros_like(q)), 1e-9)
+    assert np.abs(gradient + force).max() < 1e-4 * np.abs(force).max()
+
+
+def test_damping_of_flanks_opposes_their_approach_and_never_pulls():
+    model = started(Gear(), 1e-3)
+    flanks, frames = flanks_of(model), model.start().factors.frames
+    one = model.bodies.freedom("wheel 0")[1]
+    elastic = np.zeros(model.tree.n_v)
+    flanks.add(model.q, frames, None, elastic)
+    for rate, factor in ((1.0, 1.0), (-1.0, -1.0), (-1e3, None)):
+        qd = np.zeros(model.tree.n_v)
+        qd[one] = rate
+        damped = flanks.resist(0.0, model.q, qd, frames).torques
+        share = damped[one] / elastic[one]
+        # a v of Lankarani and Nikravesh, with e = 0.8 at 0.1 m/s; at most all of the force is taken away.
+        wanted = -1.0 if factor is None else factor * 0.75 * 0.36 / 0.1 * 37.588e-3
+        assert share == pytest.approx(wanted, rel=1e-4)
+
+
+def test_the_ratio_does_not_depend_on_which_teeth_have_come_round():
+    """Over a whole turn of the driven wheel numbers of teeth wrap."""
+    gear = Gear()
+    lags = [lag_of(*at_rest(gear, 1e-3 + n * gear.pair.base_pitch), gear) for n in (0, 1, 19, 20, 40, -3)]
+    assert np.ptp(lags) < 1e-12
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return run("gear", quick=True)
+
+
+def test_the_scene_is_right(scene):
+    assert scene.wrong == ()
+    assert len(scene.checks) >= 14
+    assert {each.outcome for each in scene.extremes} == {"right", "refused"}
+    assert all(each.ratio > 1.0 for each in scene.left_out)
+
+
+def test_teeth_on_springs_give_way_more_than_rigid_ones(scene):
+    models = scene.tables["models"].set_index("model")
+    assert models.loc["teeth on springs", "lag_mean"] > 4.0 * models.loc["rigid wheels", "lag_mean"]
+    assert models["ratio"].to_numpy() == pytest.approx(2.0, abs=1e-3)
+    assert scene.work.groupby("method")["error"].min()["RK4"] < 1e-5

@@ -1,0 +1,84 @@
+"""The scene of impacts: right in its short form, and its parts fail where they should."""
+
+import numpy as np
+import pytest
+
+from protochain.errors import MechanicsError
+from protochain.multibody import impact, kinetic_energy
+from protochain.scenes import run
+from protochain.scenes.impact import bounces, checks, paths, systems
+from protochain.scenes.impact.study import KINDS, each_alone, random_impacts, random_points, random_pose
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return run("impact", quick=True)
+
+
+def test_impacts_are_right(scene):
+    assert scene.wrong == ()
+    assert sum(each.outcome == "refused" for each in scene.extremes) == 4
+    names = [each.name for each in scene.checks]
+    assert len(set(names)) == len(names) > 25
+    assert set(scene.tables) == {"gains", "bounces", "paths", "cradles"}
+
+
+def test_exact_pieces_beat_smoothed_friction_in_error_and_time(scene):
+    rods = scene.work[scene.work["method"].str.startswith("rods")].set_index("method")
+    exact, smooth = rods.loc["rods: exact pieces"], rods.loc["rods: smoothed friction, Radau"]
+    assert exact["error"] < 1e-14 and smooth["error"].min() > 1e-3
+    assert np.all(np.diff(smooth["error"]) < 0.0)
+    path = scene.work[scene.work["method"].str.startswith("brick: path")]
+    assert path["error"].iloc[-1] < 1e-12 and path["error"].iloc[0] < 1e-6
+
+
+def test_only_newtons_law_adds_energy(scene):
+    gains = scene.tables["gains"]
+    assert set(gains.loc[gains["gained"] > 0, "law"]) == {"newton"}
+    assert 2000 <= gains["impacts"].sum() < 2600 and {"trees", "loops"} == set(gains["of"])
+    one = gains[(gains["points"] == 1) & (gains["law"] != "newton")]
+    assert one["refused"].sum() == 0 and one["largest"].max() < 1e-12
+    wrong = gains.assign(gained=gains["gained"] + (gains["points"] == 3))
+    assert [each.right for each in checks.gain_checks(wrong)] == [True, True, False, False, True]
+
+
+def test_shares_of_the_study_are_a_whole():
+    assert sum(kind.share for kind in KINDS) == pytest.approx(1.0)
+    assert random_impacts(200, 3).equals(random_impacts(200, 3))
+
+
+@pytest.mark.parametrize("looped", [False, True])
+@pytest.mark.parametrize("plane", [False, True])
+def test_impacts_from_one_sweep_are_those_of_one_each(plane, looped):
+    rng = np.random.default_rng(4)
+    posed = random_pose(plane, looped, rng)
+    tree, frames = posed.factors.tree, posed.factors.frames
+    assert (posed.loops is not None) == looped
+    if plane:
+        assert np.abs(frames.origin[:, 2]).max() == 0.0
+    qd = impact(posed.factors, rng.normal(size=tree.n_v), (), loops=posed.loops).qd
+    points = list(random_points(posed, qd, 6, 1, rng))
+    found = list(each_alone(posed, qd, points, "stronge"))
+    for point, work in zip(points, found, strict=True):
+        after = impact(posed.factors, qd, [point], "stronge", posed.loops)
+        assert after.before[0] @ point.normal < 1e-14
+        change = kinetic_energy(tree, frames, after.qd) - kinetic_energy(tree, frames, qd)
+        assert work == pytest.approx(change, rel=1e-9, abs=1e-12)
+
+
+def test_bounces_are_ended_or_refused():
+    table, end = bounces.bounce(bounces.ball(), ends=True)
+    assert end > table["time"].iloc[-1] and table["speed"].iloc[-1] < bounces.SLOWEST
+    assert not all(each.right for each in bounces.bounce_checks(table, end * (1.0 + 1e-10)))
+    with pytest.raises(MechanicsError, match="floor: after its jump"):
+        bounces.bounce(bounces.ball(), ends=False)
+
+
+def test_rods_by_hand_are_the_rods():
+    """The closed form in extended precision, against the mechanism at another restitution: another answer."""
+    model, blow = systems.rods(0.7)
+    after, _ = systems.struck(model, [blow])
+    assert np.allclose(after.after[0, [2, 0]], paths.rods_by_hand(), rtol=1e-14, atol=1e-16)
+    model, blow = systems.rods(0.7, 0.4)
+    after, _ = systems.struck(model, [blow])
+    assert abs(after.after[0, 2] - paths.rods_by_hand()[0]) > 1e-4
