@@ -21,7 +21,7 @@ from protochain.scenes.helicopter.parts import BLADE, LEGS, MODES, RATE, WEIGHT,
 from protochain.scenes.scene import Check, check
 
 HAMMOND = "Hammond's equations, 1974"
-LINEAR = replace(LEGS, squared=0.0)
+LINEAR = replace(LEGS, squared=0.0, friction=0.0)
 RIGID = replace(landing.RIGID, legs=LINEAR)
 THIN = replace(BLADE, polar=1e-5 * BLADE.polar, twist=1e-5 * BLADE.twist)
 """With the frequency of torsion, but next to no rotary inertia in bending, as Euler and Bernoulli have it."""
@@ -47,7 +47,8 @@ def ground_resonance(rates: tuple[float, ...]) -> tuple[pd.DataFrame, list[Check
         for damped, of in ((True, rotor), (False, bare)):
             rate = rpm * resonance.RPM
             exact = np.sort(resonance.eigenvalues(of, rate)[0].real)
-            turned = resonance.multipliers(of, rate)
+            # The hub is as quick however slowly the shaft turns.
+            turned = resonance.multipliers(of, rate, max(64, round(400.0 * 2.0 * np.pi / rate)))
             rows.append((rpm, damped, exact[-1], turned[-1], np.max(np.abs(turned - exact))))
     table = pd.DataFrame(rows, columns=["rpm", "dampers", "growth", "simulated", "error"])
     said = f"growth of all motions by Floquet, {len(rates)} rates, largest error, 1/s"

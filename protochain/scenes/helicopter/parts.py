@@ -35,7 +35,7 @@ MODES = {"y": 2, "z": 1, "x": 1}
 """Modes of a blade: flap, lag and torsion."""
 WEIGHT = (FUSELAGE + TRANSMISSION + BLADES * BLADE_MASS) * GRAVITY
 LEGS = Legs(
-    "fuselage", [(x, y, -HEIGHT) for x in (1.0, -1.0) for y in (1.0, -1.0)], 6e4, 3e3, 500.0, 0.6
+    "fuselage", [(x, y, -HEIGHT) for x in (1.0, -1.0) for y in (1.0, -1.0)], 6e4, 3e3, 500.0, 0.8
 )  # fmt: skip
 
 
