@@ -16,6 +16,7 @@ from protochain.scenes.scene import Check, Extreme, LeftOut, Scene
 __all__ = ["SCENES", "Check", "Extreme", "LeftOut", "Scene", "plot_work", "run"]
 
 SCENES = {
+    "helicopter": "a helicopter that lands: ground resonance, touchdown, run-up, gusts, limits",
     "beam": "a cantilever of finite segments: frequencies, rotation, spin-up, rigid ends, limits",
     "manipulator": "an arm of three flexible links: cells, explicit and implicit integrators, rigid ends",
     "serial": "serial chains of revolute hinges: M^-1 by three routes, long, light, thin and straight",
