@@ -17,7 +17,7 @@ and moment on the first, moment on the second; energy in its springs, and in the
 axis; part of the stiffness that is left."""
 AXES = 16
 """More than there are axes: what is remembered is axis + AXES x face of the other."""
-LEAST_PART = 0.05
+LEAST_PART = 0.1
 """Of the stiffness: less would let bodies through."""
 _SAME = 0.9
 """Cosine of the angle by which a contact's normal may turn in a step and its memory turns with it."""
@@ -55,8 +55,9 @@ def meet(
 ) -> tuple[int, float, Vector]:  # fmt: skip
     """Contact of two boxes that remembers its axis: points in ``found``, depth of the deepest, normal.
 
-    Energy must not come from a choice: where the axis, or the face that a face meets, is another one, springs
-    are softened, or stiffened again, until they hold what they held.
+    Energy must not come from a choice: another axis is taken only once its springs would hold no more, or
+    where the old one has no points left; then, and where a face meets another one, they are softened until
+    they hold the same.
     """
     n, number, side, axis = (0.0, 0.0, 0.0), 0, 0, 0
     # A face that is preferred to edges may have no points.
@@ -75,8 +76,13 @@ def meet(
         before, after, old = 0.0, pressed(number, found), last % AXES
         if old != axis:
             m = axis_normal(c1, r1, c2, r2, old)
-            count, _ = box_on_axis(c1, r1, h1, c2, r2, h2, old, m, polygon, other, spare)
+            count, own = box_on_axis(c1, r1, h1, c2, r2, h2, old, m, polygon, other, spare)
             before = pressed(count, spare)
+            if count > 0 and (number == 0 or after > before):
+                number, n, axis, side, after = count, m, old, own, before
+                for a in range(count):
+                    for k in range(8):
+                        found[a, k] = spare[a, k]
         if last != axis + AXES * side and number > 0:
             now = 0.5 * law[NORMAL] * after
             held = memory[row, ENERGY] - memory[row, HELD]

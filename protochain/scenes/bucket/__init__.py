@@ -47,7 +47,8 @@ def run(quick: bool = False) -> Scene:
     Scene
     """
     settled = settle(NARROW, 0.5) if quick else settle(WIDE, 0.7)
-    dug = dig(settled, 0.5 if quick else 1.0, looks=10 if quick else 50)
+    # Where few cubes lie above the floor, the bucket only scrapes, lest it crush them.
+    dug = dig(settled, 0.5, 0.1, looks=10) if quick else dig(settled)
     bushings, work = joints.compare((1e5, 1e6) if quick else (1e4, 1e5, 1e6, 1e7, 1e8))
     found = trials.search((1000, 4000) if quick else (1000, 3000, 10_000, 30_000, 100_000))
     speed = pd.DataFrame(
@@ -88,7 +89,7 @@ def _checks(
     yield check("exponent of its longest step", slope, -0.5, 0.05, "1/sqrt k", "absolute")
     if not quick:
         cost = exponent(found["cubes"], found["seconds"])
-        yield check("exponent of the cost of search", max(cost, 1.0), 1.0, 0.1, "cells", "absolute")
+        yield check("exponent of the cost of search", max(cost, 1.0), 1.0, 0.15, "cells; caches", "absolute")
 
 
 def _sleep(settled: Settled, duration: float = 0.1) -> LeftOut:

@@ -64,11 +64,11 @@ def reach(edge: Floats, tilt: float) -> Floats:
     return np.array([-outer, -inner, tilt + outer + inner])
 
 
-def digging(level: float, duration: float = 1.0) -> Path:
-    """Way of the bucket through soil that is as high as ``level``: in, along, up and out, from rest to rest."""
+def digging(level: float, duration: float = 1.0, depth: float = 0.3) -> Path:
+    """Way of the bucket through soil as high as ``level``, to a part of it: in, along, up and out."""
     times = duration * np.array([0.0, 0.2, 0.5, 0.75, 1.0])
     # Cubes that are jammed between bucket and floor would be crushed.
-    deep = min(0.08, 0.3 * level)
+    deep = depth * level
     places = [(0.82, 0.02), (0.80, -0.75 * deep), (0.64, -deep), (0.54, -0.25 * deep), (0.52, 0.1)]
     tilts = np.deg2rad([-75.0, -75.0, -50.0, -12.0, 5.0])
     angles = [reach(np.array([x, level + z]), tilt) for (x, z), tilt in zip(places, tilts, strict=True)]

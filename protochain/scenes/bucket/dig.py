@@ -181,9 +181,11 @@ class Dug:
     seconds: float
 
 
-def dig(settled: Settled, duration: float = 1.0, sleep: Sleep | None = None, looks: int = 50) -> Dug:
-    """Dig, from soil at rest."""
-    path = digging(settled.level, duration)
+def dig(
+    settled: Settled, duration: float = 1.0, depth: float = 0.3, sleep: Sleep | None = None, looks: int = 50
+) -> Dug:
+    """Dig, from soil at rest, to a part of its depth."""
+    path = digging(settled.level, duration, depth)
     model = backhoe(path).build()
     pile = soil(settled.site, model, sleep)
     # Whole steps to a window, and whole windows to a look.
