@@ -63,11 +63,12 @@ def run(quick: bool = False) -> Scene:
         ]
     )
     tables = {
-        "soil": dug.table, "machine": dug.machine, "cubes": dug.snapshots, "bushings": bushings, "search": found,
-        "speed": speed,
+        "soil": dug.table, "machine": dug.machine, "cubes": dug.snapshots, "bushings": bushings,
+        "search": found, "speed": speed,
     }  # fmt: skip
     return Scene(
-        "bucket", "a backhoe's bucket in a soil of cubes", tuple(_checks(settled, dug, bushings, found, quick)),
+        "bucket", "a backhoe's bucket in a soil of cubes",
+        tuple(_checks(settled, dug, bushings, found, quick)),
         work_table(work), tuple(trials.extremes()), (_sleep(settled if quick else settle(NARROW, 0.5)),),
         tables, "distance of the cutting edge from that of the machine on hinges, m",
     )  # fmt: skip

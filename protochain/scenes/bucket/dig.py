@@ -29,7 +29,7 @@ SIDE, DENSITY, STIFFNESS, FRICTION = 0.02, 2000.0, 1e5, 0.5
 PITCH = 1.76 * SIDE
 """Of cubes before they fall: turned anyhow, they reach sqrt 3 edges."""
 WINDOW = 1e-3
-"""s. Over which forces on the bucket are averaged: far above the time of an impact, far below that of the way."""
+"""s. Over which forces on the bucket are averaged: far longer than an impact, far shorter than the way."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,8 @@ def soil(site: Site, model: Model, sleep: Sleep | None = None) -> Pile:
     )
     n = site.cubes
     return Pile(
-        np.full(n, SIDE), np.full(n, DENSITY * SIDE**3), Law(STIFFNESS, FRICTION), np.array(GRAVITY), plates=both,
-        sleep=sleep,
+        np.full(n, SIDE), np.full(n, DENSITY * SIDE**3), Law(STIFFNESS, FRICTION), np.array(GRAVITY),
+        plates=both, sleep=sleep,
     )  # fmt: skip
 
 
