@@ -57,6 +57,7 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
     Parameters
     ----------
     model : Model
+        Mechanism.
     at : Phase, optional
         As of :func:`state_matrix`.
 
