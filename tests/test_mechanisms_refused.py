@@ -158,6 +158,18 @@ def test_drives_of_any_size_and_with_steps_of_acceleration_are_motions():
     m.build().simulate(1.0, 0.1, balance=np.inf)
 
 
+def test_a_drive_whose_first_angles_are_rounding_is_a_motion():
+    """The spin-up of Kane, Ryan, Banerjee (1987): from rest, terms of order one cancel to 1e-12 rad."""
+    share, w = 0.4, 2.0 * np.pi / 15.0
+    m = pendulum(q=0.0)
+    m.drive("pin", lambda t: (
+        share * (0.5 * t * t + (np.cos(w * t) - 1.0) / w**2), share * (t - np.sin(w * t) / w),
+        share * (1.0 - np.cos(w * t)),
+    ))  # fmt: skip
+    for step in (1e-1, 4e-3, 1e-4):
+        m.build().simulate(3.0 * step, step, balance=np.inf)
+
+
 def test_a_hinged_body_starts_by_its_hinge():
     m = Mechanism()
     m.body("b", 1.0, inertia=1.0, position=(0, 0, 1))
