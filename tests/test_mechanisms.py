@@ -99,6 +99,13 @@ def test_a_body_moves_along_its_axis_in_its_own_axes(axis, kind):
     assert model.start().kinetic == pytest.approx(0.5 * 2.0 * u @ u + 0.5 * spin @ inertia @ spin)
 
 
+def test_along_z_the_trees_frames_are_the_bodies_own():
+    m = Mechanism()
+    m.body("b", 1.0, inertia=1.0)
+    m.hinge("h", "world", "b", axis=(0, 0, 2))
+    assert np.array_equal(m.build().bodies.turn[0], np.eye(3))
+
+
 def test_a_free_body_starts_where_and_as_it_is_told():
     turn = Rotation.from_rotvec([2.0, -1.0, 2.0]).as_matrix()
     m = Mechanism()

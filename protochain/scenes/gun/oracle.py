@@ -155,6 +155,7 @@ class Planar:
         force = self.pull(y) - self.springs[1] @ v + self.gun.thrust(time) * self.powder(y)
         force -= (np.conj(slopes) * (self.masses * curl)[:, None]).real.sum(axis=0)
         force[SLIDE] -= self.gun.damped * parts.BRAKE * v[SLIDE] * abs(v[SLIDE])
+        force[ROLL] += self.gun.heel(time)
         mass = (slopes.conj().T @ (self.masses[:, None] * slopes)).real + np.diag(self.inertias)
         return np.concatenate([v, np.linalg.solve(mass, force)])
 

@@ -5,6 +5,7 @@ In a plane, x forward and z up. All angles raise the muzzle.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import exp
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,8 @@ class Gun:
         Factor of the firing force.
     shots : int
         Number of shots.
+    blow : float
+        Impulse of a moment on the deck that comes and goes as the firing force does, N m s.
     """
 
     deck: float = 1e8
@@ -76,6 +79,7 @@ class Gun:
     damped: float = 1.0
     charge: float = 1.0
     shots: int = 1
+    blow: float = 0.0
 
     @property
     def floats(self) -> bool:
@@ -92,17 +96,23 @@ class Gun:
     def dampers(self) -> tuple[float, float, float]:
         """Of deck in heave and roll, and of the axle: N s/m, N m s, N m s."""
         deck = self.deck if self.floats else 0.0
-        mass, inertia = DECK + MOUNT + CRADLE + BREECH + TUBE.length * TUBE.mass, 1e5
-        heave = 2.0 * DECK_RATIO * np.sqrt(deck * mass)
-        roll = 2.0 * DECK_RATIO * SPAN * np.sqrt(deck * inertia)
+        heave = 2.0 * DECK_RATIO * np.sqrt(deck * (DECK + MOUNT + CRADLE + BREECH + _TUBE_MASS))
+        roll = 2.0 * DECK_RATIO * SPAN * np.sqrt(deck * HEELING)
         axle = 2.0 * AXLE_RATIO * np.sqrt(self.axle * SWING)
         return self.damped * heave, self.damped * roll, self.damped * axle
 
     def thrust(self, time: float) -> float:
         """Firing force, N."""
-        since = time - PERIOD * np.arange(self.shots)
-        since = since[since > 0.0]
-        return float(self.charge * IMPULSE / PULSE**2 * np.sum(since * np.exp(-since / PULSE)))
+        return self.charge * IMPULSE * sum(_pulse(time - PERIOD * k) for k in range(self.shots))
+
+    def heel(self, time: float) -> float:
+        """Moment on the deck, N m."""
+        return self.blow * _pulse(time)
+
+
+def _pulse(time: float) -> float:
+    """Rise to a peak and fall, whose integral is one, 1/s."""
+    return time / PULSE**2 * exp(-time / PULSE) if time > 0.0 else 0.0
 
 
 _TUBE_MASS = TUBE.length * TUBE.mass
@@ -114,8 +124,10 @@ SWING = (
     + _TUBE_MASS * (_TUBE_CENTRE**2 + TUBE.length**2 / 12.0)
 )  # fmt: skip
 """kg m^2 of both about the trunnion."""
-MUZZLE = TUBE_AT + TUBE.length
-"""m before the trunnion."""
+HEELING = (
+    DECK_INERTIA + MOUNT_INERTIA + MOUNT * MOUNT_HEIGHT**2 + (CRADLE + BREECH + _TUBE_MASS) * TRUNNION**2
+)  # fmt: skip
+"""kg m^2 of all about the deck, cradle and barrel as points at the trunnion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +199,8 @@ def built(gun: Gun) -> Built:
         mechanism.body("deck", DECK, inertia=DECK_INERTIA)
         mechanism.hinge("roll", "float", "deck", axis=up)
         mechanism.torsion("roll", "roll", gun.deck * SPAN**2, damping=roll)
+        if gun.blow:
+            mechanism.torque("blow", "roll", gun.heel)
     mechanism.body("mount", MOUNT, inertia=MOUNT_INERTIA)
     mechanism.hinge("foot", under, "mount", "fixed", at=(0.0, 0.0, MOUNT_HEIGHT))
     trunnion = (0.0, 0.0, TRUNNION - MOUNT_HEIGHT)
