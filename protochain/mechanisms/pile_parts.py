@@ -1,0 +1,187 @@
+"""What piles are made of: laws of contact, sleep, plates and their motion, and the state of a heap."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers, Value, floats, read_only
+from protochain.errors import MechanicsError
+from protochain.mechanisms.boxes import check_boxes
+from protochain.mechanisms.pile_contact import DAMPED, RUBBED, SLEPT, STORED, WORK
+
+
+@dataclass(frozen=True)
+class Law:
+    """How contacts push and rub.
+
+    Parameters
+    ----------
+    stiffness : float
+        Force per depth of a face that lies flat; that of one corner is a fourth.
+    friction : float
+        Largest tangential force, in normal ones.
+    damping : float
+        Of normal and tangential springs, relative to the critical one of the pair.
+    tangential : float
+        Stiffness against sliding, relative to ``stiffness``.
+    """
+
+    stiffness: float
+    friction: float
+    damping: float = 0.2
+    tangential: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "friction", "damping", "tangential"):
+            value = getattr(self, name)
+            least = "positive" if name in ("stiffness", "tangential") else "not negative"
+            if not (0.0 <= value < np.inf) or (value == 0.0 and least == "positive"):
+                raise MechanicsError(f"{name} {value:g} of contacts must be {least} and finite")
+
+
+@dataclass(frozen=True)
+class Sleep:
+    """When cubes are left out: they rest until a force on them changes.
+
+    Parameters
+    ----------
+    speed : float
+        Speed of its corners below which a cube may fall asleep.
+    acceleration : float
+        Acceleration of its corners, by the forces on it, above which it wakes.
+    time : float
+        How long it must have been slow.
+    """
+
+    speed: float
+    acceleration: float
+    time: float
+
+    @classmethod
+    def under(cls, gravity: float, edge: float) -> "Sleep":
+        """Usual numbers for cubes of an edge under a gravity: small beside a fall of one edge."""
+        return cls(0.02 * np.sqrt(gravity * edge), 0.2 * gravity, 0.5 * np.sqrt(edge / gravity))
+
+
+@dataclass(frozen=True, eq=False)
+class Plates(Value):
+    """Boxes fixed to bodies that move.
+
+    Parameters
+    ----------
+    body : (m,) int
+        Body of each.
+    centre : (m, 3) float
+        In the body's frame.
+    rotation : (m, 3, 3) float
+        Columns are the directions of its edges, in the body's frame.
+    half : (m, 3) float
+        Half lengths of the edges.
+
+    Raises
+    ------
+    MechanicsError
+        If one is no box.
+    """
+
+    body: Integers = field(default_factory=lambda: np.empty(0, np.int64))
+    centre: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    rotation: Floats = field(default_factory=lambda: np.empty((0, 3, 3)))
+    half: Floats = field(default_factory=lambda: np.empty((0, 3)))
+
+    def __post_init__(self) -> None:
+        m = len(self.body)
+        object.__setattr__(self, "body", read_only(self.body, np.int64))
+        for name, shape in (("centre", (m, 3)), ("rotation", (m, 3, 3)), ("half", (m, 3))):
+            object.__setattr__(self, name, read_only(floats(getattr(self, name), shape, f"plates: {name}")))
+        check_boxes(self.centre, self.rotation, self.half)
+
+    @property
+    def n_bodies(self) -> int:
+        """Number of bodies that plates may be on."""
+        return int(np.max(self.body, initial=-1)) + 1
+
+
+class Motion(NamedTuple):
+    """Motion of bodies, prescribed: s + 1 moments of s steps, the first one now.
+
+    Parameters
+    ----------
+    origin : (s + 1, nb, 3) float
+        Origins of the bodies' frames.
+    rotation : (s + 1, nb, 3, 3) float
+        Rotations of the bodies.
+    twist : (s + 1, nb, 6) float
+        Angular velocity, velocity of the origin; world axes.
+    """
+
+    origin: Floats
+    rotation: Floats
+    twist: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Heap(Value):
+    """State of a pile, from which it goes on as if it had not stopped.
+
+    Parameters
+    ----------
+    time : float
+    position, velocity, spin : (n, 3) float
+        Centres, their velocities and angular velocities; world axes.
+    quaternion : (n, 4) float
+        Rotations, (w, x, y, z).
+    acceleration : (n, 6) float
+        Of the centres, and angular.
+    asleep : (n,) int
+        1 for cubes that sleep.
+    still : (n,) float
+        How long each has been slow.
+    start, other : (n + 1,) and (c,) int
+        Neighbours of cube i: ``other[start[i]:start[i + 1]]``; those from n on are plates.
+    memory, plane_memory : (c, 17) and (n p, 17) float
+        What is remembered of each contact.
+    sums : (5,) float
+        See the properties.
+    """
+
+    time: float
+    position: Floats
+    quaternion: Floats
+    velocity: Floats
+    spin: Floats
+    acceleration: Floats
+    asleep: Integers
+    still: Floats
+    start: Integers
+    other: Integers
+    memory: Floats
+    plane_memory: Floats
+    sums: Floats
+
+    @property
+    def rotation(self) -> Floats:
+        """(n, 3, 3) float: rotations."""
+        w, x, y, z = self.quaternion.T
+        rows = (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        )
+        return np.moveaxis(np.array(rows), 2, 0)
+
+    @property
+    def dissipated(self) -> float:
+        """Energy lost since the start to dampers, to friction and by falling asleep."""
+        return float(self.sums[DAMPED] + self.sums[RUBBED] + self.sums[SLEPT])
+
+    @property
+    def stored(self) -> float:
+        """Energy in the springs of the contacts."""
+        return float(self.sums[STORED])
+
+    @property
+    def work(self) -> float:
+        """Work that the plates have done since the start."""
+        return float(self.sums[WORK])

@@ -1,0 +1,306 @@
+"""Piles of cubes against textbooks: slopes, weights, impacts, turntables; and against themselves."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from protochain.errors import MechanicsError, ProtochainError
+from protochain.mechanisms.pile import Pile
+from protochain.mechanisms.pile_parts import Heap, Law, Motion, Plates, Sleep
+from protochain.motion.system import StepTooLargeError
+
+EDGE, MASS, STIFFNESS, GRAVITY = 0.02, 0.016, 1e5, 9.81
+GROUND = {"normal": np.array([[0.0, 0.0, 1.0]]), "offset": np.zeros(1)}
+SETTLED = 1e-9
+"""Relative, of what oscillates with 80 radians and a damping ratio of 0.2, some 400 radians later."""
+
+
+SOIL = Law(STIFFNESS, 0.5)
+
+
+def pile(n: int = 1, law: Law = SOIL, gravity=(0, 0, -GRAVITY), **more) -> Pile:
+    return Pile(np.full(n, EDGE), np.full(n, MASS), law, np.array(gravity), **more)
+
+
+def tilted(angle: float) -> np.ndarray:
+    return GRAVITY * np.array([np.sin(angle), 0.0, -np.cos(angle)])
+
+
+def floor(half=(0.2, 0.2, 0.01)) -> Plates:
+    """A plate whose top is the plane z = 0, on body 0."""
+    return Plates(np.zeros(1, int), np.array([[0.0, 0.0, -half[2]]]), np.eye(3)[None], np.array([half]))
+
+
+def frames(origin, rotation=None, twist=None) -> Motion:
+    s = len(origin)
+    turned = np.broadcast_to(np.eye(3), (s, 3, 3)) if rotation is None else rotation
+    moved = np.zeros((s, 6)) if twist is None else twist
+    return Motion(np.asarray(origin)[:, None], turned[:, None].copy(), moved[:, None].copy())
+
+
+def resting(steps: int) -> Motion:
+    return frames(np.zeros((steps + 1, 3)))
+
+
+@pytest.mark.parametrize("on", ["plane", "plate"])
+@pytest.mark.parametrize("degrees", [20.0, 30.0, 60.0])
+def test_on_a_slope_it_rests_or_slides_as_friction_lets_it(on, degrees):
+    angle = np.deg2rad(degrees)
+    more = GROUND if on == "plane" else {"plates": floor()}
+    scene = pile(gravity=tilted(angle), **more)
+    h, steps = scene.longest_step, 2000
+    motion = resting(steps) if on == "plate" else None
+    first = scene.start([[-0.1, 0.0, 0.5 * EDGE]], motion=motion)
+    early, _ = scene.advance(first, steps, h, motion)
+    late, _ = scene.advance(early, steps, h, motion)
+    wanted = GRAVITY * (np.sin(angle) - 0.5 * np.cos(angle))
+    if wanted < 0.0:
+        # The tangential spring carries it, and so does the turn that its couple asks of the ground.
+        assert np.abs(late.velocity).max() < SETTLED
+        assert np.abs(late.position - early.position).max() < SETTLED * EDGE
+    else:
+        found = (late.velocity - early.velocity)[0] / (steps * h)
+        assert found == pytest.approx([wanted, 0.0, 0.0], abs=1e-6 * GRAVITY)
+
+
+def test_a_floor_carries_the_weight_at_the_depth_of_the_stiffness():
+    scene, steps = pile(plates=floor()), 3000
+    at = np.array([0.03, -0.05, 0.5 * EDGE])
+    heap, reaction = scene.advance(
+        scene.start([at], motion=resting(0)), steps, scene.longest_step, resting(steps)
+    )
+    weight = MASS * GRAVITY
+    assert reaction[-1, 0, 3:] == pytest.approx([0.0, 0.0, -weight], abs=SETTLED)
+    assert reaction[-1, 0, :3] == pytest.approx(np.cross(at, [0.0, 0.0, -weight]), abs=SETTLED)
+    assert 0.5 * EDGE - heap.position[0, 2] == pytest.approx(weight / STIFFNESS, rel=1e-6)
+    assert heap.stored == pytest.approx(0.5 * weight**2 / STIFFNESS, rel=1e-6)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.2, 0.7])
+def test_it_leaves_an_impact_at_the_speed_of_a_damped_oscillator(damping):
+    scene = pile(law=Law(STIFFNESS, 0.5, damping), gravity=(0, 0, 0), **GROUND)
+    w = np.sqrt(STIFFNESS / MASS)
+
+    def slope(_, y):
+        return [y[1], -w * w * y[0] - 2.0 * damping * w * y[1]]
+
+    def force(t, y):
+        return slope(t, y)[1] if t > 0.0 else -1.0
+
+    force.terminal, force.direction = True, 1
+    # It is pushed, never pulled: it leaves when the force is zero.
+    end = solve_ivp(slope, (0.0, 10.0 / w), [0.0, 1.0], events=force, rtol=1e-10, atol=1e-14).y[1, -1]
+    h = 0.02 * scene.longest_step
+    start = scene.start([[0.0, 0.0, 0.5 * EDGE]], velocity=[[0.0, 0.0, -1.0]])
+    heap, _ = scene.advance(start, int(5.0 / w / h), h)
+    assert heap.velocity[0] == pytest.approx([0.0, 0.0, -end], abs=2e-3)
+    assert heap.dissipated == pytest.approx(0.5 * MASS * (1.0 - end**2), abs=2e-3 * MASS)
+
+
+def test_without_loss_a_tumbling_cube_keeps_its_energy_better_with_shorter_steps():
+    scene = pile(law=Law(STIFFNESS, 0.0, 0.0), **GROUND)
+    rotation = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()[None]
+    start = scene.start([[0.0, 0.0, 0.05]], rotation, spin=[[3.0, -2.0, 1.0]])
+    errors = []
+    for split in (1, 4):
+        heap, off = start, 0.0
+        for _ in range(20):
+            heap, _ = scene.advance(heap, 200 * split, scene.longest_step / split)
+            off = max(off, abs(scene.total(heap) - scene.total(start)))
+        errors.append(off / (MASS * GRAVITY * 0.05))
+    assert np.linalg.norm(heap.spin) > 5.0, "it has bounced"
+    assert errors[0] < 1e-2 and errors[1] < errors[0] / 8.0
+
+
+def test_two_cubes_keep_momentum_and_spin_in_an_impact():
+    scene = pile(2, gravity=(0, 0, 0))
+    rotation = Rotation.from_euler("xyz", [[0.3, 0.5, 0.7], [1.0, -0.4, 0.2]]).as_matrix()
+    start = scene.start(
+        [[0, 0, 0], [0.04, 0.005, -0.003]],
+        rotation,
+        [[1.0, 0.0, 0.0], [-1.0, 0.2, 0.0]],
+        [[0, 5, 0], [0, 0, 9]],
+    )
+    heap, _ = scene.advance(start, 600, scene.longest_step)
+
+    def spin(h: Heap) -> np.ndarray:
+        return np.sum(MASS * np.cross(h.position, h.velocity) + MASS * EDGE**2 / 6.0 * h.spin, axis=0)
+
+    assert np.linalg.norm(heap.velocity - start.velocity) > 0.5 and heap.dissipated > 0.0
+    assert np.sum(heap.velocity, axis=0) == pytest.approx(np.sum(start.velocity, axis=0), abs=1e-12)
+    assert spin(heap) == pytest.approx(spin(start), abs=1e-12 * MASS)
+    assert scene.total(heap) == pytest.approx(scene.total(start), rel=0.02)
+
+
+def test_a_spinning_cube_is_slowed_by_friction_at_its_corners():
+    scene = pile(**GROUND)
+    h = scene.longest_step
+    settled, _ = scene.advance(scene.start([[0, 0, 0.5 * EDGE]]), 2000, h)
+    start = scene.start(settled.position, settled.rotation, spin=[[0.0, 0.0, 30.0]])
+    early, _ = scene.advance(start, 200, h)
+    late, _ = scene.advance(early, 200, h)
+    # Four corners at half a diagonal, each with a quarter of the weight; inertia m edge^2 / 6.
+    torque = 0.5 * MASS * GRAVITY * EDGE / np.sqrt(2.0)
+    slowed = (late.spin - early.spin)[0, 2] / (200 * h)
+    assert slowed == pytest.approx(-torque / (MASS * EDGE**2 / 6.0), rel=1e-3)
+
+
+@pytest.mark.parametrize("rate", [6.0, 8.0])
+def test_on_a_turntable_it_stays_where_friction_holds_it(rate):
+    scene, steps, radius = pile(plates=floor()), 6000, 0.1
+    t = scene.longest_step * np.arange(steps + 1)
+    turned = Rotation.from_rotvec(np.outer(t, [0, 0, rate])).as_matrix()
+    twist = np.tile([0, 0, rate, 0, 0, 0], (steps + 1, 1)).astype(float)
+    motion = frames(np.zeros((steps + 1, 3)), turned, twist)
+    start = scene.start(
+        [[radius, 0, 0.5 * EDGE]], velocity=[[0, rate * radius, 0]], spin=[[0, 0, rate]], motion=resting(0)
+    )
+    heap, _ = scene.advance(start, steps, scene.longest_step, motion)
+    seen = turned[-1].T @ heap.position[0]
+    if rate**2 * radius < 0.5 * GRAVITY:
+        # It gives way by the stretch of the spring.
+        assert seen[:2] == pytest.approx([radius, 0.0], abs=3.0 * MASS * rate**2 * radius / (0.5 * STIFFNESS))
+    else:
+        assert np.hypot(*seen[:2]) > radius + 0.005
+
+
+def test_a_lift_does_work_that_is_found_again():
+    scene, steps, rise = pile(plates=floor()), 8000, 0.05
+    t = np.linspace(0.0, 1.0, steps + 1)
+    duration = steps * scene.longest_step
+    z, speed = rise * (3 * t**2 - 2 * t**3), rise * 6 * t * (1 - t) / duration
+    twist = np.zeros((steps + 1, 6))
+    twist[:, 5] = speed
+    motion = frames(np.column_stack([0 * z, 0 * z, z]), twist=twist)
+    settled, _ = scene.advance(
+        scene.start([[0.0, 0.0, 0.5 * EDGE - MASS * GRAVITY / STIFFNESS]], motion=resting(0)), steps,
+        scene.longest_step, resting(steps),
+    )  # fmt: skip
+    heap, reaction = scene.advance(settled, steps, scene.longest_step, motion)
+    assert heap.work - settled.work == pytest.approx(MASS * GRAVITY * rise, rel=1e-4)
+    assert heap.work == pytest.approx(-np.sum(reaction[:, 0, 5] * speed[1:]) * scene.longest_step, rel=1e-9)
+    assert scene.total(heap) == pytest.approx(scene.total(settled), abs=1e-4 * MASS * GRAVITY * rise)
+
+
+def tray(reach: float = 0.06) -> Plates:
+    """Bottom and four walls, all on body 0."""
+    centres = [[0, 0, -0.01], *(reach + 0.01) * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])]
+    halves = [[0.2, 0.2, 0.01]] + 2 * [[0.01, 0.2, 0.5]] + 2 * [[0.2, 0.01, 0.5]]
+    return Plates(np.zeros(5, int), np.array(centres), np.array([np.eye(3)] * 5), np.array(halves))
+
+
+@cache
+def dropped(sleep: Sleep | None = None) -> tuple[Pile, Heap, Heap, np.ndarray]:
+    """A small heap in a tray, after 0.9 s; and the forces on the tray."""
+    n = 60
+    scene = pile(n, plates=tray(), sleep=sleep)
+    rng = np.random.default_rng(3)
+    places = np.stack(np.meshgrid(*[np.arange(3)] * 2, np.arange(n // 9 + 1), indexing="ij"), -1)
+    places = places.transpose(2, 0, 1, 3).reshape(-1, 3)[:n] * 0.036 - [0.036, 0.036, -0.02]
+    rotation = Rotation.random(n, rng=rng).as_matrix()
+    start = scene.start(places, rotation, motion=resting(0))
+    steps = int(0.9 / scene.longest_step)
+    end, reaction = scene.advance(start, steps, scene.longest_step, resting(steps))
+    return scene, start, end, reaction
+
+
+def test_a_heap_comes_to_rest_in_a_tray_that_carries_it():
+    scene, start, end, reaction = dropped()
+    weight = len(scene.mass) * MASS * GRAVITY
+    assert np.mean(reaction[-2000:, 0, 3:], axis=0) == pytest.approx([0, 0, -weight], abs=1e-3 * weight)
+    # All that pushed them is momentum now, and it is little.
+    pushed = -np.sum(reaction[:, 0, 3:], axis=0) * scene.longest_step
+    pushed -= [0.0, 0.0, weight * len(reaction) * scene.longest_step]
+    assert pushed == pytest.approx(np.sum(MASS * end.velocity, axis=0), abs=1e-3 * weight * end.time)
+    assert scene.kinetic(end) < 1e-4 * end.dissipated
+    assert np.all(end.position[:, 2] > 0.45 * EDGE)
+    assert scene.total(end) == pytest.approx(scene.total(start), abs=0.02 * end.dissipated)
+    assert end.dissipated > 0.1 * weight * EDGE
+
+
+def test_it_goes_on_as_if_it_had_not_stopped():
+    scene, start, _, _ = dropped()
+    whole, _ = scene.advance(start, 3000, scene.longest_step, resting(3000))
+    half, _ = scene.advance(start, 1234, scene.longest_step, resting(1234))
+    again, _ = scene.advance(half, 1766, scene.longest_step, resting(1766))
+    for name in ("position", "quaternion", "velocity", "spin", "acceleration"):
+        assert np.array_equal(getattr(whole, name), getattr(again, name)), name
+    assert not np.array_equal(whole.position, half.position)
+
+
+def test_cubes_fall_asleep_lie_still_and_wake():
+    sleep = Sleep.under(GRAVITY, EDGE)
+    scene = pile(3, sleep=sleep, **GROUND)
+    stack = [[0.0, 0.0, (k + 0.5) * EDGE] for k in range(3)]
+    asleep, _ = scene.advance(scene.start(stack), 6000, scene.longest_step)
+    assert asleep.asleep.all()
+    later, _ = scene.advance(asleep, 2000, scene.longest_step)
+    assert np.array_equal(later.position, asleep.position)
+    awake, _ = pile(3, **GROUND).advance(pile(3, **GROUND).start(stack), 8000, scene.longest_step)
+    assert awake.position == pytest.approx(later.position, abs=1e-6)
+    # A fourth one falls upon them: a pile of its own, with the three as they lie.
+    more = pile(4, sleep=sleep, **GROUND)
+    settled, _ = more.advance(more.start([*stack, [0.3, 0.0, 0.5 * EDGE]]), 6000, more.longest_step)
+    assert settled.asleep.all()
+    hit = more.start([*settled.position[:3], [0.002, 0.0, 0.1]], velocity=[[0, 0, 0]] * 3 + [[0, 0, -1.0]])
+    after, _ = more.advance(hit, 1500, more.longest_step)
+    assert not after.asleep[:3].any()
+
+
+def test_sleep_leaves_the_same_heap():
+    scene, _, end, _ = dropped()
+    _, _, slept, _ = dropped(Sleep.under(GRAVITY, EDGE))
+    steps = int(0.4 / scene.longest_step)
+    slept, _ = dropped(Sleep.under(GRAVITY, EDGE))[0].advance(
+        slept, steps, scene.longest_step, resting(steps)
+    )
+    assert np.mean(slept.asleep) > 0.8
+    moved = np.linalg.norm(slept.position - end.position, axis=1)
+    assert np.median(moved) < 0.05 * EDGE
+    assert np.mean(slept.position[:, 2]) == pytest.approx(np.mean(end.position[:, 2]), abs=0.05 * EDGE)
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 1e3, 1e8, 1e12])
+@pytest.mark.parametrize("mass", [1e-9, 1.0])
+def test_stiff_and_light_cubes_rest_at_the_right_depth_or_are_refused(stiffness, mass):
+    scene = Pile([EDGE], [mass], Law(stiffness, 0.5), np.array([0, 0, -GRAVITY]), **GROUND)
+    depth = mass * GRAVITY / stiffness
+    # Dropped, it would sink twice as deep first.
+    start = scene.start([[0.0, 0.0, 0.5 * EDGE - (depth if depth < 0.5 * EDGE else 0.0)]])
+    if depth > 0.5 * EDGE:
+        with pytest.raises(ProtochainError, match="more than half of its edge"):
+            scene.advance(start, 3000, scene.longest_step)
+    else:
+        heap, _ = scene.advance(start, 3000, scene.longest_step)
+        # Positions are rounded, and so are depths.
+        assert 0.5 * EDGE - heap.position[0, 2] == pytest.approx(depth, rel=1e-6, abs=1e-17)
+
+
+@pytest.mark.parametrize(("friction", "slides"), [(0.0, True), (10.0, False)])
+def test_no_friction_and_much(friction, slides):
+    scene = pile(law=Law(STIFFNESS, friction), gravity=tilted(0.5), **GROUND)
+    heap, _ = scene.advance(scene.start([[0, 0, 0.5 * EDGE]]), 4000, scene.longest_step)
+    fallen = 0.5 * GRAVITY * np.sin(0.5) * heap.time**2 if slides else 0.0
+    assert heap.position[0, 0] == pytest.approx(fallen, rel=1e-3, abs=1e-5)
+
+
+def test_what_cannot_be_is_refused_in_one_line():
+    for wrong in ({"stiffness": 0.0}, {"friction": -0.1}, {"damping": np.nan}):
+        with pytest.raises(MechanicsError, match=next(iter(wrong))):
+            Law(**{"stiffness": 1e5, "friction": 0.5} | wrong)
+    with pytest.raises(MechanicsError, match="cube 1: its mass 0"):
+        Pile([EDGE, EDGE], [MASS, 0.0], Law(1e5, 0.5), np.zeros(3))
+    with pytest.raises(MechanicsError, match="plane 0: its normal"):
+        pile(normal=np.array([[0, 0, 2.0]]), offset=np.zeros(1))
+    with pytest.raises(MechanicsError, match="deep in cube 1"):
+        pile(2).start([[0, 0, 0], [0.003, 0, 0]])
+    with pytest.raises(MechanicsError, match="give their motion"):
+        pile(plates=floor()).start([[0, 0, 1]])
+    scene = pile()
+    with pytest.raises(StepTooLargeError, match="time step 1 must be"):
+        scene.advance(scene.start([[0, 0, 1]]), 1, 1.0)
+    with pytest.raises(StepTooLargeError, match="cube 0 moves by more than half"):
+        scene.advance(scene.start([[0, 0, 1]], velocity=[[1e6, 0, 0]]), 1, scene.longest_step)
