@@ -65,7 +65,7 @@ def against_modes(cells: int, charges: tuple[float, ...] = (1e-2, 1e-3, 1e-4)) -
     for error, unit in zip(errors[-1], UNITS, strict=True):
         name = f"muzzle by a ten-thousandth of the charge, {said}: {unit.split(',')[0]}, relative error"
         yield check(name, error, 0.0, 2e-3, MODES, "absolute")
-    order = exponent(charges[-2:], np.array(errors)[-2:, 2])
+    order = exponent(charges, np.array(errors)[:, 2])
     yield check(f"order of that error in the charge, {said}", order, 1.0, 0.1, "small motions", "absolute")
 
 
@@ -94,7 +94,7 @@ def energies(quick: bool) -> Iterator[Check]:
     for cells in (0,) if quick else (0, 4):
         still = built(Gun(deck=1e7, damped=0.0, charge=0.0, cells=cells, axle=1e6))
         q = still.start.q.copy()
-        q[: 4] += 0.01, 0.01, 0.02, -0.3
+        q[:4] += 0.01, 0.01, 0.02, -0.3
         start = still.model.system.at(q, np.zeros(still.model.tree.n_v))
         run = still.model.simulate(0.1 if quick else 0.3, 0.01, DormandPrince(1e-11), start=start)
         said = f"{cells} cells" if cells else "rigid barrel"
@@ -118,7 +118,7 @@ def by_cells(numbers: tuple[int, ...]) -> tuple[pd.DataFrame, list[Check]]:
         a, b, c = table[what].tail(3)
         name = "order of the error in cells, {}, {} and {}: {}".format(*numbers[-3:], what)
         order = float(np.log2((b - a) / (c - b)))
-        found.append(check(name, order, 2.0, 0.1, "1/n^2", "absolute"))
+        found.append(check(name, order, 2.0, 0.15, "1/n^2", "absolute"))
     return table, found
 
 
@@ -127,7 +127,7 @@ def work(quick: bool) -> pd.DataFrame:
     until, rows = 0.05, []
     guns = [("", Gun(cells=4 if quick else 8))]
     if not quick:
-        guns.append((", tube 1000 times as stiff", Gun(cells=4, bending=1e3)))
+        guns.append((", tube 300 times as stiff", Gun(cells=4, bending=300.0)))
     for said, gun in guns:
         found = built(gun)
         exact = Planar(gun).moved(np.array([until]))[0]

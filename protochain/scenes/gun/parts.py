@@ -84,7 +84,7 @@ class Gun:
     @property
     def floats(self) -> bool:
         """Whether the deck moves."""
-        return bool(np.isfinite(self.deck))
+        return self.deck != np.inf
 
     @property
     def equilibrator(self) -> float:
@@ -238,7 +238,7 @@ def _barrel(mechanism: Mechanism, gun: Gun, slide: dict[str, Any]) -> tuple[str,
     """Add tube and breech, which recoil on a slide; return the muzzle."""
     if gun.cells:
         beam = Beam(TUBE.length, TUBE.mass, gun.bending * TUBE.stiffness("y"))
-        time = gun.damped * TUBE_TIME / gun.bending
+        time = gun.damped * TUBE_TIME / gun.bending if gun.bending else 0.0
         segments = add_beam(
             mechanism, "tube", beam, gun.cells, "cradle", slide, bends="y", damping=time
         )  # fmt: skip
@@ -255,21 +255,24 @@ def _barrel(mechanism: Mechanism, gun: Gun, slide: dict[str, Any]) -> tuple[str,
 
 
 def _standing(model: Model, most: int = 60) -> Phase:
-    """Phase at rest where nothing pulls, by Newton's method with differences."""
+    """Phase at rest where nothing pulls, and does not push it further: by Newton's method, by differences."""
     system, n = model.system, model.tree.n_v
     q, still, nudge = model.q.copy(), np.zeros(n), 1e-6
-    least = _EQUAL * GRAVITY * MOMENT
+    least, there = _EQUAL * GRAVITY * CRADLE, False
     for _ in range(most):
         torque = system.at(q, still).torque
-        if np.max(np.abs(torque)) < least:
-            return system.at(q, still)
         slope = np.column_stack([
-            (system.at(q + d, still).torque - system.at(q - d, still).torque) / (2.0 * nudge)
+            (system.at(q - d, still).torque - system.at(q + d, still).torque) / (2.0 * nudge)
             for d in nudge * np.eye(n)
         ])  # fmt: skip
-        # A fall on the way down must not be taken for a place to stand: stiffness is positive there.
-        step = np.linalg.lstsq(slope, -torque, rcond=1e-14)[0]
-        q = q + step * min(1.0, 0.3 / float(np.max(np.abs(step))))
-    raise MechanicsError(
-        "the gun stands nowhere: nothing holds its weight; give the axle a stiffness, or an equilibrator"
-    )
+        if there:
+            # Scaled, since a deck may be 1e12 times as stiff as a slide.
+            size = np.sqrt(np.abs(np.diag(slope)))
+            if np.min(np.linalg.eigvalsh(0.5 * (slope + slope.T) / np.outer(size, size))) > 1e-9:
+                return system.at(q, still)
+            break
+        # Once more from where it is good enough, to the end of the digits.
+        there = bool(np.max(np.abs(torque)) < least)
+        step = np.linalg.lstsq(slope, torque, rcond=1e-14)[0]
+        q = q + step * min(1.0, 0.3 / max(0.3, float(np.max(np.abs(step)))))
+    raise MechanicsError("the gun falls: give the axle a stiffness that holds its barrel up")
