@@ -1,8 +1,8 @@
-"""A gun on a deck: how far its muzzle moves, by the stiffness of deck and axle, and whether a soft axle helps.
+"""A gun on a deck: how far its muzzle moves, by stiffness of deck and axle, and if a soft axle helps.
 
-After Wang, Xiao, Ouyang (ASME DETC 1999), whose data were not found. A deck heaves and rolls on springs; on it
-a mount holds a cradle on an axle with a spring and an equilibrator; in the cradle the barrel recoils against
-recuperator and brake, rigid or of finite segments.
+After Wang, Xiao, Ouyang (ASME DETC 1999), whose data were not found. A deck heaves and rolls on springs; on
+it a mount holds a cradle on an axle with a spring and an equilibrator; in the cradle the barrel recoils
+against recuperator and brake, rigid or of finite segments.
 """
 
 from protochain.scenes.gun import checks, study

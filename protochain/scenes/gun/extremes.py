@@ -26,18 +26,19 @@ def _end(gun: Gun, integrator: Integrator = EXPLICIT, step: float = 5e-3, until:
     return built(gun).end(integrator, step, until)
 
 
-def _beside(gun: Gun, other: Gun, bound: float, source: str, **how: float | Integrator) -> Check:
+def _beside(
+    gun: Gun, other: Gun, bound: float, source: str, integrator: Integrator = EXPLICIT, step: float = 5e-3
+) -> Check:
     """Muzzle of a gun beside that of another, by the same integrator."""
-    off = np.linalg.norm((_end(gun, **how) - _end(other, **how))[:2])  # type: ignore[arg-type]
+    off = np.linalg.norm((_end(gun, integrator, step) - _end(other, integrator, step))[:2])
     return check("muzzle, m", float(off), 0.0, bound, source, "absolute")
 
 
 def _bent() -> Check:
     """Tube so soft that it hangs: by other equations."""
     gun, until = Gun(cells=8, bending=1e-3), 0.02
-    off = np.linalg.norm(
-        _end(gun, DormandPrince(1e-10), until=until) - Planar(gun).moved(np.array([until]))[0]
-    )
+    found = _end(gun, DormandPrince(1e-10), until=until)
+    off = np.linalg.norm(found - np.array(Planar(gun).moved(np.array([until]))[0]))
     return check("muzzle, m", float(off), 0.0, 1e-8, "equations in absolute angles, DOP853", "absolute")
 
 
@@ -68,9 +69,9 @@ def limits(quick: bool) -> Iterator[Extreme]:
     fixed = Gun(deck=np.inf)
     # Quasi-static: some 2e5 N over k_d, and what the trunnion's height makes of it.
     yield extreme("deck 1e12 N/m", partial(_beside, Gun(deck=1e12), fixed, 1e-6, "no deck, 1/k_d"))
-    hard = {"integrator": IMPLICIT, "step": 1e-3}
+    hard = IMPLICIT, 1e-3
     yield extreme(
-        "deck 1e16 N/m, 1 ms steps", partial(_beside, Gun(deck=1e16), fixed, 1e-8, "no deck", **hard)
+        "deck 1e16 N/m, 1 ms steps", partial(_beside, Gun(deck=1e16), fixed, 1e-8, "no deck", *hard)
     )
     yield extreme("no dampers, no brake", _undamped)
     yield extreme("no charge", _unfired)
@@ -78,7 +79,7 @@ def limits(quick: bool) -> Iterator[Extreme]:
     for factor in (1e6,) if quick else (1e3, 1e6):
         # What bends for the steel itself is some millimetres.
         case = partial(
-            _beside, Gun(cells=8, bending=factor), Gun(), 0.01 / factor + 1e-8, "rigid barrel", **hard
+            _beside, Gun(cells=8, bending=factor), Gun(), 0.01 / factor + 1e-8, "rigid barrel", *hard
         )
         yield extreme(f"tube {factor:g} times as stiff, 1 ms steps", case)
     yield extreme("tube 1e6 times as stiff, explicit steps", _too_long, "time step .* is too long")

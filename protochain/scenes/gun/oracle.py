@@ -1,4 +1,4 @@
-"""The gun a second time: its equations in absolute angles of the plane, and their small motions in closed form.
+"""The gun a second time: equations in absolute angles of the plane, and small motions in closed form.
 
 Points are complex, x + i z. The coordinates are heave and roll of the deck, angle of the cradle, slide of the
 barrel, angles of the tube's rods, all from the horizontal; nothing of the mechanics of trees is used.

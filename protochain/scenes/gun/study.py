@@ -1,7 +1,7 @@
 """How far the muzzle moves, over the stiffness of deck and axle: the claim that soft axles keep it still.
 
-Wang, Xiao, Ouyang (ASME DETC 1999) report that a soft axle with an equilibrator brings the motion of the muzzle
-down to ten per cent. Their data were not found: here the claim is tried on the gun chosen.
+Wang, Xiao, Ouyang (ASME DETC 1999) report that a soft axle with an equilibrator brings the motion of the
+muzzle down to ten per cent. Their data were not found: here the claim is tried on the gun chosen.
 """
 
 from collections.abc import Iterator
@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from protochain.arrays import Floats
 from protochain.scenes.gun.parts import ELEVATION, Built, Gun, built
 
 DECKS = (1e6, 1e7, 1e8, 1e9, 1e10)
@@ -60,13 +59,15 @@ def isolation(decks: tuple[float, ...] = DECKS, axles: tuple[float, ...] = AXLES
 
 
 def claimed(table: pd.DataFrame) -> pd.DataFrame:
-    """Least share that any axle reaches on each deck, and whether it is the ten per cent that were claimed."""
+    """Least share that any axle reaches on each deck, and whether it is the ten per cent claimed."""
     rows = []
     for (case, deck), own in table.groupby(["case", "deck"], sort=False):
         for what in ("share_early", "share"):
-            best = own.loc[own[what].idxmin()]
+            shares = own[what].to_numpy()
+            least = float(np.min(shares))
+            best = float(own["axle"].to_numpy()[np.argmin(shares)])
             when = "until the projectile has left" if what == "share_early" else "until the next shot"
-            rows.append((case, deck, when, best["axle"], best[what], bool(best[what] <= CLAIM)))
+            rows.append((case, deck, when, best, least, least <= CLAIM))
     return pd.DataFrame(rows, columns=["case", "deck", "when", "best_axle", "least_share", "ten_per_cent"])
 
 
@@ -94,13 +95,13 @@ def _bursts(cells: int, shots: int) -> Iterator[pd.DataFrame]:
     ):
         found = built(gun)
         run = found.run(until, 1e-6, 2.5e-3)
-        at, moved = found.model.bodies.freedom, found.aside(run)
-
-        def of(hinge: str, q: Floats = run.q, at=at) -> Floats:  # type: ignore[no-untyped-def]
-            return q[:, at(hinge)[0]] - q[0, at(hinge)[0]]
-
+        moved = found.aside(run)
+        heave, roll, recoil = (
+            run.q[:, found.model.bodies.freedom(hinge)[0]] for hinge in ("heave", "roll", "tube")
+        )
         yield pd.DataFrame({
-            "gun": said, "time": run.time, "heave_mm": 1e3 * of("heave"), "roll_mrad": 1e3 * of("roll"),
-            "recoil_m": -of("tube"), "muzzle_mm": 1e3 * moved[:, 0], "muzzle_mrad": 1e3 * moved[:, 1],
+            "gun": said, "time": run.time, "heave_mm": 1e3 * (heave - heave[0]),
+            "roll_mrad": 1e3 * (roll - roll[0]),
+            "recoil_m": recoil[0] - recoil, "muzzle_mm": 1e3 * moved[:, 0], "muzzle_mrad": 1e3 * moved[:, 1],
             "kinetic_J": run.kinetic, "dissipation_J": run.dissipation,
         })  # fmt: skip
