@@ -54,6 +54,13 @@ truncation ~ step^2 and cancellation ~ eps |E| / step, each about 1e-6 of the to
 RIGID_MOTION = 1e-6
 """Relative. Turned and moved coordinates are rounded anew; energies of the Reference platform follow."""
 
+AUDITED = 1e-8
+"""Of the energy in motion. What is asked of smooth mechanisms, whose steps are short enough for it."""
+
+ELEMENT_DIFFERENCE = 1e-7
+"""Of the norm of the torques of elements of mechanisms. Central differences with a step of 1e-6: truncation
+1e-12, and cancellation eps / step = 2e-10 of energies up to a hundred times their gradients."""
+
 SAME_KERNEL = 1e-8
 """Relative, GBSAOBCForce against the CustomGBForce it replaces. Charges are scaled for the Coulomb
 constant; the surface-area constants (2.25936 x 4 pi against 28.3919551) agree to 1e-8 of a term that is

@@ -98,6 +98,9 @@ def test_imports_point_one_way(path):
             continue
         other = name.split(".")[1]
         assert other == own or layer(other) <= layer(own), f"{own} imports {other}"
+        if own == "scenes":
+            below = {"analysis", "mechanisms", "motion", "multibody"}
+            assert other in {own, *below} or layer(other) == 0, "scenes know nothing of proteins"
         if own == "multibody":
             assert other == own or layer(other) == 0, "multibody knows nothing of proteins or energies"
         if own == "motion":

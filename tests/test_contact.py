@@ -141,6 +141,20 @@ def test_a_block_that_stays_does_not_creep():
     assert np.abs(run.q[-1] - run.q[-3]).max() < 1e-9
 
 
+def test_a_block_that_slides_to_rest_is_not_pulled_back():
+    """Its anchors are dragged along, so that their springs are as long as friction allows, no longer."""
+    m = Mechanism((0.0, 0.0, -G))
+    law, speed = Law(1e5, 1.0, 10.0), 1.0
+    depth = 2.0 * G / 4.0 / law.stiffness
+    m.body("block", 2.0, inertia=0.01, position=(0, 0, 0.05 - depth), velocity=(speed, 0, 0))
+    corners = [Ball("block", 0.0, (x, y, -0.05)) for x in (-0.1, 0.1) for y in (-0.1, 0.1)]
+    m.contact("floor", corners, Plane(), law, Friction(0.5, 1e5, 400.0))
+    run = m.build().simulate(0.4, 4e-4, every=50)
+    assert run.q[-1, 4] == pytest.approx(speed**2 / (2.0 * 0.5 * G), rel=2e-3)
+    assert abs(run.qd[-1, 3]) < 1e-6
+    assert run.dissipation[-1] == pytest.approx(0.5 * 2.0 * speed**2, rel=1e-3)
+
+
 def rolling(other, law=None, friction=None, radius=0.1, start=(0.0, 0.0)):
     angle = np.radians(20.0)
     m = Mechanism((G * np.sin(angle), 0.0, -G * np.cos(angle)))
@@ -224,6 +238,17 @@ def test_a_ball_touches_an_edge_once_and_a_corner_of_a_room_three_times():
     m.body("ball", 1.0, inertia=0.01, position=(0.09, 0.08, 0.07))
     m.contact("room", [Ball("ball", 0.1)], Surface("world", vertices, faces), Law(1e3, 1.0))
     assert np.allclose(m.build().start().torque, [0, 0, 0, 10.0, 20.0, 30.0], atol=1e-9)
+
+
+def test_a_rib_on_the_other_side_of_a_plate_is_not_felt():
+    """Its foot is in the plate, where a ball from below has its nearest point of both."""
+    plate = [(-1, -1, 0), (2, -1, 0), (0, 3, 0)]
+    for faces in ([(0, 1, 2)], [(0, 1, 2), (3, 4, 5)], [(3, 4, 5), (0, 1, 2)]):
+        m = Mechanism()
+        m.body("ball", 1.0, inertia=0.01, position=(0.3, 0.0, -0.08))
+        vertices = [*plate, (0, 0, 0), (1, 0, 0), (0.5, 0, 1)]
+        m.contact("plate", [Ball("ball", 0.1)], Surface("world", vertices, faces), Law(1e3, 1.0))
+        assert np.allclose(m.build().start().torque[3:], [0.0, 0.0, -20.0], atol=1e-9)
 
 
 def cluttered(law, friction=None):

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from conftest import ROUND_OFF
+from conftest import AUDITED, ELEMENT_DIFFERENCE, ROUND_OFF
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from test_docs import GUIDE, blocks
 
 from protochain import multibody
 from protochain.errors import MechanicsError
-from protochain.mechanisms import Acting, Mechanism
+from protochain.mechanisms import Acting, Mechanism, State
 from protochain.mechanisms.elements import Sum
 from protochain.motion import (
     Applied,
@@ -19,11 +19,7 @@ from protochain.motion import (
 
 G = 9.81
 DOWN = (0.0, 0.0, -G)
-AUDITED = 1e-8
-"""Of the energy in motion. What the project asks of smooth scenes; the steps here are short enough."""
-DIFFERENCE = 1e-7
-"""Relative. Central differences with a step of 1e-6: truncation 1e-12, cancellation eps / step = 2e-10, of
-energies up to a hundred times their gradients."""
+ORIGIN = (0.0, 0.0, 0.0)
 
 
 def pendulum(q=0.3, qd=0.0, **more):
@@ -99,6 +95,13 @@ def test_a_body_moves_along_its_axis_in_its_own_axes(axis, kind):
     assert model.start().kinetic == pytest.approx(0.5 * 2.0 * u @ u + 0.5 * spin @ inertia @ spin)
 
 
+def test_along_z_the_trees_frames_are_the_bodies_own():
+    m = Mechanism()
+    m.body("b", 1.0, inertia=1.0)
+    m.hinge("h", "world", "b", axis=(0, 0, 2))
+    assert np.array_equal(m.build().bodies.turn[0], np.eye(3))
+
+
 def test_a_free_body_starts_where_and_as_it_is_told():
     turn = Rotation.from_rotvec([2.0, -1.0, 2.0]).as_matrix()
     m = Mechanism()
@@ -119,6 +122,14 @@ def test_any_rotation_is_kept(angle, axis):
     m = Mechanism()
     m.body("b", 1.0, inertia=1.0, rotation=turn)
     assert np.allclose(m.build().state().rotation("b"), turn, atol=1e-15)
+
+
+def test_a_state_knows_the_factors_of_its_phase_or_makes_them():
+    model = crowd(1).build()
+    at = model.start()
+    assert model.state(at).factors is at.factors
+    alone = State(model.bodies, 0.0, at.q, at.qd, at.factors.frames)
+    assert np.array_equal(alone.factors.pivot, at.factors.pivot)
 
 
 def test_bodies_may_be_named_before_they_are_there_and_in_any_order():
@@ -196,7 +207,7 @@ def test_forces_are_minus_the_gradient_of_the_energy(seed, free):
     for part in model.conservative:
         torques = Sum(model.tree, [part])(q, model.system.factors(q))[1]
         alone = gradient(_with_only(model, part), q)
-        assert np.allclose(torques, alone, atol=DIFFERENCE * np.linalg.norm(alone))
+        assert np.allclose(torques, alone, atol=ELEMENT_DIFFERENCE * np.linalg.norm(alone))
     torques = model.system.potential(q, model.system.factors(q))[1]
     assert np.linalg.norm(torques) > 1.0
 
@@ -205,6 +216,25 @@ def _with_only(model, part):
     from dataclasses import replace
 
     return replace(model, conservative=(part,))
+
+
+def test_energies_are_those_of_their_definitions():
+    """Of two springs, two torsions, a bushing and weight at once: the sum, to rounding."""
+    m = Mechanism(gravity=(0.0, -2.0, -9.0))
+    m.body("rod", 2.0, (0, 0, -0.5), 0.1)
+    m.hinge("pin", "world", "rod", at=(0, 0, 3.0), axis=(0, 1, 0), q=np.pi / 2)  # along the world's -x
+    m.body("ball", 3.0, inertia=1.0, position=(1.0, 2.0, 3.0))
+    m.spring("long", ("rod", (0, 0, -1.0)), ("ball", ORIGIN), stiffness=5.0, rest=0.5)
+    m.spring("slack", ("world", ORIGIN), ("ball", ORIGIN), stiffness=7.0, rest=4.0)
+    m.torsion("t1", "pin", stiffness=3.0, rest=0.5)
+    m.torsion("t2", "pin", stiffness=2.0)
+    m.bushing("u", ("ball", ORIGIN), ("world", (0, 2.0, 1.0)), stiffness=(1, 1, 1, 10, 20, 30))
+    weight = 2.0 * 9.0 * 3.0 + 3.0 * (2.0 * 2.0 + 9.0 * 3.0)
+    springs = 2.5 * (np.sqrt(8.0) - 0.5) ** 2 + 3.5 * (np.sqrt(14.0) - 4.0) ** 2
+    torsions = 1.5 * (np.pi / 2 - 0.5) ** 2 + 1.0 * (np.pi / 2) ** 2
+    bushing = 5.0 * 1.0 + 15.0 * 4.0
+    start = m.build().start()
+    assert start.potential == pytest.approx(weight + springs + torsions + bushing, rel=ROUND_OFF)
 
 
 @pytest.mark.parametrize("angle", [1e-9, 1e-3, 0.099, 0.101, 1.0, 2.0, 3.0, 3.09])
@@ -232,7 +262,7 @@ def test_a_bushing_is_conservative_for_large_rotations(angle):
     wanted = 0.5 * (k[:3] @ (angle * axis) ** 2 + k[3:] @ d**2)
     assert state.potential == pytest.approx(wanted, rel=1e-12, abs=1e-15)
     # A nudge keeps the rotation below half a turn.
-    assert np.allclose(state.torque, gradient(model, q), atol=DIFFERENCE * 20.0)
+    assert np.allclose(state.torque, gradient(model, q), atol=ELEMENT_DIFFERENCE * 20.0)
 
 
 def test_a_bushing_at_half_a_turn_is_refused_by_name():
@@ -332,7 +362,7 @@ def test_a_slide_with_spring_and_damper_is_the_oscillator_of_the_textbook():
 
 def test_the_guides_example_runs_and_its_energy_adds_up(capsys):
     names = {}
-    (example,) = [block for block in blocks(GUIDE, "python") if "Mechanism(" in block]
+    (example,) = [block for block in blocks(GUIDE, "python") if 'hinge("elbow"' in block]
     exec(compile(example, str(GUIDE), "exec"), names)
     printed = capsys.readouterr().out
     assert "work motor" in printed
@@ -480,6 +510,24 @@ def test_loads_do_work_each_by_itself():
     assert table["work drag"].iloc[-1] < 0.0
     assert table["dissipation"].iloc[-1] == 0.0
     assert run.audit().energy < AUDITED
+
+
+@pytest.mark.parametrize(
+    ("value", "turned"),
+    [(3.0, 0.75), (lambda t: 6.0 * t, 0.5), (lambda t, s: 8.0 * np.cos(s.t) - 2.0 * s.rate("pin"), None)],
+)
+def test_a_torque_turns_its_hinge(value, turned):
+    """I qdd = tau with I = 2: constant, of the time, of time and state; its work is the energy."""
+    m = Mechanism()
+    m.body("wheel", 1.0, inertia=(1, 1, 2.0))
+    m.hinge("pin", "world", "wheel")
+    m.torque("motor", "pin", value)
+    run = m.build().simulate(1.0, 1e-2)
+    if turned is None:
+        # qd' = 4 cos t - qd from rest: qd = 2 (cos t + sin t - e^-t).
+        turned = 2.0 * (np.sin(1.0) - np.cos(1.0) + np.exp(-1.0))
+    assert run.q[-1, 0] == pytest.approx(turned, rel=1e-8)
+    assert run.table["work motor"].iloc[-1] == pytest.approx(run.kinetic[-1], rel=1e-6)
 
 
 def test_a_force_off_the_centre_acts_at_its_point_along_world_axes():

@@ -5,7 +5,8 @@ import sys
 
 import numpy as np
 import pytest
-from test_mechanisms import AUDITED, DOWN, G, pendulum
+from conftest import AUDITED
+from test_mechanisms import DOWN, G, pendulum
 
 from protochain.errors import MechanicsError
 from protochain.mechanisms import Mechanism
@@ -157,6 +158,18 @@ def test_drives_of_any_size_and_with_steps_of_acceleration_are_motions():
     m.build().simulate(1.0, 0.1, balance=np.inf)
 
 
+def test_a_drive_whose_first_angles_are_rounding_is_a_motion():
+    """The spin-up of Kane, Ryan, Banerjee (1987): from rest, terms of order one cancel to 1e-12 rad."""
+    share, w = 0.4, 2.0 * np.pi / 15.0
+    m = pendulum(q=0.0)
+    m.drive("pin", lambda t: (
+        share * (0.5 * t * t + (np.cos(w * t) - 1.0) / w**2), share * (t - np.sin(w * t) / w),
+        share * (1.0 - np.cos(w * t)),
+    ))  # fmt: skip
+    for step in (1e-1, 4e-3, 1e-4):
+        m.build().simulate(3.0 * step, step, balance=np.inf)
+
+
 def test_a_hinged_body_starts_by_its_hinge():
     m = Mechanism()
     m.body("b", 1.0, inertia=1.0, position=(0, 0, 1))
@@ -252,6 +265,23 @@ def test_a_damper_of_any_stiffness_is_right_by_rosenbrock(damping):
             m.build().simulate(0.1, 1e-3)
 
 
+def test_substeps_without_end_are_refused(monkeypatch):
+    """A stiff damper keeps explicit substeps short, however little moves; the true number takes seconds."""
+    monkeypatch.setattr("protochain.motion.substeps._MOST", 1000)
+    model = oscillator(0.0, 1.0, damping=1e8, qd=1.0)
+    with pytest.raises(StepTooLargeError, match=r"1000 substeps make only 0\.000\d of .*Rosenbrock\(\)"):
+        model.simulate(0.1, 0.1, DormandPrince())
+    assert model.simulate(0.1, 0.1, Rosenbrock()).qd[-1, 0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_reason_why_no_substep_is_taken_is_said():
+    m = Mechanism()
+    m.body("wheel", 1.0, inertia=1.0, spin=(0, 0, 10.0))
+    m.bushing("soft", ("wheel", ORIGIN), ("world", ORIGIN), stiffness=1.0)
+    with pytest.raises(StepTooLargeError, match=r'accurate .bushing "soft": it is turned by half a turn'):
+        m.build().simulate(1.0, 0.01, DormandPrince())
+
+
 def test_balance_says_what_is_no_error():
     model = oscillator(1e8, 1.0)
     with pytest.raises(StepTooLargeError):
@@ -302,6 +332,17 @@ def test_events_happen_and_their_energy_is_counted():
     assert np.any(np.isclose(run.time, first, atol=1e-12))
 
 
+@pytest.mark.parametrize("passes", [True, False])
+def test_momentum_is_audited_past_marks_but_not_after_strikes(passes):
+    m = Mechanism()
+    m.body("ball", 1.0, inertia=1.0, velocity=(-1.0, 0, 0), position=(0.25, 0, 0))
+    m.on("wall", lambda s: s.point("ball")[0], lambda s: None if passes else -s.qd, passes=passes)
+    run = m.build().simulate(0.5, 0.1)
+    assert [event.name for event in run.events] == ["wall"]
+    assert (run.audit().momentum is not None) == passes
+    assert run.momenta[-1, 0, 0] == pytest.approx(-1.0 if passes else 1.0)
+
+
 def test_a_jump_that_is_none_or_no_velocities():
     m = pendulum(q=0.5)
     m.on("down", lambda s: s.angle("pin"), lambda s: (1.0, 2.0))
@@ -330,6 +371,19 @@ def test_every_keeps_the_end():
     run = pendulum().build().simulate(1.0, 0.01, every=30)
     assert np.allclose(run.time, [0.0, 0.3, 0.6, 0.9, 1.0])
     assert np.array_equal(run.q[-1], pendulum().build().simulate(1.0, 0.01).q[-1])
+
+
+def test_every_with_events_keeps_their_rows_too():
+    m = pendulum(q=0.0, qd=1.0)
+    m.on("mark", lambda s: 0.15 - s.angle("pin"), lambda s: None, passes=True)
+    run = m.build().simulate(0.5, 1 / 32, every=6)
+    assert len(run.events) == 1
+    happened = run.events[0].time
+    assert 4 / 32 < happened < 6 / 32
+    assert np.allclose(run.time[:2], [0.0, happened])
+    # The step with the event is cut in two, so that steps no longer end at multiples of their length.
+    assert np.allclose(np.diff(run.time[2:-1]), 6 / 32)
+    assert run.time[-1] == pytest.approx(0.5, abs=1e-12)
 
 
 # --- What costs nothing unused

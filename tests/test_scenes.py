@@ -141,7 +141,8 @@ def test_the_command_writes_what_a_scene_finds(scenes, tmp_path, capsys, monkeyp
         assert (folder / "work.png").stat().st_size > 5000
         record = json.loads((folder / "made.json").read_text())
         assert set(record) == {"machine", "threads", "versions", "commit"} and "numba" in record["versions"]
-    out = capsys.readouterr().out
+    out, said = capsys.readouterr()
+    assert said == "scene some: may take two minutes; --quick takes some seconds\n"
     assert out.startswith("some: a scene\n") and "half of it" in out and "1 extremes: 1 refused" in out
     assert "written: tables and work.png in scene-some" in out
     assert command("scene", "some", "--json", "-o", tmp_path / "there") == 0
@@ -161,7 +162,7 @@ def test_the_command_writes_what_a_scene_finds(scenes, tmp_path, capsys, monkeyp
 )
 def test_what_is_wrong_fails_the_command(parts, scenes, tmp_path, capsys):
     scenes(some=lambda quick: some(*parts))
-    assert command("scene", "some", "--json", "-o", tmp_path) == 1
+    assert command("scene", "some", "--quick", "--json", "-o", tmp_path) == 1
     captured = capsys.readouterr()
     assert json.loads(captured.out)["wrong"] == ["odd one"]
     assert captured.err == f"protochain: scene some: wrong: odd one; the tables in {tmp_path} say how\n"
@@ -211,8 +212,10 @@ def test_commands_for_proteins_load_no_scene(tmp_path):
     assert not {name for name in loaded if name.split(".")[1] in ("scenes", "mechanisms")}
 
 
-def test_scenes_load_nothing_of_proteins_before_one_is_run():
-    code = "import sys, protochain.scenes; print(*sys.modules)"
+def test_scenes_load_nothing_of_proteins():
+    """But for serial, which takes its cases from a study."""
+    names = ["", *(f".{name}" for name in SCENES if name != "serial")]
+    code = f"import sys, {', '.join(f'protochain.scenes{name}' for name in names)}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
     assert not loaded & {"openmm", "gemmi", "MDAnalysis", "protochain.structure", "protochain.chain"}
@@ -252,8 +255,8 @@ def test_a_beam_is_right():
 def test_a_manipulator_is_right():
     found = run("manipulator", quick=True)
     assert found.wrong == () and len(found.checks) == 8
-    assert [each.name for each in found.extremes if each.outcome == "refused"] == [
-        "steps three times too long for Kutta's method"
-    ]
-    assert {"cells", "rigid_ends", "motion"} == set(found.tables)
+    refused = [each.name for each in found.extremes if each.outcome == "refused"]
+    assert len(refused) == 2 and "explicit steps of 1.1 of" in refused[0]
+    assert refused[1] == "steps three times too long for Kutta's method"
+    assert {"cells", "rigid_ends", "motion", "dampers"} == set(found.tables)
     assert {name.partition(",")[0] for name in found.work["method"]} == {"Kutta", "midpoint", "Rosenbrock"}

@@ -1,5 +1,6 @@
 """``protochain scene``."""
 
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -40,6 +41,8 @@ def scene(
     check_name(name)
     folder = output or Path(f"scene-{name}")
     check_writable(folder / "checks.csv")
+    if not quick:
+        print(f"scene {name}: may take two minutes; --quick takes some seconds", file=sys.stderr)
     found = run(name, quick)
 
     from protochain.scenes.folder import summary, write

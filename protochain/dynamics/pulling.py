@@ -9,14 +9,18 @@ from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, pose
 from protochain.dynamics.settings import Pull
 from protochain.errors import ChainError
-from protochain.motion.system import Applied, Load, Phase
+from protochain.motion.system import Applied, Load, Phase, System
 from protochain.multibody import Frames, HingeKind, Tree
-from protochain.multibody.articulated import Articulated
+from protochain.multibody.articulated import Articulated, solve
 from protochain.structure.model import Structure
 from protochain.structure.select import atoms_at
 
 _LEAST = 1e-9
 """nm. Nearer than this the direction between the places is rounding; the force is then 0."""
+
+
+_KEPT = 1e-9
+"""Of how easily a distance changes without loops: less is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +103,15 @@ class MovingSpring:
         arm, across = self._across(frames)
         distance = float(np.linalg.norm(across))
         # A spring of no length at rest has a force at any distance: k times the vector itself.
-        pull = self.stiffness * (self.length(time) / max(distance, _LEAST) - 1.0) * across
+        return self._spread(arm, self.stiffness * (self.length(time) / max(distance, _LEAST) - 1.0) * across)
+
+    def gradient(self, frames: Frames) -> Floats:
+        """(n_v,) float: derivatives of the distance along q, the torques of a unit force."""
+        arm, across = self._across(frames)
+        return multibody.pull_back(self.tree, frames, self._spread(arm, across / np.linalg.norm(across)))
+
+    def _spread(self, arm: Floats, pull: Floats) -> Floats:
+        """Moments and forces (nb, 6) of a force (3,) on the second place, and its opposite on the first."""
         force = self.share[:, None] * pull
         out = np.zeros((self.tree.n_bodies, 6))
         np.add.at(out, self.body, np.concatenate([np.cross(arm, force), force], axis=1))
@@ -183,3 +195,22 @@ def moving_spring(pull: Pull, chain: Chain, q: Floats, start: Floats | None = No
     )
     at_start = made.tension(0.0, pose(chain, q).frames)[0] if start is None else float(start[0])
     return replace(made, start=at_start)
+
+
+def refuse_kept(pull: Pull, spring: MovingSpring, system: System, structure: Structure, q: Floats) -> None:
+    """Refuse places whose distance closed loops keep at q.
+
+    Raises
+    ------
+    ChainError
+        If a force between them moves neither with the loops, and would without.
+    """
+    if system.constraint is None:
+        return
+    factors = system.factors(q)
+    torque = spring.gradient(factors.frames)
+    free, kept = solve(factors, torque), system.constraint.project_velocities(factors, torque)
+    if torque @ kept < _KEPT * (torque @ free):
+        raise ChainError(
+            f"{structure.name}: pull {pull}: closed loops keep this distance; give others, or open loops"
+        )

@@ -25,7 +25,7 @@ from protochain.dynamics.hinge_springs import HingeSprings, dampers, hinge_sprin
 from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
 from protochain.dynamics.loop import run as propagate
 from protochain.dynamics.potential import chain_potential
-from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring
+from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring, refuse_kept
 from protochain.dynamics.settings import (
     INTEGRATORS,
     THERMOSTATS,
@@ -294,6 +294,8 @@ def _prepare(
         parts.append(pull.potential)
     loads = (pull.load(),) if pull is not None and pull.speed != 0.0 else ()
     system = System(made.tree, parts[0] if len(parts) == 1 else total(parts), closure, loads)
+    if settings.pull is not None and pull is not None:
+        refuse_kept(settings.pull, pull, system, made.structure, start)
     freedoms = made.n_v - (0 if closure is None else len(closure.length))
     removes = has_free_roots(made.tree) and THERMOSTATS[settings.thermostat].conserves_momentum
     freedoms -= 6 if removes else 0

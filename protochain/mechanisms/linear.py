@@ -25,23 +25,27 @@ def state_matrix(model: Model, at: Phase | None = None) -> Floats:
     Returns
     -------
     (2 k, 2 k) float
-        For displacements and velocities of the k freedoms that are not driven. A free root must be at rest.
+        For displacements and velocities along the k :attr:`Model.directions`: of all freedoms that are not
+        driven, or of modes. A free root must be at rest.
     """
     system, tree = model.system, model.tree
     at = model.start() if at is None else at
-    free = tree.undriven_v
+    directions = model.directions
+    back = np.linalg.pinv(directions)
 
     def acceleration(move: Floats, rate: Floats) -> Floats:
         q, qd = multibody.integrate(tree, at.q, move), at.qd + rate
         _, torque, loads = system.forces(at.time, q, qd, system.factors(q))
-        return system.accelerations(at.time, q, qd, torque, loads)[0][free]
+        qdd = system.accelerations(at.time, q, qd, torque, loads)[0]
+        qdd[tree.driven_v] = 0.0
+        return np.asarray(back @ qdd)
 
-    k, still = len(free), np.zeros(tree.n_v)
+    k, still = directions.shape[1], np.zeros(tree.n_v)
     out = np.zeros((2 * k, 2 * k))
     out[:k, k:] = np.eye(k)
-    for i, freedom in enumerate(free):
-        step = _NUDGE * tree.units[freedom]
-        one = step * np.eye(1, tree.n_v, freedom)[0]
+    for i, column in enumerate(directions.T):
+        step = _NUDGE / np.max(np.abs(column) / tree.units)
+        one = step * column
         out[k:, i] = (acceleration(one, still) - acceleration(-one, still)) / (2.0 * step)
         out[k:, k + i] = (acceleration(still, one) - acceleration(still, -one)) / (2.0 * step)
     return out
@@ -52,7 +56,9 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
 
     Parameters
     ----------
-    model, at
+    model : Model
+        Mechanism.
+    at : Phase, optional
         As of :func:`state_matrix`.
 
     Returns

@@ -66,6 +66,11 @@ class Model:
         """Rigid bodies."""
         return self.bodies.tree
 
+    @property
+    def directions(self) -> Floats:
+        """(n_v, k) float: directions in which it can move, as columns: of all hinges that are not driven."""
+        return np.eye(self.tree.n_v)[:, self.tree.undriven_v]
+
     @cached_property
     def system(self) -> System:
         """The mechanism as integrators see it."""

@@ -68,7 +68,7 @@ def impact(
     loops: Rows | None = None,
     order: Order = "together",
 ) -> Impact:
-    """Impulses and velocities of an impact with Coulomb friction.
+    """Find impulses and velocities of an impact with Coulomb friction.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def impact(
 
 
 def close_loops(factors: Articulated, qd: Floats, rows: Rows) -> Floats:
-    """Velocities after a plastic impulse that closes loops: G qd = 0.
+    """Close loops by a plastic impulse: G qd = 0.
 
     Parameters
     ----------

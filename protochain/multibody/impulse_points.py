@@ -150,16 +150,16 @@ def twists_of(factors: Articulated, rows: Rows, qd: Floats) -> Floats:
 def _axes(x: float, y: float, z: float) -> list[list[float]]:
     """Normal and two directions across it, (3, 3); a plane of two world axes has one of them within."""
     a, b, c = abs(x), abs(y), abs(z)
-    # Across the world's axis that is most across the normal.
+    # What of the world's axis that is most across the normal is across it altogether.
     if a <= b and a <= c:
         h = np.hypot(y, z)
-        first = [0.0, z / h, -y / h]
+        first = [h, -x * y / h, -x * z / h]
     elif b <= c:
         h = np.hypot(x, z)
-        first = [-z / h, 0.0, x / h]
+        first = [-x * y / h, h, -y * z / h]
     else:
         h = np.hypot(x, y)
-        first = [y / h, -x / h, 0.0]
+        first = [-x * z / h, -y * z / h, h]
     p, q, r = first
     return [[x, y, z], first, [y * r - z * q, z * p - x * r, x * q - y * p]]
 

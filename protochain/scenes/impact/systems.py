@@ -132,7 +132,7 @@ def brick(corner: ArrayLike = (-0.1, -0.06, -0.04)) -> tuple[Model, Blow]:
     m = Mechanism()
     sides = np.array([0.2, 0.12, 0.08])
     inertia = (np.sum(sides**2) - sides**2) / 12.0
-    m.body("brick", mass=1.0, inertia=inertia, velocity=(0.4, -0.3, -1.0), spin=(2.0, -5.0, 4.0))
+    m.body("brick", mass=1.0, inertia=inertia, velocity=(-0.3, 0.6, -1.0), spin=(2.0, -5.0, 4.0))
     return m.build(), Blow("world", "brick", corner, UP, 0.3, 0.6)
 
 

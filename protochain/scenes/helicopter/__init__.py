@@ -1,0 +1,129 @@
+"""A helicopter that lands: ground resonance, touchdown, run-up, gusts, and its limits of sink and drift.
+
+After Stanislawski, Trans. Aerosp. Res. 2019(2):59, whose data were not found: those of ``parts`` are chosen.
+Fuselage and transmission are free bodies, joined by mounts; the shaft turns as prescribed; blades of segments
+bend in two modes of flap, and one of lag and torsion each; legs push only, with friction. Rigid blades have
+a closed form. Ground resonance is that of Hammond, J. Am. Helicopter Soc. 19(4):14 (1974).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from protochain.arrays import Floats
+from protochain.motion import Integrator, Rosenbrock, RungeKutta4
+from protochain.scenes.beam.parts import at_rest
+from protochain.scenes.helicopter import checks, landing
+from protochain.scenes.helicopter.extremes import limits, without
+from protochain.scenes.helicopter.parts import BLADE, LEGS, Given
+from protochain.scenes.scene import Check, Scene, Work, timed, work_table
+
+FULL = Given(cells=6)
+TILT = 8.0
+"""Degrees. Largest tilt that is allowed in a landing."""
+
+
+def run(quick: bool = False) -> Scene:
+    """Run the scene.
+
+    Parameters
+    ----------
+    quick : bool
+        Few cells, cases and rates: some seconds.
+
+    Returns
+    -------
+    Scene
+    """
+    rates = (258.0,) if quick else tuple(np.arange(100.0, 401.0, 25.0))
+    resonance, found = checks.ground_resonance(rates)
+    sinks = landing.SINKS[-1:] if quick else landing.SINKS
+    found += [*checks.rigid_landing(sinks), *checks.flight(), *checks.blades(8 if quick else 12)]
+    tables, energies = _cases(quick)
+    return Scene(
+        "helicopter", "a landing helicopter: the blades' tips after touchdown at 2 m/s", (*found, *energies),
+        _work(quick), tuple(limits(quick)), tuple(without(quick)),
+        {"resonance": resonance, **tables, "limits": _limits((1.0,) if quick else landing.SINKS, quick)},
+        "error of the flap of a blade's tip, m",
+    )  # fmt: skip
+
+
+def _cases(quick: bool) -> tuple[dict[str, pd.DataFrame], list[Check]]:
+    """Traces of all cases, and the balance of their energies."""
+    tables, found, until = {}, [], 0.3 if quick else 1.5
+    traces = []
+    for sink in landing.SINKS[1:2] if quick else landing.SINKS:
+        helicopter, run = landing.touchdown(FULL, sink, until, 5e-4, every=10)
+        traces.append(landing.traced(helicopter, run).assign(sink=sink))
+        found.append(checks.balance(f"touchdown at {sink:g} m/s", run, 0.01))
+    tables["touchdown"] = pd.concat(traces, ignore_index=True)
+    for name, wind, change in (("gust", landing.gust, None), ("pitch", None, landing.step)):
+        helicopter, run = landing.hovering(FULL, 2.0 * until / 3.0, 1e-3, 5, wind, change)
+        tables[name] = landing.traced(helicopter, run)
+        found.append(checks.balance(name, run, 1e-8))
+    helicopter, run = landing.run_up(FULL, 0.5 if quick else 6.0, 1e-3, 20)
+    tables["run_up"] = landing.traced(helicopter, run).assign(rate=[
+        helicopter.lift.rate(t) for t in run.time
+    ])  # fmt: skip
+    # In half a second its torque makes the feet slide, and friction is rough.
+    found.append(checks.balance("run-up", run, 1e-8 if not quick else 1e-6))
+    return tables, found
+
+
+def _limits(sinks: tuple[float, ...], quick: bool) -> pd.DataFrame:
+    """Largest drift sideways in which it tilts by no more than a limit, by bisection; loads, by the sink."""
+    rows, until = [], 0.5 if quick else 1.0
+    for sink in sinks:
+        low, high = 0.0, 8.0
+        for _ in range(1 if quick else 5):
+            drift = 0.5 * (low + high)
+            low, high = (drift, high) if _drifting(sink, drift, until)[1] <= TILT else (low, drift)
+        rows.append((sink, low, high, *_drifting(sink, 0.0, until)[:1], *_drifting(sink, low, until)))
+    names = ["sink", "drift", "drift_too_much", "leg", "leg_in_drift", "tilt_in_drift", "clear_in_drift"]
+    return pd.DataFrame(rows, columns=names)
+
+
+def _drifting(sink: float, drift: float, until: float) -> tuple[float, float, float]:
+    """Largest force of a leg, largest tilt (degrees), and least height of the disc, of a landing in drift.
+
+    With blades and mounts rigid, which are left out.
+    """
+    given = replace(landing.RIGID, legs=LEGS)
+    trace = landing.traced(*landing.touchdown(given, sink, until, 5e-4, None, drift, 10))
+    legs = trace[[f"leg {k + 1}" for k in range(4)]].to_numpy()
+    return float(legs.max()), float(trace["tilt"].max()), landing.lowest_tip(trace)
+
+
+def _work(quick: bool) -> pd.DataFrame:
+    """Error of the flap of a tip, by cells and steps, of segments and of modes, explicit and implicit."""
+    sink, until, points = 2.0, 0.1, 5
+
+    def flap(given: Given, h: float, integrator: Integrator) -> Floats:
+        every = max(1, round(until / (points * h)))
+        helicopter, run = landing.touchdown(given, sink, until, h, integrator, every=every)
+        return landing.traced(helicopter, run)["tip 1"].to_numpy()[1:]
+
+    def segments(cells: int) -> Given:
+        return Given(cells=cells, modes=False, damping=0.0, legs=replace(LEGS, friction=0.0))
+
+    def stable(cells: int) -> float:
+        """Explicit step, two thirds of the longest for the highest frequency of the segments, in lag."""
+        return until / (points * np.ceil(until / points * 0.5 * at_rest(BLADE, cells)[-1]))
+
+    fine = 4 if quick else 12
+    coarse, finer = (flap(segments(n), stable(n), RungeKutta4()) for n in (fine, 2 * fine))
+    exact = (4.0 * finer - coarse) / 3.0
+    plans: list[tuple[str, Given, float, Integrator]] = []
+    for cells in (2, 4) if quick else (2, 4, 8, 16):
+        bending = segments(cells)
+        plans.append(("segments, Runge-Kutta", bending, min(2e-3, stable(cells)), RungeKutta4()))
+        plans.append(("modes, Runge-Kutta", replace(bending, modes=True), 2e-3, RungeKutta4()))
+        if cells < (4 if quick else 8):
+            plans.append(("segments, Rosenbrock", bending, 2e-3, Rosenbrock()))
+    rows = []
+    for method, given, h, integrator in plans:
+        value, seconds = timed(lambda g=given, h=h, i=integrator: flap(g, h, i), 1 if quick else 2)
+        error = float(np.max(np.abs(value - exact)))
+        rows.append(Work(method, f"{given.cells} cells, {1e3 * h:g} ms", seconds, error))
+    return work_table(rows)

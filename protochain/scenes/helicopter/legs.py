@@ -1,0 +1,126 @@
+"""Legs that stand on the ground: springs and dampers that push only, with friction."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from protochain import multibody
+from protochain.arrays import Floats
+from protochain.errors import MechanicsError
+from protochain.mechanisms import Acting, Bodies, State
+from protochain.mechanisms.springs import end_of, push, speed_of
+from protochain.motion import Applied, Load
+from protochain.multibody import Frames
+from protochain.multibody.algebra import kernel, vector
+
+
+@dataclass(frozen=True)
+class Legs:
+    """Feet of a body on the ground z = 0, each with a force F = max(0, k d + c d' + c2 d'|d'|) up.
+
+    d is the depth of a foot, and nothing acts above the ground. Friction is mu F v / sqrt(v^2 + slip^2),
+    against the velocity v along the ground.
+
+    Parameters
+    ----------
+    body : str
+        Body that has the legs.
+    feet : sequence of (3,) array_like
+        Where they end, in the body's axes.
+    stiffness, damping, squared : float
+        Constants k, c and c2 of a leg.
+    friction : float
+        Coefficient mu.
+    slip : float
+        Speed at which friction has 0.7 of its full size.
+    """
+
+    body: str
+    feet: Sequence[ArrayLike]
+    stiffness: float
+    damping: float = 0.0
+    squared: float = 0.0
+    friction: float = 0.0
+    slip: float = 0.05
+
+    def __post_init__(self) -> None:
+        constants = (self.stiffness, self.damping, self.squared, self.friction)
+        if not (self.stiffness > 0.0 and min(constants) >= 0.0 and np.all(np.isfinite(constants))):
+            raise MechanicsError(
+                "legs: a stiffness must be above zero, damping and friction not below it, all of them finite"
+            )
+        if not 0.0 < self.slip < np.inf:
+            raise MechanicsError(f"legs: slip {self.slip:g}; give a speed above zero")
+
+    def bind(self, bodies: Bodies) -> Acting:
+        """Return what acts: the springs have an energy, all else is counted as dissipation."""
+        number = bodies.number(self.body, "legs")
+        if number < 0:
+            raise MechanicsError("legs: the world has none; name a body")
+        feet = np.array([bodies.inside(number, foot) for foot in self.feet])
+        constants = np.array([self.stiffness, self.damping, self.squared, self.friction, self.slip])
+        standing = _Standing(number, feet, constants)
+
+        def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
+            wrenches = np.zeros((bodies.tree.n_bodies, 6))
+            twists = multibody.velocities(bodies.tree, frames, qd)
+            _resist(frames.rotation, frames.origin, twists, number, feet, constants, wrenches)
+            return Applied(wrenches)
+
+        silent = not (self.damping or self.squared or self.friction)
+        return Acting(standing, None if silent else Load(applied), dissipates=True)
+
+    def forces(self, state: State) -> Floats:
+        """(n,) float: forces of the legs on the ground, in a state."""
+        depth = np.array([-state.point(self.body, foot)[2] for foot in self.feet])
+        rate = np.array([-state.velocity(self.body, foot)[2] for foot in self.feet])
+        force = self.stiffness * depth + self.damping * rate + self.squared * rate * np.abs(rate)
+        return np.where(depth >= 0.0, np.maximum(force, 0.0), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Standing:
+    """Springs of the legs: energy k d^2 / 2 below the ground."""
+
+    body: int
+    feet: Floats
+    constants: Floats
+
+    def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
+        """Add the forces of the springs."""
+        energy: float = _stand(
+            frames.rotation, frames.origin, self.body, self.feet, self.constants[0], wrenches
+        )
+        return energy
+
+
+@kernel
+def _stand(
+    rotation: Floats, origin: Floats, body: int, feet: Floats, stiffness: float, wrenches: Floats
+) -> float:
+    energy = 0.0
+    for i in range(len(feet)):
+        arm, place = end_of(rotation, origin, body, vector(feet, i, 0))
+        depth = max(0.0, -place[2])
+        energy += 0.5 * stiffness * depth * depth
+        push((0.0, 0.0, stiffness * depth), arm, body, wrenches)
+    return energy
+
+
+@kernel
+def _resist(
+    rotation: Floats, origin: Floats, twists: Floats, body: int, feet: Floats, constants: Floats,
+    wrenches: Floats,
+) -> None:  # fmt: skip
+    stiffness, damping, squared, friction, slip = constants
+    for i in range(len(feet)):
+        arm, place = end_of(rotation, origin, body, vector(feet, i, 0))
+        depth = -place[2]
+        if depth >= 0.0:
+            vx, vy, vz = speed_of(twists, body, arm)
+            elastic = stiffness * depth
+            force = max(0.0, elastic - damping * vz - squared * vz * abs(vz))
+            drag = -friction * force / np.sqrt(vx * vx + vy * vy + slip * slip)
+            push((drag * vx, drag * vy, force - elastic), arm, body, wrenches)
