@@ -32,7 +32,7 @@ def test_the_way_begins_and_ends_at_rest_and_its_rates_are_derivatives():
     for t in (0.0, 1.0):
         assert path(t)[1] == pytest.approx(np.zeros(3), abs=1e-12)
     h = 1e-6
-    for t in (0.13, 0.5, 0.81):
+    for t in (0.13, 0.45, 0.81):
         assert (path(t + h)[0] - path(t - h)[0]) / (2 * h) == pytest.approx(path(t)[1], abs=1e-7)
         assert (path(t + h)[1] - path(t - h)[1]) / (2 * h) == pytest.approx(path(t)[2], abs=1e-5)
 

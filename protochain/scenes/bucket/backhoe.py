@@ -11,13 +11,17 @@ from protochain.mechanisms import Mechanism, Model
 from protochain.mechanisms.pile_parts import Motion, Plates
 
 GRAVITY = (0.0, 0.0, -9.81)
-PIN = np.array([0.0, 0.0, 0.45])
+PIN = (0.0, 0.0, 0.45)
 """m. Where the boom is hinged to the frame."""
 BOOM, STICK = 0.6, 0.5
 """m. Lengths."""
 EDGE = np.array([-0.07, 0.0, -0.1])
 """m. Cutting edge in the bucket's axes; it opens towards z, and the machine is on the side of -x."""
-HINGES = {"boom": ("world", PIN), "stick": ("boom", (BOOM, 0.0, 0.0)), "bucket": ("stick", (STICK, 0.0, 0.0))}
+HINGES: dict[str, tuple[str, tuple[float, float, float]]] = {
+    "boom": ("world", PIN),
+    "stick": ("boom", (BOOM, 0.0, 0.0)),
+    "bucket": ("stick", (STICK, 0.0, 0.0)),
+}
 """Parent and place of each body's hinge; all turn about y, which lowers what is on the side of x."""
 BODIES = {
     "boom": (4.0, (0.5 * BOOM, 0.0, 0.0), (0.005, 0.12, 0.12)),

@@ -200,7 +200,7 @@ def dig(
     rows, shots, forces, seconds = [], [_snapshot(heap)], [], 0.0
     rows.append(_row(pile, heap, model, path))
     for look in range(looks):
-        times = (look * steps + np.arange(steps + 1)) * h
+        times = h * np.arange(look * steps, (look + 1) * steps + 1, dtype=np.float64)
         motion = motion_of(model, path, times)
         began = process_time()
         heap, reaction = pile.advance(heap, steps, h, motion)
