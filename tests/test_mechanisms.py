@@ -9,7 +9,7 @@ from test_docs import GUIDE, blocks
 
 from protochain import multibody
 from protochain.errors import MechanicsError
-from protochain.mechanisms import Acting, Mechanism
+from protochain.mechanisms import Acting, Mechanism, State
 from protochain.mechanisms.elements import Sum
 from protochain.motion import (
     Applied,
@@ -95,6 +95,13 @@ def test_a_body_moves_along_its_axis_in_its_own_axes(axis, kind):
     assert model.start().kinetic == pytest.approx(0.5 * 2.0 * u @ u + 0.5 * spin @ inertia @ spin)
 
 
+def test_along_z_the_trees_frames_are_the_bodies_own():
+    m = Mechanism()
+    m.body("b", 1.0, inertia=1.0)
+    m.hinge("h", "world", "b", axis=(0, 0, 2))
+    assert np.array_equal(m.build().bodies.turn[0], np.eye(3))
+
+
 def test_a_free_body_starts_where_and_as_it_is_told():
     turn = Rotation.from_rotvec([2.0, -1.0, 2.0]).as_matrix()
     m = Mechanism()
@@ -115,6 +122,14 @@ def test_any_rotation_is_kept(angle, axis):
     m = Mechanism()
     m.body("b", 1.0, inertia=1.0, rotation=turn)
     assert np.allclose(m.build().state().rotation("b"), turn, atol=1e-15)
+
+
+def test_a_state_knows_the_factors_of_its_phase_or_makes_them():
+    model = crowd(1).build()
+    at = model.start()
+    assert model.state(at).factors is at.factors
+    alone = State(model.bodies, 0.0, at.q, at.qd, at.factors.frames)
+    assert np.array_equal(alone.factors.pivot, at.factors.pivot)
 
 
 def test_bodies_may_be_named_before_they_are_there_and_in_any_order():

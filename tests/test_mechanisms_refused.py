@@ -373,6 +373,19 @@ def test_every_keeps_the_end():
     assert np.array_equal(run.q[-1], pendulum().build().simulate(1.0, 0.01).q[-1])
 
 
+def test_every_with_events_keeps_their_rows_too():
+    m = pendulum(q=0.0, qd=1.0)
+    m.on("mark", lambda s: 0.15 - s.angle("pin"), lambda s: None, passes=True)
+    run = m.build().simulate(0.5, 1 / 32, every=6)
+    assert len(run.events) == 1
+    happened = run.events[0].time
+    assert 4 / 32 < happened < 6 / 32
+    assert np.allclose(run.time[:2], [0.0, happened])
+    # The step with the event is cut in two, so that steps no longer end at multiples of their length.
+    assert np.allclose(np.diff(run.time[2:-1]), 6 / 32)
+    assert run.time[-1] == pytest.approx(0.5, abs=1e-12)
+
+
 # --- What costs nothing unused
 
 

@@ -110,6 +110,7 @@ JOBS = (
     Job("large", f"{HERE}/large.py -o DIR", 10),
     Job("threads", f"{HERE}/threads.py -o DIR", 1),
     Job("search", f"{HERE}/search.py -o DIR", 1),
+    Job("mechanisms", f"{HERE}/mechanisms.py -o DIR", 8),
     Job("startup", f"{HERE}/startup.py -o DIR", 4),
     Job("files-speed", f"{HERE}/files.py speed --more MORE -o DIR", 2),
     Job("files-closures", f"{HERE}/files.py closures --more MORE -o DIR", 5),

@@ -114,6 +114,6 @@ def search(sizes: tuple[int, ...]) -> pd.DataFrame:
         rng = np.random.default_rng(n)
         x = rng.uniform(0.0, SIDE * (n / 0.6) ** (1.0 / 3.0), (n, 3))
         radius = np.full(n, 0.5 * np.sqrt(3.0) * SIDE)
-        pairs, seconds = timed(partial(touching, x, radius), 3)
+        pairs, seconds = timed(partial(touching, x, radius), 5)
         rows.append({"cubes": n, "pairs": len(pairs), "seconds": seconds})
     return pd.DataFrame(rows)

@@ -1,0 +1,44 @@
+"""A gun on a deck: how far its muzzle moves, by stiffness of deck and axle, and if a soft axle helps.
+
+After Wang, Xiao, Ouyang (ASME DETC 1999), whose data were not found. A deck heaves and rolls on springs; on
+it a mount holds a cradle on an axle with a spring and an equilibrator; in the cradle the barrel recoils
+against recuperator and brake, rigid or of finite segments.
+"""
+
+from protochain.scenes.gun import checks, study
+from protochain.scenes.gun.extremes import limits, without
+from protochain.scenes.scene import Scene
+
+
+def run(quick: bool = False) -> Scene:
+    """Run the scene.
+
+    Parameters
+    ----------
+    quick : bool
+        Two decks, two axles and short motions: some seconds.
+
+    Returns
+    -------
+    Scene
+    """
+    decks, convergence = checks.against_fixed_deck()
+    cells, order = checks.by_cells((2, 4, 8) if quick else (4, 8, 16))
+    isolation = study.isolation((1e6, 1e9), (1e6, 1e9)) if quick else study.isolation()
+    bending = (
+        study.flexible(2, ((1e7, 1e9),), 0.05) if quick
+        else study.flexible(8, ((1e6, 1e6), (1e6, 1e9), (1e10, 1e6), (1e10, 1e9)))
+    )  # fmt: skip
+    found = (
+        *checks.against_equations(quick), *checks.against_modes(0), *checks.against_modes(2 if quick else 4),
+        *convergence, *order, *checks.energies(quick),
+    )  # fmt: skip
+    return Scene(
+        "gun", "a gun on a deck: where its muzzle is 0.05 s after a shot", found, checks.work(quick),
+        tuple(limits(quick)), tuple(without(quick)),
+        {
+            "isolation": isolation, "claim": study.claimed(isolation), "flexible": bending, "decks": decks,
+            "cells": cells, "bursts": study.bursts(2 if quick else 8, 1 if quick else 3),
+        },
+        "error of the muzzle, m",
+    )  # fmt: skip
