@@ -24,7 +24,7 @@ def run(quick: bool = False) -> Scene:
     """
     decks, convergence = checks.against_fixed_deck()
     cells, order = checks.by_cells((2, 4, 8) if quick else (4, 8, 16))
-    isolation = study.isolation((1e6, 1e9), (1e6, 1e9)) if quick else study.isolation()
+    isolation = study.isolation((1e6, 1e9), (1e6, 1e9), 0.2) if quick else study.isolation()
     bending = (
         study.flexible(2, ((1e7, 1e9),), 0.05) if quick
         else study.flexible(8, ((1e6, 1e6), (1e6, 1e9), (1e10, 1e6), (1e10, 1e9)))

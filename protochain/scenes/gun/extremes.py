@@ -13,6 +13,7 @@ from protochain.scenes.scene import Check, Extreme, LeftOut, check, extreme, lef
 
 REFUSED: tuple[tuple[str, Gun, str], ...] = (
     ("no axle, no equilibrator", Gun(axle=0.0, balanced=False), "the gun falls"),
+    ("an equilibrator, but no axle: the barrel slides", Gun(axle=0.0), "the gun falls"),
     ("a deck without stiffness", Gun(deck=0.0), "give a stiffness or a damping"),
     ("an axle below zero", Gun(axle=-1.0), "none below zero"),
     ("a deck that is no number", Gun(deck=np.nan), "finite"),

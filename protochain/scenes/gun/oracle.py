@@ -170,7 +170,7 @@ class Planar:
         fired = [parts.PERIOD * k for k in range(1, self.gun.shots)]
         for until in sorted({*map(float, times), *(t for t in fired if t < times[-1])}):
             state = solve_ivp(
-                self.rates, (now, until), state, "DOP853", rtol=tolerance, atol=tolerance
+                self.rates, (now, until), state, "DOP853", rtol=tolerance, atol=tolerance, first_step=1e-5
             ).y[:, -1]  # fmt: skip
             now = until
             if until in times:

@@ -34,22 +34,25 @@ def amplitudes(found: Built, until: float = UNTIL) -> tuple[float, float, float]
     return float(np.max(moved[early, 0])), float(np.max(moved[:, 0])), float(np.max(moved[:, 1]))
 
 
-def isolation(decks: tuple[float, ...] = DECKS, axles: tuple[float, ...] = AXLES) -> pd.DataFrame:
+def isolation(
+    decks: tuple[float, ...] = DECKS, axles: tuple[float, ...] = AXLES, until: float = UNTIL
+) -> pd.DataFrame:
     """Amplitudes of the muzzle by deck and axle, with and without equilibrator, in mm and mrad.
 
-    ``share`` and ``share_early`` are relative to the stiffest axle on the same deck; ``sag`` is how far the
+    ``share`` and ``share_early`` are relative to the stiffest axle on the same deck. Without couple the
+    powder pushes through the centre of mass of what recoils. ``sag`` is how far the
     barrel hangs below its elevation before the shot.
     """
     rows = []
     for case, gun in (
-        ("shot", Gun()), ("shot, no equilibrator", Gun(balanced=False)),
+        ("shot", Gun()), ("shot, no equilibrator", Gun(balanced=False)), ("shot, no couple", Gun(offset=0.0)),
         ("blow to the deck", Gun(charge=0.0, blow=BLOW)),
     ):  # fmt: skip
         for deck in decks:
             for axle in axles:
                 found = built(replace(gun, deck=deck, axle=axle))
                 sag = ELEVATION - found.muzzle_at(found.start)[2]
-                rows.append((case, deck, axle, *(1e3 * np.array([*amplitudes(found), sag]))))
+                rows.append((case, deck, axle, *(1e3 * np.array([*amplitudes(found, until), sag]))))
     names = ["case", "deck", "axle", "early_mm", "muzzle_mm", "muzzle_mrad", "sag_mrad"]
     table = pd.DataFrame(rows, columns=names)
     last = table.groupby(["case", "deck"])[["early_mm", "muzzle_mm"]].transform("last")
