@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from test_canonical import by_hand, two_links
+from test_canonical import two_links
 from test_flexible import SPUN, on_a_hub, some
 
 from protochain.errors import MechanicsError
@@ -25,6 +25,7 @@ from protochain.motion.bending import BendingSystem
 from protochain.multibody import random_tree
 from protochain.multibody.flexible import bend
 from protochain.multibody.flexible_dynamics import momenta
+from protochain.scenes.canonical import by_hand
 
 START = np.array([0.3, 0.9, 0.05, -0.04]), np.array([2.0, -3.0, 0.5, 0.4])
 

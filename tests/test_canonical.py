@@ -13,6 +13,8 @@ from protochain.multibody.beams import Beam, beam
 from protochain.multibody.canonical import canonical_rates, rates_of
 from protochain.multibody.flexible import Flexible, bend, elastic
 from protochain.multibody.flexible_dynamics import forward_dynamics, mass_matrix, momenta
+from protochain.scenes import run
+from protochain.scenes.canonical import by_hand
 
 EPS = np.finfo(float).eps
 
@@ -27,35 +29,6 @@ def two_links(sections=3):
         np.stack([0.1 * np.eye(3)] * 2),
     )  # fmt: skip
     return Flexible(tree, (first, second), np.array([-1, sections]))
-
-
-def by_hand(flexible):
-    """(t, (q, qd)) -> its rate, from sections in the complex plane: z = z0 + w exp(i angle)."""
-    links = [(s.mass, s.place[:, 0], s.moves[:, 1, 0], s.shortening[:, 0, 0, 0]) for s in flexible.shapes]
-    slope = flexible.shapes[0].turns[-1, 2, 0]
-    springs = np.array([0.0, 0.0, *(s.stiffness[0, 0] for s in flexible.shapes)])
-
-    def rates(t, y):
-        (a, b, *eta), (da, db, *deta) = y[:4], y[4:]
-        m, load = np.zeros((4, 4)), -springs * y[:4]
-        origin, columns, quick = 0.0, np.zeros(4, complex), 0.0
-        angle, spin, turning = a, da, np.array([1.0, 0.0, 0.0, 0.0])
-        for k, (mass, x, phi, short) in enumerate(links):
-            e, rate = eta[k], deta[k]
-            w, dw = x - 0.5 * short * e**2 + 1j * phi * e, (1j * phi - short * e) * rate
-            turn = np.exp(1j * angle)
-            j = columns + (1j * w * turn)[:, None] * turning
-            j[:, 2 + k] += (1j * phi - short * e) * turn
-            acceleration = quick + turn * (-short * rate**2 + 2j * spin * dw - spin**2 * w)
-            m += np.einsum("n,nk,nl->kl", mass, j.conj(), j).real
-            load -= np.einsum("n,nk,n->k", mass, j.conj(), acceleration).real
-            origin, columns, quick = origin + turn * w[-1], j[-1], acceleration[-1]
-            # The second link rides on the slope of the first one's tip.
-            turning = turning + np.array([0.0, 1.0, slope, 0.0])
-            angle, spin = a + b + slope * eta[0], da + db + slope * deta[0]
-        return np.concatenate([y[4:], np.linalg.solve(m, load)])
-
-    return rates
 
 
 def test_two_links_move_as_by_hand_in_both_forms():
@@ -111,3 +84,13 @@ def test_what_has_no_momenta_is_refused():
     for route in ("articulated", "blocks", "dense"):
         with pytest.raises(MechanicsError, match=r"singular|no inertia"):
             rates_of(empty, bent, np.zeros(4), route)
+
+
+def test_the_scene_is_right():
+    found = run("canonical", quick=True)
+    assert found.wrong == () and len(found.checks) == 8
+    assert [each.name for each in found.extremes if each.outcome == "refused"] == ["a driven hinge"]
+    assert {"accelerations", "momenta, articulated", "momenta, blocks", "momenta, dense"} == set(
+        found.work["method"]
+    )
+    assert set(found.tables["costs"]["links"]) == {3, 30}

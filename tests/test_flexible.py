@@ -137,6 +137,21 @@ def test_rates_of_the_tangent_of_rotations(size):
     assert np.allclose((ends[0] - ends[1]) / (2 * h), tangent_rate(*map(tuple, (theta, rate, x))), atol=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_elastic_torques_are_those_of_each_body(seed):
+    flexible, q, *_ = some(seed)
+    energy, torque = elastic(flexible, q)
+    assert np.array_equal(torque[: flexible.tree.n_v], np.zeros(flexible.tree.n_v))
+    rest, expected, total = q[flexible.tree.n_q :], [], 0.0
+    for shapes in flexible.shapes:
+        if shapes is not None:
+            eta, rest = rest[: shapes.n_shapes], rest[shapes.n_shapes :]
+            expected.append(-shapes.stiffness @ eta)
+            total += 0.5 * eta @ shapes.stiffness @ eta
+    assert np.allclose(torque[flexible.tree.n_v :], np.concatenate(expected), rtol=1e-14)
+    assert energy == pytest.approx(total, rel=1e-14)
+
+
 # --- Beams
 
 BEAM = Beam(1.0, 1.0, flap=1.0, lag=1.0)

@@ -27,6 +27,7 @@ from protochain.dynamics import (
     simulate,
 )
 from protochain.dynamics.hinge_springs import Dampers, dampers, hinge_springs
+from protochain.dynamics.loop import noise
 from protochain.motion import Applied, Load
 from protochain.multibody import HingeKind, random_tree
 
@@ -247,6 +248,12 @@ def test_dampers_alone_keep_the_temperature():
     law = gamma(tree.n_v / 2, scale=KT).cdf
     assert kstest(seen, law).pvalue > 1e-3
     assert kstest(0.8 * np.array(seen), law).pvalue < 1e-3
+
+
+def test_dampers_and_thermostats_draw_different_numbers():
+    drawn = [noise(3, 5, stream).standard_normal(50) for stream in (0, 1)]
+    assert abs(np.corrcoef(drawn)[0, 1]) < 0.5
+    assert np.array_equal(noise(3, 5).standard_normal(50), drawn[0])
 
 
 @pytest.mark.parametrize("thermostat", ["none", "langevin", "nose-hoover", "rescale"])

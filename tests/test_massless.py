@@ -246,6 +246,19 @@ def test_a_free_root_without_mass_needs_more_than_one_hinge():
     m = slow_mass_matrix(two, pose(two, q))
     tau = np.arange(8.0)
     assert np.allclose(m @ solve_mass(two, pose(two, q), tau), tau, atol=1e-11)
+    # Both about nearly one line: what resists turning about it goes with the square of their angle.
+    q[4:7] = 0.0
+    for angle, fine in ((1e-3, True), (3e-7, False)):
+        tilted = np.array([[1, 0, angle], [0, 1, 0], [-angle, 0, 1]]) / np.sqrt(
+            [1 + angle**2, 1, 1 + angle**2]
+        )
+        placement, offset = np.stack([np.eye(3), np.eye(3), tilted]), np.zeros((3, 3))
+        near = replace(two, placement=placement, offset=offset)
+        if fine:
+            assert np.isfinite(solve_mass(near, pose(near, q), tau)).all()
+            continue
+        with pytest.raises(MechanicsError, match="body 0: its hinge has no inertia"):
+            solve_mass(near, pose(near, q), tau)
 
 
 def test_fixmans_method_refuses_bodies_without_mass():

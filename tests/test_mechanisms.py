@@ -9,7 +9,7 @@ from test_docs import GUIDE, blocks
 
 from protochain import multibody
 from protochain.errors import MechanicsError
-from protochain.mechanisms import Acting, Mechanism
+from protochain.mechanisms import Acting, Mechanism, State
 from protochain.mechanisms.elements import Sum
 from protochain.motion import (
     Applied,
@@ -122,6 +122,14 @@ def test_any_rotation_is_kept(angle, axis):
     m = Mechanism()
     m.body("b", 1.0, inertia=1.0, rotation=turn)
     assert np.allclose(m.build().state().rotation("b"), turn, atol=1e-15)
+
+
+def test_a_state_knows_the_factors_of_its_phase_or_makes_them():
+    model = crowd(1).build()
+    at = model.start()
+    assert model.state(at).factors is at.factors
+    alone = State(model.bodies, 0.0, at.q, at.qd, at.factors.frames)
+    assert np.array_equal(alone.factors.pivot, at.factors.pivot)
 
 
 def test_bodies_may_be_named_before_they_are_there_and_in_any_order():

@@ -58,18 +58,24 @@ class Job:
 SAMPLES = " ".join(
     f"structures/{n}.pdb" for n in ("ala10", "1l2y", "1vii", "1ejg", "3i40", "4pti", "1ubq", "1hel")
 )
-PRECISION = " ".join(
+SMALL = " ".join(
     f"MORE/{name}"
     for name in (
         "1le1_trpzip2.pdb", "a6pa6_alpha.pdb", "aaqaa3_capped.pdb", "1as5_conotoxin.cif",
-        "neopetrosiamide.pdb", "1ajj_ldlr.pdb", "1bx8_hirustasin.pdb", "1fas_fasciculin.cif",
-        "1orc_icode.pdb", "2sdf_sdf1_nmr30.pdb", "1a8o_mse.pdb", "1bta_barstar.pdb", "t4l_l99a_amber.pdb",
+        "neopetrosiamide.pdb",
     )
 )  # fmt: skip
-RACED = " ".join(f"structures/{name}.pdb" for name in ("1l2y", "1vii", "3i40", "4pti", "1ubq", "1hel"))
+LARGER = " ".join(
+    f"MORE/{name}"
+    for name in (
+        "1ajj_ldlr.pdb", "1bx8_hirustasin.pdb", "1fas_fasciculin.cif", "1orc_icode.pdb",
+        "2sdf_sdf1_nmr30.pdb", "1a8o_mse.pdb", "1bta_barstar.pdb", "t4l_l99a_amber.pdb",
+    )
+)  # fmt: skip
 STARTED = " ".join(
     f"structures/{name}.pdb" for name in ("1l2y", "1vii", "1ejg", "3i40", "4pti", "1ubq", "1hel")
 )
+RACED = " ".join(f"structures/{name}.pdb" for name in ("1l2y", "1vii", "3i40", "4pti", "1ubq", "1hel"))
 RACED_CUSTOM = " ".join(f"structures/{name}.pdb" for name in ("1vii", "3i40", "4pti", "1ubq"))
 RELAXED = " ".join(
     f"MORE/{name}"
@@ -110,13 +116,14 @@ JOBS = (
     Job("large", f"{HERE}/large.py -o DIR", 10),
     Job("threads", f"{HERE}/threads.py -o DIR", 1),
     Job("search", f"{HERE}/search.py -o DIR", 1),
+    Job("mechanisms", f"{HERE}/mechanisms.py -o DIR", 8),
     Job("startup", f"{HERE}/startup.py -o DIR", 4),
     Job("files-speed", f"{HERE}/files.py speed --more MORE -o DIR", 2),
     Job("files-closures", f"{HERE}/files.py closures --more MORE -o DIR", 5),
     Job("race", f"{HERE}/race.py --forces gbsa,vacuum {RACED} -o DIR", 6),
     Job("race-custom", f"{HERE}/race.py --forces obc2 {RACED_CUSTOM} -o DIR", 15),
     Job(
-        "precision", f"protochain bench precision --only minimisers {SAMPLES} {PRECISION} -o DIR", 25,
+        "precision", f"protochain bench precision --only minimisers {SAMPLES} {SMALL} {LARGER} -o DIR", 25,
         "protochain bench precision --only minimisers structures/ala10.pdb -o DIR",
         {"precision.csv": ("precision.csv", ()), "ends.csv": ("precision_ends.csv", ())},
     ),
@@ -130,7 +137,7 @@ JOBS = (
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
     Job("compliance", f"{HERE}/compliance.py -o DIR", 4),
     Job(
-        "kcm", f"protochain bench kcm {STARTED} -o DIR --jobs 2 --minutes 240", 240,
+        "kcm", f"protochain bench kcm {STARTED} {SMALL} -o DIR --jobs 2 --minutes 240", 240,
         "protochain bench kcm --quick -o DIR",
         {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in ("contrasts", "cost", "ends", "shares")}
         | {"runs.csv": ("kcm_runs.csv", OF_RUNS)},

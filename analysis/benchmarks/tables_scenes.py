@@ -72,3 +72,19 @@ def search_lists(results: Path) -> str:
         ("pairs", "{pairs:,}"), ("cells ms", "{cells_ms:.2f}"), ("lists ms", "{lists_ms:.2f}"),
         ("lists over cells", "{ratio:.1f}"),
     )  # fmt: skip
+
+
+@table("mechanisms")
+def mechanisms(results: Path) -> str:
+    """How each scene of mechanics ended, and what it took."""
+
+    def extremes(row: pd.Series) -> str:
+        told = [f"{row[name]} {name}" for name in ("right", "refused", "wrong") if row[name]]
+        return ", ".join(told) or "-"
+
+    return of_rows(
+        pd.read_csv(results / "mechanisms.csv"),
+        ("scene", "`{scene}`"), ("CPU seconds", "{seconds:.0f}"), ("checks", "{checks}"),
+        ("nearest to its bound", "{nearest}"), ("error", "{error:.1e}"), ("bound", "{bound:.0e}"),
+        ("extremes", extremes), ("most saved by leaving out", "{saved:.2g}x"),
+    )  # fmt: skip

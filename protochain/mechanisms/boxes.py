@@ -147,7 +147,7 @@ def check_boxes(centre: Floats, rotation: Floats, half: Floats) -> None:
         If an edge is not positive, a rotation none, a number not finite.
     """
     finite = np.isfinite(centre).all(axis=1) & np.isfinite(half).all(axis=1)
-    finite &= np.isfinite(rotation).all(axis=(1, 2))
+    finite = np.asarray(finite & np.isfinite(rotation).all(axis=(1, 2)))
     for bad, why in (
         (~finite, "its centre, rotation and edges must be finite"),
         (~(half > 0.0).all(axis=1), "its edges must be longer than nothing"),

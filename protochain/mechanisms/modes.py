@@ -65,7 +65,7 @@ class ReducedSystem(System):
 
 @dataclass(frozen=True, eq=False)
 class ReducedModel(Model):
-    """Model that moves along some directions only, made by :func:`in_modes`.
+    """Model that moves along some directions only, made by :func:`in_modes`; its other fields are a model's.
 
     Parameters
     ----------

@@ -213,6 +213,7 @@ class Pile(Value):
         planes = np.column_stack([self.normal, self.offset])
         skin = SKIN * float(np.min(self.edge, initial=np.inf)) if len(self.edge) else 1.0
         s, drifted = min(steps, 1), False
+        gx, gy, gz = map(float, self.gravity)
         why, then, placed = LISTS, np.empty(0), np.empty(0)
         while why == LISTS:
             placed = self._placed(motion, s if drifted else 0 if s <= 1 else s - 1)
@@ -221,7 +222,7 @@ class Pile(Value):
             s, why, i, j, depth = march(
                 s, steps if steps else -1, drifted, h, own["position"], own["quaternion"], own["velocity"],
                 own["spin"], own["acceleration"], own["asleep"], own["still"], 0.5 * self.edge, self.mass,
-                self._numbers, tuple(map(float, self.gravity)), planes, own["plane_memory"], self.plates.body,
+                self._numbers, (gx, gy, gz), planes, own["plane_memory"], self.plates.body,
                 plate, motion.origin, motion.rotation, motion.twist, *lists, then, placed, skin, reaction,
                 own["sums"],
             )  # fmt: skip
@@ -230,7 +231,7 @@ class Pile(Value):
         if why != DONE:
             self._refuse(why, i, j, depth, time)
         start, other, memory = lists
-        values = {name: frozen(array) for name, array in own.items()}
+        values: dict[str, Any] = {name: frozen(array) for name, array in own.items()}
         end = replace(
             heap, time=heap.time + steps * h, start=start, other=other, memory=frozen(memory), **values
         )
@@ -284,7 +285,8 @@ class Pile(Value):
         pairs = in_order(np.concatenate(found), n + len(placed))
         start = np.searchsorted(pairs[:, 0], np.arange(n + 1))
         other, memory = pairs[:, 1].copy(), np.zeros((len(pairs), N_MEMORY))
-        carry_over(*before, start, other, memory)
+        before_start, before_other, before_memory = before
+        carry_over(before_start, before_other, before_memory, start, other, memory)
         return start, other, memory
 
     def _refuse(self, why: int, i: int, j: int, depth: float, time: float) -> None:

@@ -87,7 +87,8 @@ def meet(
             now = 0.5 * law[NORMAL] * after
             held = memory[row, ENERGY] - memory[row, HELD]
             if old != axis and before > 0.0:
-                held = 0.5 * law[NORMAL] * memory[row, PART] * before
+                # Its face may have changed, too: what it held before counts then.
+                held = min(held, 0.5 * law[NORMAL] * memory[row, PART] * before)
             memory[row, PART] = min(max(held / now, LEAST_PART), 1.0)
             sums[DAMPED] += max(held - memory[row, PART] * now, 0.0)
     memory[row, AXIS] = 1.0 + axis + AXES * side

@@ -155,6 +155,18 @@ class Flexible(Value):
             read_only(of.turns.swapaxes(1, 2)), read_only(np.moveaxis(of.shortening, 1, 3)),
         )  # fmt: skip
 
+    @cached_property
+    def springs(self) -> tuple[Floats, Integers]:
+        """(nb, K, K) float: stiffness of each body; (nb, K) int: which amplitude, -1 for none."""
+        counts, most = np.diff(self.shape_start), len(self.sections.stiffness)
+        stiffness = np.zeros((len(counts), most, most))
+        for b, shapes in enumerate(self.shapes):
+            if shapes is not None:
+                stiffness[b, : counts[b], : counts[b]] = shapes.stiffness
+        place = (self.shape_start[:-1] - self.tree.n_v)[:, None] + np.arange(most)
+        place = np.where(np.arange(most) < counts[:, None], place, -1)
+        return read_only(stiffness), read_only(place, np.int64)
+
     @property
     def n_v(self) -> int:
         """Number of freedoms."""
@@ -216,15 +228,13 @@ def integrate(flexible: Flexible, q: Floats, qd: Floats) -> Floats:
 
 def elastic(flexible: Flexible, q: Floats) -> tuple[float, Floats]:
     """Elastic energy, and the torques (n_v,) of all bodies that bend: minus its gradient."""
-    energy, torque = 0.0, np.zeros(flexible.n_v)
-    shift = flexible.tree.n_q - flexible.tree.n_v
-    for b, shapes in enumerate(flexible.shapes):
-        if shapes is not None:
-            start, end = flexible.shape_start[b : b + 2]
-            eta = q[start + shift : end + shift]
-            torque[start:end] = -shapes.stiffness @ eta
-            energy -= 0.5 * float(torque[start:end] @ eta)
-    return energy, torque
+    stiffness, place = flexible.springs
+    rigid = flexible.tree.n_q
+    eta = np.append(q[rigid:], 0.0)[place]
+    pull = np.einsum("bkl,bl->bk", stiffness, eta)
+    torque, own = np.zeros(flexible.n_v), place >= 0
+    torque[flexible.tree.n_v + place[own]] = -pull[own]
+    return 0.5 * float(np.vdot(pull, eta)), torque
 
 
 def _nodes(tree: Tree, b: int, shapes: Shapes | None, most: int) -> tuple[Floats, ...]:

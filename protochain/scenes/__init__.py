@@ -16,14 +16,15 @@ from protochain.scenes.scene import Check, Extreme, LeftOut, Scene
 __all__ = ["SCENES", "Check", "Extreme", "LeftOut", "Scene", "plot_work", "run"]
 
 SCENES = {
-    "helicopter": "a helicopter that lands: ground resonance, touchdown, run-up, gusts, limits",
-    "beam": "a cantilever of finite segments: frequencies, rotation, spin-up, rigid ends, limits",
-    "manipulator": "an arm of three flexible links: cells, explicit and implicit integrators, rigid ends",
-    "gun": "a gun on a deck: recoil, a tube that bends, and if a soft axle keeps its muzzle still",
     "serial": "serial chains of revolute hinges: M^-1 by three routes, long, light, thin and straight",
     "impact": "impacts with friction by Newton, Poisson and Stronge; one point, several, loops",
-    "bucket": "a backhoe's bucket in a soil of cubes: slopes, weights, work of drives, bushings, sleep",
     "gear": "spur gears: teeth on springs, flanks that press on each other, against ISO 6336 and scipy",
+    "bucket": "a backhoe's bucket in a soil of cubes: slopes, weights, work of drives, bushings, sleep",
+    "beam": "a cantilever of finite segments: frequencies, rotation, spin-up, rigid ends, limits",
+    "manipulator": "an arm of three flexible links: cells, explicit and implicit integrators, rigid ends",
+    "canonical": "chains of links that bend: momenta against accelerations, three ways to rates",
+    "helicopter": "a helicopter that lands: ground resonance, touchdown, run-up, gusts, limits",
+    "gun": "a gun on a deck: recoil, a tube that bends, and if a soft axle keeps its muzzle still",
 }
 """One line on each, by name; their modules are imported on use."""
 

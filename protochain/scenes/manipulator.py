@@ -13,7 +13,7 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 from protochain.arrays import Floats
-from protochain.mechanisms import Beam, Mechanism, Model, add_beam, frequencies
+from protochain.mechanisms import Beam, Mechanism, Model, add_beam, frequencies, state_matrix
 from protochain.motion import (
     DormandPrince,
     ImplicitMidpoint,
@@ -41,6 +41,8 @@ BENDING, MASS = 2.1e11 * 0.04 * 0.01**3 / 12.0, 7850.0 * 0.04 * 0.01
 """N m^2 and kg/m of steel, 40 mm x 10 mm, bent across the 10 mm."""
 TWIST, POLAR = 8.0e10 * 0.04 * 0.01**3 / 3.0, 7850.0 * (0.04 * 0.01**3 + 0.01 * 0.04**3) / 12.0
 """N m^2 and kg m of the same section in twist."""
+DAMPING = 1e-3
+"""s. Time constant of dampers at all hinges between rods, where there are any."""
 SHARES = (0.0, 0.0125, 0.03125, 0.0625)
 """Of the length, rigid at each end."""
 UNTIL = 1.0
@@ -159,7 +161,11 @@ def run(quick: bool = False) -> Scene:
         "manipulator", "an arm of three flexible links: where its end is after a second",
         (*_checks(ends, exact, quick), *found), _work(exact, quick), tuple(_extremes(quick)),
         tuple(_left_out(0.1 if quick else 1.0)),
-        {"cells": cells, "rigid_ends": shares, "motion": _motion(2 if quick else 4)}, "error of the end, m",
+        {
+            "cells": cells, "rigid_ends": shares, "motion": _motion(2 if quick else 4),
+            "dampers": _dampers(0.05 if quick else UNTIL),
+        },
+        "error of the end, m",
     )  # fmt: skip
 
 
@@ -218,13 +224,13 @@ def _work(exact: Floats, quick: bool) -> pd.DataFrame:
     rows = []
     for n in (1, 2, 4) if quick else (1, 2, 4, 8):
         at, seconds = timed(partial(explicit, n, 0.86))
-        rows.append(Work("Kutta, longest step", f"{n} cells", seconds, float(np.linalg.norm(at - exact))))
+        rows.append(Work("Kutta, longest step", _said(n), seconds, float(np.linalg.norm(at - exact))))
     steps = (0.02, 0.01) if quick else (0.02, 0.01, 0.005, 0.0025)
     for n in (1,) if quick else (1, 4, 8):
         model, tip = arm(n)
         for said, integrator in (("midpoint", ImplicitMidpoint()), ("Rosenbrock", Rosenbrock())):
             for h in steps:
-                row = f"{said}, {n} cells", f"{1e3 * h:g} ms"
+                row = f"{said}, {_said(n)}", f"{1e3 * h:g} ms"
                 try:
                     with np.errstate(over="ignore", invalid="ignore"):
                         at, seconds = timed(partial(end_of, model, tip, integrator, h))
@@ -233,6 +239,35 @@ def _work(exact: Floats, quick: bool) -> pd.DataFrame:
                     continue
                 rows.append(Work(*row, seconds, float(np.linalg.norm(at - exact))))
     return work_table(rows)
+
+
+def _said(cells: int) -> str:
+    return f"{cells} cell" if cells == 1 else f"{cells} cells"
+
+
+def _damped_limit(cells: int) -> float:
+    """Longest stable step of Kutta's method with dampers: of the quickest decay, some tau w^2."""
+    return 2.785 / -float(np.linalg.eigvals(state_matrix(arm(cells, damping=DAMPING)[0])).real.min())
+
+
+def _dampers(until: float) -> pd.DataFrame:
+    """Seconds and error of integrators with four cells a link and dampers, against Kutta's method."""
+    model, tip = arm(4, damping=DAMPING)
+    step = 0.9 * _damped_limit(4)
+    exact, seconds = timed(partial(end_of, model, tip, RungeKutta4(), step, until))
+    rows = [Work("Kutta, longest step", f"{1e3 * step:.2g} ms", seconds, 0.0)]
+    for said, integrator in (("midpoint", ImplicitMidpoint()), ("Rosenbrock", Rosenbrock())):
+        for h in (0.01, 0.005, 0.0025):
+            at, seconds = timed(partial(end_of, model, tip, integrator, h, until))
+            rows.append(Work(said, f"{1e3 * h:g} ms", seconds, float(np.linalg.norm(at - exact))))
+    return work_table(rows)
+
+
+def _damped(share: float) -> Check:
+    """Run of Kutta's method with dampers and a step of this share of the longest."""
+    model, _ = arm(3, damping=DAMPING)
+    run = model.simulate(0.05, share * _damped_limit(3), RungeKutta4())
+    return check("energy", run.audit().energy, 0.0, 1e-2, "work and dissipation", "absolute")
 
 
 def _stiff(factor: float) -> Check:
@@ -281,6 +316,9 @@ def _extremes(quick: bool) -> Iterator[Extreme]:
     yield extreme("no torque", _unmoved)
     cells = 16 if quick else 64
     yield extreme(f"{cells} cells a link, 2 ms steps", partial(_many, cells))
+    name = f"dampers of {1e3 * DAMPING:g} ms, explicit steps of {{}} of the longest"
+    yield extreme(name.format("0.9"), partial(_damped, 0.9))
+    yield extreme(name.format("1.1"), partial(_damped, 1.1), "time step .* is too long")
     yield extreme("steps three times too long for Kutta's method", _too_long, "time step .* is too long")
 
 

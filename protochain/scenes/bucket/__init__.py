@@ -47,7 +47,8 @@ def run(quick: bool = False) -> Scene:
     Scene
     """
     settled = settle(NARROW, 0.5) if quick else settle(WIDE, 0.7)
-    dug = dig(settled, 0.5 if quick else 1.0, looks=10 if quick else 50)
+    # Where few cubes lie above the floor, the bucket only scrapes, lest it crush them.
+    dug = dig(settled, 0.5, 0.1, looks=10) if quick else dig(settled)
     bushings, work = joints.compare((1e5, 1e6) if quick else (1e4, 1e5, 1e6, 1e7, 1e8))
     found = trials.search((1000, 4000) if quick else (1000, 3000, 10_000, 30_000, 100_000))
     speed = pd.DataFrame(
@@ -62,11 +63,12 @@ def run(quick: bool = False) -> Scene:
         ]
     )
     tables = {
-        "soil": dug.table, "machine": dug.machine, "cubes": dug.snapshots, "bushings": bushings, "search": found,
-        "speed": speed,
+        "soil": dug.table, "machine": dug.machine, "cubes": dug.snapshots, "bushings": bushings,
+        "search": found, "speed": speed,
     }  # fmt: skip
     return Scene(
-        "bucket", "a backhoe's bucket in a soil of cubes", tuple(_checks(settled, dug, bushings, found, quick)),
+        "bucket", "a backhoe's bucket in a soil of cubes",
+        tuple(_checks(settled, dug, bushings, found, quick)),
         work_table(work), tuple(trials.extremes()), (_sleep(settled if quick else settle(NARROW, 0.5)),),
         tables, "distance of the cutting edge from that of the machine on hinges, m",
     )  # fmt: skip
@@ -88,7 +90,7 @@ def _checks(
     yield check("exponent of its longest step", slope, -0.5, 0.05, "1/sqrt k", "absolute")
     if not quick:
         cost = exponent(found["cubes"], found["seconds"])
-        yield check("exponent of the cost of search", max(cost, 1.0), 1.0, 0.1, "cells", "absolute")
+        yield check("exponent of the cost of search", max(cost, 1.0), 1.0, 0.15, "cells; caches", "absolute")
 
 
 def _sleep(settled: Settled, duration: float = 0.1) -> LeftOut:

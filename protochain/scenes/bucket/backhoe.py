@@ -1,4 +1,4 @@
-"""The machine: boom, stick and bucket on drives, the frame on the ground, and the way of the bucket's edge."""
+"""The machine: boom, stick and bucket on drives, the frame on the ground, and the way of its edge."""
 
 from collections.abc import Callable
 
@@ -11,13 +11,17 @@ from protochain.mechanisms import Mechanism, Model
 from protochain.mechanisms.pile_parts import Motion, Plates
 
 GRAVITY = (0.0, 0.0, -9.81)
-PIN = np.array([0.0, 0.0, 0.45])
+PIN = (0.0, 0.0, 0.45)
 """m. Where the boom is hinged to the frame."""
 BOOM, STICK = 0.6, 0.5
 """m. Lengths."""
 EDGE = np.array([-0.07, 0.0, -0.1])
-"""m. Cutting edge in the bucket's axes; its opening is upward, towards z, and the machine on the side of -x."""
-HINGES = {"boom": ("world", PIN), "stick": ("boom", (BOOM, 0.0, 0.0)), "bucket": ("stick", (STICK, 0.0, 0.0))}
+"""m. Cutting edge in the bucket's axes; it opens towards z, and the machine is on the side of -x."""
+HINGES: dict[str, tuple[str, tuple[float, float, float]]] = {
+    "boom": ("world", PIN),
+    "stick": ("boom", (BOOM, 0.0, 0.0)),
+    "bucket": ("stick", (STICK, 0.0, 0.0)),
+}
 """Parent and place of each body's hinge; all turn about y, which lowers what is on the side of x."""
 BODIES = {
     "boom": (4.0, (0.5 * BOOM, 0.0, 0.0), (0.005, 0.12, 0.12)),
@@ -64,11 +68,11 @@ def reach(edge: Floats, tilt: float) -> Floats:
     return np.array([-outer, -inner, tilt + outer + inner])
 
 
-def digging(level: float, duration: float = 1.0) -> Path:
-    """Way of the bucket through soil that is as high as ``level``: in, along, up and out, from rest to rest."""
+def digging(level: float, duration: float = 1.0, depth: float = 0.3) -> Path:
+    """Way of the bucket through soil as high as ``level``, to a part of it: in, along, up and out."""
     times = duration * np.array([0.0, 0.2, 0.5, 0.75, 1.0])
     # Cubes that are jammed between bucket and floor would be crushed.
-    deep = min(0.08, 0.3 * level)
+    deep = depth * level
     places = [(0.82, 0.02), (0.80, -0.75 * deep), (0.64, -deep), (0.54, -0.25 * deep), (0.52, 0.1)]
     tilts = np.deg2rad([-75.0, -75.0, -50.0, -12.0, 5.0])
     angles = [reach(np.array([x, level + z]), tilt) for (x, z), tilt in zip(places, tilts, strict=True)]
@@ -98,7 +102,7 @@ def bucket_plates(body: int, model: Model) -> Plates:
 
 
 def motion_of(model: Model, path: Path, times: Floats, still: int = 1) -> Motion:
-    """Frames and twists of the machine's bodies at some times, and of others that stand still at the origin."""
+    """Frames and twists of the machine's bodies at some times, and of others that stand still."""
     tree, nb = model.tree, model.tree.n_bodies
     shape = (len(times), nb + still)
     origin, rotation = np.zeros((*shape, 3)), np.tile(np.eye(3), (*shape, 1, 1))

@@ -29,7 +29,7 @@ SIDE, DENSITY, STIFFNESS, FRICTION = 0.02, 2000.0, 1e5, 0.5
 PITCH = 1.76 * SIDE
 """Of cubes before they fall: turned anyhow, they reach sqrt 3 edges."""
 WINDOW = 1e-3
-"""s. Over which forces on the bucket are averaged: far above the time of an impact, far below that of the way."""
+"""s. Over which forces on the bucket are averaged: far longer than an impact, far shorter than the way."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,8 @@ def soil(site: Site, model: Model, sleep: Sleep | None = None) -> Pile:
     )
     n = site.cubes
     return Pile(
-        np.full(n, SIDE), np.full(n, DENSITY * SIDE**3), Law(STIFFNESS, FRICTION), np.array(GRAVITY), plates=both,
-        sleep=sleep,
+        np.full(n, SIDE), np.full(n, DENSITY * SIDE**3), Law(STIFFNESS, FRICTION), np.array(GRAVITY),
+        plates=both, sleep=sleep,
     )  # fmt: skip
 
 
@@ -181,9 +181,11 @@ class Dug:
     seconds: float
 
 
-def dig(settled: Settled, duration: float = 1.0, sleep: Sleep | None = None, looks: int = 50) -> Dug:
-    """Dig, from soil at rest."""
-    path = digging(settled.level, duration)
+def dig(
+    settled: Settled, duration: float = 1.0, depth: float = 0.3, sleep: Sleep | None = None, looks: int = 50
+) -> Dug:
+    """Dig, from soil at rest, to a part of its depth."""
+    path = digging(settled.level, duration, depth)
     model = backhoe(path).build()
     pile = soil(settled.site, model, sleep)
     # Whole steps to a window, and whole windows to a look.
@@ -198,7 +200,7 @@ def dig(settled: Settled, duration: float = 1.0, sleep: Sleep | None = None, loo
     rows, shots, forces, seconds = [], [_snapshot(heap)], [], 0.0
     rows.append(_row(pile, heap, model, path))
     for look in range(looks):
-        times = (look * steps + np.arange(steps + 1)) * h
+        times = h * np.arange(look * steps, (look + 1) * steps + 1, dtype=np.float64)
         motion = motion_of(model, path, times)
         began = process_time()
         heap, reaction = pile.advance(heap, steps, h, motion)

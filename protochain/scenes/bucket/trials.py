@@ -9,7 +9,7 @@ import pandas as pd
 from protochain.mechanisms.pile import Pile
 from protochain.mechanisms.pile_parts import Law
 from protochain.mechanisms.search import touching
-from protochain.scenes.bucket.dig import DENSITY, FRICTION, SIDE, STIFFNESS
+from protochain.scenes.bucket.dig import DENSITY, FRICTION, PITCH, SIDE, STIFFNESS
 from protochain.scenes.scene import Check, Extreme, check, extreme, timed
 
 FREE_FALL = 9.81
@@ -112,8 +112,10 @@ def search(sizes: tuple[int, ...]) -> pd.DataFrame:
     rows = []
     for n in sizes:
         rng = np.random.default_rng(n)
+        # Numbered layer by layer, as cubes of a heap are.
         x = rng.uniform(0.0, SIDE * (n / 0.6) ** (1.0 / 3.0), (n, 3))
+        x = x[np.lexsort((x // PITCH).T)]
         radius = np.full(n, 0.5 * np.sqrt(3.0) * SIDE)
-        pairs, seconds = timed(partial(touching, x, radius), 3)
+        pairs, seconds = timed(partial(touching, x, radius), 5)
         rows.append({"cubes": n, "pairs": len(pairs), "seconds": seconds})
     return pd.DataFrame(rows)

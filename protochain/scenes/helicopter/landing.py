@@ -138,9 +138,9 @@ def run_up(given: Given, until: float, time_step: float, every: int) -> tuple[He
     def motion(t: float) -> tuple[float, float, float]:
         if t >= until:
             return RATE * (t - 0.5 * until), RATE, 0.0
-        share, w = RATE / until, 2.0 * np.pi / until
-        angle = share * (0.5 * t * t + (np.cos(w * t) - 1.0) / w**2)
-        return angle, share * (t - np.sin(w * t) / w), share * (1.0 - np.cos(w * t))
+        s = t / until
+        angle = RATE * until * s**3 * (1.0 - 0.5 * s)
+        return angle, RATE * s * s * (3.0 - 2.0 * s), 6.0 * RATE / until * s * (1.0 - s)
 
     helicopter = build(replace(given, motion=motion))
     depth = WEIGHT / (4.0 * given.legs.stiffness) if given.legs else None

@@ -141,7 +141,7 @@ def groups(blades: tuple[Segments, ...]) -> list[tuple[list[str], int]]:
 
 def _add_blade(m: Mechanism, given: Given, k: int) -> Segments:
     c, s = np.cos(2.0 * np.pi * k / BLADES), np.sin(2.0 * np.pi * k / BLADES)
-    joint = {"kind": "fixed", "rotation": [[c, -s, 0], [s, c, 0], [0, 0, 1]]}
+    joint: dict[str, Any] = {"kind": "fixed", "rotation": [[c, -s, 0], [s, c, 0], [0, 0, 1]]}
     name, beam = f"blade {k}", given.beam
     if given.cells:
         return add_beam(m, name, beam, given.cells, "hub", joint, "yzx", given.damping)
