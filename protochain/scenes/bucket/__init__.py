@@ -104,9 +104,9 @@ def _sleep(settled: Settled, duration: float = 0.1) -> LeftOut:
         return Motion(*(np.repeat(part, steps + 1, axis=0) for part in fixed))
 
     h = awake.longest_step
-    rest, steps = round(0.4 / h), round(duration / h)
+    rest, steps = round(0.6 / h), round(duration / h)
     heap, _ = awake.advance(settled.heap, rest, h, still(rest))
-    heap, _ = drowsy.advance(heap, rest // 4, h, still(rest // 4))
+    heap, _ = drowsy.advance(heap, rest // 2, h, still(rest // 2))
     woken = replace(heap, asleep=np.zeros_like(heap.asleep))
 
     def everything() -> Floats:
