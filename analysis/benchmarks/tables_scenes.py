@@ -77,14 +77,24 @@ def search_lists(results: Path) -> str:
 @table("mechanisms")
 def mechanisms(results: Path) -> str:
     """How each scene of mechanics ended, and what it took."""
-
-    def extremes(row: pd.Series) -> str:
-        told = [f"{row[name]} {name}" for name in ("right", "refused", "wrong") if row[name]]
-        return ", ".join(told) or "-"
-
     return of_rows(
         pd.read_csv(results / "mechanisms.csv"),
         ("scene", "`{scene}`"), ("CPU seconds", "{seconds:.0f}"), ("checks", "{checks}"),
         ("nearest to its bound", "{nearest}"), ("error", "{error:.1e}"), ("bound", "{bound:.0e}"),
-        ("extremes", extremes), ("most saved by leaving out", "{saved:.2g}x"),
+        ("extremes", _extremes), ("most saved by leaving out", "{saved:.2g}x"),
     )  # fmt: skip
+
+
+@table("mechanisms-short")
+def mechanisms_short(results: Path) -> str:
+    """What the scenes of mechanics are, and how they ended, for the README."""
+    return of_rows(
+        pd.read_csv(results / "mechanisms.csv"),
+        ("scene", "`{scene}`"), ("what it is", "{title}"), ("checks", "{checks}"), ("extremes", _extremes),
+        ("CPU seconds", "{seconds:.0f}"),
+    )  # fmt: skip
+
+
+def _extremes(row: pd.Series) -> str:
+    told = [f"{row[name]} {name}" for name in ("right", "refused", "wrong") if row[name]]
+    return ", ".join(told) or "-"
