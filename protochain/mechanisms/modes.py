@@ -6,7 +6,7 @@ and its elastic energy stays exact. No high frequency is left that would ask for
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -38,7 +38,7 @@ class ReducedSystem(System):
 
     bends: ClassVar[bool] = True
 
-    directions: Floats = ()  # type: ignore[assignment]
+    directions: Floats = field(kw_only=True)
 
     def accelerations(
         self, time: float, q: Floats, qd: Floats, torque: Floats, loads: Floats | None
@@ -73,7 +73,7 @@ class ReducedModel(Model):
         Directions.
     """
 
-    shapes: Floats = ()  # type: ignore[assignment]
+    shapes: Floats = field(kw_only=True)
 
     @property
     def directions(self) -> Floats:
@@ -85,7 +85,7 @@ class ReducedModel(Model):
         """The mechanism as integrators see it."""
         loads = tuple(each.load for each in self.loads)
         potential = Sum(self.tree, self.conservative)
-        return ReducedSystem(self.tree, potential, None, loads, self.drive, self.shapes)
+        return ReducedSystem(self.tree, potential, None, loads, self.drive, directions=self.shapes)
 
 
 def in_modes(model: Model, groups: Iterable[tuple[Sequence[str], int]]) -> ReducedModel:

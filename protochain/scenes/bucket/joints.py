@@ -1,5 +1,7 @@
 """Joints as bushings beside hinges: the machine falls, held by springs instead of hinges."""
 
+from functools import partial
+
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
@@ -66,12 +68,12 @@ def compare(stiffnesses: tuple[float, ...]) -> tuple[pd.DataFrame, list[Work]]:
     exact = edge_of(hinged, 1e-4)
     rows, work = [], []
     for h in (1e-2, 5e-3, 2.5e-3):
-        found, seconds = timed(lambda h=h: edge_of(hinged, h))  # type: ignore[misc]  # bound at once
+        found, seconds = timed(partial(edge_of, hinged, h))
         work.append(Work("hinges", f"{1e3 * h:g} ms", seconds, _apart(found, exact)))
     for k in stiffnesses:
         model = on_bushings(k).build()
         step = SHORTEST_ARC / fastest(k)
-        found, seconds = timed(lambda model=model, step=step: edge_of(model, step))  # type: ignore[misc]
+        found, seconds = timed(partial(edge_of, model, step))
         error = _apart(found, exact)
         work.append(Work("bushings", f"{k:g} N/m", seconds, error))
         rows.append({"stiffness": k, "error": error, "step": longest_step(model, step), "seconds": seconds})

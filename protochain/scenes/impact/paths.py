@@ -67,7 +67,7 @@ def integrated(point: Point, tolerance: float, smooth: float = 0.0) -> tuple[Flo
     def pressed(p: float, y: Floats) -> float:
         return float(y[0])
 
-    pressed.terminal, pressed.direction = True, 1.0  # type: ignore[attr-defined]
+    pressed.terminal, pressed.direction = True, 1.0  # type: ignore[attr-defined]  # as scipy reads them
     solve = partial(
         solve_ivp, slope, method="Radau" if smooth else "DOP853", rtol=tolerance, atol=tolerance * abs(u[0])
     )
@@ -99,6 +99,11 @@ def rods_by_hand() -> Floats:
     return np.array([normal + fast * stopped + steep * (1.5 * compressed - stopped), 0.0], dtype=float)
 
 
+def velocities(point: Point, tolerance: float, smooth: float = 0.0) -> Floats:
+    """(3,) float: velocities after, as :func:`integrated` finds them."""
+    return integrated(point, tolerance, smooth)[0]
+
+
 def work(quick: bool) -> Iterator[Work]:
     """Error of the velocities after, relative to those before, against seconds."""
     plane, space = point_of(*rods(0.7)), point_of(*brick())
@@ -109,7 +114,7 @@ def work(quick: bool) -> Iterator[Work]:
     error = abs(after[0] - exact[0]) + float(np.linalg.norm(after[1:]))
     yield Work("rods: exact pieces", "", seconds, error / size)
     for smooth in SMOOTH[: 2 if quick else None]:
-        after, seconds = timed(lambda: integrated(plane, 1e-8, smooth)[0])  # noqa: B023  # called at once
+        after, seconds = timed(partial(velocities, plane, 1e-8, smooth))
         error = abs(after[0] - exact[0]) + float(np.linalg.norm(after[1:]))
         yield Work("rods: smoothed friction, Radau", f"{smooth:g}", seconds, error / size)
     for stiffness in STIFF[: 2 if quick else None]:
@@ -123,11 +128,11 @@ def work(quick: bool) -> Iterator[Work]:
         error = float(np.linalg.norm(after - reference))
         yield Work("brick: path, Dormand-Prince", f"{tolerance:g}", seconds, error / size)
     for tolerance in TOLERANCES[: 3 if quick else None]:
-        after, seconds = timed(lambda: integrated(space, tolerance)[0])  # noqa: B023  # called at once
+        after, seconds = timed(partial(velocities, space, tolerance))
         error = float(np.linalg.norm(after - reference))
         yield Work("brick: du/dp, DOP853 of scipy", f"{tolerance:g}", seconds, error / size)
     for smooth in SMOOTH[: 2 if quick else None]:
-        after, seconds = timed(lambda: integrated(space, 1e-8, smooth)[0])  # noqa: B023  # called at once
+        after, seconds = timed(partial(velocities, space, 1e-8, smooth))
         error = float(np.linalg.norm(after - reference))
         yield Work("brick: smoothed friction, Radau", f"{smooth:g}", seconds, error / size)
 
