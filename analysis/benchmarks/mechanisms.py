@@ -7,6 +7,7 @@ value beside its oracle. mechanisms_work.csv: every point of error against run t
 what was left out, and how many times as long it takes with it. Processor seconds, one thread.
 """
 
+import argparse
 from collections import Counter
 from collections.abc import Iterator
 from time import process_time
@@ -41,8 +42,12 @@ def scenes(quick: bool) -> Iterator[tuple[Scene, float]]:
         yield found, process_time() - began
 
 
+def parser() -> argparse.ArgumentParser:
+    return made.parser(__doc__ or "")
+
+
 def main() -> None:
-    options = made.parser(__doc__ or "").parse_args()
+    options = parser().parse_args()
     rows: list[dict[str, Any]] = []
     tables: dict[str, list[pd.DataFrame]] = {name: [] for name in TABLES}
     for scene, seconds in scenes(options.quick):
