@@ -79,7 +79,7 @@ def mechanisms(results: Path) -> str:
     """How each scene of mechanics ended, and what it took."""
     return of_rows(
         pd.read_csv(results / "mechanisms.csv"),
-        ("scene", "`{scene}`"), ("CPU seconds", "{seconds:.0f}"), ("checks", "{checks}"),
+        ("scene", "`{scene}`: {title}"), ("CPU seconds", "{seconds:.0f}"), ("checks", "{checks}"),
         ("nearest to its bound", "{nearest}"), ("error", "{error:.1e}"), ("bound", "{bound:.0e}"),
         ("extremes", _extremes), ("most saved by leaving out", "{saved:.2g}x"),
     )  # fmt: skip
@@ -90,7 +90,7 @@ def mechanisms_short(results: Path) -> str:
     """What the scenes of mechanics are, and how they ended, for the README."""
     return of_rows(
         pd.read_csv(results / "mechanisms.csv"),
-        ("scene", "`{scene}`"), ("what it is", "{title}"), ("checks", "{checks}"), ("extremes", _extremes),
+        ("scene", "`{scene}`: {title}"), ("checks", "{checks}"), ("extremes", _extremes),
         ("CPU seconds", "{seconds:.0f}"),
     )  # fmt: skip
 
