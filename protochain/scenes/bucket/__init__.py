@@ -90,7 +90,7 @@ def _checks(
     yield check("exponent of its longest step", slope, -0.5, 0.05, "1/sqrt k", "absolute")
     if not quick:
         cost = exponent(found["cubes"], found["seconds"])
-        yield check("exponent of the cost of search", max(cost, 1.0), 1.0, 0.15, "cells; caches", "absolute")
+        yield check("exponent of the cost of search", max(cost, 1.0), 1.0, 0.1, "cells", "absolute")
 
 
 def _sleep(settled: Settled, duration: float = 0.1) -> LeftOut:
