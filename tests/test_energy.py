@@ -200,7 +200,8 @@ def _force_field_with(tag, attribute, mark):
 @pytest.mark.parametrize(
     ("tag", "attribute"),
     [
-        ("Script", ""), ("InitializationScript", ""), ("Include", "file"), ("Residue", "name"), ("Type", "mass"),
+        ("Script", ""), ("InitializationScript", ""), ("Include", "file"), ("Residue", "name"),
+        ("Type", "mass"),
         ("NonbondedForce", "useDispersionCorrection"), ("LennardJonesForce", "useDispersionCorrection"),
     ],
 )  # fmt: skip
