@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 import gemmi
 
 from protochain.errors import StructureError
+from protochain.structure.records import of_cif, of_pdb
 
 MAX_MEGABYTES = 512
 """Largest text, after decompression; the largest files of the PDB are smaller."""
@@ -52,7 +53,7 @@ def format_of(path: Path) -> str:
     return SUFFIXES.get(split_name(path)[1].lower(), "")
 
 
-def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
+def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool, str]:
     """Parse a PDB or mmCIF file, packed by gzip, bzip2 or xz or not; the content decides.
 
     Parameters
@@ -62,8 +63,9 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
 
     Returns
     -------
-    gemmi.Structure, list of str, bool
-        Its contents, the oddities corrected on the way, and whether the file marks its end.
+    gemmi.Structure, list of str, bool, str
+        Its contents, the oddities corrected on the way, whether the file marks its end, and what else goes on
+        to files written of it, as mmCIF text.
 
     Raises
     ------
@@ -78,13 +80,14 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
             text = _ascii(text, source, slice(None))
             block = _block_with_atoms(gemmi.cif.read_string(text), source)
             _refuse_cut_cif(text, block, source)
-            structure, ends = gemmi.make_structure_from_block(block), True
+            structure, ends, records = gemmi.make_structure_from_block(block), True, of_cif(block)
         else:
             _refuse_cut_pdb(text, source)
             text = _corrected(_ascii(text, source, _USED), source, overlooked)
             ends = any(line.startswith("END") for line in text.splitlines())
             # gemmi takes a short last line without an end for an incomplete one.
             structure = gemmi.read_pdb_string(f"{text}\n")
+            records = of_pdb(text, structure)
     except StructureError:
         raise
     except (RuntimeError, ValueError, IndexError) as error:
@@ -92,7 +95,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
     structure.merge_chain_parts()
     check(structure, source)
-    return structure, overlooked, ends
+    return structure, overlooked, ends, records
 
 
 def _text(path: Path, source: str) -> str:

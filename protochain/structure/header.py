@@ -17,19 +17,21 @@ NO_LABEL: Label = ("", None)
 
 _CATEGORIES = (
     "cell", "symmetry", "title_keywords", "entity", "entity_poly", "entity_poly_seq", "struct_asym",
-    "struct_conf", "struct_sheet",
+    "struct_conf", "struct_sheet", "conn",
 )  # fmt: skip
 _INFO = ("_struct.title", "_cell.Z_PDB")
 """Of what gemmi knows of an entry. Its experiment and dates are not those of a computed structure."""
 
 
-def take_header(structure: gemmi.Structure) -> str:
+def take_header(structure: gemmi.Structure, records: str = "") -> str:
     """Give every residue its label ids, where the file does not, and return what the file says.
 
     Parameters
     ----------
     structure : gemmi.Structure
         Its residues and entities are changed.
+    records : str
+        mmCIF text of categories that gemmi does not carry.
 
     Returns
     -------
@@ -42,7 +44,9 @@ def take_header(structure: gemmi.Structure) -> str:
     for category in _CATEGORIES:
         setattr(groups, category, True)
     document = gemmi.cif.Document()
-    document.add_copied_block(structure.make_mmcif_block(groups))
+    block = document.add_copied_block(structure.make_mmcif_block(groups))
+    for item in gemmi.cif.read_string(records).sole_block() if records else ():
+        block.add_item(item)
     return str(document.as_string())
 
 
@@ -100,7 +104,7 @@ def _fits(entity: gemmi.Entity, there: dict[str, list[gemmi.Residue]]) -> bool:
         return True
     names: dict[int, dict[str, None]] = {}
     for residue in residues:
-        if residue.label_seq is None or residue.label_seq > len(entity.full_sequence):
+        if residue.label_seq is None or not 1 <= residue.label_seq <= len(entity.full_sequence):
             return False
         names.setdefault(residue.label_seq, {})[residue.name] = None
     sequence = list(entity.full_sequence)

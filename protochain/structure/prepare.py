@@ -24,7 +24,7 @@ from protochain.structure.model import Structure
 from protochain.structure.protonate import check_ph, protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.relief import relieved
-from protochain.structure.sites import Link, find_links, moves, settle_mobile, ties
+from protochain.structure.sites import Link, find_links, moves, settle_mobile, stated_ties, ties
 from protochain.structure.templates import Template, templates
 from protochain.units import ANGSTROM_PER_NM
 
@@ -144,7 +144,7 @@ def prepare(
     ).T
     return Structure(
         draft.name,
-        _topology(draft.parts, bonds),
+        _topology(draft.parts, done, bonds),
         x,
         tuple(draft.repairs),
         dict(draft.left_out),
@@ -154,7 +154,7 @@ def prepare(
         tuple(member.label for member in draft.members),
         draft.header,
         draft.model_number,
-        ties(links, at, x, elements, bonds),
+        stated_ties(draft, links, at) or ties(links, at, x, elements, bonds),
         mobile,
     )
 
@@ -208,20 +208,30 @@ def _remoteness(bond: tuple[str, str]) -> int:
     return max("ABGDEZHNC".find(name[1:2] or name) for name in bond)
 
 
-def _topology(parts: list[Part], bonds: Integers) -> app.Topology:
+def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Integers) -> app.Topology:
     topology = app.Topology()
     atoms = []
+    templates_of = {id(member): template for member, template in done}
     for part in parts:
         chain = topology.addChain(part.chain_id)
         for member in part.members:
             residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
             for atom in member.atoms:
                 element = app.Element.getBySymbol(atom.element.name)
-                charge = atom.charge if member.own and not member.own.is_users else None
+                charge = (
+                    _formal_charge(atom, templates_of[id(member)], len(member.atoms))
+                    if part.obstacle
+                    else None
+                )
                 atoms.append(topology.addAtom(atom.name, element, residue, formalCharge=charge))
     for first, second in bonds.tolist():
         topology.addBond(atoms[first], atoms[second])
     return topology
+
+
+def _formal_charge(atom: gemmi.Atom, template: Template, n_atoms: int) -> int:
+    """Charge that the file gives to an atom beside the protein; an ion's own if it gives none."""
+    return int(atom.charge or (round(template.charge[atom.name]) if n_atoms == 1 else 0))
 
 
 def _refuse_coincident(draft: Draft, owners: list[tuple[Member, str]], x: Floats, bonds: Integers) -> None:

@@ -21,6 +21,7 @@ from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse, split_name
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, water_named
+from protochain.structure.springs import springs
 from protochain.structure.templates import other_names, rename, standard_name, template_name, templates
 
 PEPTIDE_BREAK = 2.0
@@ -84,10 +85,11 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
         If the file cannot be read, is cut short, holds no protein, or holds residues that cannot be used.
     """
     path = Path(path)
-    structure, overlooked, ends = parse(path)
+    structure, overlooked, ends, records = parse(path)
     name = "stdin" if path == STANDARD_INPUT else split_name(path)[0]
     source = "standard input" if path == STANDARD_INPUT else str(path)
-    draft = read_structure(structure, Draft(name, source, repairs=overlooked), reading or Reading())
+    draft = Draft(name, source, repairs=overlooked, springs=springs(records), header=records)
+    draft = read_structure(structure, draft, reading or Reading())
     last = next(part for part in reversed(draft.parts) if not part.obstacle).members[-1]
     if not ends and not last.atom("OXT"):
         draft.repairs.append(
@@ -104,7 +106,7 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     StructureError
         If it holds no protein, or residues that cannot be used.
     """
-    draft.header = take_header(structure)
+    draft.header = take_header(structure, draft.header)
     model = choose_model(draft, structure, reading.model)
     check_altloc(model, reading.altloc, draft.source)
     draft.stated = [
@@ -122,6 +124,11 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         remedy = "a chain has two amino acids or more" if single else "give a file with amino acids"
         raise StructureError(f"{draft.source}: no protein found (only {found}); {remedy}")
     _report_left_out(draft)
+    # As in a file written of it, where chains are whole: protein chains come first.
+    order = list(dict.fromkeys(part.chain_id for part in draft.parts))
+    beside.sort(
+        key=lambda each: order.index(each.member.chain_id) if each.member.chain_id in order else len(order)
+    )
     draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield))
     return draft
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.arrays import Floats, Integers
-from protochain.structure.draft import Draft, Member
+from protochain.structure.draft import Address, Draft, Member
 from protochain.structure.kept import JOINED
 from protochain.structure.model import Tie
 
@@ -61,6 +61,13 @@ class Link:
     atom: gemmi.Atom
     other: Member
     other_atom: gemmi.Atom
+
+    @property
+    def ends(self) -> tuple[Address, Address]:
+        """Addresses of its atoms, the protein's first."""
+        pairs = ((self.member, self.atom), (self.other, self.other_atom))
+        first, second = ((member.chain_id, member.seqid, a.name) for member, a in pairs)
+        return first, second
 
     @property
     def is_metal(self) -> bool:
@@ -164,15 +171,12 @@ def _heavy(member: Member) -> list[gemmi.Atom]:
 
 def _is_bonded(draft: Draft, link: Link) -> bool:
     first, second = link.atom, link.other_atom
+    if draft.says_of(link.other):
+        return link.ends in draft.springs
     distance = first.pos.dist(second.pos)
     if distance < _OVERLAP:
         return False
-    if draft.states(
-        *(
-            (member.chain_id, member.seqid, a.name)
-            for member, a in ((link.member, first), (link.other, second))
-        )
-    ):
+    if draft.states(*link.ends):
         return True
     if link.is_metal:
         usual = _OXYGEN_DISTANCE.get(second.element.name, _OTHER_METAL)
@@ -225,6 +229,21 @@ def ties(
                 found[j, its, k] = _METAL_ANGLE if link.is_metal else _ANGLE
     made = (Tie(atoms, measure(x[list(atoms)]), stiffness) for atoms, stiffness in found.items())
     return tuple(tie for tie in made if len(tie.atoms) == 2 or tie.rest < _STRAIGHT)
+
+
+def stated_ties(draft: Draft, links: Sequence[Link], at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, ...]:
+    """Springs as the file has them; none if it lacks one of these bonds. Arguments as for :func:`ties`."""
+    if not all(link.ends in draft.springs for link in links):
+        return ()
+    index: dict[Address, int] = {}
+    for member in draft.members:
+        for name, k in at[id(member)].items():
+            index.setdefault((member.chain_id, member.seqid, name), k)
+    return tuple(
+        Tie(tuple(index[each] for each in atoms), rest, stiffness)
+        for atoms, (rest, stiffness) in draft.springs.items()
+        if len(atoms) > 1 and all(each in index for each in atoms)
+    )
 
 
 def measure(x: Floats) -> float:

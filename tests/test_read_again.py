@@ -1,0 +1,88 @@
+"""A result read again is the same system: its atoms, bonds, charges and springs, and so its energy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import MORE_STRUCTURES, READ_AGAIN, SAMPLES, load, shared
+
+import protochain as pc
+
+COMPLEXES = MORE_STRUCTURES.parent / "complexes"
+FORMATS = (".cif", ".pdb")
+WHOLE_ENERGY_UP_TO = 1500
+"""Atoms up to which energies are compared beside all that determines them."""
+
+
+def complex_of(name):
+    path = COMPLEXES / name
+    if not path.exists():
+        pytest.skip(f"{name} is not here")
+    return path
+
+
+def again(structure, path):
+    """The structure as its file has it."""
+    pc.save(structure, path)
+    return pc.load(path, keep="all")
+
+
+def addresses(s):
+    return [
+        (str(s.residue_chain[r]), f"{s.residue_number[r]}{s.residue_insertion_code[r]}",
+         str(s.residue_name[r]), str(name))
+        for r, name in zip(s.atom_residue.tolist(), s.atom_name, strict=True)
+    ]  # fmt: skip
+
+
+def assert_same_system(structure, path):
+    """All that an energy depends on is the same, and so is the energy at the positions of the file."""
+    found = again(structure, path)
+    assert addresses(found) == addresses(structure)
+    for name in ("atom_element", "residue_chain_index", "obstacle", "mobile", "kept", "formal_charge"):
+        assert np.array_equal(getattr(found, name), getattr(structure, name)), name
+    assert {*map(tuple, found.bonds.tolist())} == {*map(tuple, structure.bonds.tolist())}
+    assert [(tie.atoms, tie.stiffness) for tie in found.ties] == [
+        (tie.atoms, tie.stiffness) for tie in structure.ties
+    ]
+    assert np.allclose(
+        [tie.rest for tie in found.ties], [tie.rest for tie in structure.ties], rtol=0, atol=1e-9
+    )
+    if path.suffix == ".cif":
+        assert found.fingerprint == replace(structure, ties=found.ties).fingerprint
+    if structure.n_atoms <= WHOLE_ENERGY_UP_TO:
+        value = pc.energy(found)(found.positions)[0]
+        # Columns of a PDB file hold an angstrom's third decimal: it is the energy at these positions.
+        at = structure.with_positions(found.positions)
+        assert value == pytest.approx(pc.energy(at)(at.positions)[0], rel=READ_AGAIN)
+
+
+def shaken(structure, seed=0):
+    """The structure as a run might leave it: what may move has moved, by 0.03 angstrom."""
+    step = np.random.default_rng(seed).normal(scale=0.003, size=structure.positions.shape)
+    return structure.with_positions(structure.positions + step * ~structure.obstacle[:, None])
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_every_sample_is_the_same_system_again(name, tmp_path):
+    for suffix in FORMATS:
+        assert_same_system(shaken(load(name)), tmp_path / f"again{suffix}")
+
+
+CHOSEN = (
+    "3znf_zinc_finger.pdb", "1ajj_ldlr.pdb", "5vav_cyclic.pdb", "3u7t_crambin_neutron.cif", "3jqh_altloc.cif",
+    "3al1_caps_altloc.pdb", "1orc_icode.pdb", "1as5_conotoxin.cif",
+)  # fmt: skip
+"""Metals, ring, deuterium, alternates, caps, insertion codes, disulfides."""
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("name", CHOSEN)
+def test_kinds_of_file_are_the_same_system_again(name, suffix, tmp_path):
+    assert_same_system(shaken(pc.load(shared(name), keep="all")), tmp_path / f"again{suffix}")
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("name", ["astex/1HQ2_PH2_protein.pdb", "models/2r5z.pdb", "models/charges.cif"])
+def test_complexes_are_the_same_system_again(name, suffix, tmp_path):
+    assert_same_system(shaken(pc.load(complex_of(name), keep="all")), tmp_path / f"again{suffix}")
