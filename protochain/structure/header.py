@@ -91,7 +91,7 @@ def settle(out: gemmi.Structure, *, whole: bool) -> None:
         for chain in model:
             for residue in chain:
                 residue.entity_id, residue.entity_type = of[residue.subchain]
-    _keep_secondary_structure(out)
+    _keep_annotations(out)
 
 
 def _fits(entity: gemmi.Entity, there: dict[str, list[gemmi.Residue]]) -> bool:
@@ -143,8 +143,11 @@ def _name_apart(entities: list[gemmi.Entity]) -> None:
         taken.add(entity.name)
 
 
-def _keep_secondary_structure(out: gemmi.Structure) -> None:
-    """Keep helices and strands whose ends are there, under the names that these residues now have."""
+def _keep_annotations(out: gemmi.Structure) -> None:
+    """Keep helices and strands whose ends are there, under the names that these residues now have.
+
+    And what is said of modified residues that still have the name of which it is said.
+    """
     names = {
         (chain.name.strip(), str(residue.seqid)): residue.name
         for model in out
@@ -160,6 +163,10 @@ def _keep_secondary_structure(out: gemmi.Structure) -> None:
             end.res_id.name = name
         return True
 
+    out.mod_residues = [
+        each for each in out.mod_residues
+        if names.get((each.chain_name.strip(), str(each.res_id.seqid))) == each.res_id.name
+    ]  # fmt: skip
     out.helices = gemmi.HelixList([each for each in out.helices if named((each.start, each.end))])
     sheets = []
     for sheet in out.sheets:

@@ -135,14 +135,18 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
     rename(member.atoms, template)
     heavy = [a for a in member.atoms if not a.is_hydrogen()]
     bonded: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
-    strange = 0
+    strange, expected = 0, template.hydrogens
+    named_for = {name: parent for parent, names in expected.items() for name in names}
     for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
-        nearest = min(heavy, key=lambda a: a.pos.dist(hydrogen.pos))
+        # Where atoms overlap, another may be nearer than the one that it is named for.
+        own = [
+            a for a in heavy if a.name == named_for.get(hydrogen.name) and a.pos.dist(hydrogen.pos) <= _BONDED
+        ]
+        nearest = min(own or heavy, key=lambda a: a.pos.dist(hydrogen.pos))
         if nearest.pos.dist(hydrogen.pos) <= _BONDED:
             bonded[nearest.name].append(hydrogen)
         else:
             strange += 1
-    expected = template.hydrogens
     member.atoms = []
     for parent in heavy:
         names = list(expected.get(parent.name, []))

@@ -15,11 +15,13 @@ from protochain.structure.springs import CATEGORY, of_remarks
 Rows = list[dict[str, str]]
 """Rows of a category; values as the file has them, with their quotes."""
 
+_MODIFIED = "_pdbx_struct_mod_residue."
+"""gemmi reads and writes it, but not by itself."""
 _ALWAYS = (
     "_chem_comp.", "_chem_comp_atom.", "_chem_comp_bond.", "_citation.", "_citation_author.",
-    "_audit_author.", "_pdbx_data_usage.", "_pdbx_struct_mod_residue.", "_database_pdb_remark.", CATEGORY,
+    "_pdbx_data_usage.", _MODIFIED, "_database_pdb_remark.", CATEGORY,
 )  # fmt: skip
-_OF_MODELS = ("_ma_", "_audit_conform.", "_software.")
+_OF_MODELS = ("_ma_", "_audit_author.", "_audit_conform.", "_software.")
 """Of predicted models; of an experiment it would be said of positions that are not its own."""
 _COMPONENT = {"_chem_comp.": "id", "_chem_comp_atom.": "comp_id", "_chem_comp_bond.": "comp_id"}
 _NO_VALUE = (".", "?")
@@ -52,7 +54,8 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
         lines.setdefault(line[:6].strip(), []).append(line.ljust(80))
     names: dict[str, str] = {}
     for line in lines.get("HETNAM", ()):
-        names[line[11:14].strip()] = f"{names.get(line[11:14].strip(), '')} {line[15:70].strip()}".strip()
+        name = line[11:14].strip()
+        names[name] = _joined(names.get(name, ""), line[15:70].strip())
     remarks = [line[10:].strip() for line in lines.get("REMARK", ()) if line[6:10].strip() == f"{_TERMS}"]
     mods = [
         {"id": f"{k}", "auth_asym_id": mod.chain_name or "?", "auth_seq_id": f"{mod.res_id.seqid.num}",
@@ -65,7 +68,7 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
         {
             "_chem_comp.": [{"id": _quoted(name), "name": _quoted(said)} for name, said in names.items()],
             "_chem_comp_bond.": list(_drawn(structure)),
-            "_pdbx_struct_mod_residue.": mods,
+            _MODIFIED: mods,
             "_database_PDB_remark.": [{"id": f"{_TERMS}", "text": _quoted("\n".join(remarks))}]
             if remarks
             else [],
@@ -92,7 +95,7 @@ def cif_rows(header: str, out: gemmi.Structure, label: Mapping[Label, Label]) ->
     kept = {
         category: rows
         for category, given in found.items()
-        if category != CATEGORY
+        if category not in (CATEGORY, _MODIFIED)
         and (rows := _once(row for each in given if (row := there.renamed(category, each))))
     }
     return kept | {"_chem_comp.": list(_components(kept.get("_chem_comp.", []), names))}
@@ -102,9 +105,9 @@ def pdb_lines(header: str, out: gemmi.Structure) -> tuple[list[str], list[str]]:
     """Return the records of a PDB file of its citation and terms, and those of its ligands' names."""
     found = cif_rows(header, out, {})
     citation = [
-        f"JRNL        {name:<4} {line}".rstrip()
+        f"JRNL        {name:<4}{k if k > 1 else '':>2} {line}"
         for name, text in _cited(found)
-        for line in textwrap.wrap(text, _TEXT_WIDTH)
+        for k, line in enumerate(textwrap.wrap(text, _TEXT_WIDTH), 1)
     ]
     terms = [
         line for row in found.get("_database_PDB_remark.", []) for line in _plain(row["text"]).split("\n")
@@ -175,20 +178,11 @@ class _There:
                 self.asym.setdefault(asym, new[0])
                 place = (new[0], "." if new[1] is None else f"{new[1]}", now[new])
                 self.residue.setdefault((asym, "." if seq is None else f"{seq}"), place)
-        self.at = {
-            (chain.name.strip(), str(residue.seqid).strip(), residue.name)
-            for model in out for chain in model for residue in chain
-        }  # fmt: skip
 
     def renamed(self, category: str, row: dict[str, str]) -> dict[str, str] | None:
         """A row under the present names; none if what it tells of is not there."""
         if category in _COMPONENT:
             return row if _plain(row[_COMPONENT[category]]) in self.names else None
-        if category == "_pdbx_struct_mod_residue.":
-            code = row.get("PDB_ins_code", "?")
-            seqid = row.get("auth_seq_id", "?") + ("" if code in _NO_VALUE else code)
-            comp = row.get("auth_comp_id", row.get("label_comp_id", "?"))
-            return row if (_plain(row.get("auth_asym_id", "?")), seqid, _plain(comp)) in self.at else None
         row = dict(row)
         for end in ("", "_1", "_2"):
             if f"label_asym_id{end}" in row:
@@ -255,7 +249,8 @@ def _journal(lines: Iterable[str]) -> dict[str, Rows]:
     """Citation of the JRNL records."""
     text: dict[str, str] = {}
     for line in lines:
-        text[line[12:16].strip()] = f"{text.get(line[12:16].strip(), '')} {line[19:79].strip()}".strip()
+        name = line[12:16].strip()
+        text[name] = _joined(text.get(name, ""), line[19:79].strip())
     if not text:
         return {}
     items = {
@@ -280,7 +275,9 @@ def _cited(found: Mapping[str, Rows]) -> Iterator[tuple[str, str]]:
     rows = sorted(found.get("_citation.", []), key=lambda row: _plain(row.get("id", "")) != "primary")
     for row in rows[:1]:
         authors = [
-            _plain(each["name"]) for each in found.get("_citation_author.", [])
+            # J.Doe, as the format has it.
+            "".join(reversed(_plain(each["name"]).split(", ", 1)))
+            for each in found.get("_citation_author.", [])
             if each.get("citation_id") == row.get("id") and _is_given(each, "name")
         ]  # fmt: skip
         journal = ("journal_full",) if _is_given(row, "journal_full") else (
@@ -317,6 +314,11 @@ def _text(categories: Mapping[str, Rows]) -> str:
     document = gemmi.cif.Document()
     put(document.add_new_block("records"), categories)
     return str(document.as_string())
+
+
+def _joined(before: str, line: str) -> str:
+    """Text of a record with its next line, which a hyphen or comma needs no space before."""
+    return f"{before}{'' if before.endswith(('-', ',')) or not before else ' '}{line}"
 
 
 def _quoted(value: str) -> str:

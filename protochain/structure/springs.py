@@ -19,7 +19,7 @@ _START, _WIDTH = 11, 12
 """Columns of a remark: chain, number with insertion code and name of up to three atoms, rest, stiffness."""
 
 Spring = tuple[tuple[Address, ...], float, float]
-"""Atoms, rest (nm or rad), stiffness (kJ/mol/nm^2 or kJ/mol/rad^2); of a molecule that none holds, an atom."""
+"""Atoms, rest (nm or rad), stiffness (kJ/mol/nm^2 or kJ/mol/rad^2); an atom of a molecule that none holds."""
 
 
 def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:
@@ -37,7 +37,7 @@ def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:
         row = {item: gemmi.cif.as_string(value) for item, value in zip(columns, values, strict=True)}
         ends = [[row.get(item.format(k), "") for item in _ENDS] for k in (1, 2, 3)]
         atoms = tuple((chain, number + code, name) for chain, number, code, name in ends if name)
-        rest, stiffness = (gemmi.cif.as_number(row.get(item, "0"), 0.0) for item in ("rest", "stiffness"))
+        rest, stiffness = (_number(row.get(item, "")) for item in ("rest", "stiffness"))
         if atoms and isfinite(rest) and isfinite(stiffness) and rest >= 0.0 and stiffness >= 0.0:
             found[atoms] = (rest, stiffness)
     return found
