@@ -96,7 +96,8 @@ def choose(
     gone: Counter[tuple[str, str]] = Counter()
     for candidate in candidates:
         words = {"all", candidate.kind, candidate.member.name, candidate.given}
-        if id(candidate) in near:
+        # A result names what it kept, which may have come further away.
+        if id(candidate) in near or draft.says_of(candidate.member):
             words.add("near")
         if words & {*keep} and _is_usable(candidate.member):
             chosen.append(candidate)

@@ -189,7 +189,7 @@ class Structure(Value):
 
     @cached_property
     def formal_charge(self) -> Integers:
-        """(na,) int: charges that the file gives to atoms kept as they are; 0 for all others."""
+        """(na,) int: charges that the file gives to atoms beside the protein; of ions and thiolates."""
         return read_only([atom.formalCharge or 0 for atom in self.topology.atoms()], np.int64)
 
     @cached_property

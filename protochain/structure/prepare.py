@@ -218,20 +218,22 @@ def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Int
             residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
             for atom in member.atoms:
                 element = app.Element.getBySymbol(atom.element.name)
-                charge = (
-                    _formal_charge(atom, templates_of[id(member)], len(member.atoms))
-                    if part.obstacle
-                    else None
-                )
+                charge = _formal_charge(atom, member, templates_of[id(member)], part.obstacle)
                 atoms.append(topology.addAtom(atom.name, element, residue, formalCharge=charge))
     for first, second in bonds.tolist():
         topology.addBond(atoms[first], atoms[second])
     return topology
 
 
-def _formal_charge(atom: gemmi.Atom, template: Template, n_atoms: int) -> int:
-    """Charge that the file gives to an atom beside the protein; an ion's own if it gives none."""
-    return int(atom.charge or (round(template.charge[atom.name]) if n_atoms == 1 else 0))
+def _formal_charge(atom: gemmi.Atom, member: Member, template: Template, beside: bool) -> int:
+    """Charge that the file gives to an atom beside the protein, an ion's own if it gives none; of a thiolate.
+
+    A cysteine without its hydrogen would else be read again as half of a disulfide.
+    """
+    if beside:
+        return int(atom.charge or (round(template.charge[atom.name]) if len(member.atoms) == 1 else 0))
+    is_thiolate = template.name.endswith("CYM") and not member.metals and not member.links
+    return -1 if atom.name == "SG" and is_thiolate else 0
 
 
 def _refuse_coincident(draft: Draft, owners: list[tuple[Member, str]], x: Floats, bonds: Integers) -> None:

@@ -112,6 +112,10 @@ def _shown(member: Member) -> str:
         return "ASH"
     if member.name == "GLU" and names & {"HE1", "HE2"}:
         return "GLH"
+    if member.name == "LYS" and len(names & {"HZ1", "HZ2", "HZ3"}) == 2 and {"HE2", "HE3"} <= names:
+        return "LYN"
+    if member.name == "CYS" and any(a.name == "SG" and a.charge < 0 for a in member.atoms):
+        return "CYM"
     return ""
 
 
