@@ -111,7 +111,7 @@ class Draft:
         Molecules and atoms left out, by kind.
     springs : mapping of tuple of Address to (float, float)
         Springs that the file says hold the bonds to molecules beside the protein: rest, nm or rad, and
-        stiffness; of a molecule that none holds, under one of its atoms. Empty if the file does not say.
+        stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
     header : str
         What the file says beside its atoms, as mmCIF text.
     model_number : int
@@ -139,12 +139,21 @@ class Draft:
         return (first, second) in self.stated or (second, first) in self.stated
 
     def says_of(self, member: Member) -> bool:
-        """Whether the file says which springs hold a molecule beside the protein."""
-        return (member.chain_id, member.seqid) in self._sprung
+        """Whether the file says which springs hold a molecule beside the protein, or that none does."""
+        return (member.chain_id, member.seqid) in self._held
+
+    def says_stays(self, member: Member) -> bool:
+        """Whether the file says that a molecule beside the protein stays in place."""
+        return 1 in self._held.get((member.chain_id, member.seqid), ())
 
     @cached_property
-    def _sprung(self) -> set[tuple[str, str]]:
-        return {atoms[-1][:2] for atoms in self.springs if len(atoms) < 3}
+    def _held(self) -> Mapping[tuple[str, str], set[int]]:
+        """Numbers of atoms, one or two, of what the file says of each molecule beside the protein."""
+        found: dict[tuple[str, str], set[int]] = {}
+        for atoms in self.springs:
+            if len(atoms) < 3:
+                found.setdefault(atoms[-1][:2], set()).add(len(atoms))
+        return found
 
 
 def atom(name: str, element: str, position: list[float], b_iso: float = 0.0) -> gemmi.Atom:

@@ -132,6 +132,8 @@ def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
     ion = member.atoms[0]
     if len(member.atoms) > 1 or not any(link.other_atom is ion and link.is_metal for link in links):
         return False
+    if draft.says_of(member):
+        return not draft.says_stays(member)
     others = (m for part in draft.parts if part.obstacle for m in part.members if m is not member)
     # Hydrogens have no positions yet.
     heavy = (a for m in others for a in m.atoms if not a.is_hydrogen())

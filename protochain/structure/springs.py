@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from math import isfinite
 
 import gemmi
+import numpy as np
 
 from protochain.structure.draft import Address
 from protochain.structure.model import Structure
@@ -19,7 +20,7 @@ _START, _WIDTH = 11, 12
 """Columns of a remark: chain, number with insertion code and name of up to three atoms, rest, stiffness."""
 
 Spring = tuple[tuple[Address, ...], float, float]
-"""Atoms, rest (nm or rad), stiffness (kJ/mol/nm^2 or kJ/mol/rad^2); an atom of a molecule that none holds."""
+"""Atoms, rest (nm, rad), stiffness (kJ/mol/nm^2, kJ/mol/rad^2); an atom of a molecule that stays in place."""
 
 
 def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:
@@ -44,7 +45,10 @@ def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:
 
 
 def of_structure(structure: Structure) -> list[Spring]:
-    """Return the springs of a structure, and an atom of each molecule beside the protein that has none."""
+    """Return the springs of a structure, and an atom of each molecule beside the protein that stays in place.
+
+    Or that no spring holds; of waters nothing is said.
+    """
     residue = structure.atom_residue
 
     def address(atom: int) -> Address:
@@ -52,14 +56,15 @@ def of_structure(structure: Structure) -> list[Spring]:
         number = f"{structure.residue_number[r]}{structure.residue_insertion_code[r]}"
         return str(structure.residue_chain[r]), number, str(structure.atom_name[atom])
 
-    held = {int(residue[tie.atoms[1]]) for tie in structure.ties if len(tie.atoms) == 2}
     found: list[Spring] = [
         (tuple(address(atom) for atom in tie.atoms), tie.rest, tie.stiffness) for tie in structure.ties
     ]
-    for k, atom in enumerate(structure.kept.tolist()):
-        r = int(residue[k])
-        if atom and structure.atom_element[k] != "H" and r not in held and structure.residue_name[r] != "HOH":
-            held.add(r)
+    drawn = {int(residue[tie.atoms[1]]) for tie in structure.ties if len(tie.atoms) == 2}
+    waters = set(np.flatnonzero(structure.residue_name == "HOH").tolist())
+    there = structure.kept & (structure.atom_element != "H")
+    residues, first = np.unique(residue[there], return_index=True)
+    for r, k in zip(residues.tolist(), np.flatnonzero(there)[first].tolist(), strict=True):
+        if r not in waters and (structure.obstacle[k] or r not in drawn):
             found.append(((address(k),), 0.0, 0.0))
     return found
 
