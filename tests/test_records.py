@@ -133,6 +133,23 @@ def test_citation_and_terms_go_to_pdb_files_and_back(tmp_path):
     assert rows(cif, "database_PDB_remark", "id", "text") == [("1", f"license {TERMS}")]
 
 
+def test_records_of_any_text_are_taken(tmp_path):
+    """Quotes, control characters, a text that looks like mmCIF, a remark of another program."""
+    odd = [
+        "JRNL        TITL   data_x loop_ _a.b 'c \"d\" ; \x1b[31m\x07", "JRNL        AUTH   ,,", "JRNL",
+        "REMARK   1", "REMARK   1 ;", "REMARK 980 of another program, some text that goes on to its end",
+        "HETNAM", "HETNAM     ALA #$'_",
+    ]  # fmt: skip
+    (tmp_path / "a.pdb").write_text("\n".join([*odd, (STRUCTURES / "ala10.pdb").read_text()]))
+    s = pc.load(tmp_path / "a.pdb")
+    for suffix in (".pdb", ".cif"):
+        pc.save(s, tmp_path / f"b{suffix}")
+        assert pc.load(tmp_path / f"b{suffix}").fingerprint == s.fingerprint
+    assert rows((tmp_path / "b.cif").read_text(), "citation", "title")[0][0].startswith(
+        "data_x loop_ _a.b 'c"
+    )
+
+
 GLYCAN = """\
 HETNAM     NAG 2-ACETAMIDO-2-DEOXY-BETA-D-GLUCOPYRANOSE-
 HETNAM   2 NAG  AND MORE

@@ -51,7 +51,9 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
     for line in text.splitlines():
         if line.startswith(("ATOM", "HETATM", "MODEL")):
             break
-        lines.setdefault(line[:6].strip(), []).append(line.ljust(80))
+        # mmCIF has no control characters.
+        plain = "".join(c if c.isprintable() else " " for c in line)
+        lines.setdefault(plain[:6].strip(), []).append(plain.ljust(80))
     names: dict[str, str] = {}
     for line in lines.get("HETNAM", ()):
         name = line[11:14].strip()
@@ -322,7 +324,8 @@ def _joined(before: str, line: str) -> str:
 
 
 def _quoted(value: str) -> str:
-    return gemmi.cif.quote(value) if value else "?"
+    # A semicolon that begins a line would end a text of several.
+    return str(gemmi.cif.quote(value.replace("\n;", "\n ;"))) if value else "?"
 
 
 def _plain(value: str) -> str:
