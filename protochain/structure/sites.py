@@ -27,7 +27,7 @@ _OTHER_METAL = 2.3
 """Angstrom: of metals that are not in the table."""
 _SLACK = {"O": 0.5, "N": 0.5, "S": 0.75, "Se": 0.85}
 """Angstrom beyond the usual distance of oxygen up to which a donor is bonded; sulphur is larger."""
-_STATED = 3.3
+STATED = 3.3
 """Angstrom: bonds that the file states are believed up to this length."""
 _COVALENT_SLACK = 0.3
 """Angstrom beyond the sum of the covalent radii up to which other atoms are bonded."""
@@ -98,7 +98,7 @@ def find_links(draft: Draft) -> list[Link]:
             for a in member.atoms:
                 if a.is_hydrogen():
                     continue
-                for k in sorted(tree.query_ball_point(a.pos.tolist(), _STATED)):
+                for k in sorted(tree.query_ball_point(a.pos.tolist(), STATED)):
                     link = Link(member, a, *beside[k])
                     if _is_bonded(draft, link):
                         links.append(link)
@@ -120,6 +120,17 @@ def find_links(draft: Draft) -> list[Link]:
     return links
 
 
+def stated_beside(draft: Draft) -> list[Link]:
+    """Bonds between residues kept beside the protein that the file states, and that are short enough."""
+    there = {
+        (member.chain_id, member.seqid, atom.name): (member, atom)
+        for part in draft.parts if part.obstacle for member in part.members for atom in member.atoms
+    }  # fmt: skip
+    pairs = {frozenset(ends) for ends in draft.stated if all(end in there for end in ends)}
+    links = (Link(*there[first], *there[second]) for first, second in sorted(map(sorted, pairs)))
+    return [link for link in links if link.atom.pos.dist(link.other_atom.pos) <= STATED]
+
+
 def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
     """Whether a kept molecule moves: an ion that the protein alone holds."""
     ion = member.atoms[0]
@@ -128,7 +139,7 @@ def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
     others = (m for part in draft.parts if part.obstacle for m in part.members if m is not member)
     # Hydrogens have no positions yet.
     heavy = (a for m in others for a in m.atoms if not a.is_hydrogen())
-    return all(ion.pos.dist(a.pos) > _STATED for a in heavy)
+    return all(ion.pos.dist(a.pos) > STATED for a in heavy)
 
 
 def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
