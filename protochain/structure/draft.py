@@ -107,6 +107,8 @@ class Draft:
         Atoms added to side chains, by ``id`` of their residue.
     left_out : Counter
         Molecules and atoms left out, by kind.
+    absent : list of Member
+        The molecules left out.
     header : str
         What the file says beside its atoms, as mmCIF text.
     model_number : int
@@ -120,6 +122,7 @@ class Draft:
     repairs: list[str] = field(default_factory=list)
     rebuilt: dict[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
+    absent: list[Member] = field(default_factory=list)
     header: str = ""
     model_number: int = 1
 

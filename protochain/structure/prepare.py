@@ -20,11 +20,12 @@ from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
 from protochain.structure.complete import add_heavy_atoms
 from protochain.structure.draft import Draft, Member, Part
 from protochain.structure.hydrogens import place_hydrogens
+from protochain.structure.linkage import Link
 from protochain.structure.model import Structure
 from protochain.structure.protonate import check_ph, protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.relief import relieved
-from protochain.structure.sites import Link, find_links, moves, settle_mobile, stated_beside, ties
+from protochain.structure.sites import find_links, moves, settle_mobile, stated_beside, ties
 from protochain.structure.templates import Template, templates
 from protochain.units import ANGSTROM_PER_NM
 
