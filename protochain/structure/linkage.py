@@ -1,8 +1,8 @@
 """Which close pairs of atoms, one of the protein and one of a molecule kept beside it, are covalent bonds.
 
 A bond that the file states is believed if its length is one of bonds and no atom gets more than it can have.
-Any other has to be a known kind of link, the only close pair of its two residues, between atoms that lack a
-neighbour, at usual angles: two molecules that overlap have close pairs of every kind.
+Any other has to be a known kind of link between atoms that lack a neighbour, at usual angles, of a residue
+that is not near the protein elsewhere: two molecules that overlap have close pairs of every kind.
 """
 
 from collections import Counter
@@ -23,8 +23,9 @@ _STATED_SLACK = 0.7
 """The same further apart, if the file states the bond: models are off, and springs draw it in."""
 SHORTEST = 0.8
 """Angstrom: atoms nearer than this lie on one another, whatever the file states."""
-_ANGLES = np.deg2rad(85.0), np.deg2rad(150.0)
-"""Of a bond with others of its atoms; C-S-C has 100, C-O-P 120, C=N-C 125 degrees."""
+_ANGLES = np.deg2rad(75.0), np.deg2rad(150.0)
+"""Of a bond with others of its atoms: C-S-C has 100, C-O-P 120, C=N-C 125 degrees; glycans at a resolution of
+3.7 angstrom are off by 30."""
 _FLAT = 0.25
 """Angstrom: a carbon whose height over its three neighbours is less has a double bond (0.5 without)."""
 _LINEAR = np.deg2rad(160.0)
@@ -155,7 +156,10 @@ def told_apart(draft: Draft, pairs: Sequence[Link]) -> Told:
     """
     near = _Neighbourhood(draft)
     close = [pair for pair in pairs if pair.excess <= COVALENT_SLACK]
-    between = Counter(pair.owners for pair in close)
+    crowd = Counter(id(pair.other) for pair in close)
+    likely = {pair for pair in close if not pair.stated and near.is_link(pair)}
+    # Of a residue pushed into the protein, none of the close pairs is a bond; a heme may have two bonds.
+    crowd -= Counter(id(pair.other) for pair in close if pair.stated or pair in likely)
     taken: Counter[int] = Counter()
     bonded: list[Link] = []
     refused: list[tuple[Link, str]] = []
@@ -165,7 +169,7 @@ def told_apart(draft: Draft, pairs: Sequence[Link]) -> Told:
             if reason:
                 refused.append((pair, reason))
                 continue
-        elif between[pair.owners] > 1 or any(taken[end] for end in pair.ends) or not near.is_link(pair):
+        elif pair not in likely or crowd[id(pair.other)] or any(taken[end] for end in pair.ends):
             continue
         taken.update(pair.ends)
         bonded.append(pair)
