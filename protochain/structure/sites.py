@@ -115,14 +115,14 @@ def _near(draft: Draft, protein: _Owned, beside: _Owned) -> list[Link]:
     """Pairs that may be bonded: as near as bonded atoms, or nearer than stated bonds may be."""
     if not beside:
         return []
-    tree = KDTree([a.pos.tolist() for _, a in beside])
+    tree, bonds = KDTree([a.pos.tolist() for _, a in beside]), {*draft.stated}
     found = []
     for member, a in protein:
         for k in sorted(tree.query_ball_point(a.pos.tolist(), STATED)):
             other, its = beside[k]
-            stated = draft.states(_address(member, a), _address(other, its))
-            link = Link(member, a, other, its, stated)
-            if stated or link.is_metal or link.excess <= COVALENT_SLACK:
+            ends = _address(member, a), _address(other, its)
+            link = Link(member, a, other, its, ends in bonds or ends[::-1] in bonds)
+            if link.stated or link.is_metal or link.excess <= COVALENT_SLACK:
                 found.append(link)
     return found
 
