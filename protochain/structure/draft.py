@@ -112,6 +112,8 @@ class Draft:
     springs : mapping of tuple of Address to (float, float)
         Springs that the file says hold the bonds to molecules beside the protein: rest, nm or rad, and
         stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
+    absent : list of Member
+        The molecules left out.
     header : str
         What the file says beside its atoms, as mmCIF text.
     model_number : int
@@ -126,6 +128,7 @@ class Draft:
     rebuilt: dict[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
     springs: Mapping[tuple[Address, ...], tuple[float, float]] = field(default_factory=dict)
+    absent: list[Member] = field(default_factory=list)
     header: str = ""
     model_number: int = 1
 

@@ -20,11 +20,12 @@ from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
 from protochain.structure.complete import add_heavy_atoms
 from protochain.structure.draft import Draft, Member, Part
 from protochain.structure.hydrogens import place_hydrogens
+from protochain.structure.linkage import Link
 from protochain.structure.model import Structure
 from protochain.structure.protonate import check_ph, protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.relief import relieved
-from protochain.structure.sites import Link, find_links, moves, settle_mobile, stated_ties, ties
+from protochain.structure.sites import find_links, moves, settle_mobile, stated_beside, stated_ties, ties
 from protochain.structure.templates import Template, templates
 from protochain.units import ANGSTROM_PER_NM
 
@@ -113,7 +114,7 @@ def prepare(
     """
     wanted = pairs(disulfide, "disulfide")
     known = templates(forcefield)
-    links = find_links(draft)
+    links, beside = find_links(draft), stated_beside(draft)
     settle_mobile(draft, links)
     # Before oxygens that the file lacks are added.
     refuse_crosslinks(draft)
@@ -156,7 +157,13 @@ def prepare(
         draft.model_number,
         stated_ties(draft, links, at) or ties(links, at, x, elements, bonds),
         mobile,
+        np.array([*_linked(links, at), *_linked(beside, at)], dtype=np.int64).reshape(-1, 2),
     )
+
+
+def _linked(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int, int]]:
+    """Bonds between the protein and what is kept beside it, or between such, as atoms."""
+    return [(at[id(link.member)][link.atom.name], at[id(link.other)][link.other_atom.name]) for link in links]
 
 
 def _occupancies(atoms: list[gemmi.Atom]) -> Floats:
@@ -196,9 +203,7 @@ def _bonds(
         for member, following_member in zip(part.members, following, strict=False):
             end, start = ("O3'", "P") if part.obstacle else ("C", "N")
             pairs.append((at[id(member)][end], at[id(following_member)][start]))
-    pairs += [
-        (at[id(link.member)][link.atom.name], at[id(link.other)][link.other_atom.name]) for link in links
-    ]
+    pairs += _linked(links, at)
     pairs += [(at[id(first)]["SG"], at[id(second)]["SG"]) for first, second in bridges]
     return np.sort(np.array(pairs, dtype=np.int64), axis=1)
 

@@ -112,8 +112,9 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections
-        if bond.type in _BONDS
-    ]
+        # One to an image in the crystal is none here.
+        if bond.type in _BONDS and bond.asu != gemmi.Asu.Different
+    ] + _of_serials(structure, model)
     beside: list[Candidate] = []
     for chain in choose_chains(draft, model, reading.chains):
         _Reader(draft, reading, chain.name, beside).take(chain)
@@ -146,6 +147,22 @@ def model_numbers(path: str | Path) -> list[int]:
 
 def _address(place: gemmi.AtomAddress) -> Address:
     return place.chain_name.strip(), str(place.res_id.seqid).strip(), place.atom_name
+
+
+def _of_serials(structure: gemmi.Structure, model: gemmi.Model) -> list[tuple[Address, Address]]:
+    """Bonds between residues that CONECT records state, by serial numbers."""
+    bonds = {frozenset((a, b)) for a, partners in structure.conect_map.items() for b in partners if a != b}
+    wanted = {serial for bond in bonds for serial in bond}
+    places = [place for place in model.all() if place.atom.serial in wanted] if wanted else []
+    count = Counter(place.atom.serial for place in places)
+    at = {
+        place.atom.serial: (place.chain.name.strip(), str(place.residue.seqid).strip(), place.atom.name)
+        for place in places
+        # Of files with more atoms than numbers nothing can be said.
+        if count[place.atom.serial] == 1
+    }
+    pairs = [sorted(bond) for bond in bonds if bond <= at.keys()]
+    return [(at[a], at[b]) for a, b in sorted(pairs) if at[a][:2] != at[b][:2]]
 
 
 class _Reader:

@@ -16,9 +16,9 @@ from protochain.storage import write_atomically
 from protochain.structure.convert import as_structure
 from protochain.structure.files import PACKINGS, SUFFIXES, format_of, split_name
 from protochain.structure.header import NO_LABEL, Label, settle, with_header
+from protochain.structure.linkage import is_metal
 from protochain.structure.model import Structure
 from protochain.structure.records import cif_rows, orders, pdb_lines, put, with_names
-from protochain.structure.sites import is_metal
 from protochain.structure.springs import CATEGORY, Spring, as_remarks, as_rows, of_structure
 from protochain.units import ANGSTROM_PER_NM
 
