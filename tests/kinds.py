@@ -420,6 +420,17 @@ def shifted_numbers(by: int):
     return change
 
 
+def chain_named(name: str, *others: str):
+    """Rename chains, in order."""
+
+    def change(structure: gemmi.Structure) -> None:
+        structure.connections = gemmi.ConnectionList([])
+        for chain, new in zip(structure[0], (name, *others), strict=False):
+            chain.name = new
+
+    return change
+
+
 def without_atoms(test: Callable[[gemmi.Residue, gemmi.Atom], bool]):
     def change(structure: gemmi.Structure) -> None:
         for chain in structure[0]:
@@ -797,16 +808,16 @@ add(F, "no-element-columns", of("1ubq"), then(as_bare_pdb, records(lambda line: 
 add(F, "no-element-columns-hydrogens", of("1vii", True), then(as_bare_pdb, records(lambda line: line[:66])))
 add(F, "coordinates-alone", trp, then(as_bare_pdb, records(lambda line: line[:54])))
 add(F, "entry-name-in-the-last-columns", trp, then(as_bare_pdb, records(lambda line: f"{line[:66]:<72}1L2Y{line[6:11].strip():>4}")))
-add(F, "lower-case", trp, then(as_bare_pdb, str.lower))
+add(F, "lower-case", edited(trp, chain_named("a")), then(as_bare_pdb, str.lower))
 add(F, "hybrid-36-serials", trp, then(as_bare_pdb, records(lambda line: f"{line[:6]}A{line[7:11].strip():0>4}{line[11:]}")))
 add(F, "hybrid-36-numbers", edited(of("1ubq"), shifted_numbers(9960)))
 add(F, "serials-as-stars", trp, then(as_bare_pdb, put(7, "*****")))
-add(F, "serials-of-six-digits", trp, then(as_bare_pdb, records(lambda line: f"ATOM  {100000 + int(line[6:11])}{line[12:]}")), refused="line")
-add(F, "no-chain-id", trp, then(as_bare_pdb, put(22, " ")))
-add(F, "segids", trp, then(as_bare_pdb, put(22, " "), records(lambda line: f"{line[:72]:<72}PROA{line[76:]}")))
-add(F, "digit-as-chain-id", trp, then(as_bare_pdb, put(22, "1")))
-add(F, "lower-case-chain-id", trp, then(as_bare_pdb, put(22, "a")))
-add(F, "two-letter-chain-id-in-columns-21-22", trp, then(as_bare_pdb, put(21, "AA")))
+add(F, "serials-of-six-digits", trp, then(as_bare_pdb, records(lambda line: f"ATOM  {100000 + int(line[6:11])}{line[12:]}")))
+add(F, "no-chain-id", edited(trp, chain_named("")), then(as_bare_pdb, put(22, " ")))
+add(F, "segids", edited(trp, chain_named("")), then(as_bare_pdb, put(22, " "), records(lambda line: f"{line[:72]:<72}PROA{line[76:]}")))
+add(F, "digit-as-chain-id", edited(trp, chain_named("1")), then(as_bare_pdb, put(22, "1")))
+add(F, "lower-case-chain-id", edited(trp, chain_named("a")), then(as_bare_pdb, put(22, "a")))
+add(F, "two-letter-chain-id-in-columns-21-22", edited(trp, chain_named("AA")), then(as_bare_pdb, put(21, "AA")))
 add(F, "models", of("1vii"), then(as_bare_pdb, lambda t: "".join(f"MODEL     {k:4}\n{t.replace('END' + chr(10), '')}ENDMDL\n" for k in (1, 2)) + "END\n"))
 add(F, "models-without-endmdl", of("1vii"), then(as_bare_pdb, lambda t: "".join(f"MODEL     {k:4}\n{t.replace('END' + chr(10), '')}" for k in (1, 2)) + "END\n"))
 add(F, "model-0", trp, then(as_bare_pdb, lambda t: f"MODEL        0\n{t.replace('END' + chr(10), '')}ENDMDL\nEND\n"))
@@ -863,7 +874,10 @@ add(F, "insertion-codes", edited(trp, _with_codes))
 add(F, "insertion-codes-backwards", edited(trp, _codes_backwards))
 add(F, "numbers-with-a-gap-but-bonded", edited(trp, _renumber([*range(1, 11), *range(101, 111)])))
 add(F, "numbers-downwards", edited(trp, _renumber(range(40, 0, -1))))
-add(F, "one-number-for-all", edited(trp, _renumber([1] * 20)), refused="residue")
+add(F, "one-number-for-all", edited(trp, _renumber([1] * 20)))
+add(F, "ions-that-share-a-number", with_ion(with_ion(of("1ubq"), "NA", "NA", "Na", near=3.0, turn=1), "NA", "NA", "Na", near=3.0, turn=2), as_bare_pdb)
+add(F, "ligands-that-share-a-number", with_molecule(with_molecule(trp, "SO4", SULPHATE, turn=1), "SO4", SULPHATE, turn=2), as_bare_pdb)
+add(F, "ligands-that-share-a-number-in-mmcif", with_molecule(with_molecule(trp, "SO4", SULPHATE, turn=1), "SO4", SULPHATE, turn=2), as_cif, ".cif")
 add(F, "chains-that-share-an-id", of("3i40"), then(as_pdb, lines_without("SSBOND"), put(22, "A")))
 add(F, "chains-that-share-an-id-and-numbers-apart", of("3i40"), then(as_bare_pdb, records(lambda line: f"{line[:21]}A{int(line[22:26]) + (100 if line[21] == 'B' else 0):4}{line[26:]}")))
 
@@ -920,18 +934,18 @@ add(F, "cif-with-comments-first", trp, then(as_cif, lambda t: "# by hand\n\n# tw
 add(F, "cif-atoms-alone", of("3i40"), then(as_cif, lambda t: "data_x\n" + t[t.index("loop_\n_atom_site.") :]), ".cif")
 add(F, "cif-without-occupancy-and-b", trp, then(as_cif, cif_without("_atom_site.occupancy", "_atom_site.B_iso_or_equiv")), ".cif")
 add(F, "cif-without-elements", trp, then(as_cif, cif_without("_atom_site.type_symbol")), ".cif")
-add(F, "cif-without-auth-ids", of("3i40"), then(as_cif, lines_without("XXXX"), cif_without("_struct_conn.", "_struct_conf.", "_struct_sheet_range."), cif_without("_atom_site.auth_asym_id"), cif_without("_atom_site.auth_seq_id")), ".cif")
+add(F, "cif-without-auth-ids", of("3i40"), then(as_cif, lines_without("XXXX"), cif_without("_struct_conn.", "_struct_conf.", "_struct_sheet_range."), cif_without("_atom_site.auth_asym_id"), cif_without("_atom_site.auth_seq_id"), lambda t: t.replace("Axp", "A").replace("Bxp", "B")), ".cif")
 add(F, "cif-without-label-ids", of("3i40"), then(as_cif, cif_without("_atom_site.label_seq_id", "_atom_site.label_entity_id")), ".cif")
 add(F, "cif-without-entities", trp, then(as_cif, cif_without("_entity.", "_entity_poly.", "_entity_poly_seq.", "_struct_asym.")), ".cif")
 add(F, "cif-several-blocks", trp, then(as_cif, lambda t: "data_first\n_entry.id first\n\n" + t), ".cif")
 add(F, "cif-text-fields", trp, then(as_cif, lambda t: t.replace("\nloop_\n_atom_site.", "\n_struct.title\n;a title\nof two lines\n;\n#\nloop_\n_atom_site.", 1) if "_struct.title" not in t else t), ".cif")
 add(F, "cif-upper-case-keywords", trp, then(as_cif, lambda t: t.replace("loop_", "LOOP_").replace("data_", "DATA_", 1)), ".cif")
-add(F, "cif-truncated", of("1ubq.cif"), lambda s: (SAMPLES / "1ubq.cif").read_text()[:40000], ".cif", refused="cut short")
+add(F, "cif-truncated", of("1ubq.cif"), lambda s: (SAMPLES / "1ubq.cif").read_text()[:60000].rsplit("\n", 1)[0], ".cif", refused="cut short")
 add(F, "cif-row-cut", trp, then(as_cif, lambda t: t[: t.index("ATOM") + 3000]), ".cif", refused="cannot be read")
 add(F, "cif-without-coordinates", trp, then(as_cif, cif_without("_atom_site.")), ".cif", refused="no atoms")
 add(F, "binary-cif", trp, lambda s: b"\x83\xa7encoder\xa3x\x00\xa8version\xa50.3.0" + bytes(300), ".bcif", refused="binary")
 add(F, "pdbml", trp, lambda s: "<?xml version='1.0'?>\n<PDBx:datablock datablockName='1L2Y'>\n</PDBx:datablock>\n", ".xml", refused="no atoms")
-add(F, "mmjson", trp, lambda s: '{"data_1L2Y": {"atom_site": {"Cartn_x": [1.0]}}}\n', ".json", refused="no atoms")
+add(F, "mmjson", trp, lambda s: '{"data_1L2Y": {"atom_site": {"Cartn_x": [1.0]}}}\n', ".json", refused="cannot be read")
 add(F, "cif-chains-of-two-letters", edited(of("3i40"), unstated, lambda s: [setattr(c, "name", c.name * 2) for c in s[0]]), as_cif, ".cif")
 add(F, "cif-chains-of-four-letters", edited(of("3i40"), unstated, lambda s: [setattr(c, "name", f"{c.name}-2x") for c in s[0]]), as_cif, ".cif")
 add(F, "cif-large-numbers", edited(trp, shifted_numbers(12340)), as_cif, ".cif")
@@ -940,7 +954,7 @@ add(F, "cif-large-numbers", edited(trp, shifted_numbers(12340)), as_cif, ".cif")
 F = "Programs"
 for _his in ("HSD", "HSE", "HSP"):
     add(F, f"charmm-{_his.lower()}", edited(of("1ubq"), charmm_names(_his)))
-add(F, "charmm-hydrogens-segids-no-elements", edited(of("1vii", True), charmm_names()), then(as_bare_pdb, put(22, " "), records(lambda line: f"{line[:66]:<72}PROA")))
+add(F, "charmm-hydrogens-segids-no-elements", edited(of("1vii", True), chain_named(""), charmm_names()), then(as_bare_pdb, put(22, " "), records(lambda line: f"{line[:66]:<72}PROA")))
 add(F, "charmm-hydrogens-trp-cage", edited(of("1l2y", True), charmm_names()), as_bare_pdb)
 add(F, "gromacs", edited(of("1vii", True), gromacs_names), as_bare_pdb)
 add(F, "gromacs-lysh-hisb", edited(of("1ubq"), renamed({"LYS": "LYSH", "HIS": "HISB"})), as_bare_pdb)
@@ -948,8 +962,9 @@ add(F, "gromos-terminus", edited(of("1ubq"), every_atom(lambda r, a: setattr(a, 
 add(F, "amber-states", edited(of("1ubq"), renamed({"HIS": "HID", "ASP": "ASH", "GLU": "GLH", "LYS": "LYN"})))
 add(F, "amber-cyx", edited(of("4pti"), unstated, renamed({"CYS": "CYX"})), as_bare_pdb)
 add(F, "amber-cym", edited(with_modified("CYS"), renamed({"CYS": "CYM"})))
-add(F, "amber-terminal-names", edited(trp, lambda s: (setattr(s[0][0][0], "name", "NASN"), setattr(s[0][0][-1], "name", "CSER"))), as_bare_pdb)
-add(F, "amber-no-chain-no-elements", of("1vii", True), then(as_bare_pdb, put(22, " "), records(lambda line: line[:54] + "  1.00  0.00")))
+add(F, "amber-terminal-names", trp, then(as_bare_pdb, records(lambda line: f"{line[:17]}{_TERMINAL.get(line[22:26].strip(), line[17:21])}{line[21:]}")))
+_TERMINAL = {"1": "NASN", "20": "CSER"}
+add(F, "amber-no-chain-no-elements", edited(of("1vii", True), chain_named("")), then(as_bare_pdb, put(22, " "), records(lambda line: line[:54] + "  1.00  0.00")))
 add(F, "pdb-version-2-hydrogens", of("1vii", True), then(as_bare_pdb, old_hydrogens))
 add(F, "pdb-version-2-hydrogens-no-elements", of("1vii", True), then(as_bare_pdb, old_hydrogens, records(lambda line: line[:66])))
 add(F, "rosetta", of("1vii", True), then(as_bare_pdb, old_hydrogens, before_atoms("HEADER    ROSETTA"), after("# All scores below are weighted scores, not raw scores.", "#BEGIN_POSE_ENERGIES_TABLE model.pdb", "label fa_atr fa_rep total", "pose -1.0 2.0 1.0", "#END_POSE_ENERGIES_TABLE model.pdb")))
@@ -960,10 +975,10 @@ add(F, "phenix", of("1vii", True), then(as_pdb, before_atoms("CRYST1    1.000   
 add(F, "maestro-caps-and-charges", edited(acetylated(trp), renamed({"NME": "NMA"})), then(as_bare_pdb, records(lambda line: f"{line[:78]}1+" if line[12:16] == " NZ " else line)))
 add(F, "modeller", trp, then(as_bare_pdb, before_atoms("EXPDTA    THEORETICAL MODEL, MODELLER 10.4", "REMARK   6 MODELLER OBJECTIVE FUNCTION:       123.4567")))
 add(F, "swiss-model", trp, then(as_bare_pdb, before_atoms("TITLE     SWISS-MODEL SERVER", "REMARK   3  GMQE    0.85")))
-add(F, "mdanalysis", trp, then(as_bare_pdb, put(22, "X"), records(lambda line: f"{line[:72]:<72}SYST{line[76:]}"), before_atoms("TITLE     MDANALYSIS FRAME 0: Created by PDBWriter", "CRYST1    1.000    1.000    1.000  90.00  90.00  90.00 P 1           1")))
+add(F, "mdanalysis", edited(trp, chain_named("X")), then(as_bare_pdb, put(22, "X"), records(lambda line: f"{line[:72]:<72}SYST{line[76:]}"), before_atoms("TITLE     MDANALYSIS FRAME 0: Created by PDBWriter", "CRYST1    1.000    1.000    1.000  90.00  90.00  90.00 P 1           1")))
 add(F, "biopython", trp, then(as_bare_pdb, lambda t: t.replace("TER   ", "TER   ").rstrip() + "   \n"))
 add(F, "foldx-scwrl-no-hydrogens-short-lines", trp, then(as_bare_pdb, records(lambda line: line[:60])))
-add(F, "xplor", edited(of("1vii", True), charmm_names()), then(as_bare_pdb, records(lambda line: f"{line[:21]} {line[22:66]:<50}A   ")))
+add(F, "xplor", edited(of("1vii", True), chain_named(""), charmm_names()), then(as_bare_pdb, records(lambda line: f"{line[:21]} {line[22:66]:<50}A   ")))
 add(F, "haddock", of("3i40"), then(as_pdb, lines_without("SSBOND"), records(lambda line: f"{line[:72]}{line[21]}   {line[76:]}")))
 
 # Predictors.

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 import gemmi
 
 from protochain.errors import StructureError
+from protochain.structure.apart import told_apart
 
 MAX_MEGABYTES = 512
 """Largest text, after decompression; the largest files of the PDB are smaller."""
@@ -84,7 +85,8 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
             text = _corrected(_ascii(text, source, _USED), source, overlooked)
             ends = any(line.startswith("END") for line in text.splitlines())
             # gemmi takes a short last line without an end for an incomplete one.
-            structure = gemmi.read_pdb_string(f"{text}\n")
+            # Split at TER: gemmi would join residues of two chains that share id, number and name.
+            structure = gemmi.read_pdb_string(f"{text}\n", split_chain_on_ter=True)
     except StructureError:
         raise
     except (RuntimeError, ValueError, IndexError) as error:
@@ -92,6 +94,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
     structure.merge_chain_parts()
     check(structure, source)
+    overlooked += told_apart(structure, source)
     return structure, overlooked, ends
 
 
