@@ -21,8 +21,11 @@ STATE_PARENT = {
     "HID": ("HIS", "HID"), "HIE": ("HIS", "HIE"), "HIP": ("HIS", "HIP"), "HSD": ("HIS", "HID"),
     "HSE": ("HIS", "HIE"), "HSP": ("HIS", "HIP"), "CYX": ("CYS", ""), "CYM": ("CYS", "CYM"),
     "ASH": ("ASP", "ASH"), "GLH": ("GLU", "GLH"), "LYN": ("LYS", "LYN"),
+    "HISA": ("HIS", "HID"), "HISD": ("HIS", "HID"), "HISB": ("HIS", "HIE"), "HISE": ("HIS", "HIE"),
+    "HISH": ("HIS", "HIP"), "LYSH": ("LYS", ""), "CYSH": ("CYS", ""), "CYS2": ("CYS", ""),
+    "ASPH": ("ASP", "ASH"), "GLUH": ("GLU", "GLH"),
 }  # fmt: skip
-"""Standard residue and protonation state of the names that Amber and CHARMM give to states."""
+"""Standard residue and protonation state of the names that Amber, CHARMM and GROMACS give to states."""
 
 VAN_DER_WAALS = {"H": 0.110, "C": 0.170, "N": 0.155, "O": 0.152, "S": 0.180}
 """nm: Mantina, Chamberlin, Valero, Cramer, Truhlar, J. Phys. Chem. A 113:5806 (2009)."""

@@ -23,6 +23,8 @@ PLACE = 0.01
 """Angstrom: an atom of the file is there if an atom of its element lies this near its place."""
 LARGEST = 4000
 """Atoms of which more are only prepared, written and read again."""
+_STATED = 3.3
+"""Angstrom: bonds that the file states are expected up to this length."""
 _STRETCH = 1.3
 """A bond that no file states has at most this share of the sum of the covalent radii."""
 Place = tuple[str, str, str, str]
@@ -53,9 +55,10 @@ class Fate:
     residues, atoms, molecules : pair of int
         In the file and in the result; molecules beside the protein, without waters.
     charge : triple of int
-        Formal charges of the molecules beside the protein: in the file, as prepared, read again from mmCIF.
-    links : tuple of pairs of Place
-        Bonds between residues that are no peptide, disulfide or phosphate bond.
+        Formal charges of the molecules beside the protein that were kept: in the file, and in the PDB and the
+        mmCIF file written.
+    links, metal : tuple of pairs of Place
+        Bonds between residues that are no peptide, disulfide or phosphate bond; those to a metal.
     strange : tuple of str
         Links that nothing states and that cannot be: overlong, or with valences exceeded.
     unmade : tuple of str
@@ -94,6 +97,7 @@ class Fate:
     molecules: tuple[int, int] = (0, 0)
     charge: tuple[int, int, int] = (0, 0, 0)
     links: tuple[tuple[Place, Place], ...] = ()
+    metal: tuple[tuple[Place, Place], ...] = ()
     strange: tuple[str, ...] = ()
     unmade: tuple[str, ...] = ()
     hands: tuple[str, ...] = ()
@@ -129,15 +133,14 @@ def fate(
     lost = source.lost()
     out: dict[str, Any] = {}
     energies: dict[str, tuple[float, float]] = {}
-    charge = 0
+    charge = []
     for suffix in (".pdb", ".cif"):
         target = path.with_name(f"{path.name.split('.')[0]}.out{suffix}")
-        differs, energy, found = _again(result or prepared, end, target, options or {}, small)
+        differs, energy = _again(result or prepared, end, target, options or {}, small)
         out[suffix] = differs
         if energy:
             energies[suffix] = energy
-        if suffix == ".cif" and found is not None:
-            charge = int(found.formal_charge.sum())
+        charge.append(source.charge(target))
     hands = source.hands(prepared, end, result)
     cis, twisted, turned = source.peptides(end)
     return Fate(
@@ -145,7 +148,7 @@ def fate(
         said=tuple(said + list(prepared.changes)),
         left_out=dict(prepared.left_out),
         lost=tuple(lost),
-        unsaid=tuple(p for p in lost if not _is_said(p, prepared)),
+        unsaid=tuple(source.unsaid()),
         renamed=source.renamed(),
         added_heavy=source.added(False),
         added_hydrogens=source.added(True),
@@ -154,8 +157,9 @@ def fate(
         residues=source.counts()[0],
         atoms=source.counts()[1],
         molecules=source.counts()[2],
-        charge=(source.charge(), int(prepared.formal_charge.sum()), charge),
-        links=tuple(_links(prepared)),
+        charge=(source.charge(), *charge),
+        links=tuple(pair for pair, is_metal in _links(prepared) if not is_metal),
+        metal=tuple(pair for pair, is_metal in _links(prepared) if is_metal),
         strange=tuple(source.strange()),
         unmade=tuple(source.unmade()),
         hands=tuple(hands),
@@ -179,7 +183,7 @@ def _said(result: Any, path: Path) -> list[str]:
 
 def _again(
     result: Any, end: pc.Structure, target: Path, options: Mapping[str, Any], energies: bool
-) -> tuple[str, tuple[float, float] | None, pc.Structure | None]:
+) -> tuple[str, tuple[float, float] | None]:
     """What differs in a file read again, and energies of the places written and of the file."""
     try:
         if result is end:
@@ -187,14 +191,14 @@ def _again(
         else:
             result.save(target)
     except pc.ProtochainError as error:
-        return f"not written: {error}", None, None
+        return f"not written: {error}", None
     try:
         found = pc.load(target, **{**options, "keep": "all"})
     except pc.ProtochainError as error:
-        return f"refused: {error}", None, None
+        return f"refused: {error}", None
     differs = []
     if found.n_atoms != end.n_atoms:
-        return f"{end.n_atoms} atoms became {found.n_atoms}", None, found
+        return f"{end.n_atoms} atoms became {found.n_atoms}", None
     for name in ("atom_name", "atom_element", "residue_name", "residue_number", "residue_insertion_code", "residue_chain"):
         if (getattr(found, name) != getattr(end, name)).any():
             k = int(np.flatnonzero(getattr(found, name) != getattr(end, name))[0])
@@ -210,32 +214,24 @@ def _again(
     if away > 0.0006:
         differs.append(f"an atom {away:.3f} angstrom away")
     if not energies:
-        return "; ".join(differs), None, found
+        return "; ".join(differs), None
     try:
         here = float(pc.energy(end, threads=1)(found.positions)[0])
         there = float(pc.energy(found, threads=1)(found.positions)[0])
     except pc.ProtochainError as error:
-        return "; ".join([*differs, f"no energy: {error}"]), None, found
-    return "; ".join(differs), (here, there), found
+        return "; ".join([*differs, f"no energy: {error}"]), None
+    return "; ".join(differs), (here, there)
 
 
-def _is_said(place: Place, prepared: pc.Structure) -> bool:
-    """Whether what is left out, or a line of the changes, tells of an atom."""
-    chain, number, name, _ = place
-    if name in prepared.left_out or "models" in prepared.left_out and False:
-        return True
-    where = f"residue {number} "
-    return any(where in line and ("left out" in line or "converted" in line) for line in prepared.repairs)
-
-
-def _links(s: pc.Structure) -> Iterator[tuple[Place, Place]]:
+def _links(s: pc.Structure) -> Iterator[tuple[tuple[Place, Place], bool]]:
     for a, b in s.bonds.tolist():
         r, t = int(s.atom_residue[a]), int(s.atom_residue[b])
         names = {str(s.atom_name[a]), str(s.atom_name[b])}
         same_part = s.residue_chain_index[r] == s.residue_chain_index[t]
         if r == t or names == {"SG"} or (same_part and names in ({"C", "N"}, {"O3'", "P"})):
             continue
-        yield _place(s, a), _place(s, b)
+        is_metal = any(gemmi.Element(str(s.atom_element[k])).is_metal for k in (a, b))
+        yield (_place(s, a), _place(s, b)), is_metal
 
 
 def _place(s: pc.Structure, k: int) -> Place:
@@ -265,12 +261,14 @@ class Meant:
     def __init__(self, meant: gemmi.Structure, prepared: pc.Structure) -> None:
         self.meant, self.prepared = meant, prepared
         self.atoms: list[tuple[Place, gemmi.Atom]] = []
+        self.owner: list[tuple[int, str]] = []
         number = prepared.model_number
         model = next((m for m in meant if m.num == number), meant[0])
-        for chain in model:
+        for k, chain in enumerate(model):
             for r in chain:
                 for a in r:
                     self.atoms.append(((chain.name.strip(), str(r.seqid).strip(), r.name, a.name), a))
+                    self.owner.append((k, str(r.seqid)))
         self.water = {p[:3] for p, _ in self.atoms if _is_water(p[2])}
         x = 10 * prepared.positions
         self.tree = KDTree(x)
@@ -286,16 +284,25 @@ class Meant:
 
     def lost(self) -> list[Place]:
         """Heavy atoms without a place; one of several locations, or of two residues in one place, is enough."""
-        kept = {(p[0], p[1], p[3]) for (p, _), k in zip(self.atoms, self.found, strict=True) if k >= 0}
-        several = Counter((p[0], p[1]) for p in {p[:3] for p, _ in self.atoms})
+        rows = list(zip(self.atoms, self.owner, self.found, strict=True))
+        kept = {(owner, p[3]) for (p, _), owner, k in rows if k >= 0}
+        alternate = {owner for (_, a), owner, _ in rows if a.has_altloc()}
+        chosen = {(owner, p[2]) for (p, _), owner, k in rows if k >= 0}
         out: dict[Place, None] = {}
-        for (p, a), k in zip(self.atoms, self.found, strict=True):
-            if a.is_hydrogen() or p[:3] in self.water or k >= 0 or (p[0], p[1], p[3]) in kept:
+        for (p, a), owner, k in rows:
+            if a.is_hydrogen() or p[:3] in self.water or k >= 0 or (owner, p[3]) in kept:
                 continue
-            if a.altloc not in ("\0", " ", "A") or several[p[0], p[1]] > 1 and a.altloc != "\0":
-                continue
-            out[p] = None
+            # Atoms of another residue in the same place, or of a location that was not chosen.
+            of_another = owner in alternate and any(o == owner for o, _ in chosen) and a.has_altloc()
+            if not of_another:
+                out[p] = None
         return list(out)
+
+    def unsaid(self) -> list[Place]:
+        """Lost atoms that are not among the losses of the structure, nor left out by number and kind."""
+        s = self.prepared
+        told = {(loss.chain, loss.number, atom) for loss in s.losses for atom in loss.atoms}
+        return [p for p in self.lost() if (p[0], p[1], p[3]) not in told and p[2] not in s.left_out]
 
     def lost_hydrogens(self) -> int:
         kept = {p for (p, _), k in zip(self.atoms, self.found, strict=True) if k >= 0}
@@ -342,10 +349,16 @@ class Meant:
         its = {p for p in given if not _is_amino(p[2])}
         return (len(given), int((~water).sum())), (len({p for p, _ in dry}), n), (len(its), beside)
 
-    def charge(self) -> int:
-        """Formal charges of what is not protein and was kept."""
-        kept = {k for k in range(self.prepared.n_atoms) if self.prepared.kept[k]}
-        return sum(a.charge for (p, a), k in zip(self.atoms, self.found, strict=True) if int(k) in kept)
+    def charge(self, written: Path | None = None) -> int:
+        """Formal charges of what is not protein and was kept, in the file or in one that was written."""
+        kept = set(np.flatnonzero(self.prepared.kept).tolist())
+        if written is None:
+            return sum(a.charge for (_, a), k in zip(self.atoms, self.found, strict=True) if int(k) in kept)
+        if not written.exists():
+            return 0
+        residues = {_place(self.prepared, k)[:2] for k in kept}
+        model = gemmi.read_structure(str(written))[0]
+        return sum(at.atom.charge for at in model.all() if (at.chain.name.strip(), str(at.residue.seqid).strip()) in residues)
 
     def stated(self) -> set[frozenset[tuple[str, str, str]]]:
         ends = [(c.partner1, c.partner2) for c in self.meant.connections if c.type != gemmi.ConnectionType.Hydrog]
@@ -364,13 +377,12 @@ class Meant:
             p, q = _place(s, a), _place(s, b)
             if p[:3] == q[:3] or frozenset(((*p[:2], p[3]), (*q[:2], q[3]))) in stated:
                 continue
-            if any(gemmi.Element(e).is_metal for e in elements):
+            if any(gemmi.Element(e).is_metal for e in elements) or {p[3], q[3]} in ({"C", "N"}, {"O3'", "P"}):
                 continue
             far = 10 * float(np.linalg.norm(s.positions[a] - s.positions[b]))
             over = [k for k in (a, b) if degree[k] > most.get(str(s.atom_element[k]), 9)]
             usual = radius[elements[0]] + radius[elements[1]]
-            peptide = {p[3], q[3]} == {"C", "N"}
-            if over or (far > _STRETCH * usual and not peptide) or far < 0.8 * usual:
+            if over or far > _STRETCH * usual or far < 0.75 * usual:
                 yield f"{'-'.join(map(_word, (p, q)))} {far:.2f}"
 
     def unmade(self) -> Iterator[str]:
@@ -379,9 +391,10 @@ class Meant:
         made = {frozenset(b) for b in s.bonds.tolist()}
         for pair in self.stated():
             ends = [at[e] for e in pair if e in at]
-            if len(ends) == 2 and frozenset(ends) not in made:
+            if len(ends) == 2 and frozenset(ends) not in made and not s.kept[ends].all():
                 far = 10 * float(np.linalg.norm(s.positions[ends[0]] - s.positions[ends[1]]))
-                yield f"{'-'.join(_word(_place(s, k)) for k in ends)} {far:.2f}"
+                if far < _STATED:
+                    yield f"{'-'.join(_word(_place(s, k)) for k in ends)} {far:.2f}"
 
     def backbones(self) -> dict[tuple[str, str], dict[str, list[float]]]:
         out: dict[tuple[str, str], dict[str, list[float]]] = {}
@@ -442,3 +455,49 @@ def _is_water(name: str) -> bool:
 
 def _is_amino(name: str) -> bool:
     return gemmi.find_tabulated_residue(name).is_amino_acid()
+
+
+def faults(found: Fate, name: str, refused: str = "", links: int = 0, keeps: bool = True) -> list[str]:
+    """What is wrong with what became of a file.
+
+    Parameters
+    ----------
+    found : Fate
+    name : str
+        Of the file.
+    refused : str
+        Word of the refusal that is expected; empty for none.
+    links : int
+        Bonds to molecules beside the protein that are expected, those of metals left out.
+    keeps : bool
+        Whether all heavy atoms are expected to stay.
+    """
+    if refused or found.refusal:
+        line = found.refusal
+        if not refused or not line:
+            return [f"refused: {line}" if line else "not refused"]
+        wrong = [] if refused.lower() in line.lower() else [f"refused for another reason: {line}"]
+        return wrong + ([] if "\n" not in line and name in line and len(line) < _LINE else [f"no such line: {line}"])
+    out = [f"lost and not said: {_word(place)}" for place in found.unsaid]
+    out += [f"lost: {_word(place)}" for place in found.lost if keeps]
+    if len(found.links) != links:
+        out.append(f"{len(found.links)} bonds beside the protein, not {links}: {found.links}")
+    out += [f"{what}: {each}" for what in ("strange", "unmade", "hands", "ids") for each in getattr(found, what)]
+    out += [f"turned and not said: {each}" for each in found.turned if found.status == "converged"]
+    out += [f"read again from {suffix}: {differs}" for suffix, differs in found.again.items() if differs]
+    for suffix, (here, there) in found.energy.items():
+        if abs(here - there) > READ_AGAIN * max(abs(here), 1.0):
+            out.append(f"energy of {suffix}: {here:.4f}, read again {there:.4f}")
+    if len(set(found.charge)) > 1:
+        out.append(f"formal charges {found.charge[0]}, written {found.charge[1:]}")
+    if found.drift > DRIFT:
+        out.append(f"a metal moved by {found.drift:.2f} angstrom")
+    return out
+
+
+_LINE = 400
+"""Characters of the longest line that refuses a file."""
+DRIFT = 0.1
+"""Angstrom."""
+READ_AGAIN = 1e-6
+"""Relative."""

@@ -7,13 +7,13 @@ Kinds of ../shared are left out where that folder is not.
 
 import bz2
 import gzip
-import io
 import lzma
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import gemmi
 import numpy as np
@@ -50,6 +50,8 @@ class Kind:
         File of ../shared that it is made from.
     options : mapping
         Of ``pc.load``.
+    is_made : bool
+        Whether a recipe made it; if not, it is a real file as it stands.
     """
 
     name: str
@@ -61,7 +63,8 @@ class Kind:
     links: int = 0
     keeps: bool = True
     needs: str = ""
-    options: Mapping[str, object] = ()  # type: ignore[assignment]
+    options: Mapping[str, Any] = field(default_factory=dict)
+    is_made: bool = True
 
     @property
     def is_here(self) -> bool:
@@ -331,6 +334,11 @@ def put(start: int, text: str) -> Callable[[str], str]:
     return records(lambda line: line[: start - 1].ljust(start - 1) + text + line[start - 1 + len(text) :])
 
 
+def four_letters(names: Mapping[str, str]) -> Callable[[str], str]:
+    """Residue names of four letters in columns 18 to 21, by the name of three."""
+    return records(lambda line: f"{line[:17]}{names.get(line[17:20], line[17:21]):4}{line[21:]}")
+
+
 def lines_without(*starts: str) -> Callable[[str], str]:
     return lambda text: "".join(each for each in text.splitlines(True) if not each.startswith(starts))
 
@@ -525,7 +533,7 @@ MODIFIED: dict[str, Modified] = {
     "ALY": Modified("1l2y", 8, "LYS", (("CH", "C", "CD", "CE", "NZ", 1.33, 122, 180), ("OH", "O", "CE", "NZ", "CH", 1.23, 123, 0), ("CH3", "C", "CE", "NZ", "CH", 1.51, 116, 180))),
     "KCX": Modified("1l2y", 8, "LYS", (("CX", "C", "CD", "CE", "NZ", 1.35, 122, 180), ("OQ1", "O", "CE", "NZ", "CX", 1.26, 120, 0), ("OQ2", "O", "CE", "NZ", "CX", 1.26, 118, 180))),
     "CGU": Modified("1vii", 45, "GLU", (("CD2", "C", "CA", "CB", "CG", 1.52, 110, -60), ("OE21", "O", "CB", "CG", "CD2", 1.25, 119, 0), ("OE22", "O", "CB", "CG", "CD2", 1.25, 118, 180)), names={"CD": "CD1", "OE1": "OE11", "OE2": "OE12"}),
-    "AIB": Modified("1l2y", 11, "GLY", (("CB1", "C", "O", "C", "CA", 1.53, 110, 100), ("CB2", "C", "O", "C", "CA", 1.53, 110, -140))),
+    "AIB": Modified("1l2y", 11, "GLY", (("CB1", "C", "N", "C", "CA", 1.53, 110, 122.5), ("CB2", "C", "N", "C", "CA", 1.53, 110, -122.5))),
     "NLE": Modified("1vii", 53, "MET", names={"SD": "CD"}, elements={"CD": "C"}),
     "ORN": Modified("1l2y", 8, "LYS", drop="NZ", names={"CE": "NE"}, elements={"NE": "N"}),
     "DAB": Modified("1l2y", 8, "LYS", drop="NZ CE", names={"CD": "ND"}, elements={"ND": "N"}),
@@ -542,7 +550,7 @@ MODIFIED: dict[str, Modified] = {
     "HIC": Modified("1ubq", 68, "HIS", (("CZ", "C", "CG", "CD2", "NE2", 1.47, 126, 180),)),
     "FME": Modified("1vii", 41, "MET", (("CN", "C", "C", "CA", "N", 1.34, 122, 120), ("O1", "O", "CA", "N", "CN", 1.23, 124, 0))),
     "UNK": Modified("1l2y", 7, "LEU", drop="CG CD1 CD2"),
-    "DAL": Modified("1l2y", 11, "GLY", (("CB", "C", "O", "C", "CA", 1.53, 110, 100),)),
+    "DAL": Modified("1l2y", 11, "GLY", (("CB", "C", "N", "C", "CA", 1.53, 110, -122.5),)),
     "MEQ": Modified("1l2y", 5, "GLN", (("CH", "C", "CG", "CD", "NE2", 1.46, 121, 180),)),
     "PHI": Modified("1vii", 47, "PHE", (("I", "I", "CE1", "CZ", "CZ", 2.1, 120, 180),)),
 }  # fmt: skip
@@ -874,12 +882,12 @@ add(F, "insertion-codes", edited(trp, _with_codes))
 add(F, "insertion-codes-backwards", edited(trp, _codes_backwards))
 add(F, "numbers-with-a-gap-but-bonded", edited(trp, _renumber([*range(1, 11), *range(101, 111)])))
 add(F, "numbers-downwards", edited(trp, _renumber(range(40, 0, -1))))
-add(F, "one-number-for-all", edited(trp, _renumber([1] * 20)))
+add(F, "one-number-for-all", edited(trp, _renumber([1] * 20)), refused="is there 4 times")
 add(F, "ions-that-share-a-number", with_ion(with_ion(of("1ubq"), "NA", "NA", "Na", near=3.0, turn=1), "NA", "NA", "Na", near=3.0, turn=2), as_bare_pdb)
 add(F, "ligands-that-share-a-number", with_molecule(with_molecule(trp, "SO4", SULPHATE, turn=1), "SO4", SULPHATE, turn=2), as_bare_pdb)
 add(F, "ligands-that-share-a-number-in-mmcif", with_molecule(with_molecule(trp, "SO4", SULPHATE, turn=1), "SO4", SULPHATE, turn=2), as_cif, ".cif")
-add(F, "chains-that-share-an-id", of("3i40"), then(as_pdb, lines_without("SSBOND"), put(22, "A")))
-add(F, "chains-that-share-an-id-and-numbers-apart", of("3i40"), then(as_bare_pdb, records(lambda line: f"{line[:21]}A{int(line[22:26]) + (100 if line[21] == 'B' else 0):4}{line[26:]}")))
+add(F, "chains-that-share-an-id", edited(of("3i40"), chain_named("A", "A")), as_bare_pdb)
+add(F, "chains-that-share-an-id-and-numbers-apart", edited(of("3i40"), lambda s: [setattr(r, "seqid", gemmi.SeqId(r.seqid.num + 100, " ")) for r in s[0]["B"]], chain_named("A", "A")), as_bare_pdb)
 
 
 def _alternates(names: str, shift: float = 0.6):
@@ -933,7 +941,9 @@ add(F, "cif-byte-order-mark", trp, then(as_cif, lambda t: "\ufeff" + t), ".cif")
 add(F, "cif-with-comments-first", trp, then(as_cif, lambda t: "# by hand\n\n# twice\n" + t), ".cif")
 add(F, "cif-atoms-alone", of("3i40"), then(as_cif, lambda t: "data_x\n" + t[t.index("loop_\n_atom_site.") :]), ".cif")
 add(F, "cif-without-occupancy-and-b", trp, then(as_cif, cif_without("_atom_site.occupancy", "_atom_site.B_iso_or_equiv")), ".cif")
-add(F, "cif-without-elements", trp, then(as_cif, cif_without("_atom_site.type_symbol")), ".cif")
+add(F, "cif-without-elements", trp, then(as_cif, cif_without("_atom_site.type_symbol")), ".cif", refused="type_symbol")
+for _tag in ("id", "label_alt_id", "label_asym_id"):
+    add(F, f"cif-without-{_tag.replace('_', '-')}", trp, then(as_cif, cif_without(f"_atom_site.{_tag}")), ".cif")
 add(F, "cif-without-auth-ids", of("3i40"), then(as_cif, lines_without("XXXX"), cif_without("_struct_conn.", "_struct_conf.", "_struct_sheet_range."), cif_without("_atom_site.auth_asym_id"), cif_without("_atom_site.auth_seq_id"), lambda t: t.replace("Axp", "A").replace("Bxp", "B")), ".cif")
 add(F, "cif-without-label-ids", of("3i40"), then(as_cif, cif_without("_atom_site.label_seq_id", "_atom_site.label_entity_id")), ".cif")
 add(F, "cif-without-entities", trp, then(as_cif, cif_without("_entity.", "_entity_poly.", "_entity_poly_seq.", "_struct_asym.")), ".cif")
@@ -957,7 +967,7 @@ for _his in ("HSD", "HSE", "HSP"):
 add(F, "charmm-hydrogens-segids-no-elements", edited(of("1vii", True), chain_named(""), charmm_names()), then(as_bare_pdb, put(22, " "), records(lambda line: f"{line[:66]:<72}PROA")))
 add(F, "charmm-hydrogens-trp-cage", edited(of("1l2y", True), charmm_names()), as_bare_pdb)
 add(F, "gromacs", edited(of("1vii", True), gromacs_names), as_bare_pdb)
-add(F, "gromacs-lysh-hisb", edited(of("1ubq"), renamed({"LYS": "LYSH", "HIS": "HISB"})), as_bare_pdb)
+add(F, "gromacs-lysh-hisb", of("1ubq"), then(as_bare_pdb, four_letters({"LYS": "LYSH", "HIS": "HISB"})))
 add(F, "gromos-terminus", edited(of("1ubq"), every_atom(lambda r, a: setattr(a, "name", {"O": "O1", "OXT": "O2"}.get(a.name, a.name)) if r.seqid.num == 76 else None)))
 add(F, "amber-states", edited(of("1ubq"), renamed({"HIS": "HID", "ASP": "ASH", "GLU": "GLH", "LYS": "LYN"})))
 add(F, "amber-cyx", edited(of("4pti"), unstated, renamed({"CYS": "CYX"})), as_bare_pdb)
@@ -1052,6 +1062,7 @@ add(F, "n-methyl-glutamine-in-mmcif", with_modified("MEQ"), as_cif, ".cif", keep
 # D residues.
 F = "D residues"
 add(F, "d-alanine", with_modified("DAL"))
+add(F, "d-name-of-an-l-residue", edited(trp, lambda s: setattr(residue(s, 2), "name", "DLE")))
 add(F, "mirror-image", edited(trp, mirrored, renamed(D_NAMES)))
 add(F, "mirror-image-under-l-names", edited(trp, mirrored))
 add(F, "mirror-image-in-mmcif", edited(trp, mirrored, renamed(D_NAMES)), as_cif, ".cif")
@@ -1115,9 +1126,11 @@ add(F, "ion-on-a-backbone-oxygen", edited(of("1ubq"), lambda s: with_chain(s, "I
 # Waters.
 F = "Waters"
 add(F, "waters", of("1ubq", waters=True))
-for _name in ("WAT", "TIP3", "SOL", "TIP", "DOD", "H2O"):
+for _name in ("WAT", "SOL", "TIP", "DOD", "H2O"):
     add(F, f"water-{_name.lower()}", edited(of("1ubq", waters=True), renamed({"HOH": _name})), as_bare_pdb)
-add(F, "water-charmm-oh2", edited(of("1ubq", waters=True), renamed({"HOH": "TIP3"}, {"HOH": {"O": "OH2"}})), then(as_bare_pdb))
+for _name in ("TIP3", "TP3M", "SPCE"):
+    add(F, f"water-{_name.lower()}", edited(of("1ubq", waters=True), renamed({}, {"HOH": {"O": "OH2"}})), then(as_bare_pdb, four_letters({"HOH": _name})))
+add(F, "water-tip3-no-chain", edited(of("1ubq", waters=True), chain_named("", ""), renamed({}, {"HOH": {"O": "OH2"}})), then(as_bare_pdb, four_letters({"HOH": "TIP3"})))
 add(F, "waters-kept", of("4pti", waters=True), options={"keep": "all"})
 
 # Ligands.
@@ -1132,6 +1145,7 @@ add(F, "ligand-charge-in-mmcif", with_molecule(trp, "BEN", BENZAMIDINE, charges=
 for _name in ("LIG", "UNL", "UNK", "MOL", "001", "1", "DRG", "INH", "X"):
     add(F, f"ligand-named-{_name.lower()}", with_molecule(trp, _name, CHLOROPHENOL))
 add(F, "ligand-of-five-letters", with_molecule(trp, "A1AA6", BENZAMIDINE), as_cif, ".cif")
+add(F, "ligand-of-four-letters-in-pdb", with_molecule(trp, "LI7", BENZAMIDINE), then(as_bare_pdb, four_letters({"LI7": "LIG7"})))
 add(F, "ligand-of-four-letters", with_molecule(trp, "LIG7", BENZAMIDINE), as_cif, ".cif")
 add(F, "ligand-of-lower-case", with_molecule(trp, "lig", BENZAMIDINE), as_cif, ".cif")
 add(F, "ligands-whose-names-begin-alike", with_molecule(with_molecule(trp, "LIG3", BENZAMIDINE, turn=1), "LIG4", GLYCEROL, chain="M", turn=2), as_cif, ".cif")
@@ -1253,7 +1267,7 @@ M = "complexes/models/"
 
 def real(family: str, path: str, name: str = "", **more: object) -> None:
     source = SHARED / path
-    add(family, name or Path(path).name.replace(".", "-"), of_shared(path), lambda s: source.read_text(), Path(path).suffix, needs=path, **more)
+    add(family, name or Path(path).name.replace(".", "-"), of_shared(path), lambda s: source.read_text(), Path(path).suffix, needs=path, is_made=False, **more)
 
 
 F = "Glycans"
@@ -1293,4 +1307,4 @@ for _path in REAL:
     if _path not in ("2n0n_lactam.pdb",):
         real("Entries and models", f"structures/{_path}")
 for _path in ("1hel.pdb", "1l2y.pdb", "1ubq.pdb", "1vii.pdb", "3i40.pdb", "4pti.pdb", "ala10.pdb"):
-    add("Samples", f"sample-{_path.replace('.', '-')}", lambda p=_path: _read(SAMPLES / p).clone(), lambda s, p=_path: (SAMPLES / p).read_text())
+    add("Samples", f"sample-{_path.replace('.', '-')}", lambda p=_path: _read(SAMPLES / p).clone(), lambda s, p=_path: (SAMPLES / p).read_text(), is_made=False)

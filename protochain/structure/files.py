@@ -17,6 +17,7 @@ import gemmi
 
 from protochain.errors import StructureError
 from protochain.structure.apart import told_apart
+from protochain.structure.templates import standard_name
 
 MAX_MEGABYTES = 512
 """Largest text, after decompression; the largest files of the PDB are smaller."""
@@ -79,6 +80,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
             text = _ascii(text, source, slice(None))
             block = _block_with_atoms(gemmi.cif.read_string(text), source)
             _refuse_cut_cif(text, block, source)
+            _complete(block, source)
             structure, ends = gemmi.make_structure_from_block(block), True
         else:
             _refuse_cut_pdb(text, source)
@@ -154,6 +156,26 @@ def _block_with_atoms(document: gemmi.cif.Document, source: str) -> gemmi.cif.Bl
         if block.find_loop("_atom_site.Cartn_x") or block.find_pair("_atom_site.Cartn_x"):
             return block
     raise StructureError(f"{source}: no atoms found; give a PDB or mmCIF file with coordinates")
+
+
+def _complete(block: gemmi.cif.Block, source: str) -> None:
+    """Add columns without which gemmi reads no atoms, where their values are clear; refuse a file without elements."""
+    column = block.find_loop("_atom_site.Cartn_x")
+    if not column:
+        return
+    loop = column.get_loop()
+    there = {tag.lower() for tag in loop.tags}
+    if "_atom_site.type_symbol" not in there:
+        raise StructureError(f"{source}: its atoms have no elements; add the item _atom_site.type_symbol")
+    for tag in ("id", "label_alt_id", "label_asym_id"):
+        if f"_atom_site.{tag}" not in there:
+            loop.add_columns([f"_atom_site.{tag}"], ".")
+    if "_atom_site.label_asym_id" not in there and "_atom_site.auth_asym_id" in there:
+        for row in block.find("_atom_site.", ["label_asym_id", "auth_asym_id"]):
+            row[0] = row[1]
+    if "_atom_site.id" not in there:
+        for number, row in enumerate(block.find("_atom_site.", ["id"]), 1):
+            row[0] = str(number)
 
 
 def _refuse_cut_cif(text: str, block: gemmi.cif.Block, source: str) -> None:
@@ -249,6 +271,7 @@ def _corrected(text: str, source: str, overlooked: list[str]) -> str:
             lower += 1
             for start, end in _UPPER:
                 line = line[:start] + line[start:end].upper() + line[end:]
+        line = _of_three_letters(line)
         _refuse_odd_numbers(line, i + 1, source)
         element = line[76:78].strip()
         if element and not gemmi.Element(element).atomic_number:
@@ -267,6 +290,18 @@ def _corrected(text: str, source: str, overlooked: list[str]) -> str:
     if unended:
         overlooked.append(f"{unended} models without an ENDMDL record end where the next begins")
     return "\n".join(lines)
+
+
+def _of_three_letters(line: str) -> str:
+    """Put a name of four letters in columns 18 to 21 into three: gemmi takes the fourth for a chain's.
+
+    NASN and NHIE of Amber, LYSH and HISB of GROMACS, TIP3 of CHARMM. Others may be a chain id of two letters.
+    """
+    name = line[17:21]
+    if len(name.strip()) < 4:
+        return line
+    short, state = standard_name(name)
+    return f"{line[:17]}{state or short:<4}{line[21:]}" if short != name else line
 
 
 _CHARGE = re.compile(r"(\d?[+-]|[+-]\d)?")
