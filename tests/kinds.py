@@ -355,6 +355,11 @@ def before_end(*lines: str) -> Callable[[str], str]:
     return lambda text: re.sub(r"(?m)^END\s*$", "\n".join((*lines, "END")), text, count=1)
 
 
+def _body(text: str) -> str:
+    """Atoms and TER, without the END record."""
+    return lines_without("END")(text)
+
+
 def cif_without(*categories: str) -> Callable[[str], str]:
     """mmCIF text without some categories, or items of atom_site."""
 
@@ -826,9 +831,9 @@ add(F, "segids", edited(trp, chain_named("")), then(as_bare_pdb, put(22, " "), r
 add(F, "digit-as-chain-id", edited(trp, chain_named("1")), then(as_bare_pdb, put(22, "1")))
 add(F, "lower-case-chain-id", edited(trp, chain_named("a")), then(as_bare_pdb, put(22, "a")))
 add(F, "two-letter-chain-id-in-columns-21-22", edited(trp, chain_named("AA")), then(as_bare_pdb, put(21, "AA")))
-add(F, "models", of("1vii"), then(as_bare_pdb, lambda t: "".join(f"MODEL     {k:4}\n{t.replace('END' + chr(10), '')}ENDMDL\n" for k in (1, 2)) + "END\n"))
-add(F, "models-without-endmdl", of("1vii"), then(as_bare_pdb, lambda t: "".join(f"MODEL     {k:4}\n{t.replace('END' + chr(10), '')}" for k in (1, 2)) + "END\n"))
-add(F, "model-0", trp, then(as_bare_pdb, lambda t: f"MODEL        0\n{t.replace('END' + chr(10), '')}ENDMDL\nEND\n"))
+add(F, "models", of("1vii"), then(as_bare_pdb, lambda t: "".join(f"MODEL     {k:4}\n{_body(t)}ENDMDL\n" for k in (1, 2)) + "END\n"))
+add(F, "models-without-endmdl", of("1vii"), then(as_bare_pdb, lambda t: "".join(f"MODEL     {k:4}\n{_body(t)}" for k in (1, 2)) + "END\n"))
+add(F, "model-0", trp, then(as_bare_pdb, lambda t: f"MODEL        0\n{_body(t)}ENDMDL\nEND\n"))
 add(F, "end-after-each-model", trp, then(as_bare_pdb, lambda t: f"{t}{t}"))
 add(F, "no-ter", of("3i40"), then(as_pdb, lines_without("TER")))
 add(F, "no-end", trp, then(as_bare_pdb, lines_without("END")))
@@ -886,7 +891,9 @@ add(F, "one-number-for-all", edited(trp, _renumber([1] * 20)), refused="is there
 add(F, "ions-that-share-a-number", with_ion(with_ion(of("1ubq"), "NA", "NA", "Na", near=3.0, turn=1), "NA", "NA", "Na", near=3.0, turn=2), as_bare_pdb)
 add(F, "ligands-that-share-a-number", with_molecule(with_molecule(trp, "SO4", SULPHATE, turn=1), "SO4", SULPHATE, turn=2), as_bare_pdb)
 add(F, "ligands-that-share-a-number-in-mmcif", with_molecule(with_molecule(trp, "SO4", SULPHATE, turn=1), "SO4", SULPHATE, turn=2), as_cif, ".cif")
-add(F, "chains-that-share-an-id", edited(of("3i40"), chain_named("A", "A")), as_bare_pdb)
+add(F, "chains-that-share-an-id", edited(of("3i40"), unstated), then(as_bare_pdb, put(22, "A")))
+add(F, "chains-without-ids", edited(of("3i40"), unstated, chain_named("", "A")), then(as_bare_pdb, put(22, " ")))
+add(F, "models-without-records", edited(of("1vii"), chain_named("A")), then(as_bare_pdb, lambda t: _body(t) * 2 + "END\n"), refused="lies upon")
 add(F, "chains-that-share-an-id-and-numbers-apart", edited(of("3i40"), lambda s: [setattr(r, "seqid", gemmi.SeqId(r.seqid.num + 100, " ")) for r in s[0]["B"]], chain_named("A", "A")), as_bare_pdb)
 
 
@@ -994,8 +1001,8 @@ add(F, "haddock", of("3i40"), then(as_pdb, lines_without("SSBOND"), records(lamb
 # Predictors.
 F = "Predictors"
 PLDDT = edited(trp, every_atom(lambda r, a: setattr(a, "b_iso", 91.5)))
-add(F, "alphafold-2", PLDDT, then(as_bare_pdb, lambda t: f"PARENT N/A\nMODEL     1\n{t.replace('END' + chr(10), '')}ENDMDL\nEND\n"))
-add(F, "colabfold", PLDDT, then(as_bare_pdb, lambda t: f"MODEL     1\n{t.replace('END' + chr(10), '')}ENDMDL\nEND\n"))
+add(F, "alphafold-2", PLDDT, then(as_bare_pdb, lambda t: f"PARENT N/A\nMODEL     1\n{_body(t)}ENDMDL\nEND\n"))
+add(F, "colabfold", PLDDT, then(as_bare_pdb, lambda t: f"MODEL     1\n{_body(t)}ENDMDL\nEND\n"))
 add(F, "esmfold", edited(PLDDT, without_atoms(lambda r, a: a.name == "OXT")), then(as_bare_pdb, before_atoms("PARENT N/A")))
 add(F, "openfold-modelcif", PLDDT, then(as_cif, cif_with("_ma_qa_metric.", ["id", "name", "type", "mode"], [["1", "pLDDT", "pLDDT", "global"]]), cif_with("_ma_qa_metric_local.", ["ordinal_id", "model_id", "label_asym_id", "label_seq_id", "metric_id", "metric_value"], [["1", "1", "A", "1", "1", "91.50"]])), ".cif")
 add(F, "alphafold-3", with_molecule(PLDDT, "LIG_B", GLYCEROL, chain="B", number=1), then(as_cif, cif_with("_pdbx_data_usage.", ["id", "type", "details"], [["1", "license", "NON-COMMERCIAL USE ONLY"]])), ".cif")
@@ -1258,7 +1265,7 @@ for _degrees in (0.0, 40.0, -80.0, 100.0, -120.0):
     add(F, f"omega-{_degrees:g}", edited(trp, _omega(4, _degrees)))
 add(F, "omega-before-proline-10", edited(trp, _omega(12, 10.0)))
 add(F, "two-chains-overlapping", edited(trp, lambda s: (lambda c: (setattr(c, "name", "B"), s[0].add_chain(c)))((lambda t: (every_atom(lambda r, a: setattr(a, "pos", gemmi.Position(a.pos.x + 7.0, a.pos.y, a.pos.z)))(t), t[0][0])[1])(trp()))))
-add(F, "one-chain-upon-another", edited(trp, lambda s: (lambda c: (setattr(c, "name", "B"), s[0].add_chain(c)))(trp()[0][0].clone())), refused="")
+add(F, "one-chain-upon-another", edited(trp, lambda s: (lambda c: (setattr(c, "name", "B"), s[0].add_chain(c)))(trp()[0][0].clone())), refused="lies upon")
 add(F, "atoms-in-one-place", edited(trp, lambda s: setattr(residue(s, 8)["NZ"][0], "pos", residue(s, 8)["CE"][0].pos)), refused="coincide")
 
 # Glycans, nucleic acids, cofactors: from entries of the PDB and predictions.

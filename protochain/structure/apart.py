@@ -1,14 +1,76 @@
-"""Residues and atoms that share number and name in a file, though they are different ones."""
+"""Chains, residues and atoms that share their ids in a file, though they are different ones."""
+
+from collections import Counter
+from collections.abc import Sequence
+from string import ascii_lowercase, ascii_uppercase, digits
 
 import gemmi
+import numpy as np
+from scipy.spatial import KDTree
 
 from protochain.errors import StructureError
-from protochain.residues import describe
+from protochain.residues import BLANK, describe
 
 _NOT_BONDED = 2.0
 """Angstrom: copies of a residue are different ones if no atom lies this near to its namesake."""
 _SAME_PLACE = 0.5
 """Angstrom: namesakes nearer than this are one atom, given more than once."""
+
+_UPON, _SHARE = 1.0, 0.5
+"""Angstrom: a chain lies upon another if this share of its C-alphas is this near to C-alphas of that one."""
+_IDS = ascii_uppercase + ascii_lowercase + digits
+
+
+def chains_told_apart(structure: gemmi.Structure) -> list[str]:
+    """Give chains whose ids and numbers are those of a chain before them ids of their own.
+
+    Parameters
+    ----------
+    structure : gemmi.Structure
+        Changed in place. The parts of its chains are not merged yet.
+
+    Returns
+    -------
+    list of str
+        What was done.
+    """
+    renamed = []
+    for model in structure:
+        taken: dict[str, set[str]] = {}
+        for part in model:
+            numbers = {str(residue.seqid) for residue in part if _is_amino(residue)}
+            if numbers & taken.get(part.name, set()):
+                name = next((each for each in _IDS if each not in {chain.name for chain in model}), part.name)
+                renamed.append(f"{part.name or BLANK} called {name}")
+                part.name = name
+            taken.setdefault(part.name, set()).update(numbers)
+    return [f"chains with the id and numbers of one before: {', '.join(renamed)}"] if renamed else []
+
+
+def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
+    """Refuse chains that lie upon others, as models that no MODEL record tells apart.
+
+    Raises
+    ------
+    StructureError
+        Naming both.
+    """
+    owner = [k for k, chain in enumerate(chains) for residue in chain if _is_amino(residue)]
+    x = [r.get_ca().pos.tolist() for chain in chains for r in chain if _is_amino(r)]
+    close = KDTree(x).query_pairs(_UPON, output_type="ndarray") if x else np.empty((0, 2), dtype=int)
+    both = Counter(tuple(sorted((owner[i], owner[j]))) for i, j in close.tolist() if owner[i] != owner[j])
+    size = Counter(owner)
+    for (first, second), near in both.items():
+        if near >= _SHARE * min(size[first], size[second]):
+            name, other = (chains[k].name or BLANK for k in (second, first))
+            raise StructureError(
+                f"{source}: chain {name} lies upon chain {other}; give them as models (MODEL, ENDMDL), or take "
+                f"one of them by --chain {other}"
+            )
+
+
+def _is_amino(residue: gemmi.Residue) -> bool:
+    return residue.get_ca() is not None
 
 
 def told_apart(structure: gemmi.Structure, source: str) -> list[str]:

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import gemmi
 
 from protochain.errors import StructureError
-from protochain.structure.apart import told_apart
+from protochain.structure.apart import chains_told_apart, told_apart
 from protochain.structure.templates import standard_name
 
 MAX_MEGABYTES = 512
@@ -94,6 +94,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
     except (RuntimeError, ValueError, IndexError) as error:
         reason = " ".join(str(error).replace("string:", "line ").split())
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
+    overlooked += chains_told_apart(structure)
     structure.merge_chain_parts()
     check(structure, source)
     overlooked += told_apart(structure, source)
