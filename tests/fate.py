@@ -18,6 +18,8 @@ from scipy.spatial import KDTree
 
 import protochain as pc
 from protochain.cli.relaxing import print_relaxed
+from protochain.relaxation.hands import Hands
+from protochain.validation.omega import omegas
 
 PLACE = 0.01
 """Angstrom: an atom of the file is there if an atom of its element lies this near its place."""
@@ -27,6 +29,8 @@ _STATED = 3.3
 """Angstrom: bonds that the file states are expected up to this length."""
 _STRETCH = 1.3
 """A bond that no file states has at most this share of the sum of the covalent radii."""
+_TURNED = 5.0
+"""Degrees: a peptide that turns by less, across a limit, is as it was."""
 Place = tuple[str, str, str, str]
 """Chain, number, residue and atom."""
 
@@ -73,8 +77,8 @@ class Fate:
         Residues of the protein that are missing, or under other ids, in the files written.
     energy : Mapping of str to (float, float)
         By format: of the result at the places written, and of the file read again; kJ/mol.
-    stated : pair of float
-        Energy in the record, and of the result as it is.
+    stated : float
+        Energy in the record, kJ/mol.
     again : mapping of str to str
         By format: what differs when the file is read again; empty if nothing does.
     drift : float
@@ -106,7 +110,7 @@ class Fate:
     turned: tuple[str, ...] = ()
     ids: tuple[str, ...] = ()
     energy: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    stated: tuple[float, float] = (0.0, 0.0)
+    stated: float = 0.0
     again: Mapping[str, str] = field(default_factory=dict)
     drift: float = 0.0
 
@@ -141,7 +145,7 @@ def fate(
         if energy:
             energies[suffix] = energy
         charge.append(source.charge(target))
-    hands = source.hands(prepared, end, result)
+    hands = source.hands(prepared, end)
     cis, twisted, turned = source.peptides(end)
     return Fate(
         status=str(result.status) if result else "prepared",
@@ -166,7 +170,7 @@ def fate(
         cis=cis, twisted=twisted, turned=tuple(turned),
         ids=tuple(source.ids(path)),
         energy=energies,
-        stated=(float(result.energy_end), float(result.energy_function(result.x)[0])) if result else (0.0, 0.0),
+        stated=result.energy_end if result else 0.0,
         again=out,
         drift=_drift(prepared, end),
     )  # fmt: skip
@@ -191,7 +195,8 @@ def _again(
         else:
             result.save(target)
     except pc.ProtochainError as error:
-        return f"not written: {error}", None
+        fits = target.suffix == ".cif" or _fits_pdb(end)
+        return f"not written: {error}" if fits else "", None
     try:
         found = pc.load(target, **{**options, "keep": "all"})
     except pc.ProtochainError as error:
@@ -199,7 +204,14 @@ def _again(
     differs = []
     if found.n_atoms != end.n_atoms:
         return f"{end.n_atoms} atoms became {found.n_atoms}", None
-    for name in ("atom_name", "atom_element", "residue_name", "residue_number", "residue_insertion_code", "residue_chain"):
+    for name in (
+        "atom_name",
+        "atom_element",
+        "residue_name",
+        "residue_number",
+        "residue_insertion_code",
+        "residue_chain",
+    ):
         if (getattr(found, name) != getattr(end, name)).any():
             k = int(np.flatnonzero(getattr(found, name) != getattr(end, name))[0])
             differs.append(f"{name} {getattr(end, name)[k]} became {getattr(found, name)[k]}")
@@ -207,7 +219,9 @@ def _again(
     if mine != its:
         differs.append(f"{len(mine - its)} bonds lost, {len(its - mine)} new")
     if (found.formal_charge != end.formal_charge).any():
-        differs.append(f"formal charges {int(end.formal_charge.sum())} became {int(found.formal_charge.sum())}")
+        differs.append(
+            f"formal charges {int(end.formal_charge.sum())} became {int(found.formal_charge.sum())}"
+        )
     if (found.obstacle != end.obstacle).any():
         differs.append("what stands still differs")
     away = 10 * float(np.abs(found.positions - end.positions).max())
@@ -221,6 +235,20 @@ def _again(
     except pc.ProtochainError as error:
         return "; ".join([*differs, f"no energy: {error}"]), None
     return "; ".join(differs), (here, there)
+
+
+def _fits_pdb(s: pc.Structure) -> bool:
+    """Whether all names and ids fit the columns of a PDB file."""
+    return all(
+        len(str(name)) <= most
+        for names, most in (
+            (s.atom_name, 4),
+            (s.residue_name, 3),
+            (s.residue_chain, 1),
+            (s.residue_number, 4),
+        )
+        for name in names
+    )
 
 
 def _links(s: pc.Structure) -> Iterator[tuple[tuple[Place, Place], bool]]:
@@ -279,11 +307,13 @@ class Meant:
         for i, near in enumerate(self.tree.query_ball_point(at, PLACE)):
             if len(near) > 1:
                 same = [k for k in near if _place(prepared, k)[:2] == self.atoms[i][0][:2]]
-                same = [k for k in same or near if prepared.atom_name[k] == self.atoms[i][0][3]] or same or near
+                same = (
+                    [k for k in same or near if prepared.atom_name[k] == self.atoms[i][0][3]] or same or near
+                )
                 self.found[i] = same[0]
 
     def lost(self) -> list[Place]:
-        """Heavy atoms without a place; one of several locations, or of two residues in one place, is enough."""
+        """Heavy atoms without a place; one of several locations is enough."""
         rows = list(zip(self.atoms, self.owner, self.found, strict=True))
         kept = {(owner, p[3]) for (p, _), owner, k in rows if k >= 0}
         alternate = {owner for (_, a), owner, _ in rows if a.has_altloc()}
@@ -322,7 +352,7 @@ class Meant:
                 out[f"{p[2]} to {now[2]}"] += 1
             if now[3] != p[3]:
                 out["hydrogens" if a.is_hydrogen() else "atoms"] += 1
-            if a.element.name != s.atom_element[k] and a.element.name not in ("X", "D"):
+            if a.element.name == "Se" != s.atom_element[k]:
                 out[f"element {a.element.name} to {s.atom_element[k]}"] += 1
         return dict(out)
 
@@ -333,9 +363,9 @@ class Meant:
 
     def moved(self) -> int:
         """Heavy atoms of the file that are there under their name, at another place."""
-        at = {_place(self.prepared, k): k for k in range(self.prepared.n_atoms)}
+        at = {_place(self.prepared, k) for k in range(self.prepared.n_atoms)}
         lost = self.lost()
-        return sum((p[0], p[1], n, p[3]) in at for p in lost for n in {p[2]})
+        return sum(p in at for p in lost)
 
     def counts(self) -> tuple[tuple[int, int], tuple[int, int], tuple[int, int]]:
         """Residues, heavy atoms and molecules, in the file and as prepared; waters left out."""
@@ -355,15 +385,22 @@ class Meant:
         if written is None:
             return sum(a.charge for (_, a), k in zip(self.atoms, self.found, strict=True) if int(k) in kept)
         if not written.exists():
-            return 0
+            return self.charge()
         residues = {_place(self.prepared, k)[:2] for k in kept}
         model = gemmi.read_structure(str(written))[0]
-        return sum(at.atom.charge for at in model.all() if (at.chain.name.strip(), str(at.residue.seqid).strip()) in residues)
+        return sum(
+            at.atom.charge
+            for at in model.all()
+            if (at.chain.name.strip(), str(at.residue.seqid).strip()) in residues
+        )
 
     def stated(self) -> set[frozenset[tuple[str, str, str]]]:
-        ends = [(c.partner1, c.partner2) for c in self.meant.connections if c.type != gemmi.ConnectionType.Hydrog]
+        ends = [
+            (c.partner1, c.partner2) for c in self.meant.connections if c.type != gemmi.ConnectionType.Hydrog
+        ]
         return {
-            frozenset((e.chain_name.strip(), str(e.res_id.seqid).strip(), e.atom_name) for e in pair) for pair in ends
+            frozenset((e.chain_name.strip(), str(e.res_id.seqid).strip(), e.atom_name) for e in pair)
+            for pair in ends
         }
 
     def strange(self) -> Iterator[str]:
@@ -403,33 +440,41 @@ class Meant:
                 out.setdefault(p[:2], {}).setdefault(p[3], a.pos.tolist())
         return out
 
-    def hands(self, prepared: pc.Structure, end: pc.Structure, result: Any) -> Iterator[str]:
-        """Residues whose C-alpha has another hand, unless it was turned right and said so."""
+    def hands(self, prepared: pc.Structure, end: pc.Structure) -> Iterator[str]:
+        """Residues whose C-alpha has another hand, unless it was the wrong one."""
         given = self.backbones()
-        said = set(result.hands_turned) if result else set()
+        wrong = {_place(prepared, int(k))[:2] for k in Hands.of(prepared).wrong(prepared.positions)}
         for s in (prepared, end):
             mine: dict[tuple[str, str], dict[str, Any]] = {}
             for k in np.flatnonzero(np.isin(s.atom_name, ["N", "CA", "C", "CB"])).tolist():
                 p = _place(s, k)
                 mine.setdefault(p[:2], {})[p[3]] = 10 * s.positions[k]
             for place, atoms in given.items():
-                if place in mine and _hand(atoms) * _hand(mine[place]) < 0:
-                    if not any(f"residue {place[1]} " in line for line in said):
-                        yield f"{place[0]}:{place[1]}{' relaxed' if s is end else ''}"
+                if place in mine and place not in wrong and _hand(atoms) * _hand(mine[place]) < 0:
+                    yield f"{place[0]}:{place[1]}{' relaxed' if s is end else ''}"
 
     def peptides(self, end: pc.Structure) -> tuple[tuple[int, int], tuple[int, int], list[str]]:
         """Cis and twisted peptides in the file and at the end, and those that became so."""
-        from protochain.validation.omega import omegas
-
         first, last = omegas(self.prepared), omegas(end)
         new = [
             f"{_word(_place(end, int(np.flatnonzero(end.atom_residue == r)[0]))[:3])} {a:.0f} to {b:.0f}"
             for r, a, b, c, t, c0, t0 in zip(
-                first.residue, first.omega, last.omega, last.cis, last.twisted, first.cis, first.twisted, strict=True
+                first.residue,
+                first.omega,
+                last.omega,
+                last.cis,
+                last.twisted,
+                first.cis,
+                first.twisted,
+                strict=True,
             )
-            if (c and not c0) or (t and not t0)
+            if ((c and not c0) or (t and not t0)) and abs((b - a + 180) % 360 - 180) > _TURNED
         ]
-        return (int(first.cis.sum()), int(last.cis.sum())), (int(first.twisted.sum()), int(last.twisted.sum())), new
+        return (
+            (int(first.cis.sum()), int(last.cis.sum())),
+            (int(first.twisted.sum()), int(last.twisted.sum())),
+            new,
+        )
 
     def ids(self, path: Path) -> Iterator[str]:
         """Residues of the file that are not in the mmCIF file written under their chain and number."""
@@ -468,7 +513,7 @@ def faults(found: Fate, name: str, refused: str = "", links: int = 0, keeps: boo
     refused : str
         Word of the refusal that is expected; empty for none.
     links : int
-        Bonds to molecules beside the protein that are expected, those of metals left out.
+        Bonds to molecules beside the protein that are expected, those of metals left out; any number below 0.
     keeps : bool
         Whether all heavy atoms are expected to stay.
     """
@@ -477,12 +522,16 @@ def faults(found: Fate, name: str, refused: str = "", links: int = 0, keeps: boo
         if not refused or not line:
             return [f"refused: {line}" if line else "not refused"]
         wrong = [] if refused.lower() in line.lower() else [f"refused for another reason: {line}"]
-        return wrong + ([] if "\n" not in line and name in line and len(line) < _LINE else [f"no such line: {line}"])
+        return wrong + (
+            [] if "\n" not in line and name in line and len(line) < _LINE else [f"no such line: {line}"]
+        )
     out = [f"lost and not said: {_word(place)}" for place in found.unsaid]
     out += [f"lost: {_word(place)}" for place in found.lost if keeps]
-    if len(found.links) != links:
+    if len(found.links) != links and links >= 0:
         out.append(f"{len(found.links)} bonds beside the protein, not {links}: {found.links}")
-    out += [f"{what}: {each}" for what in ("strange", "unmade", "hands", "ids") for each in getattr(found, what)]
+    out += [
+        f"{what}: {each}" for what in ("strange", "unmade", "hands", "ids") for each in getattr(found, what)
+    ]
     out += [f"turned and not said: {each}" for each in found.turned if found.status == "converged"]
     out += [f"read again from {suffix}: {differs}" for suffix, differs in found.again.items() if differs]
     for suffix, (here, there) in found.energy.items():

@@ -1,31 +1,87 @@
 """Kinds of file that people bring, each made by a short recipe, with what is expected of it.
 
-A recipe returns what the file means, as a gemmi structure, and the file itself, as text or bytes. What becomes
-of a file is measured in fate.py against what it means, by places in space, so that no name need be believed.
-Kinds of ../shared are left out where that folder is not.
+What becomes of a file is measured in fate.py against what it means, by places in space, so that no name need
+be believed. Kinds that need ../shared are left out where that folder is not.
 """
 
 import bz2
 import gzip
 import lzma
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import gemmi
 import numpy as np
-
-ROOT = Path(__file__).parents[1]
-SAMPLES = ROOT / "structures"
-SHARED = ROOT.parent / "shared"
-MORE, COMPLEXES = SHARED / "structures", SHARED / "complexes"
-
-Content = str | bytes
-Build = Callable[[], gemmi.Structure]
-Write = Callable[[gemmi.Structure], Content]
+from recipes import (
+    ACETATE,
+    BENZAMIDINE,
+    CHLOROPHENOL,
+    COMPLEXES,
+    D_NAMES,
+    GLYCEROL,
+    MODIFIED,
+    MORE,
+    PAIRS,
+    PHOSPHATE,
+    SAMPLES,
+    SHARED,
+    SULPHATE,
+    Build,
+    Write,
+    _body,
+    acetylated,
+    adduct,
+    after,
+    as_bare_pdb,
+    as_cif,
+    as_pdb,
+    before_atoms,
+    before_end,
+    beyond,
+    chain_named,
+    charmm_names,
+    chelated,
+    cif_with,
+    cif_without,
+    edited,
+    every_atom,
+    four_letters,
+    gromacs_names,
+    histidines,
+    hydrated,
+    in_chain,
+    lines_without,
+    linked,
+    mirrored,
+    new_atom,
+    new_residue,
+    of_shared,
+    old_hydrogens,
+    places,
+    pushed,
+    put,
+    pyroglutamate,
+    read_file,
+    records,
+    renamed,
+    residue,
+    rotation,
+    sample,
+    shifted_numbers,
+    then,
+    trp,
+    unstated,
+    with_chain,
+    with_hydrogen,
+    with_ion,
+    with_modified,
+    with_molecule,
+    without_atoms,
+    without_residues,
+)
 
 
 @dataclass(frozen=True)
@@ -43,7 +99,8 @@ class Kind:
     refused : str
         Word of the one line that must refuse it; empty if it must be taken.
     links : int
-        Bonds to molecules beside the protein, or between side chains, disulfides left out.
+        Bonds to molecules beside the protein, or between side chains, but for disulfides and metals; below 0
+        for any number.
     keeps : bool
         Whether every heavy atom stays; if not, those lost must be named.
     needs : str
@@ -80,724 +137,12 @@ class Kind:
         return path, meant
 
 
-# --- bases -------------------------------------------------------------------------------------------------
-
-
-@cache
-def _read(path: Path) -> gemmi.Structure:
-    try:
-        structure = gemmi.read_structure(str(path), merge_chain_parts=True)
-    except RuntimeError:  # Entry names in the last columns of old files.
-        lines = (line[:66] if is_atom(line) else line for line in path.read_text().splitlines())
-        structure = gemmi.read_pdb_string("\n".join(lines))
-        structure.merge_chain_parts()
-    structure.setup_entities()
-    return structure
-
-
-def sample(name: str, hydrogens: bool = False, waters: bool = False, more: bool = False) -> gemmi.Structure:
-    """A copy of a sample, one model, without alternate locations, hydrogens and waters."""
-    folder = MORE if more else SAMPLES
-    out = _read(folder / (name if "." in name else f"{name}.pdb")).clone()
-    while len(out) > 1:
-        del out[-1]
-    out.remove_alternative_conformations()
-    if not hydrogens:
-        out.remove_hydrogens()
-    if not waters:
-        out.remove_waters()
-    out.remove_empty_chains()
-    return out
-
-
-def trp(hydrogens: bool = False) -> gemmi.Structure:
-    """Trp-cage."""
-    return sample("1l2y", hydrogens)
-
-
-def of_shared(path: str, chains: str = "", keep: Callable[[gemmi.Residue], bool] | None = None) -> Build:
-    """A build that reads a file of ../shared, some chains and residues of it."""
-
-    def build() -> gemmi.Structure:
-        out = _read(SHARED / path).clone()
-        while len(out) > 1:
-            del out[-1]
-        for model in out:
-            for name in [c.name for c in model if chains and c.name not in chains.split(",")]:
-                model.remove_chain(name)
-            for chain in model:
-                for i in reversed(range(len(chain))):
-                    if keep and not keep(chain[i]):
-                        del chain[i]
-        out.remove_empty_chains()
-        return out
-
-    return build
-
-
-def residue(structure: gemmi.Structure, number: int, chain: str = "") -> gemmi.Residue:
-    chains = [c for c in structure[0] if not chain or c.name == chain]
-    return next(r for c in chains for r in c if r.seqid.num == number)
-
-
-def places(structure: gemmi.Structure) -> np.ndarray:
-    return np.array([at.atom.pos.tolist() for at in structure[0].all()])
-
-
-# --- geometry ----------------------------------------------------------------------------------------------
-
-
-def grown(a: Iterable[float], b: Iterable[float], c: Iterable[float], r: float, theta: float, phi: float):
-    """Place of an atom bonded to c: distance, angle b-c-atom, dihedral a-b-c-atom (degrees)."""
-    a, b, c = (np.array(list(p)) for p in (a, b, c))
-    theta, phi = np.radians([theta, phi])
-    bc = (c - b) / np.linalg.norm(c - b)
-    n = np.cross(b - a, bc)
-    n /= np.linalg.norm(n)
-    m = np.cross(n, bc)
-    return c + r * (-np.cos(theta) * bc + np.sin(theta) * (np.cos(phi) * m + np.sin(phi) * n))
-
-
-def beyond(at: Sequence[float], *others: Sequence[float], r: float) -> np.ndarray:
-    """Place opposite to the bonds of an atom, as of the third neighbour in a plane."""
-    at = np.array(at)
-    away = -sum((np.array(o) - at) / np.linalg.norm(np.array(o) - at) for o in others)
-    return at + r * away / np.linalg.norm(away)
-
-
-def new_atom(name: str, element: str, at: Iterable[float], charge: int = 0) -> gemmi.Atom:
-    made = gemmi.Atom()
-    made.name, made.element, made.occ, made.b_iso, made.charge = name, gemmi.Element(element), 1.0, 20.0, charge
-    made.pos = gemmi.Position(*(round(float(value), 3) for value in at))
-    return made
-
-
-def new_residue(name: str, number: int, atoms: Iterable[gemmi.Atom], het: bool = True) -> gemmi.Residue:
-    made = gemmi.Residue()
-    made.name, made.seqid = name, gemmi.SeqId(number, " ")
-    made.het_flag = "H" if het else "A"
-    made.entity_type = gemmi.EntityType.NonPolymer if het else gemmi.EntityType.Polymer
-    for each in atoms:
-        made.add_atom(each)
-    return made
-
-
-def berth(structure: gemmi.Structure, x: np.ndarray, near: float = 3.4, turn: int = 0) -> np.ndarray:
-    """Places x (n, 3) moved to the surface: no atom nearer than ``near``, and one not much farther."""
-    there = places(structure)
-    middle, k = there.mean(axis=0), 7 * turn + 3
-    golden = np.pi * (3 - np.sqrt(5)) * k
-    z = 1 - 2 * ((k * 0.137) % 1)
-    out = np.array([np.sqrt(1 - z * z) * np.cos(golden), np.sqrt(1 - z * z) * np.sin(golden), z])
-    x = x - x.mean(axis=0)
-    for step in np.arange(0.0, 200.0, 0.1):
-        placed = middle + x + step * out
-        if np.linalg.norm(placed[:, None] - there[None], axis=2).min() >= near:
-            return placed
-    raise ValueError("no place found")
-
-
-def with_chain(structure: gemmi.Structure, name: str, *residues: gemmi.Residue) -> gemmi.Structure:
-    """Add residues in a chain of their own, or to one that is there."""
-    chain = next((c for c in structure[0] if c.name == name), None)
-    if chain is None:
-        structure[0].add_chain(gemmi.Chain(name))
-        chain = structure[0][name]
-    for each in residues:
-        chain.add_residue(each)
-    return structure
-
-
-def with_molecule(
-    build: Build, name: str, atoms: Sequence[tuple[str, str, tuple[float, float, float]]], chain: str = "L",
-    number: int = 501, charges: Mapping[str, int] | None = None, near: float = 3.4, turn: int = 0,
-) -> Build:  # fmt: skip
-    """A build with a small molecule at the surface."""
-
-    def built() -> gemmi.Structure:
-        out = build()
-        x = berth(out, np.array([at for _, _, at in atoms]), near, turn)
-        made = [
-            new_atom(atom, element, at, (charges or {}).get(atom, 0))
-            for (atom, element, _), at in zip(atoms, x, strict=True)
-        ]
-        return with_chain(out, chain, new_residue(name, number, made))
-
-    return built
-
-
-def with_ion(build: Build, name: str, atom: str, element: str, charge: int = 0, near: float = 2.4, **more) -> Build:
-    return with_molecule(build, name, [(atom, element, (0.0, 0.0, 0.0))], charges={atom: charge}, near=near, **more)
-
-
-T = 1.49 / np.sqrt(3)
-SULPHATE = [("S", "S", (0, 0, 0)), ("O1", "O", (T, T, T)), ("O2", "O", (T, -T, -T)), ("O3", "O", (-T, T, -T)),
-            ("O4", "O", (-T, -T, T))]  # fmt: skip
-PHOSPHATE = [("P", "P", (0, 0, 0)), *SULPHATE[1:]]
-ACETATE = [("C", "C", (0, 0, 0)), ("O", "O", (1.22, 0.2, 0)), ("OXT", "O", (-0.55, 1.1, 0)),
-           ("CH3", "C", (-0.75, -1.3, 0))]  # fmt: skip
-GLYCEROL = [("C1", "C", (-1.25, 0.45, 0.1)), ("O1", "O", (-2.42, -0.34, 0.05)), ("C2", "C", (0.0, -0.41, 0.0)),
-            ("O2", "O", (0.0, -1.25, 1.15)), ("C3", "C", (1.25, 0.45, -0.1)), ("O3", "O", (2.42, -0.34, -0.05))]  # fmt: skip
-BENZAMIDINE = [
-    *((f"C{k + 1}", "C", (1.39 * np.cos(np.pi * k / 3), 1.39 * np.sin(np.pi * k / 3), 0.0)) for k in range(6)),
-    ("C", "C", (2.87, 0, 0)), ("N1", "N", (3.53, 1.14, 0)), ("N2", "N", (3.53, -1.14, 0)),
-]  # fmt: skip
-CHLOROPHENOL = [*BENZAMIDINE[:6], ("O1", "O", (2.75, 0, 0)), ("CL1", "Cl", (-3.13, 0, 0))]
-
-
-def octahedron(r: float) -> list[tuple[float, float, float]]:
-    return [tuple(s * r * e for e in axis) for axis in np.eye(3) for s in (1, -1)]  # type: ignore[misc]
-
-
-def hydrated(build: Build, ion: str, element: str, r: float, charge: int = 2) -> Build:
-    """A build with an ion in six waters, one of which touches the protein."""
-
-    def built() -> gemmi.Structure:
-        out = build()
-        x = berth(out, np.array([(0.0, 0.0, 0.0), *octahedron(r)]), 2.8)
-        with_chain(out, "I", new_residue(ion, 301, [new_atom(ion, element, x[0], charge)]))
-        waters = [new_residue("HOH", 401 + k, [new_atom("O", "O", at)]) for k, at in enumerate(x[1:])]
-        return with_chain(out, "W", *waters)
-
-    return built
-
-
-def chelated(name: str, number: int, oxygens: tuple[str, str], ion: str, element: str, r: float) -> Build:
-    """A build with an ion between the two oxygens of a carboxylate."""
-
-    def built() -> gemmi.Structure:
-        out = sample(name)
-        holder = residue(out, number)
-        a, b = (np.array(holder[o][0].pos.tolist()) for o in oxygens)
-        c = np.array(holder["CG" if holder.name == "ASP" else "CD"][0].pos.tolist())
-        middle = (a + b) / 2
-        out_of = (middle - c) / np.linalg.norm(middle - c)
-        at = middle + out_of * np.sqrt(r**2 - np.linalg.norm(a - b) ** 2 / 4)
-        return with_chain(out, "I", new_residue(ion, 301, [new_atom(ion, element, at, 2)]))
-
-    return built
-
-
-# --- writers -----------------------------------------------------------------------------------------------
-
-
-def as_pdb(structure: gemmi.Structure) -> str:
-    structure = structure.clone()
-    structure.setup_entities()
-    head = gemmi.PdbWriteOptions(atom_records=False, end_record=False, cryst1_record=structure.cell.is_crystal())
-    body = gemmi.PdbWriteOptions(minimal=True, cryst1_record=False, end_record=True)
-    return str(structure.make_pdb_string(head)) + str(structure.make_pdb_string(body))
-
-
-def as_bare_pdb(structure: gemmi.Structure) -> str:
-    """Atoms, TER and END alone."""
-    text = as_pdb(structure)
-    return "".join(line for line in text.splitlines(True) if line.startswith(("ATOM", "HETATM", "TER", "END")))
-
-
-def as_cif(structure: gemmi.Structure) -> str:
-    structure = structure.clone()
-    structure.setup_entities()
-    structure.assign_label_seq_id()
-    document = structure.make_mmcif_document()
-    return str(document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx)))
-
-
-def then(write: Write, *changes: Callable[[str], Content]) -> Write:
-    """A writer, and changes of its text."""
-
-    def written(structure: gemmi.Structure) -> Content:
-        text: Content = write(structure)
-        for change in changes:
-            text = change(text)  # type: ignore[arg-type]
-        return text
-
-    return written
-
-
-def is_atom(line: str) -> bool:
-    return line.startswith(("ATOM", "HETATM"))
-
-
-def records(change: Callable[[str], str | None]) -> Callable[[str], str]:
-    """A change of each atom record of a PDB file; None leaves it out."""
-
-    def changed(text: str) -> str:
-        lines = (change(line) if is_atom(line) else line for line in text.splitlines())
-        return "".join(f"{line}\n" for line in lines if line is not None)
-
-    return changed
-
-
-def put(start: int, text: str) -> Callable[[str], str]:
-    """A change of columns, the first being 1, of atom records."""
-    return records(lambda line: line[: start - 1].ljust(start - 1) + text + line[start - 1 + len(text) :])
-
-
-def four_letters(names: Mapping[str, str]) -> Callable[[str], str]:
-    """Residue names of four letters in columns 18 to 21, by the name of three."""
-    return records(lambda line: f"{line[:17]}{names.get(line[17:20], line[17:21]):4}{line[21:]}")
-
-
-def lines_without(*starts: str) -> Callable[[str], str]:
-    return lambda text: "".join(each for each in text.splitlines(True) if not each.startswith(starts))
-
-
-def before_atoms(*lines: str) -> Callable[[str], str]:
-    return lambda text: "".join(f"{line}\n" for line in lines) + text
-
-
-def after(*lines: str) -> Callable[[str], str]:
-    return lambda text: text.rstrip("\n") + "\n" + "".join(f"{line}\n" for line in lines)
-
-
-def before_end(*lines: str) -> Callable[[str], str]:
-    return lambda text: re.sub(r"(?m)^END\s*$", "\n".join((*lines, "END")), text, count=1)
-
-
-def _body(text: str) -> str:
-    """Atoms and TER, without the END record."""
-    return lines_without("END")(text)
-
-
-def cif_without(*categories: str) -> Callable[[str], str]:
-    """mmCIF text without some categories, or items of atom_site."""
-
-    def changed(text: str) -> str:
-        document = gemmi.cif.read_string(text)
-        block = document.sole_block()
-        for name in categories:
-            if name.endswith("."):
-                block.find_mmcif_category(name).erase()
-            elif block.find_loop(name):
-                table = block.find_mmcif_category(name.split(".")[0] + ".")
-                tags = [t for t in table.tags if t != name]
-                rows = [list(row) for row in block.find(list(tags))]
-                table.erase()
-                loop = block.init_loop("", list(tags))
-                for row in rows:
-                    loop.add_row(row)
-        return str(document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx)))
-
-    return changed
-
-
-def cif_with(category: str, tags: Sequence[str], rows: Sequence[Sequence[str]]) -> Callable[[str], str]:
-    """mmCIF text with a further category before the atoms."""
-
-    def changed(text: str) -> str:
-        names = "".join(f"{category}{tag}\n" for tag in tags)
-        values = "".join(" ".join(gemmi.cif.quote(v) for v in row) + "\n" for row in rows)
-        at = text.index("loop_\n_atom_site.")
-        return f"{text[:at]}loop_\n{names}{values}#\n{text[at:]}"
-
-    return changed
-
-
-# --- changes of structures ---------------------------------------------------------------------------------
-
-
-def edited(build: Build, *changes: Callable[[gemmi.Structure], object]) -> Build:
-    def built() -> gemmi.Structure:
-        out = build()
-        for change in changes:
-            change(out)
-        out.remove_empty_chains()
-        return out
-
-    return built
-
-
-def renamed(residues: Mapping[str, str] | None = None, atoms: Mapping[str, Mapping[str, str]] | None = None):
-    """Rename residues, and atoms by their residue's old name ('*' for all)."""
-
-    def change(structure: gemmi.Structure) -> None:
-        for chain in structure[0]:
-            for r in chain:
-                table = {**(atoms or {}).get("*", {}), **(atoms or {}).get(r.name, {})}
-                for a in r:
-                    a.name = table.get(a.name, a.name)
-                r.name = (residues or {}).get(r.name, r.name)
-
-    return change
-
-
-def shifted_numbers(by: int):
-    def change(structure: gemmi.Structure) -> None:
-        for chain in structure[0]:
-            for r in chain:
-                r.seqid = gemmi.SeqId(r.seqid.num + by, r.seqid.icode)
-        structure.connections.clear() if hasattr(structure.connections, "clear") else None
-        structure.connections = gemmi.ConnectionList([])
-
-    return change
-
-
-def chain_named(name: str, *others: str):
-    """Rename chains, in order."""
-
-    def change(structure: gemmi.Structure) -> None:
-        structure.connections = gemmi.ConnectionList([])
-        for chain, new in zip(structure[0], (name, *others), strict=False):
-            chain.name = new
-
-    return change
-
-
-def without_atoms(test: Callable[[gemmi.Residue, gemmi.Atom], bool]):
-    def change(structure: gemmi.Structure) -> None:
-        for chain in structure[0]:
-            for r in chain:
-                for i in reversed(range(len(r))):
-                    if test(r, r[i]):
-                        del r[i]
-            for i in reversed(range(len(chain))):
-                if not len(chain[i]):
-                    del chain[i]
-
-    return change
-
-
-def without_residues(*numbers: int):
-    return without_atoms(lambda r, a: r.seqid.num in numbers)
-
-
-def every_atom(do: Callable[[gemmi.Residue, gemmi.Atom], object]):
-    def change(structure: gemmi.Structure) -> None:
-        for chain in structure[0]:
-            for r in chain:
-                for a in r:
-                    do(r, a)
-
-    return change
-
-
-def unstated(structure: gemmi.Structure) -> None:
-    """Without stated bonds."""
-    structure.connections = gemmi.ConnectionList([])
-
-
-def linked(first: tuple[str, int, str, str], second: tuple[str, int, str, str], kind: str = "Covale"):
-    """State a bond, of (chain, number, residue, atom) each."""
-
-    def change(structure: gemmi.Structure) -> None:
-        link = gemmi.Connection()
-        link.type = getattr(gemmi.ConnectionType, kind)
-        link.name = f"link{len(structure.connections) + 1}"
-        link.partner1, link.partner2 = (
-            gemmi.AtomAddress(c, gemmi.SeqId(n, " "), r, a) for c, n, r, a in (first, second)
-        )
-        structure.connections.append(link)
-
-    return change
-
-
-def mirrored(structure: gemmi.Structure) -> None:
-    every_atom(lambda r, a: setattr(a, "pos", gemmi.Position(-a.pos.x, a.pos.y, a.pos.z)))(structure)
-
-
-D_NAMES = {
-    "ALA": "DAL", "ARG": "DAR", "ASN": "DSG", "ASP": "DAS", "CYS": "DCY", "GLN": "DGN", "GLU": "DGL",
-    "HIS": "DHI", "ILE": "DIL", "LEU": "DLE", "LYS": "DLY", "MET": "MED", "PHE": "DPN", "PRO": "DPR",
-    "SER": "DSN", "THR": "DTH", "TRP": "DTR", "TYR": "DTY", "VAL": "DVA",
-}  # fmt: skip
-
-
-# --- modified residues: parent, number in the sample, name, atoms to take away, atoms to add ----------------
-
-Grown = tuple[str, str, str, str, str, float, float, float]
-"""Name, element, three atoms that lead to it, distance, angle, dihedral."""
-
-
-def _oxygens(names: str, a: str, b: str, c: str, r: float, theta: float = 109.5) -> list[Grown]:
-    given = names.split()
-    return [(n, "O", a, b, c, r, theta, 60.0 + 360.0 * k / len(given)) for k, n in enumerate(given)]
-
-
-@dataclass(frozen=True)
-class Modified:
-    sample: str
-    number: int
-    parent: str
-    add: tuple[Grown, ...] = ()
-    drop: str = ""
-    names: Mapping[str, str] = ()  # type: ignore[assignment]
-    elements: Mapping[str, str] = ()  # type: ignore[assignment]
-
-
-MODIFIED: dict[str, Modified] = {
-    "MSE": Modified("1vii", 53, "MET", names={"SD": "SE"}, elements={"SE": "Se"}),
-    "SEP": Modified("1l2y", 13, "SER", (("P", "P", "CA", "CB", "OG", 1.61, 120, 180), *_oxygens("O1P O2P O3P", "CB", "OG", "P", 1.51))),
-    "TPO": Modified("1vii", 54, "THR", (("P", "P", "CA", "CB", "OG1", 1.61, 120, 160), *_oxygens("O1P O2P O3P", "CB", "OG1", "P", 1.51))),
-    "PTR": Modified("1l2y", 3, "TYR", (("P", "P", "CE1", "CZ", "OH", 1.61, 122, 90), *_oxygens("O1P O2P O3P", "CZ", "OH", "P", 1.51))),
-    "TYS": Modified("1l2y", 3, "TYR", (("S", "S", "CE1", "CZ", "OH", 1.58, 118, 90), *_oxygens("O1 O2 O3", "CZ", "OH", "S", 1.45))),
-    "HYP": Modified("1l2y", 18, "PRO", (("OD1", "O", "CA", "CB", "CG", 1.43, 110, -90),)),
-    "MLE": Modified("1l2y", 2, "LEU", (("CN", "C", "C", "CA", "N", 1.46, 116, 60),)),
-    "MLY": Modified("1l2y", 8, "LYS", (("CH1", "C", "CD", "CE", "NZ", 1.48, 111, 60), ("CH2", "C", "CD", "CE", "NZ", 1.48, 111, 180))),
-    "M3L": Modified("1l2y", 8, "LYS", tuple((f"CM{k}", "C", "CD", "CE", "NZ", 1.5, 109, 120.0 * k - 60) for k in (1, 2, 3))),
-    "ALY": Modified("1l2y", 8, "LYS", (("CH", "C", "CD", "CE", "NZ", 1.33, 122, 180), ("OH", "O", "CE", "NZ", "CH", 1.23, 123, 0), ("CH3", "C", "CE", "NZ", "CH", 1.51, 116, 180))),
-    "KCX": Modified("1l2y", 8, "LYS", (("CX", "C", "CD", "CE", "NZ", 1.35, 122, 180), ("OQ1", "O", "CE", "NZ", "CX", 1.26, 120, 0), ("OQ2", "O", "CE", "NZ", "CX", 1.26, 118, 180))),
-    "CGU": Modified("1vii", 45, "GLU", (("CD2", "C", "CA", "CB", "CG", 1.52, 110, -60), ("OE21", "O", "CB", "CG", "CD2", 1.25, 119, 0), ("OE22", "O", "CB", "CG", "CD2", 1.25, 118, 180)), names={"CD": "CD1", "OE1": "OE11", "OE2": "OE12"}),
-    "AIB": Modified("1l2y", 11, "GLY", (("CB1", "C", "N", "C", "CA", 1.53, 110, 122.5), ("CB2", "C", "N", "C", "CA", 1.53, 110, -122.5))),
-    "NLE": Modified("1vii", 53, "MET", names={"SD": "CD"}, elements={"CD": "C"}),
-    "ORN": Modified("1l2y", 8, "LYS", drop="NZ", names={"CE": "NE"}, elements={"NE": "N"}),
-    "DAB": Modified("1l2y", 8, "LYS", drop="NZ CE", names={"CD": "ND"}, elements={"ND": "N"}),
-    "NVA": Modified("1l2y", 7, "LEU", drop="CD2", names={"CD1": "CD"}),
-    "ABA": Modified("1ubq", 5, "VAL", drop="CG2", names={"CG1": "CG"}),
-    "SME": Modified("1vii", 53, "MET", (("OE", "O", "CB", "CG", "S", 1.5, 106, -60),), names={"SD": "S"}),
-    "CYS": Modified("1l2y", 13, "SER", drop="OG", add=(("SG", "S", "N", "CA", "CB", 1.81, 114, -60),)),
-    "CME": Modified("1l2y", 13, "SER", drop="OG", add=(("SG", "S", "N", "CA", "CB", 1.81, 114, -60), ("SD", "S", "CA", "CB", "SG", 2.04, 104, 90), ("CE", "C", "CB", "SG", "SD", 1.81, 104, 85), ("CZ", "C", "SG", "SD", "CE", 1.52, 112, 180), ("OH", "O", "SD", "CE", "CZ", 1.42, 111, 180))),
-    "CSO": Modified("1l2y", 13, "SER", drop="OG", add=(("SG", "S", "N", "CA", "CB", 1.81, 114, -60), ("OD", "O", "CA", "CB", "SG", 1.66, 102, 90))),
-    "OCS": Modified("1l2y", 13, "SER", drop="OG", add=(("SG", "S", "N", "CA", "CB", 1.79, 112, -60), *_oxygens("OD1 OD2 OD3", "CA", "CB", "SG", 1.45))),
-    "SMC": Modified("1l2y", 13, "SER", drop="OG", add=(("SG", "S", "N", "CA", "CB", 1.81, 114, -60), ("CS", "C", "CA", "CB", "SG", 1.8, 101, 180))),
-    "SEC": Modified("1l2y", 13, "SER", drop="OG", add=(("SE", "Se", "N", "CA", "CB", 1.95, 113, -60),)),
-    "SAC": Modified("1l2y", 20, "SER"),
-    "HIC": Modified("1ubq", 68, "HIS", (("CZ", "C", "CG", "CD2", "NE2", 1.47, 126, 180),)),
-    "FME": Modified("1vii", 41, "MET", (("CN", "C", "C", "CA", "N", 1.34, 122, 120), ("O1", "O", "CA", "N", "CN", 1.23, 124, 0))),
-    "UNK": Modified("1l2y", 7, "LEU", drop="CG CD1 CD2"),
-    "DAL": Modified("1l2y", 11, "GLY", (("CB", "C", "N", "C", "CA", 1.53, 110, -122.5),)),
-    "MEQ": Modified("1l2y", 5, "GLN", (("CH", "C", "CG", "CD", "NE2", 1.46, 121, 180),)),
-    "PHI": Modified("1vii", 47, "PHE", (("I", "I", "CE1", "CZ", "CZ", 2.1, 120, 180),)),
-}  # fmt: skip
-del MODIFIED["SAC"], MODIFIED["PHI"]
-
-
-def modify(structure: gemmi.Structure, name: str, chain: str = "") -> gemmi.Residue:
-    """Make a residue of a structure a modified one, in place."""
-    how = MODIFIED[name]
-    r = residue(structure, how.number, chain)
-    assert r.name == how.parent, (name, r.name)
-    for i in reversed(range(len(r))):
-        if r[i].name in how.drop.split() or r[i].is_hydrogen():
-            del r[i]
-    for a in r:
-        a.name = dict(how.names).get(a.name, a.name)
-        if a.name in dict(how.elements):
-            a.element = gemmi.Element(dict(how.elements)[a.name])
-    for atom, element, a, b, c, *geometry in how.add:
-        at = grown(*(r[each][0].pos.tolist() for each in (a, b, c)), *geometry)
-        r.add_atom(new_atom(atom, element, at))
-    r.name = name
-    r.het_flag = "A" if name in ("CYS", "UNK") else "H"
-    return r
-
-
-def with_modified(name: str, hydrogens: bool = False) -> Build:
-    def built() -> gemmi.Structure:
-        out = sample(MODIFIED[name].sample, hydrogens)
-        modify(out, name)
-        return out
-
-    return built
-
-
-def pyroglutamate() -> gemmi.Structure:
-    """Trp-cage from its proline 12 on, which is made pyroglutamate."""
-    out = trp()
-    without_residues(*range(1, 12))(out)
-    first = residue(out, 12)
-    x = {a.name: a.pos.tolist() for a in first}
-    first.add_atom(new_atom("OE", "O", beyond(x["CD"], x["N"], x["CG"], r=1.23)))
-    first.name, first.het_flag = "PCA", "H"
-    return out
-
-
-def adduct(stated: bool, near: float = 1.81) -> Build:
-    """Trp-cage with a cysteine that acetamide is bonded to."""
-
-    def built() -> gemmi.Structure:
-        out = trp()
-        r = modify(out, "CYS")
-        x = {a.name: np.array(a.pos.tolist()) for a in r}
-        c1 = grown(x["CA"], x["CB"], x["SG"], near, 102, 90)
-        c2 = grown(x["CB"], x["SG"], c1, 1.52, 112, 180)
-        o = grown(x["SG"], c1, c2, 1.23, 121, 20)
-        n = grown(x["SG"], c1, c2, 1.33, 117, -160)
-        atoms = [("C1", "C", c1), ("C2", "C", c2), ("O3", "O", o), ("N4", "N", n)]
-        with_chain(out, "L", new_residue("LIG", 1, [new_atom(*each) for each in atoms]))
-        if stated:
-            linked(("A", 13, "CYS", "SG"), ("L", 1, "LIG", "C1"))(out)
-        return out
-
-    return built
-
-
-def pushed(atom: str, number: int, distance: float, molecule=tuple(SULPHATE), name: str = "SO4") -> Build:
-    """Trp-cage with a small molecule whose second atom lies too near an atom of the protein."""
-
-    def built() -> gemmi.Structure:
-        out = trp()
-        at = np.array(residue(out, number)[atom][0].pos.tolist())
-        there = places(out)
-        x = np.array([each for _, _, each in molecule], dtype=float)
-        x -= x[1]
-        best, room = x, -1.0
-        for k in range(400):
-            random = np.random.default_rng(k)
-            q = random.normal(size=4)
-            turn = gemmi_rotation(q / np.linalg.norm(q))
-            way = random.normal(size=3)
-            placed = x @ turn.T + at + distance * way / np.linalg.norm(way)
-            d = np.linalg.norm(placed[:, None] - there[None], axis=2)
-            d[1, np.linalg.norm(there - at, axis=1) < 0.01] = 9.0
-            if d.min() > room:
-                best, room = placed, d.min()
-        made = [new_atom(n, e, p) for (n, e, _), p in zip(molecule, best, strict=True)]
-        return with_chain(out, "L", new_residue(name, 501, made))
-
-    return built
-
-
-def gemmi_rotation(q: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a unit quaternion."""
-    w, x, y, z = q
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
-
-
-# --- names of programs -------------------------------------------------------------------------------------
-
-_CH2 = {
-    "HB2": "HB1", "HB3": "HB2", "HG2": "HG1", "HG3": "HG2", "HD2": "HD1", "HD3": "HD2", "HE2": "HE1",
-    "HE3": "HE2",
-}  # fmt: skip
-_PAIRS = {
-    "ARG": "HB HG HD", "ASN": "HB", "ASP": "HB", "CYS": "HB", "GLN": "HB HG", "GLU": "HB HG", "HIS": "HB",
-    "LEU": "HB", "LYS": "HB HG HD HE", "MET": "HB HG", "PHE": "HB", "PRO": "HB HG HD", "SER": "HB",
-    "TRP": "HB", "TYR": "HB",
-}  # fmt: skip
-
-
-def counted_from_one() -> dict[str, dict[str, str]]:
-    """Hydrogens of CH2 counted from 1, as CHARMM, GROMACS and older files of the PDB have them."""
-    tables = {
-        name: {old: new for old, new in _CH2.items() if old[:2] in pairs.split()} for name, pairs in _PAIRS.items()
-    }
-    tables["GLY"] = {"HA2": "HA1", "HA3": "HA2"}
-    tables["ILE"] = {"HG12": "HG11", "HG13": "HG12"}
-    return tables
-
-
-def charmm_names(histidine: str = "HSD") -> Callable[[gemmi.Structure], None]:
-    tables = counted_from_one()
-    tables["*"] = {"H": "HN", "OXT": "OT2", "H1": "HT1", "H2": "HT2", "H3": "HT3"}
-    tables["ILE"] |= {"CD1": "CD", "HD11": "HD1", "HD12": "HD2", "HD13": "HD3"}
-    tables["SER"] |= {"HG": "HG1"}
-    tables["CYS"] |= {"HG": "HG1"}
-
-    def change(structure: gemmi.Structure) -> None:
-        for chain in structure[0]:
-            if any(a.name == "OXT" for a in chain[-1]):
-                for a in chain[-1]:
-                    a.name = "OT1" if a.name == "O" else a.name
-        renamed({"HIS": histidine}, tables)(structure)
-
-    return change
-
-
-def gromacs_names(structure: gemmi.Structure) -> None:
-    tables = counted_from_one()
-    tables["ILE"] |= {"CD1": "CD", "HD11": "HD1", "HD12": "HD2", "HD13": "HD3"}
-    for chain in structure[0]:
-        if any(a.name == "OXT" for a in chain[-1]):
-            for a in chain[-1]:
-                a.name = {"O": "OC1", "OXT": "OC2"}.get(a.name, a.name)
-    renamed({"LYS": "LYSH"[:3], "HIS": "HIE"}, tables)(structure)
-
-
-def old_pdb_name(name: str) -> str:
-    """Name of a hydrogen in version 2 of the format: HB2 is 1HB, HD21 1HD2."""
-    return f"{name[-1]}{name[:-1]}" if name[0] == "H" and name[-1].isdigit() and len(name) > 2 else name
-
-
-def old_hydrogens(text: str) -> str:
-    """Hydrogens named as in version 2 of the format, digits first."""
-
-    def change(line: str) -> str:
-        name = line[12:16].strip()
-        if line[76:78].strip() != "H" or not name[-1].isdigit() or len(name) < 3:
-            return line
-        return f"{line[:12]}{f'{name[-1]}{name[:-1]}':<4}{line[16:]}"
-
-    return records(change)(renumbered(text))
-
-
-def renumbered(text: str) -> str:
-    """CH2 hydrogens counted from 1."""
-    tables = counted_from_one()
-
-    def change(line: str) -> str:
-        name = tables.get(line[17:20], {}).get(line[12:16].strip())
-        return f"{line[:12]}{f' {name:<3}' if len(name) < 4 else name}{line[16:]}" if name else line
-
-    return records(change)(text)
-
-
-def histidines(hydrogens: str) -> Callable[[gemmi.Structure], None]:
-    """Give histidines their ring hydrogens: D, E or both, of bases with hydrogens from geometry."""
-
-    def change(structure: gemmi.Structure) -> None:
-        for chain in structure[0]:
-            for r in chain:
-                if r.name != "HIS":
-                    continue
-                x = {a.name: a.pos.tolist() for a in r}
-                if "D" in hydrogens:
-                    r.add_atom(new_atom("HD1", "H", beyond(x["ND1"], x["CG"], x["CE1"], r=1.01)))
-                if "E" in hydrogens:
-                    r.add_atom(new_atom("HE2", "H", beyond(x["NE2"], x["CD2"], x["CE1"], r=1.01)))
-
-    return change
-
-
-def with_hydrogen(number: int, name: str, a: str, b: str, c: str, chain: str = "") -> Callable[[gemmi.Structure], None]:
-    def change(structure: gemmi.Structure) -> None:
-        r = residue(structure, number, chain)
-        at = grown(*(r[each][0].pos.tolist() for each in (a, b, c)), 0.98, 109.5, 180.0)
-        r.add_atom(new_atom(name, "H", at))
-
-    return change
-
-
-def acetylated(build: Build, end: str = "NME") -> Build:
-    """A build with ACE before the first residue and NME or NH2 after the last."""
-
-    def built() -> gemmi.Structure:
-        out = build()
-        chain = out[0][0]
-        first, last = chain[0], chain[-1]
-        x = {a.name: np.array(a.pos.tolist()) for a in first}
-        c = grown(x["C"], x["CA"], x["N"], 1.33, 122, 180)
-        o = grown(x["CA"], x["N"], c, 1.23, 123, 0)
-        ch3 = grown(x["CA"], x["N"], c, 1.51, 116, 180)
-        ace = [new_atom(*each) for each in (("CH3", "C", ch3), ("C", "C", c), ("O", "O", o))]
-        for i in reversed(range(len(last))):
-            if last[i].name == "OXT":
-                del last[i]
-        y = {a.name: np.array(a.pos.tolist()) for a in last}
-        n = beyond(y["C"], y["CA"], y["O"], r=1.33)
-        tail = [new_atom("N", "N", n)]
-        if end == "NME":
-            tail.append(new_atom("C", "C", grown(y["CA"], y["C"], n, 1.45, 122, 180)))
-        number = last.seqid.num
-        chain.add_residue(new_residue("ACE", first.seqid.num - 1, ace, het=True), 0)
-        chain.add_residue(new_residue(end, number + 1, tail, het=True))
-        for r in (chain[0], chain[-1]):
-            r.entity_type = gemmi.EntityType.Polymer
-        return out
-
-    return built
-
-
-# --- the kinds ---------------------------------------------------------------------------------------------
-
 KINDS: list[Kind] = []
 
 
-def add(family: str, name: str, build: Build, write: Write = as_pdb, suffix: str = ".pdb", **more: object) -> None:
+def add(
+    family: str, name: str, build: Build, write: Write = as_pdb, suffix: str = ".pdb", **more: object
+) -> None:
     KINDS.append(Kind(name, family, build, write, suffix, **more))  # type: ignore[arg-type]
 
 
@@ -805,6 +150,7 @@ def of(name: str, hydrogens: bool = False, waters: bool = False) -> Build:
     return lambda: sample(name, hydrogens, waters)
 
 
+# fmt: off
 # Packing and text.
 F = "PDB text"
 add(F, "plain", trp)
@@ -820,42 +166,63 @@ add(F, "ent-suffix", trp, suffix=".ent")
 add(F, "no-element-columns", of("1ubq"), then(as_bare_pdb, records(lambda line: line[:66])))
 add(F, "no-element-columns-hydrogens", of("1vii", True), then(as_bare_pdb, records(lambda line: line[:66])))
 add(F, "coordinates-alone", trp, then(as_bare_pdb, records(lambda line: line[:54])))
-add(F, "entry-name-in-the-last-columns", trp, then(as_bare_pdb, records(lambda line: f"{line[:66]:<72}1L2Y{line[6:11].strip():>4}")))
+add(F, "entry-name-in-the-last-columns", trp, then(as_bare_pdb,
+    records(lambda line: f"{line[:66]:<72}1L2Y{line[6:11].strip():>4}")))
 add(F, "lower-case", edited(trp, chain_named("a")), then(as_bare_pdb, str.lower))
-add(F, "hybrid-36-serials", trp, then(as_bare_pdb, records(lambda line: f"{line[:6]}A{line[7:11].strip():0>4}{line[11:]}")))
+add(F, "hybrid-36-serials", trp, then(as_bare_pdb,
+    records(lambda line: f"{line[:6]}A{line[7:11].strip():0>4}{line[11:]}")))
 add(F, "hybrid-36-numbers", edited(of("1ubq"), shifted_numbers(9960)))
 add(F, "serials-as-stars", trp, then(as_bare_pdb, put(7, "*****")))
-add(F, "serials-of-six-digits", trp, then(as_bare_pdb, records(lambda line: f"ATOM  {100000 + int(line[6:11])}{line[12:]}")))
+add(F, "serials-of-six-digits", trp, then(as_bare_pdb,
+    records(lambda line: f"ATOM  {100000 + int(line[6:11])}{line[12:]}")))
 add(F, "no-chain-id", edited(trp, chain_named("")), then(as_bare_pdb, put(22, " ")))
-add(F, "segids", edited(trp, chain_named("")), then(as_bare_pdb, put(22, " "), records(lambda line: f"{line[:72]:<72}PROA{line[76:]}")))
+add(F, "segids", edited(trp, chain_named("")), then(as_bare_pdb, put(22, " "),
+    records(lambda line: f"{line[:72]:<72}PROA{line[76:]}")))
 add(F, "digit-as-chain-id", edited(trp, chain_named("1")), then(as_bare_pdb, put(22, "1")))
 add(F, "lower-case-chain-id", edited(trp, chain_named("a")), then(as_bare_pdb, put(22, "a")))
-add(F, "two-letter-chain-id-in-columns-21-22", edited(trp, chain_named("AA")), then(as_bare_pdb, put(21, "AA")))
-add(F, "models", of("1vii"), then(as_bare_pdb, lambda t: "".join(f"MODEL     {k:4}\n{_body(t)}ENDMDL\n" for k in (1, 2)) + "END\n"))
-add(F, "models-without-endmdl", of("1vii"), then(as_bare_pdb, lambda t: "".join(f"MODEL     {k:4}\n{_body(t)}" for k in (1, 2)) + "END\n"))
+add(F, "two-letter-chain-id-in-columns-21-22", edited(trp, chain_named("AA")), then(as_bare_pdb, put(21,
+    "AA")))
+add(F, "models", of("1vii"), then(as_bare_pdb,
+    lambda t: "".join(f"MODEL     {k:4}\n{_body(t)}ENDMDL\n" for k in (1, 2)) + "END\n"))
+add(F, "models-without-endmdl", of("1vii"), then(as_bare_pdb,
+    lambda t: "".join(f"MODEL     {k:4}\n{_body(t)}" for k in (1, 2)) + "END\n"))
 add(F, "model-0", trp, then(as_bare_pdb, lambda t: f"MODEL        0\n{_body(t)}ENDMDL\nEND\n"))
 add(F, "end-after-each-model", trp, then(as_bare_pdb, lambda t: f"{t}{t}"))
 add(F, "no-ter", of("3i40"), then(as_pdb, lines_without("TER")))
 add(F, "no-end", trp, then(as_bare_pdb, lines_without("END")))
-add(F, "ter-after-each-residue", trp, then(as_bare_pdb, records(lambda line: f"TER\n{line}" if line[12:16] == " N  " else line)))
+add(F, "ter-after-each-residue", trp, then(as_bare_pdb,
+    records(lambda line: f"TER\n{line}" if line[12:16] == " N  " else line)))
 add(F, "ter-without-fields", of("3i40"), then(as_pdb, lambda t: re.sub(r"(?m)^TER.*$", "TER", t)))
 add(F, "blank-lines", trp, then(as_bare_pdb, lambda t: t.replace("TER", "\n\nTER")))
 add(F, "trailing-blanks", trp, then(as_bare_pdb, lambda t: re.sub(r"(?m)$", " " * 20, t)))
-add(F, "remarks-not-ascii", trp, then(as_pdb, before_atoms("REMARK   1 PR\u00c9PAR\u00c9 PAR \u6771\u4eac \u03b1-helix 3\u00c5")))
-add(F, "anisou", trp, then(as_bare_pdb, records(lambda line: f"{line}\nANISOU{line[6:27]}    1000   1000   1000      0      0      0{line[70:]}")))
-add(F, "master-and-conect", trp, then(as_bare_pdb, before_end("CONECT    1    2", "CONECT    2    1    3    5", "MASTER        0    0    0    0    0    0    0    6  154    1    2    0")))
+add(F, "remarks-not-ascii", trp, then(as_pdb,
+    before_atoms("REMARK   1 PR\u00c9PAR\u00c9 PAR \u6771\u4eac \u03b1-helix 3\u00c5")))
+add(F, "anisou", trp, then(as_bare_pdb,
+    records(lambda line: f"{line}\nANISOU{line[6:27]}    1000   1000   1000      0      0{line[63:]}")))
+add(F, "master-and-conect", trp, then(as_bare_pdb, before_end("CONECT    1    2",
+    "CONECT    2    1    3    5", "MASTER        0    0    0    0    0    0    0    6  154    1    2    0")))
 add(F, "hetatm-for-all", trp, then(as_bare_pdb, records(lambda line: f"HETATM{line[6:]}")))
 add(F, "zero-occupancies", edited(trp, every_atom(lambda r, a: setattr(a, "occ", 0.0))))
 add(F, "negative-b-factors", edited(trp, every_atom(lambda r, a: setattr(a, "b_iso", -3.0))))
 add(F, "b-factors-of-0-to-1", edited(trp, every_atom(lambda r, a: setattr(a, "b_iso", 0.87))))
-add(F, "far-from-the-origin", edited(trp, every_atom(lambda r, a: setattr(a, "pos", gemmi.Position(a.pos.x + 900, a.pos.y - 700, a.pos.z)))))
-add(F, "html-instead", trp, lambda s: "<!DOCTYPE html>\n<html><head><title>404 Not Found</title></head></html>\n", refused="no atoms")
+add(F, "far-from-the-origin", edited(trp, every_atom(lambda r, a: setattr(a, "pos",
+    gemmi.Position(a.pos.x + 900, a.pos.y - 700, a.pos.z)))))
+add(F, "html-instead", trp,
+    lambda s: "<!DOCTYPE html>\n<html><head><title>404 Not Found</title></head></html>\n", refused="no atoms")
 add(F, "empty", trp, lambda s: "", refused="no atoms")
-add(F, "cut-within-a-record", trp, then(as_pdb, lambda t: t[: t.index("ATOM") + 81 * 60 + 40]), refused="cut short")
-add(F, "cut-after-a-record", trp, then(as_pdb, lambda t: "SEQRES   1 A   20  ASN LEU TYR ILE GLN TRP LEU LYS ASP GLY GLY PRO SER\n" + t[: t.index("ATOM") + 81 * 60]), refused="cut short")
-add(F, "stars-for-coordinates", trp, then(as_bare_pdb, records(lambda line: f"{line[:30]}********{line[38:]}" if line[12:16] == " CZ " else line)), refused="not a number")
-add(F, "nan-for-coordinates", trp, then(as_bare_pdb, records(lambda line: f"{line[:30]}     nan{line[38:]}" if line[12:16] == " CZ " else line)), refused="not a number")
-add(F, "separated-by-blanks", trp, then(as_bare_pdb, records(lambda line: " ".join(line.split()))), refused="line")
+add(F, "cut-within-a-record", trp, then(as_pdb, lambda t: t[: t.index("ATOM") + 81 * 60 + 40]),
+    refused="cut short")
+add(F, "cut-after-a-record", trp, then(as_pdb,
+    lambda t: "SEQRES   1 A   20  ASN LEU TYR ILE GLN TRP\n" + t[: t.index("ATOM") + 81 * 60]),
+    refused="cut short")
+add(F, "stars-for-coordinates", trp, then(as_bare_pdb,
+    records(lambda line: f"{line[:30]}********{line[38:]}" if line[12:16] == " CZ " else line)),
+    refused="not a number")
+add(F, "nan-for-coordinates", trp, then(as_bare_pdb,
+    records(lambda line: f"{line[:30]}     nan{line[38:]}" if line[12:16] == " CZ " else line)),
+    refused="not a number")
+add(F, "separated-by-blanks", trp, then(as_bare_pdb, records(lambda line: " ".join(line.split()))),
+    refused="line")
 add(F, "binary", trp, lambda s: b"\x00\x01\x02MMTF" + bytes(range(200)), refused="binary")
 add(F, "sequence-alone", trp, lambda s: ">1L2Y\nNLYIQWLKDGGPSSGRPPPS\n", ".fasta", refused="no atoms")
 
@@ -866,12 +233,14 @@ add(F, "number-0", edited(trp, shifted_numbers(-1)))
 
 
 def _with_codes(structure: gemmi.Structure) -> None:
-    for r, (number, code) in zip(structure[0][0], [(1, " "), (1, "A"), (1, "B"), *((k, " ") for k in range(2, 60))], strict=False):
+    for r, (number, code) in zip(structure[0][0], [(1, " "), (1, "A"), (1, "B"), *((k, " ") for k in range(2,
+        60))], strict=False):
         r.seqid = gemmi.SeqId(number, code)
 
 
 def _codes_backwards(structure: gemmi.Structure) -> None:
-    for r, (number, code) in zip(structure[0][0], [(1, "B"), (1, "A"), (1, " "), *((k, " ") for k in range(2, 60))], strict=False):
+    for r, (number, code) in zip(structure[0][0], [(1, "B"), (1, "A"), (1, " "), *((k, " ") for k in range(2,
+        60))], strict=False):
         r.seqid = gemmi.SeqId(number, code)
 
 
@@ -888,32 +257,19 @@ add(F, "insertion-codes-backwards", edited(trp, _codes_backwards))
 add(F, "numbers-with-a-gap-but-bonded", edited(trp, _renumber([*range(1, 11), *range(101, 111)])))
 add(F, "numbers-downwards", edited(trp, _renumber(range(40, 0, -1))))
 add(F, "one-number-for-all", edited(trp, _renumber([1] * 20)), refused="is there 4 times")
-add(F, "ions-that-share-a-number", with_ion(with_ion(of("1ubq"), "NA", "NA", "Na", near=3.0, turn=1), "NA", "NA", "Na", near=3.0, turn=2), as_bare_pdb)
-add(F, "ligands-that-share-a-number", with_molecule(with_molecule(trp, "SO4", SULPHATE, turn=1), "SO4", SULPHATE, turn=2), as_bare_pdb)
-add(F, "ligands-that-share-a-number-in-mmcif", with_molecule(with_molecule(trp, "SO4", SULPHATE, turn=1), "SO4", SULPHATE, turn=2), as_cif, ".cif")
+add(F, "ions-that-share-a-number", with_ion(with_ion(trp, "NA", "NA", "Na", near=3.0, turn=1), "NA",
+    "NA", "Na", near=3.0, turn=2), as_bare_pdb)
+add(F, "ligands-that-share-a-number", with_molecule(with_molecule(trp, "SO4", SULPHATE, turn=1), "SO4",
+    SULPHATE, turn=2), as_bare_pdb)
+add(F, "ligands-that-share-a-number-in-mmcif", with_molecule(with_molecule(trp, "SO4", SULPHATE, turn=1),
+    "SO4", SULPHATE, turn=2), as_cif, ".cif")
 add(F, "chains-that-share-an-id", edited(of("3i40"), unstated), then(as_bare_pdb, put(22, "A")))
-add(F, "chains-without-ids", edited(of("3i40"), unstated, chain_named("", "A")), then(as_bare_pdb, put(22, " ")))
-add(F, "models-without-records", edited(of("1vii"), chain_named("A")), then(as_bare_pdb, lambda t: _body(t) * 2 + "END\n"), refused="lies upon")
-add(F, "chains-that-share-an-id-and-numbers-apart", edited(of("3i40"), lambda s: [setattr(r, "seqid", gemmi.SeqId(r.seqid.num + 100, " ")) for r in s[0]["B"]], chain_named("A", "A")), as_bare_pdb)
-
-
-def _alternates(names: str, shift: float = 0.6):
-    """Two locations of some side chain atoms."""
-
-    def written(structure: gemmi.Structure) -> str:
-        def change(line: str) -> str:
-            if line[22:26].strip() != "8" or line[12:16].strip() in ("N", "CA", "C", "O", "CB"):
-                return line
-            x = float(line[38:46]) + shift
-            first, second = names
-            return (
-                f"{line[:16]}{first}{line[17:54]}  0.40{line[60:]}\n"
-                f"{line[:16]}{second}{line[17:38]}{x:8.3f}{line[46:54]}  0.60{line[60:]}"
-            )
-
-        return records(change)(as_bare_pdb(structure))
-
-    return written
+add(F, "chains-without-ids", edited(of("3i40"), unstated, chain_named("", "A")), then(as_bare_pdb, put(22,
+    " ")))
+add(F, "models-without-records", edited(of("1vii"), chain_named("A")), then(as_bare_pdb,
+    lambda t: _body(t) * 2 + "END\n"), refused="lies upon")
+add(F, "chains-that-share-an-id-and-numbers-apart", edited(of("3i40"), lambda s: [setattr(r, "seqid",
+    gemmi.SeqId(r.seqid.num + 100, " ")) for r in s[0]["B"]], chain_named("A", "A")), as_bare_pdb)
 
 
 def _with_alternates(first: str, second: str, shift: float = 0.6):
@@ -933,7 +289,8 @@ add(F, "altlocs-of-digits", edited(trp, _with_alternates("1", "2")))
 add(F, "altloc-blank-and-a", edited(trp, _with_alternates("\0", "A")))
 add(F, "altloc-b-alone", edited(trp, every_atom(lambda r, a: setattr(a, "altloc", "B"))))
 add(F, "altlocs-in-mmcif", edited(trp, _with_alternates("A", "B")), as_cif, ".cif")
-add(F, "atoms-twice", trp, then(as_bare_pdb, records(lambda line: f"{line}\n{line}" if line[22:26] == "   8" else line)))
+add(F, "atoms-twice", trp, then(as_bare_pdb,
+    records(lambda line: f"{line}\n{line}" if line[22:26] == "   8" else line)))
 add(F, "point-mutations-in-one-place", of("1ejg"), lambda s: (SAMPLES / "1ejg.pdb").read_text())
 
 # mmCIF.
@@ -946,75 +303,128 @@ add(F, "pdb-under-a-cif-name", trp, as_pdb, ".cif")
 add(F, "cif-crlf", trp, then(as_cif, lambda t: t.replace("\n", "\r\n")), ".cif")
 add(F, "cif-byte-order-mark", trp, then(as_cif, lambda t: "\ufeff" + t), ".cif")
 add(F, "cif-with-comments-first", trp, then(as_cif, lambda t: "# by hand\n\n# twice\n" + t), ".cif")
-add(F, "cif-atoms-alone", of("3i40"), then(as_cif, lambda t: "data_x\n" + t[t.index("loop_\n_atom_site.") :]), ".cif")
-add(F, "cif-without-occupancy-and-b", trp, then(as_cif, cif_without("_atom_site.occupancy", "_atom_site.B_iso_or_equiv")), ".cif")
-add(F, "cif-without-elements", trp, then(as_cif, cif_without("_atom_site.type_symbol")), ".cif", refused="type_symbol")
+add(F, "cif-atoms-alone", of("3i40"), then(as_cif, lambda t: "data_x\n" + t[t.index("loop_\n_atom_site.") :]),
+    ".cif")
+add(F, "cif-without-occupancy-and-b", trp, then(as_cif, cif_without("_atom_site.occupancy",
+    "_atom_site.B_iso_or_equiv")), ".cif")
+add(F, "cif-without-elements", trp, then(as_cif, cif_without("_atom_site.type_symbol")), ".cif",
+    refused="type_symbol")
 for _tag in ("id", "label_alt_id", "label_asym_id"):
-    add(F, f"cif-without-{_tag.replace('_', '-')}", trp, then(as_cif, cif_without(f"_atom_site.{_tag}")), ".cif")
-add(F, "cif-without-auth-ids", of("3i40"), then(as_cif, lines_without("XXXX"), cif_without("_struct_conn.", "_struct_conf.", "_struct_sheet_range."), cif_without("_atom_site.auth_asym_id"), cif_without("_atom_site.auth_seq_id"), lambda t: t.replace("Axp", "A").replace("Bxp", "B")), ".cif")
-add(F, "cif-without-label-ids", of("3i40"), then(as_cif, cif_without("_atom_site.label_seq_id", "_atom_site.label_entity_id")), ".cif")
-add(F, "cif-without-entities", trp, then(as_cif, cif_without("_entity.", "_entity_poly.", "_entity_poly_seq.", "_struct_asym.")), ".cif")
+    add(F, f"cif-without-{_tag.replace('_', '-')}", trp, then(as_cif, cif_without(f"_atom_site.{_tag}")),
+        ".cif")
+add(F, "cif-without-auth-ids", of("3i40"), then(as_cif, lines_without("XXXX"), cif_without("_struct_conn.",
+    "_struct_conf.", "_struct_sheet_range."), cif_without("_atom_site.auth_asym_id"),
+    cif_without("_atom_site.auth_seq_id"), lambda t: t.replace("Axp", "A").replace("Bxp", "B")), ".cif")
+add(F, "cif-without-label-ids", of("3i40"), then(as_cif, cif_without("_atom_site.label_seq_id",
+    "_atom_site.label_entity_id")), ".cif")
+add(F, "cif-without-entities", trp, then(as_cif, cif_without("_entity.", "_entity_poly.", "_entity_poly_seq.",
+    "_struct_asym.")), ".cif")
 add(F, "cif-several-blocks", trp, then(as_cif, lambda t: "data_first\n_entry.id first\n\n" + t), ".cif")
-add(F, "cif-text-fields", trp, then(as_cif, lambda t: t.replace("\nloop_\n_atom_site.", "\n_struct.title\n;a title\nof two lines\n;\n#\nloop_\n_atom_site.", 1) if "_struct.title" not in t else t), ".cif")
-add(F, "cif-upper-case-keywords", trp, then(as_cif, lambda t: t.replace("loop_", "LOOP_").replace("data_", "DATA_", 1)), ".cif")
-add(F, "cif-truncated", of("1ubq.cif"), lambda s: (SAMPLES / "1ubq.cif").read_text()[:60000].rsplit("\n", 1)[0], ".cif", refused="cut short")
-add(F, "cif-row-cut", trp, then(as_cif, lambda t: t[: t.index("ATOM") + 3000]), ".cif", refused="cannot be read")
+add(F, "cif-text-fields", trp, then(as_cif, lambda t: t.replace("\nloop_\n_atom_site.",
+    "\n_struct.title\n;a title\nof two lines\n;\n#\nloop_\n_atom_site.",
+    1) if "_struct.title" not in t else t), ".cif")
+add(F, "cif-upper-case-keywords", trp, then(as_cif, lambda t: t.replace("loop_", "LOOP_").replace("data_",
+    "DATA_", 1)), ".cif")
+add(F, "cif-truncated", of("1ubq.cif"), lambda s: (SAMPLES / "1ubq.cif").read_text()[:60000].rsplit("\n",
+    1)[0], ".cif", refused="cut short")
+add(F, "cif-row-cut", trp, then(as_cif, lambda t: t[: t.index("ATOM") + 3000]), ".cif",
+    refused="cannot be read")
 add(F, "cif-without-coordinates", trp, then(as_cif, cif_without("_atom_site.")), ".cif", refused="no atoms")
-add(F, "binary-cif", trp, lambda s: b"\x83\xa7encoder\xa3x\x00\xa8version\xa50.3.0" + bytes(300), ".bcif", refused="binary")
-add(F, "pdbml", trp, lambda s: "<?xml version='1.0'?>\n<PDBx:datablock datablockName='1L2Y'>\n</PDBx:datablock>\n", ".xml", refused="no atoms")
-add(F, "mmjson", trp, lambda s: '{"data_1L2Y": {"atom_site": {"Cartn_x": [1.0]}}}\n', ".json", refused="cannot be read")
-add(F, "cif-chains-of-two-letters", edited(of("3i40"), unstated, lambda s: [setattr(c, "name", c.name * 2) for c in s[0]]), as_cif, ".cif")
-add(F, "cif-chains-of-four-letters", edited(of("3i40"), unstated, lambda s: [setattr(c, "name", f"{c.name}-2x") for c in s[0]]), as_cif, ".cif")
+add(F, "binary-cif", trp, lambda s: b"\x83\xa7encoder\xa3x\x00\xa8version\xa50.3.0" + bytes(300), ".bcif",
+    refused="binary")
+add(F, "pdbml", trp,
+    lambda s: "<?xml version='1.0'?>\n<PDBx:datablock datablockName='1L2Y'>\n</PDBx:datablock>\n", ".xml",
+    refused="no atoms")
+add(F, "mmjson", trp, lambda s: '{"data_1L2Y": {"atom_site": {"Cartn_x": [1.0]}}}\n', ".json",
+    refused="cannot be read")
+add(F, "cif-chains-of-two-letters", edited(of("3i40"), unstated, lambda s: [setattr(c, "name",
+    c.name * 2) for c in s[0]]), as_cif, ".cif")
+add(F, "cif-chains-of-four-letters", edited(of("3i40"), unstated, lambda s: [setattr(c, "name",
+    f"{c.name}-2x") for c in s[0]]), as_cif, ".cif")
 add(F, "cif-large-numbers", edited(trp, shifted_numbers(12340)), as_cif, ".cif")
 
 # Names and habits of programs.
 F = "Programs"
 for _his in ("HSD", "HSE", "HSP"):
     add(F, f"charmm-{_his.lower()}", edited(of("1ubq"), charmm_names(_his)))
-add(F, "charmm-hydrogens-segids-no-elements", edited(of("1vii", True), chain_named(""), charmm_names()), then(as_bare_pdb, put(22, " "), records(lambda line: f"{line[:66]:<72}PROA")))
+add(F, "charmm-hydrogens-segids-no-elements", edited(of("1vii", True), chain_named(""), charmm_names()),
+    then(as_bare_pdb, put(22, " "), records(lambda line: f"{line[:66]:<72}PROA")))
 add(F, "charmm-hydrogens-trp-cage", edited(of("1l2y", True), charmm_names()), as_bare_pdb)
 add(F, "gromacs", edited(of("1vii", True), gromacs_names), as_bare_pdb)
-add(F, "gromacs-lysh-hisb", of("1ubq"), then(as_bare_pdb, four_letters({"LYS": "LYSH", "HIS": "HISB"})))
-add(F, "gromos-terminus", edited(of("1ubq"), every_atom(lambda r, a: setattr(a, "name", {"O": "O1", "OXT": "O2"}.get(a.name, a.name)) if r.seqid.num == 76 else None)))
+add(F, "gromacs-lysh-hisb", of("3i40"), then(as_bare_pdb, four_letters({"LYS": "LYSH", "HIS": "HISB"})))
+add(F, "gromos-terminus", edited(of("1ubq"), every_atom(lambda r, a: setattr(a, "name", {"O": "O1",
+    "OXT": "O2"}.get(a.name, a.name)) if r.seqid.num == 76 else None)))
 add(F, "amber-states", edited(of("1ubq"), renamed({"HIS": "HID", "ASP": "ASH", "GLU": "GLH", "LYS": "LYN"})))
 add(F, "amber-cyx", edited(of("4pti"), unstated, renamed({"CYS": "CYX"})), as_bare_pdb)
 add(F, "amber-cym", edited(with_modified("CYS"), renamed({"CYS": "CYM"})))
-add(F, "amber-terminal-names", trp, then(as_bare_pdb, records(lambda line: f"{line[:17]}{_TERMINAL.get(line[22:26].strip(), line[17:21])}{line[21:]}")))
+add(F, "amber-terminal-names", trp, then(as_bare_pdb,
+    records(lambda line: f"{line[:17]}{_TERMINAL.get(line[22:26].strip(), line[17:21])}{line[21:]}")))
 _TERMINAL = {"1": "NASN", "20": "CSER"}
-add(F, "amber-no-chain-no-elements", edited(of("1vii", True), chain_named("")), then(as_bare_pdb, put(22, " "), records(lambda line: line[:54] + "  1.00  0.00")))
+add(F, "amber-no-chain-no-elements", edited(of("1vii", True), chain_named("")), then(as_bare_pdb, put(22,
+    " "), records(lambda line: line[:54] + "  1.00  0.00")))
 add(F, "pdb-version-2-hydrogens", of("1vii", True), then(as_bare_pdb, old_hydrogens))
-add(F, "pdb-version-2-hydrogens-no-elements", of("1vii", True), then(as_bare_pdb, old_hydrogens, records(lambda line: line[:66])))
-add(F, "rosetta", of("1vii", True), then(as_bare_pdb, old_hydrogens, before_atoms("HEADER    ROSETTA"), after("# All scores below are weighted scores, not raw scores.", "#BEGIN_POSE_ENERGIES_TABLE model.pdb", "label fa_atr fa_rep total", "pose -1.0 2.0 1.0", "#END_POSE_ENERGIES_TABLE model.pdb")))
-add(F, "openmm", of("1vii", True), then(as_bare_pdb, before_atoms("REMARK   1 CREATED WITH OPENMM 8.1, 2024-01-01")))
-add(F, "pymol", trp, then(as_bare_pdb, records(lambda line: f"{line[:72]:<76}{line[76:78]}"), before_end(*(f"CONECT{k:5}{k + 1:5}" for k in range(1, 9)))))
+add(F, "pdb-version-2-hydrogens-no-elements", of("1vii", True), then(as_bare_pdb, old_hydrogens,
+    records(lambda line: line[:66])))
+add(F, "rosetta", of("1vii", True), then(as_bare_pdb, old_hydrogens, before_atoms("HEADER    ROSETTA"),
+    after("# All scores below are weighted scores, not raw scores.", "#BEGIN_POSE_ENERGIES_TABLE model.pdb",
+    "label fa_atr fa_rep total", "pose -1.0 2.0 1.0", "#END_POSE_ENERGIES_TABLE model.pdb")))
+add(F, "openmm", of("1vii", True), then(as_bare_pdb,
+    before_atoms("REMARK   1 CREATED WITH OPENMM 8.1, 2024-01-01")))
+add(F, "pymol", trp, then(as_bare_pdb, records(lambda line: f"{line[:72]:<76}{line[76:78]}"),
+    before_end(*(f"CONECT{k:5}{k + 1:5}" for k in range(1, 9)))))
 add(F, "pymol-pseudoatom", with_ion(trp, "PSD", "PS1", "X", near=3.4), keeps=False)
-add(F, "phenix", of("1vii", True), then(as_pdb, before_atoms("CRYST1    1.000    1.000    1.000  90.00  90.00  90.00 P 1")))
-add(F, "maestro-caps-and-charges", edited(acetylated(trp), renamed({"NME": "NMA"})), then(as_bare_pdb, records(lambda line: f"{line[:78]}1+" if line[12:16] == " NZ " else line)))
-add(F, "modeller", trp, then(as_bare_pdb, before_atoms("EXPDTA    THEORETICAL MODEL, MODELLER 10.4", "REMARK   6 MODELLER OBJECTIVE FUNCTION:       123.4567")))
-add(F, "swiss-model", trp, then(as_bare_pdb, before_atoms("TITLE     SWISS-MODEL SERVER", "REMARK   3  GMQE    0.85")))
-add(F, "mdanalysis", edited(trp, chain_named("X")), then(as_bare_pdb, put(22, "X"), records(lambda line: f"{line[:72]:<72}SYST{line[76:]}"), before_atoms("TITLE     MDANALYSIS FRAME 0: Created by PDBWriter", "CRYST1    1.000    1.000    1.000  90.00  90.00  90.00 P 1           1")))
+add(F, "phenix", of("1vii", True), then(as_pdb,
+    before_atoms("CRYST1    1.000    1.000    1.000  90.00  90.00  90.00 P 1")))
+add(F, "maestro-caps-and-charges", edited(acetylated(trp), renamed({"NME": "NMA"})), then(as_bare_pdb,
+    records(lambda line: f"{line[:78]}1+" if line[12:16] == " NZ " else line)))
+add(F, "modeller", trp, then(as_bare_pdb, before_atoms("EXPDTA    THEORETICAL MODEL, MODELLER 10.4",
+    "REMARK   6 MODELLER OBJECTIVE FUNCTION:       123.4567")))
+add(F, "swiss-model", trp, then(as_bare_pdb, before_atoms("TITLE     SWISS-MODEL SERVER",
+    "REMARK   3  GMQE    0.85")))
+add(F, "mdanalysis", edited(trp, chain_named("X")), then(as_bare_pdb, put(22, "X"),
+    records(lambda line: f"{line[:72]:<72}SYST{line[76:]}"),
+    before_atoms("TITLE     MDANALYSIS FRAME 0: Created by PDBWriter",
+    "CRYST1    1.000    1.000    1.000  90.00  90.00  90.00 P 1           1")))
 add(F, "biopython", trp, then(as_bare_pdb, lambda t: t.replace("TER   ", "TER   ").rstrip() + "   \n"))
 add(F, "foldx-scwrl-no-hydrogens-short-lines", trp, then(as_bare_pdb, records(lambda line: line[:60])))
-add(F, "xplor", edited(of("1vii", True), chain_named(""), charmm_names()), then(as_bare_pdb, records(lambda line: f"{line[:21]} {line[22:66]:<50}A   ")))
-add(F, "haddock", of("3i40"), then(as_pdb, lines_without("SSBOND"), records(lambda line: f"{line[:72]}{line[21]}   {line[76:]}")))
+add(F, "xplor", edited(of("1vii", True), chain_named(""), charmm_names()), then(as_bare_pdb,
+    records(lambda line: f"{line[:21]} {line[22:66]:<50}A   ")))
+add(F, "haddock", of("3i40"), then(as_pdb, lines_without("SSBOND"),
+    records(lambda line: f"{line[:72]}{line[21]}   {line[76:]}")))
 
 # Predictors.
 F = "Predictors"
 PLDDT = edited(trp, every_atom(lambda r, a: setattr(a, "b_iso", 91.5)))
 add(F, "alphafold-2", PLDDT, then(as_bare_pdb, lambda t: f"PARENT N/A\nMODEL     1\n{_body(t)}ENDMDL\nEND\n"))
 add(F, "colabfold", PLDDT, then(as_bare_pdb, lambda t: f"MODEL     1\n{_body(t)}ENDMDL\nEND\n"))
-add(F, "esmfold", edited(PLDDT, without_atoms(lambda r, a: a.name == "OXT")), then(as_bare_pdb, before_atoms("PARENT N/A")))
-add(F, "openfold-modelcif", PLDDT, then(as_cif, cif_with("_ma_qa_metric.", ["id", "name", "type", "mode"], [["1", "pLDDT", "pLDDT", "global"]]), cif_with("_ma_qa_metric_local.", ["ordinal_id", "model_id", "label_asym_id", "label_seq_id", "metric_id", "metric_value"], [["1", "1", "A", "1", "1", "91.50"]])), ".cif")
-add(F, "alphafold-3", with_molecule(PLDDT, "LIG_B", GLYCEROL, chain="B", number=1), then(as_cif, cif_with("_pdbx_data_usage.", ["id", "type", "details"], [["1", "license", "NON-COMMERCIAL USE ONLY"]])), ".cif")
+add(F, "esmfold", edited(PLDDT, without_atoms(lambda r, a: a.name == "OXT")), then(as_bare_pdb,
+    before_atoms("PARENT N/A")))
+add(F, "openfold-modelcif", PLDDT, then(as_cif, cif_with("_ma_qa_metric.", ["id", "name", "type", "mode"],
+    [["1", "pLDDT", "pLDDT", "global"]]), cif_with("_ma_qa_metric_local.", ["ordinal_id", "model_id",
+    "label_asym_id", "label_seq_id", "metric_id", "metric_value"], [["1", "1", "A", "1", "1", "91.50"]])),
+    ".cif")
+add(F, "alphafold-3", with_molecule(PLDDT, "LIG_B", GLYCEROL, chain="B", number=1), then(as_cif,
+    cif_with("_pdbx_data_usage.", ["id", "type", "details"], [["1", "license", "NON-COMMERCIAL USE ONLY"]])),
+    ".cif")
 add(F, "boltz", with_molecule(PLDDT, "LIG1", CHLOROPHENOL, chain="B", number=1), as_cif, ".cif")
-add(F, "chai", with_molecule(PLDDT, "LIG2", [(f"{n}_1", e, x) for n, e, x in GLYCEROL], chain="B", number=1), as_cif, ".cif")
-add(F, "chai-two-ligands", with_molecule(with_molecule(PLDDT, "LIG3", [(f"{n}_1", e, x) for n, e, x in GLYCEROL], chain="C", number=1, turn=1), "LIG4", [(f"{n}_1", e, x) for n, e, x in GLYCEROL], chain="D", number=1, turn=2), as_cif, ".cif")
-add(F, "protenix-five-letter-ligand", with_molecule(PLDDT, "A1AA6", BENZAMIDINE, chain="B", number=1), as_cif, ".cif")
-add(F, "rosettafold", PLDDT, then(as_bare_pdb, lines_without("TER", "END"), records(lambda line: f"{line[:60]}  0.92")))
-add(F, "rosettafold-all-atom-ligand", with_molecule(PLDDT, "LG1", BENZAMIDINE, chain="B", number=1), as_bare_pdb)
-add(F, "rfdiffusion-backbone-of-glycines", edited(trp, without_atoms(lambda r, a: a.name not in ("N", "CA", "C", "O")), renamed({n: "GLY" for n in _PAIRS} | {"ILE": "GLY", "VAL": "GLY", "THR": "GLY", "ALA": "GLY"})), as_bare_pdb)
-add(F, "backbone-with-names", edited(trp, without_atoms(lambda r, a: a.name not in ("N", "CA", "C", "O"))), as_bare_pdb)
-add(F, "backbone-without-oxygens", edited(trp, without_atoms(lambda r, a: a.name not in ("N", "CA", "C"))), as_bare_pdb)
+add(F, "chai", with_molecule(PLDDT, "LIG2", [(f"{n}_1", e, x) for n, e, x in GLYCEROL], chain="B", number=1),
+    as_cif, ".cif")
+add(F, "chai-two-ligands", with_molecule(with_molecule(PLDDT, "LIG3", [(f"{n}_1", e, x) for n, e,
+    x in GLYCEROL], chain="C", number=1, turn=1), "LIG4", [(f"{n}_1", e, x) for n, e, x in GLYCEROL],
+    chain="D", number=1, turn=2), as_cif, ".cif")
+add(F, "protenix-five-letter-ligand", with_molecule(PLDDT, "A1AA6", BENZAMIDINE, chain="B", number=1), as_cif,
+    ".cif")
+add(F, "rosettafold", PLDDT, then(as_bare_pdb, lines_without("TER", "END"),
+    records(lambda line: f"{line[:60]}  0.92")))
+add(F, "rosettafold-all-atom-ligand", with_molecule(PLDDT, "LG1", BENZAMIDINE, chain="B", number=1),
+    as_bare_pdb)
+add(F, "rfdiffusion-backbone-of-glycines", edited(trp, without_atoms(lambda r, a: a.name not in ("N", "CA",
+    "C", "O")), renamed(dict.fromkeys(PAIRS, "GLY") | {"ILE": "GLY", "VAL": "GLY", "THR": "GLY",
+    "ALA": "GLY"})), as_bare_pdb)
+add(F, "backbone-with-names", edited(trp, without_atoms(lambda r, a: a.name not in ("N", "CA", "C", "O"))),
+    as_bare_pdb)
+add(F, "backbone-without-oxygens", edited(trp, without_atoms(lambda r, a: a.name not in ("N", "CA", "C"))),
+    as_bare_pdb)
 
 # Termini and caps.
 F = "Termini and caps"
@@ -1022,7 +432,9 @@ add(F, "ace-nme", acetylated(trp))
 add(F, "ace-nh2", acetylated(trp, "NH2"))
 add(F, "ace-nma", edited(acetylated(trp), renamed({"NME": "NMA"})))
 add(F, "no-oxt", edited(trp, without_atoms(lambda r, a: a.name == "OXT")))
-add(F, "oxt-within-a-chain", edited(trp, lambda s: residue(s, 10).add_atom(new_atom("OXT", "O", beyond(residue(s, 10)["C"][0].pos.tolist(), residue(s, 10)["CA"][0].pos.tolist(), residue(s, 10)["O"][0].pos.tolist(), r=1.25)))))
+add(F, "oxt-within-a-chain", edited(trp, lambda s: residue(s, 10).add_atom(new_atom("OXT", "O",
+    beyond(residue(s, 10)["C"][0].pos.tolist(), residue(s, 10)["CA"][0].pos.tolist(), residue(s,
+    10)["O"][0].pos.tolist(), r=1.25)))))
 add(F, "pyroglutamate", pyroglutamate)
 add(F, "neutral-n-terminus", edited(of("1l2y", True), without_atoms(lambda r, a: a.name == "H3")))
 
@@ -1043,15 +455,32 @@ add(F, "charmm-caps-in-their-residues", edited(acetylated(trp), _caps_in_the_res
 
 # Protonation.
 F = "Protonation"
+
+
+def _exchanged(structure: gemmi.Structure) -> None:
+    """Amide hydrogens, each with deuterium as another location."""
+    for r in structure[0][0]:
+        for h in [a for a in r if a.name == "H"]:
+            d = h.clone()
+            d.name, d.element = "D", gemmi.Element("D")
+            h.altloc, h.occ, d.altloc, d.occ = "A", 0.4, "B", 0.6
+            r.add_atom(d)
+
+
 for _name, _which in (("delta", "D"), ("epsilon", "E"), ("both", "DE")):
     add(F, f"histidine-{_name}-by-hydrogens", edited(of("1ubq"), histidines(_which)))
 add(F, "aspartic-acid-by-hydrogen", edited(trp, with_hydrogen(9, "HD2", "CB", "CG", "OD2")))
 add(F, "glutamic-acid-by-hydrogen", edited(of("1vii"), with_hydrogen(45, "HE2", "CG", "CD", "OE2")))
-add(F, "neutral-lysine-by-hydrogens", edited(of("1l2y", True), without_atoms(lambda r, a: r.seqid.num == 8 and a.name == "HZ3")))
-add(F, "deuterium", edited(of("1l2y", True), every_atom(lambda r, a: (setattr(a, "element", gemmi.Element("D")), setattr(a, "name", "D" + a.name[1:])) if a.name in ("H", "HZ1", "HZ2", "HZ3") else None)))
-add(F, "deuterium-beside-hydrogen", edited(of("1l2y", True), lambda s: [(h.__setattr__("altloc", "A"), h.__setattr__("occ", 0.4), (d := h.clone()), d.__setattr__("element", gemmi.Element("D")), d.__setattr__("name", "D"), d.__setattr__("altloc", "B"), d.__setattr__("occ", 0.6), r.add_atom(d)) for r in s[0][0] for h in [a for a in r if a.name == "H"]]))
-add(F, "hydrogens-of-some-residues", edited(of("1l2y", True), without_atoms(lambda r, a: r.seqid.num > 10 and a.is_hydrogen())))
-add(F, "polar-hydrogens-alone", edited(of("1l2y", True), without_atoms(lambda r, a: a.is_hydrogen() and a.name not in ("H", "HE1", "HZ1", "HZ2", "HZ3", "H1", "H2", "H3", "HH"))))
+add(F, "neutral-lysine-by-hydrogens", edited(of("1l2y", True), without_atoms(lambda r,
+    a: r.seqid.num == 8 and a.name == "HZ3")))
+add(F, "deuterium", edited(of("1l2y", True), every_atom(lambda r, a: (setattr(a, "element",
+    gemmi.Element("D")), setattr(a, "name", "D" + a.name[1:])) if a.name in ("H", "HZ1", "HZ2",
+    "HZ3") else None)))
+add(F, "deuterium-beside-hydrogen", edited(of("1l2y", True), _exchanged))
+add(F, "hydrogens-of-some-residues", edited(of("1l2y", True), without_atoms(lambda r,
+    a: r.seqid.num > 10 and a.is_hydrogen())))
+add(F, "polar-hydrogens-alone", edited(of("1l2y", True), without_atoms(lambda r,
+    a: a.is_hydrogen() and a.name not in ("H", "HE1", "HZ1", "HZ2", "HZ3", "H1", "H2", "H3", "HH"))))
 
 # Modified residues.
 F = "Modified residues"
@@ -1060,8 +489,11 @@ for _name in MODIFIED:
     if _name not in ("CYS", "UNK", "DAL"):
         add(F, _name.lower(), with_modified(_name), keeps=_name in _SAME)
 add(F, "mse-with-charges-in-mmcif", with_modified("MSE"), as_cif, ".cif")
-add(F, "mse-unstated-as-atom", edited(with_modified("MSE"), lambda s: setattr(residue(s, 53), "het_flag", "A")), as_bare_pdb)
-add(F, "sep-with-modres", with_modified("SEP"), then(as_pdb, before_atoms("MODRES 1L2Y SEP A   13  SER  PHOSPHOSERINE", "HET    SEP  A  13      10", "HETNAM     SEP PHOSPHOSERINE")), keeps=False)
+add(F, "mse-unstated-as-atom", edited(with_modified("MSE"), lambda s: setattr(residue(s, 53), "het_flag",
+    "A")), as_bare_pdb)
+add(F, "sep-with-modres", with_modified("SEP"), then(as_pdb,
+    before_atoms("MODRES 1L2Y SEP A   13  SER  PHOSPHOSERINE", "HET    SEP  A  13      10",
+    "HETNAM     SEP PHOSPHOSERINE")), keeps=False)
 add(F, "unknown-residue", with_modified("UNK"), refused="UNK")
 add(F, "unknown-name", edited(trp, lambda s: setattr(residue(s, 7), "name", "XQZ")), refused="XQZ")
 add(F, "n-methyl-glutamine-in-mmcif", with_modified("MEQ"), as_cif, ".cif", keeps=False)
@@ -1078,7 +510,8 @@ add(F, "mirror-image-in-mmcif", edited(trp, mirrored, renamed(D_NAMES)), as_cif,
 def _racemic() -> gemmi.Structure:
     out, other = trp(), edited(trp, mirrored, renamed(D_NAMES))()
     away = places(out)[:, 0].max() - places(other)[:, 0].min() + 4.0
-    every_atom(lambda r, a: setattr(a, "pos", gemmi.Position(round(a.pos.x + away, 3), a.pos.y, a.pos.z)))(other)
+    every_atom(lambda r, a: setattr(a, "pos", gemmi.Position(round(a.pos.x + away, 3), a.pos.y,
+        a.pos.z)))(other)
     chain = other[0][0]
     chain.name = "B"
     out[0].add_chain(chain)
@@ -1103,32 +536,50 @@ def _flip_hand(structure: gemmi.Structure) -> None:
 add(F, "a-wrong-hand", edited(trp, _flip_hand))
 
 # Disulfides and cross-links.
+
+
+def _moved(number: int, name: str, by: tuple[float, float, float]):
+    def change(structure: gemmi.Structure) -> None:
+        a = residue(structure, number)[name][0]
+        a.pos = gemmi.Position(*np.round(np.array(a.pos.tolist()) + by, 3).tolist())
+
+    return change
+
+
 F = "Disulfides"
 add(F, "disulfides-stated", of("4pti"))
 add(F, "disulfides-unstated", edited(of("4pti"), unstated))
 add(F, "disulfides-in-mmcif", of("4pti"), as_cif, ".cif")
-add(F, "disulfides-stated-wrongly", edited(of("4pti"), unstated, linked(("A", 5, "CYS", "SG"), ("A", 14, "CYS", "SG"), "Disulf")))
-add(F, "disulfide-to-another-copy", edited(of("4pti"), unstated), then(as_pdb, before_atoms("SSBOND   1 CYS A    5    CYS A    5                          1555   2655  2.04")))
+add(F, "disulfides-stated-wrongly", edited(of("4pti"), unstated, linked(("A", 5, "CYS", "SG"), ("A", 14,
+    "CYS", "SG"), "Disulf")))
+add(F, "disulfide-to-another-copy", edited(of("4pti"), unstated), then(as_pdb,
+    before_atoms("SSBOND   1 CYS A    5    CYS A    5                          1555   2655  2.04")))
 add(F, "disulfides-between-chains", of("3i40"))
-add(F, "disulfide-stretched", edited(of("4pti"), unstated, lambda s: setattr(residue(s, 14)["SG"][0], "pos", gemmi.Position(*(np.array(residue(s, 14)["SG"][0].pos.tolist()) + [0.5, 0.3, 0.0]).round(3).tolist()))))
-add(F, "lactam", of_shared("structures/2n0n_lactam.pdb"), lambda s: (MORE / "2n0n_lactam.pdb").read_text(), needs="structures/2n0n_lactam.pdb", refused="amide bond")
+add(F, "disulfide-stretched", edited(of("4pti"), unstated, _moved(14, "SG", (0.5, 0.3, 0.0))))
+add(F, "lactam", of_shared("structures/2n0n_lactam.pdb"), lambda s: (MORE / "2n0n_lactam.pdb").read_text(),
+    needs="structures/2n0n_lactam.pdb", refused="PH8", is_made=False)
 
 # Ions.
 F = "Ions"
 for _name, _atom, _element in (
-    ("NA", "NA", "Na"), ("CL", "CL", "Cl"), ("K", "K", "K"), ("SOD", "SOD", "Na"), ("CLA", "CLA", "Cl"), ("POT", "POT", "K"), ("CAL", "CAL", "Ca"),
-    ("CES", "CES", "Cs"), ("Na+", "Na+", "Na"), ("Cl-", "Cl-", "Cl"), ("ZN2", "ZN", "Zn"), ("IOD", "I", "I"), ("CIO", "CIO", "Cs"),
+    ("NA", "NA", "Na"), ("CL", "CL", "Cl"), ("K", "K", "K"), ("SOD", "SOD", "Na"), ("CLA", "CLA", "Cl"),
+        ("POT", "POT", "K"), ("CAL", "CAL", "Ca"),
+    ("CES", "CES", "Cs"), ("Na+", "Na+", "Na"), ("Cl-", "Cl-", "Cl"), ("ZN2", "ZN", "Zn"), ("IOD", "I", "I"),
+        ("CIO", "CIO", "Cs"),
 ):  # fmt: skip
     if _name != "CIO":
-        add(F, f"ion-{_name.lower()}".replace("+", "-plus").replace("cl-", "cl-minus"), with_ion(of("1ubq"), _name, _atom, _element, near=3.0))
+        add(F, f"ion-{_name.lower()}".replace("+", "-plus").replace("cl-", "cl-minus"), with_ion(of("1ubq"),
+            _name, _atom, _element, near=3.0))
 add(F, "ion-charges-in-pdb", with_ion(of("1ubq"), "MG", "MG", "Mg", 2, near=3.0))
 add(F, "ion-charges-in-mmcif", with_ion(of("1ubq"), "CL", "CL", "Cl", -1, near=3.0), as_cif, ".cif")
 add(F, "magnesium-in-water", hydrated(of("1ubq"), "MG", "Mg", 2.07))
 add(F, "calcium-in-water", hydrated(of("1ubq"), "CA", "Ca", 2.4))
 add(F, "zinc-in-water-mmcif", hydrated(of("1ubq"), "ZN", "Zn", 2.08), as_cif, ".cif")
-add(F, "calcium-at-a-carboxylate", chelated("1ubq", 18, ("OE1", "OE2"), "CA", "Ca", 2.4), links=2)
-add(F, "zinc-at-a-carboxylate", chelated("1l2y", 9, ("OD1", "OD2"), "ZN", "Zn", 2.1), links=2)
-add(F, "ion-on-a-backbone-oxygen", edited(of("1ubq"), lambda s: with_chain(s, "I", new_residue("NA", 1, [new_atom("NA", "Na", beyond(residue(s, 76)["O"][0].pos.tolist(), residue(s, 76)["C"][0].pos.tolist(), r=2.4))]))), links=1)
+add(F, "calcium-at-a-carboxylate", chelated("1ubq", 18, ("OE1", "OE2"), "CA", "Ca", 2.4))
+add(F, "zinc-at-a-carboxylate", chelated("1l2y", 9, ("OD1", "OD2"), "ZN", "Zn", 2.1))
+add(F, "ion-on-a-backbone-oxygen", edited(of("1ubq"), lambda s: with_chain(s, "I", new_residue("NA", 1,
+    [new_atom("NA", "Na", beyond(residue(s, 76)["O"][0].pos.tolist(), residue(s, 76)["C"][0].pos.tolist(),
+    r=2.4))]))))
 
 # Waters.
 F = "Waters"
@@ -1136,8 +587,10 @@ add(F, "waters", of("1ubq", waters=True))
 for _name in ("WAT", "SOL", "TIP", "DOD", "H2O"):
     add(F, f"water-{_name.lower()}", edited(of("1ubq", waters=True), renamed({"HOH": _name})), as_bare_pdb)
 for _name in ("TIP3", "TP3M", "SPCE"):
-    add(F, f"water-{_name.lower()}", edited(of("1ubq", waters=True), renamed({}, {"HOH": {"O": "OH2"}})), then(as_bare_pdb, four_letters({"HOH": _name})))
-add(F, "water-tip3-no-chain", edited(of("1ubq", waters=True), chain_named("", ""), renamed({}, {"HOH": {"O": "OH2"}})), then(as_bare_pdb, four_letters({"HOH": "TIP3"})))
+    add(F, f"water-{_name.lower()}", edited(of("1ubq", waters=True), renamed({}, {"HOH": {"O": "OH2"}})),
+        then(as_bare_pdb, four_letters({"HOH": _name})))
+add(F, "water-tip3-no-chain", edited(of("1ubq", waters=True), chain_named("", ""), renamed({},
+    {"HOH": {"O": "OH2"}})), then(as_bare_pdb, four_letters({"HOH": "TIP3"})))
 add(F, "waters-kept", of("4pti", waters=True), options={"keep": "all"})
 
 # Ligands.
@@ -1152,24 +605,49 @@ add(F, "ligand-charge-in-mmcif", with_molecule(trp, "BEN", BENZAMIDINE, charges=
 for _name in ("LIG", "UNL", "UNK", "MOL", "001", "1", "DRG", "INH", "X"):
     add(F, f"ligand-named-{_name.lower()}", with_molecule(trp, _name, CHLOROPHENOL))
 add(F, "ligand-of-five-letters", with_molecule(trp, "A1AA6", BENZAMIDINE), as_cif, ".cif")
-add(F, "ligand-of-four-letters-in-pdb", with_molecule(trp, "LI7", BENZAMIDINE), then(as_bare_pdb, four_letters({"LI7": "LIG7"})))
+add(F, "ligand-of-four-letters-in-pdb", with_molecule(trp, "LI7", BENZAMIDINE), then(as_bare_pdb,
+    four_letters({"LI7": "LIG7"})))
 add(F, "ligand-of-four-letters", with_molecule(trp, "LIG7", BENZAMIDINE), as_cif, ".cif")
 add(F, "ligand-of-lower-case", with_molecule(trp, "lig", BENZAMIDINE), as_cif, ".cif")
-add(F, "ligands-whose-names-begin-alike", with_molecule(with_molecule(trp, "LIG3", BENZAMIDINE, turn=1), "LIG4", GLYCEROL, chain="M", turn=2), as_cif, ".cif")
-add(F, "ligand-quoted-names", with_molecule(trp, "SUG", [(f"{n}'", e, x) for n, e, x in GLYCEROL]), as_cif, ".cif")
-add(F, "ligand-double-quoted-names", with_molecule(trp, "SUG", [(f'{n}"', e, x) for n, e, x in GLYCEROL]), as_cif, ".cif")
-add(F, "ligand-long-atom-names", with_molecule(trp, "LIG", [(f"{e}{10 + k}_1", e, x) for k, (_, e, x) in enumerate(BENZAMIDINE)]), as_cif, ".cif")
+add(F, "ligands-whose-names-begin-alike", with_molecule(with_molecule(trp, "LIG3", BENZAMIDINE, turn=1),
+    "LIG4", GLYCEROL, chain="M", turn=2), as_cif, ".cif")
+add(F, "ligand-quoted-names", with_molecule(trp, "SUG", [(f"{n}'", e, x) for n, e, x in GLYCEROL]), as_cif,
+    ".cif")
+add(F, "ligand-double-quoted-names", with_molecule(trp, "SUG", [(f'{n}"', e, x) for n, e, x in GLYCEROL]),
+    as_cif, ".cif")
+add(F, "ligand-long-atom-names", with_molecule(trp, "LIG", [(f"{e}{10 + k}_1", e, x) for k, (_, e,
+    x) in enumerate(BENZAMIDINE)]), as_cif, ".cif")
 add(F, "ligand-atoms-that-share-a-name", with_molecule(trp, "LIG", [(e, e, x) for _, e, x in BENZAMIDINE]))
-add(F, "ligand-atoms-in-atom-records", with_molecule(trp, "BEN", BENZAMIDINE), then(as_bare_pdb, records(lambda line: f"ATOM  {line[6:]}")))
+add(F, "ligand-atoms-in-atom-records", with_molecule(trp, "BEN", BENZAMIDINE), then(as_bare_pdb,
+    records(lambda line: f"ATOM  {line[6:]}")))
 add(F, "ligand-in-the-chain-of-the-protein", with_molecule(trp, "BEN", BENZAMIDINE, chain="A"))
 add(F, "ligand-numbered-as-a-residue", with_molecule(trp, "BEN", BENZAMIDINE, number=5))
-add(F, "ligand-without-elements", with_molecule(trp, "BEN", BENZAMIDINE), then(as_bare_pdb, records(lambda line: line[:66])))
-add(F, "chlorine-without-elements", with_molecule(trp, "CPH", CHLOROPHENOL), then(as_bare_pdb, records(lambda line: line[:66])))
-add(F, "ligand-with-conect", with_molecule(trp, "BEN", BENZAMIDINE), then(as_bare_pdb, before_end("CONECT  157  158  162  163", "CONECT  158  157  159")))
-add(F, "ligand-with-chem-comp-bond", with_molecule(trp, "BEN", BENZAMIDINE), then(as_cif, cif_with("_chem_comp_bond.", ["comp_id", "atom_id_1", "atom_id_2", "value_order"], [["BEN", "C1", "C2", "doub"], ["BEN", "C2", "C3", "sing"]])), ".cif")
+add(F, "ligand-without-elements", with_molecule(trp, "BEN", BENZAMIDINE), then(as_bare_pdb,
+    records(lambda line: line[:66])))
+add(F, "chlorine-without-elements", with_molecule(trp, "CPH", CHLOROPHENOL), then(as_bare_pdb,
+    records(lambda line: line[:66])))
+add(F, "ligand-with-conect", with_molecule(trp, "BEN", BENZAMIDINE), then(as_bare_pdb,
+    before_end("CONECT  157  158  162  163", "CONECT  158  157  159")))
+add(F, "ligand-with-chem-comp-bond", with_molecule(trp, "BEN", BENZAMIDINE), then(as_cif,
+    cif_with("_chem_comp_bond.", ["comp_id", "atom_id_1", "atom_id_2", "value_order"], [["BEN", "C1", "C2",
+    "doub"], ["BEN", "C2", "C3", "sing"]])), ".cif")
 add(F, "ligand-far-away", with_molecule(trp, "BEN", BENZAMIDINE, near=9.0), keeps=False)
-add(F, "ligand-altlocs", edited(with_molecule(trp, "BEN", BENZAMIDINE), lambda s: [(setattr(a, "altloc", "A"), setattr(a, "occ", 0.6), (b := a.clone()), setattr(b, "altloc", "B"), setattr(b, "occ", 0.4), setattr(b, "pos", gemmi.Position(b.pos.x, b.pos.y + 0.5, b.pos.z)), s[0]["L"][0].add_atom(b)) for a in list(s[0]["L"][0])]))
-add(F, "free-amino-acid", edited(trp, lambda s: with_chain(s, "L", new_residue("GLY", 1, [new_atom(n, e, x) for (n, e), x in zip((("N", "N"), ("CA", "C"), ("C", "C"), ("O", "O"), ("OXT", "O")), berth(s, np.array([(-1.2, 0.8, 0), (0, 0, 0), (1.3, 0.8, 0), (1.3, 2.0, 0.2), (2.3, 0.1, 0)])), strict=True)]))))
+
+
+def _two_places(structure: gemmi.Structure) -> None:
+    """The ligand in two alternate locations."""
+    r = structure[0]["L"][0]
+    for a in [a.clone() for a in r]:
+        r[a.name][0].altloc, r[a.name][0].occ = "A", 0.6
+        a.altloc, a.occ, a.pos = "B", 0.4, gemmi.Position(a.pos.x, a.pos.y + 0.5, a.pos.z)
+        r.add_atom(a)
+
+
+GLYCINE = [("N", "N", (-1.2, 0.8, 0)), ("CA", "C", (0, 0, 0)), ("C", "C", (1.3, 0.8, 0)), ("O", "O", (1.3,
+    2.0, 0.2)),
+           ("OXT", "O", (2.3, 0.1, 0))]
+add(F, "ligand-altlocs", edited(with_molecule(trp, "BEN", BENZAMIDINE), _two_places))
+add(F, "free-amino-acid", with_molecule(trp, "GLY", GLYCINE, number=1))
 for _name, _needs in (
     ("astex-1HQ2_PH2", ""), ("astex-1OQ5_CEL", ""), ("astex-1P62_GEO", ""), ("astex-1T46_STI", ""),
     ("astex-1TOW_CRZ", ""), ("astex-1V48_HA1", ""), ("astex-1YGC_905", ""), ("astex-1IA1_TQ3", ""),
@@ -1178,7 +656,7 @@ for _name, _needs in (
 ):  # fmt: skip
 
     def _joined(entry: str = _name.removeprefix("astex-")) -> gemmi.Structure:
-        out = _read(COMPLEXES / "astex" / f"{entry}_protein.pdb").clone()
+        out = read_file(COMPLEXES / "astex" / f"{entry}_protein.pdb").clone()
         text = (COMPLEXES / "ligands" / f"{entry}.sdf").read_text().splitlines()
         n = int(text[3][:3])
         atoms, count = [], {}
@@ -1194,35 +672,58 @@ for _name, _needs in (
                     atoms[k - 1].charge = charge
         return with_chain(out, "L", new_residue(entry.split("_")[1], 900, atoms))
 
-    add("Complexes", _name.lower(), _joined, needs=f"complexes/astex/{_name.removeprefix('astex-')}_protein.pdb")
+    add("Complexes", _name.lower(), _joined,
+        needs=f"complexes/astex/{_name.removeprefix('astex-')}_protein.pdb", links=-1, keeps=False)
 
 # Bonds to the protein, and atoms that merely lie near.
+
+
+def _beside(number: int, name: str, away: tuple[float, float, float]):
+    """A chloride away from an atom."""
+
+    def change(structure: gemmi.Structure) -> None:
+        at = np.array(residue(structure, number)[name][0].pos.tolist()) + away
+        with_chain(structure, "I", new_residue("CL", 1, [new_atom("CL", "Cl", at)]))
+
+    return change
+
+
 F = "Covalent and clashing"
 add(F, "covalent-stated", adduct(True), links=1)
 add(F, "covalent-unstated", adduct(False), links=1)
 add(F, "covalent-in-mmcif", adduct(True), as_cif, ".cif", links=1)
 add(F, "stated-but-far", edited(adduct(False, 3.6), linked(("A", 13, "CYS", "SG"), ("L", 1, "LIG", "C1"))))
-for _atom, _number, _distance in (("NZ", 8, 1.45), ("NH1", 16, 1.35), ("OG", 13, 1.55), ("CB", 9, 1.5), ("OH", 3, 1.4), ("OD1", 9, 1.3), ("NZ", 8, 0.5), ("CA", 10, 1.2)):
+for _atom, _number, _distance in (("NZ", 8, 1.45), ("NH1", 16, 1.35), ("OG", 13, 1.55), ("CB", 9, 1.5), ("OH",
+    3, 1.4), ("OD1", 9, 1.3), ("NZ", 8, 0.5), ("CA", 10, 1.2)):
     add(F, f"sulphate-{_distance}-from-{_atom.lower()}", pushed(_atom, _number, _distance))
 for _atom, _number, _distance in (("CB", 14, 1.5), ("NE2", 5, 1.45)):
-    add(F, f"glycerol-{_distance}-from-{_atom.lower()}", pushed(_atom, _number, _distance, tuple(GLYCEROL[k] for k in (0, 1, 2, 3, 4, 5)), "GOL"))
-add(F, "two-molecules-in-one-place", with_molecule(with_molecule(trp, "BEN", BENZAMIDINE), "GOL", GLYCEROL, chain="M", near=1.2))
-add(F, "ion-in-a-side-chain", edited(trp, lambda s: with_chain(s, "I", new_residue("CL", 1, [new_atom("CL", "Cl", np.array(residue(s, 8)["CE"][0].pos.tolist()) + [1.0, 0.9, 0.9])]))))
+    add(F, f"glycerol-{_distance}-from-{_atom.lower()}", pushed(_atom, _number, _distance,
+        tuple(GLYCEROL[k] for k in (0, 1, 2, 3, 4, 5)), "GOL"))
+add(F, "two-molecules-in-one-place", with_molecule(with_molecule(trp, "BEN", BENZAMIDINE), "GOL", GLYCEROL,
+    chain="M", near=1.2))
+add(F, "ion-in-a-side-chain", edited(trp, _beside(8, "CE", (1.0, 0.9, 0.9))))
 
 # Incomplete chains.
 F = "Incomplete"
-add(F, "side-chains-cut", edited(of("1ubq"), without_atoms(lambda r, a: r.name in ("LYS", "GLU", "ARG") and a.name not in ("N", "CA", "C", "O", "CB"))))
-add(F, "side-chain-atom-missing", edited(trp, without_atoms(lambda r, a: r.name == "TRP" and a.name == "CZ3")))
-add(F, "backbone-atom-missing", edited(trp, without_atoms(lambda r, a: r.seqid.num == 10 and a.name == "C")), keeps=False)
+add(F, "side-chains-cut", edited(of("1ubq"), without_atoms(lambda r, a: r.name in ("LYS", "GLU",
+    "ARG") and a.name not in ("N", "CA", "C", "O", "CB"))))
+add(F, "side-chain-atom-missing", edited(trp, without_atoms(lambda r,
+    a: r.name == "TRP" and a.name == "CZ3")))
+add(F, "backbone-atom-missing", edited(trp, without_atoms(lambda r, a: r.seqid.num == 10 and a.name == "C")),
+    keeps=False)
 add(F, "chain-break", edited(of("1ubq"), without_residues(*range(30, 36))))
-add(F, "chain-break-without-a-gap-in-numbers", edited(of("1ubq"), without_residues(*range(30, 36)), _renumber(range(1, 71))))
-add(F, "torn-peptide", edited(trp, every_atom(lambda r, a: setattr(a, "pos", gemmi.Position(a.pos.x + 1.2, a.pos.y, a.pos.z)) if r.seqid.num > 10 else None)))
+add(F, "chain-break-without-a-gap-in-numbers", edited(of("1ubq"), without_residues(*range(30, 36)),
+    _renumber(range(1, 71))))
+add(F, "torn-peptide", edited(trp, every_atom(lambda r, a: setattr(a, "pos", gemmi.Position(a.pos.x + 1.2,
+    a.pos.y, a.pos.z)) if r.seqid.num > 10 else None)))
 add(F, "c-alphas", edited(of("1ubq"), without_atoms(lambda r, a: a.name != "CA")), refused="C-alpha")
-add(F, "c-alphas-of-one-chain", edited(of("3i40"), unstated, lambda s: without_atoms(lambda r, a: r in list(s[0]["B"]) and a.name != "CA")(s) if False else [[r.__delitem__(i) for i in reversed(range(len(r))) if r[i].name != "CA"] for r in s[0]["B"]]), refused="C-alpha")
+add(F, "c-alphas-of-one-chain", edited(of("3i40"), unstated, in_chain("B", lambda r, a: a.name != "CA")),
+    refused="C-alpha")
 add(F, "one-residue", edited(trp, without_residues(*range(2, 21))), refused="no protein")
 add(F, "two-residues", edited(trp, without_residues(*range(3, 21))))
 add(F, "residue-alone", edited(of("1ubq"), without_residues(*range(30, 40), *range(41, 50))))
-add(F, "alanine-for-all", edited(trp, without_atoms(lambda r, a: a.name not in ("N", "CA", "C", "O", "CB", "OXT")), renamed({n: "ALA" for n in _PAIRS if n != "GLY"} | {"ILE": "ALA"})))
+add(F, "alanine-for-all", edited(trp, without_atoms(lambda r, a: a.name not in ("N", "CA", "C", "O", "CB",
+    "OXT")), renamed({n: "ALA" for n in PAIRS if n != "GLY"} | {"ILE": "ALA"})))
 add(F, "no-side-chain-oxygens", edited(trp, without_atoms(lambda r, a: a.name in ("OD1", "OG"))))
 
 # Geometry.
@@ -1232,7 +733,9 @@ F = "Geometry"
 def _shaken(angstrom: float, seed: int = 3):
     def change(structure: gemmi.Structure) -> None:
         random = np.random.default_rng(seed)
-        every_atom(lambda r, a: setattr(a, "pos", gemmi.Position(*(np.array(a.pos.tolist()) + random.normal(scale=angstrom, size=3)).round(3).tolist())))(structure)
+        every_atom(lambda r, a: setattr(a, "pos",
+            gemmi.Position(*(np.array(a.pos.tolist()) + random.normal(scale=angstrom,
+            size=3)).round(3).tolist())))(structure)
 
     return change
 
@@ -1243,18 +746,34 @@ def _omega(number: int, degrees: float):
     def change(structure: gemmi.Structure) -> None:
         chain = structure[0][0]
         i = next(k for k, r in enumerate(chain) if r.seqid.num == number)
-        ca, c, n, ca2 = (chain[k][name][0].pos for k, name in ((i - 1, "CA"), (i - 1, "C"), (i, "N"), (i, "CA")))
+        ca, c, n, ca2 = (chain[k][name][0].pos for k, name in ((i - 1, "CA"), (i - 1, "C"), (i, "N"), (i,
+            "CA")))
         now = np.degrees(gemmi.calculate_dihedral(ca, c, n, ca2))
         axis = np.array((n - c).tolist())
         axis /= np.linalg.norm(axis)
         half = np.radians(now - degrees) / 2
-        turn = gemmi_rotation(np.array([np.cos(half), *(np.sin(half) * axis)]))
+        turn = rotation(np.array([np.cos(half), *(np.sin(half) * axis)]))
         centre = np.array(c.tolist())
         for k in range(i):
             for a in chain[k]:
                 if k == i - 1 and a.name == "C":
                     continue
-                a.pos = gemmi.Position(*(centre + turn @ (np.array(a.pos.tolist()) - centre)).round(3).tolist())
+                at = centre + turn @ (np.array(a.pos.tolist()) - centre)
+                a.pos = gemmi.Position(*at.round(3).tolist())
+
+    return change
+
+
+def _second_chain(away: float):
+    """The first chain again, some angstrom away."""
+
+    def change(structure: gemmi.Structure) -> None:
+        other = structure[0][0].clone()
+        other.name = "B"
+        for r in other:
+            for a in r:
+                a.pos = gemmi.Position(round(a.pos.x + away, 3), a.pos.y, a.pos.z)
+        structure[0].add_chain(other)
 
     return change
 
@@ -1264,9 +783,11 @@ add(F, "noise-0.3", edited(trp, _shaken(0.3)))
 for _degrees in (0.0, 40.0, -80.0, 100.0, -120.0):
     add(F, f"omega-{_degrees:g}", edited(trp, _omega(4, _degrees)))
 add(F, "omega-before-proline-10", edited(trp, _omega(12, 10.0)))
-add(F, "two-chains-overlapping", edited(trp, lambda s: (lambda c: (setattr(c, "name", "B"), s[0].add_chain(c)))((lambda t: (every_atom(lambda r, a: setattr(a, "pos", gemmi.Position(a.pos.x + 7.0, a.pos.y, a.pos.z)))(t), t[0][0])[1])(trp()))))
-add(F, "one-chain-upon-another", edited(trp, lambda s: (lambda c: (setattr(c, "name", "B"), s[0].add_chain(c)))(trp()[0][0].clone())), refused="lies upon")
-add(F, "atoms-in-one-place", edited(trp, lambda s: setattr(residue(s, 8)["NZ"][0], "pos", residue(s, 8)["CE"][0].pos)), refused="coincide")
+add(F, "two-chains-overlapping", edited(trp, _second_chain(7.0)))
+add(F, "one-chain-upon-another", edited(trp, _second_chain(0.0)), refused="lies upon")
+add(F, "atoms-in-one-place", edited(trp, lambda s: setattr(residue(s, 8)["NZ"][0], "pos", residue(s,
+    8)["CE"][0].pos)),
+    refused="coincide")
 
 # Glycans, nucleic acids, cofactors: from entries of the PDB and predictions.
 M = "complexes/models/"
@@ -1274,44 +795,83 @@ M = "complexes/models/"
 
 def real(family: str, path: str, name: str = "", **more: object) -> None:
     source = SHARED / path
-    add(family, name or Path(path).name.replace(".", "-"), of_shared(path), lambda s: source.read_text(), Path(path).suffix, needs=path, is_made=False, **more)
+    add(family, name or Path(path).name.replace(".", "-"), of_shared(path), lambda s: source.read_text(),
+        Path(path).suffix, needs=path, is_made=False, **{"links": -1, "keeps": False, **more})
 
 
 F = "Glycans"
-FC = dict(needs=f"{M}3ave.pdb")
+FC = {"needs": f"{M}3ave.pdb"}
 _sugars = of_shared(f"{M}3ave.pdb", "A,C", lambda r: not r.is_water())
 add(F, "glycan-stated", _sugars, links=1, **FC)
 add(F, "glycan-unstated", edited(_sugars, unstated), links=1, **FC)
 add(F, "glycan-in-mmcif", _sugars, as_cif, ".cif", links=1, **FC)
-_NLN = lambda s: setattr(residue(s, 297, "A"), "name", "NLN")
-add(F, "glycan-nln", edited(_sugars, unstated, _NLN), links=1, **FC)
-add(F, "glycan-glycam", edited(_sugars, unstated, _NLN, lambda s: [setattr(r, "name", {"NAG": "4YB", "BMA": "VMB", "MAN": "2MA", "FUC": "0fA"}.get(r.name, r.name)) for r in s[0]["C"]]), as_bare_pdb, links=1, **FC)
+
+
+def _as_nln(structure: gemmi.Structure) -> None:
+    residue(structure, 297, "A").name = "NLN"
+
+
+add(F, "glycan-nln", edited(_sugars, unstated, _as_nln), links=1, **FC)
+add(F, "glycan-glycam", edited(_sugars, unstated, _as_nln, lambda s: [setattr(r, "name", {"NAG": "4YB",
+    "BMA": "VMB", "MAN": "2MA", "FUC": "0fA"}.get(r.name, r.name)) for r in s[0]["C"]]), as_bare_pdb, links=1,
+    **FC)
 add(F, "glycan-without-its-root", edited(_sugars, unstated, lambda s: s[0]["C"].__delitem__(0)), **FC)
 
 F = "Nucleic acids"
 real(F, f"{M}1bna.pdb", "dna-alone", refused="no protein")
 real(F, f"{M}1ysa.pdb")
 real(F, f"{M}clash_dna.pdb")
-YSA = dict(needs=f"{M}1ysa.pdb")
+YSA = {"needs": f"{M}1ysa.pdb"}
 _ysa = of_shared(f"{M}1ysa.pdb", "", lambda r: not r.is_water())
+
+
+def _strands(structure: gemmi.Structure) -> list[gemmi.Chain]:
+    return [c for c in structure[0] if c[0].name in ("DA", "DC", "DG", "DT")]
+
+
+def _strand_apart(structure: gemmi.Structure) -> None:
+    """A strand whose second half is 1.5 angstrom away."""
+    for r in list(_strands(structure)[0])[8:]:
+        for a in r:
+            a.pos = gemmi.Position(round(a.pos.x + 1.5, 3), a.pos.y, a.pos.z)
+
+
+def _amber_ends(structure: gemmi.Structure) -> None:
+    for strand in _strands(structure):
+        strand[0].name, strand[-1].name = f"{strand[0].name}5", f"{strand[-1].name}3"
+
+
+def _first_gone(structure: gemmi.Structure) -> None:
+    del _strands(structure)[0][0]
+
+
 add(F, "dna-in-mmcif", _ysa, as_cif, ".cif", **YSA)
-add(F, "dna-amber-names", edited(_ysa, lambda s: [[setattr(c[0], "name", c[0].name + "5"), setattr(c[-1], "name", c[-1].name + "3")] for c in s[0] if c[0].name.startswith("D") and len(c[0].name) == 2]), as_bare_pdb, **YSA)
-add(F, "dna-charmm-names", edited(_ysa, renamed({"DA": "ADE", "DG": "GUA", "DC": "CYT", "DT": "THY"}, {"*": {"OP1": "O1P", "OP2": "O2P"}, "DT": {"C7": "C5M"}})), as_bare_pdb, **YSA)
-add(F, "dna-stars-for-primes", edited(_ysa, every_atom(lambda r, a: setattr(a, "name", a.name.replace("'", "*")))), as_bare_pdb, **YSA)
-add(F, "dna-old-names", edited(_ysa, renamed({"DA": "A", "DG": "G", "DC": "C", "DT": "T"})), as_bare_pdb, **YSA)
-add(F, "dna-base-cut", edited(_ysa, lambda s: [[d.__delitem__(i) for i in reversed(range(len(d))) if d[i].name in ("N9", "C8", "N7", "C5")] for c in s[0] for d in list(c)[5:6] if d.name in ("DA", "DG")]), **YSA)
-add(F, "dna-broken", edited(_ysa, lambda s: [every_atom(lambda r, a: None)(s)] + [[setattr(a, "pos", gemmi.Position(a.pos.x + 1.5, a.pos.y, a.pos.z)) for r in list(c)[8:] for a in r] for c in s[0] if c[0].name.startswith("D") and len(c[0].name) == 2][:1]), **YSA)
-add(F, "dna-five-prime-phosphate", edited(_ysa, lambda s: [c.__delitem__(0) for c in s[0] if c[0].name.startswith("D") and len(c[0].name) == 2][:1]), keeps=False, **YSA)
+add(F, "dna-amber-names", edited(_ysa, _amber_ends), as_bare_pdb, **YSA)
+add(F, "dna-charmm-names", edited(_ysa, renamed({"DA": "ADE", "DG": "GUA", "DC": "CYT", "DT": "THY"},
+    {"*": {"OP1": "O1P", "OP2": "O2P"}, "DT": {"C7": "C5M"}})), as_bare_pdb, **YSA)
+add(F, "dna-stars-for-primes", edited(_ysa, every_atom(lambda r, a: setattr(a, "name", a.name.replace("'",
+    "*")))), as_bare_pdb, **YSA)
+add(F, "dna-old-names", edited(_ysa, renamed({"DA": "A", "DG": "G", "DC": "C", "DT": "T"})), as_bare_pdb,
+    **YSA)
+add(F, "dna-base-cut", edited(_ysa, without_atoms(
+    lambda r, a: r.seqid.num == 6 and r.name[:1] == "D" and a.name in ("N9", "C8", "N7", "C5"))), **YSA)
+add(F, "dna-broken", edited(_ysa, _strand_apart), **YSA)
+add(F, "dna-five-prime-phosphate", edited(_ysa, _first_gone), keeps=False, **YSA)
 real(F, f"{M}2r5z.pdb")
 real(F, f"{M}5ugo.cif")
 real(F, f"{M}4gxy.cif", "rna-alone", refused="no protein")
 F = "Cofactors"
-for _path in ("1a0i.cif", "5h73.cif", "3ave.pdb", "boltz1_6bj9_model_0.cif", "chai1_6bj9_model_0.cif", "clash_ligand.cif", "charges.cif"):
+for _path in ("1a0i.cif", "5h73.cif", "3ave.pdb", "boltz1_6bj9_model_0.cif", "chai1_6bj9_model_0.cif",
+    "clash_ligand.cif", "charges.cif"):
     real(F, f"{M}{_path}")
 
-REAL = tuple(sorted(p.name for p in MORE.glob("*.*") if p.suffix in (".pdb", ".cif"))) if MORE.is_dir() else ()
+REAL = tuple(sorted(p.name for p in MORE.glob("*.*") if p.suffix in (".pdb",
+    ".cif"))) if MORE.is_dir() else ()
 for _path in REAL:
     if _path not in ("2n0n_lactam.pdb",):
         real("Entries and models", f"structures/{_path}")
 for _path in ("1hel.pdb", "1l2y.pdb", "1ubq.pdb", "1vii.pdb", "3i40.pdb", "4pti.pdb", "ala10.pdb"):
-    add("Samples", f"sample-{_path.replace('.', '-')}", lambda p=_path: _read(SAMPLES / p).clone(), lambda s, p=_path: (SAMPLES / p).read_text(), is_made=False)
+    add("Samples", f"sample-{_path.replace('.', '-')}", lambda p=_path: read_file(SAMPLES / p).clone(),
+        lambda s,
+        p=_path: (SAMPLES / p).read_text(), is_made=False)
+# fmt: on
