@@ -5,10 +5,9 @@ A recipe returns what a file means, as a gemmi structure, and the file itself, a
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import gemmi
 import numpy as np

@@ -40,11 +40,13 @@ def chains_told_apart(structure: gemmi.Structure) -> list[str]:
         for part in model:
             numbers = {str(residue.seqid) for residue in part if _is_amino(residue)}
             if numbers & taken.get(part.name, set()):
-                name = next((each for each in _IDS if each not in {chain.name for chain in model}), part.name)
+                names = {chain.name for chain in model}
+                name = next((each for each in _IDS if each not in names), part.name)
                 renamed.append(f"{part.name or BLANK} called {name}")
                 part.name = name
             taken.setdefault(part.name, set()).update(numbers)
-    return [f"chains with the id and numbers of one before: {', '.join(renamed)}"] if renamed else []
+    told = ", ".join(renamed)
+    return [f"chains with the id and numbers of one before: {told}"] if renamed else []
 
 
 def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
@@ -63,9 +65,9 @@ def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
     for (first, second), near in both.items():
         if near >= _SHARE * min(size[first], size[second]):
             name, other = (chains[k].name or BLANK for k in (second, first))
+            one = f", or take one by --chain {other}" if other != BLANK else ""
             raise StructureError(
-                f"{source}: chain {name} lies upon chain {other}; give them as models (MODEL, ENDMDL), or take "
-                f"one of them by --chain {other}"
+                f"{source}: chain {name} lies upon chain {other}; give them as models (MODEL, ENDMDL){one}"
             )
 
 
@@ -117,12 +119,14 @@ def told_apart(structure: gemmi.Structure, source: str) -> list[str]:
                 elif nearest > _SAME_PLACE and not is_amino:
                     numbered += 1
                     _number(residue, copies)
-    lines = [f"{split} molecules that share number and name with others told apart"] if split else []
-    return lines + ([f"atoms that share a name numbered in {numbered} molecules"] if numbered else [])
+    lines = [f"molecules that share number and name told apart: {split} more"] if split else []
+    if numbered:
+        lines.append(f"atoms that share a name numbered in {numbered} molecules")
+    return lines
 
 
 def _copies(residue: gemmi.Residue) -> list[dict[str, gemmi.Atom]]:
-    """Atoms by name: those that come first, those that come again, and so on. Alternate locations come once."""
+    """Atoms by name: those that come first, those that come again ...; alternate locations come once."""
     copies: list[dict[str, gemmi.Atom]] = [{}]
     for atom in residue:
         if atom.has_altloc():

@@ -160,7 +160,13 @@ def _block_with_atoms(document: gemmi.cif.Document, source: str) -> gemmi.cif.Bl
 
 
 def _complete(block: gemmi.cif.Block, source: str) -> None:
-    """Add columns without which gemmi reads no atoms, where their values are clear; refuse a file without elements."""
+    """Add columns without which gemmi reads no atoms, where their values are clear.
+
+    Raises
+    ------
+    StructureError
+        If there are no elements.
+    """
     column = block.find_loop("_atom_site.Cartn_x")
     if not column:
         return
