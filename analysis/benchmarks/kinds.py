@@ -94,9 +94,8 @@ def main() -> None:
         status, wrong = rows[-1]["status"], rows[-1]["wrong"]
         print(f"{kind.family:24} {kind.name:44} {status:12} {wrong}", flush=True)
     table = pd.DataFrame(rows)
-    print(
-        f"{len(table)} kinds, {(table['refusal'] != '').sum()} refused, {(table['faults'] > 0).sum()} with faults"
-    )
+    refused, wrong = (table["refusal"] != "").sum(), (table["faults"] > 0).sum()
+    print(f"{len(table)} kinds, {refused} refused, {wrong} with faults")
     if options.output:
         made.write(table, options.output / "kinds.csv", ["kinds of tests/kinds.py"])
 

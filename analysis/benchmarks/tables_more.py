@@ -358,8 +358,8 @@ def kinds(results: Path) -> str:
     shown = [_of_family(family, own) for family, own in rows.groupby("family", sort=False)]
     shown.append(_of_family("all", rows))
     heads = (
-        "family", "kinds", "refused, in one line", "with atoms lost", "of them not said", "with names changed",
-        "energies read again", "of them equal to 1e-6", "with faults",
+        "family", "kinds", "refused, in one line", "with atoms lost", "of them not said",
+        "with names changed", "energies read again", "of them equal to 1e-6", "with faults",
     )  # fmt: skip
     return markdown(heads, shown)
 
@@ -391,6 +391,6 @@ def kinds_words(results: Path) -> str:
     turned = (rows["hands_changed"] != "").sum()
     return paragraph(
         f"{made.sum()} kinds made by recipes and {(~made).sum()} real files: {taken.sum()} taken,",
-        f"{(~taken).sum()} refused. Energies differ by at most {apart.max():.0e} of their size when read again;",
+        f"{(~taken).sum()} refused. Energies read again differ by at most {apart.max():.0e} of their size;",
         f"C-alphas change hand in {turned}; metals move by at most {drift:.2f} angstrom.",
     )
