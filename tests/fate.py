@@ -29,6 +29,8 @@ _STATED = 3.3
 """Angstrom: bonds that the file states are expected up to this length."""
 _STRETCH = 1.3
 """A bond that no file states has at most this share of the sum of the covalent radii."""
+_OF_CHAINS = ({"C", "N"}, {"O3'", "P"}, {"SG"})
+"""Bonds between residues that chains and disulfides have, at whatever distance the file has them."""
 _TURNED = 5.0
 """Degrees: a peptide that turns by less, across a limit, is as it was."""
 Place = tuple[str, str, str, str]
@@ -414,7 +416,7 @@ class Meant:
             p, q = _place(s, a), _place(s, b)
             if p[:3] == q[:3] or frozenset(((*p[:2], p[3]), (*q[:2], q[3]))) in stated:
                 continue
-            if any(gemmi.Element(e).is_metal for e in elements) or {p[3], q[3]} in ({"C", "N"}, {"O3'", "P"}):
+            if any(gemmi.Element(e).is_metal for e in elements) or {p[3], q[3]} in _OF_CHAINS:
                 continue
             far = 10 * float(np.linalg.norm(s.positions[a] - s.positions[b]))
             over = [k for k in (a, b) if degree[k] > most.get(str(s.atom_element[k]), 9)]

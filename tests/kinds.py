@@ -434,8 +434,8 @@ add(F, "ace-nma", edited(acetylated(trp), renamed({"NME": "NMA"})))
 add(F, "no-oxt", edited(trp, without_atoms(lambda r, a: a.name == "OXT")))
 add(F, "oxt-within-a-chain", edited(trp, lambda s: residue(s, 10).add_atom(new_atom("OXT", "O",
     beyond(residue(s, 10)["C"][0].pos.tolist(), residue(s, 10)["CA"][0].pos.tolist(), residue(s,
-    10)["O"][0].pos.tolist(), r=1.25)))))
-add(F, "pyroglutamate", pyroglutamate)
+    10)["O"][0].pos.tolist(), r=1.25)))), keeps=False)
+add(F, "pyroglutamate", pyroglutamate, keeps=False)
 add(F, "neutral-n-terminus", edited(of("1l2y", True), without_atoms(lambda r, a: a.name == "H3")))
 
 
@@ -451,7 +451,7 @@ def _caps_in_the_residue(structure: gemmi.Structure) -> None:
     del chain[0]
 
 
-add(F, "charmm-caps-in-their-residues", edited(acetylated(trp), _caps_in_the_residue))
+add(F, "charmm-caps-in-their-residues", edited(acetylated(trp), _caps_in_the_residue), refused="CAY")
 
 # Protonation.
 F = "Protonation"
@@ -487,7 +487,8 @@ F = "Modified residues"
 _SAME = ("CYS", "MSE", "HYP", "DAL", "UNK")
 for _name in MODIFIED:
     if _name not in ("CYS", "UNK", "DAL"):
-        add(F, _name.lower(), with_modified(_name), keeps=_name in _SAME)
+        add(F, _name.lower(), with_modified(_name), keeps=_name in _SAME,
+            refused="unknown amino acid" if _name in ("NVA", "SEC") else "")
 add(F, "mse-with-charges-in-mmcif", with_modified("MSE"), as_cif, ".cif")
 add(F, "mse-unstated-as-atom", edited(with_modified("MSE"), lambda s: setattr(residue(s, 53), "het_flag",
     "A")), as_bare_pdb)
@@ -555,7 +556,7 @@ add(F, "disulfides-stated-wrongly", edited(of("4pti"), unstated, linked(("A", 5,
 add(F, "disulfide-to-another-copy", edited(of("4pti"), unstated), then(as_pdb,
     before_atoms("SSBOND   1 CYS A    5    CYS A    5                          1555   2655  2.04")))
 add(F, "disulfides-between-chains", of("3i40"))
-add(F, "disulfide-stretched", edited(of("4pti"), unstated, _moved(14, "SG", (0.5, 0.3, 0.0))))
+add(F, "disulfide-stretched", edited(of("4pti"), unstated, _moved(14, "SG", (-0.5, -0.3, 0.0))))
 add(F, "lactam", of_shared("structures/2n0n_lactam.pdb"), lambda s: (MORE / "2n0n_lactam.pdb").read_text(),
     needs="structures/2n0n_lactam.pdb", refused="PH8", is_made=False)
 
@@ -573,7 +574,7 @@ for _name, _atom, _element in (
 add(F, "ion-charges-in-pdb", with_ion(of("1ubq"), "MG", "MG", "Mg", 2, near=3.0))
 add(F, "ion-charges-in-mmcif", with_ion(of("1ubq"), "CL", "CL", "Cl", -1, near=3.0), as_cif, ".cif")
 add(F, "magnesium-in-water", hydrated(of("1ubq"), "MG", "Mg", 2.07))
-add(F, "calcium-in-water", hydrated(of("1ubq"), "CA", "Ca", 2.4))
+add(F, "calcium-in-water", hydrated(of("1ubq"), "CA", "Ca", 2.4), keeps=False)
 add(F, "zinc-in-water-mmcif", hydrated(of("1ubq"), "ZN", "Zn", 2.08), as_cif, ".cif")
 add(F, "calcium-at-a-carboxylate", chelated("1ubq", 18, ("OE1", "OE2"), "CA", "Ca", 2.4))
 add(F, "zinc-at-a-carboxylate", chelated("1l2y", 9, ("OD1", "OD2"), "ZN", "Zn", 2.1))
