@@ -61,8 +61,8 @@ class Fate:
     residues, atoms, molecules : pair of int
         In the file and in the result; molecules beside the protein, without waters.
     charge : triple of int
-        Formal charges of the molecules beside the protein that were kept: in the file, and in the PDB and the
-        mmCIF file written.
+        Formal charges that the file gives to molecules beside the protein: in the file, and in the PDB and
+        the mmCIF file written.
     links, metal : tuple of pairs of Place
         Bonds between residues that are no peptide, disulfide or phosphate bond; those to a metal.
     strange : tuple of str
@@ -382,19 +382,17 @@ class Meant:
         return (len(given), int((~water).sum())), (len({p for p, _ in dry}), n), (len(its), beside)
 
     def charge(self, written: Path | None = None) -> int:
-        """Formal charges of what is not protein and was kept, in the file or in one that was written."""
+        """Formal charges that the file gives to atoms beside the protein, there or in a file written."""
         kept = set(np.flatnonzero(self.prepared.kept).tolist())
-        if written is None:
-            return sum(a.charge for (_, a), k in zip(self.atoms, self.found, strict=True) if int(k) in kept)
-        if not written.exists():
-            return self.charge()
-        residues = {_place(self.prepared, k)[:2] for k in kept}
-        model = gemmi.read_structure(str(written))[0]
-        return sum(
-            at.atom.charge
-            for at in model.all()
-            if (at.chain.name.strip(), str(at.residue.seqid).strip()) in residues
-        )
+        rows = zip(self.atoms, self.found.tolist(), strict=True)
+        given = {_place(self.prepared, k): a.charge for (_, a), k in rows if k in kept and a.charge}
+        if written is None or not written.exists():
+            return sum(given.values())
+        charges = {}
+        for at in gemmi.read_structure(str(written))[0].all():
+            place = (at.chain.name.strip(), str(at.residue.seqid).strip(), at.residue.name, at.atom.name)
+            charges[place] = at.atom.charge
+        return sum(charges.get(place, 0) for place in given)
 
     def stated(self) -> set[frozenset[tuple[str, str, str]]]:
         ends = [
