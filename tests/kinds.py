@@ -606,7 +606,8 @@ add(F, "ligand-charge-in-mmcif", with_molecule(trp, "BEN", BENZAMIDINE, charges=
 for _name in ("LIG", "UNL", "UNK", "MOL", "001", "1", "DRG", "INH", "X"):
     add(F, f"ligand-named-{_name.lower()}", with_molecule(trp, _name, CHLOROPHENOL))
 add(F, "ligand-of-five-letters", with_molecule(trp, "A1AA6", BENZAMIDINE), as_cif, ".cif")
-add(F, "ligand-with-a-chain-id-of-two-letters", with_molecule(trp, "LIG", BENZAMIDINE, chain="7L"), as_bare_pdb)
+add(F, "ligand-with-a-chain-id-of-two-letters", with_molecule(trp, "LIG", BENZAMIDINE, chain="7L"),
+    as_bare_pdb)
 add(F, "ligand-of-four-letters", with_molecule(trp, "LIG7", BENZAMIDINE), as_cif, ".cif")
 add(F, "ligand-of-lower-case", with_molecule(trp, "lig", BENZAMIDINE), as_cif, ".cif")
 add(F, "ligands-whose-names-begin-alike", with_molecule(with_molecule(trp, "LIG3", BENZAMIDINE, turn=1),
