@@ -23,7 +23,7 @@ from protochain.validation.omega import omegas
 
 PLACE = 0.01
 """Angstrom: an atom of the file is there if an atom of its element lies this near its place."""
-LARGEST = 4000
+LARGEST = 3000
 """Atoms of which more are only prepared, written and read again."""
 _STATED = 3.3
 """Angstrom: bonds that the file states are expected up to this length."""
@@ -118,7 +118,7 @@ class Fate:
 
 
 def fate(
-    path: Path, meant: gemmi.Structure, iterations: int = 10, options: Mapping[str, Any] | None = None
+    path: Path, meant: gemmi.Structure, iterations: int = 100, options: Mapping[str, Any] | None = None
 ) -> Fate:
     """Follow a file; see Fate."""
     try:

@@ -2,9 +2,9 @@
 
     python analysis/benchmarks/kinds.py [-o DIR] [--quick] [--only FAMILY ...]
 
-Each kind of tests/kinds.py is made anew, read, prepared, relaxed for some iterations, written as PDB and
+Each kind of tests/kinds.py is made anew, read, prepared, relaxed for at most 100 iterations, written as PDB and
 mmCIF, and read again (tests/fate.py); a row a kind. Those that need files beside the repository are left out
-where these are not there. Structures of more than 4000 atoms are not relaxed.
+where these are not there. Structures of more than 3000 atoms are not relaxed.
 """
 
 import sys
@@ -21,7 +21,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 import fate
 import kinds
 
-ITERATIONS = 10
+ITERATIONS = 100
 
 
 def row(kind: kinds.Kind, folder: Path) -> dict[str, object]:
