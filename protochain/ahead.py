@@ -16,12 +16,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from protochain.subprocesses import own_python
+
 MOST = 3
 """Helpers. More would wait for one another's kernels."""
 _LIST = Path(__file__).with_name("kernels.txt")
 _HELPER = "PROTOCHAIN_HELPER"
 """Environment variable that tells a process which helper it is."""
-_PROGRAM = "import sys; sys.path.append(sys.argv[1]); from protochain.ahead import help_out; help_out()"
 
 _HELD: list[Any] = []
 """Lock of the process that has helpers, until it ends."""
@@ -58,7 +59,7 @@ def _start(place: Path) -> None:
     for number in range(1, min(_cores() - 1, MOST) + 1):
         try:
             helper = subprocess.Popen(
-                [str(python), "-P", "-c", _PROGRAM, str(Path(__file__).parent.parent)],
+                own_python("from protochain.ahead import help_out; help_out()"),
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                 env=os.environ | {_HELPER: str(number)}, start_new_session=True,
             )  # fmt: skip

@@ -32,6 +32,10 @@ __all__ = ["njit"]
 
 _LOG = logging.getLogger(__name__)
 _SETTINGS: Any = config
+# Numba also takes settings from a file of this name in the current folder, with them the folder of compiled
+# code, which is unpickled and run: that of somebody's structures is not to be trusted. The environment is.
+_SETTINGS._config_fname = os.devnull
+_SETTINGS.reload_config()
 # LLVM's superword-level vectoriser, off by default in numba, makes sweeps 1.4 times faster. Code rounds
 # differently with and without it: set later than the first kernel is compiled, as by a module that not every
 # program imports first, it would make results depend on the order of imports and calls.

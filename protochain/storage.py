@@ -1,17 +1,19 @@
 """Atomic writing of files, and checkpoints of arrays and plain values that cannot execute code."""
 
 import json
+import math
 import os
 import tempfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from math import isfinite
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import ZIP_STORED, BadZipFile
 
 import numpy as np
 
+from protochain.arrays import Floats
 from protochain.errors import ProtochainError, WriteError
 
 
@@ -25,7 +27,7 @@ def _finite(values: Any) -> Any:
         return {key: _finite(value) for key, value in values.items()}
     if isinstance(values, list | tuple):
         return [_finite(value) for value in values]
-    return None if isinstance(values, float) and not isfinite(values) else values
+    return None if isinstance(values, float) and not math.isfinite(values) else values
 
 
 def check_writable(path: Path) -> None:
@@ -166,6 +168,7 @@ def read_arrays(
     """
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            _check_sizes(file)
             arrays = dict(file)
         text = json.loads(str(arrays.pop("text")))
         written, values = text["settings"], text["values"]
@@ -173,7 +176,7 @@ def read_arrays(
         raise ProtochainError(f"{path}: not found; give the checkpoint of an earlier run") from None
     except PermissionError as error:
         raise ProtochainError(f"{path}: cannot be read ({error.strerror}); change its permissions") from None
-    except (OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile):
+    except _DAMAGED:
         raise ProtochainError(f"{path}: is no checkpoint of a {kind}; {remedy}") from None
     if not {*list(settings)[:1]} <= set(written):
         raise ProtochainError(f"{path}: is no checkpoint of a {kind}; {remedy}")
@@ -183,3 +186,41 @@ def read_arrays(
                 f"{path}: is of a run with {name} {written.get(name)!r}, not {value!r}; repeat its settings"
             )
     return arrays, values
+
+
+def fitting(arrays: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Floats:
+    """Array of a checkpoint that a run can use.
+
+    Raises
+    ------
+    ValueError
+        If it is missing, of another shape or type, or not finite.
+    """
+    found = arrays.get(name)
+    if not isinstance(found, np.ndarray) or found.dtype != np.float64 or found.shape != shape:
+        raise ValueError(f"{name} is not {shape} numbers")
+    if not np.isfinite(found).all():
+        raise ValueError(f"{name} is not finite")
+    return found
+
+
+_DAMAGED = (
+    OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile, RuntimeError, zlib.error,
+)  # fmt: skip
+"""What reading a damaged archive raises: by zipfile, by numpy, by json."""
+
+
+def _check_sizes(file: Any) -> None:
+    """Refuse arrays that claim to be larger than what the archive holds of them: memory goes first."""
+    for member in file.zip.infolist():
+        with file.zip.open(member) as stream:
+            version = np.lib.format.read_magic(stream)
+            head = (
+                np.lib.format.read_array_header_1_0
+                if version == (1, 0)
+                else np.lib.format.read_array_header_2_0
+            )
+            shape, _, dtype = head(stream)
+            claimed = math.prod(shape) * dtype.itemsize
+            if member.compress_type != ZIP_STORED or claimed != member.file_size - stream.tell():
+                raise ValueError(f"{member.filename}: {claimed} bytes")

@@ -27,6 +27,7 @@ LAYERS = [
         "compilation",
         "ahead",
         "processors",
+        "subprocesses",
     },
     {"multibody", "structure", "energies"},
     {"motion"},
@@ -122,6 +123,12 @@ def test_kernels_are_compiled_with_one_set_of_settings():
     """They are global in numba: kernels compiled before a module made them would round otherwise."""
     takes_njit = {path.name for path in MODULES if "numba.njit" in imports(path)}
     assert takes_njit == {"compilation.py"}
+
+
+def test_python_is_started_in_one_place():
+    """Elsewhere it might forget to leave out the folder that it is started in."""
+    starts = {path.name for path in MODULES if "sys.executable" in path.read_text()}
+    assert starts == {"subprocesses.py", "ahead.py"}  # The latter looks whether it is a Python.
 
 
 def test_no_modules_import_one_another_in_a_circle():

@@ -18,6 +18,7 @@ from numba.core.caching import FunctionCache
 
 from protochain import ahead, compilation
 from protochain.compilation import njit
+from protochain.subprocesses import own_python
 
 CALLEE = """
 from protochain.compilation import njit
@@ -349,3 +350,22 @@ def test_loaded_code_needs_nothing_that_only_the_compiler_knows(tmp_path):
         expected = 2 * np.sin(1.0) + np.sin(2.0) + np.sin(3.0)
         first, second = done.stdout.splitlines()
         assert first == f"[0.2, 0.4] 2 {expected:.6f} {misses}" and second == "[2.0, 3.0, 3.0]"
+
+
+def test_nothing_of_the_current_folder_is_run_or_trusted(tmp_path):
+    """A stranger's folder may hold modules, and settings of numba's cache, which is unpickled."""
+    for name in ("gemmi", "sitecustomize", "protochain"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('the trap ran')")
+    trap = tmp_path / "trap"
+    (tmp_path / ".numba_config.yaml").write_text(f"cache_dir: {trap}\n")
+    program = "import gemmi, protochain.compilation; from numba import config; print(repr(config.CACHE_DIR))"
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+
+    def seen(**more):
+        done = subprocess.run(
+            own_python(program), cwd=tmp_path, env=environment | more, capture_output=True, text=True
+        )
+        return done.stdout.strip() or done.stderr
+
+    assert seen() == "''"
+    assert seen(NUMBA_CACHE_DIR=str(tmp_path / "own")) == repr(str(tmp_path / "own"))

@@ -1,8 +1,11 @@
+import ast
 import csv
+import inspect
 import os
 import subprocess
 import sys
 from functools import partial
+from xml.etree import ElementTree
 
 import numpy as np
 import openmm
@@ -12,7 +15,7 @@ from openmm import app
 
 import protochain as pc
 from protochain.cli import main
-from protochain.energies import as_energy, factory
+from protochain.energies import as_energy, factory, untrusted
 from protochain.structure.templates import _amber
 
 
@@ -181,12 +184,31 @@ def test_a_force_field_without_the_residue_says_which(tmp_path):
         pc.energy(load("ala10.pdb"), forcefield=str(path), solvent="vacuum")
 
 
-@pytest.mark.parametrize("tag", ["Script", "InitializationScript", "Include"])
-def test_a_force_field_that_would_run_code_is_refused_unrun(tag, tmp_path, monkeypatch, capsys):
+def _force_field_with(tag, attribute, mark):
+    """Text of ff14SB with a part that would make a file if it ran."""
+    root = ElementTree.parse(factory.DATA / "amber14" / "protein.ff14SB.xml").getroot()
+    node = next(root.iter(tag), None)
+    node = ElementTree.SubElement(root, tag) if node is None else node
+    run = f"open({str(mark)!r}, 'w')"
+    if attribute:
+        node.set(attribute, run)
+    else:
+        node.text = run
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+@pytest.mark.parametrize(
+    ("tag", "attribute"),
+    [
+        ("Script", ""), ("InitializationScript", ""), ("Include", "file"), ("Residue", "name"),
+        ("Type", "mass"),
+        ("NonbondedForce", "useDispersionCorrection"), ("LennardJonesForce", "useDispersionCorrection"),
+    ],
+)  # fmt: skip
+def test_a_force_field_that_would_run_code_is_refused_unrun(tag, attribute, tmp_path, monkeypatch, capsys):
     mark = tmp_path / "ran"
     path = tmp_path / "evil.xml"
-    body = f"open({str(mark)!r}, 'w')" if "Script" in tag else ""
-    path.write_text(f'<ForceField><{tag} file="other.xml">{body}</{tag}></ForceField>')
+    path.write_text(_force_field_with(tag, attribute, mark))
     with pytest.raises(pc.ProtochainError, match=f"<{tag}>.* with trust_forcefield=True$"):
         pc.energy(load("ala10.pdb"), forcefield=str(path), solvent="vacuum")
     # A command names its option instead.
@@ -197,6 +219,28 @@ def test_a_force_field_that_would_run_code_is_refused_unrun(tag, tmp_path, monke
     said = capsys.readouterr().err.splitlines()[-1]
     assert ended.value.code == 2 and f"<{tag}>" in said and said.endswith(" with --trust-forcefield")
     assert not mark.exists()
+
+
+def test_openmm_evaluates_nothing_but_what_is_listed():
+    """A new ``eval`` or ``exec`` in OpenMM's reader must be looked at before it is allowed."""
+    tree = ast.parse(inspect.getsource(app.forcefield))
+    calls = [
+        ast.unparse(node.args[0])
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("eval", "exec", "compile")
+    ]
+    evaluated = [f"element.attrib.get({name!r})" for name in untrusted.EVALUATED]
+    assert {*calls} == {*evaluated, "node.text", "script"}
+
+
+@pytest.mark.parametrize(
+    "name", ["amber14/protein.ff14SB.xml", "amber99sb.xml", "charmm36.xml", "amoeba2018.xml"]
+)
+def test_only_scripts_keep_openmms_own_files_from_being_passive(name, tmp_path):
+    root = ElementTree.parse(factory.DATA / name).getroot()
+    for node in [node for node in root if node.tag in untrusted.ACTIVE]:
+        root.remove(node)
+    untrusted.check_passive(tmp_path, root)
 
 
 def test_a_trusted_script_runs(tmp_path):

@@ -350,7 +350,7 @@ def test_a_checkpoint_keeps_the_pairs_of_lbfgs_to_the_bit(tmp_path):
 
     kept = walked(12).waypoint
     save_checkpoint(tmp_path / "run.npz", kept, {})
-    read = load_checkpoint(tmp_path / "run.npz", plan, {})
+    read = load_checkpoint(tmp_path / "run.npz", plan, {}, c.structure.positions)
     before, after = kept.last.state, read.last.state
     assert len(after.memory) == len(before.memory) == 5
     for mine, theirs in zip(after.memory, before.memory, strict=True):

@@ -330,6 +330,37 @@ def test_a_run_in_parts_is_the_run_in_one(thermostat, small, tmp_path):
     assert not np.array_equal(other.q, whole.q)
 
 
+def test_a_damaged_checkpoint_is_refused_part_by_part(tmp_path):
+    s = pc.from_sequence("AGC")
+    c, e = pc.build_chain(s), pc.energy(s, solvent="vacuum", threads=1)
+    settings = {
+        "n_steps": 4, "every": 2, "thermostat": "nose-hoover", "pull": "A:1:CA-A:3:CA",
+        "hinge_springs": (pc.HingeSpring("phi", 10.0),), "checkpoint_every": 1,
+    }  # fmt: skip
+    simulate(c, e, output=tmp_path, **settings)
+    path = tmp_path / "checkpoint.npz"
+    content = path.read_bytes()
+    with np.load(path) as file:
+        arrays = dict(file)
+    text = json.loads(str(arrays.pop("text")))
+    parts = [
+        *((name, change, arrays) for name, array in arrays.items() if array.size
+          for change in (lambda a: a[..., :-1], lambda a: a * np.nan, lambda a: a.astype("U"))),
+        *((name, lambda _, to=to: to, text["values"]) for name in text["values"] for to in ("x", None, [1])),
+    ]  # fmt: skip
+    assert len(parts) > 60
+    for name, change, where in parts:
+        before = where[name]
+        where[name] = change(before)
+        np.savez(path, text=np.array(json.dumps(text)), **arrays)
+        where[name] = before
+        with pytest.raises(pc.ProtochainError, match=rf"damaged checkpoint \({name}.*force=True$") as refusal:
+            simulate(c, e, output=tmp_path, resume=True, **{**settings, "n_steps": 8})
+        assert str(refusal.value).startswith(str(path))
+    path.write_bytes(content)
+    assert simulate(c, e, output=tmp_path, resume=True, **{**settings, "n_steps": 8}).n_steps == 4
+
+
 def test_a_checkpoint_fits_one_simulation_only(small, tmp_path):
     simulate(*small, n_steps=20, every=10, output=tmp_path)
     with pytest.raises(pc.ProtochainError, match="holds a simulation"):

@@ -2,7 +2,6 @@
 
 import pickle
 import queue
-import sys
 import threading
 from types import SimpleNamespace
 
@@ -17,6 +16,7 @@ from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import Child, ChildError
 from protochain.batches.thinning import thinned
 from protochain.minimisers.api import minimise
+from protochain.subprocesses import own_python
 
 ALA = STRUCTURES / "ala10.pdb"
 
@@ -261,7 +261,8 @@ def test_a_child_is_started_with_its_threads_and_stopped_if_it_does_not_start(mo
     monkeypatch.setattr(Child, "kill", lambda self: (started.update(killed=True), self.said.close()))
     with pytest.raises(ChildError, match="did not start in time"):
         Child(3)
-    assert started["command"] == [sys.executable, "-m", "protochain.batches.child"] and started["killed"]
+    assert started["command"] == own_python("from protochain.batches.child import main; main()")
+    assert started["killed"]
     assert started["deadline"] == 650.0 and started["start_new_session"] is True
     pinned = ("OMP", "OPENBLAS", "MKL", "NUMBA")
     names = [*(f"{name}_NUM_THREADS" for name in pinned), "OPENMM_CPU_THREADS"]

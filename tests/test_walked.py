@@ -111,7 +111,9 @@ def test_a_limit_of_the_rmsd_is_one_of_the_result(noted):
 
 def test_checkpoints_are_read_before_and_written_after(noted):
     start, run = walked(noted, resume="in.npz")
-    assert noted.loaded == [(Path("in.npz"), noted.walk.plan, run.settings(start))]
+    ((*asked, x),) = noted.loaded
+    assert asked == [Path("in.npz"), noted.walk.plan, run.settings(start)]
+    assert np.array_equal(x, start.chain.structure.positions)
     assert noted.walk.waypoint == "the waypoint" and noted.saved == []
     noted.done.waypoint = "the end"
     start, run = walked(noted, checkpoint="out.npz")

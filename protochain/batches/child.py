@@ -1,4 +1,4 @@
-"""The process that minimises: ``python -m protochain.batches.child``, started by a worker.
+"""The process that minimises: ``main``, run in a Python of its own that a worker starts.
 
 It may hang, be killed, or run out of memory without harm to the worker. It reads pickled jobs from standard
 input and writes pickled rows to standard output.
@@ -61,7 +61,3 @@ def _warm_up() -> None:
 
     structure = from_sequence("GAG")
     minimise(build_chain(structure), energy(structure, threads=1), max_evaluations=3)
-
-
-if __name__ == "__main__":
-    main()

@@ -5,7 +5,6 @@ import pickle
 import queue
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 from contextlib import suppress
@@ -15,6 +14,7 @@ from typing import IO, Any
 
 from protochain.batches.child import DONE
 from protochain.batches.jobs import Job, Row, failure
+from protochain.subprocesses import own_python
 
 _START = 600.0
 """s. Time for a child to import and, on a new installation, to compile; several may compile at once."""
@@ -46,7 +46,7 @@ class Child:
         # A pipe that is read only when the child has ended might fill.
         self.said: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the child)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "protochain.batches.child"],
+            own_python("from protochain.batches.child import main; main()"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self.said,

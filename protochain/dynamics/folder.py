@@ -3,7 +3,7 @@
 import csv
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,10 @@ from protochain.arrays import Floats, frozen
 from protochain.dynamics.loop import State
 from protochain.dynamics.thermostats import Bath
 from protochain.errors import ProtochainError, StructureError, WriteError
-from protochain.motion.system import NOTHING, Phase
-from protochain.multibody import Frames, Tree
-from protochain.multibody.articulated import Articulated
-from protochain.storage import check_writable, read_arrays, write_arrays, write_atomically, writing
+from protochain.motion.system import Phase
+from protochain.multibody import Frames, Tree, pose
+from protochain.multibody.articulated import Articulated, articulate
+from protochain.storage import check_writable, fitting, read_arrays, write_arrays, write_atomically, writing
 from protochain.structure import Structure
 from protochain.structure.trajectory import TrajectoryFile, check_trajectory
 from protochain.structure.write import check_fits
@@ -64,9 +64,25 @@ pull, nm; values of hinges with springs, rad."""
 
 
 def constants_of(path: Path) -> dict[str, Floats]:
-    """What the simulation in a folder measured at its start, by name; what it has not is left out."""
-    arrays = _read(path, {})[0]
-    return {name: arrays[name] for name in CONSTANTS if len(arrays.get(name, ()))}
+    """What the simulation in a folder measured at its start, by name."""
+    return _read(path, {})[0]
+
+
+@contextmanager
+def undamaged(path: Path) -> Iterator[None]:
+    """Say of which checkpoint it is that something does not fit.
+
+    Raises
+    ------
+    ProtochainError
+        In place of what reading damaged parts raises.
+    """
+    try:
+        yield
+    except (KeyError, TypeError, ValueError) as error:
+        raise ProtochainError(
+            f"{path / CHECKPOINT}: damaged checkpoint ({error}); start again with force=True"
+        ) from None
 
 
 class Folder:
@@ -108,9 +124,16 @@ class Folder:
         self._writer.writeheader()
 
     def reopen(
-        self, tree: Tree, structure: Structure, frame_interval: float
+        self, tree: Tree, structure: Structure, frame_interval: float, first: Callable[[Phase], Bath]
     ) -> tuple[State, list[dict[str, float]], Floats]:
         """Open the files of an earlier run and truncate them to its last checkpoint.
+
+        Parameters
+        ----------
+        tree, structure : Tree, Structure
+        frame_interval : float, ps
+        first : callable
+            Bath of the run's thermostat at its start.
 
         Returns
         -------
@@ -118,24 +141,30 @@ class Folder:
             State at the checkpoint, rows logged so far, and positions the neighbour lists were made at.
         """
         arrays, values = _read(self.path, self.settings)
+        with undamaged(self.path):
+            state = _state(tree, arrays, values)
+            fitting(arrays, "memory", first(state.at).memory.shape)
+            self.start = fitting(arrays, "start", (structure.n_atoms, 3))
+            listed = arrays["lists_at"]
+            lists_at = fitting(arrays, "lists_at", (structure.n_atoms if len(listed) else 0, 3))
         self.stored = values
-        self.start = arrays["start"]
         if not self.log_part.exists() and self.log.exists():
             self.log.replace(self.log_part)
         if not self.log_part.exists() or self.log_part.stat().st_size < values["log_bytes"]:
             raise ProtochainError(
                 f"{self.log_part}: rows before the checkpoint are missing; start again with force=True"
             )
+        with undamaged(self.path):
+            reader = csv.DictReader(self.log_part.read_bytes()[: values["log_bytes"]].decode().splitlines())
+            rows = [{name: float(value) for name, value in row.items()} for row in reader]
         self._frames = TrajectoryFile(
             self.trajectory, structure, frame_interval, (values["frames"], values["trajectory_bytes"])
         )
         self._file = self.log_part.open("r+", newline="", encoding="utf-8")
         self._file.truncate(values["log_bytes"])
-        reader = csv.DictReader(self._file)
-        rows = [{name: float(value) for name, value in row.items()} for row in reader]
         self._file.seek(0, os.SEEK_END)
         self._writer = csv.DictWriter(self._file, list(reader.fieldnames or ()))
-        return _state(tree, arrays, values), rows, arrays["lists_at"]
+        return state, rows, lists_at
 
     def append(self, row: Mapping[str, float], x: Floats) -> None:
         """Write a frame and its row of the log."""
@@ -237,13 +266,36 @@ def rescued(folder: Folder | None) -> Iterator[None]:
         raise error.with_saved(saved, "free space there, then continue with resume=True") from error
 
 
+_COUNTS, _NUMBERS = (
+    ("step", "frames", "trajectory_bytes", "log_bytes"), ("potential", "bath_energy", "damped", "time"),
+)  # fmt: skip
+
+
 def _state(tree: Tree, arrays: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> State:
-    a = {name: frozen(array) for name, array in arrays.items()}
-    frames = Frames(a["rotation"], a["origin"])
-    factors = Articulated(tree, frames, a["inertia"], a["gain"], a["pivot"], a["root"])
-    loads = a.get("loads", np.empty(0))
+    """State of a checkpoint; a ValueError unless all of it fits the tree, as kernels count on."""
+    for name in _COUNTS:
+        if type(values[name]) is not int or values[name] < 0:
+            raise ValueError(f"{name} is {values[name]!r}")
+    for name in _NUMBERS:
+        if type(values[name]) not in (int, float):
+            raise ValueError(f"{name} is {values[name]!r}")
+    q = fitting(arrays, "q", (tree.n_q,))
+    fresh = articulate(tree, pose(tree, q))
+    shapes = {
+        "q": (tree.n_q,), "qd": (tree.n_v,), "p": (tree.n_v,), "torque": (tree.n_v,),
+        "rotation": fresh.frames.rotation.shape, "origin": fresh.frames.origin.shape,
+        "inertia": fresh.inertia.shape, "gain": fresh.gain.shape, "pivot": fresh.pivot.shape,
+        "root": fresh.root.shape, "memory": (arrays["memory"].size,), "work": (arrays["work"].size,),
+        "loads": (len(arrays["loads"]), tree.n_v),
+    }  # fmt: skip
+    a = {name: frozen(fitting(arrays, name, shape)) for name, shape in shapes.items()}
+    if len(a["loads"]) and len(a["loads"]) != len(a["work"]):
+        raise ValueError(f"work of {len(a['work'])} loads, not {len(a['loads'])}")
+    factors = Articulated(
+        tree, Frames(a["rotation"], a["origin"]), a["inertia"], a["gain"], a["pivot"], a["root"]
+    )
     at = Phase(
-        a["q"], a["qd"], a["p"], values["potential"], a["torque"], factors, values.get("time", 0.0),
-        a.get("work", NOTHING), loads if len(loads) else None,
+        a["q"], a["qd"], a["p"], values["potential"], a["torque"], factors, values["time"], a["work"],
+        a["loads"] if len(a["loads"]) else None,
     )  # fmt: skip
-    return State(values["step"], at, Bath(values["bath_energy"], a["memory"]), values.get("damped", 0.0))
+    return State(values["step"], at, Bath(values["bath_energy"], a["memory"]), values["damped"])

@@ -133,10 +133,8 @@ def _is_kind(hinge: Hinge, kind: str) -> bool:
     return hinge.kind.rstrip("12345") == kind.removesuffix("s")
 
 
-def hinge_springs(
-    springs: Sequence[HingeSpring], chain: Chain, q: Floats, rest: Floats | None = None
-) -> HingeSprings | None:
-    """Springs of these settings for a chain that starts at q; None without any.
+def hinge_springs(springs: Sequence[HingeSpring], chain: Chain, q: Floats) -> HingeSprings | None:
+    """Springs of these settings for a chain that starts at q, where they have no torque; None without any.
 
     Parameters
     ----------
@@ -146,8 +144,6 @@ def hinge_springs(
         Chain of rigid bodies.
     q : (n_q,) float
         Coordinates at the start.
-    rest : (m,) float, optional
-        Values without torque; by default those of q.
 
     Returns
     -------
@@ -169,7 +165,7 @@ def hinge_springs(
         at_q,
         chain.tree.v_start[body],
         np.repeat([float(spring.stiffness) for spring in springs], [len(its) for its in each]),
-        np.asarray(q)[at_q] if rest is None else rest,
+        np.asarray(q)[at_q],
         np.array([chain.hinges[i].is_angle for i in found]),
     )
 

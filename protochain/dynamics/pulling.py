@@ -156,8 +156,8 @@ def check_pull(pull: Pull, chain: Chain) -> None:
         raise ChainError(f"{chain.structure.name}: pull {pull}: both are at one point; give two places")
 
 
-def moving_spring(pull: Pull, chain: Chain, q: Floats, start: Floats | None = None) -> MovingSpring:
-    """Spring of these settings for a chain that starts at q.
+def moving_spring(pull: Pull, chain: Chain, q: Floats) -> MovingSpring:
+    """Spring of these settings for a chain that starts at q, at its length at rest.
 
     Parameters
     ----------
@@ -167,8 +167,6 @@ def moving_spring(pull: Pull, chain: Chain, q: Floats, start: Floats | None = No
         Chain of rigid bodies.
     q : (n_q,) float
         Coordinates at the start.
-    start : (1,) float, optional
-        Length at rest at time 0, nm; by default the distance at q.
 
     Returns
     -------
@@ -193,8 +191,7 @@ def moving_spring(pull: Pull, chain: Chain, q: Floats, start: Floats | None = No
     made = MovingSpring(
         chain.tree, np.array(body), np.array(local), np.array(share), pull.stiffness, pull.speed, 0.0
     )
-    at_start = made.tension(0.0, pose(chain, q).frames)[0] if start is None else float(start[0])
-    return replace(made, start=at_start)
+    return replace(made, start=made.tension(0.0, pose(chain, q).frames)[0])
 
 
 def refuse_kept(pull: Pull, spring: MovingSpring, system: System, structure: Structure, q: Floats) -> None:

@@ -20,7 +20,7 @@ from protochain.checks import WATCHER, checked, flag, integer, path, quantity, t
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import has_free_roots
 from protochain.dynamics.fixman import fixman
-from protochain.dynamics.folder import Folder, check_folder, constants_of, rescued
+from protochain.dynamics.folder import Folder, check_folder, constants_of, rescued, undamaged
 from protochain.dynamics.hinge_springs import HingeSprings, dampers, hinge_springs, hinges_of
 from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
 from protochain.dynamics.loop import run as propagate
@@ -42,6 +42,7 @@ from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts
 from protochain.motion.system import Phase, StepTooLargeError, System, total
 from protochain.multibody import HingeKind
+from protochain.storage import fitting
 from protochain.structure.chirality import changed_hands, listed
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.units import MOLAR_GAS
@@ -158,7 +159,8 @@ def simulate(
     chain = as_chain(chain)
     energy = as_energy(energy, chain.structure)
     # A resumed run has the loops of its own start, not of this q.
-    run = _prepare(chain, energy, q, settings, constants_of(Path(output)) if resume and output else {})
+    with undamaged(Path(output or ".")):
+        run = _prepare(chain, energy, q, settings, constants_of(Path(output)) if resume and output else None)
     folder = Folder(Path(output), trajectory, run.identity, run.constants) if output is not None else None
     with threadpool_limits(1, "blas"), rescued(folder):
         return _simulate(run, folder, resume, n_steps, checkpoint_every, watch)
@@ -268,9 +270,12 @@ def _prepare(
     energy: Energy,
     q: Floats | None,
     settings: SimulationSettings,
-    constants: Mapping[str, Floats],
+    constants: Mapping[str, Floats] | None,
 ) -> _Run:
-    """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator."""
+    """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator.
+
+    A run that is resumed keeps the constants that it measured at its start, where those of q are others.
+    """
     given = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
     if not np.isfinite(given).all():
         at = int(np.argmin(np.isfinite(given)))
@@ -279,12 +284,14 @@ def _prepare(
     varying = energy.without_constants(made.rigid_groups, made.structure.positions)
     start = _transferred(chain, made, given)
     closure = closure_of(made, start) if settings.loops == "closed" else None
-    if closure is not None:
-        closure = replace(closure, length=constants.get("loop_lengths", closure.length))
-    springs = hinge_springs(settings.hinge_springs, made, start, constants.get("hinge_rest"))
-    pull = None
-    if settings.pull is not None:
-        pull = moving_spring(settings.pull, made, start, constants.get("pull_start"))
+    if closure is not None and constants is not None:
+        closure = replace(closure, length=fitting(constants, "loop_lengths", closure.length.shape))
+    springs = hinge_springs(settings.hinge_springs, made, start)
+    if springs is not None and constants is not None:
+        springs = replace(springs, rest=fitting(constants, "hinge_rest", springs.rest.shape))
+    pull = moving_spring(settings.pull, made, start) if settings.pull is not None else None
+    if pull is not None and constants is not None:
+        pull = replace(pull, start=float(fitting(constants, "pull_start", (1,))[0]))
     parts = [chain_potential(made, varying)]
     if settings.fixman:
         parts.append(fixman(settings.thermal_energy, closure))
@@ -374,7 +381,8 @@ def _start(run: _Run, folder: Folder | None, resume: bool) -> tuple[State, Float
     """First state, positions (na, 3) at step 0, and rows logged so far; create or reopen the files."""
     interval = run.settings.every * run.settings.time_step
     if folder and resume:
-        state, rows, lists_at = folder.reopen(run.chain.tree, run.chain.structure, interval)
+        first = run.propagator.thermostat.init
+        state, rows, lists_at = folder.reopen(run.chain.tree, run.chain.structure, interval, first)
         if len(lists_at):
             run.varying.list_at(lists_at)
         return state, folder.start, rows

@@ -1,5 +1,6 @@
 """Energies built from names of force field, solvent and engine."""
 
+import io
 import xml.etree.ElementTree as ElementTree
 from functools import cache
 from pathlib import Path
@@ -26,6 +27,7 @@ from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.implicit import COULOMB, COULOMB_CUSTOM, OBC_OFFSET
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
+from protochain.energies.untrusted import check_passive
 from protochain.errors import ForceFieldError
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
@@ -179,14 +181,11 @@ def build_system(
     pairs: dict[str, Any] = {"nonbondedMethod": app.NoCutoff}
     if cutoff is not None:
         pairs = {"nonbondedMethod": app.CutoffNonPeriodic, "nonbondedCutoff": cutoff * unit.nanometer}
-    files, own = [], False
     parts = force_field_parts(forcefield)
-    for part in parts:
-        bundled = _bundled_file(part)
-        if bundled is None:
-            own = True
-            _check_file(Path(part), trust_forcefield)
-        files.append(bundled or str(Path(part).resolve()))
+    bundled = [_bundled_file(part) for part in parts]
+    files = [
+        its or _checked_file(Path(part), trust_forcefield) for its, part in zip(bundled, parts, strict=True)
+    ]
     if structure.kept.any():
         beside = [str(DATA / name) for part in parts for name in _BESIDE.get(part, ())]
         files += [name for name in dict.fromkeys(beside) if Path(name).exists()]
@@ -194,9 +193,9 @@ def build_system(
         files.append(str(DATA / str(SOLVENTS[solvent])))
     try:
         # A user's file may change between calls, and a trusted one may raise anything.
-        force_field = app.ForceField(*files) if own else _bundled_force_field(*files)
+        force_field = _force_field(*files) if None in bundled else _bundled_force_field(*files)
         if structure.kept.any():
-            system = create_system(structure, force_field, lambda: app.ForceField(*files), pairs)
+            system = create_system(structure, force_field, lambda: _force_field(*files), pairs)
         else:
             system = force_field.createSystem(structure.topology, rigidWater=False, **pairs)
     except Exception as error:
@@ -245,9 +244,11 @@ def by_engine(engine: str, by_openmm: OpenMMEnergy) -> Energy:
         return by_openmm
 
 
-@cache
-def _bundled_force_field(*files: str) -> app.ForceField:
-    return app.ForceField(*files)
+def _force_field(*files: str | bytes) -> app.ForceField:
+    return app.ForceField(*(io.BytesIO(each) if isinstance(each, bytes) else each for each in files))
+
+
+_bundled_force_field = cache(_force_field)
 
 
 def _bundled_file(name: str) -> str | None:
@@ -257,10 +258,11 @@ def _bundled_file(name: str) -> str | None:
     return str(path) if bundled and path.is_file() else None
 
 
-def _check_file(path: Path, trusted: bool) -> None:
-    """Refuse a force-field file with scripts, which OpenMM would run, or includes, unless it is trusted."""
+def _checked_file(path: Path, trusted: bool) -> str | bytes:
+    """What OpenMM is to read: the bytes checked, or the path of a trusted file, which may include others."""
     try:
-        root = ElementTree.parse(path).getroot()
+        content = path.read_bytes()
+        root = ElementTree.fromstring(content)
     except OSError:
         known = ", ".join(FORCE_FIELDS)
         raise ForceFieldError(f"force field {str(path)!r} not found; give a file or one of {known}") from None
@@ -268,14 +270,10 @@ def _check_file(path: Path, trusted: bool) -> None:
         raise ForceFieldError(f"{path}: {NO_XML} ({error}); {CONVERT}") from None
     if root.tag == SMIRNOFF:
         raise ForceFieldError(f"{path}: {NO_OPENMM}; {CONVERT}")
-    active = sorted(
-        {node.tag for node in root.iter() if node.tag in ("Script", "InitializationScript", "Include")}
-    )
-    if active and not trusted:
-        raise ForceFieldError(
-            f"{path}: has <{active[0]}>, which runs code or opens files; if you trust it, allow that with "
-            "trust_forcefield=True"
-        )
+    if trusted:
+        return str(path.resolve())
+    check_passive(path, root)
+    return content
 
 
 def _use_gbsa_obc(system: openmm.System) -> str:

@@ -229,7 +229,8 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     plan = run.recipe.plan(chain, energy, reduced, run.tolerance, hold, run.seed, torque)
     if run.curvature and run.recipe.keeps_geometry:
         plan = with_curvature(plan, floats=not record.frame.held_by)
-    waypoint = load_checkpoint(Path(run.resume), plan, run.settings(start)) if run.resume else None
+    x = chain.structure.positions
+    waypoint = load_checkpoint(Path(run.resume), plan, run.settings(start), x) if run.resume else None
     allowed = Leash(chain.structure, hold.max_rmsd).allows if hold.max_rmsd < np.inf else None
     if not plan[0].recorded:
         record(start.pose.x, start.judgement.energy, start.judgement.max_torque, 0)

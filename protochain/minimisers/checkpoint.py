@@ -3,16 +3,19 @@
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from protochain.arrays import Floats
 from protochain.errors import ProtochainError
+from protochain.minimisers.descent import DescentState
 from protochain.minimisers.loop import Snapshot, Unstarted
 from protochain.minimisers.metrics import Preconditioner
 from protochain.minimisers.problem import Evaluation, Tally
 from protochain.minimisers.stages import Stage, Waypoint
-from protochain.storage import read_arrays, write_arrays
+from protochain.storage import fitting, read_arrays, write_arrays
 
 _KINDS = (Waypoint, Snapshot, Tally, Unstarted)
 """Classes of every checkpoint; the others are the states that the method names."""
@@ -35,7 +38,7 @@ def save_checkpoint(path: Path, waypoint: Waypoint, settings: Mapping[str, Any])
     write_arrays(path, arrays, tree, settings)
 
 
-def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any]) -> Waypoint:
+def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any], x: Floats) -> Waypoint:
     """Read a waypoint of a plan.
 
     Parameters
@@ -44,22 +47,28 @@ def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any]) 
     plan : list of Stage
     settings : mapping
         Those of the run to be continued.
+    x : (na, 3) float, nm
+        Start of that run: what is read must fit its atoms and freedoms.
 
     Raises
     ------
     ProtochainError
-        If the file cannot be read, or belongs to a run with other settings.
+        If the file cannot be read, belongs to a run with other settings, or holds what no run writes.
     """
     remedy = "give a file that an earlier run wrote as its checkpoint"
     arrays, tree = read_arrays(path, settings, "minimisation", remedy)
     try:
-        stage = plan[tree["fields"]["stage"]]
-        place = tree["fields"].get("at")
+        number, place = tree["fields"]["stage"], tree["fields"].get("at")
+        if type(number) is not int or not 0 <= number < len(plan):
+            raise ValueError(f"stage {number!r} of {len(plan)}")
+        stage = plan[number]
         if stage.fit is not None and place is not None:
-            stage = stage.fit(stage, _value(place, arrays, stage))
-        waypoint: Waypoint = _value(tree, arrays, stage)
+            stage = stage.fit(stage, fitting({"at": arrays[place["array"]]}, "at", x.shape))
+        waypoint: Waypoint = _Reader(arrays, stage, x).value(tree)
+        if type(waypoint) is not Waypoint:
+            raise ValueError(f"{type(waypoint).__name__} in place of a waypoint")
         return waypoint
-    except (KeyError, IndexError, TypeError, AttributeError) as error:
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
         raise ProtochainError(f"{path}: damaged checkpoint ({type(error).__name__}: {error})") from None
 
 
@@ -85,21 +94,83 @@ def _plain(value: Any, arrays: dict[str, np.ndarray], known: dict[int, Any]) -> 
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _value(tree: Any, arrays: Mapping[str, np.ndarray], stage: Stage) -> Any:
-    """Inverse of :func:`_plain`; metrics are computed again at the points they were computed at."""
-    if isinstance(tree, list):
-        return tuple(_value(part, arrays, stage) for part in tree)
-    if not isinstance(tree, dict):
-        return tree
-    if "array" in tree:
-        return arrays[tree["array"]]
-    if "made_at" in tree:
-        metric: Any = stage.method
-        at = _value(tree["made_at"], arrays, stage)
-        return Preconditioner(metric.metric, at, metric.metric.at(stage.space, at), tree["age"])
-    if "evaluation" in tree:
-        q, *rest = _value(tree["evaluation"], arrays, stage)
-        return Evaluation(stage.space.place(q), *rest)
-    kinds = {kind.__name__: kind for kind in (*_KINDS, *getattr(stage.method, "states", ()))}
-    parts = {name: _value(part, arrays, stage) for name, part in tree["fields"].items()}
-    return kinds[tree["kind"]](**parts)
+class _Reader:
+    """Inverse of :func:`_plain`, which takes only what the classes and the freedoms of a stage allow.
+
+    Metrics are computed again at the points they were computed at.
+    """
+
+    def __init__(self, arrays: Mapping[str, np.ndarray], stage: Stage, x: Floats) -> None:
+        self.arrays, self.stage = arrays, stage
+        at = stage.space.start(x)
+        self.q = at.shape
+        self.v = stage.space.torque(stage.space.place(at), np.zeros_like(x)).shape
+        self.x = x.shape
+        own = (*_KINDS, *getattr(stage.method, "states", ()))
+        self.kinds = {kind.__name__: kind for kind in own}
+
+    def value(self, tree: Any) -> Any:
+        """Value of a part."""
+        if isinstance(tree, list):
+            return tuple(self.value(part) for part in tree)
+        if not isinstance(tree, dict):
+            return tree
+        if "array" in tree:
+            return self.arrays[tree["array"]]
+        if "made_at" in tree:
+            method: Any = self.stage.method
+            at, metric = self.value(tree["made_at"]), method.metric
+            _fit(tree["age"], int, "age", self.v)
+            return Preconditioner(metric, at, metric.at(self.stage.space, at), tree["age"])
+        if "evaluation" in tree:
+            return self._evaluation(*self.value(tree["evaluation"]))
+        kind = self.kinds[tree["kind"]]
+        parts = {name: self.value(part) for name, part in tree["fields"].items()}
+        hints = {**get_type_hints(kind), **self._own_hints(kind)}
+        for name, part in parts.items():
+            # Positions stand in the run's frame only.
+            _fit(part, hints.get(name, Any), name, self.x if kind in (Waypoint, Snapshot) else self.v)
+        return kind(**parts)
+
+    def _evaluation(self, q: Any, energy: Any, torque: Any, residual: Any, restraint: Any) -> Evaluation:
+        for name, number in (("energy", energy), ("residual", residual), ("restraint", restraint)):
+            _fit(number, float, name, ())
+        place = self.stage.space.place(fitting({"q": q}, "q", self.q))
+        return Evaluation(place, energy, fitting({"torque": torque}, "torque", self.v), residual, restraint)
+
+    def _own_hints(self, kind: type) -> dict[str, Any]:
+        """What a descent's direction and rule say of their own memories."""
+        if kind is not DescentState:
+            return {}
+        method: Any = self.stage.method
+        memory = get_type_hints(method.direction.propose).get("memory", Any)
+        return {"memory": memory | tuple[()], "rule": get_type_hints(method.rule.init).get("return", Any)}
+
+
+def _fit(value: Any, hint: Any, name: str, shape: tuple[int, ...]) -> None:
+    """Refuse a value that is not of a type; arrays in it have a shape and are finite."""
+    if isinstance(value, np.ndarray):
+        fitting({name: value}, name, shape)
+    if not _is(value, hint):
+        raise ValueError(f"{name} is of another type: {type(value).__name__}")
+    if isinstance(value, tuple):
+        for part in value:
+            _fit(part, Any, name, shape)
+
+
+def _is(value: Any, hint: Any) -> bool:
+    origin, inside = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return any(_is(value, each) for each in inside)
+    if origin is tuple:
+        each = inside[:1] * len(value) if inside[1:] == (...,) else inside
+        return isinstance(value, tuple) and len(value) == len(each) and all(map(_is, value, each))
+    if origin is np.ndarray:
+        return isinstance(value, np.ndarray)
+    if hint is float:
+        return type(value) in (int, float)
+    if hint is Any or getattr(hint, "_is_protocol", False):
+        return not isinstance(value, str)
+    if not isinstance(hint, type):
+        return True
+    return type(value) is hint if hint in (int, bool, str) else isinstance(value, hint)

@@ -1,7 +1,6 @@
 """Scenes of dynamics, several chains and whole runs: sweeps, random numbers, constraints and imports."""
 
 import subprocess
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, partial
@@ -29,6 +28,7 @@ from protochain.multibody import Frames, mass_matrix, operational_inverse, row_m
 from protochain.multibody import pose as frames_of
 from protochain.structure import Structure, from_sequence, load
 from protochain.structure.write import as_text
+from protochain.subprocesses import own_python
 from protochain.units import MOLAR_GAS
 
 PEPTIDE, CHAINS = "AAAAAAAAAA", 10
@@ -182,7 +182,7 @@ def imports(material: Material) -> Both:
             path, out = Path(folder) / "in.pdb", Path(folder) / "out.pdb"
             path.write_text(as_text(from_sequence("AAAA"), ".pdb"))
             code = _RUN.format(first=_LOADED if loads else (), path=str(path), out=str(out))
-            done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+            done = subprocess.run(own_python(code), capture_output=True, text=True)
             if done.returncode:
                 raise ProtochainError(f"minimise: {done.stderr.strip().splitlines()[-1]}")
             modules[loads] = int(done.stdout.split()[-2])

@@ -1,0 +1,72 @@
+"""Force-field files of strangers: what OpenMM would run of them, and what is allowed.
+
+What ``openmm/app/forcefield.py`` (8.6) does with a file, gone through call by call:
+
+===========================================  ===============================================
+text                                         read by
+===========================================  ===============================================
+``Script``, ``InitializationScript``         ``exec``: runs
+``Include``, attribute ``file``              opened, with all that is in that file
+``useDispersionCorrection`` of two forces    ``eval``: runs
+``energy``, ``expression``; text of          Lepton, a language of numbers and functions
+``ComputedValue`` and ``EnergyTerm``
+text of ``Function`` and ``Map``             ``float``
+all other attributes                         ``float``, ``int``, tables of words, or names
+===========================================  ===============================================
+
+What is allowed is narrower than that, so that an ``eval`` of a later version finds nothing to call.
+"""
+
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+from protochain.errors import ForceFieldError
+
+ACTIVE = ("Script", "InitializationScript", "Include")
+EVALUATED = ("useDispersionCorrection",)
+_NEVER_READ = ("Info", "Source", "Reference")
+"""Elements that say where a file comes from."""
+_NOTES = ("def", "desc", "doi", "overrides", "source", "comment")
+"""Attributes of other programs (Foyer), which OpenMM does not read."""
+_LEPTON = ("energy", "expression")
+
+_BOOLEAN = re.compile(r"\s*(True|False|[01])\s*")
+_PLAIN = re.compile(r"[\w.+\-*'\"#:/,~&|^%!?@$<> ]*")
+"""Numbers and names: in Python nothing can be called without brackets."""
+
+
+def check_passive(path: Path, root: ElementTree.Element) -> None:
+    """Refuse a force field of which OpenMM would run a part as Python, or which opens other files.
+
+    Parameters
+    ----------
+    path : Path
+        For the message.
+    root : ElementTree.Element
+
+    Raises
+    ------
+    ForceFieldError
+        Naming the file, the element and what to do.
+    """
+    trust = "if you trust the file, allow that with trust_forcefield=True"
+    for node in root.iter():
+        if node.tag in ACTIVE:
+            raise ForceFieldError(f"{path}: has <{node.tag}>, which runs code or opens files; {trust}")
+        if node.tag in _NEVER_READ:
+            continue
+        for name, value in node.attrib.items():
+            place = f"{path}: {name} of <{node.tag}> is {_short(value)}"
+            if name in EVALUATED and not _BOOLEAN.fullmatch(value):
+                raise ForceFieldError(
+                    f"{place}, which OpenMM would run as Python: give True or False; {trust}"
+                )
+            if name not in (*_LEPTON, *_NOTES) and not _PLAIN.fullmatch(value):
+                raise ForceFieldError(
+                    f"{place}, which is neither a number nor a plain name: mend it; {trust}"
+                )
+
+
+def _short(text: str) -> str:
+    return ascii(text if len(text) <= 40 else f"{text[:37]}...")
