@@ -4,18 +4,22 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from protochain.arrays import Floats, Integers, read_only
 from protochain.chain import Chain
 from protochain.residues import VAN_DER_WAALS
+from protochain.structure.linkage import COVALENT_SLACK, is_metal, usual_length
 from protochain.structure.model import Structure
 from protochain.units import ANGSTROM_PER_NM
 
 OVERLAP = 0.5
 """Nonbonded atoms closer than this fraction of the sum of their van der Waals radii overlap. Hydrogen bonds
 stay above 0.6."""
+_NEAR = 0.8
+"""Fraction below which all atoms are that are as near as bonded ones."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,10 @@ class Overlap:
         Distance as a fraction of the sum of the van der Waals radii.
     remedy : str
         Methods that can separate them.
+    atoms : (int, int)
+        Their indices.
+    beside : bool
+        Whether one of them is of the protein and the other of a molecule kept beside it.
     """
 
     first: str
@@ -38,6 +46,8 @@ class Overlap:
     distance_angstrom: float
     share: float
     remedy: str
+    atoms: tuple[int, int]
+    beside: bool
 
     def __str__(self) -> str:
         return (
@@ -106,6 +116,48 @@ def joined(structure: Structure, bonds: int) -> Integers:
     return np.column_stack([found.row[upper], found.col[upper]]).astype(np.int64)
 
 
+def overlapping(structure: Structure, x: Floats) -> tuple[Integers, Floats]:
+    """Find the nonbonded pairs of atoms that overlap.
+
+    Beside those nearer than ``OVERLAP`` these are heavy atoms of the protein and of a molecule kept beside it
+    that are as near as bonded ones, and are not bonded.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm
+
+    Returns
+    -------
+    (n, 2) int, (n,) float
+        As :func:`near_pairs`.
+    """
+    if not structure.kept.any():
+        return near_pairs(structure, x, OVERLAP)
+    pairs, touch, reach = *near_pairs(structure, x, _NEAR), _covalent(structure)
+    distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    as_bonded = _is_beside(structure, pairs) & (distance < reach[pairs].sum(axis=1))
+    found = as_bonded | (distance < OVERLAP * touch)
+    return pairs[found], touch[found]
+
+
+def _is_beside(structure: Structure, pairs: Integers) -> NDArray[np.bool_]:
+    """Whether one atom of a pair (n, 2) is of the protein, and the other is not."""
+    return np.asarray(structure.kept[pairs[:, 0]] != structure.kept[pairs[:, 1]])
+
+
+@lru_cache(maxsize=16)
+def _covalent(structure: Structure) -> Floats:
+    """(na,) float, nm: what adds up to the longest bond of two atoms; -inf for hydrogens and metals."""
+    radius = {
+        symbol: -np.inf
+        if symbol == "H" or is_metal(symbol)
+        else 0.5 * (usual_length(symbol, symbol) + COVALENT_SLACK) / ANGSTROM_PER_NM
+        for symbol in {*structure.atom_element.tolist()}
+    }
+    return read_only([radius[symbol] for symbol in structure.atom_element.tolist()])
+
+
 def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> list[Overlap]:
     """List the nonbonded pairs of atoms that overlap, the worst first.
 
@@ -120,9 +172,9 @@ def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> lis
     -------
     list of Overlap
     """
-    pairs, touch = near_pairs(structure, x, OVERLAP)
+    pairs, touch = overlapping(structure, x)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    share = distance / touch
+    share, beside = distance / touch, _is_beside(structure, pairs)
     groups = chain.rigid_groups if chain is not None else None
     found = []
     for k in np.argsort(share, kind="stable"):
@@ -136,7 +188,7 @@ def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> lis
         found.append(
             Overlap(
                 structure.describe(i), structure.describe(j), float(ANGSTROM_PER_NM * distance[k]),
-                float(share[k]), remedy,
+                float(share[k]), remedy, (i, j), bool(beside[k]),
             )
         )  # fmt: skip
     return found

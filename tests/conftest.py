@@ -86,6 +86,9 @@ and neighbouring paths part by a factor of a hundred meanwhile."""
 RMSD_ANGSTROM = 1e-5
 """Against mdtraj and MDAnalysis. mdtraj works in single precision: 1e-7 of some nm^2 under a root."""
 
+READ_AGAIN = 1e-6
+"""Relative. A result read again has the energy that was said of it: mmCIF has nine digits of a coordinate."""
+
 PDB_ROUNDING_NM = 0.5e-4
 """Half a unit in the third decimal of an angstrom."""
 

@@ -1,5 +1,7 @@
 """Disulfides, amide bonds, what is kept and how it is held, and alternates, on residues made by hand."""
 
+import re
+
 import gemmi
 import numpy as np
 import pytest
@@ -9,7 +11,8 @@ from protochain.structure.bridges import disulfides, refuse_crosslinks
 from protochain.structure.conformation import likeliest, same_place
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.kept import Candidate, by_element, check_words, choose, water_named
-from protochain.structure.sites import find_links, is_metal, measure, moves, ties
+from protochain.structure.linkage import is_metal
+from protochain.structure.sites import find_links, measure, moves, ties
 from protochain.structure.templates import Template
 
 
@@ -128,9 +131,13 @@ def test_molecules_are_kept_by_kind_or_by_either_name(residue, kind):
         assert ("noted" in draft.repairs) == bool(parts)
         return [part.members for part in parts] == [[residue]]
 
-    every = ("none", "near", "all", "water", "ions", "nucleic", "ligands", "HOH", "ZN", "DA", "LIG", "OLD")
+    every = ("none", "near", "all", "water", "ions", "nucleic", "ligands", residue.name, "OLD")
     near = {"near"} if kind != "water" else set()
     assert {word for word in every if kept(word)} == {"all", kind, residue.name, "OLD", *near}
+    told = re.escape(f"x: keep QWK: no molecule beside the protein has this name; there are 1 {_told(kind)}")
+    for words in (("QWK",), ("OLD", "QWK"), ("near", "QWK")):
+        with pytest.raises(pc.ProtochainError, match=f"^{told}$"):
+            choose(drafted(glycine()), [Candidate(residue, "OLD")], words, {})
     assert choose(drafted(glycine()), [Candidate(residue, "OLD")], (), {}) == []
 
 
@@ -338,7 +345,13 @@ def placed(name, number, **atoms):
     ],
 )  # fmt: skip
 def test_donors_are_bonded_to_a_metal_up_to_its_usual_distance_and_some(name, donor, metal, limit):
-    for far, bonded in ((limit - 0.01, True), (limit + 0.01, False), (0.79, False), (0.81, True)):
+    near = limit - {"SG": 0.75}.get(donor, 0.5) - 0.6
+    for far, bonded in (
+        (limit - 0.01, True),
+        (limit + 0.01, False),
+        (near - 0.01, False),
+        (near + 0.01, True),
+    ):
         residue = placed(name, 1, CA=(9.0, 9.0, 0.0), **{donor: (far, 0.0, 0.0)}, H=(0.5, 0.0, 0.0))
         draft = beside([residue], ion(metal, 7, 0.0, 0.0, 0.0))
         links = find_links(draft)
@@ -346,8 +359,8 @@ def test_donors_are_bonded_to_a_metal_up_to_its_usual_distance_and_some(name, do
         assert [a.name for a in residue.metals] == [donor] * bonded and residue.links == []
         said = (
             f"{metal.upper()} of residue 7 {metal.upper()} of chain B is coordinated by {donor} of "
-            f"residue 1 {name} of chain A ({far:.2f} angstrom): held at these distances by springs, and "
-            "moves with them"
+            f"residue 1 {name} of chain A ({far:.2f} angstrom): held at these distances by springs; the ion "
+            "stays in place"
         )
         assert draft.repairs == [said] * bonded
 
@@ -365,20 +378,33 @@ def test_carbon_and_the_amides_of_a_chain_are_no_donors_unless_the_file_says_so(
         assert [each.atom.name for each in find_links(draft)] == [first] * bonded, names
 
 
-def test_other_atoms_are_bonded_by_their_covalent_radii_and_waters_never():
-    radius = sum(gemmi.Element(e).covalent_r for e in "NC") + 0.3
-    for far, bonded in ((radius - 0.01, True), (radius + 0.01, False)):
-        residue = placed("ASN", 1, ND2=(far, 0.0, 0.0))
-        sugar = Member("NAG", "5", "", "B", [atom("C1", "C", [0.0] * 3), atom("H1", "H", [far, 0.1, 0.0])])
-        draft = beside([residue], sugar)
+def sugar(*extra):
+    """C1 of a sugar at the origin, with its ring, beside an asparagine whose ND2 is 1.44 angstrom away."""
+    ring = {"C1": (0, 0, 0), "C2": (-0.5, 1.44, 0), "O5": (-0.48, -0.68, 1.16), "C5": (-1.9, -0.7, 1.2)}
+    atoms = [atom(name, name[0], list(map(float, x))) for name, x in ring.items()]
+    made = Member("NAG", "5", "", "B", [*atoms, *(atom(name, name[0], list(x)) for name, x in extra)])
+    made.own = by_element(made)
+    return made
+
+
+def asparagine(far, *extra):
+    at = {"ND2": (far, 0.0, 0.0), "CG": (far + 0.7, -1.1, 0.0), "CB": (far + 2.2, -1.1, 0.0)}
+    return placed("ASN", 1, **at, **dict(extra))
+
+
+def test_a_known_kind_of_bond_is_made_at_its_length_and_waters_have_none():
+    usual = sum(gemmi.Element(e).covalent_r for e in "NC")
+    for far, bonded in ((usual + 0.29, True), (usual + 0.31, False), (usual - 0.31, False)):
+        residue, beside_it = asparagine(far), sugar()
+        draft = beside([residue], beside_it)
         (link,) = find_links(draft) or [None]
         assert (link is not None) is bonded
+        assert [a.name for a in residue.links] == ["ND2"] * bonded and residue.metals == []
         if bonded:
             assert (link.member, link.atom.name, link.other, link.other_atom.name) == (
-                residue, "ND2", sugar, "C1",
+                residue, "ND2", beside_it, "C1",
             )  # fmt: skip
-            assert not link.is_metal and [a.name for a in residue.links] == ["ND2"] and residue.metals == []
-            assert draft.repairs == [
+            assert not link.is_metal and draft.repairs == [
                 "C1 of residue 5 NAG of chain B is bonded to ND2 of residue 1 ASN of chain A "
                 f"({far:.2f} angstrom): held at these distances by springs"
             ]
@@ -387,21 +413,78 @@ def test_other_atoms_are_bonded_by_their_covalent_radii_and_waters_never():
     assert find_links(beside([placed("ASN", 1, ND2=(1.4, 0.0, 0.0))])) == []
 
 
-@pytest.mark.parametrize(("far", "free"), [(3.31, True), (3.29, False)])
-def test_an_ion_moves_if_the_protein_alone_holds_it(far, free):
-    residue = placed("CYS", 1, SG=(2.3, 0.0, 0.0))
-    zinc, water = ion("Zn", 7, 0.0, 0.0, 0.0), Member("HOH", "8", "", "B", [atom("O", "O", [0.0, far, 0.0])])
-    draft = beside([residue], zinc, water)
-    links = find_links(draft)
-    assert moves(draft, zinc, links) is free and not moves(draft, zinc, [])
-    assert draft.repairs[0].endswith(", and moves with them") is free
-    pair = Member("ZN2", "9", "", "B", [*zinc.atoms, atom("O", "O", [9.0, 9.0, 9.0])])
-    bound = beside([residue], pair)
+@pytest.mark.parametrize(
+    ("residue", "other", "why"),
+    [
+        (asparagine(1.44), sugar(("O1", (-0.48, -0.68, -1.16))), ""),
+        (asparagine(1.44), sugar(("O1", (-0.48, -0.68, -1.16)), ("H1", (0.65, -0.3, 0.8))), "four others"),
+        (asparagine(1.44), sugar(("C9", (0.9, 0.0, 1.1))), "an angle of 39 degrees"),
+        (asparagine(1.44, ("H1", (1.4, 0.9, 0.0)), ("H2", (1.4, -0.3, 0.9))), sugar(), "two hydrogens"),
+        (asparagine(1.44, ("OD1", (-1.9, -0.7, -0.2))), sugar(), "another close pair"),
+        (placed("ARG", 1, NH1=(1.44, 0.0, 0.0), CZ=(2.1, -1.1, 0.0)), sugar(), "no known kind"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_a_bond_is_an_overlap_and_is_named(residue, other, why):
+    residue = Member(residue.name, "1", "", "A", list(residue.atoms))
+    draft = beside([residue], other)
+    assert bool(find_links(draft)) is not bool(why), why
+    assert bool(residue.links) is not bool(why)
+    if why:
+        (line,) = draft.repairs
+        assert "not bonded (no LINK, CONECT or struct_conn, and no known kind of bond)" in line
+        assert (
+            f"{residue.atoms[0].name} of residue 1 {residue.name} of chain A and C1 of residue 5 NAG" in line
+        )
+        # What the file states is believed, if there is a valence.
+        draft = beside([residue], other)
+        draft.stated = [(("A", "1", residue.atoms[0].name), ("B", "5", "C1"))]
+        assert len(find_links(draft)) == 1
+
+
+def test_a_bond_of_the_file_that_cannot_be_is_said_to_be_ignored():
+    for far, bonded in ((0.81, True), (0.79, False), (2.13, True), (2.15, False), (5.0, False)):
+        draft = beside([placed("ARG", 1, NH1=(far, 0.0, 0.0))], sugar())
+        draft.stated = [(("B", "5", "C1"), ("A", "1", "NH1"))]
+        assert len(find_links(draft)) == bonded
+        ignored = (
+            "bond of the file between NH1 of residue 1 ARG of chain A and C1 of residue 5 NAG of chain B "
+            f"ignored: it is {far:.2f} angstrom long; mend the file if it is real"
+        )
+        assert (ignored in draft.repairs) is not bonded
+    full = sugar(("O1", (-0.48, -0.68, -1.16)), ("C8", (0.1, 0.9, -1.2)))
+    draft = beside([placed("SER", 1, OG=(1.44, 0.0, 0.0))], full)
+    draft.stated = [(("A", "1", "OG"), ("B", "5", "C1"))]
+    assert (
+        find_links(draft) == []
+        and "ignored: C1 of residue 5 NAG of chain B has no valence left" in draft.repairs[0]
+    )
+
+
+def test_an_ion_moves_if_the_protein_alone_holds_it_on_all_sides():
+    def site(n, kept=(), absent=(), symbol="Zn"):
+        places = 1.35 * np.array([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])
+        holders = [placed("CYS", k, SG=tuple(x)) for k, x in enumerate(places[:n].tolist(), 1)]
+        metal = ion(symbol, 7, 0.0, 0.0, 0.0)
+        water = {
+            far: Member("HOH", "8", "", "B", [atom("O", "O", [0.0, far, 0.0])]) for far in (*kept, *absent)
+        }
+        draft = beside(holders, metal, *(water[far] for far in kept))
+        draft.absent = [water[far] for far in absent]
+        links = find_links(draft)
+        assert len(links) == n and draft.repairs[0].endswith(", and moves with them") is moves(
+            draft, metal, links
+        )
+        assert not moves(draft, metal, [])
+        return moves(draft, metal, links)
+
+    assert site(4) and site(4, kept=[3.31]) and site(4, absent=[3.31])
+    assert (
+        not site(3) and not site(4, kept=[3.29]) and not site(4, absent=[3.29]) and not site(4, symbol="Ca")
+    )
+    # More than one atom is no ion.
+    pair = Member("ZN2", "9", "", "B", [*ion("Zn", 7, 0.0, 0.0, 0.0).atoms, atom("O", "O", [9.0, 9.0, 9.0])])
+    bound = beside([placed("CYS", 1, SG=(2.3, 0.0, 0.0))], pair)
     assert len(find_links(bound)) == 1 and not moves(bound, pair, find_links(bound))
-    # Not an ion: a single atom that is no metal.
-    lone = Member("C", "9", "", "B", [atom("C", "C", [3.6, 0.0, 0.0])])
-    covalent = beside([residue], lone)
-    assert len(find_links(covalent)) == 1 and not moves(covalent, lone, find_links(covalent))
 
 
 def test_several_ends_of_a_site_are_one_line():
@@ -410,8 +493,8 @@ def test_several_ends_of_a_site_are_one_line():
     assert [each.atom.name for each in find_links(draft)] == ["SG", "NE2"]
     assert draft.repairs == [
         "ZN of residue 7 ZN of chain B is coordinated by SG of residue 1 CYS of chain A (2.30 angstrom), "
-        "NE2 of residue 2 HIS of chain A (2.00 angstrom): held at these distances by springs, and moves "
-        "with them"
+        "NE2 of residue 2 HIS of chain A (2.00 angstrom): held at these distances by springs; the ion stays "
+        "in place"
     ]
 
 
@@ -445,13 +528,15 @@ def test_springs_hold_distances_and_angles_of_a_metal_site():
         assert ((3, 4, 5) in tied(draft, [[0, 1], [0, 2], [2, 5], [3, 4], [4, 5]])) is held
 
 
-def test_springs_of_a_covalent_bond_hold_the_angles_at_both_ends():
-    """CG 0, ND2 1; C1 2, O5 3, H1 4."""
-    residue = placed("ASN", 1, CG=(1.4, 1.3, 0.0), ND2=(1.4, 0.0, 0.0))
-    atoms = [atom("C1", "C", [0.0] * 3), atom("O5", "O", [0.0, 0.0, 1.4]), atom("H1", "H", [-1.0, 0.0, 0.0])]
+@pytest.mark.parametrize(("far", "length"), [(1.5, 0.15), (2.0, 0.144)])
+def test_springs_of_a_covalent_bond_hold_the_angles_at_both_ends(far, length):
+    """CG 0, ND2 1; C1 2, O5 3, H1 4. Too long a bond is drawn in, too small an angle opened."""
+    residue = placed("ASN", 1, CG=(far, 1.3, 0.0), ND2=(far, 0.0, 0.0))
+    atoms = [atom("C1", "C", [0.0] * 3), atom("O5", "O", [0.8, 0.0, 1.4]), atom("H1", "H", [-1.0, 0.0, 0.0])]
     draft = beside([residue], Member("NAG", "5", "", "B", atoms))
+    draft.stated = [(("A", "1", "ND2"), ("B", "5", "C1"))]
     assert tied(draft, [[0, 1], [1, 2], [2, 3], [2, 4]]) == {
-        (1, 2): (pytest.approx(0.14), 2.7e5), (0, 1, 2): (pytest.approx(np.pi / 2), 500.0),
+        (1, 2): (pytest.approx(length), 2.7e5), (0, 1, 2): (pytest.approx(np.pi / 2), 500.0),
         (1, 2, 3): (pytest.approx(np.pi / 2), 500.0),
     }  # fmt: skip
 

@@ -452,3 +452,100 @@ def test_a_written_result_is_read_with_what_was_kept(tmp_path):
         again = pc.load(tmp_path / f"out{suffix}")
         assert np.array_equal(again.kept, s.kept) and len(again.ties) == len(s.ties)
         assert np.array_equal(again.atom_name, s.atom_name)
+
+
+def complexes(name: str) -> Path:
+    """A file of the shared complexes, or skip."""
+    return shared(f"../complexes/{name}")
+
+
+@pytest.mark.parametrize(
+    ("name", "pairs"),
+    [
+        ("clash_dna.pdb", {("OG1", "OP2"), ("NH1", "O6"), ("NH2", "N7")}),
+        ("clash_ligand.cif", {("SG", "C"), ("SG", "O"), ("SG", "CH3")}),
+    ],
+)
+def test_molecules_pushed_into_the_protein_overlap_and_are_not_bonded(name, pairs):
+    s = pc.load(complexes(f"models/{name}"))
+    assert not s.ties and not len(s.links)
+    found = [each for each in overlaps(s, s.positions) if each.beside]
+    named = {tuple(s.atom_name[list(each.atoms)].tolist()) for each in found}
+    assert pairs <= named | {pair[::-1] for pair in named}
+    (line,) = (line for line in s.repairs if "not bonded" in line)
+    assert line.startswith("3 pairs of atoms as near as bonded ones")
+    # No hydrogen gives way to a bond that is none.
+    whole = pc.load(complexes(f"models/{name}"), keep="none")
+    assert np.array_equal(whole.atom_name, s.atom_name[~s.kept])
+
+
+def test_a_relaxation_parts_the_protein_from_what_overlaps_with_it():
+    r = pc.relax(complexes("models/clash_dna.pdb"), threads=1)
+    record = r.record()
+    assert record["overlaps_beside_start"] >= 3 and record["overlaps_beside_end"] == 0
+    assert r.status == "converged" and np.array_equal(
+        r.x[r.start.obstacle], r.start.positions[r.start.obstacle]
+    )
+    # Where the protein may not give way, the status and the message say so.
+    held = pc.relax(complexes("models/clash_dna.pdb"), threads=1, max_iterations=1, max_outer_iterations=1)
+    assert held.status == "clash" and "apart" in held.message
+
+
+def test_links_are_values_and_those_among_the_kept_are_the_files():
+    s = pc.load(complexes("models/3ave.pdb"))
+    ends = [tuple(s.atom_name[pair].tolist()) for pair in s.links]
+    assert ends[:3] == [("ND1", "ZN"), ("ND2", "C1"), ("ND2", "C1")] and len(ends) == 17
+    first = s.links[:, 0]
+    assert not s.kept[first[:3]].any() and s.kept[first[3:]].all() and s.kept[s.links[:, 1]].all()
+    assert [tie.atoms for tie in s.ties if len(tie.atoms) == 2] == [
+        tuple(pair) for pair in s.links[:3].tolist()
+    ]
+
+
+def methylated(tmp_path: Path, far: float, connected: bool) -> Path:
+    """Trp-cage with a molecule of one carbon beyond NH1 of its arginine, with a CONECT record or without."""
+    model = gemmi.read_structure(str(STRUCTURES / "1l2y.pdb"))[0]
+    arginine = next(each for each in model[0] if each.name == "ARG")
+    nitrogen, centre = (np.array(arginine[name][0].pos.tolist()) for name in ("NH1", "NE"))
+    at = nitrogen + far * (nitrogen - centre) / np.linalg.norm(nitrogen - centre)
+    serial = arginine["NH1"][0].serial
+    carbon = "HETATM 9001  C   XXC A 101    {:8.3f}{:8.3f}{:8.3f}  1.00  0.00           C\n".format(*at)
+    link = f"CONECT{serial:5d} 9001\n" * connected
+    atoms = records(STRUCTURES / "1l2y.pdb", lambda line: line[76:78].strip() != "H")
+    return written(tmp_path, "".join(atoms) + carbon + link + "END\n")
+
+
+@pytest.mark.parametrize(
+    ("far", "connected", "bonded"), [(1.46, True, True), (1.46, False, False), (2.6, True, False)]
+)
+def test_bonds_of_conect_records_are_believed_at_lengths_of_bonds(tmp_path, far, connected, bonded):
+    s = pc.load(methylated(tmp_path, far, connected))
+    assert [tuple(s.atom_name[pair].tolist()) for pair in s.links] == [("NH1", "C")] * bonded
+    assert any("not bonded" in line for line in s.repairs) is (not connected)
+    assert any("ignored: it is 2.60 angstrom long" in line for line in s.repairs) is (far > 2.0)
+
+
+@pytest.mark.parametrize("name", ["1V48_HA1", "1P62_GEO"])
+def test_ions_whose_waters_are_left_out_stay_in_place(name):
+    s = pc.load(complexes(f"astex/{name}_protein.pdb"))
+    ions = [tie.atoms[1] for tie in s.ties if len(tie.atoms) == 2]
+    assert len(ions) < 4 and s.obstacle[ions].all()
+    assert any(line.endswith("; the ion stays in place") for line in s.repairs)
+    for r in (pc.relax(s, threads=1), pc.minimise(s, method="cartesian", max_evaluations=40)):
+        assert np.array_equal(r.x[ions], s.positions[ions])
+        for tie in s.ties:
+            if len(tie.atoms) == 2:
+                assert np.linalg.norm(np.subtract(*r.x[list(tie.atoms)])) == pytest.approx(
+                    tie.rest, abs=SITE_NM
+                )
+
+
+def test_a_name_to_keep_that_no_molecule_has_is_refused():
+    path = complexes("models/1a0i.cif")
+    for keep in ("QWK", ["ATP", "QWK"]):
+        with pytest.raises(
+            pc.ProtochainError, match=r"1a0i\.cif: keep QWK: no molecule .* there are .*1 ATP"
+        ) as told:
+            pc.load(path, keep=keep)
+        assert "\n" not in str(told.value)
+    assert "ATP" in pc.load(path, keep="ATP").residue_name

@@ -62,7 +62,7 @@ PAIRS = "".join(f"{name} {value}\n" for name, value in zip(LOOP.split()[2:], ROW
     ],
 )
 def test_what_is_whole_is_taken_and_whether_it_marks_its_end_is_told(text, ends, tmp_path):
-    structure, overlooked, told = parsed(tmp_path, text)
+    structure, overlooked, told, _ = parsed(tmp_path, text)
     assert overlooked == [] and told is ends
     assert {atom.name for atom in structure[0][0][0]} == {"CA"}
 

@@ -156,6 +156,7 @@ def test_measures_that_are_nothing_before_and_after_are_left_out():
     record = {f"{key}_{when}": 0 for key in MEASURES for when in ("start", "end")}
     record |= {"violations_start": 3, "ramachandran_favoured_percent_start": None}
     record |= {"ramachandran_favoured_percent_end": None, "overlaps_start": 2, "overlaps_end": 0}
+    record |= {"overlaps_beside_start": 0, "overlaps_beside_end": 0}
     record |= {"energy_start_kj_mol": 2.5e9, "energy_end_reference_kj_mol": -12.34}
     assert before_and_after(record) == [
         ("residues with violations, as AlphaFold counts them", "3", "0"),

@@ -60,6 +60,10 @@ TER      12      CYS A   3B
 HETATM   13  O   HOH     4       3.000   1.100  -0.200  1.00 11.50           O  
 HETATM   14  H1  HOH     4       3.000   1.200  -0.200  1.00 12.50           H  
 HETATM   15  H2  HOH     4       3.000   1.300  -0.200  1.00 13.50           H  
+CONECT    1   10                                                                
+CONECT    4   11                                                                
+CONECT   10    1                                                                
+CONECT   11    4                                                                
 END                                                                             
 """  # noqa: W291
 
@@ -75,7 +79,7 @@ def test_a_pdb_file_has_its_remarks_links_and_atoms_in_their_columns_and_an_end(
     half = as_text(replace(ring(), occupancy=np.where(np.arange(14) == 5, 0.5, 1.0)), ".pdb")
     assert half == RING_PDB.replace("  1.00  5.50 ", "  0.50  5.50 ") != RING_PDB
     lighter = as_text(ring(), ".pdb", hydrogens=False)
-    assert lighter == RING_PDB.replace(RING_PDB[RING_PDB.index("HETATM   14") : RING_PDB.index("END ")], "")
+    assert lighter == RING_PDB.replace(RING_PDB[RING_PDB.index("HETATM   14") : RING_PDB.index("CONECT")], "")
 
 
 def test_an_mmcif_file_has_its_remarks_entities_links_and_atoms():

@@ -32,7 +32,8 @@ COLUMNS = (
 INTEGERS = (
     "iteration", "iterations", "evaluations", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges",
     "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
-    "overlaps_start", "overlaps_end", "n_rounds", "n_residues_let_go",
+    "overlaps_start", "overlaps_end", "overlaps_beside_start", "overlaps_beside_end",
+    "n_rounds", "n_residues_let_go",
     *(f"{key}_{when}" for key, each in MEASURES.items() if each.whole for when in ("start", "end")),
 )  # fmt: skip
 """Columns of integers, which a failure lacks: they remain integers, with missing values."""

@@ -40,9 +40,11 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy") -> float:
     seconds = _EVALUATIONS * (monotonic() - began)
     n_residues = len({*structure.atom_residue[~structure.kept].tolist()})
     found, rings = overlaps(structure, x), threaded_rings(structure)
+    beside = sum(each.beside for each in found)
     said = [
         f"{n_residues} residues, {structure.n_atoms} atoms",
-        f"{len(found) or 'no'} pair{'s' * (len(found) != 1)} of atoms overlap{'s' * (len(found) == 1)}",
+        f"{len(found) or 'no'} pair{'s' * (len(found) != 1)} of atoms overlap{'s' * (len(found) == 1)}"
+        + (f", {beside} of them with molecules beside the protein" if beside else ""),
         str(violations(structure, x)),
         *(["threaded rings, to be freed first: " + ", ".join(map(str, rings))] if rings else []),
         *_wrong_hands(structure),
@@ -125,6 +127,15 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
             f"residues with violations {before} before, {after} after; medians: C-alpha RMSD "
             f"{usable['ca_rmsd_angstrom'].median():.2f} angstrom, {usable['seconds'].median():.1f} s"
         )
+    near = usable[usable["overlaps_beside_start"] > 0]
+    if len(near):
+        told = [
+            f"{row.structure} ({row.overlaps_beside_start:.0f} pairs, {row.overlaps_beside_end:.0f} left)"
+            for row in near.head(_SHOWN).itertuples()
+        ]
+        more = f" and {len(near) - _SHOWN} more, in the table" if len(near) > _SHOWN else ""
+        what = "structures overlapped with molecules beside the protein"
+        print(f"{len(near)} of {len(table)} {what}: {', '.join(told)}{more}")
     left = table[table["status"] != "converged"]
     for row in left.head(_SHOWN).itertuples():
         print(f"{row.structure}: {row.message}")

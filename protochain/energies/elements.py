@@ -20,8 +20,8 @@ from scipy.spatial import KDTree
 from protochain.arrays import Integers
 from protochain.energies.native.terms import TIES
 from protochain.errors import ForceFieldError
+from protochain.structure.linkage import is_metal
 from protochain.structure.model import Structure, Tie
-from protochain.structure.sites import is_metal
 
 _UFF = {
     "H": (2.886, 0.044), "He": (2.362, 0.056), "Li": (2.451, 0.025), "Be": (2.745, 0.085),

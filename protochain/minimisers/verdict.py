@@ -124,7 +124,8 @@ def verdict(
     if stop is Stop.INTERRUPTED:
         return Status.INTERRUPTED, f"interrupted after {n_evaluations} evaluations: {measured}"
     if overlap:
-        return Status.CLASH, f"clash: {overlap[0]}; {measured}"
+        more = f", and {len(overlap) - 1} more" if len(overlap) > 1 else ""
+        return Status.CLASH, f"clash: {overlap[0]}{more}; {measured}"
     if threaded:
         remedy = "hybrid and pc.relax try to draw it out; otherwise build these side chains anew"
         return Status.CLASH, f"clash: {threaded[0]}; {remedy}; {measured}"

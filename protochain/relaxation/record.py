@@ -7,6 +7,7 @@ from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any
 
+from protochain.arrays import Floats
 from protochain.contacts import overlaps
 from protochain.validation import MEASURES
 
@@ -41,6 +42,8 @@ COLUMNS: Mapping[str, _Value] = MappingProxyType({
     **dict(_of_measures("end")),
     "overlaps_start": lambda r: len(overlaps(r.start, r.start.positions)),
     "overlaps_end": lambda r: r.rounds[r.best].overlaps,
+    "overlaps_beside_start": lambda r: _beside(r, r.start.positions),
+    "overlaps_beside_end": lambda r: _beside(r, r.x),
     "n_rounds": lambda r: len(r.rounds),
     "n_residues_let_go": lambda r: r.rounds[r.best].let_go,
     "rounds": lambda r: [asdict(each) for each in r.rounds],
@@ -76,9 +79,18 @@ COLUMNS: Mapping[str, _Value] = MappingProxyType({
 """In the order in which a reader looks at them."""
 
 
+def _beside(relaxation: Any, x: Floats) -> int:
+    """Pairs of an atom of the protein and one beside it that overlap."""
+    return sum(each.beside for each in overlaps(relaxation.start, x))
+
+
 def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Return what is compared in words, before and after; measures that are 0 in both are left out."""
     rows = [(measure.what, record[f"{key}_start"], record[f"{key}_end"]) for key, measure in MEASURES.items()]
+    rows.append(
+        ("overlaps with molecules beside the protein", record["overlaps_beside_start"],
+         record["overlaps_beside_end"])
+    )  # fmt: skip
     rows = [row for row in rows if not {row[1], row[2]} <= {0, None}]
     rows.append(("overlapping pairs of atoms", record["overlaps_start"], record["overlaps_end"]))
     rows.append(("energy, kJ/mol", record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers, read_only
-from protochain.contacts import OVERLAP, near_pairs
+from protochain.contacts import near_pairs, overlapping
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers.curvature import NearTerms, near_terms
@@ -335,7 +335,7 @@ _FINAL = (Stop.INTERRUPTED, Stop.NON_FINITE)
 
 def _overlapping(structure: Structure, x: Floats) -> Integers:
     """(n, 2) int: pairs of atoms that overlap."""
-    return near_pairs(structure, x, OVERLAP)[0]
+    return overlapping(structure, x)[0]
 
 
 def mendable(structure: Structure, found: Violations) -> NDArray[np.bool_]:

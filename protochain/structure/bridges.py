@@ -37,8 +37,12 @@ def disulfides(draft: Draft, asked: Sequence[tuple[str, str]] | None = None) -> 
     cysteines = [member for part in draft.parts for member in part.members if member.name == "CYS"]
     if asked is not None:
         return _asked(draft, cysteines, asked)
-    # Two that hold one metal may be near each other.
-    sulphurs = [member for member in cysteines if member.atom("SG") and not member.metals]
+    # Two that hold one metal may be near each other; one bonded to a molecule beside it has no valence left.
+    sulphurs = [
+        member
+        for member in cysteines
+        if member.atom("SG") and not member.metals and all(a.name != "SG" for a in member.links)
+    ]
     x = [_sulphur(member) for member in sulphurs]
     near = KDTree(x).query_pairs(DISULFIDE) if x else set()
     distances = sorted((_apart(sulphurs[i], sulphurs[j]), i, j) for i, j in near)

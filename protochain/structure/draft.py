@@ -1,7 +1,9 @@
 """Molecules of a file while they are prepared."""
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import gemmi
@@ -107,6 +109,11 @@ class Draft:
         Atoms added to side chains, by ``id`` of their residue.
     left_out : Counter
         Molecules and atoms left out, by kind.
+    springs : mapping of tuple of Address to (float, float)
+        Springs that the file says hold the bonds to molecules beside the protein: rest, nm or rad, and
+        stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
+    absent : list of Member
+        The molecules left out.
     header : str
         What the file says beside its atoms, as mmCIF text.
     model_number : int
@@ -120,6 +127,8 @@ class Draft:
     repairs: list[str] = field(default_factory=list)
     rebuilt: dict[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
+    springs: Mapping[tuple[Address, ...], tuple[float, float]] = field(default_factory=dict)
+    absent: list[Member] = field(default_factory=list)
     header: str = ""
     model_number: int = 1
 
@@ -131,6 +140,23 @@ class Draft:
     def states(self, first: Address, second: Address) -> bool:
         """Whether the file states this bond."""
         return (first, second) in self.stated or (second, first) in self.stated
+
+    def says_of(self, member: Member) -> bool:
+        """Whether the file says which springs hold a molecule beside the protein, or that none does."""
+        return (member.chain_id, member.seqid) in self._held
+
+    def says_stays(self, member: Member) -> bool:
+        """Whether the file says that a molecule beside the protein stays in place."""
+        return 1 in self._held.get((member.chain_id, member.seqid), ())
+
+    @cached_property
+    def _held(self) -> Mapping[tuple[str, str], set[int]]:
+        """Numbers of atoms, one or two, of what the file says of each molecule beside the protein."""
+        found: dict[tuple[str, str], set[int]] = {}
+        for atoms in self.springs:
+            if len(atoms) < 3:
+                found.setdefault(atoms[-1][:2], set()).add(len(atoms))
+        return found
 
 
 def atom(name: str, element: str, position: list[float], b_iso: float = 0.0) -> gemmi.Atom:

@@ -18,6 +18,7 @@ import gemmi
 from protochain.errors import StructureError
 from protochain.structure.apart import chains_told_apart, told_apart
 from protochain.structure.templates import standard_name
+from protochain.structure.records import of_cif, of_pdb
 
 MAX_MEGABYTES = 512
 """Largest text, after decompression; the largest files of the PDB are smaller."""
@@ -54,7 +55,7 @@ def format_of(path: Path) -> str:
     return SUFFIXES.get(split_name(path)[1].lower(), "")
 
 
-def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
+def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool, str]:
     """Parse a PDB or mmCIF file, packed by gzip, bzip2 or xz or not; the content decides.
 
     Parameters
@@ -64,8 +65,9 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
 
     Returns
     -------
-    gemmi.Structure, list of str, bool
-        Its contents, the oddities corrected on the way, and whether the file marks its end.
+    gemmi.Structure, list of str, bool, str
+        Its contents, the oddities corrected on the way, whether the file marks its end, and what else goes on
+        to files written of it, as mmCIF text.
 
     Raises
     ------
@@ -81,7 +83,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
             block = _block_with_atoms(gemmi.cif.read_string(text), source)
             _refuse_cut_cif(text, block, source)
             _complete(block, source)
-            structure, ends = gemmi.make_structure_from_block(block), True
+            structure, ends, records = gemmi.make_structure_from_block(block), True, of_cif(block)
         else:
             _refuse_cut_pdb(text, source)
             text = _corrected(_ascii(text, source, _USED), source, overlooked)
@@ -89,6 +91,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
             # gemmi takes a short last line without an end for an incomplete one.
             # Split at TER: gemmi would join residues of two chains that share id, number and name.
             structure = gemmi.read_pdb_string(f"{text}\n", split_chain_on_ter=True)
+            records = of_pdb(text, structure)
     except StructureError:
         raise
     except (RuntimeError, ValueError, IndexError) as error:
@@ -98,7 +101,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool]:
     structure.merge_chain_parts()
     check(structure, source)
     overlooked += told_apart(structure, source)
-    return structure, overlooked, ends
+    return structure, overlooked, ends, records
 
 
 def _text(path: Path, source: str) -> str:

@@ -17,19 +17,21 @@ NO_LABEL: Label = ("", None)
 
 _CATEGORIES = (
     "cell", "symmetry", "title_keywords", "entity", "entity_poly", "entity_poly_seq", "struct_asym",
-    "struct_conf", "struct_sheet",
+    "struct_conf", "struct_sheet", "conn",
 )  # fmt: skip
 _INFO = ("_struct.title", "_cell.Z_PDB")
 """Of what gemmi knows of an entry. Its experiment and dates are not those of a computed structure."""
 
 
-def take_header(structure: gemmi.Structure) -> str:
+def take_header(structure: gemmi.Structure, records: str = "") -> str:
     """Give every residue its label ids, where the file does not, and return what the file says.
 
     Parameters
     ----------
     structure : gemmi.Structure
         Its residues and entities are changed.
+    records : str
+        mmCIF text of categories that gemmi does not carry.
 
     Returns
     -------
@@ -42,7 +44,9 @@ def take_header(structure: gemmi.Structure) -> str:
     for category in _CATEGORIES:
         setattr(groups, category, True)
     document = gemmi.cif.Document()
-    document.add_copied_block(structure.make_mmcif_block(groups))
+    block = document.add_copied_block(structure.make_mmcif_block(groups))
+    for item in gemmi.cif.read_string(records).sole_block() if records else ():
+        block.add_item(item)
     return str(document.as_string())
 
 
@@ -87,7 +91,7 @@ def settle(out: gemmi.Structure, *, whole: bool) -> None:
         for chain in model:
             for residue in chain:
                 residue.entity_id, residue.entity_type = of[residue.subchain]
-    _keep_secondary_structure(out)
+    _keep_annotations(out)
 
 
 def _fits(entity: gemmi.Entity, there: dict[str, list[gemmi.Residue]]) -> bool:
@@ -100,7 +104,7 @@ def _fits(entity: gemmi.Entity, there: dict[str, list[gemmi.Residue]]) -> bool:
         return True
     names: dict[int, dict[str, None]] = {}
     for residue in residues:
-        if residue.label_seq is None or residue.label_seq > len(entity.full_sequence):
+        if residue.label_seq is None or not 1 <= residue.label_seq <= len(entity.full_sequence):
             return False
         names.setdefault(residue.label_seq, {})[residue.name] = None
     sequence = list(entity.full_sequence)
@@ -139,8 +143,11 @@ def _name_apart(entities: list[gemmi.Entity]) -> None:
         taken.add(entity.name)
 
 
-def _keep_secondary_structure(out: gemmi.Structure) -> None:
-    """Keep helices and strands whose ends are there, under the names that these residues now have."""
+def _keep_annotations(out: gemmi.Structure) -> None:
+    """Keep helices and strands whose ends are there, under the names that these residues now have.
+
+    And what is said of modified residues that still have the name of which it is said.
+    """
     names = {
         (chain.name.strip(), str(residue.seqid)): residue.name
         for model in out
@@ -156,6 +163,10 @@ def _keep_secondary_structure(out: gemmi.Structure) -> None:
             end.res_id.name = name
         return True
 
+    out.mod_residues = [
+        each for each in out.mod_residues
+        if names.get((each.chain_name.strip(), str(each.res_id.seqid))) == each.res_id.name
+    ]  # fmt: skip
     out.helices = gemmi.HelixList([each for each in out.helices if named((each.start, each.end))])
     sheets = []
     for sheet in out.sheets:

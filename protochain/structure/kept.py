@@ -28,6 +28,7 @@ _BOND_SLACK, _BOND_SHORTEST = 0.4, 0.5
 """Angstrom: atoms at most this much further apart than the sum of their covalent radii are bonded, and not
 below the second."""
 _SHOWN = 8
+_NAMED = 20
 
 
 @dataclass(eq=False)
@@ -88,19 +89,27 @@ def choose(
     Returns
     -------
     list of Part
+
+    Raises
+    ------
+    StructureError
+        If a word is neither a kind nor the name of a molecule of the file.
     """
     check_words(keep)
+    _refuse_unknown_names(draft, candidates, keep)
     usable = [candidate for candidate in candidates if _is_usable(candidate.member)]
     near = _near(draft, usable) if "near" in keep else set()
     chosen = []
     gone: Counter[tuple[str, str]] = Counter()
     for candidate in candidates:
         words = {"all", candidate.kind, candidate.member.name, candidate.given}
-        if id(candidate) in near:
+        # A result names what it kept, which may have come further away.
+        if id(candidate) in near or draft.says_of(candidate.member):
             words.add("near")
         if words & {*keep} and _is_usable(candidate.member):
             chosen.append(candidate)
             continue
+        draft.absent.append(candidate.member)
         reason = ""
         if not _is_usable(candidate.member):
             reason = "of unknown element"
@@ -112,6 +121,20 @@ def choose(
     parts = _parts(draft, chosen, known)
     _report(draft, gone, chosen)
     return parts
+
+
+def _refuse_unknown_names(draft: Draft, candidates: Sequence[Candidate], keep: Sequence[str]) -> None:
+    """Refuse the name of a residue that no molecule has: it would keep nothing."""
+    names = {name for candidate in candidates for name in (candidate.given, candidate.member.name)}
+    unknown = next((word for word in keep if word not in KINDS and word not in names), None)
+    if unknown is not None:
+        count = Counter("waters" if each.kind == "water" else each.given for each in candidates)
+        there = ", ".join(f"{number} {name}" for name, number in count.most_common(_NAMED)) or "nothing"
+        more = f" and {len(count) - _NAMED} more kinds" if len(count) > _NAMED else ""
+        raise StructureError(
+            f"{draft.source}: keep {unknown}: no molecule beside the protein has this name; there are "
+            f"{there}{more}"
+        )
 
 
 def _is_usable(member: Member) -> bool:

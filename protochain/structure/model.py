@@ -68,6 +68,10 @@ class Structure(Value):
         Springs between the protein and these molecules, part of every energy.
     mobile : (na,) bool
         Atoms of molecules beside the protein that move, because the user's force field has their parameters.
+    links : (n, 2) int
+        Bonds, coordinated metals included, of the protein to atoms beside it, the protein's atom first; then
+        those between residues beside it that the file states (LINK, CONECT, ``_struct_conn``). A metal among
+        the two tells the kind.
 
     Raises
     ------
@@ -88,6 +92,7 @@ class Structure(Value):
     model_number: int = 1
     ties: tuple[Tie, ...] = ()
     mobile: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
+    links: Integers = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions))
@@ -98,6 +103,7 @@ class Structure(Value):
         object.__setattr__(self, "obstacle", read_only(obstacle, np.bool_))
         mobile = self.mobile if len(self.mobile) else np.zeros(self.n_atoms, dtype=bool)
         object.__setattr__(self, "mobile", read_only(mobile, np.bool_))
+        object.__setattr__(self, "links", read_only(self.links, np.int64))
         occupancy = self.occupancy if len(self.occupancy) else np.ones(self.n_atoms)
         object.__setattr__(self, "occupancy", read_only(occupancy))
         if self.positions.shape != (self.n_atoms, 3):
@@ -189,7 +195,7 @@ class Structure(Value):
 
     @cached_property
     def formal_charge(self) -> Integers:
-        """(na,) int: charges that the file gives to atoms kept as they are; 0 for all others."""
+        """(na,) int: charges that the file gives to atoms beside the protein; of ions and thiolates."""
         return read_only([atom.formalCharge or 0 for atom in self.topology.atoms()], np.int64)
 
     @cached_property

@@ -20,11 +20,12 @@ from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
 from protochain.structure.complete import add_heavy_atoms
 from protochain.structure.draft import Draft, Member, Part
 from protochain.structure.hydrogens import place_hydrogens
+from protochain.structure.linkage import Link
 from protochain.structure.model import Structure
 from protochain.structure.protonate import check_ph, protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.relief import relieved
-from protochain.structure.sites import Link, find_links, moves, settle_mobile, ties
+from protochain.structure.sites import find_links, moves, settle_mobile, stated_beside, stated_ties, ties
 from protochain.structure.templates import Template, templates
 from protochain.units import ANGSTROM_PER_NM
 
@@ -113,7 +114,7 @@ def prepare(
     """
     wanted = pairs(disulfide, "disulfide")
     known = templates(forcefield)
-    links = find_links(draft)
+    links, beside = find_links(draft), stated_beside(draft)
     settle_mobile(draft, links)
     # Before oxygens that the file lacks are added.
     refuse_crosslinks(draft)
@@ -144,7 +145,7 @@ def prepare(
     ).T
     return Structure(
         draft.name,
-        _topology(draft.parts, bonds),
+        _topology(draft.parts, done, bonds),
         x,
         tuple(draft.repairs),
         dict(draft.left_out),
@@ -154,9 +155,15 @@ def prepare(
         tuple(member.label for member in draft.members),
         draft.header,
         draft.model_number,
-        ties(links, at, x, elements, bonds),
+        stated_ties(draft, links, at) or ties(links, at, x, elements, bonds),
         mobile,
+        np.array([*_linked(links, at), *_linked(beside, at)], dtype=np.int64).reshape(-1, 2),
     )
+
+
+def _linked(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int, int]]:
+    """Bonds between the protein and what is kept beside it, or between such, as atoms."""
+    return [(at[id(link.member)][link.atom.name], at[id(link.other)][link.other_atom.name]) for link in links]
 
 
 def _occupancies(atoms: list[gemmi.Atom]) -> Floats:
@@ -196,9 +203,7 @@ def _bonds(
         for member, following_member in zip(part.members, following, strict=False):
             end, start = ("O3'", "P") if part.obstacle else ("C", "N")
             pairs.append((at[id(member)][end], at[id(following_member)][start]))
-    pairs += [
-        (at[id(link.member)][link.atom.name], at[id(link.other)][link.other_atom.name]) for link in links
-    ]
+    pairs += _linked(links, at)
     pairs += [(at[id(first)]["SG"], at[id(second)]["SG"]) for first, second in bridges]
     return np.sort(np.array(pairs, dtype=np.int64), axis=1)
 
@@ -208,20 +213,32 @@ def _remoteness(bond: tuple[str, str]) -> int:
     return max("ABGDEZHNC".find(name[1:2] or name) for name in bond)
 
 
-def _topology(parts: list[Part], bonds: Integers) -> app.Topology:
+def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Integers) -> app.Topology:
     topology = app.Topology()
     atoms = []
+    templates_of = {id(member): template for member, template in done}
     for part in parts:
         chain = topology.addChain(part.chain_id)
         for member in part.members:
             residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
             for atom in member.atoms:
                 element = app.Element.getBySymbol(atom.element.name)
-                charge = atom.charge if member.own and not member.own.is_users else None
+                charge = _formal_charge(atom, member, templates_of[id(member)], part.obstacle)
                 atoms.append(topology.addAtom(atom.name, element, residue, formalCharge=charge))
     for first, second in bonds.tolist():
         topology.addBond(atoms[first], atoms[second])
     return topology
+
+
+def _formal_charge(atom: gemmi.Atom, member: Member, template: Template, beside: bool) -> int:
+    """Charge that the file gives to an atom beside the protein, an ion's own if it gives none; of a thiolate.
+
+    A cysteine without its hydrogen would else be read again as half of a disulfide.
+    """
+    if beside:
+        return int(atom.charge or (round(template.charge[atom.name]) if len(member.atoms) == 1 else 0))
+    is_thiolate = template.name.endswith("CYM") and not member.metals and not member.links
+    return -1 if atom.name == "SG" and is_thiolate else 0
 
 
 def _refuse_coincident(draft: Draft, owners: list[tuple[Member, str]], x: Floats, bonds: Integers) -> None:

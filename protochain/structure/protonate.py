@@ -112,6 +112,10 @@ def _shown(member: Member) -> str:
         return "ASH"
     if member.name == "GLU" and names & {"HE1", "HE2"}:
         return "GLH"
+    if member.name == "LYS" and len(names & {"HZ1", "HZ2", "HZ3"}) == 2 and {"HE2", "HE3"} <= names:
+        return "LYN"
+    if member.name == "CYS" and any(a.name == "SG" and a.charge < 0 for a in member.atoms):
+        return "CYM"
     return ""
 
 
@@ -135,14 +139,18 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
     rename(member.atoms, template)
     heavy = [a for a in member.atoms if not a.is_hydrogen()]
     bonded: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
-    strange = 0
+    strange, expected = 0, template.hydrogens
+    named_for = {name: parent for parent, names in expected.items() for name in names}
     for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
-        nearest = min(heavy, key=lambda a: a.pos.dist(hydrogen.pos))
+        # Where atoms overlap, another may be nearer than the one that it is named for.
+        own = [
+            a for a in heavy if a.name == named_for.get(hydrogen.name) and a.pos.dist(hydrogen.pos) <= _BONDED
+        ]
+        nearest = min(own or heavy, key=lambda a: a.pos.dist(hydrogen.pos))
         if nearest.pos.dist(hydrogen.pos) <= _BONDED:
             bonded[nearest.name].append(hydrogen)
         else:
             strange += 1
-    expected = template.hydrogens
     member.atoms = []
     for parent in heavy:
         names = list(expected.get(parent.name, []))

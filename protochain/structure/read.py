@@ -21,6 +21,7 @@ from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse, split_name
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, water_named
+from protochain.structure.springs import springs
 from protochain.structure.templates import other_names, rename, standard_name, template_name, templates
 
 PEPTIDE_BREAK = 2.0
@@ -84,10 +85,11 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
         If the file cannot be read, is cut short, holds no protein, or holds residues that cannot be used.
     """
     path = Path(path)
-    structure, overlooked, ends = parse(path)
+    structure, overlooked, ends, records = parse(path)
     name = "stdin" if path == STANDARD_INPUT else split_name(path)[0]
     source = "standard input" if path == STANDARD_INPUT else str(path)
-    draft = read_structure(structure, Draft(name, source, repairs=overlooked), reading or Reading())
+    draft = Draft(name, source, repairs=overlooked, springs=springs(records), header=records)
+    draft = read_structure(structure, draft, reading or Reading())
     last = next(part for part in reversed(draft.parts) if not part.obstacle).members[-1]
     if not ends and not last.atom("OXT"):
         draft.repairs.append(
@@ -104,14 +106,15 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     StructureError
         If it holds no protein, or residues that cannot be used.
     """
-    draft.header = take_header(structure)
+    draft.header = take_header(structure, draft.header)
     model = choose_model(draft, structure, reading.model)
     check_altloc(model, reading.altloc, draft.source)
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections
-        if bond.type in _BONDS
-    ]
+        # One to an image in the crystal is none here.
+        if bond.type in _BONDS and bond.asu != gemmi.Asu.Different
+    ] + _of_serials(structure, model)
     beside: list[Candidate] = []
     for chain in choose_chains(draft, model, reading.chains):
         _Reader(draft, reading, chain.name, beside).take(chain)
@@ -122,6 +125,11 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         remedy = "a chain has two amino acids or more" if single else "give a file with amino acids"
         raise StructureError(f"{draft.source}: no protein found (only {found}); {remedy}")
     _report_left_out(draft)
+    # As in a file written of it, where chains are whole: protein chains come first.
+    order = list(dict.fromkeys(part.chain_id for part in draft.parts))
+    beside.sort(
+        key=lambda each: order.index(each.member.chain_id) if each.member.chain_id in order else len(order)
+    )
     draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield))
     return draft
 
@@ -139,6 +147,22 @@ def model_numbers(path: str | Path) -> list[int]:
 
 def _address(place: gemmi.AtomAddress) -> Address:
     return place.chain_name.strip(), str(place.res_id.seqid).strip(), place.atom_name
+
+
+def _of_serials(structure: gemmi.Structure, model: gemmi.Model) -> list[tuple[Address, Address]]:
+    """Bonds between residues that CONECT records state, by serial numbers."""
+    bonds = {frozenset((a, b)) for a, partners in structure.conect_map.items() for b in partners if a != b}
+    wanted = {serial for bond in bonds for serial in bond}
+    places = [place for place in model.all() if place.atom.serial in wanted] if wanted else []
+    count = Counter(place.atom.serial for place in places)
+    at = {
+        place.atom.serial: (place.chain.name.strip(), str(place.residue.seqid).strip(), place.atom.name)
+        for place in places
+        # Of files with more atoms than numbers nothing can be said.
+        if count[place.atom.serial] == 1
+    }
+    pairs = [sorted(bond) for bond in bonds if bond <= at.keys()]
+    return [(at[a], at[b]) for a, b in sorted(pairs) if at[a][:2] != at[b][:2]]
 
 
 class _Reader:

@@ -5,8 +5,7 @@ atoms it joins do not repel one another.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations
 
 import gemmi
@@ -14,8 +13,9 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.arrays import Floats, Integers
-from protochain.structure.draft import Draft, Member
+from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.kept import JOINED
+from protochain.structure.linkage import COVALENT_SLACK, Link, told_apart, usual_length
 from protochain.structure.model import Tie
 
 _OXYGEN_DISTANCE = {
@@ -27,14 +27,21 @@ _OTHER_METAL = 2.3
 """Angstrom: of metals that are not in the table."""
 _SLACK = {"O": 0.5, "N": 0.5, "S": 0.75, "Se": 0.85}
 """Angstrom beyond the usual distance of oxygen up to which a donor is bonded; sulphur is larger."""
-_STATED = 3.3
+STATED = 3.3
 """Angstrom: bonds that the file states are believed up to this length."""
-_COVALENT_SLACK = 0.3
-"""Angstrom beyond the sum of the covalent radii up to which other atoms are bonded."""
-_OVERLAP = 0.8
-"""Angstrom: atoms nearer than this lie on one another and are no bond."""
+_TOO_NEAR = 0.6
+"""Angstrom by which a donor may be nearer to a metal than usual; nearer ones lie on it."""
+_BEYOND = 0.25
+"""Angstrom: a covalent bond that is off by more is drawn to its usual length."""
+_LEAST, _MOST = np.deg2rad(90.0), np.deg2rad(140.0)
+"""Angles of a covalent bond that are beyond these are drawn to them."""
 _STRAIGHT = np.deg2rad(170.0)
 """Angles beyond this get no spring, whose force would have no direction."""
+_SHELL = {"Na": 5, "Mg": 6, "K": 6, "Ca": 6, "Mn": 6}
+_OTHER_SHELL = 4
+"""Donors that hold an ion on all sides (Harding, Acta Cryst. D60:849, 2004)."""
+_SHOWN = 6
+"""Overlaps named."""
 
 _METAL_BOND, _METAL_ANGLE, _DONOR_ANGLE = 8.0e4, 300.0, 540.0
 """kJ/mol/nm^2, kJ/mol/rad^2: angles are those of Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver,
@@ -44,37 +51,11 @@ _BOND, _ANGLE = 2.7e5, 500.0
 """kJ/mol/nm^2, kJ/mol/rad^2: of the size of bonds and angles between first-row atoms in ff14SB."""
 
 
-@dataclass(frozen=True, eq=False)
-class Link:
-    """Bond of an atom of the protein to an atom kept beside it.
-
-    Parameters
-    ----------
-    member : Member
-    atom : gemmi.Atom
-    other : Member
-        Kept beside the protein.
-    other_atom : gemmi.Atom
-    """
-
-    member: Member
-    atom: gemmi.Atom
-    other: Member
-    other_atom: gemmi.Atom
-
-    @property
-    def is_metal(self) -> bool:
-        """Whether a metal is bonded."""
-        return is_metal(self.other_atom.element.name)
-
-
-def is_metal(symbol: str) -> bool:
-    """Whether an element is a metal."""
-    return bool(gemmi.Element(symbol).is_metal)
-
-
 def find_links(draft: Draft) -> list[Link]:
     """Find the bonds between protein and obstacles, tell the residues about them, and report them.
+
+    What is as near as bonded atoms and not bonded is reported as an overlap, and a bond of the file that
+    cannot be as ignored.
 
     Parameters
     ----------
@@ -84,51 +65,120 @@ def find_links(draft: Draft) -> list[Link]:
     -------
     list of Link
     """
-    beside = [
-        (member, a)
-        for part in draft.parts if part.obstacle for member in part.members if member.name != "HOH"
-        for a in _heavy(member)
-    ]  # fmt: skip
-    if not beside:
-        return []
-    tree = KDTree([a.pos.tolist() for _, a in beside])
-    links = []
-    for part in draft.parts:
-        for member in [] if part.obstacle else part.members:
-            for a in member.atoms:
-                if a.is_hydrogen():
-                    continue
-                for k in sorted(tree.query_ball_point(a.pos.tolist(), _STATED)):
-                    link = Link(member, a, *beside[k])
-                    if _is_bonded(draft, link):
-                        links.append(link)
+    protein, beside = (_heavy_atoms(p for p in draft.parts if p.obstacle is kept) for kept in (False, True))
+    near = _near(draft, protein, beside)
+    # A result says which bonds its molecules have.
+    said = {link for link in near if draft.says_of(link.other)}
+    sprung = {link for link in said if _ends(link) in draft.springs}
+    told = told_apart(draft, [link for link in near if not link.is_metal and link not in sprung])
+    refused = [*told.refused, *_far(draft, protein, beside)]
+    bonded = {*told.bonded} - said | sprung
+    for link in near:
+        if link in said:
+            continue
+        if link.is_metal and _is_coordinated(link):
+            bonded.add(link)
+        elif link.is_metal and link.stated:
+            refused.append((link, f"it is {link.length:.2f} angstrom long"))
+    links = [link for link in near if link in bonded]
     sites: dict[int, list[Link]] = {}
     for link in links:
         (link.member.metals if link.is_metal else link.member.links).append(link.atom)
         sites.setdefault(id(link.other_atom), []).append(link)
     for site in sites.values():
-        ends = ", ".join(
-            f"{each.atom.name} of {each.member} ({each.atom.pos.dist(each.other_atom.pos):.2f} angstrom)"
-            for each in site
-        )
+        ends = ", ".join(f"{each.atom.name} of {each.member} ({each.length:.2f} angstrom)" for each in site)
         how = "coordinated by" if site[0].is_metal else "bonded to"
-        along = ", and moves with them" if moves(draft, site[0].other, links) else ""
+        along = ""
+        if moves(draft, site[0].other, links):
+            along = ", and moves with them"
+        elif site[0].is_metal and len(site[0].other.atoms) == 1:
+            along = "; the ion stays in place"
         draft.repairs.append(
             f"{site[0].other_atom.name} of {site[0].other} is {how} {ends}: held at these distances by "
             f"springs{along}"
         )
+    for link, why in refused:
+        draft.repairs.append(f"bond of the file between {link} ignored: {why}; mend the file if it is real")
+    if told.overlapping:
+        n = len(told.overlapping)
+        pairs = ", ".join(f"{link} ({link.length:.2f} angstrom)" for link in told.overlapping[:_SHOWN])
+        draft.repairs.append(
+            f"{n} pair{'s' * (n > 1)} of atoms as near as bonded ones, but not bonded (no LINK, CONECT or "
+            f"struct_conn, and no known kind of bond): {pairs}{f' and {n - _SHOWN} more' * (n > _SHOWN)}"
+        )
     return links
 
 
+def _heavy_atoms(parts: Iterable[Part]) -> list[tuple[Member, gemmi.Atom]]:
+    return [(m, a) for part in parts for m in part.members if m.name != "HOH" for a in _heavy(m)]
+
+
+_Owned = Sequence[tuple[Member, gemmi.Atom]]
+
+
+def _near(draft: Draft, protein: _Owned, beside: _Owned) -> list[Link]:
+    """Pairs that may be bonded: as near as bonded atoms, or nearer than stated bonds may be."""
+    if not beside:
+        return []
+    tree, bonds = KDTree([a.pos.tolist() for _, a in beside]), {*draft.stated}
+    found = []
+    for member, a in protein:
+        for k in sorted(tree.query_ball_point(a.pos.tolist(), STATED)):
+            other, its = beside[k]
+            ends = _address(member, a), _address(other, its)
+            link = Link(member, a, other, its, ends in bonds or ends[::-1] in bonds)
+            if link.stated or link.is_metal or link.excess <= COVALENT_SLACK:
+                found.append(link)
+    return found
+
+
+def _far(draft: Draft, protein: _Owned, beside: _Owned) -> Iterator[tuple[Link, str]]:
+    """Bonds between the protein and others that the file states, and that are no bonds by their length."""
+    mine, its = ({_address(*each): each for each in atoms} for atoms in (protein, beside))
+    for ends in draft.stated:
+        for first, second in (ends, ends[::-1]):
+            if first in mine and second in its:
+                link = Link(*mine[first], *its[second], stated=True)
+                if link.length > STATED:
+                    yield link, f"it is {link.length:.2f} angstrom long"
+
+
+def _address(member: Member, atom: gemmi.Atom) -> Address:
+    return member.chain_id, member.seqid, atom.name
+
+
+def _ends(link: Link) -> tuple[Address, Address]:
+    """Addresses of its atoms, the protein's first."""
+    return _address(link.member, link.atom), _address(link.other, link.other_atom)
+
+
+def stated_beside(draft: Draft) -> list[Link]:
+    """Bonds between residues kept beside the protein that the file states, and that are short enough."""
+    there = {
+        _address(member, atom): (member, atom)
+        for part in draft.parts if part.obstacle for member in part.members for atom in member.atoms
+    }  # fmt: skip
+    # An ion on an axis of the crystal is bonded to its image, too.
+    pairs = {frozenset(ends) for ends in draft.stated if ends[0] != ends[1] and {*ends} <= there.keys()}
+    links = (Link(*there[first], *there[second]) for first, second in sorted(map(sorted, pairs)))
+    return [link for link in links if link.atom.pos.dist(link.other_atom.pos) <= STATED]
+
+
 def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
-    """Whether a kept molecule moves: an ion that the protein alone holds."""
+    """Whether a kept molecule moves: an ion that the protein alone holds, on all sides.
+
+    An ion of whose neighbours some are left out, as waters are, would be drawn to the others.
+    """
     ion = member.atoms[0]
-    if len(member.atoms) > 1 or not any(link.other_atom is ion and link.is_metal for link in links):
+    donors = sum(link.other_atom is ion and link.is_metal for link in links)
+    if len(member.atoms) > 1 or donors < _SHELL.get(ion.element.name, _OTHER_SHELL):
         return False
+    if draft.says_of(member):
+        return not draft.says_stays(member)
     others = (m for part in draft.parts if part.obstacle for m in part.members if m is not member)
     # Hydrogens have no positions yet.
-    heavy = (a for m in others for a in m.atoms if not a.is_hydrogen())
-    return all(ion.pos.dist(a.pos) > _STATED for a in heavy)
+    heavy = (a for m in (*others, *draft.absent) for a in _heavy(m))
+    return all(ion.pos.dist(a.pos) > STATED for a in heavy)
 
 
 def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
@@ -162,25 +212,15 @@ def _heavy(member: Member) -> list[gemmi.Atom]:
     return [a for a in member.atoms if not a.is_hydrogen()]
 
 
-def _is_bonded(draft: Draft, link: Link) -> bool:
-    first, second = link.atom, link.other_atom
-    distance = first.pos.dist(second.pos)
-    if distance < _OVERLAP:
-        return False
-    if draft.states(
-        *(
-            (member.chain_id, member.seqid, a.name)
-            for member, a in ((link.member, first), (link.other, second))
-        )
-    ):
-        return True
-    if link.is_metal:
-        usual = _OXYGEN_DISTANCE.get(second.element.name, _OTHER_METAL)
-        slack = _SLACK.get(first.element.name)
-        # An amide nitrogen of the chain has no free pair of electrons.
-        is_amide = first.name == "N" and bool(link.member.atom("CA"))
-        return slack is not None and not is_amide and distance <= usual + slack
-    return distance <= first.element.covalent_r + second.element.covalent_r + _COVALENT_SLACK
+def _is_coordinated(link: Link) -> bool:
+    """Whether an atom holds a metal: it is a donor at a usual distance, or the file says so."""
+    usual = _OXYGEN_DISTANCE.get(link.other_atom.element.name, _OTHER_METAL)
+    if link.stated or link.length < usual - _TOO_NEAR:
+        return link.length >= usual - _TOO_NEAR
+    slack = _SLACK.get(link.atom.element.name)
+    # An amide nitrogen of the chain has no free pair of electrons.
+    is_amide = link.atom.name == "N" and bool(link.member.atom("CA"))
+    return slack is not None and not is_amide and link.length <= usual + slack
 
 
 def ties(
@@ -190,7 +230,7 @@ def ties(
     element: Sequence[str],
     bonds: Integers,
 ) -> tuple[Tie, ...]:
-    """Springs that hold the bonds at the distances and angles of the input.
+    """Springs that hold the bonds at the distances and angles of the input, if they are those of bonds.
 
     Parameters
     ----------
@@ -223,8 +263,31 @@ def ties(
         for j, k in combinations(sorted(neighbours[its]), 2):
             if mine in (j, k) and (j in own or k in own):
                 found[j, its, k] = _METAL_ANGLE if link.is_metal else _ANGLE
-    made = (Tie(atoms, measure(x[list(atoms)]), stiffness) for atoms, stiffness in found.items())
+    made = []
+    for atoms, stiffness in found.items():
+        rest = measure(x[list(atoms)])
+        if stiffness == _BOND:
+            usual = 0.1 * usual_length(*(element[k] for k in atoms))
+            rest = rest if abs(rest - usual) < 0.1 * _BEYOND else usual
+        elif stiffness == _ANGLE:
+            rest = float(np.clip(rest, _LEAST, _MOST))
+        made.append(Tie(atoms, rest, stiffness))
     return tuple(tie for tie in made if len(tie.atoms) == 2 or tie.rest < _STRAIGHT)
+
+
+def stated_ties(draft: Draft, links: Sequence[Link], at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, ...]:
+    """Springs as the file has them; none if it lacks one of these bonds. Arguments as for :func:`ties`."""
+    if not all(_ends(link) in draft.springs for link in links):
+        return ()
+    index: dict[Address, int] = {}
+    for member in draft.members:
+        for name, k in at[id(member)].items():
+            index.setdefault((member.chain_id, member.seqid, name), k)
+    return tuple(
+        Tie(tuple(index[each] for each in atoms), rest, stiffness)
+        for atoms, (rest, stiffness) in draft.springs.items()
+        if len(atoms) > 1 and all(each in index for each in atoms)
+    )
 
 
 def measure(x: Floats) -> float:

@@ -66,6 +66,10 @@ class Template:
         """Names of the heavy atoms."""
         return [name for name, element in self.element.items() if element != "H"]
 
+    def neighbours(self, name: str) -> set[str]:
+        """Names of the atoms bonded to an atom."""
+        return {end for bond in self.bonds if name in bond for end in bond} - {name}
+
     def without_hydrogen(self, parent: str) -> "Template":
         """Return the template without the last hydrogen of a heavy atom, whose place another bond takes."""
         gone = self.hydrogens.get(parent, [])[-1:]

@@ -1,7 +1,7 @@
 """Writing of structures to PDB or mmCIF files, whole or not at all."""
 
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +16,17 @@ from protochain.storage import write_atomically
 from protochain.structure.convert import as_structure
 from protochain.structure.files import PACKINGS, SUFFIXES, format_of, split_name
 from protochain.structure.header import NO_LABEL, Label, settle, with_header
+from protochain.structure.linkage import is_metal
 from protochain.structure.model import Structure
+from protochain.structure.records import cif_rows, orders, pdb_lines, put, with_names
+from protochain.structure.springs import CATEGORY, Spring, as_remarks, as_rows, of_structure
 from protochain.units import ANGSTROM_PER_NM
 
 _REMARK_WIDTH = 68
 _PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999
 """Angstrom: range of eight columns with three decimals."""
+_PDB_SERIALS = 99_999
+"""Largest serial number of an atom in five columns; the end of each chain takes one."""
 _CIS = 30.0
 """Degrees: a peptide bond with an omega below this is cis, as in the PDB archive's CISPEP records."""
 
@@ -77,7 +82,7 @@ def as_text(
     if not hydrogens:
         out.remove_hydrogens()
     repairs = dict.fromkeys(line for each in models for line in each.repairs)
-    return _WRITERS[format_](out, remarks, repairs)
+    return _WRITERS[format_](out, models, remarks, repairs)
 
 
 def check_format(path: Path) -> None:
@@ -94,18 +99,27 @@ def check_format(path: Path) -> None:
 
 
 def check_fits(structure: Structure, path: Path) -> None:
-    """Refuse a structure that does not fit the columns of a PDB file.
+    """Refuse a structure that does not fit the columns of a PDB file: it would be cut, or read as another.
 
     Raises
     ------
     StructureError
-        Naming the chain or the atom.
+        Naming the chain, residue or atom.
     """
     if format_of(path) != "PDB":
         return
-    long = [str(chain_id) for chain_id in structure.residue_chain if len(chain_id) > 1]
-    if long:
-        raise StructureError(f"{path}: chain id {long[0]!r} does not fit a PDB file; write .cif instead")
+    for what, values, width in (
+        ("chain id", structure.residue_chain, 1),
+        ("residue name", structure.residue_name, 3),
+        ("residue number", structure.residue_number, 4),
+        ("atom name", structure.atom_name, 4),
+        ("formal charge", np.abs(structure.formal_charge).astype(str), 1),
+    ):
+        long = [str(value) for value in values if len(value) > width]
+        if long:
+            raise StructureError(f"{path}: {what} {long[0]!r} does not fit a PDB file; write .cif instead")
+    if structure.n_atoms + structure.topology.getNumChains() > _PDB_SERIALS:
+        raise StructureError(f"{path}: {structure.n_atoms} atoms do not fit a PDB file; write .cif instead")
     x = ANGSTROM_PER_NM * structure.positions
     far = np.flatnonzero(((x < _PDB_LOWEST) | (x > _PDB_HIGHEST)).any(axis=1))
     if len(far):
@@ -136,7 +150,7 @@ def _gemmi_structure(structures: Sequence[Structure]) -> gemmi.Structure:
         out.add_model(_model(structure, number, labels))
     for entity in out.entities:
         entity.subchains = [new for each in entity.subchains for new in sorted(renamed.get(each, {each}))]
-    out.connections = gemmi.ConnectionList(_connections(first))
+    out.connections = gemmi.ConnectionList(_connections(first, out.connections))
     out.cispeps = [
         each
         for number, structure in zip(numbers, structures, strict=True)
@@ -163,6 +177,7 @@ def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.
                 new.name, new.element = atom.name, gemmi.Element(atom.element.symbol)
                 new.occ = float(structure.occupancy[atom.index])
                 new.b_iso = float(structure.b_factor[atom.index])
+                new.charge = int(structure.formal_charge[atom.index])
                 new.pos = gemmi.Position(*(ANGSTROM_PER_NM * structure.positions[atom.index]))
                 made.add_atom(new)
             gemmi_chain.add_residue(made)
@@ -217,20 +232,53 @@ def _address(structure: Structure, atom: int) -> gemmi.AtomAddress:
     )  # fmt: skip
 
 
-def _connections(structure: Structure) -> Iterator[gemmi.Connection]:
-    """Disulfide bonds, and bonds that close rings of peptides."""
-    n = 0
-    for first, second in structure.bonds.tolist():
-        apart = structure.atom_residue[second] - structure.atom_residue[first]
-        names = {str(structure.atom_name[end]) for end in (first, second)}
-        if names == {"SG"} or (names == {"C", "N"} and apart > 1):
-            n += 1
-            link = gemmi.Connection()
-            disulfide = names == {"SG"}
-            link.type = gemmi.ConnectionType.Disulf if disulfide else gemmi.ConnectionType.Covale
-            link.name = f"{'disulf' if disulfide else 'covale'}{n}"
-            link.partner1, link.partner2 = _address(structure, first), _address(structure, second)
-            yield link
+def _place(end: gemmi.AtomAddress) -> tuple[str, str, str]:
+    return end.chain_name.strip(), str(end.res_id.seqid).strip(), end.atom_name
+
+
+def _connections(structure: Structure, stated: Iterable[gemmi.Connection]) -> Iterator[gemmi.Connection]:
+    """Bonds between residues, but not those along a chain, and what else the file states of its molecules.
+
+    Of two atoms of the protein, or of one and a molecule beside it, the structure knows all bonds.
+    """
+    at: dict[tuple[str, str, str], int] = {}
+    for k, (r, name) in enumerate(zip(structure.atom_residue.tolist(), structure.atom_name, strict=True)):
+        at.setdefault((str(structure.residue_chain[r]), str(_seqid(structure, r)).strip(), str(name)), k)
+    known: dict[tuple[int, int], gemmi.Connection] = {}
+    for link in stated:
+        ends = [at.get(_place(end)) for end in (link.partner1, link.partner2)]
+        if None not in ends and ends[0] != ends[1]:
+            first, second = sorted(end for end in ends if end is not None)
+            known.setdefault((first, second), link)
+    pairs = [(int(i), int(j)) for i, j in structure.bonds if _is_between(structure, int(i), int(j))]
+    beside = {pair for pair in known if structure.kept[list(pair)].all()} - {*pairs}
+    for n, pair in enumerate([*pairs, *sorted(beside)], 1):
+        link = known.get(pair) or gemmi.Connection()
+        if pair not in known:
+            link.type = _link_type(structure, pair)
+        link.partner1, link.partner2 = (_address(structure, atom) for atom in pair)
+        link.name = f"{_LINK_NAMES.get(link.type, 'link')}{n}"
+        yield link
+
+
+_LINK_NAMES = {
+    gemmi.ConnectionType.Disulf: "disulf", gemmi.ConnectionType.Covale: "covale",
+    gemmi.ConnectionType.MetalC: "metalc", gemmi.ConnectionType.Hydrog: "hydrog",
+}  # fmt: skip
+
+
+def _is_between(structure: Structure, first: int, second: int) -> bool:
+    """Whether a bond joins residues otherwise than a chain does."""
+    apart = structure.atom_residue[second] - structure.atom_residue[first]
+    names = {str(structure.atom_name[end]) for end in (first, second)}
+    return bool(apart > 1 or (apart == 1 and names != {"C", "N"} and names != {"O3'", "P"}))
+
+
+def _link_type(structure: Structure, pair: tuple[int, int]) -> gemmi.ConnectionType:
+    if any(is_metal(str(structure.atom_element[end])) for end in pair):
+        return gemmi.ConnectionType.MetalC
+    is_disulfide = all(structure.atom_name[end] == "SG" and not structure.kept[end] for end in pair)
+    return gemmi.ConnectionType.Disulf if is_disulfide else gemmi.ConnectionType.Covale
 
 
 def _cis_peptides(structure: Structure, number: int) -> Iterator[gemmi.CisPep]:
@@ -261,13 +309,17 @@ def _whole(out: gemmi.Structure) -> gemmi.Structure:
     return whole
 
 
-def _mmcif(out: gemmi.Structure, remarks: Iterable[str], repairs: Iterable[str]) -> str:
+def _mmcif(
+    out: gemmi.Structure, models: Sequence[Structure], remarks: Iterable[str], repairs: Iterable[str]
+) -> str:
     head, atoms = gemmi.MmcifOutputGroups(True), gemmi.MmcifOutputGroups(False)
     head.atoms, atoms.atoms, atoms.group_pdb = False, True, True
     # A cell of 1 angstrom, which stands for none, would make some programs treat the chain as periodic.
     head.cell = head.symmetry = out.cell.is_crystal()
     document = _whole(out).make_mmcif_document(head)
     block = document.sole_block()
+    put(block, cif_rows(models[0].header, out, _moved(models[0], out)))
+    put(block, {CATEGORY: as_rows(_springs(models))})
     for category, lines in (("provenance", remarks), ("repair", repairs)):
         loop = block.init_loop(f"_protochain_{category}.", ["ordinal", "text"])
         for i, line in enumerate(lines, 1):
@@ -277,17 +329,56 @@ def _mmcif(out: gemmi.Structure, remarks: Iterable[str], repairs: Iterable[str])
     return str(document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx)))
 
 
-def _pdb(out: gemmi.Structure, remarks: Iterable[str], repairs: Iterable[str]) -> str:
+def _pdb(
+    out: gemmi.Structure, models: Sequence[Structure], remarks: Iterable[str], repairs: Iterable[str]
+) -> str:
+    before, names = pdb_lines(models[0].header, out)
     out.raw_remarks = [
-        f"REMARK   3 {line}"
-        for text in (*remarks, *repairs)
-        for line in textwrap.wrap(text, _REMARK_WIDTH, subsequent_indent="  ") or [""]
+        *before,
+        *(
+            f"REMARK   3 {line}"
+            for text in (*remarks, *repairs)
+            for line in textwrap.wrap(text, _REMARK_WIDTH, subsequent_indent="  ") or [""]
+        ),
+        *as_remarks(_springs(models)),
     ]
+    _draw(out, models[0], orders(models[0].header))
     head = gemmi.PdbWriteOptions(
         atom_records=False, end_record=False, cryst1_record=out.cell.is_crystal(), cispep_records=True
     )
-    atoms = gemmi.PdbWriteOptions(minimal=True, cryst1_record=False, end_record=True)
-    return str(_whole(out).make_pdb_string(head)) + str(out.make_pdb_string(atoms))
+    atoms = gemmi.PdbWriteOptions(minimal=True, cryst1_record=False, end_record=True, conect_records=True)
+    return with_names(str(_whole(out).make_pdb_string(head)), names) + str(out.make_pdb_string(atoms))
+
+
+def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, str, str], int]) -> None:
+    """Give CONECT records to bonds of molecules beside the protein, waters excepted, and between residues."""
+    out.assign_serial_numbers(numbered_ter=True)
+    residues = [residue for chain in out[0] for residue in chain]
+    serial = [{atom.name: atom.serial for atom in residue} for residue in residues]
+    drawn = [each.entity_type == gemmi.EntityType.NonPolymer for each in residues]
+    for i, j in structure.bonds.tolist():
+        first, second = (int(structure.atom_residue[end]) for end in (i, j))
+        names = str(structure.atom_name[i]), str(structure.atom_name[j])
+        ends = serial[first].get(names[0]), serial[second].get(names[1])
+        is_link = _is_between(structure, i, j)
+        # Hydrogens may have been left out.
+        if ends[0] and ends[1] and (is_link or (first == second and drawn[first])):
+            component = str(structure.residue_name[first])
+            out.add_conect(
+                ends[0], ends[1], 1 if is_link else order.get((component, min(names), max(names)), 1)
+            )
+
+
+def _springs(models: Sequence[Structure]) -> list[Spring]:
+    """Springs of all models; none where they differ."""
+    first, *others = (of_structure(each) for each in models)
+    return first if all(each == first for each in others) else []
+
+
+def _moved(structure: Structure, out: gemmi.Structure) -> dict[Label, Label]:
+    """Label ids as they are written, of those of the file."""
+    written = [(residue.subchain, residue.label_seq) for chain in out[0] for residue in chain]
+    return dict(zip(structure.residue_label, written, strict=True)) if structure.residue_label else {}
 
 
 _WRITERS = {"PDB": _pdb, "mmCIF": _mmcif}
