@@ -57,9 +57,11 @@ def _wrong_hands(structure: "Structure") -> list[str]:
     """What will become of chiral atoms of the wrong hand, in words."""
     from protochain.relaxation.hands import Hands
 
-    n = len(Hands.of(structure).wrong(structure.positions))
-    atoms = f"{n} chiral atom{'s' * (n > 1)} of the wrong hand"
-    return [f"{atoms}, to be turned right (name D-amino acids as DAL ...)"] if n else []
+    wrong = Hands.of(structure).wrong(structure.positions)
+    n = len(wrong)
+    are_named = structure.mirrored[structure.atom_residue[wrong]].all()
+    advice = "" if are_named else " (name D-amino acids as DAL ...)"
+    return [f"{n} chiral atom{'s' * (n > 1)} of the wrong hand, to be turned right{advice}"] if n else []
 
 
 def _breaks(structure: "Structure") -> list[str]:
