@@ -71,7 +71,7 @@ def test_bonds_asked_for_are_added_to_those_found_or_take_their_place():
     assert disulfides(draft, [("A:4", "A:3"), ("A:2B", "A:1")]) == [(a, b), (d, c)]
     assert draft.repairs == [found, f"{asked}; their sulphurs are 10.0 angstrom apart"]
     draft = drafted(a, b, c, d)
-    assert disulfides(draft, ["none", ("A:3", "A:2B")]) == [(b, c)]
+    assert disulfides(draft, ["none", ("A:3", "A:2B")]) == [(c, b)]
     assert draft.repairs[0] == "disulfide bonds left out, as requested: A:1-A:2B" and len(draft.repairs) == 2
     draft = drafted(a, b, c, d)
     assert disulfides(draft, ["none"]) == [] and len(draft.repairs) == 1
@@ -97,9 +97,8 @@ def test_bonds_asked_for_are_added_to_those_found_or_take_their_place():
             f'disulfide A:2B-A:3: A:1 and A:2B are bonded, and {taken}: disulfide="none"',
         ),
     ):
-        asked = bonds
         with pytest.raises(pc.ProtochainError) as refused:
-            disulfides(drafted(*members), asked)
+            disulfides(drafted(*members), bonds)
         assert str(refused.value) == f"x: {why}"
 
 

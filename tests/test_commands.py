@@ -187,7 +187,7 @@ def test_the_version_is_that_of_the_package(capsys):
 
 def test_options_make_a_setup():
     assert options._setup() == options._setup(keep=None, disulfide=[], ph=7.0) == Setup()
-    assert options._setup(no_disulfide=True).disulfide == () and Setup().disulfide is None
+    assert options._setup(no_disulfide=True).disulfide == ("none",) and Setup().disulfide is None
     chosen = options._setup(disulfide=["A:3-A:40"], keep="water,ZN", threads=2, altloc="", chains="A, b")
     assert (chosen.disulfide, chosen.keep, chosen.threads) == ((("A:3", "A:40"),), ("water", "ZN"), 2)
     assert chosen.chains == ("A", "b") and Setup().keep == ("near",)

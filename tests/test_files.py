@@ -288,7 +288,7 @@ def test_nucleic_acids_are_kept_as_strands(tmp_path):
 def test_disulfides_can_be_asked_for_and_refused():
     path = STRUCTURES / "4pti.pdb"
     assert len(pc.build_chain(pc.load(path)).loops) == 3
-    free = pc.load(path, disulfide=())
+    free = pc.load(path, disulfide="none")
     assert free.n_atoms == load("4pti.pdb").n_atoms + 6 and not len(pc.build_chain(free).loops)
     one = pc.load(path, disulfide=[("A:5", "A:55")])
     assert "as requested" in "".join(one.repairs) and len(pc.build_chain(one).loops) == 1

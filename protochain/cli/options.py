@@ -5,7 +5,7 @@ import math
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from pathlib import Path
 from time import perf_counter
@@ -174,6 +174,14 @@ def print_changes(source: Path, structure: "Structure") -> None:
         print(f"{source}: {with_options(line)}", file=sys.stderr)
     if len(structure.changes) < len(structure.repairs):
         print(f"{source}: protochain info lists all {len(structure.repairs)} changes", file=sys.stderr)
+
+
+def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
+    """Print what the structures of records, or of rows of a table, lost."""
+    from protochain.structure.losses import told
+
+    for line in told(rows):
+        print(with_options(line))
 
 
 def with_options(line: str) -> str:

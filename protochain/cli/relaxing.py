@@ -8,7 +8,7 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from protochain.cli.options import print_changes
+from protochain.cli.options import print_changes, print_lost
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -111,6 +111,7 @@ def print_relaxed(record: dict[str, Any]) -> None:
     if record["hands_turned"]:
         said.insert(1, "; ".join(summarised(record["hands_turned"])))
     print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
+    print_lost([record])
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
     if "report" in record:
         print(f"written: {record['report']}")
@@ -132,4 +133,5 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
         print(f"{row.structure}: {row.message}")
     if len(left) > _SHOWN:
         print(f"and {len(left) - _SHOWN} more, in the table")
+    print_lost(table.to_dict("records"))
     print(f"written: {folder / 'relaxed.csv'}, the structures, and report.html beside them")

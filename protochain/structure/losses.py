@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from textwrap import shorten
+from typing import Any
 
 from protochain import defaults
 
@@ -56,7 +57,22 @@ class Loss:
         return place if self.why.is_of_whole else f"{place} {', '.join(self.atoms)}"
 
 
-def told(rows: Iterable[Mapping[str, object]]) -> list[str]:
+def lost_atoms(losses: Iterable[Loss]) -> list[str]:
+    """Residues that lack atoms, and which, as in a record."""
+    return [str(loss) for loss in losses if loss.why is not Why.FAR]
+
+
+def n_lost(losses: Iterable[Loss]) -> int:
+    """Number of their atoms."""
+    return sum(len(loss.atoms) for loss in losses if loss.why is not Why.FAR)
+
+
+def far_molecules(losses: Iterable[Loss]) -> list[str]:
+    """Molecules that are left out because they are far from the protein, as in a record."""
+    return [str(loss) for loss in losses if loss.why is Why.FAR]
+
+
+def told(rows: Iterable[Mapping[Any, Any]]) -> list[str]:
     """Tell at the end of a run what its structures lost.
 
     Parameters
@@ -69,7 +85,7 @@ def told(rows: Iterable[Mapping[str, object]]) -> list[str]:
     list of str
         A line on atoms, and one on molecules, where any are lost.
     """
-    of = {" model ".join(str(row[key]) for key in _NAMED if row.get(key)): row for row in rows}
+    of = {str(row["structure"]): row for row in rows}
     lines = []
     for key, what, remedy in _TOLD:
         cells = {name: row.get(key) for name, row in of.items()}
@@ -84,10 +100,13 @@ def told(rows: Iterable[Mapping[str, object]]) -> list[str]:
     return lines
 
 
-_NAMED = ("structure", "model")
 _TOLD = (
     ("lost_atoms", "lost atoms", ""),
-    ("lost_molecules", "lost molecules", '; keep="all" keeps those that are far from the protein'),
+    (
+        "far_molecules",
+        f"left out molecules further than {defaults.KEEP_WITHIN:g} angstrom from the protein",
+        '; keep="all" keeps them',
+    ),
 )
 """Columns, what they tell, and the remedy."""
 
