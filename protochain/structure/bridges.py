@@ -41,7 +41,8 @@ def disulfides(draft: Draft, asked: Sequence[Bond] = ()) -> list[Bridge]:
     found = _near(draft, cysteines)
     if len(wanted) < len(asked):
         if found:
-            pairs = listed([f"{_place(first)}-{_place(second)}" for first, second in found])
+            in_order = sorted(found, key=lambda pair: cysteines.index(pair[0]))
+            pairs = listed([f"{_place(first)}-{_place(second)}" for first, second in in_order])
             draft.repairs.append(f"disulfide bonds left out, as requested: {pairs}")
         found = []
     else:

@@ -263,8 +263,9 @@ class _Reader:
             if member.is_cap:
                 rename(member.atoms, self.known[template_name(name)])
             return member
-        # DGN: D-glutamine in the archive, a nucleoside in Amber's files.
-        if backbone and name in self.known and {*residues.BACKBONE} <= self.known[name].element.keys():
+        # DGN: D-glutamine in the archive, a nucleoside in Amber's files. HIP with a phosphate is not Amber's.
+        template = self.known.get(name) if name not in residues.STATE_PARENT else None
+        if backbone and template and {*residues.BACKBONE} <= template.element.keys():
             return member
         member.parent = archive_parent(name) if backbone else ""
         if backbone:

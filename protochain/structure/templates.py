@@ -250,11 +250,11 @@ def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Templat
         fits = bool(heavy & {"C1'", "C1*"})
     else:
         template = known["HIP" if name == "HIS" else template_name(name)]
-        ends = {*known["NALA"].synonyms, *known["CALA"].synonyms}
-        strange = heavy - {*template.element, *template.synonyms, *ends}
+        like = (template, known["NALA"], known["CALA"])
+        strange = heavy - {name for each in like for name in (*each.element, *each.synonyms)}
         lacking = {*template.heavy} - {template.synonyms.get(each, each) for each in heavy}
-        # A whole residue with another atom is that, or a modified one if the archive has one of that name.
-        fits = not strange or not (lacking or archive_parent(given))
+        # A whole amino acid with another atom is that, or a modified one if the archive has one so named.
+        fits = not strange or (name in STANDARD and not lacking and not archive_parent(given))
     return (name, state) if fits else (given, "")
 
 
