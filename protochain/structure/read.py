@@ -258,8 +258,9 @@ class _Reader:
             label=(residue.subchain, residue.label_seq), given=given,
         )  # fmt: skip
         if name in residues.STANDARD or name in residues.CAPS:
-            if state:
-                self._report(f"{self._describe(residue)}: taken as {name} in protonation state {state}")
+            if state or given[-3:] in residues.LINKED:
+                told = f" in protonation state {state}" if state else ""
+                self._report(f"{self._describe(residue)}: taken as {name}{told}")
             if member.is_cap:
                 rename(member.atoms, self.known[template_name(name)])
             return member

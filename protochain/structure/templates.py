@@ -241,7 +241,7 @@ def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Templat
         Name and protonation state.
     """
     name, state = standard_name(given)
-    if name == given or (given[-3:] in LINKED and given in known):
+    if name == given:
         return given, ""
     heavy = {atom.name for atom in atoms if not atom.is_hydrogen()}
     if name == "HOH":
