@@ -70,6 +70,9 @@ def test_bonds_asked_for_are_added_to_those_found_or_take_their_place():
     draft = drafted(a, b, c, d)
     assert disulfides(draft, [("A:4", "A:3"), ("A:2B", "A:1")]) == [(a, b), (d, c)]
     assert draft.repairs == [found, f"{asked}; their sulphurs are 10.0 angstrom apart"]
+    draft = drafted(a, c)
+    draft.stated = [(("A", "1", "SG"), ("A", "3", "SG"))]
+    assert disulfides(draft, [("A:1", "A:3")]) == [(a, c)] and "ignored" not in "".join(draft.repairs)
     draft = drafted(a, b, c, d)
     assert disulfides(draft, ["none", ("A:3", "A:2B")]) == [(c, b)]
     assert draft.repairs[0] == "disulfide bonds left out, as requested: A:1-A:2B" and len(draft.repairs) == 2
@@ -100,6 +103,9 @@ def test_bonds_asked_for_are_added_to_those_found_or_take_their_place():
         with pytest.raises(pc.ProtochainError) as refused:
             disulfides(drafted(*members), bonds)
         assert str(refused.value) == f"x: {why}"
+    c.metals = [c.atom("SG")]
+    with pytest.raises(pc.ProtochainError, match="A:3 is bonded to a molecule beside the protein"):
+        disulfides(drafted(a, c), [("A:1", "A:3")])
 
 
 @pytest.mark.parametrize(("amine", "nitrogen"), [("LYS", "NZ"), ("ORN", "NE"), ("DAB", "ND")])

@@ -39,18 +39,21 @@ def disulfides(draft: Draft, asked: Sequence[Bond] = ()) -> list[Bridge]:
     cysteines = [member for member in draft.members if member.name == "CYS"]
     wanted = [bond for bond in asked if bond != NO_BONDS]
     found = _near(draft, cysteines)
-    if len(wanted) < len(asked):
-        if found:
-            in_order = sorted(found, key=lambda pair: cysteines.index(pair[0]))
-            pairs = listed([f"{_place(first)}-{_place(second)}" for first, second in in_order])
-            draft.repairs.append(f"disulfide bonds left out, as requested: {pairs}")
-        found = []
-    else:
-        _report_near(draft, cysteines, found)
+    only = len(wanted) < len(asked)
+    if only and found:
+        in_order = sorted(found, key=lambda pair: cysteines.index(pair[0]))
+        pairs = listed([f"{_place(first)}-{_place(second)}" for first, second in in_order])
+        draft.repairs.append(f"disulfide bonds left out, as requested: {pairs}")
+    found = [] if only else found
+    for pair in found:
+        if not _is_stated(draft, *pair):
+            draft.repairs.append(f"disulfide bond between {pair[0]} and {pair[1]}")
     for first, second in wanted:
         bridge = _asked(draft, cysteines, found, (first, second))
         if bridge is not None:
             found.append(bridge)
+    if not only:
+        _report_ignored(draft, cysteines, found)
     return sorted(found, key=lambda pair: cysteines.index(pair[0]))
 
 
@@ -70,11 +73,8 @@ def _near(draft: Draft, cysteines: list[Member]) -> list[Bridge]:
     return found
 
 
-def _report_near(draft: Draft, cysteines: list[Member], found: list[Bridge]) -> None:
-    """Report bonds that the file does not state, and those of the file that are too long."""
-    for pair in found:
-        if not _is_stated(draft, *pair):
-            draft.repairs.append(f"disulfide bond between {pair[0]} and {pair[1]}")
+def _report_ignored(draft: Draft, cysteines: list[Member], found: list[Bridge]) -> None:
+    """Report bonds of the file that are too long."""
     at = {(m.chain_id, m.seqid, "SG"): m for m in cysteines if m.atom("SG") and not m.metals}
     taken = [set(map(id, pair)) for pair in found]
     for first, second in [(at[a], at[b]) for a, b in draft.stated if a in at and b in at]:
@@ -107,6 +107,11 @@ def _asked(
                 f"{bond}: {_place(first)} and {_place(second)} are bonded, and no cysteine has two bonds; "
                 'leave one out, or drop the bonds that are found: disulfide="none"'
             )
+    held = next((name for name in pair if any(a.name == "SG" for a in at[name].links + at[name].metals)), "")
+    if held:
+        raise StructureError(
+            f"{bond}: {held} is bonded to a molecule beside the protein; leave one of them out"
+        )
     first, second = (at[name] for name in pair)
     apart = _apart(first, second)
     far = f"; their sulphurs are {apart:.1f} angstrom apart" if apart >= DISULFIDE else ""
