@@ -268,7 +268,7 @@ def _line(rows: Sequence[Row]) -> str:
                 f"{record['energy_end_reference_kj_mol']:.2f} kJ/mol, "
                 f"RMSD {record['ca_rmsd_angstrom']:.2f} angstrom, {record['seconds']:.1f} s"
             )
-            n = record["n_lost_atoms"]
+            n = record.get("n_lost_atoms", 0)
             told += f", lost {n} atom{'s' * (n > 1)}" if n else ""
         else:
             told = f"{record['status']}: {record['message']}"

@@ -380,8 +380,9 @@ def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool) -> Non
         if "starts_summary" in record:
             print_distribution(record["starts_summary"])
     print_table(records)
-    named = (f"{r['structure']} model {r['model']}" if "model" in r else r["structure"] for r in records)
-    print_lost([record | {"structure": name} for record, name in zip(records, named, strict=True)])
+    print_lost(
+        [r | {"structure": f"{r['structure']} model {r['model']}"} for r in records] if of_models else records
+    )
     for record in records:
         print_written(record)
         if "report" in record:

@@ -85,7 +85,7 @@ def told(rows: Iterable[Mapping[Any, Any]]) -> list[str]:
     list of str
         A line on atoms, and one on molecules, where any are lost.
     """
-    of = {str(row["structure"]): row for row in rows}
+    of = {str(row.get("structure")): row for row in rows}
     lines = []
     for key, what, remedy in _TOLD:
         cells = {name: row.get(key) for name, row in of.items()}
