@@ -18,6 +18,7 @@ from pdbfixer.pdbfixer import substitutions
 import protochain as pc
 from protochain import residues
 from protochain.structure.files import parse
+from protochain.structure.losses import Why
 from protochain.structure.read import model_numbers
 from protochain.structure.write import as_text
 
@@ -281,6 +282,9 @@ def test_nucleic_acids_are_kept_as_strands(tmp_path):
     s = pc.load(path, keep=("nucleic",))
     assert s.n_residues == 12 and s.n_chains == 1 and s.obstacle.sum() == 31 + 34
     assert any("5' phosphate left out" in line for line in s.repairs)
+    (phosphate,) = s.losses
+    assert (phosphate.name, phosphate.number, phosphate.why) == ("DG", "1", Why.PHOSPHATE)
+    assert set(phosphate.atoms) == {"P", "OP1", "OP2"} and dict(s.left_out) == {"atoms of DG": 3}
     value, forces = pc.energy(s, engine="openmm").reference(s.positions)
     assert np.isfinite(value) and np.isfinite(forces).all()
 
