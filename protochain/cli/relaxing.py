@@ -8,7 +8,7 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from protochain.cli.options import print_changes
+from protochain.cli.options import print_changes, print_lost
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -59,9 +59,11 @@ def _wrong_hands(structure: "Structure") -> list[str]:
     """What will become of chiral atoms of the wrong hand, in words."""
     from protochain.relaxation.hands import Hands
 
-    n = len(Hands.of(structure).wrong(structure.positions))
-    atoms = f"{n} chiral atom{'s' * (n > 1)} of the wrong hand"
-    return [f"{atoms}, to be turned right (name D-amino acids as DAL ...)"] if n else []
+    wrong = Hands.of(structure).wrong(structure.positions)
+    n = len(wrong)
+    are_named = structure.mirrored[structure.atom_residue[wrong]].all()
+    advice = "" if are_named else " (name D-amino acids as DAL ...)"
+    return [f"{n} chiral atom{'s' * (n > 1)} of the wrong hand, to be turned right{advice}"] if n else []
 
 
 def _breaks(structure: "Structure") -> list[str]:
@@ -111,6 +113,7 @@ def print_relaxed(record: dict[str, Any]) -> None:
     if record["hands_turned"]:
         said.insert(1, "; ".join(summarised(record["hands_turned"])))
     print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
+    print_lost([record])
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
     if "report" in record:
         print(f"written: {record['report']}")
@@ -141,4 +144,5 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
         print(f"{row.structure}: {row.message}")
     if len(left) > _SHOWN:
         print(f"and {len(left) - _SHOWN} more, in the table")
+    print_lost(table.to_dict("records"))
     print(f"written: {folder / 'relaxed.csv'}, the structures, and report.html beside them")

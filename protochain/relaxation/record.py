@@ -9,6 +9,7 @@ from typing import Any
 
 from protochain.arrays import Floats
 from protochain.contacts import overlaps
+from protochain.structure.losses import far_molecules, lost_atoms, n_lost
 from protochain.validation import MEASURES
 
 METHOD = "relax"
@@ -73,6 +74,9 @@ COLUMNS: Mapping[str, _Value] = MappingProxyType({
     "side_chains_turned": lambda r: list(r.turned),
     "hands_turned": lambda r: list(r.hands_turned),
     "left_out": lambda r: dict(r.start.left_out),
+    "lost_atoms": lambda r: lost_atoms(r.start.losses),
+    "n_lost_atoms": lambda r: n_lost(r.start.losses),
+    "far_molecules": lambda r: far_molecules(r.start.losses),
     "repairs": lambda r: list(r.start.repairs),
     "threads": lambda r: r.energy_function.threads,
 })  # fmt: skip

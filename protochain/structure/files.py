@@ -17,8 +17,8 @@ import gemmi
 
 from protochain.errors import StructureError
 from protochain.structure.apart import chains_told_apart, told_apart
-from protochain.structure.templates import standard_name
 from protochain.structure.records import of_cif, of_pdb
+from protochain.structure.templates import standard_name
 
 MAX_MEGABYTES = 512
 """Largest text, after decompression; the largest files of the PDB are smaller."""

@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from protochain import defaults, residues
 from protochain.errors import StructureError
 from protochain.structure.draft import Draft, Member, Part
+from protochain.structure.losses import Why
 from protochain.structure.recognise import recognised
 from protochain.structure.templates import Template, base_template
 
@@ -113,8 +114,10 @@ def choose(
         reason = ""
         if not _is_usable(candidate.member):
             reason = "of unknown element"
+            draft.lose(candidate.member, candidate.member.atoms, Why.ELEMENT)
         elif "near" in keep and candidate.kind != "water":
             reason = f"further than {defaults.KEEP_WITHIN:g} angstrom from the protein"
+            draft.lose(candidate.member, candidate.member.atoms, Why.FAR)
         gone[("waters" if candidate.kind == "water" else candidate.given, reason)] += 1
     for (kind, _), count in gone.items():
         draft.left_out[kind] += count
@@ -188,6 +191,7 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
                 first.own, part.mobile = known_as or first.own, known_as is not None
         elif len(whole) > len(first.atoms):
             draft.repairs.append(f"{first}: 5' phosphate left out: the force fields do not have it")
+            draft.lose(first, [atom for atom in whole if atom.name in gone], Why.PHOSPHATE)
     return parts
 
 

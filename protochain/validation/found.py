@@ -12,7 +12,6 @@ from protochain.structure.chirality import wrong_atoms
 from protochain.structure.model import Structure
 from protochain.validation.cbeta import Deviations, cbeta_deviations
 from protochain.validation.clashes import Clashes, clashes
-from protochain.validation.layout import built, layout
 from protochain.validation.omega import Peptides, omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, Ramachandran, ramachandran
 from protochain.validation.rings import ThreadedRing, threaded_rings
@@ -70,7 +69,7 @@ class Found(Value):
     @cached_property
     def wrong_hands(self) -> Integers:
         """Chiral atoms (n,) of the wrong hand."""
-        return wrong_atoms(self.structure, self.x, layout(self.structure).mirrored)
+        return wrong_atoms(self.structure, self.x, self.structure.mirrored)
 
     @cached_property
     def rings(self) -> list[ThreadedRing]:
@@ -114,7 +113,7 @@ class Found(Value):
             "bond_outliers": self._count(self.strain.bonds),
             "angle_outliers": self._count(self.strain.angles),
             "threaded_rings": np.bincount([ring.residue for ring in self.rings], minlength=s.n_residues),
-            "atoms_added": np.bincount(of[built(s)], minlength=s.n_residues),
+            "atoms_added": np.bincount(of[s.built], minlength=s.n_residues),
         }
         return pd.DataFrame(columns).loc[np.unique(of[~s.kept])]
 
