@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from functools import wraps
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar
 
 from protochain.errors import ProtochainError
 
@@ -137,14 +137,29 @@ def force_field_parts(given: str) -> list[str]:
     return [given] if Path(given).exists() else [name.strip() for name in given.split(",") if name.strip()]
 
 
-def pairs(given: Any, name: str) -> tuple[tuple[str, str], ...] | None:
-    """Read bonds, each ``("A:3", "A:40")`` or ``"A:3-A:40"``, or all in one text with commas; None stays."""
+NO_BONDS: Literal["none"] = "none"
+"""Word that drops the bonds that are found."""
+
+Bond = tuple[str, str] | Literal["none"]
+"""Two places, as ``("A:3", "A:40")``; or that word."""
+
+
+def bonds(given: Any, name: str) -> tuple[Bond, ...]:
+    """Read bonds, each ``("A:3", "A:40")``, ``"A:3-A:40"`` or ``"none"``, or all in one text with commas.
+
+    None is no bond. An empty sequence, which once was what ``"none"`` is, is refused.
+    """
     if given is None:
-        return None
-    bonds = words(given, name) if isinstance(given, str) else given
-    if not isinstance(bonds, Iterable):
+        return ()
+    each = words(given, name) if isinstance(given, str) else given
+    if not isinstance(each, Iterable):
         raise ProtochainError(f"{name} {shown(given)}: give pairs, as [('A:3', 'A:40')]")
-    return tuple(_pair(bond, name) for bond in bonds)
+    read = tuple(bond if bond == NO_BONDS else _pair(bond, name) for bond in each)
+    if not read:
+        raise ProtochainError(
+            f'{name} {shown(given)}: names no bond; leave it out, or {name}="{NO_BONDS}" drops those found'
+        )
+    return read
 
 
 def _pair(bond: Any, name: str) -> tuple[str, str]:

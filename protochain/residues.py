@@ -21,8 +21,21 @@ STATE_PARENT = {
     "HID": ("HIS", "HID"), "HIE": ("HIS", "HIE"), "HIP": ("HIS", "HIP"), "HSD": ("HIS", "HID"),
     "HSE": ("HIS", "HIE"), "HSP": ("HIS", "HIP"), "CYX": ("CYS", ""), "CYM": ("CYS", "CYM"),
     "ASH": ("ASP", "ASH"), "GLH": ("GLU", "GLH"), "LYN": ("LYS", "LYN"),
+    "HISA": ("HIS", "HID"), "HISD": ("HIS", "HID"), "HISB": ("HIS", "HIE"), "HISE": ("HIS", "HIE"),
+    "HISH": ("HIS", "HIP"), "LYSH": ("LYS", ""), "CYSH": ("CYS", ""), "CYS2": ("CYS", ""),
+    "ASPH": ("ASP", "ASH"), "GLUH": ("GLU", "GLH"),
 }  # fmt: skip
-"""Standard residue and protonation state of the names that Amber and CHARMM give to states."""
+"""Standard residue and protonation state of the names that Amber, CHARMM and GROMACS give to states."""
+
+LINKED = {"NLN": "ASN", "OLS": "SER", "OLT": "THR", "OLP": "HYP"}
+"""What GLYCAM calls the residues that bear a sugar."""
+
+D_NAMES = {
+    "ALA": "DAL", "ARG": "DAR", "ASN": "DSG", "ASP": "DAS", "CYS": "DCY", "GLN": "DGN", "GLU": "DGL",
+    "HIS": "DHI", "ILE": "DIL", "LEU": "DLE", "LYS": "DLY", "MET": "MED", "PHE": "DPN", "PRO": "DPR",
+    "SER": "DSN", "THR": "DTH", "TRP": "DTR", "TYR": "DTY", "VAL": "DVA",
+}  # fmt: skip
+"""Names of the mirror images of the standard amino acids in the PDB archive."""
 
 VAN_DER_WAALS = {"H": 0.110, "C": 0.170, "N": 0.155, "O": 0.152, "S": 0.180}
 """nm: Mantina, Chamberlin, Valero, Cramer, Truhlar, J. Phys. Chem. A 113:5806 (2009)."""
@@ -86,6 +99,11 @@ ROTOR_N_TERMINAL = ("C", "CA", "N", "H1")
 
 BLANK = "(blank)"
 """What a chain without an id is called."""
+
+
+def name_in_file(name: str, is_d: bool) -> str:
+    """Name of a residue in a file: a D-amino acid bears its own, not that of its mirror image."""
+    return D_NAMES.get(name, name) if is_d else name
 
 
 def describe(number: str, name: str, chain_id: str) -> str:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from protochain import defaults
 from protochain.checks import (
+    Bond,
+    bonds,
     check_fields,
     cutoff_of,
     file_name,
@@ -15,7 +17,6 @@ from protochain.checks import (
     kinds,
     number,
     optional,
-    pairs,
     text,
     words,
 )
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from protochain.structure import Structure
 
 ALL_MODELS = "all"
-NO_BONDS = "none"
 
 
 class Prepared(NamedTuple):
@@ -64,8 +64,8 @@ class Setup:
         Molecules to keep beside the protein, as in :func:`protochain.load`, or their names in one text with
         commas between.
     disulfide : tuple of pairs of str, optional
-        Disulfide bonds, each ``("A:3", "A:40")`` or ``"A:3-A:40"``, or ``"none"``; by default, where
-        sulphurs are near.
+        Disulfide bonds beside those where sulphurs are near, each ``("A:3", "A:40")`` or ``"A:3-A:40"``;
+        ``"none"`` among them drops those.
     ph : float
         Of the protonation of residues whose hydrogens or names do not show it.
     strict : bool
@@ -91,7 +91,7 @@ class Setup:
     model: int | str | None = None
     altloc: str = ""
     keep: tuple[str, ...] = defaults.KEEP
-    disulfide: tuple[tuple[str, str], ...] | None = None
+    disulfide: tuple[Bond, ...] | None = None
     ph: float = defaults.PH
     strict: bool = False
     chains: tuple[str, ...] = ()
@@ -100,7 +100,7 @@ class Setup:
         check_fields(
             self, hinges=kinds, root=text, move=text, forcefield=file_name, solvent=text, engine=text,
             cutoff=cutoff_of, threads=optional(integer), trust_forcefield=flag, model=_model, altloc=text,
-            keep=words, disulfide=_bonds, ph=number, strict=flag, chains=words,
+            keep=words, disulfide=optional(bonds), ph=number, strict=flag, chains=words,
         )  # fmt: skip
 
     def prepare(
@@ -179,7 +179,3 @@ def _model(given: int | str | None, name: str) -> int | str | None:
 
 _MOST_MODELS = 100_000
 """In one range: more are a slip."""
-
-
-def _bonds(given: Any, name: str) -> tuple[tuple[str, str], ...] | None:
-    return () if given == NO_BONDS else pairs(given, name)

@@ -65,23 +65,50 @@ def test_bonds_are_in_the_order_of_their_cysteines_and_the_nearest_first():
     assert disulfides(drafted(member("ALA", 1), member("CYS", 2))) == []
 
 
-def test_exactly_the_bonds_asked_for_are_made():
-    a, b, c = cysteines(0.0, 2.0, 30.0)
+def test_bonds_asked_for_are_added_to_those_found_or_take_their_place():
+    a, b, c, d = cysteines(0.0, 2.0, 30.0, 40.0)
     b.insertion_code = "B"
-    draft = drafted(a, b, c)
-    assert disulfides(draft, [("A:3", "A:2B")]) == [(c, b)]
-    assert draft.repairs == [
-        "disulfide bond between residue 3 CYS of chain A and residue 2B CYS of chain A, as requested"
-    ]
-    assert disulfides(drafted(a, b, c), []) == []
-    for members, asked, why in (
+    found = "disulfide bond between residue 1 CYS of chain A and residue 2B CYS of chain A"
+    asked = "disulfide bond between residue 4 CYS of chain A and residue 3 CYS of chain A, as requested"
+    draft = drafted(a, b, c, d)
+    assert disulfides(draft, [("A:4", "A:3"), ("A:2B", "A:1")]) == [(a, b), (d, c)]
+    assert draft.repairs == [found, f"{asked}; their sulphurs are 10.0 angstrom apart"]
+    draft = drafted(a, c)
+    draft.stated = [(("A", "1", "SG"), ("A", "3", "SG"))]
+    assert disulfides(draft, [("A:1", "A:3")]) == [(a, c)] and "ignored" not in "".join(draft.repairs)
+    draft = drafted(a, b, c, d)
+    assert disulfides(draft, ["none", ("A:3", "A:2B")]) == [(c, b)]
+    assert draft.repairs[0] == "disulfide bonds left out, as requested: A:1-A:2B" and len(draft.repairs) == 2
+    draft = drafted(a, b, c, d)
+    assert disulfides(draft, ["none"]) == [] and len(draft.repairs) == 1
+    draft = drafted(a, c)
+    assert disulfides(draft, ["none"]) == [] and draft.repairs == []
+    taken = "no cysteine has two bonds; leave one out, or drop the bonds that are found"
+    for members, bonds, why in (
         ((a, b), [("A:1", "B:1")], "disulfide A:1-B:1: no cysteine B:1; its cysteines are A:1, A:2B"),
-        ((member("ALA", 1),), [("A:1", "A:2")], "disulfide A:1-A:2: no cysteine A:1; its cysteines are none"),
-        ((a, b, c), [("A:1", "A:3"), ("A:2B", "A:3")], "disulfide A:2B-A:3: A:3 is bonded twice"),
+        (
+            (member("ALA", 1),),
+            [("A:1", "A:2")],
+            "disulfide A:1-A:2: residue 1 ALA of chain A is no cysteine; its cysteines are none",
+        ),
+        ((a, c), [("A:1", "A:1")], "disulfide A:1-A:1: one cysteine is no bond; give two"),
+        (
+            (a, b, c),
+            ["none", ("A:1", "A:3"), ("A:2B", "A:3")],
+            f'disulfide A:2B-A:3: A:1 and A:3 are bonded, and {taken}: disulfide="none"',
+        ),
+        (
+            (a, b, c),
+            [("A:2B", "A:3")],
+            f'disulfide A:2B-A:3: A:1 and A:2B are bonded, and {taken}: disulfide="none"',
+        ),
     ):
         with pytest.raises(pc.ProtochainError) as refused:
-            disulfides(drafted(*members), asked)
+            disulfides(drafted(*members), bonds)
         assert str(refused.value) == f"x: {why}"
+    c.metals = [c.atom("SG")]
+    with pytest.raises(pc.ProtochainError, match="A:3 is bonded to a molecule beside the protein"):
+        disulfides(drafted(a, c), [("A:1", "A:3")])
 
 
 @pytest.mark.parametrize(("amine", "nitrogen"), [("LYS", "NZ"), ("ORN", "NE"), ("DAB", "ND")])

@@ -202,7 +202,7 @@ def test_a_manifest_has_the_options_of_the_command_line(tmp_path):
     )
     assert first.restraint == "1000 100 0" and first.max_rmsd == 1.5 and first.setup.chains == ("A",)
     assert first.setup.disulfide == (("A:5", "A:55"), ("A:14", "A:38"))
-    assert (second.n_starts, second.hop_temperature, second.setup.disulfide) == (4, 300.0, ())
+    assert (second.n_starts, second.hop_temperature, second.setup.disulfide) == (4, 300.0, ("none",))
     assert second.spread == pytest.approx(np.radians(20))
     assert third == BatchSettings() and third.setup.disulfide is None
     assert len({str(each.record()) for each in (first, second, third)}) == 3
@@ -253,7 +253,7 @@ def test_a_batch_restrains_and_starts_as_single_runs_do(tmp_path):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        (("--no-disulfide",), {"disulfide": ()}),
+        (("--no-disulfide",), {"disulfide": ("none",)}),
         (
             ("--disulfide", "A:5-A:55", "--chain", "A,B"),
             {"disulfide": (("A:5", "A:55"),), "chains": ("A", "B")},

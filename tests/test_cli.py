@@ -236,7 +236,7 @@ def test_what_is_taken_of_a_file_can_be_said(tmp_path):
         for options in (
             (),
             ("--no-disulfide",),
-            ("--disulfide", "A:5-A:55"),
+            ("--disulfide", "A:5-A:55", "--no-disulfide"),
             ("--keep", "water"),
             ("--ph", "2"),
         )
@@ -246,7 +246,7 @@ def test_what_is_taken_of_a_file_can_be_said(tmp_path):
     assert n_atoms[1] == n_atoms[0] + 6 and n_atoms[3] == n_atoms[0] + 180 and n_atoms[4] > n_atoms[0]
     for wrong, why in (
         (("--disulfide", "5-55"), "A:3-A:40"),
-        (("--disulfide", "A:5-A:55", "--no-disulfide"), "exclude each other"),
+        (("--disulfide", "A:5-A:14"), "A:5 and A:55 are bonded, and no cysteine has two bonds"),
         (("--model", "one"), "give its number"),
         (("--model", "2"), "no model 2"),
         (("--ph", "15"), "pH 15"),

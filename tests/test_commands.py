@@ -187,15 +187,14 @@ def test_the_version_is_that_of_the_package(capsys):
 
 def test_options_make_a_setup():
     assert options._setup() == options._setup(keep=None, disulfide=[], ph=7.0) == Setup()
-    assert options._setup(no_disulfide=True).disulfide == () and Setup().disulfide is None
+    assert options._setup(no_disulfide=True).disulfide == ("none",) and Setup().disulfide is None
     chosen = options._setup(disulfide=["A:3-A:40"], keep="water,ZN", threads=2, altloc="", chains="A, b")
     assert (chosen.disulfide, chosen.keep, chosen.threads) == ((("A:3", "A:40"),), ("water", "ZN"), 2)
     assert chosen.chains == ("A", "b") and Setup().keep == ("near",)
-    with pytest.raises(ProtochainError) as refused:
-        options._setup(no_disulfide=True, disulfide=["A:3-A:40"])
-    assert (
-        str(refused.value) == "disulfide: --disulfide and --no-disulfide exclude each other; give one of them"
-    )
+    only = options._setup(no_disulfide=True, disulfide=["A:3-A:40"]).disulfide
+    assert only == ("none", ("A:3", "A:40")) == options._setup(disulfide=["none", "A:3-A:40"]).disulfide
+    with pytest.raises(ProtochainError, match='names no bond; leave it out, or disulfide="none" drops'):
+        Setup(disulfide=())
 
 
 def test_statuses_are_what_the_interface_promises(capsys):
@@ -307,7 +306,8 @@ def facts_of(s, c, near):
         "n_hinges": len(kinds), "n_q": c.n_q, "n_v": c.n_v,
         "hinges": {kind: kinds.count(kind) for kind in kinds},
         "loops": [f"{s.describe(a)} - {s.describe(b)}" for a, b in c.loops.tolist()],
-        "left_out": {"waters": 3, "ZN": 1}, "repairs": ["one", "two"], "overlaps": [f"{near}; mend"],
+        "left_out": {"waters": 3, "ZN": 1}, "lost_atoms": [], "repairs": ["one", "two"],
+        "overlaps": [f"{near}; mend"],
         "engine": "native", "engine_reason": "why", "constant_terms": {"bonds": 5}, "seconds_import": 1.0,
         "seconds_preparation": 2.0, "seconds_chain": 3.0, "seconds_energy": 4.0,
     }  # fmt: skip

@@ -69,7 +69,7 @@ def test_a_structure_goes_there_and_back():
 
 def test_settings_of_loading_hold_for_them_too():
     made = gemmi.read_structure(str(STRUCTURES / "4pti.pdb"))
-    assert not len(pc.build_chain(pc.as_structure(made, disulfide=())).loops)
+    assert not len(pc.build_chain(pc.as_structure(made, disulfide="none")).loops)
     assert pc.as_structure(made, keep=("water",)).obstacle.sum() == 180
     many = gemmi.read_structure(str(shared("2sdf_sdf1_nmr30.pdb")))
     assert np.allclose(

@@ -18,6 +18,7 @@ from pdbfixer.pdbfixer import substitutions
 import protochain as pc
 from protochain import residues
 from protochain.structure.files import parse
+from protochain.structure.losses import Why
 from protochain.structure.read import model_numbers
 from protochain.structure.write import as_text
 
@@ -281,6 +282,9 @@ def test_nucleic_acids_are_kept_as_strands(tmp_path):
     s = pc.load(path, keep=("nucleic",))
     assert s.n_residues == 12 and s.n_chains == 1 and s.obstacle.sum() == 31 + 34
     assert any("5' phosphate left out" in line for line in s.repairs)
+    (phosphate,) = s.losses
+    assert (phosphate.name, phosphate.number, phosphate.why) == ("DG", "1", Why.PHOSPHATE)
+    assert set(phosphate.atoms) == {"P", "OP1", "OP2"} and dict(s.left_out) == {"atoms of DG": 3}
     value, forces = pc.energy(s, engine="openmm").reference(s.positions)
     assert np.isfinite(value) and np.isfinite(forces).all()
 
@@ -288,11 +292,15 @@ def test_nucleic_acids_are_kept_as_strands(tmp_path):
 def test_disulfides_can_be_asked_for_and_refused():
     path = STRUCTURES / "4pti.pdb"
     assert len(pc.build_chain(pc.load(path)).loops) == 3
-    free = pc.load(path, disulfide=())
+    free = pc.load(path, disulfide="none")
     assert free.n_atoms == load("4pti.pdb").n_atoms + 6 and not len(pc.build_chain(free).loops)
-    one = pc.load(path, disulfide=[("A:5", "A:55")])
+    assert "disulfide bonds left out, as requested: A:5-A:55, A:14-A:38, A:30-A:51" in free.repairs
+    one = pc.load(path, disulfide=["none", ("A:5", "A:55")])
     assert "as requested" in "".join(one.repairs) and len(pc.build_chain(one).loops) == 1
-    for pair, why in ((("A:5", "A:6"), "no cysteine A:6"), (("A:5", "A:5"), "bonded twice")):
+    for pair, why in (
+        (("A:5", "A:6"), "residue 6 LEU of chain A is no cysteine"),
+        (("A:5", "A:5"), "give two"),
+    ):
         with pytest.raises(pc.ProtochainError, match=why):
             pc.load(path, disulfide=[pair])
 
@@ -330,7 +338,7 @@ def test_modified_residues_become_their_parents_and_d_stays_d(tmp_path):
     assert s.left_out["FOR"] == 2 == s.left_out["ETA"]
     text = shared("1grm_gramicidin.pdb").read_text().replace("VAL A   6", "DVA A   6")
     named = pc.load(written(tmp_path, text), keep=())
-    assert "residue 6 DVA of chain A: named VAL, its D configuration kept" in named.repairs
+    assert "residue 6 DVA of chain A: D-amino acid, with the parameters of its mirror image" in named.repairs
     assert np.array_equal(named.positions, s.positions)
     handed = []
     for r in np.flatnonzero(s.residue_name == "VAL"):
@@ -385,7 +393,9 @@ def test_every_amino_acid_becomes_its_parent_or_is_refused_by_name(extra_atom, t
             assert s.residue_name.tolist() == [parent, "ALA", parent, "ALA", parent]
     # Those without a parent; hydroxyproline, which ff14SB has; and what has an atom too many.
     unknown = {name for name in AMINO_ACIDS if gemmi.find_tabulated_residue(name).one_letter_code in "XBZUO "}
-    standard = {*residues.STANDARD, *residues.STATE_PARENT} if extra_atom else set()
+    # Of the names of states, the archive has some for other molecules.
+    states = set(residues.STATE_PARENT) - set(substitutions)
+    standard = {*residues.STANDARD, *states} if extra_atom else set()
     assert refused == unknown | {"HYP"} | (standard & (AMINO_ACIDS | set(substitutions)))
 
 

@@ -11,7 +11,6 @@ from protochain.relaxation.hands import Hands
 from protochain.relaxation.presets import PRESETS
 from protochain.relaxation.rounds import Ended, Relaxer, Round
 from protochain.structure.chirality import chiral_atoms, wrong_atoms
-from protochain.validation.layout import layout
 
 BACKBONE = ("N", "CA", "C", "O", "OXT", "H", "H1", "H2", "H3")
 
@@ -104,10 +103,10 @@ def test_well_formed_residues_of_the_wrong_hand_become_right():
 def test_noise_neither_leaves_nor_makes_a_wrong_hand(name, seed):
     """Of 4pti a C-alpha of 1.6 cubic angstrom, of 2.5 in ideal residues, once went to the other side."""
     s = models.shaken(load(name), 0.25, seed=seed)
-    before = wrong_atoms(s, s.positions, layout(s).mirrored)
+    before = wrong_atoms(s, s.positions, s.mirrored)
     assert len(before) == 2
     r = pc.relax(s, threads=1)
-    assert r.status == "converged" and not len(wrong_atoms(s, r.x, layout(s).mirrored))
+    assert r.status == "converged" and not len(wrong_atoms(s, r.x, s.mirrored))
     assert len(r.hands_turned) == 2
 
 
@@ -117,10 +116,10 @@ def test_a_residue_named_as_d_keeps_its_hand_and_gets_it_where_it_has_the_other(
     text = named_d((tmp_path / "one.pdb").read_text(), 4, 7)
     (tmp_path / "two.pdb").write_text(text)
     two = pc.load(tmp_path / "two.pdb")
-    assert np.flatnonzero(layout(two).mirrored).tolist() == [3, 6]
-    assert two.describe(int(Hands.of(two).wrong(two.positions)[0])) == "atom CA of residue 7 ALA of chain A"
+    assert np.flatnonzero(two.mirrored).tolist() == [3, 6]
+    assert two.describe(int(Hands.of(two).wrong(two.positions)[0])) == "atom CA of residue 7 DAL of chain A"
     r = pc.relax(two, threads=1)
-    assert r.hands_turned == ("residue 7 ALA of chain A: CA of the wrong hand turned right",)
+    assert r.hands_turned == ("residue 7 DAL of chain A: CA of the wrong hand turned right",)
     alpha = np.flatnonzero(two.atom_name == "CA")
     assert np.intersect1d(alpha, Hands.of(s).wrong(r.x)).tolist() == alpha[[3, 6]].tolist()
     assert r.status == "converged" and r.measures_end["wrong_hands"] == 0
@@ -154,11 +153,11 @@ def test_a_hand_lost_in_a_round_is_turned_back_before_the_next(monkeypatch):
 def test_d_amino_acids_under_names_of_l_stay_where_their_phi_is_theirs():
     """Gramicidin A alternates; its file of 1996 names D-leucine as leucine, and D-valine as valine."""
     s = pc.load(shared("1grm_gramicidin.pdb"))
-    wrong = wrong_atoms(s, s.positions, layout(s).mirrored)
-    assert len(wrong) == 12 and not layout(s).mirrored.any()
+    wrong = wrong_atoms(s, s.positions, s.mirrored)
+    assert len(wrong) == 12 and not s.mirrored.any()
     assert not len(Hands.of(s).wrong(s.positions))
     r = pc.relax(s, threads=1, solvent="vacuum")
-    assert r.hands_turned == () and np.array_equal(wrong_atoms(s, r.x, layout(s).mirrored), wrong)
+    assert r.hands_turned == () and np.array_equal(wrong_atoms(s, r.x, s.mirrored), wrong)
     flat = s.positions.copy()
     (around,) = (row[1:] for row in chiral_atoms(s) if row[0] == wrong[3])
     flat[wrong[3]] = s.positions[around].mean(axis=0)

@@ -106,7 +106,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         assert BatchSettings().read(cells) == BatchSettings(**starts)
     assert {FIELDS.get(name, name) for name in (*row, *cells)} == set(PLAIN) - {"trust_forcefield"}
     assert BatchSettings().read({"model": "1-3, 5", "disulfide": "none"}).setup == pc.Setup(
-        model="1-3,5", disulfide=()
+        model="1-3,5", disulfide=("none",)
     )
     assert BatchSettings(seed=4).read(dict.fromkeys((*row, *cells), " ")) == BatchSettings(seed=4)
     for text, expected in (("true", True), ("1", True), ("FALSE", False), ("no", False), ("0", False)):

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import protochain as pc
 from protochain.validation.cbeta import LIMIT, cbeta_deviations
 from protochain.validation.found import Found
-from protochain.validation.layout import built, dihedrals, layout
+from protochain.validation.layout import dihedrals, layout
 from protochain.validation.omega import omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran, score, tables
 from protochain.validation.rotamers import rotamers_of, side_chains
@@ -86,7 +86,7 @@ prolines, other cis peptides, twisted peptides."""
 def test_counts_are_those_of_cctbx(name):
     s = pc.load(shared(name), keep="none")
     rama, bonds, beta = ramachandran(s), omegas(s), cbeta_deviations(s)
-    seen = ~built(s)[layout(s).atoms("CB")[beta.residue, 0]]
+    seen = ~s.built[layout(s).atoms("CB")[beta.residue, 0]]
     assert (
         len(rama.residue), len(rama.outliers), int((rama.region == 2).sum()), int(seen.sum()),
         int((beta.deviation[seen] >= LIMIT).sum()), int((bonds.cis & bonds.proline).sum()),
@@ -253,7 +253,7 @@ def test_a_mirror_image_is_wrong_in_hand_and_c_beta_unless_it_is_named_so(tmp_pa
     )
     (tmp_path / "d.pdb").write_text(text)
     d = pc.load(tmp_path / "d.pdb")
-    assert layout(d).mirrored.sum() == 17 and d.residue_name.tolist() == s.residue_name.tolist()
+    assert d.mirrored.sum() == 17 and d.residue_name.tolist() == s.residue_name.tolist()
     again = Found(d, d.positions)
     # Only glycine, which has no name for its mirror image, is where its table does not know.
     kept = s.residue_name[again.ramachandran.residue] != "GLY"
@@ -335,6 +335,6 @@ def test_atoms_that_a_file_lacks_are_known_as_added(chain_id, code, tmp_path):
     ]
     (tmp_path / "m.pdb").write_text("\n".join([*own, "END\n"]))
     s = pc.load(tmp_path / "m.pdb")
-    assert s.atom_name[built(s)].tolist() == ["CB", "CG", "CD", "OE1", "OE2"]
-    assert set(s.atom_residue[built(s)].tolist()) == {8}
-    assert not built(load("1ubq.pdb")).any()
+    assert s.atom_name[s.built].tolist() == ["CB", "CG", "CD", "OE1", "OE2"]
+    assert set(s.atom_residue[s.built].tolist()) == {8}
+    assert not load("1ubq.pdb").built.any()

@@ -8,6 +8,7 @@ import protochain as pc
 from protochain.structure import read as module
 from protochain.structure.draft import Draft, atom
 from protochain.structure.read import Reading, read, read_structure
+from protochain.structure.templates import archive_parent
 
 BACKBONE = ("N", "CA", "C", "O")
 STEP = 3.7
@@ -152,8 +153,8 @@ def test_alternates_and_repeated_atoms_of_the_protein_are_said():
     assert draft.repairs == [
         '1 XQQ left out; keep="all" keeps everything',
         f"{first}: alternate location B kept (occupancy 0.75), MSE A left out",
-        f"{first}: selenomethionine converted to MET",
         f"{second}: CB given more than once; the first of each kept",
+        f"{first}: selenomethionine converted to MET",
     ]
     assert dict(draft.left_out) == {"alternate locations": 1, "repeated atoms": 1, "XQQ": 1}
     assert "A kept (occupancy 0.25), MSE B left out" in taken(*made[:2], altloc="A").repairs[0]
@@ -183,8 +184,8 @@ def test_d_cysteine_is_no_nucleotide_and_d_glutamine_no_nucleoside():
     draft = taken(residue("DCY", 1), residue("DGN", 2), residue("HYP", 3), residue("ALA", 4))
     assert names(draft)[0] == ["CYS1", "GLN2", "HYP3", "ALA4"]
     assert draft.repairs[:2] == [
-        "residue 1 DCY of chain A: named CYS, its D configuration kept",
-        "residue 2 DGN of chain A: named GLN, its D configuration kept",
+        "residue 1 DCY of chain A: D-amino acid, with the parameters of its mirror image",
+        "residue 2 DGN of chain A: D-amino acid, with the parameters of its mirror image",
     ]
     strand = taken(*alanines(2), residue("DC", 9, atoms=["P", "N1"]))
     assert dict(strand.left_out) == {"DC": 1}
@@ -357,7 +358,7 @@ def test_caps_do_not_bond_on_their_far_sides():
     assert module._gap(draft.members[0], draft.members[1]) == pytest.approx(1.3)
     capped = module.Member("ACE", "2", "", "A", draft.members[1].atoms)
     assert np.isinf(module._gap(draft.members[0], capped))
-    assert [module._parent(name) for name in ("SEP", "ABA", "UNK", "HOH", "XQQ")] == [
+    assert [archive_parent(name) for name in ("SEP", "ABA", "UNK", "HOH", "XQQ")] == [
         "SER",
         "ALA",
         "",

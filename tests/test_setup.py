@@ -79,9 +79,9 @@ def test_no_signature_repeats_a_default():
 
 
 def test_a_setup_prepares_as_the_separate_calls_do():
-    setup = pc.Setup(hinges="phi psi", root="free", solvent="vacuum", threads=1, ph=4.0, disulfide=())
+    setup = pc.Setup(hinges="phi psi", root="free", solvent="vacuum", threads=1, ph=4.0, disulfide="none")
     structure, chain, energy = setup.prepare(STRUCTURES / "4pti.pdb")
-    alone = pc.load(STRUCTURES / "4pti.pdb", ph=4.0, disulfide=())
+    alone = pc.load(STRUCTURES / "4pti.pdb", ph=4.0, disulfide="none")
     assert np.array_equal(structure.positions, alone.positions)
     cut = pc.build_chain(alone, "phi psi", "free")
     assert np.array_equal(chain.q0, cut.q0) and chain.root == "free"

@@ -349,3 +349,48 @@ def mutants(results: Path) -> str:
         ("not noticed", "{survived}"), ("share", "{share:.2f}"), ("interval", "{low:.2f} to {high:.2f}"),
         ("commit", "{commit}"),
     )  # fmt: skip
+
+
+@table("kinds")
+def kinds(results: Path) -> str:
+    """What became of the kinds of file, by family."""
+    rows = pd.read_csv(results / "kinds.csv", keep_default_na=False)
+    shown = [_of_family(family, own) for family, own in rows.groupby("family", sort=False)]
+    shown.append(_of_family("all", rows))
+    heads = (
+        "family", "kinds", "refused, in one line", "with atoms lost", "of them not said",
+        "with names changed", "energies read again", "of them equal to 1e-6", "with faults",
+    )  # fmt: skip
+    return markdown(heads, shown)
+
+
+def _of_family(family: str, rows: pd.DataFrame) -> tuple[object, ...]:
+    apart = _differences(rows)
+    return (
+        family, len(rows), (rows["refusal"] != "").sum(), (rows["lost"] != "").sum(),
+        (rows["lost_not_said"] > 0).sum(), (rows["names_changed"] != "").sum(), len(apart),
+        (apart <= EQUAL).sum(), (rows["faults"] > 0).sum(),
+    )  # fmt: skip
+
+
+EQUAL = 1e-6
+
+
+def _differences(rows: pd.DataFrame) -> pd.Series:
+    """Energies read again against those written, relative, of both formats."""
+    return pd.concat([pd.to_numeric(rows[f"difference_{name}"]) for name in ("pdb", "mmcif")]).dropna()
+
+
+@table("kinds-words")
+def kinds_words(results: Path) -> str:
+    """What the kinds of file say in all."""
+    rows = pd.read_csv(results / "kinds.csv", keep_default_na=False)
+    made, taken = rows["origin"] == "made", rows["refusal"] == ""
+    apart = _differences(rows)
+    drift = pd.to_numeric(rows["metal_drift_angstrom"]).max()
+    turned = (rows["hands_changed"] != "").sum()
+    return paragraph(
+        f"{made.sum()} kinds made by recipes and {(~made).sum()} real files: {taken.sum()} taken,",
+        f"{(~taken).sum()} refused. Energies read again differ by at most {apart.max():.0e} of their size;",
+        f"C-alphas change hand in {turned}; metals move by at most {drift:.2f} angstrom.",
+    )

@@ -15,6 +15,7 @@ from protochain.analysis.viewer import scene, superposed, template
 from protochain.relaxation import Relaxation
 from protochain.relaxation.record import before_and_after
 from protochain.storage import write_atomically
+from protochain.structure.losses import told
 from protochain.units import ANGSTROM_PER_NM
 
 _FULL_RED = 2.0
@@ -39,6 +40,7 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
     text = template("relaxed.html").render(
         record=record,
         rows=before_and_after(record),
+        lost=told([record]),
         figure=data_url(plot_displacement(moved, relaxation.start.name)),
         command=shlex.join(sys.argv),
         name=strength.name,

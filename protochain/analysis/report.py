@@ -16,6 +16,7 @@ from protochain.errors import WriteError
 from protochain.minimisers.record import SHOWN
 from protochain.storage import write_atomically
 from protochain.structure import save
+from protochain.structure.losses import told
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -110,6 +111,7 @@ def render(comparison: "Comparison", summary: dict[str, Any], figures: dict[str,
         message=comparison.message,
         shown=SHOWN,
         rows=comparison.table.to_dict("records"),
+        lost=told(summary["results"]),
         rmsd=comparison.rmsd,
         quality=comparison.quality,
         equal_cost=comparison.equal_cost,

@@ -268,6 +268,8 @@ def _line(rows: Sequence[Row]) -> str:
                 f"{record['energy_end_reference_kj_mol']:.2f} kJ/mol, "
                 f"RMSD {record['ca_rmsd_angstrom']:.2f} angstrom, {record['seconds']:.1f} s"
             )
+            n = record.get("n_lost_atoms", 0)
+            told += f", lost {n} atom{'s' * (n > 1)}" if n else ""
         else:
             told = f"{record['status']}: {record['message']}"
         said += [] if told in said else [told]
@@ -295,6 +297,12 @@ def _rows(future: Future, job: Job) -> list[Row]:
     return [failure(job, method, "killed", message) for method in job.settings.methods]
 
 
+def _texts(table: "pd.DataFrame", key: str) -> dict[str, str]:
+    """Text of a column by structure, where there is any."""
+    of = dict(zip(table["structure"], table[key], strict=True))
+    return {str(name): text for name, text in of.items() if isinstance(text, str) and text}
+
+
 def _finish(tables: Tables, jobs: Sequence[Job]) -> None:
     """Write the summaries and pages of the whole table."""
     from protochain.batches.report import write_report
@@ -317,6 +325,7 @@ def _finish(tables: Tables, jobs: Sequence[Job]) -> None:
         "table": f"{tables.name}.csv",
         "n_rows": len(table),
         "status": {str(name): int(n) for name, n in Counter(table["status"]).items()},
+        **{key: _texts(table, key) for key in ("lost_atoms", "far_molecules")},
         "command": sys.argv,
         "python": platform.python_version(),
         "versions": {name: version(name) for name in packages},

@@ -10,6 +10,7 @@ from jinja2 import Template
 from protochain.batches.jobs import Job, Row
 from protochain.minimisers.record import SHOWN, Column
 from protochain.storage import write_atomically
+from protochain.structure.losses import told
 
 WIDTH, HEIGHT = 640, 240
 """Size of the drawing, in units of the SVG."""
@@ -38,6 +39,7 @@ def write_page(
         shown=shown,
         records=[row.record for row in rows],
         repairs=repairs,
+        lost=told(row.record for row in rows),
         curves=curves(rows),
         width=WIDTH,
         height=HEIGHT,

@@ -12,6 +12,7 @@ from protochain.analysis.report import data_url
 from protochain.analysis.viewer import template
 from protochain.minimisers.record import heading
 from protochain.storage import write_atomically
+from protochain.structure.losses import told
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,6 +48,7 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
     write_atomically(folder / "statistics.csv", lambda to: quartiles.to_csv(to, index=False))
     text = template("batch.html").render(
         summary=summary,
+        lost=told(table.to_dict("records")),
         counts=table.groupby("method", sort=False)["status"].value_counts().unstack(fill_value=0),
         statistics=quartiles.assign(quantity=quartiles["quantity"].map(heading)),
         rows=rows.head(WORST).to_dict("records"),

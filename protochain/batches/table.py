@@ -33,7 +33,7 @@ INTEGERS = (
     "iteration", "iterations", "evaluations", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges",
     "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
     "overlaps_start", "overlaps_end", "overlaps_beside_start", "overlaps_beside_end",
-    "n_rounds", "n_residues_let_go",
+    "n_rounds", "n_residues_let_go", "n_lost_atoms",
     *(f"{key}_{when}" for key, each in MEASURES.items() if each.whole for when in ("start", "end")),
 )  # fmt: skip
 """Columns of integers, which a failure lacks: they remain integers, with missing values."""
@@ -183,6 +183,8 @@ def read_table(path: Path) -> "pd.DataFrame":
         "repairs",
         "side_chains_turned",
         "left_out",
+        "lost_atoms",
+        "far_molecules",
         "constant_terms",
         "restraint_kj_mol_nm2",
         "springs_backbone_kj_mol_nm2",

@@ -24,6 +24,7 @@ from protochain.cli.options import (
     fail,
     named_after,
     prepare,
+    print_lost,
     with_setup,
 )
 from protochain.cli.terminal import foretell, print_table, run_progress, typical_evaluations
@@ -89,6 +90,7 @@ def compare(
         print(json.dumps(summary | {"output": str(output)}, allow_nan=False))
     else:
         print_table(summary["results"])
+        print_lost(summary["results"])
         print(f"written: {page} and the tables, plots and structures beside it")
     if not any(solution.is_usable for solution in comparison.solutions):
         raise SystemExit(fail(f"{source}: no method gave a usable structure; {page} says why"))

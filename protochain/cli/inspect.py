@@ -22,6 +22,7 @@ def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
         # Loaded here, so that the other times are those of the work alone.
         import_module(f"protochain.{name}")
     from protochain.contacts import overlaps
+    from protochain.structure.losses import lost_atoms
 
     imported = perf_counter()
     structure = setup.load(source)
@@ -41,6 +42,7 @@ def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
         "hinges": dict(Counter(hinge.kind for hinge in chain.hinges)),
         "loops": [f"{structure.describe(a)} - {structure.describe(b)}" for a, b in chain.loops.tolist()],
         "left_out": dict(structure.left_out),
+        "lost_atoms": lost_atoms(structure.losses),
         "repairs": list(structure.repairs),
         "overlaps": [f"{each}; {each.remedy}" for each in overlaps(structure, structure.positions, chain)],
         "engine": energy.engine,

@@ -33,6 +33,7 @@ from protochain.cli.options import (
     fail,
     named_after,
     prepare,
+    print_lost,
     with_setup,
 )
 from protochain.cli.terminal import (
@@ -379,6 +380,9 @@ def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool) -> Non
         if "starts_summary" in record:
             print_distribution(record["starts_summary"])
     print_table(records)
+    print_lost(
+        [r | {"structure": f"{r['structure']} model {r['model']}"} for r in records] if of_models else records
+    )
     for record in records:
         print_written(record)
         if "report" in record:

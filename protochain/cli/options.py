@@ -5,7 +5,7 @@ import math
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from pathlib import Path
 from time import perf_counter
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from protochain import defaults
+from protochain.checks import NO_BONDS
 from protochain.errors import ProtochainError
 from protochain.setup import Setup
 
@@ -90,10 +91,12 @@ _SETUP = {
         "none, all, water, ions, nucleic, ligands, or names of residues [default: near].",
     ),
     "disulfide": _option(
-        list[str] | None, "Disulfide bond; repeat for more [default: where sulphurs are near each other].",
+        list[str] | None, "Disulfide bond beside those where sulphurs are near; repeat for more.",
         metavar="A:3-A:40",
     ),
-    "no_disulfide": _option(bool, "No disulfide bonds.", "--no-disulfide"),
+    "no_disulfide": _option(
+        bool, "No disulfide bonds but those of --disulfide.", "--no-disulfide"
+    ),
     "ph": _option(float, "pH for residues whose protonation the file does not show.", "--ph"),
     "strict": _option(bool, "Refuse chain breaks and incomplete backbones.", "--strict"),
 }  # fmt: skip
@@ -131,11 +134,9 @@ def with_setup(without: str = "") -> Callable[[Callable[..., None]], Callable[..
 def _setup(no_disulfide: bool = False, **chosen: Any) -> Setup:
     """Make a setup of options; those that are not given keep its defaults."""
     chosen = {name: value for name, value in chosen.items() if value not in (None, [])}
-    if no_disulfide and "disulfide" in chosen:
-        raise ProtochainError(
-            "disulfide: --disulfide and --no-disulfide exclude each other; give one of them"
-        )
-    return Setup(**chosen | ({"disulfide": ()} if no_disulfide else {}))
+    if no_disulfide:
+        chosen["disulfide"] = [NO_BONDS, *chosen.get("disulfide", [])]
+    return Setup(**chosen)
 
 
 def fail(message: str, status: int = FAILED) -> int:
@@ -175,9 +176,17 @@ def print_changes(source: Path, structure: "Structure") -> None:
         print(f"{source}: protochain info lists all {len(structure.repairs)} changes", file=sys.stderr)
 
 
+def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
+    """Print what the structures of records, or of rows of a table, lost."""
+    from protochain.structure.losses import told
+
+    for line in told(rows):
+        print(with_options(line))
+
+
 def with_options(line: str) -> str:
     """Line of the library in which arguments with values, as ``keep="all"``, are options."""
-    return re.sub(r'\b(\w+)="(\w+)"', r"--\1 \2", line)
+    return re.sub(r'\b(\w+)="([\w,]+)"', r"--\1 \2", line)
 
 
 def check_outputs(source: Path, outputs: list[Path], force: bool) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from protochain.cli.options import print_changes
+from protochain.cli.options import print_changes, print_lost
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -48,6 +48,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy") -> float:
         str(violations(structure, x)),
         *(["threaded rings, to be freed first: " + ", ".join(map(str, rings))] if rings else []),
         *_wrong_hands(structure),
+        *_twisted(structure),
         *_breaks(structure),
         f"about {max(seconds, 1.0):.0f} s",
     ]
@@ -59,9 +60,19 @@ def _wrong_hands(structure: "Structure") -> list[str]:
     """What will become of chiral atoms of the wrong hand, in words."""
     from protochain.relaxation.hands import Hands
 
-    n = len(Hands.of(structure).wrong(structure.positions))
-    atoms = f"{n} chiral atom{'s' * (n > 1)} of the wrong hand"
-    return [f"{atoms}, to be turned right (name D-amino acids as DAL ...)"] if n else []
+    wrong = Hands.of(structure).wrong(structure.positions)
+    n = len(wrong)
+    are_named = structure.mirrored[structure.atom_residue[wrong]].all()
+    advice = "" if are_named else " (name D-amino acids as DAL ...)"
+    return [f"{n} chiral atom{'s' * (n > 1)} of the wrong hand, to be turned right{advice}"] if n else []
+
+
+def _twisted(structure: "Structure") -> list[str]:
+    """What will become of twisted peptide bonds, in words."""
+    from protochain.relaxation.peptides import PeptideBonds
+
+    n = len(PeptideBonds.of(structure).wrong(structure.positions))
+    return [f"{n} twisted peptide bond{'s' * (n > 1)}, to be turned to trans or cis"] if n else []
 
 
 def _breaks(structure: "Structure") -> list[str]:
@@ -108,9 +119,10 @@ def print_relaxed(record: dict[str, Any]) -> None:
     if record["repacked"]:
         told = summarised(record["side_chains_turned"]) or ("no side chain is better turned",)
         said.insert(1, f"repacked first: {'; '.join(told)}")
-    if record["hands_turned"]:
-        said.insert(1, "; ".join(summarised(record["hands_turned"])))
+    if turned := [*record["hands_turned"], *record["peptides_turned"]]:
+        said.insert(1, "; ".join(summarised(turned)))
     print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
+    print_lost([record])
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
     if "report" in record:
         print(f"written: {record['report']}")
@@ -141,4 +153,5 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
         print(f"{row.structure}: {row.message}")
     if len(left) > _SHOWN:
         print(f"and {len(left) - _SHOWN} more, in the table")
+    print_lost(table.to_dict("records"))
     print(f"written: {folder / 'relaxed.csv'}, the structures, and report.html beside them")

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
+from protochain.cli.options import print_lost
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
@@ -271,9 +273,10 @@ def print_simulation(record: dict[str, Any]) -> None:
         f"{_pulled(record)}"
         f"C-alpha RMSD to the start {record['ca_rmsd_angstrom']:.2f} angstrom\n"
         f"to the input {record['ca_rmsd_input_angstrom']:.2f}, as filed "
-        f"{record['ca_rmsd_input_as_filed_angstrom']:.2f}: {record['frame']}\n"
-        f"written: {record['output']}"
+        f"{record['ca_rmsd_input_as_filed_angstrom']:.2f}: {record['frame']}"
     )
+    print_lost([record])
+    print(f"written: {record['output']}")
 
 
 def _pulled(record: dict[str, Any]) -> str:
@@ -349,6 +352,7 @@ def print_batch(table: "DataFrame", report: str) -> None:
         )
     if len(failed) > _SHOWN_FAILURES:
         console.print(f"and {len(failed) - _SHOWN_FAILURES} more without a result")
+    print_lost(table.to_dict("records"))
     console.print(f"written: {report} and the tables, structures and pages beside it", soft_wrap=True)
 
 

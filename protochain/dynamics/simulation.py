@@ -16,6 +16,7 @@ from protochain.dynamics.settings import THERMOSTATS, SimulationSettings
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
 from protochain.structure import Structure, save
+from protochain.structure.losses import far_molecules, lost_atoms, n_lost
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -177,6 +178,9 @@ class Simulation:
             "status": str(self.ending),
             "message": self.message,
             "left_out": dict(s.left_out),
+            "lost_atoms": lost_atoms(s.losses),
+            "n_lost_atoms": n_lost(s.losses),
+            "far_molecules": far_molecules(s.losses),
             "repairs": list(s.repairs),
             "threads": e.threads,
         }

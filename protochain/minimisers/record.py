@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from protochain.structure.losses import far_molecules, lost_atoms, n_lost
 from protochain.validation.found import MEASURES
 
 UNITS = {
@@ -118,6 +119,9 @@ COLUMNS = (
     Column("max_rmsd_angstrom", lambda s: s.hold.max_rmsd),
     Column("left_out", lambda s: dict(s.chain.structure.left_out)),
     Column("constant_terms", lambda s: dict(s.constant_terms)),
+    Column("lost_atoms", lambda s: lost_atoms(s.chain.structure.losses)),
+    Column("n_lost_atoms", lambda s: n_lost(s.chain.structure.losses)),
+    Column("far_molecules", lambda s: far_molecules(s.chain.structure.losses)),
     Column("repairs", lambda s: list(s.chain.structure.repairs)),
     Column("seed", lambda s: s.seed),
     Column("threads", lambda s: s.energy_function.threads),

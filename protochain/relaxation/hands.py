@@ -5,18 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.arrays import Floats, Integers
-from protochain.structure.chirality import chiral_atoms, volume
+from protochain.structure.chirality import WELL_FORMED, chiral_atoms, volume
 from protochain.structure.model import Structure
-from protochain.validation.layout import layout, peptides
+from protochain.validation.layout import peptides
 
 _STIFFNESS = 1e8
 """kJ/mol/nm^6. To turn a hand against it costs about 1000 kJ/mol, more than overlaps and springs give."""
 _HEAVY, _WITH_HYDROGEN = 1.4e-3, 0.9e-3
 """nm^3, volumes below which an atom is pushed. Of heavy atoms they are 2.5e-3 in ideal residues, and 1.8e-3
 with a hydrogen; in frames of dynamics they are above 1.6e-3 and 1.0e-3."""
-
-_WELL_FORMED = 2.2e-3
-"""nm^3. Below it, a C-alpha of the other hand is a fault."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +74,13 @@ class Hands:
 def _wanted(structure: Structure, centres: Integers) -> Floats:
     """(n,) float: 1 for each centre of an L-amino acid, -1 for its mirror image."""
     of, x = structure.atom_residue[centres[:, 0]], structure.positions
-    by_name = np.where(layout(structure).mirrored[of], -1.0, 1.0)
+    by_name = np.where(structure.mirrored[of], -1.0, 1.0)
     size = volume(x[centres])
     has = np.where(size < 0.0, -1.0, 1.0)
     phi = peptides(structure, x)[0][of]
     alpha, other = structure.atom_name[centres[:, 0]] == "CA", has != by_name
     # NaN, at the start of a chain, may be that of D as well.
-    meant = alpha & other & (by_name > 0.0) & (np.abs(size) > _WELL_FORMED) & ~(phi < 0.0)
+    meant = alpha & other & (by_name > 0.0) & (np.abs(size) > WELL_FORMED) & ~(phi < 0.0)
     chain, n = structure.residue_chain_index[of], structure.n_chains
     mostly = np.bincount(chain, alpha & other, n) > 0.5 * np.bincount(chain, alpha, n)
     return np.where(np.isin(of, of[meant]) | mostly[chain], has, by_name)

@@ -9,7 +9,9 @@ from typing import Any
 
 from protochain.arrays import Floats
 from protochain.contacts import overlaps
+from protochain.structure.losses import far_molecules, lost_atoms, n_lost
 from protochain.validation import MEASURES
+from protochain.validation.fixed import fixed_counts
 
 METHOD = "relax"
 
@@ -72,7 +74,12 @@ COLUMNS: Mapping[str, _Value] = MappingProxyType({
     "repacked": lambda r: r.settings.repack,
     "side_chains_turned": lambda r: list(r.turned),
     "hands_turned": lambda r: list(r.hands_turned),
+    "peptides_turned": lambda r: list(r.peptides_turned),
+    "fixed": lambda r: fixed_counts(r.start),
     "left_out": lambda r: dict(r.start.left_out),
+    "lost_atoms": lambda r: lost_atoms(r.start.losses),
+    "n_lost_atoms": lambda r: n_lost(r.start.losses),
+    "far_molecules": lambda r: far_molecules(r.start.losses),
     "repairs": lambda r: list(r.start.repairs),
     "threads": lambda r: r.energy_function.threads,
 })  # fmt: skip

@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 from scipy.spatial import KDTree
 
+from protochain.checks import NO_BONDS, Bond
 from protochain.errors import StructureError
+from protochain.structure.chirality import listed
 from protochain.structure.draft import Draft, Member
 
 DISULFIDE = 3.0
@@ -19,24 +21,44 @@ poor model overlap."""
 Bridge = tuple[Member, Member]
 
 
-def disulfides(draft: Draft, asked: Sequence[tuple[str, str]] | None = None) -> list[Bridge]:
-    """Find the disulfide bonds.
+def disulfides(draft: Draft, asked: Sequence[Bond] = ()) -> list[Bridge]:
+    """Find the disulfide bonds: between sulphurs that are close, and those that are asked for.
 
     Parameters
     ----------
     draft : Draft
         Its repairs receive every bond that the file does not state.
-    asked : sequence of pairs of str, optional
-        Exactly these bonds, as ``("A:3", "A:40")``; by default, between sulphurs that are close.
+    asked : sequence of Bond
+        Further bonds, as ``("A:3", "A:40")``; with ``"none"`` among them, only these.
 
     Raises
     ------
     StructureError
-        If a requested cysteine does not exist or occurs twice.
+        If a requested cysteine is none, does not exist, or has another bond.
     """
-    cysteines = [member for part in draft.parts for member in part.members if member.name == "CYS"]
-    if asked is not None:
-        return _asked(draft, cysteines, asked)
+    cysteines = [member for member in draft.members if member.name == "CYS"]
+    wanted = [bond for bond in asked if bond != NO_BONDS]
+    found = _near(draft, cysteines)
+    only = len(wanted) < len(asked)
+    if only and found:
+        in_order = sorted(found, key=lambda pair: cysteines.index(pair[0]))
+        pairs = listed([f"{_place(first)}-{_place(second)}" for first, second in in_order])
+        draft.repairs.append(f"disulfide bonds left out, as requested: {pairs}")
+    found = [] if only else found
+    for pair in found:
+        if not _is_stated(draft, *pair):
+            draft.repairs.append(f"disulfide bond between {pair[0]} and {pair[1]}")
+    for first, second in wanted:
+        bridge = _asked(draft, cysteines, found, (first, second))
+        if bridge is not None:
+            found.append(bridge)
+    if not only:
+        _report_ignored(draft, cysteines, found)
+    return sorted(found, key=lambda pair: cysteines.index(pair[0]))
+
+
+def _near(draft: Draft, cysteines: list[Member]) -> list[Bridge]:
+    """Pair the sulphurs that are close, the nearest first."""
     # Two that hold one metal may be near each other; one bonded to a molecule beside it has no valence left.
     sulphurs = [
         member
@@ -52,9 +74,12 @@ def disulfides(draft: Draft, asked: Sequence[tuple[str, str]] | None = None) -> 
         if not bonded & {i, j}:
             bonded |= {i, j}
             found.append((sulphurs[i], sulphurs[j]))
-            if not _is_stated(draft, *found[-1]):
-                draft.repairs.append(f"disulfide bond between {sulphurs[i]} and {sulphurs[j]}")
-    at = {(member.chain_id, member.seqid, "SG"): member for member in sulphurs}
+    return found
+
+
+def _report_ignored(draft: Draft, cysteines: list[Member], found: list[Bridge]) -> None:
+    """Report bonds of the file that are too long."""
+    at = {(m.chain_id, m.seqid, "SG"): m for m in cysteines if m.atom("SG") and not m.metals}
     taken = [set(map(id, pair)) for pair in found]
     for first, second in [(at[a], at[b]) for a, b in draft.stated if a in at and b in at]:
         if {id(first), id(second)} not in taken:
@@ -62,26 +87,44 @@ def disulfides(draft: Draft, asked: Sequence[tuple[str, str]] | None = None) -> 
                 f"disulfide bond of the file between {first} and {second} ignored: it is "
                 f"{_apart(first, second):.1f} angstrom long; request it as disulfide if it is real"
             )
-    return sorted(found, key=lambda pair: cysteines.index(pair[0]))
 
 
-def _asked(draft: Draft, cysteines: list[Member], asked: Sequence[tuple[str, str]]) -> list[Bridge]:
-    at = {f"{member.chain_id}:{member.seqid}": member for member in cysteines}
-    taken: set[str] = set()
-    found = []
-    for pair in asked:
-        for name in pair:
-            if name not in at:
-                raise StructureError(
-                    f"{draft.source}: disulfide {pair[0]}-{pair[1]}: no cysteine {name}; "
-                    f"its cysteines are {', '.join(at) or 'none'}"
-                )
-            if name in taken:
-                raise StructureError(f"{draft.source}: disulfide {pair[0]}-{pair[1]}: {name} is bonded twice")
-            taken.add(name)
-        found.append((at[pair[0]], at[pair[1]]))
-        draft.repairs.append(f"disulfide bond between {found[-1][0]} and {found[-1][1]}, as requested")
-    return found
+def _asked(
+    draft: Draft, cysteines: list[Member], found: Sequence[Bridge], pair: tuple[str, str]
+) -> Bridge | None:
+    """Return a bond that is asked for; None if it is found already."""
+    at = {_place(member): member for member in cysteines}
+    bond = f"{draft.source}: disulfide {pair[0]}-{pair[1]}"
+    for name in pair:
+        if name not in at:
+            other = next((member for member in draft.members if _place(member) == name), None)
+            what = f"{other} is no cysteine" if other else f"no cysteine {name}"
+            raise StructureError(f"{bond}: {what}; its cysteines are {', '.join(at) or 'none'}")
+    if pair[0] == pair[1]:
+        raise StructureError(f"{bond}: one cysteine is no bond; give two")
+    ends = {id(at[name]) for name in pair}
+    if any({id(first), id(second)} == ends for first, second in found):
+        return None
+    for first, second in found:
+        if {id(first), id(second)} & ends:
+            raise StructureError(
+                f"{bond}: {_place(first)} and {_place(second)} are bonded, and no cysteine has two bonds; "
+                'leave one out, or drop the bonds that are found: disulfide="none"'
+            )
+    held = next((name for name in pair if any(a.name == "SG" for a in at[name].links + at[name].metals)), "")
+    if held:
+        raise StructureError(
+            f"{bond}: {held} is bonded to a molecule beside the protein; leave one of them out"
+        )
+    first, second = (at[name] for name in pair)
+    apart = _apart(first, second)
+    far = f"; their sulphurs are {apart:.1f} angstrom apart" if apart >= DISULFIDE else ""
+    draft.repairs.append(f"disulfide bond between {first} and {second}, as requested{far}")
+    return first, second
+
+
+def _place(member: Member) -> str:
+    return f"{member.chain_id}:{member.seqid}"
 
 
 def refuse_crosslinks(draft: Draft) -> None:

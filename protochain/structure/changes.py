@@ -3,14 +3,8 @@
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from protochain.residues import BLANK
-
-if TYPE_CHECKING:
-    from protochain.structure.model import Structure
 
 _SHOWN = 8
 """Places named in a line that tells many changes."""
@@ -60,34 +54,6 @@ def summarised(repairs: Iterable[str]) -> tuple[str, ...]:
     for line in repairs:
         groups[_group(line)].append(line)
     return tuple(_told(what, groups[rank, what]) for rank, what in sorted(groups, key=lambda group: group[0]))
-
-
-def residues_told(structure: "Structure", what: str) -> dict[int, re.Match[str]]:
-    """Find the residues of which a repair says something.
-
-    Parameters
-    ----------
-    structure : Structure
-    what : str
-        Regular expression of what is said after ``residue 17 GLU of chain A:``.
-
-    Returns
-    -------
-    dict of int to match
-        What is said, by index of the residue. Names are not compared: a repair may have changed them.
-    """
-    told = {}
-    for line in structure.repairs:
-        found = _OF_RESIDUE.fullmatch(line)
-        said = re.fullmatch(what, found["what"]) if found else None
-        if found and said:
-            told[found["number"], found["chain"]] = said
-    if not told:
-        return {}
-    numbers = np.char.add(structure.residue_number, structure.residue_insertion_code).tolist()
-    chains = (chain or BLANK for chain in structure.residue_chain.tolist())
-    places = enumerate(zip(numbers, chains, strict=True))
-    return {r: told[place] for r, place in places if place in told}
 
 
 def _group(line: str) -> tuple[int, str]:

@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 from protochain.arrays import Floats, Integers
 from protochain.structure.draft import Member
 from protochain.structure.model import Structure
+from protochain.units import ANGSTROM_PER_NM
 
+WELL_FORMED = 2.2e-3
+"""nm^3. Volume at a C-alpha below which its hand may be noise; 2.5e-3 in ideal residues."""
 _ALPHA = {"CA": ("N", "C", "CB")}
 _CENTRES = {
     "THR": {**_ALPHA, "CB": ("CA", "OG1", "CG2")},
@@ -41,12 +44,16 @@ def volume(x: Floats) -> Floats:
     return np.asarray((arms[..., 0, :] * np.cross(arms[..., 1, :], arms[..., 2, :])).sum(-1))
 
 
-def hand(member: Member, centre: str = "CA") -> int:
-    """Hand of a chiral atom: 1 as in an L-amino acid, -1 as in its mirror image, 0 if atoms are missing."""
+def hand(member: Member, centre: str = "CA", least: float = 0.0) -> int:
+    """Hand of a chiral atom: 1 as in an L-amino acid, -1 as in its mirror image, 0 if atoms are missing.
+
+    Also 0 if it is flatter than ``least``, nm^3.
+    """
     neighbours = centres(member.name).get(centre, ())
     found = [member.atom(name) for name in (centre, *neighbours)]
     places = [atom.pos.tolist() for atom in found if atom is not None]
-    return int(np.sign(volume(np.array(places)))) if len(places) == 4 else 0
+    size = float(volume(np.array(places) / ANGSTROM_PER_NM)) if len(places) == 4 else 0.0
+    return int(np.sign(size)) if abs(size) > least else 0
 
 
 def wrong_hands(members: Sequence[Member]) -> list[str]:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import gemmi
 
 from protochain.errors import StructureError
+from protochain.structure.apart import refuse_copies
 from protochain.structure.draft import Draft
 
 
@@ -34,7 +35,7 @@ def choose_chains(draft: Draft, model: gemmi.Model, names: Sequence[str]) -> lis
     Raises
     ------
     StructureError
-        If there is no chain of a name.
+        If there is no chain of a name, or one lies upon another.
     """
     for chain in model:
         chain.name = chain.name.strip()
@@ -44,6 +45,7 @@ def choose_chains(draft: Draft, model: gemmi.Model, names: Sequence[str]) -> lis
         known = ", ".join(name or "(blank)" for name in dict.fromkeys(there))
         raise StructureError(f"{draft.source}: has no chain {absent}; its chains are {known}")
     taken = [chain for chain in model if not names or chain.name in names]
+    refuse_copies(taken, draft.source)
     draft.left_out["chains"] = len(there) - len(taken)
     return taken
 

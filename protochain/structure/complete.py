@@ -10,6 +10,7 @@ from protochain.arrays import Floats
 from protochain.errors import StructureError
 from protochain.structure.chirality import centres, hand, listed, wrong_hands
 from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.losses import Why
 from protochain.structure.packing import Site, packed
 from protochain.structure.sidechains import Places, bridged, dihedral, ideal, placed, unit
 from protochain.structure.templates import Template, base_template, rename
@@ -57,9 +58,9 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
     if renamed:
         more = f" and {len(renamed) - _RENAMED_SHOWN} more" if len(renamed) > _RENAMED_SHOWN else ""
         draft.repairs.append(f"atoms renamed: {', '.join(renamed[:_RENAMED_SHOWN])}{more}")
-    inverted = wrong_hands(draft.members)
+    inverted = wrong_hands([m for part in draft.parts if not part.obstacle for m in part.members])
     if inverted:
-        draft.repairs.append(f"kept as in the file, though of the wrong hand: {listed(inverted)}")
+        draft.repairs.append(f"of the wrong hand in the file: {listed(inverted)}")
     _rebuild(draft, lacking)
     for member in open_ended:
         draft.repairs.append(f"{member}: missing OXT added")
@@ -78,6 +79,7 @@ def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> None
         )
     if "OXT" not in template.element and member.atom("OXT"):
         draft.repairs.append(f"{member}: OXT left out: the chain continues")
+        draft.lose(member, [a for a in member.atoms if a.name == "OXT"], Why.INNER)
         member.atoms = [a for a in member.atoms if a.name != "OXT"]
 
 

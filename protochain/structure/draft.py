@@ -1,7 +1,7 @@
 """Molecules of a file while they are prepared."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -10,6 +10,7 @@ import gemmi
 
 from protochain import residues
 from protochain.structure.header import NO_LABEL, Label
+from protochain.structure.losses import Loss, Why
 
 if TYPE_CHECKING:
     from protochain.structure.templates import Template
@@ -30,13 +31,17 @@ class Member:
     state : str
         Protonation state that its name in the file implies; empty if none.
     is_d : bool
-        Whether its name in the file is that of a D-amino acid.
+        Whether it is a D-amino acid: by its name in the file, or by its atoms where the name tells neither.
     own : Template, optional
         Made from its own atoms, for a molecule that is kept as it is.
     links, metals : list of gemmi.Atom
         Its atoms that are bonded to a molecule kept beside the protein, and to a metal.
     label : Label
         Label ids of the file.
+    given : str
+        Its name in the file, where another.
+    parent : str
+        Standard amino acid that it becomes as part of a chain; empty if it has a template.
     """
 
     name: str
@@ -50,9 +55,11 @@ class Member:
     links: list[gemmi.Atom] = field(default_factory=list)
     metals: list[gemmi.Atom] = field(default_factory=list)
     label: Label = NO_LABEL
+    given: str = ""
+    parent: str = ""
 
     def __str__(self) -> str:
-        return residues.describe(self.number + self.insertion_code, self.name, self.chain_id)
+        return residues.describe(self.seqid, residues.name_in_file(self.name, self.is_d), self.chain_id)
 
     @property
     def is_cap(self) -> bool:
@@ -114,6 +121,8 @@ class Draft:
         stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
     absent : list of Member
         The molecules left out.
+    losses : list of Loss
+        Heavy atoms of the file that are lost.
     header : str
         What the file says beside its atoms, as mmCIF text.
     model_number : int
@@ -129,6 +138,7 @@ class Draft:
     left_out: Counter[str] = field(default_factory=Counter)
     springs: Mapping[tuple[Address, ...], tuple[float, float]] = field(default_factory=dict)
     absent: list[Member] = field(default_factory=list)
+    losses: list[Loss] = field(default_factory=list)
     header: str = ""
     model_number: int = 1
 
@@ -136,6 +146,15 @@ class Draft:
     def members(self) -> list[Member]:
         """Every residue, in order."""
         return [member for part in self.parts for member in part.members]
+
+    def lose(self, member: Member, atoms: Iterable[gemmi.Atom], why: Why) -> None:
+        """Note the heavy atoms among those of a residue as lost; count them if the rest of it stays."""
+        names = tuple(atom.name for atom in atoms if not atom.is_hydrogen())
+        if names:
+            lost = Loss(member.chain_id, member.seqid, member.given or member.name, names, why)
+            self.losses.append(lost)
+            if not why.is_of_whole:
+                self.left_out[f"atoms of {lost.name}"] += len(names)
 
     def states(self, first: Address, second: Address) -> bool:
         """Whether the file states this bond."""

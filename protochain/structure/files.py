@@ -16,7 +16,9 @@ from typing import Any, BinaryIO
 import gemmi
 
 from protochain.errors import StructureError
+from protochain.structure.apart import chains_told_apart, told_apart
 from protochain.structure.records import of_cif, of_pdb
+from protochain.structure.templates import standard_name
 
 MAX_MEGABYTES = 512
 """Largest text, after decompression; the largest files of the PDB are smaller."""
@@ -80,21 +82,25 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool, str]:
             text = _ascii(text, source, slice(None))
             block = _block_with_atoms(gemmi.cif.read_string(text), source)
             _refuse_cut_cif(text, block, source)
+            _complete(block, source)
             structure, ends, records = gemmi.make_structure_from_block(block), True, of_cif(block)
         else:
             _refuse_cut_pdb(text, source)
             text = _corrected(_ascii(text, source, _USED), source, overlooked)
             ends = any(line.startswith("END") for line in text.splitlines())
             # gemmi takes a short last line without an end for an incomplete one.
-            structure = gemmi.read_pdb_string(f"{text}\n")
+            # Split at TER: gemmi would join residues of two chains that share id, number and name.
+            structure = gemmi.read_pdb_string(f"{text}\n", split_chain_on_ter=True)
             records = of_pdb(text, structure)
     except StructureError:
         raise
     except (RuntimeError, ValueError, IndexError) as error:
         reason = " ".join(str(error).replace("string:", "line ").split())
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
+    overlooked += chains_told_apart(structure)
     structure.merge_chain_parts()
     check(structure, source)
+    overlooked += told_apart(structure, source)
     return structure, overlooked, ends, records
 
 
@@ -154,6 +160,32 @@ def _block_with_atoms(document: gemmi.cif.Document, source: str) -> gemmi.cif.Bl
         if block.find_loop("_atom_site.Cartn_x") or block.find_pair("_atom_site.Cartn_x"):
             return block
     raise StructureError(f"{source}: no atoms found; give a PDB or mmCIF file with coordinates")
+
+
+def _complete(block: gemmi.cif.Block, source: str) -> None:
+    """Add columns without which gemmi reads no atoms, where their values are clear.
+
+    Raises
+    ------
+    StructureError
+        If there are no elements.
+    """
+    column = block.find_loop("_atom_site.Cartn_x")
+    if not column:
+        return
+    loop = column.get_loop()
+    there = {tag.lower() for tag in loop.tags}
+    if "_atom_site.type_symbol" not in there:
+        raise StructureError(f"{source}: its atoms have no elements; add the item _atom_site.type_symbol")
+    for tag in ("id", "label_alt_id", "label_asym_id"):
+        if f"_atom_site.{tag}" not in there:
+            loop.add_columns([f"_atom_site.{tag}"], ".")
+    if "_atom_site.label_asym_id" not in there and "_atom_site.auth_asym_id" in there:
+        for row in block.find("_atom_site.", ["label_asym_id", "auth_asym_id"]):
+            row[0] = row[1]
+    if "_atom_site.id" not in there:
+        for number, row in enumerate(block.find("_atom_site.", ["id"]), 1):
+            row[0] = str(number)
 
 
 def _refuse_cut_cif(text: str, block: gemmi.cif.Block, source: str) -> None:
@@ -249,6 +281,7 @@ def _corrected(text: str, source: str, overlooked: list[str]) -> str:
             lower += 1
             for start, end in _UPPER:
                 line = line[:start] + line[start:end].upper() + line[end:]
+        line = _of_three_letters(line)
         _refuse_odd_numbers(line, i + 1, source)
         element = line[76:78].strip()
         if element and not gemmi.Element(element).atomic_number:
@@ -267,6 +300,18 @@ def _corrected(text: str, source: str, overlooked: list[str]) -> str:
     if unended:
         overlooked.append(f"{unended} models without an ENDMDL record end where the next begins")
     return "\n".join(lines)
+
+
+def _of_three_letters(line: str) -> str:
+    """Put a name of four letters in columns 18 to 21 into three: gemmi takes the fourth for a chain's.
+
+    NASN and NHIE of Amber, LYSH and HISB of GROMACS, TIP3 of CHARMM. Others may be a chain id of two letters.
+    """
+    name = line[17:21]
+    if len(name.strip()) < 4:
+        return line
+    short, state = standard_name(name)
+    return f"{line[:17]}{state or short:<4}{line[21:]}" if short != name else line
 
 
 _CHARGE = re.compile(r"(\d?[+-]|[+-]\d)?")

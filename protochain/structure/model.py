@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from protochain.arrays import Floats, Integers, Value, read_only
 from protochain.errors import StructureError
 from protochain.markup import facts
-from protochain.residues import describe
+from protochain.residues import describe, name_in_file
 from protochain.structure.changes import summarised
 from protochain.structure.header import Label
+from protochain.structure.losses import Loss
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,12 @@ class Structure(Value):
         Bonds, coordinated metals included, of the protein to atoms beside it, the protein's atom first; then
         those between residues beside it that the file states (LINK, CONECT, ``_struct_conn``). A metal among
         the two tells the kind.
+    mirrored : (nr,) bool
+        D-amino acids, whose ``residue_name`` is that of their mirror image; files have their own.
+    built : (na,) bool
+        Heavy atoms that the file lacks.
+    losses : tuple of Loss
+        Heavy atoms of the file that are not in the structure, without waters and what options leave out.
 
     Raises
     ------
@@ -93,16 +100,20 @@ class Structure(Value):
     ties: tuple[Tie, ...] = ()
     mobile: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
     links: Integers = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+    mirrored: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
+    built: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
+    losses: tuple[Loss, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions))
         object.__setattr__(self, "left_out", MappingProxyType(dict(self.left_out)))
         b_factor = self.b_factor if len(self.b_factor) else np.zeros(self.n_atoms)
-        obstacle = self.obstacle if len(self.obstacle) else np.zeros(self.n_atoms, dtype=bool)
         object.__setattr__(self, "b_factor", read_only(b_factor))
-        object.__setattr__(self, "obstacle", read_only(obstacle, np.bool_))
-        mobile = self.mobile if len(self.mobile) else np.zeros(self.n_atoms, dtype=bool)
-        object.__setattr__(self, "mobile", read_only(mobile, np.bool_))
+        for name in ("obstacle", "mobile", "mirrored", "built"):
+            given = getattr(self, name)
+            n = self.n_residues if name == "mirrored" else self.n_atoms
+            mask = given if len(given) else np.zeros(n, dtype=bool)
+            object.__setattr__(self, name, read_only(mask, np.bool_))
         object.__setattr__(self, "links", read_only(self.links, np.int64))
         occupancy = self.occupancy if len(self.occupancy) else np.ones(self.n_atoms)
         object.__setattr__(self, "occupancy", read_only(occupancy))
@@ -153,6 +164,12 @@ class Structure(Value):
     def residue_name(self) -> NDArray[np.str_]:
         """(nr,) str: residue names."""
         return np.array([residue.name for residue in self.topology.residues()])
+
+    @cached_property
+    def residue_name_in_file(self) -> NDArray[np.str_]:
+        """(nr,) str: residue names as files have them: D-amino acids bear their own."""
+        pairs = zip(self.residue_name.tolist(), self.mirrored.tolist(), strict=True)
+        return np.array([name_in_file(name, is_d) for name, is_d in pairs])
 
     @cached_property
     def residue_number(self) -> NDArray[np.str_]:
@@ -220,7 +237,8 @@ class Structure(Value):
     def describe_residue(self, residue: int) -> str:
         """Describe a residue: ``residue 17 GLU of chain A``."""
         number = f"{self.residue_number[residue]}{self.residue_insertion_code[residue]}"
-        return describe(number, str(self.residue_name[residue]), str(self.residue_chain[residue]))
+        name = name_in_file(str(self.residue_name[residue]), bool(self.mirrored[residue]))
+        return describe(number, name, str(self.residue_chain[residue]))
 
     def describe(self, atom: int) -> str:
         """Describe an atom: ``atom CG of residue 17 GLU of chain A``."""

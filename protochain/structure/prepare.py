@@ -13,7 +13,8 @@ from openmm import app
 
 from protochain import defaults
 from protochain.arrays import Floats, Integers
-from protochain.checks import file_name, force_field_parts, pairs, words
+from protochain.checks import bonds as bonds_of
+from protochain.checks import file_name, force_field_parts, words
 from protochain.checks import path as as_path
 from protochain.errors import StructureError
 from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
@@ -36,7 +37,7 @@ def load(
     model: int | None = None,
     altloc: str = "",
     keep: str | Sequence[str] = defaults.KEEP,
-    disulfide: str | Sequence[tuple[str, str]] | None = None,
+    disulfide: str | Sequence[str | tuple[str, str]] | None = None,
     ph: float = defaults.PH,
     strict: bool = False,
     forcefield: str | Path | None = None,
@@ -64,9 +65,9 @@ def load(
         of the protein, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``, or residue names.
         They are fixed obstacles, unless ``forcefield`` has their parameters; those that no force field has
         parameters for are kept as they are, by element.
-    disulfide : sequence of pairs of str, or str, optional
-        Exactly these disulfide bonds, as ``[("A:3", "A:40")]`` or ``"A:3-A:40"``; by default, between
-        sulphurs that are close.
+    disulfide : str, or sequence of pairs of str, optional
+        Disulfide bonds beside those between sulphurs that are close, as ``[("A:3", "A:40")]`` or
+        ``"A:3-A:40"``; ``"none"`` among them drops those: ``"none"`` alone leaves no bond.
     ph : float
         Sets the protonation of residues whose hydrogens or names in the file do not show it.
     strict : bool
@@ -101,7 +102,7 @@ def user_files(forcefield: str | Path | None) -> tuple[Path, ...]:
 
 def prepare(
     draft: Draft,
-    disulfide: str | Sequence[tuple[str, str]] | None = None,
+    disulfide: str | Sequence[str | tuple[str, str]] | None = None,
     ph: float = defaults.PH,
     forcefield: Sequence[Path] = (),
 ) -> Structure:
@@ -112,12 +113,13 @@ def prepare(
     StructureError
         If a residue fits no template.
     """
-    wanted = pairs(disulfide, "disulfide")
+    wanted = bonds_of(disulfide, "disulfide")
     known = templates(forcefield)
     links, beside = find_links(draft), stated_beside(draft)
     settle_mobile(draft, links)
     # Before oxygens that the file lacks are added.
     refuse_crosslinks(draft)
+    given = {id(atom): atom for member in draft.members for atom in member.atoms}
     add_heavy_atoms(draft, known)
     bridges = disulfides(draft, wanted)
     done = protonate(draft, known, {id(member) for pair in bridges for member in pair}, ph)
@@ -158,6 +160,9 @@ def prepare(
         stated_ties(draft, links, at) or ties(links, at, x, elements, bonds),
         mobile,
         np.array([*_linked(links, at), *_linked(beside, at)], dtype=np.int64).reshape(-1, 2),
+        np.array([member.is_d for member in draft.members]),
+        np.array([id(atom) not in given and not atom.is_hydrogen() for atom in atoms]),
+        tuple(draft.losses),
     )
 
 

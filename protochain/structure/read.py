@@ -10,19 +10,28 @@ from pathlib import Path
 
 import gemmi
 import numpy as np
-from pdbfixer.pdbfixer import substitutions
 
 from protochain import residues
 from protochain.checks import check_fields, flag, integer, optional, text, words
 from protochain.errors import OnlyAlphaError, StructureError
+from protochain.structure.chirality import WELL_FORMED, hand, listed
 from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse, split_name
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, water_named
+from protochain.structure.losses import Why
 from protochain.structure.springs import springs
-from protochain.structure.templates import other_names, rename, standard_name, template_name, templates
+from protochain.structure.templates import (
+    archive_parent,
+    named,
+    other_names,
+    rename,
+    standard_name,
+    template_name,
+    templates,
+)
 
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""
@@ -116,15 +125,22 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         if bond.type in _BONDS and bond.asu != gemmi.Asu.Different
     ] + _of_serials(structure, model)
     beside: list[Candidate] = []
+    unknown: list[Member] = []
     for chain in choose_chains(draft, model, reading.chains):
-        _Reader(draft, reading, chain.name, beside).take(chain)
+        reader = _Reader(draft, reading, chain.name, beside)
+        reader.take(chain)
+        unknown += reader.refused
+    if unknown:
+        raise StructureError(f"{draft.source}: {_unknown_told(draft, unknown)}")
     if not draft.parts:
         kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
         found = ", ".join(f"{count} {kind}" for kind, count in (draft.left_out + kinds).items())
         single = any(each.given in residues.STANDARD for each in beside)
         remedy = "a chain has two amino acids or more" if single else "give a file with amino acids"
         raise StructureError(f"{draft.source}: no protein found (only {found}); {remedy}")
-    _report_left_out(draft)
+    draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})
+    if draft.left_out["deuterium atoms"]:
+        draft.repairs.append(f"{draft.left_out['deuterium atoms']} deuterium atoms left out")
     # As in a file written of it, where chains are whole: protein chains come first.
     order = list(dict.fromkeys(part.chain_id for part in draft.parts))
     beside.sort(
@@ -143,6 +159,19 @@ def model_numbers(path: str | Path) -> list[int]:
         As :func:`read`.
     """
     return [model.num for model in parse(Path(path))[0]]
+
+
+def _unknown_told(draft: Draft, unknown: list[Member]) -> str:
+    """What amino acids are unknown, and what to do; taking other chains is offered if they hold none."""
+    chains = dict.fromkeys(part.chain_id for part in draft.parts)
+    free = [name for name in chains if name and name not in {member.chain_id for member in unknown}]
+    said = "is an unknown amino acid" if len(unknown) == 1 else "are unknown amino acids"
+    it = "it" if len(unknown) == 1 else "them"
+    others = f', or take only what has none: chains="{",".join(free)}"' if free else ""
+    return (
+        f"{listed([str(member) for member in unknown])} {said} without a standard parent; replace or remove "
+        f"{it}, or give a force field that defines {it}{others}"
+    )
 
 
 def _address(place: gemmi.AtomAddress) -> Address:
@@ -172,6 +201,7 @@ class _Reader:
         self.draft, self.reading, self.chain_id, self.beside = draft, reading, chain_id, beside
         self.known = templates(reading.forcefield)
         self.unknown: set[int] = set()
+        self.refused: list[Member] = []
 
     def take(self, chain: gemmi.Chain) -> None:
         """Add the protein of a chain and the molecules kept beside it."""
@@ -179,7 +209,7 @@ class _Reader:
         for group in same_place(chain):
             found = likeliest(group, self.reading.altloc)
             self.notes: list[str] = []
-            if self._is_protein(found.residue.name):
+            if self._is_protein(found.residue):
                 self._report_alternates(found)
             else:
                 self.notes = self._alternates(found)
@@ -232,49 +262,47 @@ class _Reader:
             more = f" and {len(places) - 1} more" if len(places) > 1 else ""
             self._report(f"{sum(unseen)} atoms of zero occupancy kept, in {places[0]}{more}")
 
-    def _is_protein(self, name: str) -> bool:
-        name = name.strip().upper()
-        return standard_name(name)[0] in residues.CAPS or bool(standard_parent(name))
+    def _is_protein(self, residue: gemmi.Residue) -> bool:
+        name, _ = named(residue.name.strip().upper(), [*residue], self.known)
+        return name in residues.CAPS or name in residues.STANDARD or bool(archive_parent(name))
 
     def _member(self, residue: gemmi.Residue) -> Member | None:
         """Return a residue of the protein under its standard name, or None for another molecule."""
-        given = residue.name
-        name, state = standard_name(given.strip().upper())
+        given = residue.name.strip().upper()
+        name, state = named(given, [*residue], self.known)
         if name in residues.STANDARD or name in residues.CAPS:
             for atom in residue:
                 atom.element = _element(atom)
         atoms = [atom for atom in residue if atom.element != gemmi.Element("D")]
         self.draft.left_out["deuterium atoms"] += len(residue) - len(atoms)
         backbone = {*residues.BACKBONE} <= {atom.name for atom in atoms}
-        if backbone and name in residues.NUCLEOTIDES:
-            # DCY: D-cysteine in the archive, deoxycytidine in OpenMM's table of names.
-            name = given.strip().upper()
         member = Member(
             name, str(residue.seqid.num), residue.seqid.icode.strip(), self.chain_id, atoms, state,
-            label=(residue.subchain, residue.label_seq),
+            is_d=gemmi.find_tabulated_residue(name).kind == gemmi.ResidueKind.AAD,
+            label=(residue.subchain, residue.label_seq), given=given,
         )  # fmt: skip
         if name in residues.STANDARD or name in residues.CAPS:
-            if state:
-                self._report(f"{self._describe(residue)}: taken as {name} in protonation state {state}")
+            if state or given[-3:] in residues.LINKED:
+                told = f" in protonation state {state}" if state else ""
+                self._report(f"{self._describe(residue)}: taken as {name}{told}")
             if member.is_cap:
                 rename(member.atoms, self.known[template_name(name)])
             return member
-        # DGN: D-glutamine in the archive, a nucleoside in Amber's files.
-        if backbone and name in self.known and {*residues.BACKBONE} <= self.known[name].element.keys():
+        # DGN: D-glutamine in the archive, a nucleoside in Amber's files. HIP with a phosphate is not Amber's.
+        template = self.known.get(name) if name not in residues.STATE_PARENT else None
+        if backbone and template and {*residues.BACKBONE} <= template.element.keys():
             return member
-        parent = _parent(name)
-        if backbone and parent:
-            self._convert(member, parent, self._describe(residue))
-            return member
+        member.parent = archive_parent(name) if backbone else ""
         if backbone:
-            # Refused within a chain; left out as a ligand if it stands alone.
-            self.unknown.add(id(member))
+            # One that is unknown is refused within a chain; alone, it is a ligand.
+            self.unknown |= set() if member.parent else {id(member)}
             return member
         self.beside.append(Candidate(water_named(member, given), given, self.notes))
         return None
 
-    def _convert(self, member: Member, parent: str, where: str) -> None:
-        """Convert a modified residue to its standard parent."""
+    def _convert(self, member: Member) -> None:
+        """Convert a modified residue of a chain to its standard parent."""
+        where, parent, given = str(member), member.parent, member.name
         # HIP has the atoms of every state of histidine.
         named = self.known["HIP" if parent == "HIS" else parent]
         expected = {*named.element, *other_names(member.atoms, named), "OXT", "H1", "H2", "H3", "H"}
@@ -283,19 +311,23 @@ class _Reader:
             chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in expected]
             if named.element[name] == "S" and len(chalcogens) == 1:
                 chalcogens[0].name, chalcogens[0].element = name, gemmi.Element("S")
-        strange = [atom.name for atom in member.atoms if atom.name not in expected and not atom.is_hydrogen()]
+        strange = [atom for atom in member.atoms if atom.name not in expected and not atom.is_hydrogen()]
         member.atoms = [
             atom for atom in member.atoms if atom.name in expected and not (strange and atom.is_hydrogen())
         ]
-        given, member.name = member.name, parent
+        member.name, member.parent = parent, ""
+        gone = f", {', '.join(a.name for a in strange)} left out" if strange else ""
+        self.draft.lose(member, strange, Why.PARENT)
+        if gemmi.find_tabulated_residue(given).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
+            # The table does not say of which hand it is.
+            member.is_d = hand(member, least=WELL_FORMED) < 0
         if given == "MSE":
             self._report(f"{where}: selenomethionine converted to MET")
-        elif gemmi.find_tabulated_residue(given).kind == gemmi.ResidueKind.AAD:
-            member.is_d = True
-            self._report(f"{where}: named {parent}, its D configuration kept")
-        else:
-            gone = f", {', '.join(strange)} left out" if strange else ""
-            self._report(f"{where}: converted to its standard parent {parent}{gone}")
+        elif given != residues.name_in_file(parent, member.is_d):
+            to = f"D-amino acid {residues.D_NAMES[parent]}" if member.is_d else f"standard parent {parent}"
+            self._report(f"{where}: converted to its {to}{gone}")
+        elif gone or hand(member) < 1:  # One of the other hand is told with all that are.
+            self._report(f"{where}: D-amino acid, with the parameters of its mirror image{gone}")
 
     def _has_backbone(self, member: Member) -> bool:
         missing = [name for name in residues.BACKBONE if not member.atom(name)]
@@ -308,6 +340,7 @@ class _Reader:
             )
         self._report(f"{member}: left out: its backbone atom {missing[0]} is missing")
         self.draft.left_out["incomplete residues"] += 1
+        self.draft.lose(member, member.atoms, Why.BACKBONE)
         return False
 
     def _add_unbroken(self, run: list[Member]) -> None:
@@ -344,17 +377,17 @@ class _Reader:
             for i, member in enumerate(part)
             if not member.is_cap or self._is_in_place(member, i, len(part))
         ]
-        if len(part) == 1 and id(part[0]) in self.unknown:
+        strange = [member for member in part if id(member) in self.unknown]
+        if len(part) == 1:
+            if not strange:
+                self._report(f"{part[0]}: no part of a chain: it is bonded to no other residue")
             self.beside.append(Candidate(part[0], part[0].name))
-        elif strange := next((member for member in part if id(member) in self.unknown), None):
-            raise StructureError(
-                f"{self.draft.source}: {strange} is an unknown amino acid without a standard parent; "
-                "replace or remove it, or give a force field that defines it"
-            )
-        elif len(part) == 1:
-            self._report(f"{part[0]}: no part of a chain: it is bonded to no other residue")
-            self.beside.append(Candidate(part[0], part[0].name))
+        elif strange:
+            self.refused += strange
         elif part:
+            for member in part:
+                if member.parent:
+                    self._convert(member)
             made = Part(self.chain_id, part)
             made.cyclic = len(part) >= SMALLEST_RING and _gap(part[-1], part[0]) < PEPTIDE_BREAK
             if made.cyclic:
@@ -370,6 +403,7 @@ class _Reader:
             return True
         self._report(f"{member}: left out: this cap is not at the end of a chain")
         self.draft.left_out[member.name] += 1
+        self.draft.lose(member, member.atoms, Why.CAP)
         return False
 
 
@@ -383,18 +417,7 @@ def _element(atom: gemmi.Atom) -> gemmi.Element:
 def standard_parent(name: str) -> str:
     """Return the standard amino acid that a residue is or derives from, or an empty string."""
     standard = standard_name(name)[0]
-    return standard if standard in residues.STANDARD else _parent(name)
-
-
-def _parent(name: str) -> str:
-    """Return the standard amino acid that a modified one derives from, or an empty string."""
-    if name in substitutions:
-        return str(substitutions[name])
-    info = gemmi.find_tabulated_residue(name)
-    if info is not None and info.is_amino_acid():
-        letters = {letter: parent for parent, letter in residues.STANDARD.items()}
-        return letters.get(info.one_letter_code.upper(), "")
-    return ""
+    return standard if standard in residues.STANDARD else archive_parent(name)
 
 
 def _gap(last: Member, first: Member) -> float:
@@ -409,14 +432,3 @@ def _is_torn(last: Member, first: Member, gap: float) -> bool:
     """Whether two residues, too far apart, are nevertheless bonded."""
     follows = int(first.number) == int(last.number) + 1
     return follows and gap < PEPTIDE_TORN and not last.atom("OXT") and not last.is_cap and not first.is_cap
-
-
-def _report_left_out(draft: Draft) -> None:
-    reported = (
-        "models", "chains", "alternate locations", "repeated atoms", "incomplete residues", "single residues",
-        *residues.CAPS,
-    )  # fmt: skip
-    draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})
-    for kind, count in draft.left_out.items():
-        if kind not in reported:
-            draft.repairs.append(f"{count} {kind} left out")

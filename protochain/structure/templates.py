@@ -3,7 +3,7 @@
 Names, elements, charges and bonds are read from the files; scripts in them are never run.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -11,14 +11,16 @@ from xml.etree import ElementTree
 
 import gemmi
 from openmm import app
+from pdbfixer.pdbfixer import substitutions
 
 from protochain.errors import StructureError
-from protochain.residues import CAPS, NUCLEOTIDES, STANDARD, STATE_PARENT
+from protochain.residues import CAPS, LINKED, NUCLEOTIDES, STANDARD, STATE_PARENT
 from protochain.structure.draft import Part
 
 _DATA = Path(app.__file__).parent / "data"
 PROTEIN = _DATA / "amber14" / "protein.ff14SB.xml"
 """The default force field of proteins."""
+DNA, RNA = _DATA / "amber14" / "DNA.OL15.xml", _DATA / "amber14" / "RNA.OL3.xml"
 _BONDED = 2.2
 """Angstrom: no bond of an amino acid is longer (C-S 1.8, S-S 2.0)."""
 SMIRNOFF = "SMIRNOFF"
@@ -216,11 +218,60 @@ def standard_name(name: str) -> tuple[str, str]:
     """
     if name in STATE_PARENT:
         return STATE_PARENT[name]
+    if name in LINKED:
+        return LINKED[name], ""
     if name in STANDARD or name in CAPS or name in NUCLEOTIDES:
         return name, ""
-    if len(name) == 4 and name[0] in "NC" and (name[1:] in STANDARD or name[1:] in STATE_PARENT):
+    if len(name) == 4 and name[0] in "NC" and name[1:] in {*STANDARD, *STATE_PARENT, *LINKED}:
         return standard_name(name[1:])
     return _residue_names().get(name, name), ""
+
+
+def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Template]) -> tuple[str, str]:
+    """Return what :func:`standard_name` does of a name that has this meaning with these atoms, or as given.
+
+    Names mean several things: ``NLN`` is asparagine with a sugar in GLYCAM, and norleucine's amide in the PDB
+    archive; ``HSE`` histidine in CHARMM, and homoserine; ``HIP`` histidine in Amber, and its phosphate;
+    ``NHE`` a cap, and a buffer; ``DCY`` deoxycytidine in OpenMM's table, and D-cysteine.
+
+    Parameters
+    ----------
+    given : str
+    atoms : collection of gemmi.Atom
+    known : mapping of str to Template
+
+    Returns
+    -------
+    (str, str)
+        Name and protonation state.
+    """
+    name, state = standard_name(given)
+    if name == given:
+        return given, ""
+    heavy = {atom.name for atom in atoms if not atom.is_hydrogen()}
+    if name == "HOH":
+        fits = [atom.element.name for atom in atoms if atom.element.atomic_number > 1] == ["O"]
+    elif name in NUCLEOTIDES:
+        fits = bool(heavy & {"C1'", "C1*"})
+    else:
+        template = known["HIP" if name == "HIS" else template_name(name)]
+        like = (template, known["NALA"], known["CALA"])
+        strange = heavy - {name for each in like for name in (*each.element, *each.synonyms)}
+        lacking = {*template.heavy} - {template.synonyms.get(each, each) for each in heavy}
+        # A whole amino acid with another atom is that, or a modified one if the archive has one so named.
+        fits = not strange or (name in STANDARD and not lacking and not archive_parent(given))
+    return (name, state) if fits else (given, "")
+
+
+def archive_parent(name: str) -> str:
+    """Return the standard amino acid that one of the PDB archive derives from, or an empty string."""
+    if name in substitutions:
+        return str(substitutions[name])
+    info = gemmi.find_tabulated_residue(name)
+    if info is not None and info.is_amino_acid():
+        letters = {letter: parent for parent, letter in STANDARD.items()}
+        return letters.get(info.one_letter_code.upper(), "")
+    return ""
 
 
 def template_name(residue: str) -> str:

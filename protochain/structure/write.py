@@ -166,7 +166,7 @@ def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.
         gemmi_chain = gemmi.Chain(chain.id or " ")
         for residue in chain.residues():
             made = gemmi.Residue()
-            made.name = residue.name
+            made.name = str(structure.residue_name_in_file[residue.index])
             made.seqid = _seqid(structure, residue.index)
             kept = structure.kept[next(residue.atoms()).index]
             is_polymer = not kept or residue.name in NUCLEOTIDES
@@ -228,7 +228,7 @@ def _address(structure: Structure, atom: int) -> gemmi.AtomAddress:
     residue = int(structure.atom_residue[atom])
     return gemmi.AtomAddress(
         str(structure.residue_chain[residue]) or " ", _seqid(structure, residue),
-        str(structure.residue_name[residue]), str(structure.atom_name[atom]),
+        str(structure.residue_name_in_file[residue]), str(structure.atom_name[atom]),
     )  # fmt: skip
 
 

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers, read_only
 from protochain.residues import BACKBONE
-from protochain.structure.changes import residues_told
 from protochain.structure.model import Structure
 
 NONE = -1
@@ -26,15 +25,12 @@ class Layout(NamedTuple):
         Index of the atom of that name in each amino acid, -1 where there is none.
     before, after : (nr,) int
         Amino acids that a peptide bond joins to N and to C, -1 where there is none.
-    mirrored : (nr,) bool
-        Residues that the file names as D-amino acids; the structure has the name of their mirror image.
     """
 
     amino: NDArray[np.bool_]
     atom: dict[str, Integers]
     before: Integers
     after: Integers
-    mirrored: NDArray[np.bool_]
 
     def atoms(self, *names: str) -> Integers:
         """(nr, len(names)) int: atoms of these names in each residue."""
@@ -66,21 +62,7 @@ def layout(structure: Structure) -> Layout:
         first, second = of[pairs[:, c]], of[pairs[:, n_]]
         real = amino[first] & amino[second] & (first != second)
         after[first[real]], before[second[real]] = second[real], first[real]
-    mirrored = np.zeros(n, dtype=bool)
-    mirrored[list(residues_told(structure, r"named \S+, its D configuration kept"))] = True
-    return Layout(amino, atom, read_only(before, np.int64), read_only(after, np.int64), mirrored)
-
-
-@lru_cache(maxsize=16)
-def built(structure: Structure) -> NDArray[np.bool_]:
-    """(na,) bool: heavy atoms that the file lacks, and preparation added."""
-    added = np.zeros(structure.n_atoms, dtype=bool)
-    found = layout(structure)
-    for residue, said in residues_told(structure, r"missing (?P<atoms>.+) added").items():
-        atoms = found.atoms(*said["atoms"].split(", "))[residue]
-        added[atoms[atoms != NONE]] = True
-    added.flags.writeable = False
-    return added
+    return Layout(amino, atom, read_only(before, np.int64), read_only(after, np.int64))
 
 
 def dihedrals(x: Floats, atoms: Integers) -> Floats:

@@ -15,7 +15,7 @@ from protochain.structure.matching import Match, match, tm_score
 from protochain.structure.model import Structure
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.units import ANGSTROM_PER_NM
-from protochain.validation.layout import NONE, built, layout
+from protochain.validation.layout import NONE, layout
 
 RADIUS = 15.0
 """Angstrom within which distances of the reference count."""
@@ -120,13 +120,13 @@ def _correspondence(
     ours, kinds = layout(structure), reference.residue_name[reference.atom_residue]
     # Of a reference of C-alphas nothing has a backbone.
     known = (
-        (reference.atom_element != "H") & np.isin(kinds, list(STANDARD)) & ~reference.kept & ~built(reference)
+        (reference.atom_element != "H") & np.isin(kinds, list(STANDARD)) & ~reference.kept & ~reference.built
     )
     atoms = np.flatnonzero(known)
     counterpart = np.full(reference.n_residues, NONE)
     counterpart[found.reference] = found.model
     residue, name = counterpart[reference.atom_residue[atoms]], reference.atom_name[atoms]
-    absent = built(structure)
+    absent = structure.built
 
     def named(names: NDArray[np.str_]) -> Integers:
         at = np.full(len(atoms), NONE)

@@ -78,13 +78,12 @@ def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
     -----
     Tables: Top8000 (Williams et al., Protein Sci. 27:293, 2018), as in mmtbx's ramalyze.
     """
-    found = layout(structure)
     phi, psi, omega = peptides(structure, structure.positions if x is None else x)
     standard = np.isin(structure.residue_name, list(STANDARD))
     residue = np.flatnonzero(standard & np.isfinite(phi) & np.isfinite(psi))
     kind = _classes(structure, omega)[residue]
     phi, psi = phi[residue], psi[residue]
-    hand = np.where(found.mirrored[residue], -1.0, 1.0)
+    hand = np.where(structure.mirrored[residue], -1.0, 1.0)
     values = score(kind, hand * phi, hand * psi)
     region = (values >= ALLOWED[kind]).astype(np.int64) + (values >= FAVOURED)
     return Ramachandran(residue, phi, psi, kind, values, region)

@@ -76,7 +76,7 @@ def side_chains(structure: Structure, x: Floats | None = None) -> SideChains:
     The limits were chosen for agreement with MolProbity's contours on 20 structures, without Arg and Lys.
     """
     x = structure.positions if x is None else x
-    mirrored = layout(structure).mirrored
+    mirrored = structure.mirrored
     n = structure.n_residues
     name, distance = np.zeros(n, dtype="U8"), np.full(n, np.nan)
     for kind, its, quadruples in _dihedrals(structure):

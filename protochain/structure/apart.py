@@ -1,0 +1,170 @@
+"""Chains, residues and atoms that share their ids in a file, though they are different ones."""
+
+from collections import Counter
+from collections.abc import Sequence
+from string import ascii_lowercase, ascii_uppercase, digits
+
+import gemmi
+import numpy as np
+from scipy.spatial import KDTree
+
+from protochain.errors import StructureError
+from protochain.residues import BLANK, describe
+
+_NOT_BONDED = 2.0
+"""Angstrom: copies of a residue are different ones if no atom lies this near to its namesake."""
+_SAME_PLACE = 0.5
+"""Angstrom: namesakes nearer than this are one atom, given more than once."""
+
+_UPON, _SHARE = 1.0, 0.5
+"""Angstrom: a chain lies upon another if this share of its C-alphas is this near to C-alphas of that one."""
+_IDS = ascii_uppercase + ascii_lowercase + digits
+
+
+def chains_told_apart(structure: gemmi.Structure) -> list[str]:
+    """Give chains whose ids and numbers are those of a chain before them ids of their own.
+
+    Parameters
+    ----------
+    structure : gemmi.Structure
+        Changed in place. The parts of its chains are not merged yet.
+
+    Returns
+    -------
+    list of str
+        What was done.
+    """
+    renamed = []
+    for model in structure:
+        taken: dict[str, set[str]] = {}
+        for part in model:
+            numbers = {str(residue.seqid) for residue in part if _is_amino(residue)}
+            if numbers & taken.get(part.name, set()):
+                names = {chain.name for chain in model}
+                name = next((each for each in _IDS if each not in names), part.name)
+                renamed.append(f"{part.name or BLANK} called {name}")
+                part.name = name
+            taken.setdefault(part.name, set()).update(numbers)
+    told = ", ".join(renamed)
+    return [f"chains with the id and numbers of one before: {told}"] if renamed else []
+
+
+def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
+    """Refuse chains that lie upon others, as models that no MODEL record tells apart.
+
+    Raises
+    ------
+    StructureError
+        Naming both.
+    """
+    owner = [k for k, chain in enumerate(chains) for residue in chain if _is_amino(residue)]
+    x = [r.get_ca().pos.tolist() for chain in chains for r in chain if _is_amino(r)]
+    close = KDTree(x).query_pairs(_UPON, output_type="ndarray") if x else np.empty((0, 2), dtype=int)
+    both = Counter(tuple(sorted((owner[i], owner[j]))) for i, j in close.tolist() if owner[i] != owner[j])
+    size = Counter(owner)
+    for (first, second), near in both.items():
+        if near >= _SHARE * min(size[first], size[second]):
+            name, other = (chains[k].name or BLANK for k in (second, first))
+            one = f", or take one by --chain {other}" if other != BLANK else ""
+            raise StructureError(
+                f"{source}: chain {name} lies upon chain {other}; give them as models (MODEL, ENDMDL){one}"
+            )
+
+
+def _is_amino(residue: gemmi.Residue) -> bool:
+    return residue.get_ca() is not None
+
+
+def told_apart(structure: gemmi.Structure, source: str) -> list[str]:
+    """Split molecules that share number and name, and number atoms of a molecule that share a name.
+
+    Atoms of alternate locations, and atoms of an amino acid given more than once, are left for later choice.
+
+    Parameters
+    ----------
+    structure : gemmi.Structure
+        Changed in place.
+    source : str
+        Name of the file, for messages.
+
+    Returns
+    -------
+    list of str
+        What was done.
+
+    Raises
+    ------
+    StructureError
+        If amino acids share number and name: their order in the chain is not known.
+    """
+    split = numbered = 0
+    for model in structure:
+        for chain in model:
+            for i in reversed(range(len(chain))):
+                residue = chain[i]
+                if len({atom.name for atom in residue}) == len(residue):
+                    continue
+                copies = _copies(residue)
+                nearest = _nearest(copies)
+                is_amino = {"N", "CA", "C"} <= copies[0].keys()
+                if nearest > _NOT_BONDED and all(each.keys() == copies[0].keys() for each in copies):
+                    if is_amino:
+                        where = describe(str(residue.seqid).strip(), residue.name, chain.name.strip())
+                        raise StructureError(
+                            f"{source}: {where} is there {len(copies)} times, {nearest:.1f} angstrom apart; "
+                            "give each residue a number of its own"
+                        )
+                    split += len(copies) - 1
+                    _split(chain, i, copies)
+                elif nearest > _SAME_PLACE and not is_amino:
+                    numbered += 1
+                    _number(residue, copies)
+    lines = [f"molecules that share number and name told apart: {split} more"] if split else []
+    if numbered:
+        lines.append(f"atoms that share a name numbered in {numbered} molecules")
+    return lines
+
+
+def _copies(residue: gemmi.Residue) -> list[dict[str, gemmi.Atom]]:
+    """Atoms by name: those that come first, those that come again ...; alternate locations come once."""
+    copies: list[dict[str, gemmi.Atom]] = [{}]
+    for atom in residue:
+        if atom.has_altloc():
+            copies[0].setdefault(atom.name, atom)
+            continue
+        its = next((each for each in copies if atom.name not in each), None)
+        if its is None:
+            its = {}
+            copies.append(its)
+        its[atom.name] = atom
+    return copies
+
+
+def _nearest(copies: list[dict[str, gemmi.Atom]]) -> float:
+    """Smallest distance of an atom to the first of its name."""
+    return min((a.pos.dist(copies[0][n].pos) for each in copies[1:] for n, a in each.items()), default=0.0)
+
+
+def _split(chain: gemmi.Chain, i: int, copies: list[dict[str, gemmi.Atom]]) -> None:
+    made = []
+    for each in copies:
+        copy = chain[i].clone()
+        for k in reversed(range(len(copy))):
+            del copy[k]
+        for atom in each.values():
+            copy.add_atom(atom)
+        made.append(copy)
+    del chain[i]
+    for k, copy in enumerate(made):
+        chain.add_residue(copy, i + k)
+
+
+def _number(residue: gemmi.Residue, copies: list[dict[str, gemmi.Atom]]) -> None:
+    taken = {atom.name for atom in residue}
+    for each in copies[1:]:
+        for atom in each.values():
+            number = 2
+            while f"{atom.name}{number}" in taken:
+                number += 1
+            atom.name = f"{atom.name}{number}"
+            taken.add(atom.name)

@@ -1,0 +1,115 @@
+"""Atoms of a file that its structure lacks, though nobody asked to leave them out."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from textwrap import shorten
+from typing import Any
+
+from protochain import defaults
+
+_WIDTH = 200
+"""Characters of what is told of one structure."""
+_SHOWN = 8
+"""Structures that are told of."""
+
+
+class Why(StrEnum):
+    """Why atoms of a file are lost."""
+
+    PARENT = "the force fields have only its standard parent"
+    PHOSPHATE = "the force fields have no 5' phosphate"
+    INNER = "the chain continues"
+    BACKBONE = "an atom of its backbone is missing"
+    CAP = "a cap that is not at the end of a chain"
+    ELEMENT = "its element is unknown"
+    FAR = f"it is further than {defaults.KEEP_WITHIN:g} angstrom from the protein"
+
+    @property
+    def is_of_whole(self) -> bool:
+        """Whether nothing stays of the residue."""
+        return self in (Why.BACKBONE, Why.CAP, Why.ELEMENT, Why.FAR)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Heavy atoms of one residue of the file that are not in the structure.
+
+    Waters, alternate locations, and what options leave out are not lost; ``left_out`` counts them too.
+
+    Parameters
+    ----------
+    chain, number, name : str
+        Of the residue in the file; the number with its insertion code.
+    atoms : tuple of str
+        Names in the file.
+    why : Why
+    """
+
+    chain: str
+    number: str
+    name: str
+    atoms: tuple[str, ...]
+    why: Why
+
+    def __str__(self) -> str:
+        place = f"{self.chain}:{self.number} {self.name}"
+        return place if self.why.is_of_whole else f"{place} {', '.join(self.atoms)}"
+
+
+def lost_atoms(losses: Iterable[Loss]) -> list[str]:
+    """Residues that lack atoms, and which, as in a record."""
+    return [str(loss) for loss in losses if loss.why is not Why.FAR]
+
+
+def n_lost(losses: Iterable[Loss]) -> int:
+    """Number of their atoms."""
+    return sum(len(loss.atoms) for loss in losses if loss.why is not Why.FAR)
+
+
+def far_molecules(losses: Iterable[Loss]) -> list[str]:
+    """Molecules that are left out because they are far from the protein, as in a record."""
+    return [str(loss) for loss in losses if loss.why is Why.FAR]
+
+
+def told(rows: Iterable[Mapping[Any, Any]]) -> list[str]:
+    """Tell at the end of a run what its structures lost.
+
+    Parameters
+    ----------
+    rows : iterable of mapping
+        Records, or rows of a table, of which those of one structure say the same.
+
+    Returns
+    -------
+    list of str
+        A line on atoms, and one on molecules, where any are lost.
+    """
+    of = {str(row.get("structure")): row for row in rows}
+    lines = []
+    for key, what, remedy in _TOLD:
+        cells = {name: row.get(key) for name, row in of.items()}
+        texts = {name: "; ".join(cell) if isinstance(cell, list) else cell for name, cell in cells.items()}
+        lost = {name: _short(text) for name, text in texts.items() if isinstance(text, str) and text}
+        if len(of) == 1 and lost:
+            lines.append(f"{what}: {''.join(lost.values())}{remedy}")
+        elif lost:
+            said = ", ".join(f"{name} ({text})" for name, text in [*lost.items()][:_SHOWN])
+            more = f" and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
+            lines.append(f"{len(lost)} of {len(of)} structures {what}: {said}{more}{remedy}")
+    return lines
+
+
+_TOLD = (
+    ("lost_atoms", "lost atoms", ""),
+    (
+        "far_molecules",
+        f"left out molecules further than {defaults.KEEP_WITHIN:g} angstrom from the protein",
+        '; keep="all" keeps them',
+    ),
+)
+"""Columns, what they tell, and the remedy."""
+
+
+def _short(text: str) -> str:
+    return shorten(text, _WIDTH, placeholder=" ...")

@@ -1,0 +1,39 @@
+"""Kinds of file that people bring: nothing is lost, bonded or turned without a word; all is read again."""
+
+import fate
+import kinds
+import pytest
+
+QUICK = (
+    "chains-that-share-an-id", "ions-that-share-a-number", "ligand-atoms-that-share-a-name",
+    "gromacs-lysh-hisb", "cif-without-label-alt-id", "charmm-hydrogens-trp-cage", "ace-nme", "sep",
+    "mirror-image", "ligand-charge-in-mmcif", "sulphate-1.45-from-nz", "covalent-stated", "omega-40",
+    "zinc-at-a-carboxylate", "cut-after-a-record", "one-number-for-all", "one-chain-upon-another", "c-alphas",
+    "cif-without-elements",
+)  # fmt: skip
+"""A few of each family, one at least for each fault that the collection found."""
+
+
+def check(kind: kinds.Kind, folder) -> fate.Fate:
+    if not kind.is_here:
+        pytest.skip(f"{kind.needs} is not here")
+    path, meant = kind.make(folder)
+    found = fate.fate(path, meant, options=kind.options)
+    assert fate.faults(found, path.name, kind.refused, kind.links, kind.keeps) == []
+    return found
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_kind_of_file_is_taken_whole_or_says_what_it_lost(name, tmp_path):
+    check(next(kind for kind in kinds.KINDS if kind.name == name), tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", kinds.KINDS, ids=[kind.name for kind in kinds.KINDS])
+def test_every_kind_of_file_is_taken_whole_or_says_what_it_lost(kind, tmp_path):
+    check(kind, tmp_path)
+
+
+def test_kinds_have_names_of_their_own_and_are_many():
+    assert len({kind.name for kind in kinds.KINDS}) == len(kinds.KINDS)
+    assert sum(kind.is_made for kind in kinds.KINDS) >= 145
