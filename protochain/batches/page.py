@@ -8,16 +8,16 @@ import numpy as np
 from jinja2 import Template
 
 from protochain.batches.jobs import Job, Row
-from protochain.minimisers.record import SHOWN, Column
+from protochain.batches.relaxed import SHOWN_RELAXED
+from protochain.minimisers.record import SHOWN
+from protochain.relaxation.record import METHOD as RELAX
 from protochain.storage import write_atomically
 
 WIDTH, HEIGHT = 640, 240
 """Size of the drawing, in units of the SVG."""
 
 
-def write_page(
-    folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[str], shown: Sequence[Column] = SHOWN
-) -> None:
+def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[str]) -> None:
     """Write ``pages/NAME.html``.
 
     Parameters
@@ -30,20 +30,20 @@ def write_page(
         One a method.
     repairs : sequence of str
         Changes made to prepare it.
-    shown : sequence of Column
-        Columns of its table.
     """
+    minimised = SHOWN if {*job.settings.methods} != {RELAX} else ()
+    of_relaxed = SHOWN_RELAXED if RELAX in job.settings.methods else ()
+    path = folder / "pages" / f"{job.name}.html"
     text = _template().render(
         job=job,
-        shown=shown,
+        home="../" * len(path.relative_to(folder).parent.parts),
+        shown={column.key: column for column in (*of_relaxed, *minimised)}.values(),
         records=[row.record for row in rows],
         repairs=repairs,
         curves=curves(rows),
         width=WIDTH,
         height=HEIGHT,
     )
-    (folder / "pages").mkdir(exist_ok=True)
-    path = folder / "pages" / f"{job.name}.html"
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
 
 
