@@ -208,7 +208,7 @@ def test_cells_that_cannot_be_read_are_refused(row, said):
     with pytest.raises(pc.ProtochainError) as refusal:
         BatchSettings().read(row)
     options = {field: name for name, field in FIELDS.items() if "-" not in name}
-    columns = [*PLAIN][:10] + [*OF_RELAX] + [*PLAIN][10:]
+    columns = [*[*PLAIN][:10], *OF_RELAX, *[*PLAIN][10:]]
     known = ", ".join(options.get(name, name) for name in columns if name != "trust_forcefield")
     assert str(refusal.value) == (said + known if said.endswith("from ") else said)
 
