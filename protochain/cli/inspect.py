@@ -45,6 +45,7 @@ def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
         "overlaps": [f"{each}; {each.remedy}" for each in overlaps(structure, structure.positions, chain)],
         "engine": energy.engine,
         "engine_reason": energy.reason,
+        "threads": energy.threads,
         "constant_terms": dict(energy.left_out),
         "seconds_import": imported - began,
         "seconds_preparation": loaded - imported,
