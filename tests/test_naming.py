@@ -133,10 +133,14 @@ def test_changed_and_moved_inputs_are_those_of_their_names():
     assert todo == ["x", "b/z"] and sorted(rows) == [
         ("b/z", "b/z.pdb"), ("deep/y", "a/deep/y.pdb"), ("x", "a/x.pdb"),
     ]  # fmt: skip
-    # Nothing is done again where all has been moved.
+    # Nothing is done again where all has been moved. A copy is another file, and so is what has a new name.
+    shutil.copytree("b", "copied")
+    assert resumed(["copied"])[0] == ["z"]
     shutil.move("a", "moved/to/a")
     shutil.move("b", "moved/to/b")
     assert resumed(["moved"])[0] == []
+    shutil.move("moved/to/a/x.pdb", "moved/to/a/new.pdb")
+    assert resumed(["moved"])[0] == ["to/a/new"]
 
 
 def test_results_named_by_an_older_protochain_are_not_done_again():
@@ -159,6 +163,8 @@ def test_a_manifest_or_link_in_the_folder_for_the_results_is_refused():
     Path("out/x.pdb").symlink_to(Path("in/x.pdb").absolute())
     Path("in/z.pdb").symlink_to(Path("out/y.relaxed.pdb").absolute())
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    with pytest.raises(pc.ProtochainError, match="in: is the folder for the results"):
+        pc.batch("in", "in", "relax")
     for given, options in (
         ([], {"manifest": "out/statistics.csv"}), ("out/x.pdb", {}), ("in/z.pdb", {}),
         ("out/y.relaxed.pdb", {}), ("in/../out/x.pdb", {}),

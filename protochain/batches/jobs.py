@@ -384,6 +384,10 @@ def _paths(given: str, output: Path | None) -> Iterator[tuple[Path, Path]]:
         for name in listed():
             yield from _paths(name, output)
     elif Path(given).is_dir():
+        if output and (absolute(Path(given)) == absolute(output) or _is_inside(Path(given), output)):
+            raise ProtochainError(
+                f"{given}: is the folder for the results, or lies in it; give them a folder of their own"
+            )
         found = sorted(path for path in Path(given).rglob("*") if _is_structure(path))
         yield from ((path, Path(given)) for path in found if not _is_inside(path, output))
     elif not Path(given).exists() and _GLOB & set(given):

@@ -1,7 +1,7 @@
 """Names of structures in a batch: their folders mirrored, each name once, those of earlier results kept."""
 
 import os
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -62,13 +62,14 @@ _WITH_ENDING, _LAST = 1, 3
 
 @dataclass(frozen=True)
 class Earlier:
-    """A row of an earlier batch in the same folder, by the names of its columns."""
+    """A row of an earlier batch in the same folder, by its columns; and whether its input is gone."""
 
     structure: str
     input: str
     model: str
     key: str
     output: str
+    is_gone: bool = False
 
     @property
     def source(self) -> tuple[str, str]:
@@ -141,15 +142,12 @@ def _kept(wanted: Sequence[Wanted], earlier: Sequence[Earlier]) -> tuple[list[st
     sources = Counter(each.source for each in wanted)
     same = {(row.source, row.key): row.structure for row in earlier}
     changed = {row.source: row.structure for row in earlier if sources[row.source] == 1}
-    moved: dict[str, dict[str, None]] = defaultdict(dict)
-    for row in earlier:
-        if row.source not in sources:
-            moved[row.key][row.structure] = None
+    others = {row.structure: row for row in earlier if row.source not in sources}
+    moved = {(row.key, Path(row.input).name): row.structure for row in others.values() if row.is_gone}
     kept = []
     for each in wanted:
         name = same.get((each.source, each.key)) or changed.get(each.source, "")
-        if not name and moved[each.key]:
-            name, _ = moved[each.key].popitem()
+        name = name or moved.pop((each.key, each.path.name), "")
         kept.append(name)
-    others = [row for row in earlier if row.structure in moved[row.key]]
-    return kept, Counter({claim: 1 for row in others for claim in row.claims})
+    claims = (row.claims for row in earlier if row.structure in others.keys() - {*kept})
+    return kept, Counter(dict.fromkeys((claim for each in claims for claim in each), 1))

@@ -184,8 +184,11 @@ class Tables:
 
 def earlier_rows(folder: Path, name: str = SUMMARY) -> list[Earlier]:
     """Return what names the results in a folder have, and of what they are."""
-    columns = [each.name for each in fields(Earlier)]
-    return [Earlier(*(row[column] for column in columns)) for row in _whole_lines(folder / f"{name}.csv")]
+    columns = [each.name for each in fields(Earlier) if each.name != "is_gone"]
+    return [
+        Earlier(*(row[column] for column in columns), is_gone=not Path(row["input"]).exists())
+        for row in _whole_lines(folder / f"{name}.csv")
+    ]
 
 
 def _source(row: Mapping[str, object]) -> tuple[str, str]:

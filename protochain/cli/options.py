@@ -81,8 +81,8 @@ _SETUP = {
     "threads": _option(int | None, "Threads to compute on [default: all]."),
     "trust_forcefield": _option(bool, "Allow a force-field file to run its scripts.", "--trust-forcefield"),
     "model": _option(
-        str, "Number of the model [default: the first]; minimise, relax, batch and validate also take all, or "
-        "1-5,8."
+        str, "Number of the model [default: the first]; minimise, relax, batch and validate also take all, "
+        "or 1-5,8.",
     ),
     "chains": _option(
         str, "Chains to take, with commas between [default: all].", "--chain", "--chains", metavar="A,B"

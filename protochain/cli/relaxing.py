@@ -114,14 +114,10 @@ def print_relaxed(record: dict[str, Any]) -> None:
         print(f"written: {record['report']}")
 
 
-def mended(usable: "DataFrame") -> str:
-    """Violations of relaxed structures before and after, in words."""
-    before, after = (int(usable[f"violations_{when}"].sum()) for when in ("start", "end"))
-    return f"residues with violations {before} before, {after} after"
-
-
 def print_folder(table: "DataFrame", folder: Path) -> None:
     """Print how many ended how, what is left to mend, and where all is."""
+    from protochain.cli.terminal import mended
+
     usable = table[table["output"].notna()]
     counts = ", ".join(f"{n} {status}" for status, n in table["status"].value_counts().items())
     print(f"{len(table)} structures: {counts}")

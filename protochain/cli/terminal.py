@@ -331,11 +331,16 @@ def print_jobs(jobs: "Sequence[Job]") -> None:
     print(f"{len(jobs)} structures", file=sys.stderr)
 
 
+def mended(usable: "DataFrame") -> str:
+    """Violations of relaxed structures before and after, in words."""
+    before, after = (int(usable[f"violations_{when}"].sum()) for when in ("start", "end"))
+    return f"residues with violations {before} before, {after} after"
+
+
 def print_batch(table: "DataFrame", report: str) -> None:
     """Print the number of runs of each status for each method, failures, and what is left to mend."""
     from rich.console import Console
 
-    from protochain.cli.relaxing import mended
     from protochain.relaxation.record import METHOD as RELAX
 
     console = Console()
