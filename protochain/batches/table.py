@@ -7,7 +7,6 @@ import os
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -184,11 +183,13 @@ class Tables:
 
 def earlier_rows(folder: Path, name: str = SUMMARY) -> list[Earlier]:
     """Return what names the results in a folder have, and of what they are."""
-    columns = [each.name for each in fields(Earlier) if each.name != "is_gone"]
     return [
-        Earlier(*(row[column] for column in columns), is_gone=not Path(row["input"]).exists())
+        Earlier(
+            row["structure"], row["input"], row["model"], row["key"], row["output"],
+            is_gone=not Path(row["input"]).exists(),
+        )
         for row in _whole_lines(folder / f"{name}.csv")
-    ]
+    ]  # fmt: skip
 
 
 def _source(row: Mapping[str, object]) -> tuple[str, str]:
