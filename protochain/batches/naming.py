@@ -149,5 +149,6 @@ def _kept(wanted: Sequence[Wanted], earlier: Sequence[Earlier]) -> tuple[list[st
         name = same.get((each.source, each.key)) or changed.get(each.source, "")
         name = name or moved.pop((each.key, each.path.name), "")
         kept.append(name)
-    claims = (row.claims for row in earlier if row.structure in others.keys() - {*kept})
+    left = others.keys() - {*kept}
+    claims = (row.claims for row in earlier if row.structure in left)
     return kept, Counter(dict.fromkeys((claim for each in claims for claim in each), 1))
