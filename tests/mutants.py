@@ -35,7 +35,10 @@ FOLDERS = {
     "structure": (["structure"], []),
     "minimisers": (["minimisers"], []),
     "neighbours": (["energies/native/neighbours.py"], ["native", "neighbours"]),
-    "batches": (["batches"], ["batches", "processes", "task", "relax_command"]),
+    "batches": (
+        ["batches"],
+        ["batches", "batch_settings", "jobs", "naming", "processes", "task", "relax_command"],
+    ),
     "cli": (["cli"], ["cli", "commands", "command_runs", "command_jobs"]),
     "validation": (["validation"], []),
     "analysis": (["analysis/deviation.py", "analysis/quality.py"], []),

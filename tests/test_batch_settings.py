@@ -7,6 +7,7 @@ import pytest
 from conftest import STRUCTURES
 
 import protochain as pc
+from protochain.batches import relax_files
 from protochain.batches.jobs import failure
 
 
@@ -96,6 +97,33 @@ def test_a_manifest_is_resumed_with_its_own_settings_only(tmp_path, monkeypatch)
     # A new structure may have any settings.
     assert go(f"{second},kcm,vacuum", f"{STRUCTURES / '1vii.pdb'},fire,gbn2", resume=True) == ["1vii"]
     assert set(before.splitlines()) < set(rows_of(output).splitlines())
+
+
+def test_settings_of_structures_that_are_left_out_are_kept(tmp_path, monkeypatch):
+    first, second = (f"{STRUCTURES / name},vacuum" for name in ("ala10.pdb", "1l2y.pdb"))
+    manifest, output = tmp_path / "work.csv", tmp_path / "out"
+
+    def go(*rows, **more):
+        manifest.write_text("\n".join(["path,solvent", *rows]))
+        return start_without_work((), output, monkeypatch, manifest=manifest, methods="lbfgs", **more)
+
+    assert go(first, second) == ["ala10", "1l2y"]
+    assert go(first, resume=True) == []
+    before = rows_of(output)
+    # It was left out once, and is still known by what it was done with.
+    with pytest.raises(pc.ProtochainError, match=r"1l2y\.pdb with solvent vacuum\b"):
+        go(first, second.replace("vacuum", "gbn2"), resume=True)
+    assert go(first, second, resume=True) == [] and rows_of(output) == before
+
+
+def test_a_folder_relaxed_by_an_older_protochain_is_left_alone(tmp_path):
+    """Its settings had no methods, and its structures other names."""
+    (tmp_path / "relaxed.csv").write_text("structure,input,model,output,key,method,status\n")
+    (tmp_path / "settings.json").write_text('{"settings": {"preset": "predicted"}, "structures": {}}')
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(pc.ProtochainError, match="by an older protochain, which named structures otherwise"):
+        relax_files([STRUCTURES / "ala10.pdb"], tmp_path, resume=True)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.name != ".lock"} == before
 
 
 def test_a_changed_force_field_or_version_is_another_setting(tmp_path, monkeypatch):

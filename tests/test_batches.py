@@ -73,17 +73,17 @@ def done(folder, tmp_path_factory):
 
 
 def test_inputs_are_found_in_order_and_once(folder, monkeypatch):
-    names = ["1l2y", "cut", "ala10", "two"]
+    names = ["1l2y", "cut", "deep/ala10", "two"]
     assert [job.name for job in find_jobs([folder], BatchSettings())] == names
     assert [job.name for job in find_jobs([folder / "two.pdb", folder], BatchSettings())] == [
         "two",
         *names[:3],
     ]
-    assert [job.name for job in find_jobs([f"{folder}/**/*a*.pdb"], BatchSettings())] == ["ala10"]
+    assert [job.name for job in find_jobs([f"{folder}/**/*a*.pdb"], BatchSettings())] == ["deep/ala10"]
     for between in ("\n", "\r\n", "\n \n", "\0"):
         names_given = between.join([f"{folder}/cut.pdb", f"{folder}/deep", ""])
         monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(names_given.encode())))
-        assert [job.name for job in find_jobs(["-"], BatchSettings())] == ["cut", "ala10"]
+        assert [job.name for job in find_jobs(["-"], BatchSettings())] == ["cut", "deep/ala10"]
     models = find_jobs([folder / "two.pdb", folder / "cut.pdb"], BatchSettings(setup=pc.Setup(model="all")))
     numbers = [(job.name, job.settings.setup.model) for job in models]
     assert numbers == [("two.1", 1), ("two.2", 2), ("cut", None)]
@@ -114,8 +114,6 @@ def test_a_key_is_of_content_and_settings(folder, tmp_path):
     assert find_jobs([copy], BatchSettings(seed=1))[0].key != job.key
     copy.write_bytes(job.path.read_bytes() + b"REMARK\n")
     assert find_jobs([copy], BatchSettings())[0].key != job.key
-    both = find_jobs([job.path, copy, job.path.parent / "two.pdb"], BatchSettings())
-    assert both[0].name == f"1l2y-{both[0].key[:8]}" and both[1].name == f"1l2y-{both[1].key[:8]}"
     copy.write_bytes(job.path.read_bytes())
     assert len({job.name for job in find_jobs([job.path, copy], BatchSettings())}) == 2
 
@@ -185,7 +183,7 @@ def test_each_structure_ends_as_it_does_alone(done):
 def test_what_fails_is_a_row_and_all_else_is_done(done):
     result, seen, _ = done
     table = result.table
-    names = ["1l2y", "cut", "ala10", "two.1", "two.2"]
+    names = ["1l2y", "cut", "deep/ala10", "two.1", "two.2"]
     assert table["structure"].tolist() == [name for name in names for _ in range(2)]
     assert table["method"].tolist() == ["lbfgs", "kcm"] * 5
     bad = table[table["structure"] == "cut"]
@@ -217,7 +215,8 @@ def test_the_folder_holds_one_truth(done):
         assert f"{row['energy_end_reference_kj_mol']:.3f}" in page
         own = (result.folder / "pages" / f"{row['structure']}.html").read_text()
         assert f"{row['energy_end_reference_kj_mol']:.3f}" in own and row["message"] in own
-        assert f'href="../{row["output"]}"' in own
+        up = "../" * (1 + row["structure"].count("/"))
+        assert f'href="{up}{row["output"]}"' in own and f'href="{up}report.html"' in own
     for row in pd.read_csv(result.folder / "statistics.csv").to_dict("records"):
         assert f"{row['median']:.3f}" in page or f"{row['median']:.0f}" in page
     assert "http://" not in page.replace("http://127.0.0.1", "")
@@ -237,7 +236,7 @@ def test_resuming_skips_what_is_finished_and_redoes_what_is_not(folder, done, tm
     summary.write_text(before[:-30])
     result = pc.batch([folder / "1l2y.pdb", folder / "cut.pdb", folder / "deep"], tmp_path, "lbfgs", **again)
     assert [p.skipped for p in seen] == [1, 1]
-    assert result.table["structure"].tolist() == ["1l2y", "cut", "ala10"]
+    assert result.table["structure"].tolist() == ["1l2y", "cut", "deep/ala10"]
     assert result.table["energy_end_kj_mol"].iloc[0] == first.table["energy_end_kj_mol"].iloc[0]
     with pytest.raises(pc.ProtochainError, match="holds a batch"):
         pc.batch(folder, tmp_path, "lbfgs")

@@ -184,6 +184,42 @@ def test_workers_of_the_dask_command_line_do_the_same(inputs, whole, tmp_path):
     pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
 
 
+def test_relax_goes_on_after_a_kill_on_a_cluster_as_a_batch_does(inputs, tmp_path):
+    """A folder, a manifest with settings of its own, broken files, a kill, and a time limit."""
+    manifest = tmp_path / "work.csv"
+    rows = [f"{inputs / name}.pdb,{preset}" for name, preset in (("copy00", "crystal"), ("bad0", ""))]
+    manifest.write_text(
+        "\n".join(["path,preset", *rows, *(f"{inputs}/copy{k:02}.pdb," for k in range(1, 8))])
+    )
+    command = [sys.executable, "-c", "from protochain.cli import main; main()", "relax"]
+
+    def begin(name, *options, given=("--manifest", manifest)):
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        whole = [*command, *given, "-o", tmp_path / name, *options]
+        return subprocess.Popen(whole, **quiet, start_new_session=True)
+
+    def relaxed(name):
+        return pd.read_csv(tmp_path / name / "relaxed.csv").drop(columns=list(MEASURED))
+
+    assert begin("whole", "--workers", "2").wait(timeout=300) == 3
+    with cluster(tmp_path) as address:
+        running = begin("out", "--scheduler", address)
+        table = tmp_path / "out" / "relaxed.csv"
+        while not table.exists() or table.read_text().count("\n") < 4:
+            assert running.poll() is None
+            time.sleep(0.01)
+        os.killpg(running.pid, signal.SIGINT)
+        assert running.wait(timeout=60) == 3
+        assert 2 < len(relaxed("out")) < 9 and (tmp_path / "out" / "report.html").exists()
+        assert begin("out", "--scheduler", address, "--resume").wait(timeout=300) == 3
+        late = begin("late", "--scheduler", address, "--time-limit", "0.01", given=[inputs / "copy00.pdb"])
+        assert late.wait(timeout=300) == 1
+    pd.testing.assert_frame_equal(relaxed("out"), relaxed("whole"))
+    assert relaxed("whole")["status"].tolist() == ["converged", "refused", *["converged"] * 7]
+    assert relaxed("whole")["preset"].dropna().tolist() == ["crystal", *["predicted"] * 7]
+    assert relaxed("late")["status"].tolist() == ["time-limit"]
+
+
 def test_without_its_scheduler_a_batch_ends_and_goes_on_later(inputs, whole, tmp_path):
     with cluster(tmp_path) as address:
         running = start(inputs, tmp_path / "out", "--scheduler", address)

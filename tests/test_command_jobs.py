@@ -15,6 +15,7 @@ from test_commands import refusal, run
 
 import protochain as pc
 from protochain.batches import BatchSettings
+from protochain.relaxation import Relaxing
 from protochain.setup import Setup
 
 pytestmark = pytest.mark.usefixtures("interruptible")
@@ -211,9 +212,9 @@ def test_batch_hands_its_options_on(batched, capsys):
     assert more == {
         "manifest": None, "resume": False, "workers": None, "scheduler": None, "threads": 1,
         "time_limit": 3600.0,
-        "methods": ("hybrid",), "tolerance": 1.0, "max_rmsd": math.inf, "max_evaluations": 5000, "seed": 0,
+        "methods": ("hybrid",), "tolerance": None, "max_rmsd": math.inf, "max_evaluations": 5000, "seed": 0,
         "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
-        "setup": Setup(),
+        "setup": Setup(), "relaxing": Relaxing(),
     }  # fmt: skip
     assert capsys.readouterr().out == "done 1 'page'\n"
     options = (
@@ -221,7 +222,8 @@ def test_batch_hands_its_options_on(batched, capsys):
         "--threads",
         3, "--time-limit", 4, "--resume", "--tolerance", 5, "--max-evaluations", 6, "--max-rmsd", 7,
         "--seed", 8, "--restrain", "5 0", "--no-curvature",
-        "--json", "--ph", 5,
+        "--json", "--ph", 5, "--preset", "crystal", "--stiffness", 9, "--max-iterations", 8,
+        "--max-outer-iterations", 7, "--exclude", "resid 3", "--strip-hydrogens", "--repack",
     )  # fmt: skip
     assert run("batch", *options) == 0
     given, more = batched.given[1]
@@ -231,6 +233,7 @@ def test_batch_hands_its_options_on(batched, capsys):
         "methods": ("md", "kcm"), "tolerance": 5.0, "max_rmsd": 7.0, "max_evaluations": 6, "seed": 8,
         "restraint": "5 0", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": False,
         "setup": Setup(ph=5.0),
+        "relaxing": Relaxing("crystal", "", 5.0, 9.0, 8, 7, "resid 3", False, True),
     }  # fmt: skip
     assert capsys.readouterr().out == '{"a": 1}\n'
     assert run("batch", "a", "--starts", 9, "--spread", 90, "--hop", 300) == 0

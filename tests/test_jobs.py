@@ -5,6 +5,8 @@ import hashlib
 import io
 import json
 import math
+import re
+import shutil
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -14,15 +16,29 @@ from conftest import STRUCTURES
 
 import protochain as pc
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, listed, origin
+from protochain.defaults import TOLERANCE
+from protochain.relaxation import Relaxing
 
 PLAIN = {
-    "methods": ("hybrid",), "tolerance": 1.0, "max_rmsd": float("inf"), "max_evaluations": 5000, "seed": 0,
+    "methods": ("hybrid",), "tolerance": None, "max_rmsd": float("inf"), "max_evaluations": 5000, "seed": 0,
     "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
     "hinges": "phi psi chi", "root": "auto", "move": "all", "forcefield": "amber14", "solvent": "obc2",
     "engine": "auto", "cutoff": "auto", "trust_forcefield": False, "model": None, "altloc": "",
     "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (),
 }  # fmt: skip
-"""All settings by name, at their defaults."""
+"""All settings of a minimisation by name, at their defaults."""
+
+OF_RELAX = {
+    "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
+    "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False,
+}  # fmt: skip
+"""Those of ``relax`` alone."""
+
+MINIMISING = {
+    "max_rmsd", "max_evaluations", "seed", "restraint", "n_starts", "spread", "hop_temperature", "curvature",
+    "hinges", "root",
+}  # fmt: skip
+"""Those that ``relax`` does not have."""
 
 FIELDS = {
     "restrain": "restraint", "starts": "n_starts", "hop": "hop_temperature",
@@ -38,10 +54,72 @@ def names(inputs, settings=None, **options):
 def test_settings_are_recorded_by_name_but_for_threads():
     assert BatchSettings().record() == PLAIN
     assert BatchSettings(setup=pc.Setup(threads=3)).record() == PLAIN
-    assert set(NAMES) == {*PLAIN, "setup", "threads"} and NAMES[:11] == (
+    assert set(NAMES) == {*PLAIN, *OF_RELAX, "setup", "relaxing", "threads"} and NAMES[:12] == (
         "methods", "tolerance", "max_rmsd", "max_evaluations", "seed", "setup", "restraint", "n_starts",
-        "spread", "hop_temperature", "curvature",
+        "spread", "hop_temperature", "curvature", "relaxing",
     )  # fmt: skip
+
+
+def test_settings_that_results_do_not_depend_on_are_not_recorded():
+    both = BatchSettings(("relax", "lbfgs"))
+    assert both.record() == PLAIN | OF_RELAX | {"methods": ("relax", "lbfgs")}
+    alone = BatchSettings(("relax",)).record()
+    assert alone.keys() == both.record().keys() - MINIMISING - ({"move"} - alone.keys())
+    # Of a protocol the force field, too: rows have it.
+    assert BatchSettings(("relax",)).changed(protocol="alphafold").record()["forcefield"] == "amber99sb"
+    assert both.changed(protocol="alphafold").record()["forcefield"] == "amber14"
+
+
+def test_one_tolerance_is_that_of_all_methods():
+    for settings in (
+        BatchSettings(("relax", "lbfgs"), tolerance=5.0),
+        BatchSettings(("relax", "lbfgs"), relaxing=Relaxing(tolerance=5.0)),
+        BatchSettings(("relax", "lbfgs"), relaxing=Relaxing(tolerance=7.0)).changed(tolerance=5.0),
+        BatchSettings(("relax", "lbfgs")).read({"tolerance": "5"}),
+    ):
+        assert settings.tolerance == settings.relaxing.tolerance == settings.of_minimising == 5.0
+    usual = BatchSettings(("relax", "lbfgs"))
+    assert (usual.of_minimising, usual.relaxing.strength.tolerance) == (TOLERANCE, 10.0)
+
+
+def test_a_setting_that_no_method_has_is_refused(tmp_path):
+    shutil.copy(STRUCTURES / "ala10.pdb", tmp_path / "a.pdb")
+    here, there = tmp_path / "a.pdb", tmp_path / "work.csv"
+    for methods, settings, said in (
+        (("relax",), {"max_evaluations": 7}, "max_evaluations: is no setting of relax; leave it out"),
+        (("kcm", "lbfgs"), {"preset": "crystal"}, "preset: is no setting of kcm, lbfgs; leave it out"),
+    ):
+        with pytest.raises(pc.ProtochainError) as refusal:
+            find_jobs([here], BatchSettings(methods).changed(**settings))
+        assert str(refusal.value) == said
+        names, cells = ",".join(settings), ",".join(map(str, settings.values()))
+        there.write_text(f'path,methods,{names}\na.pdb,"{",".join(methods)}",{cells}\n')
+        with pytest.raises(pc.ProtochainError, match=f"work.csv: line 2: {re.escape(said)}"):
+            find_jobs([], BatchSettings(), there)
+    # Of a batch of both, each structure takes what its methods have.
+    there.write_text("path,methods\na.pdb,relax\na.pdb,lbfgs\n")
+    common = BatchSettings().changed(preset="crystal", max_evaluations=7)
+    relaxed, minimised = find_jobs([], common, there)
+    assert relaxed.settings.record()["preset"] == "crystal" and "preset" not in minimised.settings.record()
+
+
+def test_a_manifest_has_the_settings_of_relax():
+    row = {
+        "methods": "relax", "preset": "crystal", "stiffness": "200", "max-iterations": "9", "repack": "yes",
+        "max-outer-iterations": "2", "exclude": "resid 3", "keep_hydrogens": "no", "chain": "A",
+        "forcefield": "amber19", "tolerance": "3",
+    }  # fmt: skip
+    own = BatchSettings().read(row)
+    assert own.relaxing == Relaxing("crystal", "", 3.0, 200.0, 9, 2, "resid 3", False, True)
+    assert own.setup == pc.Setup(chains=("A",), forcefield="amber19") and own.methods == ("relax",)
+    for cells, said in (
+        ({"preset": "weak"}, "preset 'weak' is not known; choose from predicted, crystal, design"),
+        ({"protocol": "alphafold", "solvent": "gbn2"}, "protocol alphafold is vacuum"),
+        ({"repack": "perhaps"}, "neither true nor false"),
+        ({"seed": "3"}, "seed: is no setting of relax; leave it out"),
+    ):
+        with pytest.raises(pc.ProtochainError, match=said):
+            BatchSettings().read({"methods": "relax", **cells})
 
 
 def test_settings_change_by_the_names_of_their_fields_or_of_the_setups():
@@ -130,7 +208,8 @@ def test_cells_that_cannot_be_read_are_refused(row, said):
     with pytest.raises(pc.ProtochainError) as refusal:
         BatchSettings().read(row)
     options = {field: name for name, field in FIELDS.items() if "-" not in name}
-    known = ", ".join(options.get(name, name) for name in PLAIN if name != "trust_forcefield")
+    columns = [*[*PLAIN][:10], *OF_RELAX, *[*PLAIN][10:]]
+    known = ", ".join(options.get(name, name) for name in columns if name != "trust_forcefield")
     assert str(refusal.value) == (said + known if said.endswith("from ") else said)
 
 
@@ -155,7 +234,7 @@ def here(tmp_path, monkeypatch):
 
 
 def test_structures_of_a_folder_are_those_with_their_suffixes(here):
-    assert names(["."]) == ["a", "b", "c", "d", "g", "sum[1]"]
+    assert names(["."]) == ["a", "b", "deep/c", "deep/d", "deep/g", "sum[1]"]
     assert names([here / "deep"]) == ["c", "d", "g"]
     # A file that is named is taken, whatever its suffix; one that is missing is a job that fails.
     assert names(["e.txt", "XYZ.pdb"]) == ["e", "XYZ"] and names(["sum[1].pdb"]) == ["sum[1]"]
@@ -163,7 +242,7 @@ def test_structures_of_a_folder_are_those_with_their_suffixes(here):
 
 
 def test_patterns_are_of_files_in_order(here):
-    assert names(["*.pdb"]) == ["b", "sum[1]"] and names(["**/*.gz"]) == ["g", "f"]
+    assert names(["*.pdb"]) == ["b", "sum[1]"] and names(["**/*.gz"]) == ["deep/g", "f"]
     assert names(["[ab].*"]) == ["a", "b"] and names(["*.*"]) == ["a", "b", "e", "f", "sum[1]"]
     for nothing in ("*.xyz", "?.xyz", "[z].pdb"):
         with pytest.raises(pc.ProtochainError) as refusal:
@@ -176,7 +255,7 @@ def test_patterns_are_of_files_in_order(here):
 
 def test_a_list_on_standard_input_has_a_name_on_each_line(here, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("  b.pdb \n\n  \ndeep\n"))
-    assert names(["-"]) == ["b", "c", "d", "g"]
+    assert names(["-"]) == ["b", "deep/c", "deep/d", "deep/g"]
     Path("b.pdb").rename("two\nlines .pdb")
     for text, by_nul in (("two\nlines .pdb\0\0e.txt", False), ("two\nlines .pdb", True)):
         monkeypatch.setattr("sys.stdin", io.StringIO(text))
@@ -197,10 +276,10 @@ def test_a_manifest_names_files_beside_it_each_with_its_settings(here):
     sheet = here / "deep" / "work.csv"
     sheet.write_text("seed,path\n3, d.mmcif \n,../b.pdb\n3,d.mmcif\n", encoding="utf-8-sig")
     first, second = find_jobs([], BatchSettings(seed=1), sheet)
-    assert [(job.name, job.settings.seed) for job in (first, second)] == [("d", 3), ("b", 1)]
+    assert [(job.name, job.settings.seed) for job in (first, second)] == [("deep/d", 3), ("b", 1)]
     assert first.path.samefile("deep/d.mmcif") and second.path.samefile("b.pdb")
     # Given names come before those of the manifest.
-    assert names(["e.txt"], manifest=sheet) == ["e", "d", "b"]
+    assert names(["e.txt"], manifest=sheet) == ["e", "deep/d", "b"]
     for text, said in (
         ("file\n", ": has no column 'path'"), ("", ": has no column 'path'"),
         ("path\nb.pdb,1\n", ": line 2: more cells than columns"),
@@ -237,18 +316,6 @@ def test_a_key_is_a_hash_of_version_content_settings_and_force_field(here):
     Path("own.xml").write_text("<ForceField/>")
     own = settings.changed(forcefield="own.xml")
     assert find_jobs(["b.pdb"], own)[0].key == key(b"b.pdb", own, b"<ForceField/>")
-
-
-def test_names_are_told_apart_by_their_keys_and_then_by_number(here):
-    for folder in ("one", "two", "three"):
-        (here / folder).mkdir()
-        (here / folder / "b.pdb").write_text("same" if folder != "three" else "other")
-    jobs = find_jobs([f"{name}/b.pdb" for name in ("one", "two", "three")] + ["e.txt"], BatchSettings())
-    keys = [job.key[:8] for job in jobs]
-    assert keys[0] == keys[1] != keys[2]
-    assert [job.name for job in jobs] == [f"b-{keys[0]}", f"b-{keys[0]}-2", f"b-{keys[2]}", "e"]
-    # The same path twice is one job.
-    assert names(["e.txt", "b.pdb", "e.txt"]) == ["e", "b"]
 
 
 def test_each_model_is_a_job_where_all_are_asked_for(here):

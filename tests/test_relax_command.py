@@ -3,9 +3,12 @@
 import gzip
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
 
 import gemmi
 import models
@@ -13,11 +16,17 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import STRUCTURES, load, shared
+from distributed import LocalCluster
 from test_commands import refusal, run
 
 import protochain as pc
 from protochain.analysis.relaxed import write_relaxed
+from protochain.batches import BatchSettings, find_jobs
+from protochain.batches.jobs import Job
+from protochain.batches.relaxed import COLUMNS as OF_RELAXED
 from protochain.batches.relaxed import SHOWN_RELAXED
+from protochain.batches.table import COLUMNS as OF_MINIMISED
+from protochain.batches.task import run as run_job
 from protochain.cli.relaxing import print_relaxed, tell_plan
 from protochain.relaxation.record import before_and_after
 from protochain.structure.write import as_text
@@ -139,13 +148,128 @@ def test_a_folder_is_relaxed_with_a_row_for_each_and_resumed(here):
     assert (here / "out" / "x_relaxed_rank_002_y.pdb").stat().st_mtime_ns == kept
 
 
+@pytest.fixture(scope="module")
+def predictions(tmp_path_factory):
+    """As AlphaFold 3 leaves them, and files of one stem beside one another."""
+    folder = tmp_path_factory.mktemp("predictions")
+    for place in ("job/seed-1_sample-0/model.cif", "job/seed-1_sample-1/model.cif", "model.pdb"):
+        (folder / place).parent.mkdir(parents=True, exist_ok=True)
+        (folder / place).write_text(as_text(load("ala10.pdb"), Path(place).suffix))
+    with gzip.open(folder / "model.pdb.gz", "wt") as file:
+        file.write((folder / "model.pdb").read_text())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Dask's scheduler and a worker in threads of this process: address."""
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1",
+        dashboard_address=None, memory_limit=0,
+    ) as made:  # fmt: skip
+        yield made.scheduler_address
+
+
+def test_a_batch_relaxes_beside_other_methods_as_relax_alone(predictions, cluster, here):
+    given = {"solvent": "vacuum", "max_evaluations": 40, "stiffness": 2000}
+    b = pc.batch(predictions, "out", "lbfgs,relax", scheduler=cluster, **given)
+    table = b.table.set_index(["structure", "method"])
+    names = ["job/seed-1_sample-0/model", "job/seed-1_sample-1/model", "model.pdb", "model.pdb.gz"]
+    assert [*table.index] == [(name, method) for name in names for method in ("lbfgs", "relax")]
+    assert {*b.table.columns} == {*OF_MINIMISED, *OF_RELAXED}
+    of_relax = table.xs("relax", level="method")
+    assert of_relax["output"].tolist() == [
+        f"{name}.relaxed.{ending}" for name, ending in zip(names, ("cif", "cif", "pdb", "pdb"), strict=True)
+    ]
+    alone = pc.relax(predictions / "model.pdb", solvent="vacuum", stiffness=2000, threads=1)
+    row = of_relax.loc["model.pdb"]
+    assert row["status"] == "converged" and row["preset"] == "predicted"
+    assert row["energy_end_reference_kj_mol"] == pytest.approx(alone.energy_end, rel=1e-9)
+    assert float(row["springs_backbone_kj_mol_nm2"]) == 2000.0
+    assert of_relax["n_rounds"].notna().all() and of_relax["n_hinges"].isna().all()
+    for name, output in zip(names, table["output"].xs("lbfgs", level="method"), strict=True):
+        page = (here / "out" / "pages" / f"{name}.html").read_text()
+        # From where the page lies.
+        links = re.findall('href="([^"]+)"', page)
+        ends = {
+            os.path.relpath((here / "out" / "pages" / f"{name}.html").parent / link, "out") for link in links
+        }
+        assert ends == {"report.html", output, of_relax.loc[name, "output"]}
+        assert all((here / "out" / end).exists() for end in ends)
+        assert f'href="pages/{name}.html"' in b.report.read_text()
+    points = b.traces.query("structure == 'model.pdb' and method == 'relax'")
+    assert points["evaluations"].iloc[-1] <= row["evaluations"] and len(points) > 2
+    assert json.loads((here / "out" / "summary.json").read_text())["settings"]["stiffness"] == 2000
+
+
+def test_relax_takes_manifests_and_clusters_as_batch_does(predictions, cluster, here, capsys):
+    sheet = predictions / "work.csv"
+    sheet.write_text(
+        "path,preset,stiffness,chain\njob/seed-1_sample-0/model.cif,crystal,,\n"
+        "job/seed-1_sample-1/model.cif,,300,\nmodel.pdb,,,B\n"
+    )
+    given = ("relax", "--manifest", sheet, "--scheduler", cluster, "--solvent", "vacuum", "-o", "out")
+    assert run(*given) == 3
+    said = capsys.readouterr()
+    assert "3 structures: 2 converged, 1 refused" in said.out and "model: " in said.out
+    assert "[1 of 3] " in said.err and "violations 0 to 0" in said.err
+    table = pd.read_csv("out/relaxed.csv").set_index("structure")
+    one, two = (f"job/seed-1_sample-{k}/model" for k in range(2))
+    assert [*table.index] == [one, two, "model"] and tuple(table.reset_index().columns) == OF_RELAXED
+    assert table.loc[one, ["preset", "output"]].tolist() == ["crystal", f"{one}.relaxed.cif"]
+    assert table.loc[two, "springs_backbone_kj_mol_nm2"] == 300.0
+    assert table.loc["model", "status"] == "refused" and "B" in table.loc["model", "message"]
+    # What is done is not done again, and one file is a folder's run where a cluster is named.
+    before = (here / "out" / "relaxed.csv").read_bytes()
+    assert run(*given, "--resume") == 3 and (here / "out" / "relaxed.csv").read_bytes() == before
+    single = ("relax", predictions / "model.pdb", "--scheduler", cluster, "--solvent", "vacuum")
+    assert run(*single) == 0 and (here / "relaxed" / "model.relaxed.pdb").exists()
+    assert run("batch", predictions / "model.pdb", "--methods", "relax", "--preset", "crystal",
+               "--solvent", "vacuum", "--scheduler", cluster, "-o", "batch") == 0  # fmt: skip
+    said = capsys.readouterr().out
+    assert "relax: 1 converged; residues with violations 0 before, 0 after; medians: RMSD" in " ".join(
+        said.split()
+    )
+    assert tuple(pd.read_csv("batch/summary.csv").columns) == OF_RELAXED
+    sheet.write_text("path,methods\nmodel.pdb,relax\nmodel.pdb,kcm\n")
+    assert "methods kcm: relaxed.csv is of relax alone" in refusal("relax", "--manifest", sheet)
+    sheet.write_text("path,seed\nmodel.pdb,3\n")
+    assert "line 2: seed: is no setting of relax" in refusal("relax", "--manifest", sheet)
+
+
+def test_what_does_not_fit_a_pdb_file_is_written_as_mmcif(tmp_path):
+    """Content decides what a file is, and here what it is written as, too."""
+    long = gemmi.read_structure(str(STRUCTURES / "ala10.pdb"))
+    long.rename_chain("A", "AB")
+    long.make_mmcif_document().write_file(str(tmp_path / "long.pdb"))
+    (job,) = find_jobs([tmp_path / "long.pdb"], BatchSettings(("relax",)).changed(solvent="vacuum"))
+    (row,) = run_job(job, tmp_path / "out", 1)
+    assert row.record["output"] == "long.relaxed.cif"
+    assert {*pc.load(tmp_path / "out" / "long.relaxed.cif").residue_chain} == {"AB"}
+
+
+def test_a_protocols_force_field_is_that_of_relax_alone(tmp_path):
+    settings = BatchSettings(("relax", "lbfgs"), max_evaluations=5).changed(protocol="alphafold")
+    (job,) = find_jobs([STRUCTURES / "ala10.pdb"], settings)
+    rows = {row.record["method"]: row.record for row in run_job(job, tmp_path, 1)}
+    assert (rows["relax"]["forcefield"], rows["relax"]["solvent"]) == ("amber99sb", "vacuum")
+    assert (rows["lbfgs"]["forcefield"], rows["lbfgs"]["solvent"]) == ("amber14", "obc2")
+
+
+def test_a_worker_elsewhere_finds_the_force_field(tmp_path, here):
+    (here / "own.xml").write_text("<ForceField/>")
+    settings = BatchSettings(("relax",)).changed(forcefield="amber14,own.xml")
+    job = Job("x", tmp_path / "x.pdb", settings, "key")
+    assert job.anywhere.settings.setup.forcefield == f"amber14,{here / 'own.xml'}"
+    assert job.anywhere == replace(job, settings=job.anywhere.settings)
+    usual = replace(job, settings=BatchSettings(("relax",)))
+    assert usual.anywhere is usual
+
+
 def test_models_of_a_file_are_several():
     """Each model is a structure of the folder."""
-    from protochain.batches import find_jobs
-    from protochain.batches.relaxed import RelaxSettings
-    from protochain.setup import Setup
-
-    jobs = find_jobs([shared("1vii_villin_nmr3.pdb")], RelaxSettings(setup=Setup(model="all")))
+    settings = BatchSettings(("relax",), setup=pc.Setup(model="all"))
+    jobs = find_jobs([shared("1vii_villin_nmr3.pdb")], settings)
     assert [job.settings.setup.model for job in jobs] == [0, 1, 2]
     assert len({job.key for job in jobs}) == 3 and jobs[0].settings.methods == ("relax",)
 

@@ -129,7 +129,7 @@ def test_a_batch_is_summed_up_by_method_and_lists_ten_failures(capsys):
     terminal.print_batch(summary(12), "r" * 100)
     lines = capsys.readouterr().out.splitlines()
     assert lines[-2:] == [
-        "and 2 more without a result", f"written: {'r' * 100} and the tables, structures and pages beside it",
+        "and 2 more, in the table", f"written: {'r' * 100} and the tables, structures and pages beside it",
     ]  # fmt: skip
     assert sum(": refused: " in line for line in lines) == 10
     long = summary(1).tail(1).assign(message="w " * 90)

@@ -22,7 +22,6 @@ from protochain.batches.jobs import (
     NAMES,
     BatchSettings,
     Job,
-    JobSettings,
     Row,
     failure,
     find_jobs,
@@ -30,8 +29,9 @@ from protochain.batches.jobs import (
 )
 from protochain.batches.settings import keep_settings
 from protochain.batches.supervise import supervise
-from protochain.batches.table import SUMMARY, Tables, read_table
+from protochain.batches.table import SUMMARY, Tables, earlier_rows, read_table
 from protochain.checks import checked, flag, function, number, path, several
+from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.storage import json_text, write_atomically
 
@@ -81,7 +81,7 @@ class Batch:
     interrupted : bool
         Whether it was stopped before all structures were done.
     name : str
-        Stem of the table's name: ``relaxed`` where structures were relaxed.
+        Stem of the table's name: ``relaxed`` of :func:`relax_files`.
     """
 
     folder: Path
@@ -128,7 +128,7 @@ def batch(
     watch: Callable[[BatchProgress], None] | None = None,
     **settings: Any,
 ) -> Batch:
-    """Minimise many structures in worker processes; write tables, structures and pages.
+    """Minimise or relax many structures in worker processes; write tables, structures and pages.
 
     Parameters
     ----------
@@ -138,7 +138,8 @@ def batch(
         Folder for ``summary.csv``, ``traces.csv``, structures and pages, to which rows are appended as they
         arrive; at the end also ``summary.parquet``, ``summary.json``, plots and ``report.html``.
     methods : str or sequence of str
-        As in :func:`protochain.minimise`. With ``openmm`` among them, C-alpha RMSDs to its end are reported.
+        As in :func:`protochain.minimise`, and ``relax``, as :func:`protochain.relax`. With ``openmm`` among
+        them, C-alpha RMSDs to its end are reported.
     manifest : path-like, optional
         CSV with a column ``path`` and columns named after settings, which apply to that structure.
     resume : bool
@@ -147,6 +148,7 @@ def batch(
         Called with a :class:`protochain.batches.BatchProgress` after each structure.
     **settings
         Fields of :class:`protochain.batches.BatchSettings` (``max_evaluations``, ``seed`` ...), of
+        :class:`protochain.relaxation.Relaxing` (``preset``, ``repack`` ...), of
         :class:`protochain.Setup` (``solvent="gbn2"``, ``model="all"`` ...), and of
         :class:`protochain.batches.Processes` (``workers``, ``scheduler``, ``threads``, ``time_limit``).
 
@@ -171,20 +173,30 @@ def batch(
     refuse_unknown(settings, (*names, *NAMES))
     processes = Processes(**{name: settings.pop(name) for name in names if name in settings})
     common = BatchSettings(tuple(methods)).changed(**settings)
-    folder = Path(output)
-    jobs = find_jobs(given, common, Path(manifest) if manifest else None, folder)
-    return run_jobs(jobs, common, Tables(folder, resume), processes, watch)
+    return run_batch(
+        given, common, Path(output), Path(manifest) if manifest else None, resume, processes, watch
+    )
 
 
-def run_jobs(
-    jobs: Sequence[Job],
-    common: JobSettings,
-    tables: Tables,
+def run_batch(
+    inputs: Sequence[str | Path],
+    common: BatchSettings,
+    folder: Path,
+    manifest: Path | None,
+    resume: bool,
     processes: Processes,
     watch: Callable[[BatchProgress], None] | None,
+    name: str = SUMMARY,
 ) -> Batch:
-    """Run the jobs that are not finished; write tables, structures and pages."""
-    folder = tables.folder
+    """Find the structures, run those that are not finished; write tables, structures and pages."""
+    jobs = find_jobs(inputs, common, manifest, folder, earlier_rows(folder, name) if resume else ())
+    other = next((job for job in jobs if job.settings.methods != common.methods), None)
+    if other and name != SUMMARY:
+        raise ProtochainError(
+            f"{manifest}: {other.path}: methods {','.join(other.settings.methods)}: {name}.csv is of "
+            f"{','.join(common.methods)} alone; protochain batch takes a manifest with methods"
+        )
+    tables = Tables(folder, resume, name, {method for job in jobs for method in job.settings.methods})
     try:
         keep_settings(folder, common, jobs, tables.summary.name)
         done = tables.finished(jobs)
@@ -222,7 +234,7 @@ def _work(
     def submit(count: int) -> Iterator[Future]:
         for job in islice(waiting, count):
             future = client.submit(
-                supervise, job, folder, processes.threads, processes.time_limit, pure=False
+                supervise, job.anywhere, folder, processes.threads, processes.time_limit, pure=False
             )
             of[future.key] = job
             yield future

@@ -3,25 +3,39 @@
 import csv
 import glob
 import hashlib
+import itertools
 import json
 import math
 import os
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any
 
 from protochain import defaults
-from protochain.checks import check_fields, flag, integer, number, optional, several, words
+from protochain.batches.naming import Earlier, Wanted, absolute, named_apart
+from protochain.checks import (
+    check_fields,
+    flag,
+    force_field_parts,
+    instance,
+    integer,
+    number,
+    optional,
+    several,
+    words,
+)
 from protochain.errors import ProtochainError
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.recipes import recipe_of
 from protochain.minimisers.starts import check_starts
+from protochain.relaxation.record import METHOD as RELAX
+from protochain.relaxation.settings import NAMES as OF_RELAXING
+from protochain.relaxation.settings import WITHOUT, Relaxing
 from protochain.setup import ALL_MODELS, Setup, models_asked
-from protochain.structure.files import format_of, split_name
+from protochain.structure.files import format_of
 from protochain.structure.prepare import user_files
 from protochain.structure.read import model_numbers
 
@@ -30,13 +44,15 @@ _GLOB = frozenset("*?[")
 
 @dataclass(frozen=True)
 class BatchSettings:
-    """How each structure of a batch is prepared and minimised.
+    """How each structure of a batch is prepared, and what is done to it.
 
     Parameters
     ----------
     methods : tuple of str
-        Run one after the other from the same start, as in :func:`protochain.minimise`.
-    tolerance, max_rmsd : float
+        Run one after the other from the same start: those of :func:`protochain.minimise`, and ``relax``.
+    tolerance : float, optional
+        As in :func:`protochain.minimise` and :func:`protochain.relax`; by default, that of each.
+    max_rmsd : float
         As in :func:`protochain.minimise`.
     max_evaluations, seed : int
         As in :func:`protochain.minimise`.
@@ -52,6 +68,8 @@ class BatchSettings:
         As in :func:`protochain.explore`.
     curvature : bool
         As in :func:`protochain.minimise`.
+    relaxing : Relaxing
+        How ``relax`` does it; its tolerance is that of the batch, where one is given.
 
     Raises
     ------
@@ -60,7 +78,7 @@ class BatchSettings:
     """
 
     methods: tuple[str, ...] = (defaults.METHOD,)
-    tolerance: float = defaults.TOLERANCE
+    tolerance: float | None = None
     max_rmsd: float = float("inf")
     max_evaluations: int = defaults.MAX_EVALUATIONS
     seed: int = defaults.SEED
@@ -70,35 +88,64 @@ class BatchSettings:
     spread: float = defaults.SPREAD
     hop_temperature: float | None = None
     curvature: bool = True
+    relaxing: Relaxing = field(default_factory=Relaxing)
 
     def __post_init__(self) -> None:
         check_fields(
-            self, methods=several, tolerance=number, max_rmsd=number, max_evaluations=integer, seed=integer,
-            n_starts=integer, spread=number, hop_temperature=optional(number), curvature=flag,
+            self, methods=several, tolerance=optional(number), max_rmsd=number, max_evaluations=integer,
+            seed=integer, n_starts=integer, spread=number, hop_temperature=optional(number), curvature=flag,
+            setup=instance(Setup, "protochain.Setup()"),
+            relaxing=instance(Relaxing, "protochain.relaxation.Relaxing()"),
         )  # fmt: skip
+        tolerance = self.relaxing.tolerance if self.tolerance is None else self.tolerance
+        object.__setattr__(self, "tolerance", tolerance)
         object.__setattr__(self, "methods", tuple(dict.fromkeys(self.methods)))
         if not self.methods:
             raise ProtochainError("methods: give at least one")
-        recipes = [recipe_of(method) for method in self.methods]
-        if len({recipe.name for recipe in recipes}) < len(recipes):
+        recipes = [recipe_of(method) for method in self.methods if method != RELAX]
+        names = [recipe.name for recipe in recipes] + [RELAX] * (RELAX in self.methods)
+        if len(set(names)) < len(names):
             raise ProtochainError(
                 f"methods {', '.join(self.methods)}: two have one name; their files would too"
             )
         for recipe in recipes:
             Minimisation(
-                recipe, self.tolerance, self.max_evaluations, self.seed,
+                recipe, self.of_minimising, self.max_evaluations, self.seed,
                 restraint=self.restraint, max_rmsd=self.max_rmsd,
             )  # fmt: skip
+        object.__setattr__(self, "relaxing", replace(self.relaxing, tolerance=tolerance))
+        if RELAX in self.methods:
+            _ = self.of_relaxing  # It may be refused.
         if self.hop_temperature is not None and self.n_starts == 1:
             raise ProtochainError("hop_temperature: needs several minima; give n_starts 2 or more")
         held = {} if self.n_starts == 1 else {"restraint": self.restraint, "max_rmsd": self.max_rmsd}
         check_starts(self.n_starts, self.spread, self.hop_temperature, **held)
 
+    @property
+    def of_minimising(self) -> float:
+        """Tolerance of the minimisations."""
+        return defaults.TOLERANCE if self.tolerance is None else self.tolerance
+
+    @property
+    def of_relaxing(self) -> Setup:
+        """Setup of ``relax``, whose protocol may have a force field of its own."""
+        return self.relaxing.setup(self.setup)
+
+    @property
+    def idle(self) -> frozenset[str]:
+        """Names of the settings that none of the methods has."""
+        relaxes, minimises = RELAX in self.methods, {*self.methods} != {RELAX}
+        without: frozenset[str] = frozenset()
+        return (without if minimises else _OF_MINIMISING) | (without if relaxes else _OF_RELAXING)
+
     def changed(self, **settings: Any) -> "BatchSettings":
-        """Return these settings with some replaced, given by the names of their fields or of the setup's."""
+        """Return these settings with some replaced, given by their names, or the setup's, or relaxing's."""
         refuse_unknown(settings, NAMES)
-        setup = {name: settings.pop(name) for name in _OF_SETUP if name in settings}
-        return replace(self, **{"setup": replace(settings.pop("setup", self.setup), **setup)}, **settings)
+        for whole, names in (("setup", _OF_SETUP), ("relaxing", _OF_RELAXING)):
+            parts = {name: settings.pop(name) for name in names if name in settings}
+            if parts:
+                settings[whole] = replace(settings.get(whole, getattr(self, whole)), **parts)
+        return replace(self, **settings)
 
     def read(self, row: Mapping[str, str]) -> "BatchSettings":
         """Return these settings with the filled cells of a manifest's row in their place."""
@@ -108,32 +155,28 @@ class BatchSettings:
         if ":" in cells.get("methods", ""):
             raise ProtochainError("methods: an import path runs code; give it as an option of the batch")
         try:
-            return self.changed(**{name: _IN_MANIFEST[name](text) for name, text in cells.items()})
+            own = self.changed(**{name: _IN_MANIFEST[name](text) for name, text in cells.items()})
         except ValueError as error:
             raise ProtochainError(str(error)) from error
+        own.refuse_idle(cells)
+        return own
+
+    def refuse_idle(self, given: Iterable[str], idle: frozenset[str] | None = None) -> None:
+        """Refuse the first of the settings given that no method has: nothing would come of it."""
+        idle = self.idle if idle is None else idle
+        name = next((name for name in given if name in idle), None)
+        if name is not None:
+            raise ProtochainError(f"{name}: is no setting of {', '.join(self.methods)}; leave it out")
+
+    def values(self) -> dict[str, Any]:
+        """Return all plain values by name, but for ``threads``, which change no result."""
+        setup = self.of_relaxing if self.methods == (RELAX,) else self.setup
+        values = asdict(self) | asdict(self.relaxing) | asdict(setup)
+        return {name: value for name, value in values.items() if name not in _NO_VALUES}
 
     def record(self) -> dict[str, Any]:
-        """Return plain values by name; ``threads`` change no setting, and each row records them."""
-        values = asdict(self) | asdict(self.setup)
-        return {name: value for name, value in values.items() if name not in ("setup", "threads")}
-
-
-class JobSettings(Protocol):
-    """Settings of a job: those of a batch, or of a folder to relax."""
-
-    @property
-    def methods(self) -> tuple[str, ...]:
-        """Names of the runs of each structure; each is a row."""
-
-    @property
-    def setup(self) -> Setup:
-        """How the structure is prepared."""
-
-    def changed(self, **settings: Any) -> Self:
-        """Return these settings with some replaced."""
-
-    def record(self) -> dict[str, Any]:
-        """Return plain values by name: all that results depend on."""
+        """Return those plain values by name that results of the methods depend on."""
+        return {name: value for name, value in self.values().items() if name not in self.idle}
 
 
 def refuse_unknown(given: Iterable[str], known: Sequence[str]) -> None:
@@ -151,8 +194,14 @@ def _truth(text: str) -> bool:
     return text.lower() in ("true", "yes", "1")
 
 
+_NO_VALUES = ("setup", "relaxing", "threads")
 _OF_SETUP = tuple(each.name for each in fields(Setup))
-NAMES = (*(each.name for each in fields(BatchSettings)), *_OF_SETUP)
+_OF_RELAXING = frozenset(OF_RELAXING) - {"tolerance"}
+_OF_MINIMISING = frozenset({
+    "max_rmsd", "max_evaluations", "seed", "restraint", "n_starts", "spread", "hop_temperature", "curvature",
+    *WITHOUT,
+})  # fmt: skip
+NAMES = tuple(dict.fromkeys((*(each.name for each in fields(BatchSettings)), *OF_RELAXING, *_OF_SETUP)))
 """Settings of a batch's structures, by the names of their fields."""
 
 _OF_OPTION = {
@@ -166,12 +215,12 @@ _OF_OPTION = {
 _READERS: Mapping[type, Callable[[str], Any]] = {bool: _truth, int: int, float: float, tuple: words}
 _IN_MANIFEST = {
     each.name: _READERS.get(type(each.default), str)
-    for each in (*fields(BatchSettings), *fields(Setup))
+    for each in (*fields(BatchSettings), *fields(Relaxing), *fields(Setup))
     # A list of structures may not decide that the code in a force-field file is run.
-    if each.name not in ("setup", "threads", "trust_forcefield")
+    if each.name not in (*_NO_VALUES, "trust_forcefield")
 }
 _IN_MANIFEST["spread"] = lambda text: math.radians(float(text))
-_IN_MANIFEST["hop_temperature"] = float
+_IN_MANIFEST |= dict.fromkeys(("tolerance", "hop_temperature", "stiffness"), float)
 """Columns of a manifest beside ``path``, and how the text of a cell is read; angles are in degrees."""
 _COLUMNS = tuple({known: name for name, known in _OF_OPTION.items()}.get(each, each) for each in _IN_MANIFEST)
 
@@ -186,7 +235,7 @@ class Job:
         Unique in the batch; its files are named after it.
     path : Path
         Absolute.
-    settings : BatchSettings, or others alike
+    settings : BatchSettings
         The setup's model is a number, or None for the first.
     key : str
         SHA-256 of the file's content, the settings, and the version of protochain.
@@ -194,13 +243,21 @@ class Job:
 
     name: str
     path: Path
-    settings: JobSettings
+    settings: BatchSettings
     key: str
 
     @property
     def identity(self) -> tuple[str, str]:
         """Name and key: rows of an earlier file or other settings have another."""
         return self.name, self.key
+
+    @property
+    def anywhere(self) -> "Job":
+        """The same job for a worker that was started in another folder: its force field by whole paths."""
+        given = self.settings.setup.forcefield
+        files = {str(file): str(file.absolute()) for file in user_files(given)}
+        whole = ",".join(files.get(part, part) for part in force_field_parts(given))
+        return replace(self, settings=self.settings.changed(forcefield=whole)) if files else self
 
 
 @dataclass(frozen=True)
@@ -239,20 +296,21 @@ def origin(job: Job) -> dict[str, Any]:
 @dataclass(frozen=True)
 class _Found:
     path: Path
-    settings: JobSettings
-    content: str = field(default="", compare=False)
+    settings: BatchSettings
+    root: Path
+    """Folder below which its own folders are named."""
 
-    @property
-    def stem(self) -> str:
-        model = self.settings.setup.model
-        return split_name(self.path)[0] + ("" if model is None else f".{model}")
+    def job(self) -> Job:
+        """Its job, without a name."""
+        return Job("", self.path.absolute(), self.settings, _key(self.path, self.settings))
 
 
 def find_jobs(
     inputs: Iterable[str | Path],
-    settings: JobSettings,
+    settings: BatchSettings,
     manifest: Path | None = None,
     output: Path | None = None,
+    earlier: Sequence[Earlier] = (),
 ) -> list[Job]:
     """List the jobs of a batch.
 
@@ -265,33 +323,49 @@ def find_jobs(
     manifest : Path, optional
         CSV with a column ``path`` and any of the settings; paths are relative to its folder.
     output : Path, optional
-        Folder for the results: it is not searched, and no input may lie in it.
+        Folder for the results: it is not searched, and nothing that is read may lie in it.
+    earlier : sequence of Earlier, optional
+        Results in that folder, which keep their names.
 
     Returns
     -------
     list of Job
-        In the order given, without duplicates. A file that is missing or cannot be read is a job that fails.
+        In the order given, without duplicates, and named after their files below the folder that all of these
+        have in common. A file that is missing or cannot be read is a job that fails.
 
     Raises
     ------
     ProtochainError
-        If there is nothing to do, no file exists, the manifest makes no sense, or an input might be replaced.
+        If there is nothing to do, no file exists, the manifest makes no sense, a setting is one that no
+        method has, or an input might be replaced.
     """
-    found = [_Found(path, settings) for given in inputs for path in _paths(str(given), output)]
-    if manifest and isinstance(settings, BatchSettings):
+    found = [_Found(path, settings, root) for given in inputs for path, root in _paths(str(given), output)]
+    if manifest:
         found += _from_manifest(manifest, settings)
-    found = [each for one in dict.fromkeys(found) for each in _models(one)]
-    for each in found:
-        if _is_inside(each.path, output):
+    unique: dict[tuple[Path, BatchSettings], _Found] = {}
+    for each in (each for one in found for each in _models(one)):
+        unique.setdefault((each.path.absolute(), each.settings), each)
+    found = list(unique.values())
+    for path in (*(each.path for each in found), *([manifest] if manifest else [])):
+        if _is_inside(path, output):
             raise ProtochainError(
-                f"{each.path}: lies in the folder for the results; give them a folder of their own"
+                f"{path}: lies in the folder for the results; give them a folder of their own"
             )
     if not found:
         raise ProtochainError("no structures found; give files, folders or patterns")
     if not any(each.path.exists() for each in found):
         raise ProtochainError(f"{found[0].path}: not found, nor any other structure; check the names")
-    hashed = [replace(each, content=_hash(each.path)) for each in found]
-    return _named_apart(hashed)
+    usual = BatchSettings().values()
+    settings.refuse_idle(
+        (name for name, value in settings.values().items() if value != usual[name]),
+        frozenset.intersection(*(each.settings.idle for each in found)),
+    )
+    jobs = [each.job() for each in found]
+    wanted = [
+        Wanted(job.path, each.root, job.settings.setup.model, job.key, job.settings.methods)
+        for each, job in zip(found, jobs, strict=True)
+    ]
+    return [replace(job, name=name) for job, name in zip(jobs, named_apart(wanted, earlier), strict=True)]
 
 
 def listed(by_nul: bool = False) -> list[str]:
@@ -304,24 +378,34 @@ def listed(by_nul: bool = False) -> list[str]:
     return [line.strip() for line in text.splitlines() if line.strip()]
 
 
-def _paths(given: str, output: Path | None) -> Iterator[Path]:
+def _paths(given: str, output: Path | None) -> Iterator[tuple[Path, Path]]:
+    """Files that are meant, each with the folder below which its own folders are named."""
     if given == "-":
         for name in listed():
             yield from _paths(name, output)
     elif Path(given).is_dir():
+        if output and (absolute(Path(given)) == absolute(output) or _is_inside(Path(given), output)):
+            raise ProtochainError(
+                f"{given}: is the folder for the results, or lies in it; give them a folder of their own"
+            )
         found = sorted(path for path in Path(given).rglob("*") if _is_structure(path))
-        yield from (path for path in found if not _is_inside(path, output))
+        yield from ((path, Path(given)) for path in found if not _is_inside(path, output))
     elif not Path(given).exists() and _GLOB & set(given):
         matched = sorted(glob.glob(given, recursive=True))  # noqa: PTH207 (a pattern may be absolute)
         if not matched:
             raise ProtochainError(f"{given}: matches no file")
-        yield from (Path(path) for path in matched if not Path(path).is_dir())
+        fixed = itertools.takewhile(lambda part: not _GLOB & set(part), Path(given).parts)
+        root = Path(*fixed)
+        yield from ((Path(path), root) for path in matched if not Path(path).is_dir())
     else:
-        yield Path(given)
+        yield Path(given), Path(given).parent
 
 
 def _is_inside(path: Path, folder: Path | None) -> bool:
-    return folder is not None and folder.resolve() in path.resolve().parents
+    """Whether a path leads into a folder, as it is written or where its links lead."""
+    if folder is None:
+        return False
+    return absolute(folder) in absolute(path).parents or folder.resolve() in path.resolve().parents
 
 
 def _is_structure(path: Path) -> bool:
@@ -343,7 +427,8 @@ def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
                 own = settings.read({k: v for k, v in row.items() if k != "path"})
             except ProtochainError as error:
                 raise ProtochainError(f"{manifest}: line {reader.line_num}: {error}") from error
-            found.append(_Found(manifest.parent / row["path"].strip(), own))
+            path = manifest.parent / row["path"].strip()
+            found.append(_Found(path, own, path.parent))
         return found
 
 
@@ -371,23 +456,7 @@ def _hash(path: Path) -> str:
         return ""
 
 
-def _key(found: _Found) -> str:
-    own = "".join(map(_hash, user_files(found.settings.setup.forcefield)))
-    parts = [version("protochain"), found.content, found.settings.record(), own]
+def _key(path: Path, settings: BatchSettings) -> str:
+    own = "".join(map(_hash, user_files(settings.setup.forcefield)))
+    parts = [version("protochain"), _hash(path), settings.record(), own]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
-
-
-def _named_apart(found: list[_Found]) -> list[Job]:
-    """Name jobs after their files; where names coincide, add the first digits of the key."""
-    stems = Counter(each.stem for each in found)
-    taken: Counter[str] = Counter()
-    jobs = []
-    for each in found:
-        key = _key(each)
-        name = each.stem if stems[each.stem] == 1 else f"{each.stem}-{key[:8]}"
-        taken[name] += 1
-        # Files of equal name and content have equal keys.
-        name = name if taken[name] == 1 else f"{name}-{taken[name]}"
-        # A worker may have been started in another folder.
-        jobs.append(Job(name, each.path.absolute(), each.settings, key))
-    return jobs

@@ -8,7 +8,9 @@ import numpy as np
 from jinja2 import Template
 
 from protochain.batches.jobs import Job, Row
-from protochain.minimisers.record import SHOWN, Column
+from protochain.batches.relaxed import SHOWN_RELAXED
+from protochain.minimisers.record import SHOWN
+from protochain.relaxation.record import METHOD as RELAX
 from protochain.storage import write_atomically
 from protochain.structure.losses import told
 
@@ -16,9 +18,7 @@ WIDTH, HEIGHT = 640, 240
 """Size of the drawing, in units of the SVG."""
 
 
-def write_page(
-    folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[str], shown: Sequence[Column] = SHOWN
-) -> None:
+def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[str]) -> None:
     """Write ``pages/NAME.html``.
 
     Parameters
@@ -31,12 +31,14 @@ def write_page(
         One a method.
     repairs : sequence of str
         Changes made to prepare it.
-    shown : sequence of Column
-        Columns of its table.
     """
+    minimised = SHOWN if {*job.settings.methods} != {RELAX} else ()
+    of_relaxed = SHOWN_RELAXED if RELAX in job.settings.methods else ()
+    path = folder / "pages" / f"{job.name}.html"
     text = _template().render(
         job=job,
-        shown=shown,
+        home="../" * len(path.relative_to(folder).parent.parts),
+        shown={column.key: column for column in (*of_relaxed, *minimised)}.values(),
         records=[row.record for row in rows],
         repairs=repairs,
         lost=told(row.record for row in rows),
@@ -44,8 +46,6 @@ def write_page(
         width=WIDTH,
         height=HEIGHT,
     )
-    (folder / "pages").mkdir(exist_ok=True)
-    path = folder / "pages" / f"{job.name}.html"
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
 
 

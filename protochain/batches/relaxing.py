@@ -1,14 +1,13 @@
-"""``relax_files``: many structures relaxed by the processes of a batch."""
+"""``relax_files``: many structures relaxed by a batch, with the table of ``protochain relax``."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from protochain.batches.api import Batch, BatchProgress, run_jobs
+from protochain.batches.api import Batch, BatchProgress, run_batch
 from protochain.batches.cluster import Processes
-from protochain.batches.jobs import find_jobs
-from protochain.batches.relaxed import COLUMNS, RelaxSettings
-from protochain.batches.table import Tables
+from protochain.batches.jobs import BatchSettings
+from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.settings import Relaxing
 from protochain.setup import Setup
 
@@ -21,11 +20,12 @@ def relax_files(
     relaxing: Relaxing | None = None,
     setup: Setup | None = None,
     *,
+    manifest: str | Path | None = None,
     resume: bool = False,
     watch: Callable[[BatchProgress], None] | None = None,
     **processes: Any,
 ) -> Batch:
-    """Relax many structures in worker processes; a failure is a row and stops no other.
+    """Relax many structures: :func:`protochain.batch` with the method ``relax``, its table ``relaxed.csv``.
 
     Parameters
     ----------
@@ -37,6 +37,8 @@ def relax_files(
         How firmly, and how far.
     setup : Setup, optional
         How structures are read, and their energy. Its threads are those of each structure; one by default.
+    manifest : path-like, optional
+        CSV with a column ``path`` and columns named after fields of ``relaxing`` and ``setup``.
     resume : bool
         Continue in a folder with the same settings: structures are skipped that are finished and unchanged.
     watch : callable, optional
@@ -59,9 +61,11 @@ def relax_files(
     -----
     A script must call it under ``if __name__ == "__main__":``, as any function that starts processes.
     """
-    relaxing, setup = relaxing or Relaxing(), setup or Setup()
+    setup = setup or Setup()
     if setup.threads is not None:
         processes = {"threads": setup.threads} | processes
-    settings, folder = RelaxSettings(relaxing, relaxing.setup(setup)), Path(output)
-    jobs = find_jobs(list(inputs), settings, None, folder)
-    return run_jobs(jobs, settings, Tables(folder, resume, NAME, COLUMNS), Processes(**processes), watch)
+    settings = BatchSettings((RELAX,), setup=setup, relaxing=relaxing or Relaxing())
+    return run_batch(
+        list(inputs), settings, Path(output), Path(manifest) if manifest else None, resume,
+        Processes(**processes), watch, NAME,
+    )  # fmt: skip

@@ -53,10 +53,15 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
         statistics=quartiles.assign(quantity=quartiles["quantity"].map(heading)),
         rows=rows.head(WORST).to_dict("records"),
         total=len(rows),
-        pages={path.stem for path in (folder / "pages").glob("*.html")} if len(table) else set(),
+        pages=_pages(folder / "pages") if len(table) else set(),
         figures={name: data_url(figure) for name, figure in figures.items()},
     )
     write_atomically(folder / "report.html", lambda to: to.write_text(text, encoding="utf-8"))
+
+
+def _pages(folder: Path) -> set[str]:
+    """Names of the structures that have a page."""
+    return {path.relative_to(folder).as_posix().removesuffix(".html") for path in folder.rglob("*.html")}
 
 
 def statistics(table: "pd.DataFrame") -> "pd.DataFrame":

@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from protochain.batches.jobs import Job, JobSettings
+from protochain.batches.jobs import BatchSettings, Job
 from protochain.errors import ProtochainError
 from protochain.storage import write_atomically
 from protochain.structure.prepare import user_files
@@ -17,14 +17,16 @@ from protochain.structure.prepare import user_files
 NAME = "settings.json"
 
 
-def keep_settings(folder: Path, common: JobSettings, jobs: Sequence[Job], table: str = "summary.csv") -> None:
+def keep_settings(
+    folder: Path, common: BatchSettings, jobs: Sequence[Job], table: str = "summary.csv"
+) -> None:
     """Write the settings of a batch to its folder, or refuse to go on with other ones.
 
     Parameters
     ----------
     folder : Path
         Folder of the batch.
-    common : BatchSettings, or others alike
+    common : BatchSettings
         Settings of all structures; a manifest may give some of them others.
     jobs : sequence of Job
         Structures. New ones may be added, and any left out.
@@ -65,7 +67,7 @@ def _holds_results(table: Path) -> bool:
         return False
 
 
-def _plain(settings: JobSettings) -> dict[str, Any]:
+def _plain(settings: BatchSettings) -> dict[str, Any]:
     """Settings as JSON reads them back, with all else that makes results differ."""
     values = settings.record() | {"protochain": version("protochain")}
     files = user_files(settings.setup.forcefield)
@@ -80,7 +82,7 @@ def _plain(settings: JobSettings) -> dict[str, Any]:
     return plain
 
 
-def _of_structures(common: JobSettings, jobs: Sequence[Job]) -> dict[str, list[dict[str, Any]]]:
+def _of_structures(common: BatchSettings, jobs: Sequence[Job]) -> dict[str, list[dict[str, Any]]]:
     """What each structure has other than the common settings; several where a manifest names it again."""
     usual = _plain(common)
     found: dict[str, list[dict[str, Any]]] = {}
@@ -96,11 +98,17 @@ def _of_structures(common: JobSettings, jobs: Sequence[Job]) -> dict[str, list[d
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, list[dict[str, Any]]]]:
     try:
         text = json.loads(path.read_text(encoding="utf-8"))
-        return dict(text["settings"]), dict(text["structures"])
+        settings, structures = dict(text["settings"]), dict(text["structures"])
     except (ValueError, KeyError, TypeError) as error:
         raise ProtochainError(
             f"{path}: holds no settings of a batch ({error}); give another folder"
         ) from None
+    if "methods" not in settings:
+        raise ProtochainError(
+            f"{path.parent}: was relaxed by an older protochain, which named structures otherwise; "
+            "give another folder"
+        )
+    return settings, structures
 
 
 def _refuse_others(folder: Path, whose: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:

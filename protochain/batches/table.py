@@ -5,17 +5,20 @@ import errno
 import io
 import os
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from filelock import FileLock, Timeout
 
-from protochain.batches.jobs import Job, Row
+from protochain.batches import relaxed
+from protochain.batches.jobs import Job, Row, origin
+from protochain.batches.naming import Earlier
 from protochain.batches.settings import NAME as SETTINGS
 from protochain.errors import ProtochainError, WriteError
 from protochain.minimisers import record
+from protochain.relaxation.record import METHOD as RELAX
 from protochain.storage import check_writable, write_atomically, writing
 from protochain.validation import MEASURES
 
@@ -27,7 +30,7 @@ COLUMNS = (
     "energy_median_kj_mol", "energy_highest_kj_mol", "n_within_1_kj_mol_of_lowest", "seconds_preparation",
     "input", "model", "output", "key",
 )  # fmt: skip
-"""Columns of ``summary.csv``: those of a record, and those of a batch."""
+"""Columns of ``summary.csv``: those of a record of a minimisation, and those of a batch."""
 
 INTEGERS = (
     "iteration", "iterations", "evaluations", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges",
@@ -62,8 +65,8 @@ class Tables:
         Continue the batch in it; otherwise it may not hold one.
     name : str
         Stem of the name of the table.
-    columns : sequence of str
-        Its columns.
+    methods : collection of str
+        Those of its rows: its columns are theirs, and those that it has.
 
     Raises
     ------
@@ -77,9 +80,9 @@ class Tables:
     """
 
     def __init__(
-        self, folder: Path, resume: bool, name: str = SUMMARY, columns: Sequence[str] = COLUMNS
+        self, folder: Path, resume: bool, name: str = SUMMARY, methods: Collection[str] = ()
     ) -> None:
-        self.name, self.columns = name, columns
+        self.name = name
         self.summary, self.traces = folder / f"{name}.csv", folder / "traces.csv"
         check_writable(self.summary)
         self._is_new = not self.summary.exists()
@@ -98,6 +101,9 @@ class Tables:
             raise ProtochainError(
                 f"{self.summary}: holds a batch; resume=True continues it, or give another folder"
             )
+        minimised = COLUMNS if {*methods} != {RELAX} else ()
+        of_relaxed = relaxed.COLUMNS if RELAX in methods else ()
+        self.columns = tuple(dict.fromkeys((*minimised, *of_relaxed)))
 
     def finished(self, jobs: Sequence[Job]) -> set[tuple[str, str]]:
         """Discard incomplete rows and rows of superseded inputs; return the jobs that are finished.
@@ -112,20 +118,24 @@ class Tables:
         set of (str, str)
             Identities of the jobs with a row for each method, none of them killed or interrupted.
         """
-        of = {job.name: job for job in jobs}
+        of = {job.identity: job for job in jobs}
+        names, sources = {job.name for job in jobs}, {_source(origin(job)) for job in jobs}
         groups = defaultdict(list)
         for row in _whole_lines(self.summary):
             groups[row["structure"], row["key"]].append(row)
         done, kept = set(), []
         for identity, rows in groups.items():
-            job = of.get(identity[0])
+            job = of.get(identity)
             if job is not None:
-                if job.key != identity[1] or {row["method"] for row in rows} != set(job.settings.methods):
+                if {row["method"] for row in rows} != set(job.settings.methods):
                     continue
                 if any(row["status"] in CIRCUMSTANCES for row in rows):
                     continue
                 done.add(identity)
+            elif identity[0] in names or _source(rows[0]) in sources:
+                continue
             kept += rows
+        self.columns = tuple(dict.fromkeys((*self.columns, *(kept[0] if kept else ()))))
         whole = {(row["structure"], row["key"]) for row in kept}
         traces = [row for row in _whole_lines(self.traces) if (row["structure"], row["key"]) in whole]
         _replace(self.summary, self.columns, kept)
@@ -170,6 +180,21 @@ class Tables:
     def close(self) -> None:
         """Release the lock."""
         self.lock.release()
+
+
+def earlier_rows(folder: Path, name: str = SUMMARY) -> list[Earlier]:
+    """Return what names the results in a folder have, and of what they are."""
+    return [
+        Earlier(
+            row["structure"], row["input"], row["model"], row["key"], row["output"],
+            is_gone=not Path(row["input"]).exists(),
+        )
+        for row in _whole_lines(folder / f"{name}.csv")
+    ]  # fmt: skip
+
+
+def _source(row: Mapping[str, object]) -> tuple[str, str]:
+    return str(row["input"]), str(row["model"])
 
 
 def read_table(path: Path) -> "pd.DataFrame":

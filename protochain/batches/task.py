@@ -7,21 +7,27 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from protochain.batches.jobs import BatchSettings, Job, Row, failure, origin
+from protochain.batches.naming import output_stem
 from protochain.batches.page import write_page
-from protochain.batches.relaxed import SHOWN_RELAXED, RelaxSettings, relaxed
 from protochain.batches.thinning import thinned
 from protochain.errors import ProtochainError, WriteError
-from protochain.minimisers.record import SHOWN
+from protochain.relaxation.names import suffix_of
+from protochain.relaxation.record import METHOD as RELAX
+from protochain.setup import Setup
 
 if TYPE_CHECKING:
+    import pandas as pd
+
+    from protochain.arrays import Floats
     from protochain.chain import Chain
     from protochain.energies import Energy
     from protochain.minimisers import Solution
+    from protochain.relaxation import Relaxation
     from protochain.structure import Structure
 
 
 def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
-    """Minimise a structure by all methods of a job; write its structures and its page.
+    """Minimise or relax a structure by all methods of a job; write its structures and its page.
 
     Parameters
     ----------
@@ -39,13 +45,12 @@ def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
     """
     began = perf_counter()
     done: list[Row] = []
-    solve, shown = (relaxed, SHOWN_RELAXED) if isinstance(job.settings, RelaxSettings) else (_solve, SHOWN)
     try:
-        for row, structure in solve(job, folder, threads):
+        for row, structure in _solve(job, folder, threads):
             done.append(row)
             repairs = structure.repairs
             yield row
-        write_page(folder, job, done, repairs, shown)
+        write_page(folder, job, done, repairs)
     except WriteError as error:  # With space it may be done: not what is wrong with this structure.
         yield from _rest(job, done, "killed", str(error), perf_counter() - began)
     except ProtochainError as error:
@@ -67,33 +72,59 @@ def _rest(job: Job, done: list[Row], status: str, message: str, seconds: float) 
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure"]]:
-    from protochain.energies.shared import shared_energy
     from protochain.minimisers.record import flat
     from protochain.structure import ca_rmsd
     from protochain.structure.write import common_suffix
 
     s = job.settings
-    assert isinstance(s, BatchSettings)
     began = perf_counter()
-    setup = replace(s.setup, threads=threads)
-    structure, chain, energy = setup.prepare(job.path, build_energy=shared_energy)
+    of = {method: s.of_relaxing if method == RELAX else s.setup for method in s.methods}
+    prepared = {setup: _prepared(job.path, replace(setup, threads=threads)) for setup in {*of.values()}}
+    chain = None if s.methods == (RELAX,) else s.setup.chain(prepared[s.setup][0])
     preparation = perf_counter() - began
-    ends: dict[str, Solution] = {}
+    reference: tuple[Structure, Floats] | None = None
     # OpenMM first: RMSDs to its end are reported for the others.
     for method in sorted(s.methods, key=lambda method: method != "openmm"):
-        solution, of_starts = _run(chain, energy, method, s)
-        ends[method] = solution
-        reference = ends.get("openmm")
-        record = {key: flat(value) for key, value in (solution.record() | of_starts).items()} | origin(job)
+        structure, energy = prepared[of[method]]
+        result: Solution | Relaxation
+        of_starts: dict[str, Any] = {}
+        if method == RELAX:
+            result, trace = _relax(structure, energy, s)
+            suffix = suffix_of(job.path)
+        else:
+            assert chain
+            result, of_starts = _run(chain, energy, method, s)
+            trace, suffix = result.trace, ".pdb"
+        record = {key: flat(value) for key, value in (result.record() | of_starts).items()} | origin(job)
         record |= {"method": method, "seconds_preparation": preparation}
-        if solution.is_usable:
-            output = folder / f"{job.name}.{solution.method}{common_suffix([solution.structure])}"
-            solution.save(output)
-            record["output"] = output.name
-        if reference and method != "openmm":
-            apart = ca_rmsd(structure, solution.x, reference.x)
-            record["ca_rmsd_to_openmm_angstrom"] = apart
-        yield Row(record, thinned(solution.trace)), structure
+        if result.is_usable:
+            suffix = common_suffix([result.structure]) if suffix == ".pdb" else suffix
+            record["output"] = f"{output_stem(job.name, method)}{suffix}"
+            result.save(folder / record["output"])
+        if method == "openmm":
+            reference = structure, result.x
+        elif reference and reference[0] is structure:
+            record["ca_rmsd_to_openmm_angstrom"] = ca_rmsd(structure, result.x, reference[1])
+        yield Row(record, thinned(trace)), structure
+
+
+def _prepared(path: Path, setup: Setup) -> tuple["Structure", "Energy"]:
+    from protochain.energies.shared import shared_energy
+
+    structure = setup.load(path)
+    return structure, setup.energy(structure, shared_energy)
+
+
+def _relax(structure: "Structure", energy: "Energy", s: BatchSettings) -> tuple["Relaxation", "pd.DataFrame"]:
+    """Relax a structure; return the result, and its trace as a table."""
+    import pandas as pd
+
+    from protochain.relaxation.api import relax_structure
+    from protochain.relaxation.result import TRACE_COLUMNS
+
+    result = relax_structure(structure, energy, s.relaxing)
+    trace = pd.DataFrame(result.trace, columns=list(TRACE_COLUMNS))
+    return result, trace.astype({"iteration": int, "evaluations": int})
 
 
 def _run(
@@ -104,13 +135,13 @@ def _run(
 
     if s.n_starts == 1:
         solution = minimise(
-            chain, energy, method, s.tolerance, s.max_evaluations, s.seed,
+            chain, energy, method, s.of_minimising, s.max_evaluations, s.seed,
             restraint=s.restraint, max_rmsd=s.max_rmsd, curvature=s.curvature,
         )  # fmt: skip
         return solution, {"n_starts": 1}
     found = explore(
         chain, energy, method, s.n_starts, seed=s.seed, spread=s.spread, hop_temperature=s.hop_temperature,
-        tolerance=s.tolerance, max_evaluations=s.max_evaluations, curvature=s.curvature,
+        tolerance=s.of_minimising, max_evaluations=s.max_evaluations, curvature=s.curvature,
     )  # fmt: skip
     overall = found.overall()
     return found.best, overall.pop("starts_summary") | overall

@@ -15,15 +15,26 @@ from protochain.cli.options import (
     UNCONVERGED,
     AsJson,
     Hop,
+    Manifest,
     MaxEvaluations,
     MaxRmsd,
     NoCurvature,
     Restrain,
+    Scheduler,
     Seed,
     Spread,
     Starts,
-    Tolerance,
     with_setup,
+)
+from protochain.cli.relax import (
+    Exclude,
+    Hydrogens,
+    MaxIterations,
+    MaxOuter,
+    Preset,
+    Protocol,
+    Repack,
+    Stiffness,
 )
 from protochain.cli.terminal import batch_progress, print_batch, print_jobs
 from protochain.setup import Setup
@@ -36,14 +47,19 @@ Inputs = Annotated[
     typer.Argument(metavar="IN...", help="Files, folders, patterns; - lists them on standard input."),
 ]
 Output = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the results.")]
-Methods = Annotated[str, typer.Option(help="Methods, with commas between.")]
-Manifest = Annotated[Path | None, typer.Option(help="CSV with a column path, and any settings as columns.")]
+Methods = Annotated[str, typer.Option(help="Methods, with commas between; relax is one.")]
 Workers = Annotated[int | None, typer.Option(help="Processes on this machine [default: all cores].")]
-Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 Threads = Annotated[int, typer.Option(help="Threads for each structure.")]
 TimeLimit = Annotated[float, typer.Option(help="Seconds after which a structure is given up.")]
 ByNul = Annotated[
     bool, typer.Option("--null", "-0", help="Names on standard input have NULs between them: find -print0.")
+]
+Tolerance = Annotated[
+    float | None,
+    typer.Option(
+        help="Largest torque (kJ/mol/rad) at convergence, or RMS force (kJ/mol/nm) where all atoms move "
+        "[default: that of each method]."
+    ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder, with the same settings.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
@@ -62,7 +78,7 @@ def batch(
     null: ByNul = False,
     resume: Resume = False,
     dry_run: DryRun = False,
-    tolerance: Tolerance = defaults.TOLERANCE,
+    tolerance: Tolerance = None,
     max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
     max_rmsd: MaxRmsd = None,
     restrain: Restrain = "",
@@ -71,19 +87,32 @@ def batch(
     hop: Hop = None,
     no_curvature: NoCurvature = False,
     seed: Seed = defaults.SEED,
+    preset: Preset = defaults.PRESET,
+    protocol: Protocol = "",
+    stiffness: Stiffness = None,
+    max_iterations: MaxIterations = defaults.MAX_ITERATIONS,
+    max_outer_iterations: MaxOuter = defaults.MAX_OUTER_ITERATIONS,
+    exclude: Exclude = "",
+    keep_hydrogens: Hydrogens = True,
+    repack: Repack = False,
     as_json: AsJson = False,
     *,
     setup: Setup,
 ) -> None:
-    """Minimise many structures in many processes; a failure is reported and stops no other structure."""
+    """Minimise or relax many structures in many processes; a failure is reported and stops no other."""
     from protochain.batches import BatchSettings, find_jobs
     from protochain.batches import batch as run
     from protochain.batches.jobs import listed
+    from protochain.relaxation.settings import Relaxing
 
     limit = math.inf if max_rmsd is None else max_rmsd
     settings = BatchSettings(
         words(methods), tolerance, limit, max_evaluations, seed, setup, restrain, starts,
         defaults.SPREAD if spread is None else math.radians(spread), hop, not no_curvature,
+        Relaxing(
+            preset, protocol, tolerance, stiffness, max_iterations, max_outer_iterations, exclude,
+            keep_hydrogens, repack,
+        ),
     )  # fmt: skip
     # Standard input can be read only once.
     given = [line for each in inputs or () for line in (listed(null) if each == "-" else [each])]

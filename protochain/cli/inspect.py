@@ -14,7 +14,7 @@ from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, with_options,
 from protochain.setup import Setup
 
 
-@with_setup(without="engine move threads")
+@with_setup(without="engine move")
 def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
     """Show the contents of a file, the repairs to its structure, and its rigid bodies and hinges."""
     began = perf_counter()
@@ -47,6 +47,7 @@ def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
         "overlaps": [f"{each}; {each.remedy}" for each in overlaps(structure, structure.positions, chain)],
         "engine": energy.engine,
         "engine_reason": energy.reason,
+        "threads": energy.threads,
         "constant_terms": dict(energy.left_out),
         "seconds_import": imported - began,
         "seconds_preparation": loaded - imported,

@@ -61,6 +61,8 @@ NoCurvature = Annotated[
     typer.Option("--no-curvature", help="Do not look whether a run in torsions ends at a saddle point."),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of methods that draw random numbers.")]
+Manifest = Annotated[Path | None, typer.Option(help="CSV with a column path, and any settings as columns.")]
+Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 
 
@@ -80,7 +82,8 @@ _SETUP = {
     "threads": _option(int | None, "Threads to compute on [default: all]."),
     "trust_forcefield": _option(bool, "Allow a force-field file to run its scripts.", "--trust-forcefield"),
     "model": _option(
-        str, "Number of the model [default: the first]; minimise, batch and validate also take all, or 1-5,8."
+        str, "Number of the model [default: the first]; minimise, relax, batch and validate also take all, "
+        "or 1-5,8.",
     ),
     "chains": _option(
         str, "Chains to take, with commas between [default: all].", "--chain", "--chains", metavar="A,B"

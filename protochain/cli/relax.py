@@ -16,6 +16,8 @@ from protochain.cli.options import (
     STANDARD_OUTPUT,
     UNCONVERGED,
     AsJson,
+    Manifest,
+    Scheduler,
     check_outputs,
     fail,
     with_setup,
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from protochain.relaxation import Relaxation, Relaxing
 
 Inputs = Annotated[
-    list[str],
+    list[str] | None,
     typer.Argument(
         metavar="IN...", help="PDB or mmCIF files, packed or not, folders, patterns; - is standard input."
     ),
@@ -82,8 +84,9 @@ Resume = Annotated[bool, typer.Option("--resume", help="Of several: continue in 
 
 @with_setup(without="hinges move")
 def relax(
-    inputs: Inputs,
+    inputs: Inputs = None,
     output: Output = None,
+    manifest: Manifest = None,
     preset: Preset = defaults.PRESET,
     protocol: Protocol = "",
     tolerance: Tolerance = None,
@@ -95,6 +98,7 @@ def relax(
     repack: Repack = False,
     report: Report = None,
     workers: Workers = None,
+    scheduler: Scheduler = None,
     time_limit: TimeLimit = defaults.TIME_LIMIT,
     resume: Resume = False,
     as_json: AsJson = False,
@@ -104,7 +108,8 @@ def relax(
 ) -> None:
     """Make predicted models clean: overlaps and broken bonds gone, the fold kept.
 
-    Several files, a folder or a pattern go to a folder, with the table relaxed.csv.
+    Several files, a folder, a pattern or a manifest go to a folder, with the table relaxed.csv; so does what
+    a cluster does.
     """
     from protochain.relaxation.settings import Relaxing
 
@@ -113,7 +118,8 @@ def relax(
         repack,
     )  # fmt: skip
     setup = relaxing.setup(setup)
-    if len(inputs) == 1 and _is_one_file(inputs[0]) and not isinstance(setup.model, str):
+    several = manifest or scheduler or isinstance(setup.model, str)
+    if inputs and len(inputs) == 1 and _is_one_file(inputs[0]) and not several:
         if resume:
             raise ProtochainError(f"resume: {inputs[0]} is one file, which is not resumed; leave it out")
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, as_json, force))
@@ -121,7 +127,8 @@ def relax(
         raise ProtochainError(
             f"report {report}: several structures have report.html in their folder; leave it out"
         )
-    raise typer.Exit(_several(inputs, output, relaxing, setup, as_json, workers, time_limit, resume))
+    processes = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
+    raise typer.Exit(_several(inputs or [], output, manifest, relaxing, setup, processes, as_json, resume))
 
 
 def _is_one_file(given: str) -> bool:
@@ -213,11 +220,11 @@ def _write_report(result: "Relaxation", record: dict[str, Any], report: Path | N
 def _several(
     inputs: list[str],
     output: Path | None,
+    manifest: Path | None,
     relaxing: "Relaxing",
     setup: Setup,
+    processes: dict[str, Any],
     as_json: bool,
-    workers: int | None,
-    time_limit: float,
     resume: bool,
 ) -> int:
     """Relax many files into a folder; return the exit status."""
@@ -234,10 +241,10 @@ def _several(
             folder,
             relaxing,
             setup,
+            manifest=manifest,
             resume=resume,
             watch=watch,
-            workers=workers,
-            time_limit=time_limit,
+            **processes,
         )
     if as_json:
         print((folder / "summary.json").read_text())

@@ -130,13 +130,14 @@ def print_relaxed(record: dict[str, Any]) -> None:
 
 def print_folder(table: "DataFrame", folder: Path) -> None:
     """Print how many ended how, what is left to mend, and where all is."""
+    from protochain.cli.terminal import mended
+
     usable = table[table["output"].notna()]
     counts = ", ".join(f"{n} {status}" for status, n in table["status"].value_counts().items())
     print(f"{len(table)} structures: {counts}")
     if len(usable):
-        before, after = (int(usable[f"violations_{when}"].sum()) for when in ("start", "end"))
         print(
-            f"residues with violations {before} before, {after} after; medians: C-alpha RMSD "
+            f"{mended(usable)}; medians: C-alpha RMSD "
             f"{usable['ca_rmsd_angstrom'].median():.2f} angstrom, {usable['seconds'].median():.1f} s"
         )
     near = usable[usable["overlaps_beside_start"] > 0]

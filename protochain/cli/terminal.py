@@ -334,9 +334,17 @@ def print_jobs(jobs: "Sequence[Job]") -> None:
     print(f"{len(jobs)} structures", file=sys.stderr)
 
 
+def mended(usable: "DataFrame") -> str:
+    """Violations of relaxed structures before and after, in words."""
+    before, after = (int(usable[f"violations_{when}"].sum()) for when in ("start", "end"))
+    return f"residues with violations {before} before, {after} after"
+
+
 def print_batch(table: "DataFrame", report: str) -> None:
-    """Print the number of runs of each status for each method, and the failures."""
+    """Print the number of runs of each status for each method, failures, and what is left to mend."""
     from rich.console import Console
+
+    from protochain.relaxation.record import METHOD as RELAX
 
     console = Console()
     for method, rows in table.groupby("method", sort=False):
@@ -344,14 +352,16 @@ def print_batch(table: "DataFrame", report: str) -> None:
         usable = rows[rows["output"].notna()]
         rmsd, seconds = usable["ca_rmsd_angstrom"].median(), usable["seconds"].median()
         told = f"; medians: RMSD {rmsd:.2f} angstrom, {seconds:.2f} s" if rmsd == rmsd else ""
+        told = f"; {mended(usable)}{told}" if told and method == RELAX else told
         console.print(f"{method}: {counts}{told}", markup=False, highlight=False)
-    failed = table[table["output"].isna()].drop_duplicates("structure")
+    unmended = table["method"].eq(RELAX) & table["status"].ne("converged")
+    failed = table[table["output"].isna() | unmended].drop_duplicates("structure")
     for row in failed.head(_SHOWN_FAILURES).itertuples():
         console.print(
             f"{row.structure}: {row.status}: {row.message}", markup=False, highlight=False, soft_wrap=True
         )
     if len(failed) > _SHOWN_FAILURES:
-        console.print(f"and {len(failed) - _SHOWN_FAILURES} more without a result")
+        console.print(f"and {len(failed) - _SHOWN_FAILURES} more, in the table")
     print_lost(table.to_dict("records"))
     console.print(f"written: {report} and the tables, structures and pages beside it", soft_wrap=True)
 

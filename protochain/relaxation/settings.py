@@ -123,7 +123,7 @@ def split(options: dict[str, Any]) -> tuple[Relaxing, Setup]:
     ProtochainError
         If a name is neither's.
     """
-    of_setup = tuple(each.name for each in fields(Setup) if each.name not in _WITHOUT)
+    of_setup = tuple(each.name for each in fields(Setup) if each.name not in WITHOUT)
     unknown = next((name for name in options if name not in (*NAMES, *of_setup)), None)
     if unknown is not None:
         raise ProtochainError(f"relax has no option {unknown!r}; it takes {', '.join((*NAMES, *of_setup))}")
@@ -133,5 +133,5 @@ def split(options: dict[str, Any]) -> tuple[Relaxing, Setup]:
     )
 
 
-_WITHOUT = ("hinges", "root", "move")
+WITHOUT = ("hinges", "root", "move")
 """Settings of rigid bodies, of which there are none where all atoms move."""

@@ -1,0 +1,154 @@
+"""Names of structures in a batch: their folders mirrored, each name once, those of earlier results kept."""
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+
+from protochain.minimisers.recipes import recipe_of
+from protochain.relaxation.names import relaxed_stem
+from protochain.relaxation.record import METHOD as RELAX
+from protochain.structure.files import split_name
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be named.
+
+    Parameters
+    ----------
+    path : Path
+        Absolute.
+    root : Path
+        Folder that was given, or that of the file: names of the folders below it are part of the name.
+    model : int, optional
+        Number of the model.
+    key : str
+        Hash of content and settings.
+    methods : tuple of str
+        What is done to it: each result is a file.
+    """
+
+    path: Path
+    root: Path
+    model: int | str | None
+    key: str
+    methods: tuple[str, ...]
+
+    @property
+    def source(self) -> tuple[str, str]:
+        """Path and model, as tables have them."""
+        return str(self.path), "" if self.model is None else str(self.model)
+
+    @cached_property
+    def place(self) -> Path:
+        """Path without ``..``."""
+        return absolute(self.path)
+
+    def name(self, home: Path, level: int, position: int) -> str:
+        """Name below a folder; each level tells more things apart than the one before."""
+        stem, suffix, packing = split_name(self.place)
+        ending = f"{suffix}{packing}" if level == _WITH_ENDING else ""
+        model = "" if self.model is None else f".{self.model}"
+        more = ("", "", f"-{self.key[:8]}", f"-{self.key}-{position}")[level]
+        return (self.place.parent.relative_to(home) / f"{stem}{ending}{model}{more}").as_posix()
+
+
+_WITH_ENDING, _LAST = 1, 3
+"""Levels of names: after the file, with its ending, with its key, and with its place in the list."""
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """A row of an earlier batch in the same folder, by its columns; and whether its input is gone."""
+
+    structure: str
+    input: str
+    model: str
+    key: str
+    output: str
+    is_gone: bool = False
+
+    @property
+    def source(self) -> tuple[str, str]:
+        """Path and model."""
+        return self.input, self.model
+
+    @property
+    def claims(self) -> frozenset[str]:
+        """Names that are taken."""
+        return frozenset({self.structure, self.output.rpartition(".")[0]})
+
+
+def absolute(path: Path) -> Path:
+    """Path from the root, without ``..``; links are not followed."""
+    return Path(os.path.abspath(path))  # noqa: PTH100 (resolve would follow links, absolute keeps ..)
+
+
+def output_stem(name: str, method: str) -> str:
+    """Path of the result of a method in the folder of a batch, without its suffix."""
+    if method != RELAX:
+        return f"{name}.{recipe_of(method).name}"
+    path = PurePosixPath(name)
+    return str(path.with_name(relaxed_stem(path.name)))
+
+
+def named_apart(wanted: Sequence[Wanted], earlier: Sequence[Earlier] = ()) -> list[str]:
+    """Name structures after their files, below the folder that all have in common.
+
+    Parameters
+    ----------
+    wanted : sequence of Wanted
+    earlier : sequence of Earlier
+        Results in the folder. Those of the same file, or of a file that has been moved, lend their names;
+        those of others are in nobody's way.
+
+    Returns
+    -------
+    list of str
+        Paths without suffixes, below the folder for the results; no two of them, nor of the files of their
+        results, are the same. Where ``a.pdb`` and ``a.cif`` lie side by side, names have the endings.
+    """
+    if not wanted:
+        return []
+    folders = [folder for each in wanted for folder in (absolute(each.root), each.place.parent)]
+    home = Path(os.path.commonpath(folders))
+    kept, taken = _kept(wanted, earlier)
+    levels = [0] * len(wanted)
+    while True:
+        names = [
+            old or each.name(home, level, k)
+            for k, (old, each, level) in enumerate(zip(kept, wanted, levels, strict=True))
+        ]
+        claims = [
+            {name, *(output_stem(name, method) for method in each.methods)}
+            for name, each in zip(names, wanted, strict=True)
+        ]
+        count = taken + Counter(claim for each in claims for claim in each)
+        clashing = [
+            k for k, each in enumerate(claims)
+            if not kept[k] and levels[k] < _LAST and any(count[claim] > 1 for claim in each)
+        ]  # fmt: skip
+        if not clashing:
+            return names
+        for k in clashing:
+            levels[k] += 1
+
+
+def _kept(wanted: Sequence[Wanted], earlier: Sequence[Earlier]) -> tuple[list[str], Counter[str]]:
+    """Names that stay, empty where there is none yet; and what results of other files claim."""
+    sources = Counter(each.source for each in wanted)
+    same = {(row.source, row.key): row.structure for row in earlier}
+    changed = {row.source: row.structure for row in earlier if sources[row.source] == 1}
+    others = {row.structure: row for row in earlier if row.source not in sources}
+    moved = {(row.key, Path(row.input).name): row.structure for row in others.values() if row.is_gone}
+    kept = []
+    for each in wanted:
+        name = same.get((each.source, each.key)) or changed.get(each.source, "")
+        name = name or moved.pop((each.key, each.path.name), "")
+        kept.append(name)
+    left = others.keys() - {*kept}
+    claims = (row.claims for row in earlier if row.structure in left)
+    return kept, Counter(dict.fromkeys((claim for each in claims for claim in each), 1))
