@@ -125,7 +125,9 @@ def _print(rows: Sequence[dict[str, Any]]) -> None:
     for row in rows:
         lines = row["findings"]
         more = [f"and {len(lines) - _SHOWN} more residues; --residues FILE lists all"] * (len(lines) > _SHOWN)
-        told = [f"  {line}" for line in [*filter(None, [row["added"]]), *lines[:_SHOWN], *more]]
+        mapping = row.get("chain_mapping")
+        chains = [f"chains of the reference and their match: {mapping}"] if mapping else []
+        told = [f"  {line}" for line in [*filter(None, [row["added"]]), *chains, *lines[:_SHOWN], *more]]
         for line in [f"{row['file']}:", *told] if told else []:
             console.print(line, markup=False, highlight=False, soft_wrap=True)
 
