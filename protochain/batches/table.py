@@ -50,6 +50,12 @@ SUMMARY = "summary"
 """Stem of the name of a batch's table."""
 
 
+def files_of(folder: Path, name: str = SUMMARY) -> list[Path]:
+    """Files that a batch writes to its folder beside structures, pages and plots."""
+    names = (f"{name}.csv", f"{name}.parquet", "traces.csv", "summary.json", "report.html", SETTINGS)
+    return [folder / each for each in names]
+
+
 class Tables:
     """``summary.csv`` and ``traces.csv`` of a folder, written by one process at a time.
 

@@ -23,6 +23,8 @@ from protochain.cli.options import (
     Spread,
     Starts,
     Tolerance,
+    check_outputs,
+    inputs_of,
     with_setup,
 )
 from protochain.cli.terminal import batch_progress, print_batch, print_jobs
@@ -79,6 +81,7 @@ def batch(
     from protochain.batches import BatchSettings, find_jobs
     from protochain.batches import batch as run
     from protochain.batches.jobs import listed
+    from protochain.batches.table import files_of
 
     limit = math.inf if max_rmsd is None else max_rmsd
     settings = BatchSettings(
@@ -90,6 +93,7 @@ def batch(
     if dry_run:
         print_jobs(find_jobs(given, settings, manifest, output))
         raise typer.Exit(CONVERGED)
+    check_outputs(inputs_of(setup, manifest), files_of(output))
     with batch_progress() as watch:
         done = run(
             given, output, manifest=manifest, resume=resume, watch=watch, workers=workers,

@@ -53,6 +53,11 @@ def bench(
 
     chosen = {each: study(each) for each in (STUDIES if name == "all" else (name,))}
     check_writable(output / "any.csv")
+    inside = next((each for each in inputs or () if output.resolve() in each.resolve().parents), None)
+    if inside is not None:
+        raise ProtochainError(
+            f"{inside}: lies in the folder for the results; give them a folder of their own"
+        )
     given: dict[str, Any] = {
         "quick": quick or None, "rows": words(rows) if rows else None,
         "only": words(only) if only else None, "threads": threads, "minutes": minutes, "jobs": jobs,

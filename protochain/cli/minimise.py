@@ -31,6 +31,7 @@ from protochain.cli.options import (
     Tolerance,
     check_outputs,
     fail,
+    inputs_of,
     named_after,
     prepare,
     with_setup,
@@ -115,7 +116,8 @@ def minimise(
     output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
     _check_outputs(output, trajectory, report, as_json)
     runs = _runs(source, output, setup, bool(beside or resume), one_file)
-    check_outputs(source, [*dict.fromkeys(path for _, path in runs), *beside], force)
+    written = [*dict.fromkeys(path for _, path in runs), *beside]
+    check_outputs(inputs_of(setup, source, resume), written, force)
 
     settings: dict[str, Any] = {
         "method": chosen, "tolerance": tolerance, "max_evaluations": max_evaluations, "seed": seed,

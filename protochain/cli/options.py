@@ -5,7 +5,7 @@ import math
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
 from time import perf_counter
@@ -180,8 +180,25 @@ def with_options(line: str) -> str:
     return re.sub(r'\b(\w+)="(\w+)"', r"--\1 \2", line)
 
 
-def check_outputs(source: Path, outputs: list[Path], force: bool) -> None:
-    """Refuse, before any work, outputs that would replace the input or one another or cannot be written."""
+def inputs_of(setup: Setup, *given: str | Path | None) -> list[Path]:
+    """All files that a command reads: those given, and the user's among those of the force field."""
+    from protochain.structure.prepare import user_files
+
+    return [*(Path(each) for each in given if each is not None), *user_files(setup.forcefield)]
+
+
+def check_outputs(inputs: Sequence[Path], outputs: Sequence[Path], force: bool | None = None) -> None:
+    """Refuse, before any work, outputs that would replace an input or one another or cannot be written.
+
+    Parameters
+    ----------
+    inputs : sequence of Path
+        All files that the command reads, as of :func:`inputs_of`.
+    outputs : sequence of Path
+        All that it may write; of a folder, the files that it may write there.
+    force : bool, optional
+        Whether ``--force`` was given; None for a command that has no such option.
+    """
     from protochain.storage import check_writable
 
     outputs = [path for path in outputs if str(path) != STANDARD_OUTPUT]
@@ -189,6 +206,8 @@ def check_outputs(source: Path, outputs: list[Path], force: bool) -> None:
         if count > 1:
             raise ProtochainError(f"{output}: is given for two outputs; give each its own")
     for output in outputs:
-        if output.exists() and source.exists() and output.samefile(source) and not force:
-            raise ProtochainError(f"{output}: is the input; give another name, or --force to replace it")
+        same = output.exists() and any(each.exists() and output.samefile(each) for each in inputs)
+        if same and not force:
+            instead = "" if force is None else ", or --force to replace it"
+            raise ProtochainError(f"{output}: is the input; give another name{instead}")
         check_writable(output)

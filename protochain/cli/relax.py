@@ -18,6 +18,7 @@ from protochain.cli.options import (
     AsJson,
     check_outputs,
     fail,
+    inputs_of,
     with_setup,
 )
 from protochain.errors import ProtochainError
@@ -153,7 +154,7 @@ def _one(
         raise ProtochainError("output -: structure and --json both go to standard output; give a file")
     if report and report.suffix.lower() != ".html":
         raise ProtochainError(f"{report}: give a name that ends in .html")
-    check_outputs(source, [output, *([report] if report else [])], force)
+    check_outputs(inputs_of(setup, source), [output, *([report] if report else [])], force)
     began = perf_counter()
     structure = setup.load(source)
     energy = setup.energy(structure)
@@ -221,13 +222,15 @@ def _several(
     resume: bool,
 ) -> int:
     """Relax many files into a folder; return the exit status."""
-    from protochain.batches.relaxing import relax_files
+    from protochain.batches.relaxing import NAME, relax_files
+    from protochain.batches.table import files_of
     from protochain.cli.relaxing import print_folder
     from protochain.cli.terminal import batch_progress
 
     folder = Path("relaxed") if output is None else output
     if folder.is_file() or folder.suffix.lower() in (".pdb", ".cif", ".ent", ".mmcif"):
         raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
+    check_outputs(inputs_of(setup), files_of(folder, NAME))
     with batch_progress() as watch:
         done = relax_files(
             inputs,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protochain.cli.options import BAD_INPUT, CONVERGED, AsJson, check_outputs, with_setup
+from protochain.cli.options import BAD_INPUT, CONVERGED, AsJson, check_outputs, inputs_of, with_setup
 from protochain.errors import ProtochainError
 from protochain.setup import Setup
 
@@ -47,13 +47,13 @@ def validate(
     from protochain.structure.matching import measurable
 
     outputs = [path for path in (csv, residues) if path]
-    for each in inputs if outputs else ():
-        check_outputs(Path(each), outputs, force=False)
+    files = _files(inputs, setup)
+    check_outputs(inputs_of(setup, reference, *(path for _, path, _ in files)), outputs)
     compared = measurable(reference) if reference else None
     rows: list[dict[str, Any]] = []
     tables: list[DataFrame] = []
     # Structures are not kept: there may be thousands.
-    for name, result in _validated(inputs, setup, compared):
+    for name, result in _validated(files, compared):
         if isinstance(result, ProtochainError):
             print(result, file=sys.stderr)
             rows.append({"file": name, "message": str(result)})
@@ -79,12 +79,12 @@ def validate(
 
 
 def _validated(
-    inputs: Sequence[str], setup: Setup, reference: "Structure | None"
+    files: Sequence[tuple[str, Path, Setup]], reference: "Structure | None"
 ) -> Iterator[tuple[str, "Validation | ProtochainError"]]:
     """Name and validation of each structure, or why there is none."""
     from protochain.validation import validate
 
-    for name, path, own in _files(inputs, setup):
+    for name, path, own in files:
         named = f"{name}, model {own.model}" if own.model is not None else name
         try:
             yield named, validate(own.load(path), reference)
