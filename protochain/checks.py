@@ -30,7 +30,14 @@ def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            bound = signature.bind(*args, **kwargs)
+            try:
+                bound = signature.bind(*args, **kwargs)
+            except TypeError:
+                # A chain given twice, as the first argument and by name, is meant as a name of chains.
+                taken = signature.parameters.keys() - {*list(signature.parameters)[: len(args)]}
+                for name in kwargs.keys() - taken:
+                    refuse_misplaced(function.__name__, name)
+                raise
             for given in (bound.arguments, bound.arguments.get(more, {})):
                 for name in checks.keys() & given.keys():
                     if given[name] is not usual.get(name, inspect.Parameter.empty):
@@ -40,6 +47,30 @@ def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return call
 
     return decorate
+
+
+def refuse_misplaced(call: str, name: str) -> None:
+    """Refuse an option that another call takes, and say which; do nothing about others.
+
+    Raises
+    ------
+    ProtochainError
+        Naming both.
+    """
+    place = next((place for place, names in _TAKEN_BY.items() if name in names.split()), None)
+    if name == "chain" or place:
+        takes = (
+            f"{place.format(name)} takes it" if place else "pc.load(file, chains='A') takes chains of a file"
+        )
+        raise ProtochainError(f"{call} has no option {name!r}; {takes}")
+
+
+_TAKEN_BY = {
+    "pc.load(file, {}=...)": "model altloc keep disulfide ph strict chains",
+    "pc.build_chain(structure, {}=...)": "hinges root move hydrogen_mass",
+    "pc.energy(structure, {}=...)": "forcefield solvent engine cutoff threads trust_forcefield system",
+}
+"""Options of a run that are decided before it, by the calls that take them."""
 
 
 def check_fields(of: Any, **checks: Check) -> None:
@@ -120,6 +151,13 @@ def text(value: Any, name: str) -> str:
     if isinstance(value, str):
         return value
     raise ProtochainError(f"{name} {shown(value)}: give a text")
+
+
+def selection(value: Any, name: str) -> str:
+    """Return a text that selects atoms."""
+    if text(value, name).strip():
+        return str(value)
+    raise ProtochainError(f"{name} {value!r}: selects nothing; give a selection, as 'resid 5:20', or all")
 
 
 def flag(value: Any, name: str) -> bool:

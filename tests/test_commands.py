@@ -65,7 +65,7 @@ COMMANDS = {
         "inputs": None, **OUTPUT, "preset": "predicted", "protocol": "", "tolerance": None, "stiffness": None,
         "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
         "repack": False, "report": None, "workers": None, "time_limit": 3600.0, "resume": False, **AS_JSON,
-        "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "move")},
+        "force": False, **{k: v for k, v in SETUP.items() if k != "hinges"},
     },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
     "bench": {

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats, Integers
-from protochain.checks import checked, text
+from protochain.checks import checked, selection
 from protochain.errors import ProtochainError, StructureError
 from protochain.structure import Structure
 from protochain.structure.matching import Match, match, measurable, models_of, tm_score
@@ -62,7 +62,7 @@ class Deviation:
         }
 
 
-@checked(align=text, measure=text)
+@checked(align=selection, measure=selection)
 def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALPHA) -> Deviation:
     """Measure the deviation of a model from a reference.
 

@@ -71,7 +71,7 @@ class RelaxSettings:
         return {name: value for name, value in values.items() if name not in _NOT_HERE}
 
 
-_NOT_HERE = ("threads", "hinges", "root", "move")
+_NOT_HERE = ("threads", "hinges", "root")
 
 
 def relaxed(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure"]]:
@@ -90,7 +90,7 @@ def relaxed(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Struct
     structure = setup.load(job.path)
     energy = setup.energy(structure, shared_energy)
     preparation = perf_counter() - began
-    result = relax_structure(structure, energy, s.relaxing)
+    result = relax_structure(structure, energy, s.relaxing, move=s.setup.move)
     record = {key: flat(value) for key, value in result.record().items()} | origin(job)
     record["seconds_preparation"] = preparation
     if result.is_usable:

@@ -31,7 +31,7 @@ COLUMNS = (
 
 INTEGERS = (
     "iteration", "iterations", "evaluations", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges",
-    "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
+    "n_atoms_moving", "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
     "overlaps_start", "overlaps_end", "n_rounds", "n_residues_let_go",
     *(f"{key}_{when}" for key, each in MEASURES.items() if each.whole for when in ("start", "end")),
 )  # fmt: skip

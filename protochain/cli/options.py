@@ -69,7 +69,9 @@ def _option(kind: Any, text: str, *names: str, **more: Any) -> Any:
 
 _SETUP = {
     "hinges": _option(str, "Degrees of freedom: any of phi psi omega chi rotors angles."),
-    "move": _option(str, "What may move, in MDAnalysis's selection language: 'resid 5:20', 'not backbone'."),
+    "move": _option(
+        str, "What may move, in MDAnalysis's selection language, with sidechain and interface: 'resid 5:20'."
+    ),
     "forcefield": _option(
         str, "amber14, amber19, amber99sb, amber99sbildn, charmm36, an OpenMM XML file, or several (a,b)."
     ),
@@ -159,12 +161,38 @@ def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
     began = perf_counter()
     structure, chain, energy = setup.prepare(source)
     print_changes(source, structure)
+    for line in said_of_move(structure, setup.move, chain):
+        print(f"{source}: {line}", file=sys.stderr)
     found = overlaps(structure, structure.positions, chain)
     for overlap in found[:_SHOWN_OVERLAPS]:
         print(f"{source}: {overlap}; {overlap.remedy}", file=sys.stderr)
     if len(found) > _SHOWN_OVERLAPS:
         print(f"{source}: and {len(found) - _SHOWN_OVERLAPS} more overlaps", file=sys.stderr)
     return chain, energy, perf_counter() - began
+
+
+def said_of_move(structure: "Structure", move: str, chain: "Chain | None" = None) -> list[str]:
+    """Say what a selection moves: atoms and residues, and the hinges of a chain; nothing of all."""
+    from protochain.articulate import turned_atoms
+    from protochain.structure.select import moving
+
+    if move == defaults.MOVE:
+        return []
+    free = moving(structure, move)
+    rest = f"the other {_counted(structure, ~free)} are fixed"
+    if chain is None:
+        return [f"{_counted(structure, free)} move, {rest}"]
+    hinges = f"{chain.n_hinges} hinge{'s' * (chain.n_hinges != 1)}"
+    turned = (
+        f"{hinges} turn{'s' * (chain.n_hinges == 1)}, which moves {_counted(structure, turned_atoms(chain))}"
+    )
+    return [f"{turned}; where all atoms move, {_counted(structure, free)} do, and {rest}"]
+
+
+def _counted(structure: "Structure", atoms: Any) -> str:
+    residues = len({*structure.atom_residue[atoms].tolist()})
+    n = int(atoms.sum())
+    return f"{n} atom{'s' * (n != 1)} of {residues} residue{'s' * (residues != 1)}"
 
 
 def print_changes(source: Path, structure: "Structure") -> None:

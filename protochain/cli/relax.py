@@ -81,7 +81,7 @@ TimeLimit = Annotated[float, typer.Option(help="Of several: seconds after which 
 Resume = Annotated[bool, typer.Option("--resume", help="Of several: continue in the folder.")]
 
 
-@with_setup(without="hinges move")
+@with_setup(without="hinges")
 def relax(
     inputs: Inputs,
     output: Output = None,
@@ -160,10 +160,10 @@ def _one(
     energy = setup.energy(structure)
     check_fits(structure, output)
     preparation = perf_counter() - began
-    seconds = tell_plan(source, structure, energy)
+    seconds = tell_plan(source, structure, energy, setup.move)
     with held_interrupts():
         with progress(seconds) as watch:
-            result = relax_structure(structure, energy, relaxing, watch)
+            result = relax_structure(structure, energy, relaxing, watch, setup.move)
         if not result.is_usable:
             return fail(f"{source}: {result.message}; nothing is better than the start: nothing is written")
         _write(result, output, source)

@@ -8,7 +8,8 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from protochain.cli.options import print_changes
+from protochain import defaults
+from protochain.cli.options import print_changes, said_of_move
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -27,7 +28,7 @@ _SHOW_FROM = 5.0
 """s. Shorter runs are over before a bar is of use, and do without the time that its library takes to load."""
 
 
-def tell_plan(source: Path, structure: "Structure", energy: "Energy") -> float:
+def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str = defaults.MOVE) -> float:
     """Say what will be done to a file, and how long it may take; return that in seconds."""
     from protochain.contacts import overlaps
     from protochain.validation import threaded_rings, violations
@@ -42,6 +43,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy") -> float:
     found, rings = overlaps(structure, x), threaded_rings(structure)
     said = [
         f"{n_residues} residues, {structure.n_atoms} atoms",
+        *said_of_move(structure, move),
         f"{len(found) or 'no'} pair{'s' * (len(found) != 1)} of atoms overlap{'s' * (len(found) == 1)}",
         str(violations(structure, x)),
         *(["threaded rings, to be freed first: " + ", ".join(map(str, rings))] if rings else []),

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from protochain.articulate import turned_atoms
 from protochain.validation.found import MEASURES
 
 UNITS = {
@@ -105,6 +106,7 @@ COLUMNS = (
     Column("n_atoms", lambda s: s.chain.structure.n_atoms),
     Column("n_bodies", lambda s: s.chain.n_bodies),
     Column("n_hinges", lambda s: s.chain.n_hinges),
+    Column("n_atoms_moving", lambda s: _n_moving(s)),
     Column("protochain", lambda s: version("protochain")),
     Column("engine", lambda s: s.energy_function.engine),
     Column("engine_reason", lambda s: s.energy_function.reason),
@@ -123,6 +125,18 @@ COLUMNS = (
     Column("threads", lambda s: s.energy_function.threads),
 )
 """In the order in which a reader looks at them."""
+
+
+def _n_moving(solution: Any) -> int:
+    """Atoms that its method may move: those beyond hinges, selected ones where all atoms move, or both."""
+    chain, recipe = solution.chain, solution.recipe
+    moved = np.zeros(chain.n_atoms, dtype=bool)
+    if recipe.in_torsions:
+        moved |= turned_atoms(chain)
+    if not recipe.keeps_geometry:
+        moved |= chain.moving
+    return int(moved.sum())
+
 
 SHOWN = tuple(column for column in COLUMNS if column.heading)
 """Columns of short tables."""

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from protochain import defaults
 from protochain.arrays import Floats, Value
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
@@ -73,6 +75,10 @@ class Relaxation(Value):
         A row for each iteration, with columns ``TRACE_COLUMNS``; energies without springs.
     turned : tuple of str
         Side chains put into other rotamers first, each in words.
+    move : str
+        Selection of what may move.
+    moving : (na,) bool, optional
+        Atoms that may move; all others stay where they are, bit for bit.
     """
 
     start: Structure
@@ -91,6 +97,8 @@ class Relaxation(Value):
     seconds: float
     trace: Floats
     turned: tuple[str, ...] = ()
+    move: str = defaults.MOVE
+    moving: NDArray[np.bool_] | None = None
 
     @cached_property
     def structure(self) -> Structure:
@@ -141,6 +149,11 @@ class Relaxation(Value):
         return float(ANGSTROM_PER_NM * np.max(away[self.start.atom_element != "H"]))
 
     @property
+    def n_atoms_moving(self) -> int:
+        """Atoms that could move."""
+        return int((~self.start.obstacle if self.moving is None else self.moving).sum())
+
+    @property
     def is_usable(self) -> bool:
         """Whether the end has a finite energy, not above that of the start."""
         return bool(np.isfinite(self.energy_end) and not self.energy_end > self.energy_start)
@@ -164,6 +177,8 @@ class Relaxation(Value):
         kind = "PROTOCOL" if own.protocol else "PRESET"
         yield f"{kind} {own.strength.name.upper()}, {len(self.rounds)} ROUNDS"
         yield f"ENERGY {self.energy_end:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.energy_start:.4f}"
+        if self.move != defaults.MOVE:
+            yield f"MOVED {self.n_atoms_moving} OF {self.start.n_atoms} ATOMS, ALL OTHERS FIXED: {self.move}"
         yield f"ENERGIES BY {self.judge.upper()}"
         yield (
             f"C-ALPHA RMSD TO THE START {self.ca_rmsd_angstrom:.3f} ANGSTROM, AS FILED "
@@ -189,6 +204,11 @@ class Relaxation(Value):
             f"{self.start.name} relaxed",
             {
                 "status": self.message,
+                **(
+                    {"moved": f"{self.n_atoms_moving} of {self.start.n_atoms} atoms"}
+                    if self.move != defaults.MOVE
+                    else {}
+                ),
                 "energy": f"{self.energy_start:.2f} to {self.energy_end:.2f} kJ/mol",
                 "C-alpha RMSD to the start": f"{self.ca_rmsd_angstrom:.3f} angstrom",
                 **({"side chains": "; ".join(summarised(self.turned))} if self.turned else {}),

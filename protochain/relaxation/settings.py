@@ -133,5 +133,5 @@ def split(options: dict[str, Any]) -> tuple[Relaxing, Setup]:
     )
 
 
-_WITHOUT = ("hinges", "root", "move")
+_WITHOUT = ("hinges", "root")
 """Settings of rigid bodies, of which there are none where all atoms move."""
