@@ -146,7 +146,7 @@ def refusal(*arguments):
             1,
             "protochain: a: not written (full); saved: b; --resume\n",
         ),
-        (typer.BadParameter("odd"), 2, "protochain: Invalid value: odd See protochain --help.\n"),
+        (typer.BadParameter("odd"), 2, "protochain: Invalid value: odd. See protochain --help.\n"),
         (FileNotFoundError(2, "gone", "a.pdb"), 1, "protochain: a.pdb: gone\n"),
         (OSError("strange"), 1, "protochain: strange\n"),
         (KeyboardInterrupt(), 1, "protochain: interrupted before there was a result\n"),
@@ -229,11 +229,13 @@ def test_changes_and_the_first_overlaps_are_said(n, monkeypatch, capsys):
         "protochain.contacts.overlaps", lambda s, x, c: found if (s, x, c) == (structure, "x", "c") else 1
     )
     monkeypatch.setattr(options, "perf_counter", iter([1.0, 3.5]).__next__)
-    setup = SimpleNamespace(prepare=lambda source: (structure, "c", "e") if source == Path("in") else None)
+    setup = SimpleNamespace(
+        prepare=lambda source: (structure, "c", "e") if source == Path("in") else None, move="all"
+    )
     assert options.prepare(Path("in"), setup) == ("c", "e", 2.5)
     told = ["lost", "alike"] + [f"protochain info lists all {n + 2} changes"] * (n > 0)
     told += [*(f"overlap {k}; mend {k}" for k in range(min(n, 5)))]
-    told += [f"and {n - 5} more overlaps"] * (n > 5)
+    told += [f"and {n - 5} more overlap{'s' * (n > 6)}"] * (n > 5)
     assert capsys.readouterr().err == "".join(f"in: {line}\n" for line in told)
 
 

@@ -49,6 +49,7 @@ def bench(
     """
     from protochain.analysis.studies import STUDIES, study
     from protochain.errors import ProtochainError
+    from protochain.markup import counted
     from protochain.storage import check_writable
 
     chosen = {each: study(each) for each in (STUDIES if name == "all" else (name,))}
@@ -77,5 +78,7 @@ def bench(
             wrong += int((table["verdict"] == "wrong").sum()) if "verdict" in table else 0
     print(f"written: tables and plots in {output}")
     if wrong:
-        raise typer.Exit(fail(f"{wrong} cells are wrong; the tables in {output} say how"))
+        raise typer.Exit(
+            fail(f"{counted(wrong, 'cell is', 'cells are')} wrong; the tables in {output} say how")
+        )
     raise typer.Exit(CONVERGED)

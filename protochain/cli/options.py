@@ -15,6 +15,7 @@ import typer
 
 from protochain import defaults
 from protochain.errors import ProtochainError
+from protochain.markup import counted
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -167,7 +168,7 @@ def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
     for overlap in found[:_SHOWN_OVERLAPS]:
         print(f"{source}: {overlap}; {overlap.remedy}", file=sys.stderr)
     if len(found) > _SHOWN_OVERLAPS:
-        print(f"{source}: and {len(found) - _SHOWN_OVERLAPS} more overlaps", file=sys.stderr)
+        print(f"{source}: and {counted(len(found) - _SHOWN_OVERLAPS, 'more overlap')}", file=sys.stderr)
     return chain, energy, perf_counter() - began
 
 
@@ -182,17 +183,14 @@ def said_of_move(structure: "Structure", move: str, chain: "Chain | None" = None
     rest = f"the other {_counted(structure, ~free)} are fixed"
     if chain is None:
         return [f"{_counted(structure, free)} move, {rest}"]
-    hinges = f"{chain.n_hinges} hinge{'s' * (chain.n_hinges != 1)}"
-    turned = (
-        f"{hinges} turn{'s' * (chain.n_hinges == 1)}, which moves {_counted(structure, turned_atoms(chain))}"
-    )
+    hinges = counted(chain.n_hinges, "hinge turns", "hinges turn")
+    turned = f"{hinges}, which moves {_counted(structure, turned_atoms(chain))}"
     return [f"{turned}; where all atoms move, {_counted(structure, free)} do, and {rest}"]
 
 
 def _counted(structure: "Structure", atoms: Any) -> str:
     residues = len({*structure.atom_residue[atoms].tolist()})
-    n = int(atoms.sum())
-    return f"{n} atom{'s' * (n != 1)} of {residues} residue{'s' * (residues != 1)}"
+    return f"{counted(int(atoms.sum()), 'atom')} of {counted(residues, 'residue')}"
 
 
 def print_changes(source: Path, structure: "Structure") -> None:

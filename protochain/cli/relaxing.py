@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from protochain import defaults
 from protochain.cli.options import print_changes, said_of_move
+from protochain.markup import counted
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -42,7 +43,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     n_residues = len({*structure.atom_residue[~structure.kept].tolist()})
     found, rings = overlaps(structure, x), threaded_rings(structure)
     said = [
-        f"{n_residues} residues, {structure.n_atoms} atoms",
+        f"{counted(n_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}",
         *said_of_move(structure, move),
         f"{len(found) or 'no'} pair{'s' * (len(found) != 1)} of atoms overlap{'s' * (len(found) == 1)}",
         str(violations(structure, x)),
@@ -120,7 +121,7 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
     """Print how many ended how, what is left to mend, and where all is."""
     usable = table[table["output"].notna()]
     counts = ", ".join(f"{n} {status}" for status, n in table["status"].value_counts().items())
-    print(f"{len(table)} structures: {counts}")
+    print(f"{counted(len(table), 'structure')}: {counts}")
     if len(usable):
         before, after = (int(usable[f"violations_{when}"].sum()) for when in ("start", "end"))
         print(

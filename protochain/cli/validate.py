@@ -10,6 +10,7 @@ import typer
 
 from protochain.cli.options import BAD_INPUT, CONVERGED, AsJson, check_outputs, inputs_of, with_setup
 from protochain.errors import ProtochainError
+from protochain.markup import counted
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -124,7 +125,9 @@ def _print(rows: Sequence[dict[str, Any]]) -> None:
         console.print(_table(rows, {key: heading for key, (heading, _) in LIKENESS.items()}), crop=False)
     for row in rows:
         lines = row["findings"]
-        more = [f"and {len(lines) - _SHOWN} more residues; --residues FILE lists all"] * (len(lines) > _SHOWN)
+        more = [f"and {counted(len(lines) - _SHOWN, 'more residue')}; --residues FILE lists all"] * (
+            len(lines) > _SHOWN
+        )
         mapping = row.get("chain_mapping")
         chains = [f"chains of the reference and their match: {mapping}"] if mapping else []
         told = [f"  {line}" for line in [*filter(None, [row["added"]]), *chains, *lines[:_SHOWN], *more]]

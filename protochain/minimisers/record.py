@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from protochain import defaults
 from protochain.articulate import turned_atoms
 from protochain.validation.found import MEASURES
 
@@ -130,6 +131,8 @@ COLUMNS = (
 def _n_moving(solution: Any) -> int:
     """Atoms that its method may move: those beyond hinges, selected ones where all atoms move, or both."""
     chain, recipe = solution.chain, solution.recipe
+    if chain.move == defaults.MOVE:  # A fixed root is one's point of view then.
+        return int(chain.moving.sum())
     moved = np.zeros(chain.n_atoms, dtype=bool)
     if recipe.in_torsions:
         moved |= turned_atoms(chain)

@@ -14,7 +14,7 @@ from protochain import defaults
 from protochain.arrays import Floats, Value
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
-from protochain.markup import facts
+from protochain.markup import counted, facts
 from protochain.minimisers.solution import alpha_residues
 from protochain.minimisers.verdict import Status
 from protochain.relaxation.hands import Hands
@@ -175,7 +175,7 @@ class Relaxation(Value):
         yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}, PDBFIXER {version('pdbfixer')}"
         yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
         kind = "PROTOCOL" if own.protocol else "PRESET"
-        yield f"{kind} {own.strength.name.upper()}, {len(self.rounds)} ROUNDS"
+        yield f"{kind} {own.strength.name.upper()}, {counted(len(self.rounds), 'ROUND')}"
         yield f"ENERGY {self.energy_end:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.energy_start:.4f}"
         if self.move != defaults.MOVE:
             yield f"MOVED {self.n_atoms_moving} OF {self.start.n_atoms} ATOMS, ALL OTHERS FIXED: {self.move}"
@@ -213,7 +213,7 @@ class Relaxation(Value):
                 "C-alpha RMSD to the start": f"{self.ca_rmsd_angstrom:.3f} angstrom",
                 **({"side chains": "; ".join(summarised(self.turned))} if self.turned else {}),
                 **rows,
-                "work": f"{len(self.rounds)} rounds, {self.seconds:.2f} s",
+                "work": f"{counted(len(self.rounds), 'round')}, {self.seconds:.2f} s",
             },
         )
 
