@@ -128,7 +128,7 @@ def _print(rows: Sequence[dict[str, Any]]) -> None:
         more = [f"and {counted(len(lines) - _SHOWN, 'more residue')}; --residues FILE lists all"] * (
             len(lines) > _SHOWN
         )
-        mapping = row.get("chain_mapping")
+        mapping = row.get("chain_mapping") if row["n_chains"] > 1 else None
         chains = [f"chains of the reference and their match: {mapping}"] if mapping else []
         told = [f"  {line}" for line in [*filter(None, [row["added"]]), *chains, *lines[:_SHOWN], *more]]
         for line in [f"{row['file']}:", *told] if told else []:

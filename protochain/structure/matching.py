@@ -110,7 +110,7 @@ def match(reference: Structure, model: Structure) -> Match:
             how = "sequence"
         else:
             its, score = _of_one_fold(reference, model, ours[own], theirs[other], its)
-        if score >= _ONE_FOLD:
+        if its and score >= _ONE_FOLD:
             pairs, kept = pairs + its, [*kept, (i, j)]
         else:
             percent = f"{100 * aligned[i, j].identity:.0f} %"
