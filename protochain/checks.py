@@ -39,9 +39,9 @@ def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
                     refuse_misplaced(function.__name__, name)
                 raise
             for given in (bound.arguments, bound.arguments.get(more, {})):
-                for name in checks.keys() & given.keys():
-                    if given[name] is not usual.get(name, inspect.Parameter.empty):
-                        given[name] = checks[name](given[name], name)
+                for name, check in checks.items():
+                    if name in given and given[name] is not usual.get(name, inspect.Parameter.empty):
+                        given[name] = check(given[name], name)
             return function(*bound.args, **bound.kwargs)
 
         return call
