@@ -6,21 +6,22 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from protochain import defaults
 from protochain.arrays import Floats, Integers, read_only
 from protochain.chain import Chain, dihedral
-from protochain.checks import checked, kinds, quantity, text
+from protochain.checks import checked, kinds, quantity, selection, text
 from protochain.errors import ChainError
 from protochain.hinges import HINGES, Hinge, components, cross_links, find_hinges, turning_hinges
 from protochain.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
-from protochain.structure.select import select
+from protochain.structure.select import moving as moving_atoms
 
 
-@checked(hinges=kinds, root=text, move=text, hydrogen_mass=quantity("dalton"))
+@checked(hinges=kinds, root=text, move=selection, hydrogen_mass=quantity("dalton"))
 def build_chain(
     structure: Any,
     hinges: str | Iterable[str] = defaults.HINGES,
@@ -44,9 +45,9 @@ def build_chain(
         largest chain stays in place. A chain with atoms outside the selection is always fixed.
     move : str
         Selection of mobile residues or atoms, in the selection language of MDAnalysis: a hinge turns if the
-        third atom of its dihedral is selected (``resid 5:20``: all dihedrals of these residues; ``not
-        backbone``: side chains only). Atoms beyond a hinge move with it, selected or not; methods that move
-        single atoms keep unselected ones fixed.
+        third atom of its dihedral is selected (``resid 5:20``: all dihedrals of these residues;
+        ``sidechain``: side chains only; ``interface``: residues that touch another chain). Atoms beyond a
+        hinge move with it, selected or not; methods that move single atoms keep unselected ones fixed.
     hydrogen_mass : float, optional, amu
         Mass of every hydrogen, taken from the heavy atom it is bonded to (hydrogen mass repartitioning):
         light rotors turn slower and time steps can be longer, while equilibrium averages stay the same.
@@ -71,7 +72,7 @@ def build_chain(
     if root not in ("auto", "fixed", "free"):
         raise ChainError(f"root {root!r} is not known; choose auto, fixed or free")
 
-    moving = ~structure.obstacle if move == "all" else select(structure, move) & ~structure.obstacle
+    moving = moving_atoms(structure, move)
     cut = cross_links(structure)
     bonds = structure.bonds[~cut]
     wanted = [hinge for hinge in find_hinges(structure, opened) if moving[hinge.atoms[2]]]
@@ -116,6 +117,11 @@ def build_chain(
         moving=read_only(moving, np.bool_),
         hydrogen_mass=hydrogen_mass,
     )
+
+
+def turned_atoms(chain: Chain) -> NDArray[np.bool_]:
+    """Atoms (na,) that hinges and free roots move, selected or not."""
+    return np.asarray(chain.tree.kind[chain.atom_body] != HingeKind.FIXED)
 
 
 def _is_straight(x: Floats) -> bool:

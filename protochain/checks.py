@@ -30,16 +30,47 @@ def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            bound = signature.bind(*args, **kwargs)
+            try:
+                bound = signature.bind(*args, **kwargs)
+            except TypeError:
+                # A chain given twice, as the first argument and by name, is meant as a name of chains.
+                taken = signature.parameters.keys() - {*list(signature.parameters)[: len(args)]}
+                for name in kwargs.keys() - taken:
+                    refuse_misplaced(function.__name__, name)
+                raise
             for given in (bound.arguments, bound.arguments.get(more, {})):
-                for name in checks.keys() & given.keys():
-                    if given[name] is not usual.get(name, inspect.Parameter.empty):
-                        given[name] = checks[name](given[name], name)
+                for name, check in checks.items():
+                    if name in given and given[name] is not usual.get(name, inspect.Parameter.empty):
+                        given[name] = check(given[name], name)
             return function(*bound.args, **bound.kwargs)
 
         return call
 
     return decorate
+
+
+def refuse_misplaced(call: str, name: str) -> None:
+    """Refuse an option that another call takes, and say which; do nothing about others.
+
+    Raises
+    ------
+    ProtochainError
+        Naming both.
+    """
+    place = next((place for place, names in _TAKEN_BY.items() if name in names.split()), None)
+    if name == "chain" or place:
+        takes = (
+            f"{place.format(name)} takes it" if place else "pc.load(file, chains='A') takes chains of a file"
+        )
+        raise ProtochainError(f"{call} has no option {name!r}; {takes}")
+
+
+_TAKEN_BY = {
+    "pc.load(file, {}=...)": "model altloc keep disulfide ph strict chains",
+    "pc.build_chain(structure, {}=...)": "hinges root move hydrogen_mass",
+    "pc.energy(structure, {}=...)": "forcefield solvent engine cutoff threads trust_forcefield system",
+}
+"""Options of a run that are decided before it, by the calls that take them."""
 
 
 def check_fields(of: Any, **checks: Check) -> None:
@@ -100,9 +131,19 @@ def cutoff_of(value: Any, name: str) -> Any:
         distance = float(value) if isinstance(value, str) else float(number(value, name))
     except ValueError:
         distance = 0.0
-    if 0.0 < distance < float("inf"):
-        return distance
-    raise ProtochainError(f"{name} {shown(value)}: give a distance in nm, auto, or none")
+    if not 0.0 < distance < float("inf"):
+        raise ProtochainError(f"{name} {shown(value)}: give a distance in nm, auto, or none")
+    if distance < SHORTEST_CUTOFF:
+        raise ProtochainError(
+            f"{name} {distance:g} nm: cuts off atoms that touch; give {SHORTEST_CUTOFF:g} nm or more, or none"
+        )
+    return distance
+
+
+SHORTEST_CUTOFF = 0.5
+"""nm. Atoms three bonds apart, which no cutoff leaves out, and the minima of all Lennard-Jones pairs (0.40 of
+two sulphurs) lie within, and so do the neighbours that make most of a Born radius. Below, energies mean
+nothing: forces on Trp-cage are off by an eighth at 0.5, a quarter at 0.4, two thirds at 0.3, all at 0.1."""
 
 
 def text(value: Any, name: str) -> str:
@@ -110,6 +151,13 @@ def text(value: Any, name: str) -> str:
     if isinstance(value, str):
         return value
     raise ProtochainError(f"{name} {shown(value)}: give a text")
+
+
+def selection(value: Any, name: str) -> str:
+    """Return a text that selects atoms."""
+    if text(value, name).strip():
+        return str(value)
+    raise ProtochainError(f"{name} {value!r}: selects nothing; give a selection, as 'resid 5:20', or all")
 
 
 def flag(value: Any, name: str) -> bool:

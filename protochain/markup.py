@@ -1,7 +1,12 @@
-"""HTML of values in notebooks."""
+"""HTML of values in notebooks, and numbers with the right form of what they count."""
 
 from collections.abc import Mapping
 from html import escape
+
+
+def counted(n: int, what: str, several: str = "") -> str:
+    """Return a number and what it counts: ``1 round``, ``2 rounds``, or as given where an s does not do."""
+    return f"{n} {what if n == 1 else several or what + 's'}"
 
 
 def facts(title: str, rows: Mapping[str, object]) -> str:

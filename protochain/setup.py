@@ -17,6 +17,7 @@ from protochain.checks import (
     kinds,
     number,
     optional,
+    selection,
     text,
     words,
 )
@@ -98,7 +99,7 @@ class Setup:
 
     def __post_init__(self) -> None:
         check_fields(
-            self, hinges=kinds, root=text, move=text, forcefield=file_name, solvent=text, engine=text,
+            self, hinges=kinds, root=text, move=selection, forcefield=file_name, solvent=text, engine=text,
             cutoff=cutoff_of, threads=optional(integer), trust_forcefield=flag, model=_model, altloc=text,
             keep=words, disulfide=optional(bonds), ph=number, strict=flag, chains=words,
         )  # fmt: skip

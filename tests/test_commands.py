@@ -65,7 +65,7 @@ COMMANDS = {
         "inputs": None, **OUTPUT, "preset": "predicted", "protocol": "", "tolerance": None, "stiffness": None,
         "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
         "repack": False, "report": None, "workers": None, "time_limit": 3600.0, "resume": False, **AS_JSON,
-        "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "move")},
+        "force": False, **{k: v for k, v in SETUP.items() if k != "hinges"},
     },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
     "bench": {
@@ -146,7 +146,7 @@ def refusal(*arguments):
             1,
             "protochain: a: not written (full); saved: b; --resume\n",
         ),
-        (typer.BadParameter("odd"), 2, "protochain: Invalid value: odd See protochain --help.\n"),
+        (typer.BadParameter("odd"), 2, "protochain: Invalid value: odd. See protochain --help.\n"),
         (FileNotFoundError(2, "gone", "a.pdb"), 1, "protochain: a.pdb: gone\n"),
         (OSError("strange"), 1, "protochain: strange\n"),
         (KeyboardInterrupt(), 1, "protochain: interrupted before there was a result\n"),
@@ -228,30 +228,34 @@ def test_changes_and_the_first_overlaps_are_said(n, monkeypatch, capsys):
         "protochain.contacts.overlaps", lambda s, x, c: found if (s, x, c) == (structure, "x", "c") else 1
     )
     monkeypatch.setattr(options, "perf_counter", iter([1.0, 3.5]).__next__)
-    setup = SimpleNamespace(prepare=lambda source: (structure, "c", "e") if source == Path("in") else None)
+    setup = SimpleNamespace(
+        prepare=lambda source: (structure, "c", "e") if source == Path("in") else None, move="all"
+    )
     assert options.prepare(Path("in"), setup) == ("c", "e", 2.5)
     told = ["lost", "alike"] + [f"protochain info lists all {n + 2} changes"] * (n > 0)
     told += [*(f"overlap {k}; mend {k}" for k in range(min(n, 5)))]
-    told += [f"and {n - 5} more overlaps"] * (n > 5)
+    told += [f"and {n - 5} more overlap{'s' * (n > 6)}"] * (n > 5)
     assert capsys.readouterr().err == "".join(f"in: {line}\n" for line in told)
 
 
 def test_outputs_are_neither_the_input_nor_one_another(tmp_path):
     source, other = tmp_path / "in.pdb", tmp_path / "out.pdb"
     check = options.check_outputs
-    check(source, [source], force=False)
+    check([source], [source], force=False)
     source.write_text("")
-    check(source, [other, tmp_path / "b"], force=False)
-    check(source, [source], force=True)
+    check([source], [other, tmp_path / "b"], force=False)
+    check([source], [source], force=True)
     other.write_text("")
-    check(source, [other], force=False)
+    check([source], [other], force=False)
+    (tmp_path / "link.pdb").symlink_to(source)
     for outputs, force, why in (
         ([source], False, f"{source}: is the input; give another name, or --force to replace it"),
+        ([tmp_path / "link.pdb"], None, f"{tmp_path}/link.pdb: is the input; give another name"),
         ([other, other], True, f"{other}: is given for two outputs; give each its own"),
         ([source / "x"], True, f"{source}/x: in.pdb is not a folder; give another name"),
     ):
         with pytest.raises(ProtochainError) as refused:
-            check(source, outputs, force=force)
+            check([tmp_path / "c", source], outputs, force=force)
         assert str(refused.value) == why
 
 
@@ -386,3 +390,87 @@ def test_bench_runs_the_studies_it_is_asked_for(monkeypatch, tmp_path, capsys):
     assert refusal("bench", "odd") == "odd: no"
     (tmp_path / "file").write_text("")
     assert "is not a folder" in refusal("bench", "-o", tmp_path / "file") and len(ran) == 3
+
+
+READ = {
+    "minimise": {"source": "{0}", "resume": "--resume {0}", "forcefield": "--forcefield amber14,{0}"},
+    "relax": {"inputs": "{0}", "manifest": "--manifest {0}", "forcefield": "--forcefield amber14,{0}"},
+    "compare": {"source": "{0}", "reference": "--reference {0}", "forcefield": "--forcefield amber14,{0}"},
+    "batch": {"inputs": "{0}", "manifest": "--manifest {0}", "forcefield": "--forcefield amber14,{0}"},
+    "simulate": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
+    "validate": {"inputs": "{0}", "reference": "--reference {0}"},
+    "rmsd": {"reference": "{0} b.pdb", "models": "b.pdb {0}"},
+    "bench": {"inputs": "kcm {0}"},
+    "info": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
+}
+"""Options and arguments that name what a command reads, and how they are given."""
+
+WRITTEN = {
+    "minimise": {
+        "output": ("-o {0}", "a.pdb"), "checkpoint": ("--checkpoint {0}", "a.npz"),
+        "trace": ("--trace {0}", "a.csv"), "trajectory": ("--trajectory {0}", "a.dcd"),
+        "report": ("--report {0}", "a.html"),
+    },
+    "relax": {"output": ("-o {0}", "a.pdb"), "report": ("--report {0}", "a.html")},
+    "compare": {"output": ("--force -o d", "d/in.kcm.pdb", "d/in.start.cif", "d/summary.csv")},
+    "batch": {"output": ("-o d", "d/summary.csv", "d/traces.csv", "d/report.html")},
+    "simulate": {"output": ("--force -o d", "d/last.pdb", "d/log.csv", "d/trajectory.dcd")},
+    "validate": {"csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv")},
+    "rmsd": {"output": ("-o {0}", "a.csv")},
+    "build": {"output": ("-o {0}", "a.pdb")},
+    "bench": {"output": ("-o d", "d/a.pdb")},
+    "scene": {"output": ("-o d", "d/checks.csv")},
+}  # fmt: skip
+"""Options that name what a command writes, how they are given, and files that come of it."""
+
+
+def test_all_that_is_read_and_written_is_known():
+    """Options are told by their help: a new one must be added above, where it is tried."""
+    for name, command in typer.main.get_command(app).commands.items():
+        named = {
+            p.name
+            for p in command.params
+            if (p.help or "").startswith(("File", "CSV", "DCD", "Page", "Folder", "PDB", "Structure"))
+        }
+        named |= {
+            p.name
+            for p in command.params
+            if p.name in ("output", "forcefield", "inputs", "source", "models", "reference")
+        }
+        if not command.hidden:
+            known = READ.get(name, {}).keys() | WRITTEN.get(name, {}).keys()
+            assert named - known <= {"sequence"}, name
+
+
+@pytest.mark.parametrize(
+    ("command", "read", "written", "file"),
+    [
+        (command, read, written, file)
+        for command in WRITTEN
+        for read in READ.get(command, ())
+        for written, (_, *files) in WRITTEN[command].items()
+        for file in files
+        # Ends are named after the input.
+        if (command, read) != ("compare", "source") or Path(file).stem in ("summary", "report")
+    ],
+)
+def test_no_output_of_any_command_is_an_input(command, read, written, file, tmp_path, monkeypatch):
+    """A reference, a manifest, a checkpoint or a force field was replaced without a word."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("in.pdb", "b.pdb", file):
+        Path(name).parent.mkdir(exist_ok=True)
+        Path(name).write_text("path\nin.pdb\n")
+    Path("link").symlink_to(file)
+    for given in (file, "link"):
+        asked = READ[command][read].format(given)
+        # All have a structure beside the input that is in danger.
+        lacks = not {"source", "inputs", "models", "reference"} & {read} or (command, read) in (
+            ("compare", "reference"), ("validate", "reference"),
+        )  # fmt: skip
+        said = refusal(
+            command, *(["in.pdb"] * lacks), *asked.split(), *WRITTEN[command][written][0].format(file).split()
+        )
+        assert (
+            "is the input" in said or "lies in the folder for the results" in said or "holds a batch" in said
+        ), said
+        assert Path(file).read_text() == "path\nin.pdb\n"

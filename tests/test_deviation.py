@@ -13,6 +13,7 @@ import protochain as pc
 from protochain.analysis.deviation import deviation, rmsd_table
 from protochain.structure.files import parse
 from protochain.structure.matching import match
+from protochain.structure.superpose import rmsd
 from protochain.structure.trace import alpha_trace
 
 PAIRS = [
@@ -120,12 +121,19 @@ def test_superposed_on_one_selection_and_measured_on_another():
     assert deviation(s, s.with_positions(x), "resid 1:70", "resid 1:70").rmsd == pytest.approx(0.0, abs=1e-9)
 
 
-def test_what_has_nothing_in_common_is_refused():
+def test_what_has_nothing_in_common_is_refused(tmp_path):
     glycines, leucines = pc.from_sequence("GG"), pc.from_sequence("LL")
+    with pytest.raises(pc.ProtochainError, match=r"^LL: its sequence is unrelated to that of GG \(chains A"):
+        deviation(glycines, leucines)
     with pytest.raises(pc.ProtochainError, match="selection 'name XX'"):
-        deviation(glycines, leucines, "name XX")
-    assert deviation(glycines, leucines).match.identity == 0.0
-    assert np.isnan(deviation(glycines, leucines).tm_score)
+        deviation(glycines, glycines, "name XX")
+    assert np.isnan(deviation(glycines, glycines).tm_score)
+    done = protochain("rmsd", STRUCTURES / "1ubq.pdb", STRUCTURES / "1l2y.pdb", cwd=tmp_path)
+    assert done.returncode == 1 and "unrelated to that of" in done.stdout and "15 % identical" in done.stdout
+    done = protochain(
+        "validate", STRUCTURES / "1l2y.pdb", "--reference", STRUCTURES / "1ubq.pdb", cwd=tmp_path
+    )
+    assert done.returncode == 2 and "unrelated to that of" in done.stderr
 
 
 def trace_of(tmp_path, name="1ubq.pdb"):
@@ -203,3 +211,87 @@ def test_a_batch_report_has_a_row_for_every_model_and_every_failure(tmp_path):
     assert "two.pdb" in protochain("rmsd", STRUCTURES / "ala10.pdb", "two.pdb", cwd=tmp_path).stdout
     for arguments, status in ((["none.pdb", "two.pdb"], 2), ([str(STRUCTURES / "ala10.pdb"), "bad.pdb"], 1)):
         assert protochain("rmsd", *arguments, cwd=tmp_path).returncode == status
+
+
+def with_chains(source, folder, *names):
+    """A file in which the chains bear other names, and come in the order of these."""
+    structure = gemmi.read_structure(str(source))
+    model = structure[0]
+    copies = [chain.clone() for chain in model]
+    for chain in copies:
+        model.remove_chain(chain.name)
+    for chain, name in zip(copies, names, strict=True):
+        chain.name = name
+    for chain in sorted(copies, key=lambda chain: chain.name):
+        model.add_chain(chain)
+    for record in (structure.connections, structure.cispeps, structure.helices, structure.sheets):
+        record.clear()
+    structure.write_pdb(str(folder / f"{''.join(names)}.pdb"))
+    return folder / f"{''.join(names)}.pdb"
+
+
+@pytest.mark.parametrize(
+    ("name", "names"), [("1ake_full.cif", "BA"), ("2beg_abeta_fibril.pdb", "CADEB")], ids=["dimer", "fibril"]
+)
+def test_equal_chains_are_matched_by_where_they_are(tmp_path, name, names):
+    """Names of equal chains say nothing: an RMSD of tens of angstrom beside a TM-score of 1 before."""
+    whole, other = shared(name), with_chains(shared(name), tmp_path, *names)
+    row = rmsd_table(whole, [other]).iloc[0]
+    assert row["rmsd_angstrom"] < 0.002 and row["tm_score"] > 0.999 and row["coverage"] == 1.0
+    assert row["chain_mapping"] == ",".join(f"{a}:{b}" for a, b in zip("ABCDE", names, strict=False))
+    same = rmsd_table(whole, [whole]).iloc[0]
+    assert same["matched_by"] == "numbers"
+    assert same["chain_mapping"] == ",".join(f"{a}:{a}" for a in sorted(names))
+
+
+def test_copies_of_a_heteromer_are_matched_each_with_its_own_kind(tmp_path):
+    """Insulin twice, as (AB)2, the copies exchanged, one mutated and one cut: A stays with A, B with B."""
+    structure = gemmi.read_structure(str(STRUCTURES / "3i40.pdb"))
+    structure.remove_ligands_and_waters()
+    structure.connections.clear()
+    for chain, name in zip(list(structure[0]), "CD", strict=True):
+        copy = chain.clone()
+        copy.name = name
+        for atom in (atom for residue in copy for atom in residue):
+            at = atom.pos
+            atom.pos = gemmi.Position(60.0 - at.x, 25.0 - at.y, at.z + 7.0)
+        structure[0].add_chain(copy)
+    structure.write_pdb(str(tmp_path / "four.pdb"))
+    other = with_chains(tmp_path / "four.pdb", tmp_path, "C", "D", "A", "B")
+    cut = gemmi.read_structure(str(other))
+    for _ in range(4):
+        del cut[0]["B"][-1]
+    mutated = cut[0]["D"][4]
+    mutated.name = "ALA"
+    for k in reversed(range(len(mutated))):
+        if mutated[k].name not in ("N", "CA", "C", "O", "CB"):
+            del mutated[k]
+    cut.write_pdb(str(tmp_path / "cut.pdb"))
+    for path, coverage in ((other, 1.0), (tmp_path / "cut.pdb", 98 / 102)):
+        d = deviation(pc.load(tmp_path / "four.pdb"), pc.load(path))
+        assert d.rmsd < 0.002 and d.match.coverage == pytest.approx(coverage)
+        assert d.match.chain_mapping == "A:C,B:D,C:A,D:B"
+    done = protochain("rmsd", "four.pdb", "cut.pdb", cwd=tmp_path)
+    assert "A:C,B:D,C:A,D:B" in done.stdout
+    done = protochain("validate", other, "--reference", "four.pdb", "--json", cwd=tmp_path)
+    (found,) = json.loads(done.stdout)["results"]
+    assert found["lddt"] > 0.999 and found["ca_rmsd_to_reference_angstrom"] < 0.002
+    assert found["chain_mapping"] == "A:C,B:D,C:A,D:B"
+
+
+def test_a_design_on_the_same_backbone_is_measured_and_by_its_numbers():
+    """Nothing in common but the fold, as sequences of designs have, and backbones in glycine."""
+    s = load("1ubq.pdb")
+    x = s.positions.copy()
+    x += 0.03 * np.random.default_rng(0).normal(size=x.shape)
+    renamed = s.topology.__class__()
+    chain = renamed.addChain("A")
+    kept = np.isin(s.atom_name, ["N", "CA", "C", "O"])
+    for r, residue in enumerate(s.topology.residues()):
+        made = renamed.addResidue("GLY", chain, residue.id)
+        for k in np.flatnonzero(kept & (s.atom_residue == r)).tolist():
+            renamed.addAtom(str(s.atom_name[k]), [*s.topology.atoms()][k].element, made)
+    d = deviation(s, pc.Structure("backbone", renamed, x[kept]))
+    assert d.match.how == "fold" and d.match.coverage == 1.0 and d.match.identity < 0.1
+    alpha = s.alpha_carbons
+    assert d.rmsd == pytest.approx(10 * rmsd(x[alpha], s.positions[alpha]), abs=1e-9)

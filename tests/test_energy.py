@@ -10,12 +10,13 @@ from xml.etree import ElementTree
 import numpy as np
 import openmm
 import pytest
-from conftest import MORE_STRUCTURES, ROOT, SAME_KERNEL, STRUCTURES, energy, load
+from conftest import MORE_STRUCTURES, ROOT, SAME_KERNEL, STRUCTURES, chain, energy, load
 from openmm import app
 
 import protochain as pc
 from protochain.cli import main
 from protochain.energies import as_energy, factory, untrusted
+from protochain.energies.custom import CustomEnergy, check_forces
 from protochain.structure.templates import _amber
 
 
@@ -328,7 +329,7 @@ def test_a_callable_cannot_change_the_positions_or_forces_of_a_run():
         kept[:] = x
         return 0.0, kept
 
-    e, x = as_energy(careless, load("ala10.pdb")), np.zeros((2, 3))
+    e, x = CustomEnergy(careless), np.zeros((2, 3))
     _, forces = e(x)
     e(x + 5.0)
     assert not x.any() and np.array_equal(forces, np.ones((2, 3)))
@@ -339,12 +340,56 @@ def test_a_callable_cannot_change_the_positions_or_forces_of_a_run():
     [(1.0, np.zeros(30)), (1.0, "forces"), 3.0, (1.0,), (np.zeros(2), np.zeros((1, 3))), (1, 2, 3)],
 )
 def test_a_callable_that_returns_something_else_is_refused(returned):
-    e = as_energy(lambda x: returned, load("ala10.pdb"))
-    with pytest.raises(
-        pc.ProtochainError, match=r"energy .*<lambda>: .*return \(energy, forces\)"
-    ) as refused:
-        e(np.zeros((1, 3)))
-    assert "\n" not in str(refused.value)
+    for refused in (
+        lambda: CustomEnergy(lambda x: returned)(np.zeros((1, 3))),
+        lambda: as_energy(lambda x: returned, load("ala10.pdb")),
+        # A float was a bare TypeError, and forces of shape (3,) were taken for those of every atom.
+        lambda: pc.minimise(chain("ala10.pdb"), harmonic, "lbfgs", restraint=lambda x: returned),
+    ):
+        with pytest.raises(
+            pc.ProtochainError, match=r"^(energy|restraint) .*<lambda>: return \(energy, forces\)"
+        ) as said:
+            refused()
+        assert "\n" not in str(said.value)
+
+
+def off(wrong):
+    """Springs to the origin whose forces are wrong."""
+    return lambda x: (5.0 * float(np.sum(x**2)), wrong(-10.0 * x))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [lambda f: 0.5 * f, lambda f: -f, lambda f: 1.1 * f, lambda f: 0.0 * f, lambda f: f * (f > 0.0)],
+    ids=["halved", "reversed", "a tenth too large", "none", "of some coordinates"],
+)
+def test_forces_that_are_not_of_the_energy_are_refused(wrong):
+    """With halved forces a run ended as converged."""
+    s = load("ala10.pdb")
+    said = r"energy .*<lambda>: its forces are not those of its energy, whose slope .* is -?[\d.e+]+ kJ"
+    with pytest.raises(pc.ProtochainError, match=said):
+        as_energy(off(wrong), s)
+    with pytest.raises(pc.ProtochainError, match=said.replace("energy", "restraint", 1)):
+        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", restraint=off(wrong))
+    # Springs to the start pull at nothing there.
+    home = s.positions
+    with pytest.raises(pc.ProtochainError, match="its forces are not those"):
+        as_energy(lambda x: off(wrong)(x - home), s)
+
+
+def test_right_forces_pass_in_single_precision_with_large_constants_and_near_overlaps():
+    s = load("ala10.pdb")
+    exact = energy("ala10.pdb")
+    near = s.with_positions(0.8 * s.positions)
+    for given in (
+        lambda x: (np.float32(exact(x)[0] - 1e6), exact(x)[1].astype(np.float32)),
+        lambda x: (3.0, 0.0 * x),
+        lambda x: (np.nan, 0.0 * x),
+        lambda x: (1.0, np.inf * np.ones_like(x)),
+        energy("ala10.pdb", engine="openmm"),
+    ):
+        for start in (s, near):
+            check_forces(given, start.positions, "given")
 
 
 def test_an_energy_is_built_kept_or_refused():

@@ -1,5 +1,6 @@
 """Residues of small structures made by hand, paired by number or sequence, and deviations between them."""
 
+from itertools import permutations
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -8,6 +9,7 @@ import pandas as pd
 import pytest
 import tmtools
 from openmm import app
+from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.analysis.deviation import deviation, rmsd_table
@@ -15,6 +17,7 @@ from protochain.errors import OnlyAlphaError, StructureError
 from protochain.residues import STANDARD
 from protochain.structure import matching as module
 from protochain.structure.matching import match, tm_score
+from protochain.structure.superpose import rmsd
 
 NAMES = {letter: name for name, letter in STANDARD.items()} | {"w": "HOH", "x": "HYP"}
 
@@ -73,7 +76,36 @@ def test_chains_are_paired_for_the_best_sum_and_a_broken_chain_is_one_sequence()
     reference = made("r", ("A", first, 1), ("B", second, 1))
     swapped = made("m", ("X", second, 5), ("Y", first[:4], 1), ("Y", first[4:], 30))
     assert pairs(match(reference, swapped)) == [(k, (k + 10) % 20) for k in range(20)]
-    assert module._by_chain(made("m", ("Y", "AwC", 1), ("X", "D", 1), ("Y", "E", 9))) == [[0, 2, 4], [3]]
+    assert match(reference, swapped).chains == (("A", "Y"), ("B", "X"))
+    assert match(reference, swapped).chain_mapping == "A:Y,B:X"
+    parts = made("m", ("Y", "AwC", 1), ("X", "D", 1), ("Y", "E", 9))
+    assert module._by_chain(parts) == {"Y": [0, 2, 4], "X": [3]}
+
+
+def test_equal_chains_are_paired_as_by_trying_all_ways():
+    """Where they are known with errors as large as half their distance, too."""
+    rng = np.random.default_rng(3)
+    letters, atoms = "MKTAYI", ("N", "CA", "C")
+    for noise in (0.0, 0.3, 1.0):
+        reference = made("r", *((name, letters, 1) for name in "ABCD"), atoms=atoms, seed=1)
+        # As in homomers: one shape, at four places.
+        shape = rng.normal(size=(18, 3))
+        turns, places = Rotation.random(4, rng=rng), rng.normal(scale=2.0, size=(4, 3))
+        x = np.vstack([turn.apply(shape) + place for turn, place in zip(turns, places, strict=True)])
+        reference = reference.with_positions(x)
+        order = rng.permutation(4)
+        moved = Rotation.random(rng=rng).apply(x + noise * rng.normal(size=x.shape))
+        model = reference.with_positions(np.vstack([np.split(moved, 4)[k] for k in order.tolist()]))
+        alpha = np.arange(1, 72, 3).reshape(4, 6)
+        ways = {
+            way: rmsd(model.positions[alpha[list(way)].ravel()], x[alpha.ravel()])
+            for way in permutations(range(4))
+        }
+        found = match(reference, model)
+        best = min(ways, key=ways.__getitem__)
+        assert found.chains == tuple(("ABCD"[i], "ABCD"[j]) for i, j in enumerate(best)), noise
+        if not noise:
+            assert [*best] == np.argsort(order).tolist()
 
 
 def test_nothing_in_common_is_an_error():
@@ -126,7 +158,8 @@ def test_a_tm_score_is_normalised_by_the_reference_and_needs_three_residues():
     theirs = tmtools.tm_align(y, x, "ACDEFGHI", "ACDEFGHIKLX")
     assert tm_score(reference, model) == theirs.tm_norm_chain2 != theirs.tm_norm_chain1
     three, two = made("r", ("A", "ACD", 1)), made("m", ("A", "AC", 1))
-    assert tm_score(three, three) == pytest.approx(1.0) and module._trace(reference)[1] == "ACDEFGHIKLX"
+    assert tm_score(three, three) == pytest.approx(1.0)
+    assert module._trace(reference, reference.alpha_carbons)[1] == "ACDEFGHIKLX"
     assert np.isnan(tm_score(three, two)) and np.isnan(tm_score(two, three))
 
 
@@ -136,11 +169,11 @@ def test_a_record_names_its_units():
     row = deviation(reference, moved, "all", "name C").record()
     assert list(row) == [
         "rmsd_angstrom", "rmsd_unsuperposed_angstrom", "tm_score", "matched_residues", "coverage", "identity",
-        "matched_by", "aligned_atoms", "measured_atoms",
+        "matched_by", "chain_mapping", "aligned_atoms", "measured_atoms",
     ]  # fmt: skip
     assert row["rmsd_angstrom"] == pytest.approx(0.0, abs=1e-9)
     assert row["rmsd_unsuperposed_angstrom"] == pytest.approx(3.0)
-    assert list(row.values())[2:] == [None, 2, 1.0, 1.0, "numbers", 6, 2]
+    assert list(row.values())[2:] == [None, 2, 1.0, 1.0, "numbers", "A:A", 6, 2]
     three = made("r", ("A", "ACD", 1))
     assert deviation(three, three).record()["tm_score"] == pytest.approx(1.0)
 

@@ -51,6 +51,7 @@ def test_a_record_holds_each_value_under_its_name():
         **{f"{key}_{when}": value for key, value in found.items() for when in ("start", "end")},
         "iterations": 5, "evaluations": 6, "seconds": 1.5, "n_chains": 1, "n_residues": 10,
         "n_atoms": c.structure.n_atoms, "n_bodies": c.n_bodies, "n_hinges": c.n_hinges,
+        "n_atoms_moving": c.n_atoms,
         "protochain": version("protochain"), "engine": "native", "engine_reason": "two kernels",
         "forcefield": "amber14", "solvent": "obc2", "hinges": "phi psi chi", "tolerance": 1.0,
         "tolerance_unit": "kJ/mol/rad", "move": "all", "restraint_kj_mol_nm2": [100.0],

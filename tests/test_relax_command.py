@@ -141,7 +141,7 @@ def test_a_folder_is_relaxed_with_a_row_for_each_and_resumed(here):
     kept = (here / "out" / "x_relaxed_rank_002_y.pdb").stat().st_mtime_ns
     assert "--resume continues it" in command(*given).stderr
     other = command(*given, "--resume", "--stiffness", 100)
-    assert other.returncode == 2 and "with stiffness unset, not 100.0" in other.stderr
+    assert other.returncode == 2 and "without stiffness, which is 100.0 now" in other.stderr
     shutil.copy(STRUCTURES / "ala10.pdb", here / "in" / "new.pdb")
     again = command(*given, "--resume")
     assert "4 structures: 3 converged, 1 refused" in again.stdout

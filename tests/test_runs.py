@@ -122,13 +122,13 @@ def test_each_strength_comes_with_whatever_else_restrains():
     s = load("ala10.pdb")
     x = s.positions.copy()
     x[:, 0] *= 1.1
-    heavy = s.atom_element != "H"
+    moved, heavy = x, s.atom_element != "H"
     spring = 0.5 * np.sum((x - s.positions)[heavy] ** 2)
     leash, _ = Leash(s, 0.1)(x)
     assert leash > 1.0
 
     def term(x):
-        return 7.0, np.full_like(x, 3.0)
+        return 7.0 - 3.0 * float(np.sum(x - moved)), np.full_like(x, 3.0)
 
     def energies(hold):
         return [None if part is None else part(x)[0] for part in hold.restraints(s)]

@@ -163,6 +163,15 @@ def test_the_command_measures_files_folders_and_patterns(tmp_path, monkeypatch, 
     assert table["file"].tolist() == ["models/a.pdb.gz", "b.cif", "bad.pdb"]
     assert {key: table[key][0] for key in MEASURES} == pytest.approx(measures(load("1l2y.pdb")))
     assert table["lddt"][0] == 1.0 and 0.8 < table["lddt"][1] < 1.0 and "bad.pdb: " in table["message"][2]
+    # Lists are for the terminal and JSON, and counts stay whole beside a file without any.
+    assert "findings" not in table
+    texts = pd.read_csv(tmp_path / "t.csv", dtype=str)
+    assert (
+        texts["violations"][0] == str(measures(load("1l2y.pdb"))["violations"]) and texts["model"][0] == "1"
+    )
+    assert run("validate", "bad.pdb", "--csv", "bad.csv") == 2
+    assert pd.read_csv(tmp_path / "bad.csv").columns.tolist() == ["file", "message"]
+    (tmp_path / "bad.csv").unlink()
     rows = pd.read_csv(tmp_path / "r.csv")
     assert rows["file"].tolist() == ["models/a.pdb.gz"] * 20 + ["b.cif"] * 20
     assert rows["lddt"].notna().all() and rows["model"].tolist() == [1] * 40

@@ -16,6 +16,7 @@ from protochain.minimisers import METHODS, Recipe, Solution, Status, recipe_of
 from protochain.minimisers.api import Minimisation, minimise_from, refuse_further
 from protochain.minimisers.start import Start
 from protochain.structure import as_structure
+from protochain.structure.matching import match
 
 
 class Options(TypedDict, total=False):
@@ -90,6 +91,8 @@ def compare(
     ]
     chain = as_chain(structure)
     known = None if reference is None else as_structure(reference)
+    if known is not None:
+        match(known, chain.structure)  # What cannot be measured is said before the work.
     energy = as_energy(energy, chain.structure)
     for run in runs:
         run.recipe.check(energy)

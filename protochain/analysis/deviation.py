@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats, Integers
-from protochain.checks import checked, text
+from protochain.checks import checked, selection
 from protochain.errors import ProtochainError, StructureError
 from protochain.structure import Structure
 from protochain.structure.matching import Match, match, measurable, models_of, tm_score
@@ -56,19 +56,20 @@ class Deviation:
             "coverage": self.match.coverage,
             "identity": self.match.identity,
             "matched_by": self.match.how,
+            "chain_mapping": self.match.chain_mapping,
             "aligned_atoms": self.n_aligned,
             "measured_atoms": self.n_measured,
         }
 
 
-@checked(align=text, measure=text)
+@checked(align=selection, measure=selection)
 def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALPHA) -> Deviation:
     """Measure the deviation of a model from a reference.
 
     Parameters
     ----------
     reference, model : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
-        Their sequences may differ. A file may hold only C-alpha atoms.
+        Their sequences may differ, but must be related. A file may hold only C-alpha atoms.
     align, measure : str
         Selections of the reference's atoms: those superposed, and those whose RMSD is measured. Atoms are
         matched by name within matched residues.
@@ -81,7 +82,7 @@ def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALP
     Raises
     ------
     ProtochainError
-        If nothing matches.
+        If nothing matches, or the sequences are unrelated.
     StructureError
         If a selection cannot be read or names no atom.
     """
@@ -93,7 +94,7 @@ def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALP
     off = model.positions[measured[1]] - reference.positions[measured[0]]
     moved = model.positions[measured[1]] @ turn.T + shift - reference.positions[measured[0]]
     return Deviation(
-        _root_mean_square(moved), _root_mean_square(off), tm_score(reference, model),
+        _root_mean_square(moved), _root_mean_square(off), tm_score(reference, model, found),
         len(aligned[0]), len(measured[0]), found,
     )  # fmt: skip
 
@@ -104,8 +105,8 @@ def rmsd(reference: Any, model: Any, align: str = ALPHA, measure: str | None = N
     Parameters
     ----------
     reference, model : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
-        Residues are matched by chain, number and name if all agree, otherwise by sequence alignment. A file
-        may hold only C-alpha atoms.
+        Residues are matched by chain, number and name if all agree, otherwise by sequence alignment; of equal
+        chains, as of a homomer, those that give the least RMSD. A file may hold only C-alpha atoms.
     align, measure : str
         Selections of the reference's atoms in the language of MDAnalysis: those superposed, and those whose
         RMSD is measured, by default the same.
@@ -119,7 +120,7 @@ def rmsd(reference: Any, model: Any, align: str = ALPHA, measure: str | None = N
     Raises
     ------
     ProtochainError
-        If nothing matches, or a selection cannot be read.
+        If nothing matches, the sequences are unrelated, or a selection cannot be read.
     """
     return deviation(reference, model, align, measure or align).rmsd
 

@@ -1,6 +1,7 @@
 """The folder of a comparison: whether it is free, and what an earlier comparison left there."""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 from protochain.errors import ProtochainError
@@ -37,6 +38,12 @@ def check_folder(folder: Path, force: bool) -> None:
         raise ProtochainError(
             f"{folder}: holds a comparison ({there[0]}); give another folder, or force=True to replace it"
         )
+
+
+def files_of(folder: Path, name: str, methods: Iterable[str]) -> list[Path]:
+    """Files that a comparison of a structure of this name may write or delete in its folder."""
+    ends = [f"{name}.{method}{suffix}" for method in ("start", *methods) for suffix in _SUFFIXES]
+    return [folder / each for each in dict.fromkeys([_PAGE, *_structures(folder), *ends, *_names()])]
 
 
 def clear(folder: Path) -> None:

@@ -116,13 +116,22 @@ def _refuse_others(folder: Path, whose: str, before: Mapping[str, Any], now: Map
         old, new = before.get(name), now.get(name)
         if old != new:
             raise ProtochainError(
-                f"{folder}: holds results{whose} with {name} {_said(old)}, not {_said(new)}; repeat the "
-                "settings, or give another folder"
+                f"{folder}: holds results{whose} {_differing(name, old, new)}; repeat the settings, or give "
+                "another folder"
             )
+
+
+def _differing(name: str, old: Any, new: Any) -> str:
+    """How a setting differs, in words."""
+    if old in (None, ""):
+        return f"without {name}, which is {_said(new)} now"
+    return f"with {name} {_said(old)}, " + (
+        "which is not given now" if new in (None, "") else f"not {_said(new)}"
+    )
 
 
 def _said(value: Any) -> str:
     """A setting in words: no disulfides are other than none stated, which are found."""
     if isinstance(value, list):
         return ",".join(map(_said, value)) or "none"
-    return "unset" if value in (None, "") else str(value)
+    return str(value)

@@ -34,7 +34,7 @@ COLUMNS = (
 
 INTEGERS = (
     "iteration", "iterations", "evaluations", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges",
-    "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
+    "n_atoms_moving", "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
     "overlaps_start", "overlaps_end", "overlaps_beside_start", "overlaps_beside_end",
     "n_rounds", "n_residues_let_go", "n_lost_atoms",
     *(f"{key}_{when}" for key, each in MEASURES.items() if each.whole for when in ("start", "end")),
@@ -52,6 +52,12 @@ TRACE_COLUMNS = (
 
 SUMMARY = "summary"
 """Stem of the name of a batch's table."""
+
+
+def files_of(folder: Path, name: str = SUMMARY) -> list[Path]:
+    """Files that a batch writes to its folder beside structures, pages and plots."""
+    names = (f"{name}.csv", f"{name}.parquet", "traces.csv", "summary.json", "report.html", SETTINGS)
+    return [folder / each for each in names]
 
 
 class Tables:

@@ -122,7 +122,7 @@ def _relax(structure: "Structure", energy: "Energy", s: BatchSettings) -> tuple[
     from protochain.relaxation.api import relax_structure
     from protochain.relaxation.result import TRACE_COLUMNS
 
-    result = relax_structure(structure, energy, s.relaxing)
+    result = relax_structure(structure, energy, s.relaxing, move=s.setup.move)
     trace = pd.DataFrame(result.trace, columns=list(TRACE_COLUMNS))
     return result, trace.astype({"iteration": int, "evaluations": int})
 

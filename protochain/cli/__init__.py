@@ -105,7 +105,7 @@ def main() -> None:
     except TyperException as error:
         context = getattr(error, "ctx", None)
         command = f"protochain {context.info_name}" if context and context.parent else "protochain"
-        status = fail(f"{error.format_message()} See {command} --help.", BAD_INPUT)
+        status = fail(f"{error.format_message().rstrip('.')}. See {command} --help.", BAD_INPUT)
     except BrokenPipeError:
         _close_output()
         status = 128 + signal.SIGPIPE  # As of programs that the signal ends.

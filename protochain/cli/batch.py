@@ -24,6 +24,8 @@ from protochain.cli.options import (
     Seed,
     Spread,
     Starts,
+    check_outputs,
+    inputs_of,
     with_setup,
 )
 from protochain.cli.relax import (
@@ -103,6 +105,7 @@ def batch(
     from protochain.batches import BatchSettings, find_jobs
     from protochain.batches import batch as run
     from protochain.batches.jobs import listed
+    from protochain.batches.table import files_of
     from protochain.relaxation.settings import Relaxing
 
     limit = math.inf if max_rmsd is None else max_rmsd
@@ -119,6 +122,7 @@ def batch(
     if dry_run:
         print_jobs(find_jobs(given, settings, manifest, output))
         raise typer.Exit(CONVERGED)
+    check_outputs(inputs_of(setup, manifest), files_of(output))
     with batch_progress() as watch:
         done = run(
             given, output, manifest=manifest, resume=resume, watch=watch, workers=workers,

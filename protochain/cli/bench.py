@@ -49,10 +49,16 @@ def bench(
     """
     from protochain.analysis.studies import STUDIES, study
     from protochain.errors import ProtochainError
+    from protochain.markup import counted
     from protochain.storage import check_writable
 
     chosen = {each: study(each) for each in (STUDIES if name == "all" else (name,))}
     check_writable(output / "any.csv")
+    inside = next((each for each in inputs or () if output.resolve() in each.resolve().parents), None)
+    if inside is not None:
+        raise ProtochainError(
+            f"{inside}: lies in the folder for the results; give them a folder of their own"
+        )
     given: dict[str, Any] = {
         "quick": quick or None, "rows": words(rows) if rows else None,
         "only": words(only) if only else None, "threads": threads, "minutes": minutes, "jobs": jobs,
@@ -72,5 +78,7 @@ def bench(
             wrong += int((table["verdict"] == "wrong").sum()) if "verdict" in table else 0
     print(f"written: tables and plots in {output}")
     if wrong:
-        raise typer.Exit(fail(f"{wrong} cells are wrong; the tables in {output} say how"))
+        raise typer.Exit(
+            fail(f"{counted(wrong, 'cell is', 'cells are')} wrong; the tables in {output} say how")
+        )
     raise typer.Exit(CONVERGED)

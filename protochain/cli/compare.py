@@ -21,7 +21,9 @@ from protochain.cli.options import (
     NoCurvature,
     Seed,
     Tolerance,
+    check_outputs,
     fail,
+    inputs_of,
     named_after,
     prepare,
     print_lost,
@@ -59,7 +61,7 @@ def compare(
 ) -> None:
     """Minimise one structure by several methods; write tables, plots, structures and report.html."""
     from protochain.analysis import compare as run
-    from protochain.analysis.folder import check_folder
+    from protochain.analysis.folder import check_folder, files_of
     from protochain.storage import claimed
     from protochain.structure import load
 
@@ -67,8 +69,8 @@ def compare(
     if repeats < 1:
         raise ProtochainError(f"repeats {repeats}: give at least 1")
     output = output or Path(f"{named_after(source)[0]}-comparison")
-    # Structures are named after input and method: none can replace the input.
     check_folder(output, force)
+    check_outputs(inputs_of(setup, source, reference), files_of(output, named_after(source)[0], chosen))
     context.with_resource(claimed(output, "comparison"))
     known = load(reference) if reference else None
     chain, energy, preparation = prepare(source, setup)

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, with_options, with_setup
+from protochain.markup import counted
 from protochain.setup import Setup
 
 
@@ -90,6 +91,6 @@ def build(
         sys.stdout.write(as_text(structure, ".pdb"))
     else:
         save(structure, output)
-    size = f"{structure.n_residues} residues, {structure.n_atoms} atoms"
+    size = f"{counted(structure.n_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}"
     where = "standard output" if printed else output
     print(f"written: {where} ({size})", file=sys.stderr if printed else sys.stdout)

@@ -31,6 +31,7 @@ from protochain.cli.options import (
     Tolerance,
     check_outputs,
     fail,
+    inputs_of,
     named_after,
     prepare,
     print_lost,
@@ -106,17 +107,21 @@ def minimise(
     """Minimise the energy of one structure."""
     from protochain.minimisers.api import Minimisation
     from protochain.minimisers.recipes import at_angle, recipe_of
+    from protochain.minimisers.starts import check_spread
 
     limit = math.inf if max_rmsd is None else max_rmsd
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
     Minimisation(recipe_of(chosen), tolerance, max_evaluations, seed, restrain, limit, checkpoint, resume)
+    width = defaults.SPREAD if spread is None else math.radians(spread)
+    check_spread(width)  # Also of a single start, which has none.
     _check_starts(starts, hop, bool(checkpoint or resume or trajectory))
     beside = [path for path in (trace, trajectory, checkpoint, report) if path]
     stem, suffix = named_after(source)
     output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
     _check_outputs(output, trajectory, report, as_json)
     runs = _runs(source, output, setup, bool(beside or resume), one_file)
-    check_outputs(source, [*dict.fromkeys(path for _, path in runs), *beside], force)
+    written = [*dict.fromkeys(path for _, path in runs), *beside]
+    check_outputs(inputs_of(setup, source, resume), written, force)
 
     settings: dict[str, Any] = {
         "method": chosen, "tolerance": tolerance, "max_evaluations": max_evaluations, "seed": seed,
@@ -125,7 +130,7 @@ def minimise(
     if starts == 1:
         solve = partial(_once, trajectory=trajectory, checkpoint=checkpoint, resume=resume, **settings)
     else:
-        solve = _from_many(starts, spread, hop, settings)
+        solve = _from_many(starts, width, hop, settings)
     lengths = starts * typical_evaluations(chosen, max_evaluations), starts * max_evaluations
     records: list[dict[str, Any]] = []
     with _Writer(output, suffix, one_file, trace, report) as write:
@@ -138,11 +143,10 @@ def minimise(
     raise typer.Exit(_status(records, len(runs)))
 
 
-def _from_many(starts: int, spread: float | None, hop: float | None, settings: dict[str, Any]) -> Any:
+def _from_many(starts: int, width: float, hop: float | None, settings: dict[str, Any]) -> Any:
     """Call that minimises from many starts."""
     from protochain.minimisers.starts import check_starts
 
-    width = defaults.SPREAD if spread is None else math.radians(spread)
     check_starts(starts, width, hop, **settings)
     return partial(_often, n_starts=starts, spread=width, hop_temperature=hop, **settings)
 

@@ -5,7 +5,7 @@ import math
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from time import perf_counter
@@ -16,6 +16,7 @@ import typer
 from protochain import defaults
 from protochain.checks import NO_BONDS
 from protochain.errors import ProtochainError
+from protochain.markup import counted
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -72,7 +73,9 @@ def _option(kind: Any, text: str, *names: str, **more: Any) -> Any:
 
 _SETUP = {
     "hinges": _option(str, "Degrees of freedom: any of phi psi omega chi rotors angles."),
-    "move": _option(str, "What may move, in MDAnalysis's selection language: 'resid 5:20', 'not backbone'."),
+    "move": _option(
+        str, "What may move, in MDAnalysis's selection language, with sidechain and interface: 'resid 5:20'."
+    ),
     "forcefield": _option(
         str, "amber14, amber19, amber99sb, amber99sbildn, charmm36, an OpenMM XML file, or several (a,b)."
     ),
@@ -163,12 +166,35 @@ def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
     began = perf_counter()
     structure, chain, energy = setup.prepare(source)
     print_changes(source, structure)
+    for line in said_of_move(structure, setup.move, chain):
+        print(f"{source}: {line}", file=sys.stderr)
     found = overlaps(structure, structure.positions, chain)
     for overlap in found[:_SHOWN_OVERLAPS]:
         print(f"{source}: {overlap}; {overlap.remedy}", file=sys.stderr)
     if len(found) > _SHOWN_OVERLAPS:
-        print(f"{source}: and {len(found) - _SHOWN_OVERLAPS} more overlaps", file=sys.stderr)
+        print(f"{source}: and {counted(len(found) - _SHOWN_OVERLAPS, 'more overlap')}", file=sys.stderr)
     return chain, energy, perf_counter() - began
+
+
+def said_of_move(structure: "Structure", move: str, chain: "Chain | None" = None) -> list[str]:
+    """Say what a selection moves: atoms and residues, and the hinges of a chain; nothing of all."""
+    from protochain.articulate import turned_atoms
+    from protochain.structure.select import moving
+
+    if move == defaults.MOVE:
+        return []
+    free = moving(structure, move)
+    rest = f"the other {_counted(structure, ~free)} are fixed"
+    if chain is None:
+        return [f"{_counted(structure, free)} move, {rest}"]
+    hinges = counted(chain.n_hinges, "hinge turns", "hinges turn")
+    turned = f"{hinges}, which moves {_counted(structure, turned_atoms(chain))}"
+    return [f"{turned}; where all atoms move, {_counted(structure, free)} do, and {rest}"]
+
+
+def _counted(structure: "Structure", atoms: Any) -> str:
+    residues = len({*structure.atom_residue[atoms].tolist()})
+    return f"{counted(int(atoms.sum()), 'atom')} of {counted(residues, 'residue')}"
 
 
 def print_changes(source: Path, structure: "Structure") -> None:
@@ -192,8 +218,25 @@ def with_options(line: str) -> str:
     return re.sub(r'\b(\w+)="([\w,]+)"', r"--\1 \2", line)
 
 
-def check_outputs(source: Path, outputs: list[Path], force: bool) -> None:
-    """Refuse, before any work, outputs that would replace the input or one another or cannot be written."""
+def inputs_of(setup: Setup, *given: str | Path | None) -> list[Path]:
+    """All files that a command reads: those given, and the user's among those of the force field."""
+    from protochain.structure.prepare import user_files
+
+    return [*(Path(each) for each in given if each is not None), *user_files(setup.forcefield)]
+
+
+def check_outputs(inputs: Sequence[Path], outputs: Sequence[Path], force: bool | None = None) -> None:
+    """Refuse, before any work, outputs that would replace an input or one another or cannot be written.
+
+    Parameters
+    ----------
+    inputs : sequence of Path
+        All files that the command reads, as of :func:`inputs_of`.
+    outputs : sequence of Path
+        All that it may write; of a folder, the files that it may write there.
+    force : bool, optional
+        Whether ``--force`` was given; None for a command that has no such option.
+    """
     from protochain.storage import check_writable
 
     outputs = [path for path in outputs if str(path) != STANDARD_OUTPUT]
@@ -201,6 +244,8 @@ def check_outputs(source: Path, outputs: list[Path], force: bool) -> None:
         if count > 1:
             raise ProtochainError(f"{output}: is given for two outputs; give each its own")
     for output in outputs:
-        if output.exists() and source.exists() and output.samefile(source) and not force:
-            raise ProtochainError(f"{output}: is the input; give another name, or --force to replace it")
+        same = output.exists() and any(each.exists() and output.samefile(each) for each in inputs)
+        if same and not force:
+            instead = "" if force is None else ", or --force to replace it"
+            raise ProtochainError(f"{output}: is the input; give another name{instead}")
         check_writable(output)

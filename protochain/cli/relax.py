@@ -20,6 +20,7 @@ from protochain.cli.options import (
     Scheduler,
     check_outputs,
     fail,
+    inputs_of,
     with_setup,
 )
 from protochain.errors import ProtochainError
@@ -82,7 +83,7 @@ TimeLimit = Annotated[float, typer.Option(help="Of several: seconds after which 
 Resume = Annotated[bool, typer.Option("--resume", help="Of several: continue in the folder.")]
 
 
-@with_setup(without="hinges move")
+@with_setup(without="hinges")
 def relax(
     inputs: Inputs = None,
     output: Output = None,
@@ -160,16 +161,16 @@ def _one(
         raise ProtochainError("output -: structure and --json both go to standard output; give a file")
     if report and report.suffix.lower() != ".html":
         raise ProtochainError(f"{report}: give a name that ends in .html")
-    check_outputs(source, [output, *([report] if report else [])], force)
+    check_outputs(inputs_of(setup, source), [output, *([report] if report else [])], force)
     began = perf_counter()
     structure = setup.load(source)
     energy = setup.energy(structure)
     check_fits(structure, output)
     preparation = perf_counter() - began
-    seconds = tell_plan(source, structure, energy)
+    seconds = tell_plan(source, structure, energy, setup.move)
     with held_interrupts():
         with progress(seconds) as watch:
-            result = relax_structure(structure, energy, relaxing, watch)
+            result = relax_structure(structure, energy, relaxing, watch, setup.move)
         if not result.is_usable:
             return fail(f"{source}: {result.message}; nothing is better than the start: nothing is written")
         _write(result, output, source)
@@ -228,13 +229,15 @@ def _several(
     resume: bool,
 ) -> int:
     """Relax many files into a folder; return the exit status."""
-    from protochain.batches.relaxing import relax_files
+    from protochain.batches.relaxing import NAME, relax_files
+    from protochain.batches.table import files_of
     from protochain.cli.relaxing import print_folder
     from protochain.cli.terminal import batch_progress
 
     folder = Path("relaxed") if output is None else output
     if folder.is_file() or folder.suffix.lower() in (".pdb", ".cif", ".ent", ".mmcif"):
         raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
+    check_outputs(inputs_of(setup, manifest), files_of(folder, NAME))
     with batch_progress() as watch:
         done = relax_files(
             inputs,

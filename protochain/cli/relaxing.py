@@ -8,7 +8,9 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from protochain.cli.options import print_changes, print_lost
+from protochain import defaults
+from protochain.cli.options import print_changes, print_lost, said_of_move
+from protochain.markup import counted
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -27,7 +29,7 @@ _SHOW_FROM = 5.0
 """s. Shorter runs are over before a bar is of use, and do without the time that its library takes to load."""
 
 
-def tell_plan(source: Path, structure: "Structure", energy: "Energy") -> float:
+def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str = defaults.MOVE) -> float:
     """Say what will be done to a file, and how long it may take; return that in seconds."""
     from protochain.contacts import overlaps
     from protochain.validation import threaded_rings, violations
@@ -42,7 +44,8 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy") -> float:
     found, rings = overlaps(structure, x), threaded_rings(structure)
     beside = sum(each.beside for each in found)
     said = [
-        f"{n_residues} residues, {structure.n_atoms} atoms",
+        f"{counted(n_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}",
+        *said_of_move(structure, move),
         f"{len(found) or 'no'} pair{'s' * (len(found) != 1)} of atoms overlap{'s' * (len(found) == 1)}"
         + (f", {beside} of them with molecules beside the protein" if beside else ""),
         str(violations(structure, x)),
@@ -134,7 +137,7 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
 
     usable = table[table["output"].notna()]
     counts = ", ".join(f"{n} {status}" for status, n in table["status"].value_counts().items())
-    print(f"{len(table)} structures: {counts}")
+    print(f"{counted(len(table), 'structure')}: {counts}")
     if len(usable):
         print(
             f"{mended(usable)}; medians: C-alpha RMSD "

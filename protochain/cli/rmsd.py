@@ -34,7 +34,7 @@ def rmsd(
     from protochain.storage import write_atomically
 
     if output:
-        check_outputs(reference, [output], force=False)
+        check_outputs([reference, *models], [output])
     table = rmsd_table(reference, models, align, measure or align)
     if output:
         write_atomically(output, lambda to: table.to_csv(to, index=False))

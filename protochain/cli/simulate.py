@@ -14,7 +14,9 @@ from protochain.cli.options import (
     AsJson,
     Input,
     Seed,
+    check_outputs,
     fail,
+    inputs_of,
     named_after,
     prepare,
     with_setup,
@@ -126,7 +128,7 @@ def simulate(
     Unlike pc.simulate it minimises first, since structures in files are strained; --no-relax omits this.
     """
     from protochain.dynamics import simulate as run
-    from protochain.dynamics.folder import check_folder
+    from protochain.dynamics.folder import check_folder, files_of
     from protochain.dynamics.settings import SimulationSettings
     from protochain.dynamics.simulate import freed
 
@@ -140,6 +142,7 @@ def simulate(
     SimulationSettings(**settings).check(steps, checkpoint_every)
     output = output or Path(f"{named_after(source)[0]}-simulation")
     check_folder(output, trajectory, resume, force)
+    check_outputs(inputs_of(setup, source), files_of(output, trajectory))
     chain, energy, preparation = prepare(source, setup)
     if pull or hinge_spring:
         freed(chain, SimulationSettings(**settings))  # What is not there is said before the work.

@@ -386,16 +386,18 @@ def print_deviations(rows: list[dict[str, Any]]) -> None:
     for heading in ("model", "RMSD angstrom", "TM-score", "matched residues"):
         table.add_column(heading, justify="right")
     measured = [row for row in rows if not row["message"]]
+    table.add_column("chains", no_wrap=True)
     for row in measured:
         score = row["tm_score"]
         table.add_row(
             escape(row["file"]), f"{row['model']:.0f}", f"{row['rmsd_angstrom']:.3f}",
             "-" if score is None else f"{score:.4f}",
             f"{row['matched_residues']:.0f} ({100 * row['coverage']:.0f} %) by {row['matched_by']}",
+            escape(row["chain_mapping"]),
         )  # fmt: skip
     console = Console()
     if measured:
-        console.print(table)
+        console.print(table, crop=False)
     for row in rows:
         if row["message"]:
             console.print(row["message"], markup=False, highlight=False, soft_wrap=True)

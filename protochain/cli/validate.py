@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protochain.cli.options import BAD_INPUT, CONVERGED, AsJson, check_outputs, with_setup
+from protochain.cli.options import BAD_INPUT, CONVERGED, AsJson, check_outputs, inputs_of, with_setup
 from protochain.errors import ProtochainError
+from protochain.markup import counted
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -47,13 +48,13 @@ def validate(
     from protochain.structure.matching import measurable
 
     outputs = [path for path in (csv, residues) if path]
-    for each in inputs if outputs else ():
-        check_outputs(Path(each), outputs, force=False)
+    files = _files(inputs, setup)
+    check_outputs(inputs_of(setup, reference, *(path for _, path, _ in files)), outputs)
     compared = measurable(reference) if reference else None
     rows: list[dict[str, Any]] = []
     tables: list[DataFrame] = []
     # Structures are not kept: there may be thousands.
-    for name, result in _validated(inputs, setup, compared):
+    for name, result in _validated(files, compared):
         if isinstance(result, ProtochainError):
             print(result, file=sys.stderr)
             rows.append({"file": name, "message": str(result)})
@@ -79,12 +80,12 @@ def validate(
 
 
 def _validated(
-    inputs: Sequence[str], setup: Setup, reference: "Structure | None"
+    files: Sequence[tuple[str, Path, Setup]], reference: "Structure | None"
 ) -> Iterator[tuple[str, "Validation | ProtochainError"]]:
     """Name and validation of each structure, or why there is none."""
     from protochain.validation import validate
 
-    for name, path, own in _files(inputs, setup):
+    for name, path, own in files:
         named = f"{name}, model {own.model}" if own.model is not None else name
         try:
             yield named, validate(own.load(path), reference)
@@ -124,8 +125,12 @@ def _print(rows: Sequence[dict[str, Any]]) -> None:
         console.print(_table(rows, {key: heading for key, (heading, _) in LIKENESS.items()}), crop=False)
     for row in rows:
         lines = row["findings"]
-        more = [f"and {len(lines) - _SHOWN} more residues; --residues FILE lists all"] * (len(lines) > _SHOWN)
-        told = [f"  {line}" for line in [*filter(None, [row["added"]]), *lines[:_SHOWN], *more]]
+        more = [f"and {counted(len(lines) - _SHOWN, 'more residue')}; --residues FILE lists all"] * (
+            len(lines) > _SHOWN
+        )
+        mapping = row.get("chain_mapping") if row["n_chains"] > 1 else None
+        chains = [f"chains of the reference and their match: {mapping}"] if mapping else []
+        told = [f"  {line}" for line in [*filter(None, [row["added"]]), *chains, *lines[:_SHOWN], *more]]
         for line in [f"{row['file']}:", *told] if told else []:
             console.print(line, markup=False, highlight=False, soft_wrap=True)
 

@@ -23,6 +23,13 @@ from protochain.structure.trajectory import TrajectoryFile, check_trajectory
 from protochain.structure.write import check_fits
 
 CHECKPOINT = "checkpoint.npz"
+_STALE = (CHECKPOINT, "last.pdb", "last.cif", "summary.json", "log.csv")
+_PART = "log.part.csv"
+
+
+def files_of(path: Path, suffix: str) -> list[Path]:
+    """Files that a simulation may write or delete in its folder."""
+    return [path / name for name in (*_STALE, _PART, f"trajectory.{suffix}", f"trajectory.part.{suffix}")]
 
 
 def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
@@ -45,7 +52,7 @@ def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
     """
     check_trajectory(path / f"trajectory.{suffix}")
     check_writable(path / CHECKPOINT)
-    there = [name for name in (CHECKPOINT, "log.csv", "log.part.csv") if (path / name).exists()]
+    there = [name for name in (CHECKPOINT, "log.csv", _PART) if (path / name).exists()]
     if there and not (resume or force):
         raise ProtochainError(
             f"{path}: holds a simulation ({there[0]}); resume=True continues it, force=True replaces it"
@@ -107,7 +114,7 @@ class Folder:
     ) -> None:
         self.path, self.settings, self.constants = path, settings, constants
         self.trajectory = path / f"trajectory.{suffix}"
-        self.log, self.log_part = path / "log.csv", path / "log.part.csv"
+        self.log, self.log_part = path / "log.csv", path / _PART
         self.stored: dict[str, Any] = {}
         """What the last checkpoint counts: step, frames, and bytes of the files."""
 
@@ -115,7 +122,7 @@ class Folder:
         """Create the files of a simulation that starts at positions (na, 3)."""
         self.start = start
         self.path.mkdir(parents=True, exist_ok=True)
-        for stale in (CHECKPOINT, "last.pdb", "last.cif", "summary.json", "log.csv", self.trajectory.name):
+        for stale in (*_STALE, self.trajectory.name):
             (self.path / stale).unlink(missing_ok=True)
         self._frames = TrajectoryFile(self.trajectory, structure, frame_interval)
         with writing(self.log):

@@ -15,6 +15,7 @@ from protochain.dynamics.loop import Ending, State
 from protochain.dynamics.settings import THERMOSTATS, SimulationSettings
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
+from protochain.markup import counted
 from protochain.structure import Structure, save
 from protochain.structure.losses import far_molecules, lost_atoms, n_lost
 
@@ -205,7 +206,7 @@ def said_of(
     ending: Ending, why: str, step: int, settings: SimulationSettings, structure: Structure, start: Floats
 ) -> str:
     """Outcome of a simulation in one line, with a remedy if it has become unstable."""
-    done = f"{step} steps, {step * settings.time_step:g} ps"
+    done = f"{counted(step, 'step')}, {step * settings.time_step:g} ps"
     if ending is not Ending.UNSTABLE:
         return f"{ending}: {done}"
     crowd = len(overlaps(structure, start))

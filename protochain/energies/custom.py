@@ -6,10 +6,10 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from protochain.arrays import Floats, Integers
-from protochain.checks import plain
+from protochain.checks import plain, shown
 from protochain.energies.factory import energy
 from protochain.energies.protocol import Energy, check_is_of
 from protochain.errors import ProtochainError
@@ -56,19 +56,7 @@ class CustomEnergy:
         ProtochainError
             If the callable does not return a number and an array of the shape of x.
         """
-        x = plain(x, "nanometer", "x")
-        # Copies on both sides: the callable may write into its argument, or reuse its array of forces.
-        returned = self.function(np.array(x))
-        try:
-            value, forces = returned
-            value, forces = float(value), np.array(forces, dtype=np.float64, order="C")
-        except (TypeError, ValueError) as error:
-            raise ProtochainError(f"energy {self.name}: return (energy, forces): {error}") from None
-        if forces.shape != np.shape(x):
-            raise ProtochainError(
-                f"energy {self.name}: return (energy, forces) with forces {np.shape(x)}, not {forces.shape}"
-            )
-        return value, forces
+        return answer(self.function, plain(x, "nanometer", "x"), f"energy {self.name}")
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Energy in kJ/mol under the name of the callable, and forces (na, 3) in kJ/mol/nm."""
@@ -77,6 +65,85 @@ class CustomEnergy:
 
     def __repr__(self) -> str:
         return f"<CustomEnergy {self.name}>"
+
+
+def answer(function: EnergyFunction, x: Floats, name: str) -> tuple[float, Floats]:
+    """Ask a callable for energy and forces (na, 3) at positions x (na, 3) in nm.
+
+    Raises
+    ------
+    ProtochainError
+        If it does not return a real number and an array of real numbers of the shape of x; with ``name``.
+    """
+    # Copies on both sides: the callable may write into its argument, or reuse its array of forces.
+    returned = function(np.array(x))
+    if not isinstance(returned, tuple | list) or len(returned) != 2:
+        raise ProtochainError(f"{name}: return (energy, forces), not {shown(returned)}")
+    value, forces = (_real(each) for each in returned)
+    if value is None or value.size != 1 or forces is None:
+        what = f"{shown(returned[0])} and {shown(returned[1])}"
+        raise ProtochainError(f"{name}: return (energy, forces), a real number and an array, not {what}")
+    if forces.shape != np.shape(x):
+        raise ProtochainError(
+            f"{name}: return (energy, forces) with forces of shape {np.shape(x)}, not {forces.shape}"
+        )
+    return float(value.item()), np.array(forces, dtype=np.float64, order="C")
+
+
+def _real(given: Any) -> NDArray[Any] | None:
+    """Array of real numbers; None for anything else."""
+    try:
+        array = np.asarray(given)
+    except (TypeError, ValueError, RuntimeError):
+        return None
+    return array if array.dtype.kind in "biuf" else None
+
+
+def check_forces(function: EnergyFunction, x: Floats, name: str) -> None:
+    """Refuse forces of a callable that are not the derivative of its energy, by a difference along one line.
+
+    It is taken beside x (na, 3), where springs to the start pull, and along the forces and a direction at
+    random, so that the slope is at least as large as the forces: those wrong by a factor or in a part show.
+
+    Raises
+    ------
+    ProtochainError
+        With ``name``, the change of the energy, and what the forces say. Numbers that are not finite are not
+        compared: the run ends as ``non-finite``.
+    """
+    rng = np.random.default_rng(0)
+    beside = x + _BESIDE * rng.normal(size=x.shape)
+    value, forces = answer(function, beside, name)
+    if not (np.isfinite(value) and np.isfinite(forces).all()):
+        return
+    size = float(np.linalg.norm(forces))
+    along = rng.normal(size=x.shape)
+    along = (along if np.vdot(along, forces) >= 0.0 else -along) + (forces / size if size > 0.0 else 0.0)
+    told = -float(np.vdot(forces, along))
+    slope = np.nan
+    for step in _STEPS:
+        (up, _), (down, _) = (answer(function, beside + sign * step * along, name) for sign in (1.0, -1.0))
+        slope = (up - down) / (2.0 * step)
+        rounded = _ROUNDED * (abs(value) + 1.0) / step
+        # NaN is not larger: what is not finite is left to the run.
+        if not abs(slope - told) > _ALIKE * max(abs(slope), abs(told)) + rounded:
+            return
+    raise ProtochainError(
+        f"{name}: its forces are not those of its energy, whose slope along a line is {slope:.4g} kJ/mol/nm "
+        f"where they say {told:.4g}; return forces -dE/dx, in kJ/mol/nm"
+    )
+
+
+_BESIDE = 0.005
+"""nm. Deviation of each coordinate, far less than where atoms come to overlap."""
+_STEPS = (1e-5, 1e-4, 1e-3)
+"""nm. The first is right for energies in double precision, whose terms bend over some 0.01 nm; the last
+for those in single precision (1e-7 of a million kJ/mol, over 1e-3 nm, is 1e2 kJ/mol/nm). One must do."""
+_ALIKE = 0.02
+"""Of the slope. Truncation is less than a hundredth at all steps but where atoms overlap; forces wrong by a
+factor, in sign or in a part are off by more."""
+_ROUNDED = 64 * float(np.finfo(float).eps)
+"""Of an energy, for some dozen sums."""
 
 
 def name_of(value: Any) -> str:
@@ -103,7 +170,7 @@ def as_energy(given: Any, structure: Structure) -> Energy:
     Raises
     ------
     ProtochainError
-        If it is neither, or was built for other atoms.
+        If it is neither, was built for other atoms, or does not return an energy and its forces.
     """
     if given is None:
         return energy(structure)
@@ -114,4 +181,6 @@ def as_energy(given: Any, structure: Structure) -> Energy:
         raise ProtochainError(
             f"energy {given!r}: give pc.energy(structure) or a callable x -> (energy, forces)"
         )
-    return CustomEnergy(given)
+    made = CustomEnergy(given)
+    check_forces(given, structure.positions, f"energy {made.name}")
+    return made

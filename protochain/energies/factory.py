@@ -97,6 +97,7 @@ def energy(
         Distance in nm up to which pairs of atoms act on each other; None for all pairs. ``auto``: all, but
         2 nm in a solvent for more than 20,000 atoms, where all would take hours; ``reason`` of the energy
         then says by how much forces differ. In vacuum, where charges are not screened, no distance will do.
+        Below 0.5 nm, where atoms that touch would not act on each other, none is taken.
     system : openmm.System, optional
         System to use instead of building one.
     threads : int, optional

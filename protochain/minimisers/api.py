@@ -16,7 +16,17 @@ from protochain import defaults
 from protochain.arrays import Floats, Watcher, read_only
 from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose
-from protochain.checks import WATCHER, check_fields, checked, flag, integer, number, optional, path
+from protochain.checks import (
+    WATCHER,
+    check_fields,
+    checked,
+    flag,
+    integer,
+    number,
+    optional,
+    path,
+    refuse_misplaced,
+)
 from protochain.energies import as_energy
 from protochain.errors import ProtochainError, WriteError, WriteWarning
 from protochain.frame import Frame, frame_of
@@ -53,6 +63,7 @@ def refuse_further(call: str, given: Mapping[str, Any], options: type) -> None:
     """Refuse the first option that a call does not take, and name those that it takes."""
     unknown = next((name for name in given if name not in options.__annotations__), None)
     if unknown is not None:
+        refuse_misplaced(call, unknown)
         known = ", ".join(options.__annotations__)
         raise ProtochainError(f"{call} has no option {unknown!r}; besides its parameters it takes {known}")
 

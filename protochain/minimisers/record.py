@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from protochain import defaults
+from protochain.articulate import turned_atoms
 from protochain.structure.losses import far_molecules, lost_atoms, n_lost
 from protochain.validation.found import MEASURES
 
@@ -106,6 +108,7 @@ COLUMNS = (
     Column("n_atoms", lambda s: s.chain.structure.n_atoms),
     Column("n_bodies", lambda s: s.chain.n_bodies),
     Column("n_hinges", lambda s: s.chain.n_hinges),
+    Column("n_atoms_moving", lambda s: _n_moving(s)),
     Column("protochain", lambda s: version("protochain")),
     Column("engine", lambda s: s.energy_function.engine),
     Column("engine_reason", lambda s: s.energy_function.reason),
@@ -127,6 +130,20 @@ COLUMNS = (
     Column("threads", lambda s: s.energy_function.threads),
 )
 """In the order in which a reader looks at them."""
+
+
+def _n_moving(solution: Any) -> int:
+    """Atoms that its method may move: those beyond hinges, selected ones where all atoms move, or both."""
+    chain, recipe = solution.chain, solution.recipe
+    if chain.move == defaults.MOVE:  # A fixed root is one's point of view then.
+        return int(chain.moving.sum())
+    moved = np.zeros(chain.n_atoms, dtype=bool)
+    if recipe.in_torsions:
+        moved |= turned_atoms(chain)
+    if not recipe.keeps_geometry:
+        moved |= chain.moving
+    return int(moved.sum())
+
 
 SHOWN = tuple(column for column in COLUMNS if column.heading)
 """Columns of short tables."""

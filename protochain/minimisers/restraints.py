@@ -8,7 +8,7 @@ import numpy as np
 
 from protochain.arrays import Floats, Integers
 from protochain.contacts import near_pairs
-from protochain.energies.custom import name_of
+from protochain.energies.custom import answer, check_forces, name_of
 from protochain.errors import ProtochainError
 from protochain.minimisers.problem import Force
 from protochain.structure import Structure
@@ -147,6 +147,31 @@ class SoftRepulsion:
 
 
 @dataclass(frozen=True)
+class Given:
+    """Restraint of a caller.
+
+    Parameters
+    ----------
+    function : callable
+        Positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm.
+    """
+
+    function: Force
+
+    def __call__(self, x: Floats) -> tuple[float, Floats]:
+        """Energy and forces; an error names the callable that returns anything else."""
+        return answer(self.function, x, self._named)
+
+    def check(self, x: Floats) -> None:
+        """Refuse forces that are not those of the energy."""
+        check_forces(self.function, x, self._named)
+
+    @property
+    def _named(self) -> str:
+        return f"restraint {name_of(self.function)}"
+
+
+@dataclass(frozen=True)
 class Sum:
     """Sum of several energies."""
 
@@ -222,8 +247,17 @@ class Hold:
         return "springs to the start" if self.strengths and self.strengths[-1] > 0.0 else ""
 
     def restraints(self, structure: Structure) -> list[Force | None]:
-        """Energy of each restraint in turn; None where nothing is restrained."""
-        always: list[Force] = [] if self.term is None else [self.term]
+        """Energy of each restraint in turn; None where nothing is restrained.
+
+        Raises
+        ------
+        ProtochainError
+            If a callable does not return an energy and its forces.
+        """
+        always: list[Force] = []
+        if self.term is not None:
+            always.append(Given(self.term))
+            Given(self.term).check(structure.positions)
         if self.max_rmsd < np.inf:
             always.append(Leash(structure, self.max_rmsd))
         found: list[Force | None] = []

@@ -204,12 +204,23 @@ def check_starts(n_starts: int, spread: float, hop_temperature: float | None, **
     """
     if n_starts < 1:
         raise ProtochainError(f"n_starts {n_starts}: give at least 1")
-    if not 0 < spread < np.inf:
-        raise ProtochainError(f"spread {spread:g}: give an angle above 0, in rad")
+    check_spread(spread)
     if hop_temperature is not None and not 0 <= hop_temperature < np.inf:
         raise ProtochainError(f"hop_temperature {hop_temperature:g}: give a temperature in K, not below 0")
     if Hold.of(settings.get("restraint", ()), settings.get("max_rmsd", np.inf)) != Hold():
         raise ProtochainError("restraint and max_rmsd refer to each start's own structure; use one start")
+
+
+def check_spread(spread: float) -> None:
+    """Refuse what is no standard deviation, in rad.
+
+    Raises
+    ------
+    ProtochainError
+        Naming it.
+    """
+    if not 0 < spread < np.inf:
+        raise ProtochainError(f"spread {spread:g}: give an angle above 0, in rad")
 
 
 def perturbed(chain: Chain, spread: float, random: np.random.Generator) -> Chain:

@@ -23,7 +23,7 @@ from protochain.relaxation.rounds import GENTLE, Ended, Relaxer, fewest_left, me
 from protochain.relaxation.settings import Relaxing, split
 from protochain.structure import Structure
 from protochain.structure.chirality import listed
-from protochain.structure.select import select
+from protochain.structure.select import moving, select
 from protochain.validation import threaded_rings, violations
 from protochain.validation.fixed import fixed_counts, fixed_faults
 from protochain.validation.omega import bonds_named, omegas
@@ -54,7 +54,9 @@ def relax(
     **options
         Further fields of :class:`protochain.relaxation.Relaxing` (``protocol``, ``tolerance``, ``stiffness``,
         ``max_iterations``, ``max_outer_iterations``, ``exclude``, ``keep_hydrogens``, ``repack``) and of
-        :class:`protochain.Setup` (``forcefield``, ``solvent``, ``threads``, ``keep`` ...).
+        :class:`protochain.Setup` (``forcefield``, ``solvent``, ``threads``, ``keep`` ...). With ``move``, a
+        selection as of :func:`protochain.build_chain` (``sidechain``, ``interface``), all other atoms stay
+        where they are, bit for bit.
 
     Returns
     -------
@@ -68,26 +70,31 @@ def relax(
     """
     relaxing, setup = split({"preset": preset, **options})
     structure = setup.load(source)
-    return relax_structure(structure, setup.energy(structure), relaxing, watch)
+    return relax_structure(structure, setup.energy(structure), relaxing, watch, setup.move)
 
 
 @held_interrupts()
 def relax_structure(
-    structure: Structure, energy: Energy, settings: Relaxing, watch: Watcher | None = None
+    structure: Structure,
+    energy: Energy,
+    settings: Relaxing,
+    watch: Watcher | None = None,
+    move: str = defaults.MOVE,
 ) -> Relaxation:
     """Relax a structure whose energy is built; the settings' force field is that of the energy."""
     excluded = _excluded(structure, settings.exclude)
-    held_by = _held_by(structure, settings)
-    first = _repacked(structure, energy) if settings.repack else structure
+    mobile = read_only(moving(structure, move), np.bool_)
+    held_by = _held_by(mobile, settings)
+    first = _repacked(structure, energy, mobile) if settings.repack else structure
     trace = _Trace(watch)
-    relaxer = Relaxer(first, energy, settings.strength, settings.max_iterations, trace)
+    relaxer = Relaxer(first, energy, settings.strength, settings.max_iterations, trace, mobile)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with threadpool_limits(1, "blas"):
         done = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
     seconds = perf_counter() - trace.began
     end = fewest_left(done)
     frame = Frame(structure, held_by)
-    value, force = _judged(structure, energy, end, relaxer.restraint(end.springs))
+    value, force = _judged(structure, energy, end, relaxer.restraint(end.springs), mobile)
     status, message = _verdict(structure, energy, settings, end, force)
     return Relaxation(
         start=structure,
@@ -106,6 +113,8 @@ def relax_structure(
         frame=frame,
         seconds=seconds,
         trace=read_only(np.array(trace.rows).reshape(-1, 5)),
+        move=move,
+        moving=mobile,
     )
 
 
@@ -137,17 +146,17 @@ def _excluded(structure: Structure, exclude: str) -> NDArray[np.bool_]:
     return free
 
 
-def _held_by(structure: Structure, settings: Relaxing) -> str:
-    if structure.obstacle.any():
+def _held_by(mobile: NDArray[np.bool_], settings: Relaxing) -> str:
+    if not mobile.all():
         return "atoms that stand still"
     return "springs to the start" if settings.strength.backbone[-1] > 0.0 else ""
 
 
-def _repacked(structure: Structure, energy: Energy) -> Structure:
+def _repacked(structure: Structure, energy: Energy, mobile: NDArray[np.bool_]) -> Structure:
     """The structure with side chains that are in the way of others in other rotamers."""
     from protochain.relaxation.repack import repacked
 
-    return repacked(structure, energy=energy)
+    return repacked(structure, energy=energy, moving=mobile)
 
 
 def _judge(energy: Energy) -> Energy:
@@ -155,11 +164,13 @@ def _judge(energy: Energy) -> Energy:
     return energy if energy.is_exact else energy.reference
 
 
-def _judged(structure: Structure, energy: Energy, end: Ended, restraint: Force) -> tuple[float, float]:
+def _judged(
+    structure: Structure, energy: Energy, end: Ended, restraint: Force, mobile: NDArray[np.bool_]
+) -> tuple[float, float]:
     """Energy without springs, kJ/mol, and RMS force with them, kJ/mol/nm."""
     judge = _judge(energy)
     value, forces = judge(end.x) if judge is energy else answering(lambda: judge(end.x))
-    space = Cartesian(structure, ~structure.obstacle)
+    space = Cartesian(structure, mobile)
     total = forces + restraint(end.x)[1]
     return value, space.residual(space.torque(space.place(space.start(end.x)), total))
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain import residues
 from protochain.arrays import Floats
@@ -65,13 +66,15 @@ class Arm:
 class Arms:
     """Side chains of a structure at positions x (na, 3), nm."""
 
-    def __init__(self, structure: Structure, x: Floats) -> None:
+    def __init__(self, structure: Structure, x: Floats, moving: NDArray[np.bool_] | None = None) -> None:
         self.structure, self.x = structure, x
         self._bonded: list[list[int]] = [[] for _ in range(structure.n_atoms)]
         for i, j in structure.bonds.tolist():
             self._bonded[i].append(j)
             self._bonded[j].append(i)
         self._held = structure.kept.copy()
+        if moving is not None:
+            self._held |= ~moving
         self._held[[atom for tie in structure.ties for atom in tie.atoms]] = True
         self._first = np.searchsorted(structure.atom_residue, np.arange(structure.n_residues + 1))
 
@@ -134,7 +137,9 @@ def _with_hydrogen(chi: Floats, rarity: Floats, now: float, turns: Floats) -> tu
     return np.vstack([first, each]), np.append(rarity[0], np.repeat(rarity, n))
 
 
-def arms(structure: Structure, x: Floats, residues: Sequence[int]) -> list[Arm]:
+def arms(
+    structure: Structure, x: Floats, residues: Sequence[int], moving: NDArray[np.bool_] | None = None
+) -> list[Arm]:
     """Side chains of residues that can turn.
 
     Parameters
@@ -142,10 +147,12 @@ def arms(structure: Structure, x: Floats, residues: Sequence[int]) -> list[Arm]:
     structure : Structure
     x : (na, 3) float, nm
     residues : sequence of int
+    moving : (na,) bool, optional
+        Atoms that may move; all by default.
 
     Returns
     -------
     list of Arm
     """
-    here = Arms(structure, x)
+    here = Arms(structure, x, moving)
     return [arm for residue in residues if (arm := here.of(residue)) is not None]

@@ -55,6 +55,8 @@ COLUMNS: Mapping[str, _Value] = MappingProxyType({
     "n_chains": lambda r: r.start.n_chains,
     "n_residues": lambda r: r.start.n_residues,
     "n_atoms": lambda r: r.start.n_atoms,
+    "n_atoms_moving": lambda r: r.n_atoms_moving,
+    "move": lambda r: r.move,
     "protochain": lambda r: version("protochain"),
     "engine": lambda r: r.energy_function.engine,
     "engine_reason": lambda r: r.energy_function.reason,

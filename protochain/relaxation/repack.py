@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers
 from protochain.contacts import near_pairs
@@ -29,7 +30,11 @@ _ROUNDS = 3
 
 
 def repacked(
-    structure: Structure, residues: Iterable[int] | None = None, *, energy: Energy | None = None
+    structure: Structure,
+    residues: Iterable[int] | None = None,
+    *,
+    energy: Energy | None = None,
+    moving: NDArray[np.bool_] | None = None,
 ) -> Structure:
     """Put side chains into the best of their rotamers, all at once.
 
@@ -46,6 +51,8 @@ def repacked(
         bonded to anything: disulfides, metals, ligands.
     energy : Energy, optional
         Energy of the structure, whose terms are used; by default that of the default force field.
+    moving : (na,) bool, optional
+        Atoms that may move; a side chain with any other stays as it is.
 
     Returns
     -------
@@ -65,7 +72,7 @@ def repacked(
     x, told = structure.positions, tuple[str, ...]()
     terms = None
     for _ in range(_ROUNDS):
-        turning = arms(structure, structure.positions, chosen.tolist())
+        turning = arms(structure, structure.positions, chosen.tolist(), moving)
         if not turning:
             return structure
         terms = terms or _terms(structure, energy)

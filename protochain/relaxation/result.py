@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from protochain import defaults
 from protochain.arrays import Floats, Value
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
-from protochain.markup import facts
+from protochain.markup import counted, facts
 from protochain.minimisers.solution import alpha_residues
 from protochain.minimisers.verdict import Status
 from protochain.relaxation.hands import Hands
@@ -75,6 +77,10 @@ class Relaxation(Value):
         A row for each iteration, with columns ``TRACE_COLUMNS``; energies without springs.
     turned : tuple of str
         Side chains put into other rotamers first, each in words.
+    move : str
+        Selection of what may move.
+    moving : (na,) bool, optional
+        Atoms that may move; all others stay where they are, bit for bit.
     """
 
     start: Structure
@@ -93,6 +99,8 @@ class Relaxation(Value):
     seconds: float
     trace: Floats
     turned: tuple[str, ...] = ()
+    move: str = defaults.MOVE
+    moving: NDArray[np.bool_] | None = None
 
     @cached_property
     def structure(self) -> Structure:
@@ -154,6 +162,11 @@ class Relaxation(Value):
         return float(ANGSTROM_PER_NM * np.max(away[self.start.atom_element != "H"]))
 
     @property
+    def n_atoms_moving(self) -> int:
+        """Atoms that could move."""
+        return int((~self.start.obstacle if self.moving is None else self.moving).sum())
+
+    @property
     def is_usable(self) -> bool:
         """Whether the end has a finite energy, not above that of the start."""
         return bool(np.isfinite(self.energy_end) and not self.energy_end > self.energy_start)
@@ -175,8 +188,10 @@ class Relaxation(Value):
         yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}, PDBFIXER {version('pdbfixer')}"
         yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
         kind = "PROTOCOL" if own.protocol else "PRESET"
-        yield f"{kind} {own.strength.name.upper()}, {len(self.rounds)} ROUNDS"
+        yield f"{kind} {own.strength.name.upper()}, {counted(len(self.rounds), 'ROUND')}"
         yield f"ENERGY {self.energy_end:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.energy_start:.4f}"
+        if self.move != defaults.MOVE:
+            yield f"MOVED {self.n_atoms_moving} OF {self.start.n_atoms} ATOMS, ALL OTHERS FIXED: {self.move}"
         yield f"ENERGIES BY {self.judge.upper()}"
         yield (
             f"C-ALPHA RMSD TO THE START {self.ca_rmsd_angstrom:.3f} ANGSTROM, AS FILED "
@@ -202,11 +217,16 @@ class Relaxation(Value):
             f"{self.start.name} relaxed",
             {
                 "status": self.message,
+                **(
+                    {"moved": f"{self.n_atoms_moving} of {self.start.n_atoms} atoms"}
+                    if self.move != defaults.MOVE
+                    else {}
+                ),
                 "energy": f"{self.energy_start:.2f} to {self.energy_end:.2f} kJ/mol",
                 "C-alpha RMSD to the start": f"{self.ca_rmsd_angstrom:.3f} angstrom",
                 **({"side chains": "; ".join(summarised(self.turned))} if self.turned else {}),
                 **rows,
-                "work": f"{len(self.rounds)} rounds, {self.seconds:.2f} s",
+                "work": f"{counted(len(self.rounds), 'round')}, {self.seconds:.2f} s",
             },
         )
 

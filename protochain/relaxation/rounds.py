@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import count
 from time import perf_counter
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from protochain.arrays import Floats, Integers, read_only
 from protochain.contacts import near_pairs, overlapping
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
-from protochain.minimisers.curvature import NearTerms, near_terms
+from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.loop import Stop, run
@@ -121,6 +121,8 @@ class Relaxer:
     max_iterations : int
         Of each minimisation; 0 for no limit.
     note : callable
+    moving : (na,) bool, optional
+        Atoms that may move; all but obstacles by default.
     """
 
     structure: Structure
@@ -128,6 +130,7 @@ class Relaxer:
     strength: Preset
     max_iterations: int
     note: Note
+    moving: NDArray[np.bool_] | None = None
 
     def rounds(self, x: Floats, excluded: NDArray[np.bool_], most: int) -> list[Ended]:
         """Minimise from x, and again with fewer springs while there are violations or overlaps.
@@ -175,7 +178,7 @@ class Relaxer:
                 gentle = Sum([bonded, SoftRepulsion(self.structure)])
                 x, _, work = self._minimised(gentle, springs, x, work, _SOFT)
         rough = getattr(self.energy, "coarse", None)
-        if rough is not None and evaluate(self._space(), self.energy, x.ravel()).residual > _HIGH:
+        if rough is not None and evaluate(self._space, self.energy, x.ravel()).residual > _HIGH:
             x, _, work = self._minimised(rough, springs, x, work, _ROUGH)
         return x, work
 
@@ -205,6 +208,7 @@ class Relaxer:
         wrong[structure.atom_residue[self.hands.wrong(x)]] = True
         if self.strength.planar:
             wrong[structure.atom_residue[self.peptides.wrong(x)]] = True
+        wrong &= np.bincount(structure.atom_residue, self._mobile, structure.n_residues) > 0.0
         seconds = perf_counter() - began
         told = Round(int((share < 1.0).sum()), len(found.residues), len(pairs), *work, seconds)
         return Ended(read_only(x), stop, springs, np.flatnonzero(wrong), told)
@@ -214,7 +218,7 @@ class Relaxer:
     ) -> "tuple[Floats, Stop, _Work]":
         """Positions, why it ended, and the work with that of the stages before."""
         stage = stage or _Stage("all atoms", self.strength.tolerance, PATIENCE)
-        space = self._space()
+        space = self._space
         if space.terms is None:
             direction = LBFGS(Held(springs.weight + _STIFFER, stage is _SOFT, _REFRESH), _MEMORY)
         else:
@@ -265,8 +269,15 @@ class Relaxer:
         """Push of chiral atoms to the hands that they should have."""
         return Hands.of(self.structure)
 
+    @cached_property
+    def _mobile(self) -> NDArray[np.bool_]:
+        """(na,) bool: atoms that may move."""
+        return ~self.structure.obstacle if self.moving is None else self.moving
+
+    @cached_property
     def _space(self) -> Cartesian:
-        return _cartesian(self.structure, near_terms(self.energy))
+        """Atoms that may move, with the springs of their bonds."""
+        return Cartesian(self.structure, self._mobile, near_terms(self.energy))
 
     def _freed(self, x: Floats, share: Floats) -> "tuple[Floats, Floats, _Work]":
         """Positions without threaded rings, springs that do not draw the bonds back, and the work."""
@@ -284,7 +295,7 @@ class Relaxer:
 
     def _unthreaded(self, x: Floats) -> "tuple[Floats, _Work]":
         """Positions with bonds drawn out of rings, as far as that is possible, and the work."""
-        space, spent = self._space(), 0
+        space, spent = self._space, 0
         for stage in unthreading(space, self.energy):
             q = space.start(x)
             if stage.ready and not stage.ready(stage, space.place(q)):
@@ -303,7 +314,7 @@ class Relaxer:
         """Springs of the heavy atoms; each residue (nr,) has its share of their strength."""
         structure = self.structure
         weight = np.where(np.isin(structure.atom_name, _BACKBONE), backbone, side_chains)
-        without = (structure.atom_element == "H") | structure.obstacle
+        without = (structure.atom_element == "H") | ~self._mobile
         weight = weight * share[structure.atom_residue]
         return Tethers(structure.positions, np.where(without, 0.0, weight))
 
@@ -342,12 +353,6 @@ class _Stage(NamedTuple):
 
 _SOFT = _Stage(GENTLE, 20.0, 60)
 _ROUGH = _Stage(GENTLE, 30.0, PATIENCE)
-
-
-@lru_cache(maxsize=4)
-def _cartesian(structure: Structure, terms: NearTerms | None) -> Cartesian:
-    """All atoms of a structure free; cached with the springs of its bonds."""
-    return Cartesian(structure, ~structure.obstacle, terms)
 
 
 _ENDLESS = 1_000_000_000

@@ -133,5 +133,5 @@ def split(options: dict[str, Any]) -> tuple[Relaxing, Setup]:
     )
 
 
-WITHOUT = ("hinges", "root", "move")
+WITHOUT = ("hinges", "root")
 """Settings of rigid bodies, of which there are none where all atoms move."""

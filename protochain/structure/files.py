@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 import gemmi
 
 from protochain.errors import StructureError
+from protochain.markup import counted
 from protochain.structure.apart import chains_told_apart, told_apart
 from protochain.structure.records import of_cif, of_pdb
 from protochain.structure.templates import standard_name
@@ -291,14 +292,17 @@ def _corrected(text: str, source: str, overlooked: list[str]) -> str:
             line = line[:78].rstrip()
         lines[i] = line
     if lower:
-        overlooked.append(f"{lower} atom records in lower case read as upper case")
+        overlooked.append(f"{counted(lower, 'atom record')} in lower case read as upper case")
     if strange:
+        records = counted(len(strange), "atom record")
         overlooked.append(
-            f"columns 77-78 of {len(strange)} atom records, from line {strange[0]} on, hold no element: "
+            f"columns 77-78 of {records}, from line {strange[0]} on, hold no element: "
             "elements derived from atom names"
         )
     if unended:
-        overlooked.append(f"{unended} models without an ENDMDL record end where the next begins")
+        ends = "ends" if unended == 1 else "end"
+        models = counted(unended, "model")
+        overlooked.append(f"{models} without an ENDMDL record {ends} where the next begins")
     return "\n".join(lines)
 
 

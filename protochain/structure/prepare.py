@@ -14,7 +14,7 @@ from openmm import app
 from protochain import defaults
 from protochain.arrays import Floats, Integers
 from protochain.checks import bonds as bonds_of
-from protochain.checks import file_name, force_field_parts, words
+from protochain.checks import checked, file_name, force_field_parts, words
 from protochain.checks import path as as_path
 from protochain.errors import StructureError
 from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
@@ -31,6 +31,7 @@ from protochain.structure.templates import Template, templates
 from protochain.units import ANGSTROM_PER_NM
 
 
+@checked()
 def load(
     path: str | Path,
     *,

@@ -14,6 +14,7 @@ import numpy as np
 from protochain import residues
 from protochain.checks import check_fields, flag, integer, optional, text, words
 from protochain.errors import OnlyAlphaError, StructureError
+from protochain.markup import counted
 from protochain.structure.chirality import WELL_FORMED, hand, listed
 from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place
@@ -134,10 +135,10 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         raise StructureError(f"{draft.source}: {_unknown_told(draft, unknown)}")
     if not draft.parts:
         kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
-        found = ", ".join(f"{count} {kind}" for kind, count in (draft.left_out + kinds).items())
+        found = ", ".join(_counted(kind, count) for kind, count in kinds.items())
         single = any(each.given in residues.STANDARD for each in beside)
         remedy = "a chain has two amino acids or more" if single else "give a file with amino acids"
-        raise StructureError(f"{draft.source}: no protein found (only {found}); {remedy}")
+        raise StructureError(f"{draft.source}: no protein found{found and f', only {found}'}; {remedy}")
     draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})
     if draft.left_out["deuterium atoms"]:
         draft.repairs.append(f"{draft.left_out['deuterium atoms']} deuterium atoms left out")
@@ -148,6 +149,11 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     )
     draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield))
     return draft
+
+
+def _counted(kind: str, count: int) -> str:
+    """Molecules beside the protein in words: waters, or residues of a name."""
+    return counted(count, "water") if kind == "waters" else f"{counted(count, 'residue')} {kind}"
 
 
 def model_numbers(path: str | Path) -> list[int]:

@@ -3,7 +3,10 @@
 import re
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from protochain import defaults
 from protochain.arrays import Integers
 from protochain.errors import StructureError
 from protochain.structure.convert import to_mdanalysis
@@ -18,7 +21,8 @@ def select(structure: Structure, selection: str) -> np.ndarray:
     structure : Structure
     selection : str
         In the language of MDAnalysis, distances in angstrom: ``resid 5:20 and not backbone``, ``chainID A``,
-        ``around 5 resid 12``.
+        ``around 5 resid 12``. Two words more: ``sidechain``, atoms of the protein beyond the C-alpha, and
+        ``interface``, residues with a heavy atom within 5 angstrom of one of another chain, water aside.
 
     Returns
     -------
@@ -33,16 +37,65 @@ def select(structure: Structure, selection: str) -> np.ndarray:
     from MDAnalysis.exceptions import SelectionError
 
     universe = to_mdanalysis(structure)
+    given = {
+        word: own for word, own in _OWN.items() if re.search(rf"{_AROUND[0]}{word}{_AROUND[1]}", selection)
+    }
+    asked = re.sub(rf"{_AROUND[0]}({'|'.join(_OWN)}){_AROUND[1]}", r"group \1", selection)
+    groups = {word: universe.atoms[own(structure)] for word, own in given.items()}
     try:
-        chosen = universe.select_atoms(selection)
+        chosen = universe.select_atoms(asked, **groups)
     except (SelectionError, ValueError, AttributeError) as error:
         reason = " ".join(str(error).split())
-        raise StructureError(f"selection {selection!r} cannot be read: {reason}") from None
+        raise StructureError(f"selection {selection!r} cannot be read: {reason}; {_EXAMPLES}") from None
     mask = np.zeros(structure.n_atoms, dtype=bool)
     mask[chosen.indices] = True
     if not mask.any():
         raise StructureError(f"{structure.name}: selection {selection!r} selects no atom; change it")
     return mask
+
+
+_AROUND = r"(?<![\w:'-])", r"(?![\w:'-])"
+"""What a word may not be part of."""
+_EXAMPLES = "give it as 'resid 5:20', 'chainID A and sidechain', 'interface' or 'around 5 chainID B'"
+
+
+def moving(structure: Structure, move: str) -> NDArray[np.bool_]:
+    """Atoms (na,) that a selection lets move; ``all`` but obstacles.
+
+    Raises
+    ------
+    StructureError
+        As of :func:`select`; if it selects obstacles only.
+    """
+    free = ~structure.obstacle
+    if move == defaults.MOVE:
+        return free
+    chosen = select(structure, move) & free
+    if not chosen.any():
+        raise StructureError(
+            f"{structure.name}: move {move!r} selects only molecules that stand still; select of the protein"
+        )
+    return chosen
+
+
+def _sidechain(structure: Structure) -> NDArray[np.bool_]:
+    return ~structure.kept & ~np.isin(structure.atom_name, _BACKBONE)
+
+
+def _interface(structure: Structure) -> NDArray[np.bool_]:
+    names, of = structure.residue_name, structure.atom_residue
+    (heavy,) = np.nonzero((structure.atom_element != "H") & (names[of] != "HOH"))
+    pairs = heavy[cKDTree(structure.positions[heavy]).query_pairs(_TOUCHING, output_type="ndarray")]
+    chain = structure.residue_chain[of]
+    residues = of[pairs[chain[pairs[:, 0]] != chain[pairs[:, 1]]]]
+    return np.isin(of, residues)
+
+
+_BACKBONE = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT", "HXT")
+_TOUCHING = 0.5
+"""nm. Distance of heavy atoms of two chains from which on their residues touch, as CAPRI counts contacts."""
+_OWN = {"sidechain": _sidechain, "interface": _interface}
+"""Words that MDAnalysis does not have."""
 
 
 def atoms_at(structure: Structure, place: str) -> Integers:

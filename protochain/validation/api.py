@@ -63,13 +63,15 @@ def validate(source: Any, reference: Any = None, **settings: Any) -> Validation:
     Raises
     ------
     ProtochainError
-        If a file cannot be used, or no residue matches.
+        If a file cannot be used, or no residue matches the reference.
     """
     structure = as_structure(source, **settings)
     found = Found(structure, structure.positions)
     values, table = found.measures(), found.table()
+    mapping: str | None = None
     if reference is not None:
         alike = likeness(structure, measurable(reference))
         values |= alike.measures
+        mapping = alike.match.chain_mapping
         table["lddt"] = alike.lddt[table.index]
-    return Validation(structure, values, table, found.violations, tuple(found.listing()))
+    return Validation(structure, values, table, found.violations, tuple(found.listing()), mapping)

@@ -14,7 +14,6 @@ from protochain.units import ANGSTROM_PER_NM
 from protochain.validation.cbeta import Deviations, cbeta_deviations
 from protochain.validation.clashes import Clashes, clashes
 from protochain.validation.fixed import FixedFaults, fixed_faults
-from protochain.validation.layout import layout
 from protochain.validation.omega import Peptides, omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, Ramachandran, ramachandran
 from protochain.validation.rings import ThreadedRing, threaded_rings

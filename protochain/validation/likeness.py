@@ -80,7 +80,7 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
     Raises
     ------
     ProtochainError
-        If no residue matches.
+        If no residue matches, or the sequences are unrelated.
 
     Notes
     -----
@@ -100,7 +100,7 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
     alpha = reference.atom_name[atoms] == "CA"
     of_alphas = alpha[pairs].all(axis=1)
     there = own != NONE
-    score = tm_score(reference, structure)
+    score = tm_score(reference, structure, found)
     values = {
         "lddt": _mean(kept),
         "lddt_ca": _mean(kept[of_alphas]),

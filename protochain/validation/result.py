@@ -40,6 +40,8 @@ class Validation(Value):
         As AlphaFold counts them.
     findings : tuple of (int, str)
         Index of a residue, and what is wrong with it.
+    chain_mapping : str, optional
+        Chains of the reference and those that they match, as ``A:B,B:A``; None without a reference.
     """
 
     structure: Structure
@@ -47,6 +49,7 @@ class Validation(Value):
     residues: "pd.DataFrame"
     violations: Violations
     findings: tuple[tuple[int, str], ...]
+    chain_mapping: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "measures", MappingProxyType(dict(self.measures)))
@@ -77,6 +80,7 @@ class Validation(Value):
             "structure": s.name, "model": s.model_number, "n_chains": s.n_chains,
             "n_residues": len(self.residues), "n_atoms": s.n_atoms,
             "heavy_atoms_added": int(self.residues["atoms_added"].sum()), **self.measures,
+            **({} if self.chain_mapping is None else {"chain_mapping": self.chain_mapping}),
         }  # fmt: skip
 
     def __repr__(self) -> str:

@@ -309,7 +309,7 @@ NO_ANSWER: dict[str, tuple[Callable[[int], Any], str]] = {
     "a callable whose forces have no shape": (partial(_given, (0.0, None)), "return .energy, forces."),
     "a cutoff below the lists": (
         lambda threads: energy(peptide("GA"), engine="native", cutoff=0.01)(peptide("GA").positions),
-        "a cutoff below",
+        "give 0.5 nm or more",
     ),
 }
 """Attempts, with the words of the refusal expected; a run on a callable ends, with a status that says so."""

@@ -1,0 +1,147 @@
+"""Which chain of a model stands for which of a reference, where several have the same sequence.
+
+Names say nothing of where such chains are, as of haemoglobin's two of each kind. As in AlphaFold-Multimer
+(Evans et al., bioRxiv 2021.10.04.463034) the structures are superposed on one pair of chains, and the others
+are paired by where they then are; here by linear assignment, for each pair, and again after a superposition
+on all pairs found, as by iterative closest points (Besl, McKay, IEEE T-PAMI 14:239, 1992). The number of
+superpositions grows with the square of the number of chains, not with its factorial.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from protochain.arrays import Floats, Integers, Value
+from protochain.structure.superpose import motion_of
+
+_ROUNDS = 20
+"""Superpositions after one start; each lowers the sum of squares, and mostly two are enough."""
+_STARTS = 400
+"""Pairs of chains to begin with: all up to 20 equal chains; of more those of the first of the reference."""
+_SAME = 1e-9
+"""Of the sum of squares about the origin: mappings whose deviations differ by less are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairSums(Value):
+    """Sums over the matched points of each pair of k chains of a reference and m of a model.
+
+    By them a superposition of any of the pairs is found and judged without going through the points again.
+
+    Parameters
+    ----------
+    weight : (k, m) float
+        Number of points; 0 for chains that may not be paired.
+    own, other : (k, m, 3) float
+        Sums of the points of the model and of the reference.
+    across : (k, m, 3, 3) float
+        Sums of products of points of the reference with points of the model.
+    square : (k, m) float
+        Sums of the squares of both.
+    """
+
+    weight: Floats
+    own: Floats
+    other: Floats
+    across: Floats
+    square: Floats
+
+    @classmethod
+    def of(cls, points: dict[tuple[int, int], tuple[Floats, Floats]], k: int, m: int) -> "PairSums":
+        """Sum points (n, 3) of the model and of the reference, given by numbers of their chains (i, j).
+
+        A pair of which fewer points are matched counts as much as the one with most of them.
+        """
+        weight, square = np.zeros((2, k, m))
+        own, other, across = np.zeros((k, m, 3)), np.zeros((k, m, 3)), np.zeros((k, m, 3, 3))
+        most = [max((len(x) for (i, _), (x, _) in points.items() if i == row), default=0) for row in range(k)]
+        for (i, j), (x, y) in points.items():
+            scale = most[i] / len(x)
+            weight[i, j], square[i, j] = most[i], scale * float(np.sum(x**2) + np.sum(y**2))
+            own[i, j], other[i, j], across[i, j] = (
+                scale * x.sum(axis=0),
+                scale * y.sum(axis=0),
+                scale * y.T @ x,
+            )
+        return cls(weight, own, other, across, square)
+
+    def motion(self, rows: Integers, columns: Integers) -> tuple[Floats, Floats]:
+        """Rotation and translation of the model with the least sum of squares over some pairs."""
+        n, own, other, across = (
+            each[rows, columns].sum(axis=0) for each in (self.weight, self.own, self.other, self.across)
+        )
+        return motion_of(across - np.outer(other, own) / n, own / n, other / n)
+
+    def deviations(self, turn: Floats, shift: Floats) -> Floats:
+        """Sums (k, m) of squared distances of all pairs after a motion of the model."""
+        along = self.own @ turn.T @ shift - self.other @ shift
+        return np.asarray(
+            self.square
+            + self.weight * (shift @ shift)
+            + 2.0 * along
+            - 2.0 * np.einsum("ab,ijab->ij", turn, self.across)
+        )
+
+
+def least_deviation(sums: PairSums, first: Integers) -> Integers:
+    """Find the chain of the model for each chain of the reference with the least RMSD.
+
+    Parameters
+    ----------
+    sums : PairSums
+    first : (k,) int
+        Chains of the model to begin with, -1 for none; kept unless others are better.
+
+    Returns
+    -------
+    (k,) int
+        As ``first``, with as many chains at least.
+    """
+    allowed = sums.weight > 0.0
+    best, least = first, _mean_square(sums, first)
+    same = _SAME * float((sums.square / np.maximum(sums.weight, 1.0)).max(initial=0.0))
+    for start in _starts(allowed):
+        found = _settled(sums, allowed, start)
+        off = _mean_square(sums, found)
+        if (found >= 0).sum() >= (best >= 0).sum() and off < least - same:
+            best, least = found, off
+    return best
+
+
+def _starts(allowed: NDArray[np.bool_]) -> Iterator[Integers]:
+    """Mappings of one chain each."""
+    rows, columns = (each[:_STARTS].tolist() for each in np.nonzero(allowed))
+    for row, column in zip(rows, columns, strict=True):
+        start = np.full(len(allowed), -1)
+        start[row] = column
+        yield start
+
+
+def _settled(sums: PairSums, allowed: NDArray[np.bool_], mapping: Integers) -> Integers:
+    """Mapping of all chains, superposed and assigned in turn until it stays."""
+    for _ in range(_ROUNDS):
+        (rows,) = np.nonzero(mapping >= 0)
+        off = sums.deviations(*sums.motion(rows, mapping[rows]))
+        # Beyond any sum of pairs that are allowed, so that as many of these as can be are found.
+        beyond = 1.0 + 2.0 * len(off) * float(np.abs(off[allowed]).max())
+        first, second = linear_sum_assignment(np.where(allowed, off, beyond))
+        found = np.full(len(mapping), -1)
+        kept = allowed[first, second]
+        found[first[kept]] = second[kept]
+        if (found == mapping).all():
+            break
+        mapping = found
+    return mapping
+
+
+def _mean_square(sums: PairSums, mapping: Integers) -> float:
+    """Mean square deviation of the pairs of a mapping, superposed on all of them."""
+    (rows,) = np.nonzero(mapping >= 0)
+    columns = mapping[rows]
+    if not len(rows):
+        return float("inf")
+    off = sums.deviations(*sums.motion(rows, columns))[rows, columns]
+    return float(off.sum() / sums.weight[rows, columns].sum())
