@@ -16,8 +16,8 @@ import protochain as pc
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, listed, origin
 
 PLAIN = {
-    "methods": ("hybrid",), "tolerance": 1.0, "max_rmsd": float("inf"), "max_evaluations": 5000, "seed": 0,
-    "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
+    "methods": ("cartesian",), "tolerance": None, "max_rmsd": float("inf"), "max_evaluations": 5000,
+    "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
     "hinges": "phi psi chi", "root": "auto", "move": "all", "forcefield": "amber14", "solvent": "obc2",
     "engine": "auto", "cutoff": "auto", "trust_forcefield": False, "model": None, "altloc": "",
     "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (),

@@ -36,7 +36,9 @@ class BatchSettings:
     ----------
     methods : tuple of str
         Run one after the other from the same start, as in :func:`protochain.minimise`.
-    tolerance, max_rmsd : float
+    tolerance : float, optional
+        As in :func:`protochain.minimise`, or of several starts as in :func:`protochain.explore`.
+    max_rmsd : float
         As in :func:`protochain.minimise`.
     max_evaluations, seed : int
         As in :func:`protochain.minimise`.
@@ -60,7 +62,7 @@ class BatchSettings:
     """
 
     methods: tuple[str, ...] = (defaults.METHOD,)
-    tolerance: float = defaults.TOLERANCE
+    tolerance: float | None = None
     max_rmsd: float = float("inf")
     max_evaluations: int = defaults.MAX_EVALUATIONS
     seed: int = defaults.SEED
@@ -73,8 +75,8 @@ class BatchSettings:
 
     def __post_init__(self) -> None:
         check_fields(
-            self, methods=several, tolerance=number, max_rmsd=number, max_evaluations=integer, seed=integer,
-            n_starts=integer, spread=number, hop_temperature=optional(number), curvature=flag,
+            self, methods=several, tolerance=optional(number), max_rmsd=number, max_evaluations=integer,
+            seed=integer, n_starts=integer, spread=number, hop_temperature=optional(number), curvature=flag,
         )  # fmt: skip
         object.__setattr__(self, "methods", tuple(dict.fromkeys(self.methods)))
         if not self.methods:
@@ -86,7 +88,7 @@ class BatchSettings:
             )
         for recipe in recipes:
             Minimisation(
-                recipe, self.tolerance, self.max_evaluations, self.seed,
+                recipe, recipe.tolerance(self.tolerance), self.max_evaluations, self.seed,
                 restraint=self.restraint, max_rmsd=self.max_rmsd,
             )  # fmt: skip
         if self.hop_temperature is not None and self.n_starts == 1:
@@ -171,7 +173,7 @@ _IN_MANIFEST = {
     if each.name not in ("setup", "threads", "trust_forcefield")
 }
 _IN_MANIFEST["spread"] = lambda text: math.radians(float(text))
-_IN_MANIFEST["hop_temperature"] = float
+_IN_MANIFEST["hop_temperature"] = _IN_MANIFEST["tolerance"] = float
 """Columns of a manifest beside ``path``, and how the text of a cell is read; angles are in degrees."""
 _COLUMNS = tuple({known: name for name, known in _OF_OPTION.items()}.get(each, each) for each in _IN_MANIFEST)
 

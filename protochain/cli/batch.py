@@ -18,11 +18,11 @@ from protochain.cli.options import (
     MaxEvaluations,
     MaxRmsd,
     NoCurvature,
+    OwnTolerance,
     Restrain,
     Seed,
     Spread,
     Starts,
-    Tolerance,
     with_setup,
 )
 from protochain.cli.terminal import batch_progress, print_batch, print_jobs
@@ -62,7 +62,7 @@ def batch(
     null: ByNul = False,
     resume: Resume = False,
     dry_run: DryRun = False,
-    tolerance: Tolerance = defaults.TOLERANCE,
+    tolerance: OwnTolerance = None,
     max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
     max_rmsd: MaxRmsd = None,
     restrain: Restrain = "",
