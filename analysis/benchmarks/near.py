@@ -30,6 +30,7 @@ import made
 import numpy as np
 import pandas as pd
 from made import SAMPLES
+from matplotlib.figure import Figure
 from relax import MANY_OF, models
 from scipy.integrate import BDF
 from scipy.spatial.transform import Rotation
@@ -253,6 +254,28 @@ def check(structure: pc.Structure, limit: float) -> None:
     print(f"{structure.name} descent: {all_atoms(rough[last], fine[last]):.1e} angstrom apart", flush=True)
 
 
+def curves(table: pd.DataFrame) -> Figure:
+    """Medians of RMSD, energy above the lowest and seconds against tolerance."""
+    lowest = table[~table["method"].isin(["lbfgs", "descent"])].groupby("structure")["energy_kj_mol"].min()
+    above = (table["energy_kj_mol"] - table["structure"].map(lowest)) * 100.0 / table["residues"]
+    shown = {
+        "ca_rmsd_angstrom": "C-alpha RMSD to the start, angstrom",
+        "above": "energy above the lowest end, kJ/mol per 100 residues", "cpu_seconds": "CPU seconds",
+    }  # fmt: skip
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    for axes, (column, label) in zip(figure.subplots(1, 3), shown.items(), strict=True):
+        for method in METHODS:
+            medians = (
+                table.assign(above=above)[table["method"] == method].groupby("tolerance")[column].median()
+            )
+            axes.plot(medians.index, medians, "o-", label=method)
+        axes.set(xscale="log", xlabel="tolerance, kJ/mol/nm (lbfgs: kJ/mol/rad)", ylabel=label)
+        axes.set_yscale("linear" if column == "ca_rmsd_angstrom" else "log")
+        axes.invert_xaxis()
+    axes.legend(frameon=False)
+    return figure
+
+
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__)
     own.add_argument("structures", nargs="*", type=Path, metavar="STRUCTURE")
@@ -294,6 +317,8 @@ def main() -> None:
     print(table.groupby(["method", "tolerance"])[["ca_rmsd_angstrom", "cpu_seconds"]].median().to_string())
     print(shares.groupby("method")["same"].mean().to_string())
     if options.output:
+        options.output.mkdir(parents=True, exist_ok=True)
+        curves(table).savefig(options.output / "near.png", dpi=150)
         inputs = [*options.structures, *options.models, f"{options.made} damaged copies of samples"]
         made.write(table.round(4), options.output / "near.csv", inputs)
         made.write(shares.round(4), options.output / "near_basins.csv", inputs)
