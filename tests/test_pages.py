@@ -28,7 +28,7 @@ import tables_more  # noqa: E402
 
 benchmarks = importlib.import_module("all")
 HELPERS = {
-    "all", "made", "pages", "relax_openmm", "tables", "tables_curves", "tables_kcm", "tables_more",
+    "all", "made", "pages", "relax_openmm", "tables", "tables_curves", "tables_kcm", "tables_near", "tables_more",
     "tables_scenes",
 }  # fmt: skip
 NOTEBOOKS = sorted((ROOT / "analysis" / "notebooks").glob("*.ipynb"))

@@ -86,7 +86,7 @@ def minimise(
     tolerance : float, optional
         Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force (kJ/mol/nm), as
         recomputed in double precision, is no larger. Default: 1 kJ/mol/rad, or 10 kJ/mol/nm, which leaves a
-        structure nearer to its start than 1 does, some kJ/mol per residue above the minimum.
+        structure nearer to its start than 1 does, some tenths of kJ/mol per residue above the minimum.
     max_evaluations : int
         Energy evaluations allowed.
     seed : int
