@@ -28,8 +28,8 @@ import tables_more  # noqa: E402
 
 benchmarks = importlib.import_module("all")
 HELPERS = {
-    "all", "made", "pages", "relax_openmm", "tables", "tables_curves", "tables_kcm", "tables_near", "tables_more",
-    "tables_scenes",
+    "all", "made", "pages", "relax_openmm", "tables", "tables_curves", "tables_kcm", "tables_more",
+    "tables_near", "tables_scenes",
 }  # fmt: skip
 NOTEBOOKS = sorted((ROOT / "analysis" / "notebooks").glob("*.ipynb"))
 TEXTS = {
