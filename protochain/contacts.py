@@ -188,7 +188,7 @@ def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> lis
         elif groups is not None and set(groups[i]) & set(groups[j]) - {-1}:
             remedy = "they are of one rigid body: only cartesian, hybrid or openmm can part them"
         else:
-            remedy = "turning bonds can part them: hybrid, lbfgs and newton do so first"
+            remedy = "turning bonds can part them: cartesian, hybrid, lbfgs and newton do so first"
         found.append(
             Overlap(
                 structure.describe(i), structure.describe(j), float(ANGSTROM_PER_NM * distance[k]),

@@ -18,12 +18,17 @@ KEEP = ("near",)
 """Molecules kept beside the protein as fixed obstacles: all but waters, if an atom is near the protein."""
 KEEP_WITHIN = 5.0  # angstrom from a heavy atom of the protein
 
-METHOD = "hybrid"
+METHOD = "cartesian"  # ends near its start
 FRAME_METHOD = "lbfgs"  # keeps the bond lengths and angles of the dynamics that made the frames
-COMPARED = ("kcm", "md", "lbfgs", "hybrid", "openmm")
-"""The two methods of the original comparison, the best in torsions, the best of all, and the reference."""
+COMPARED = ("kcm", "md", "lbfgs", "cartesian", "openmm")
+"""The two methods of the original comparison, the best in torsions, the default, and the reference."""
 REPEATS = 3
-TOLERANCE = 1.0  # kJ/mol/rad of the largest torque, or kJ/mol/nm of the RMS force
+TOLERANCE = 1.0
+"""kJ/mol/rad of the largest torque, or kJ/mol/nm of the RMS force: where hinges turn, and where minima are
+compared (:func:`protochain.compare`, many starts)."""
+TOLERANCE_IN_ALL_ATOMS = 10.0
+"""kJ/mol/nm, OpenMM's default, of a minimisation by itself: its end is near the start, and lower by nearly as
+much as the minimum. The curve is in analysis/README.md."""
 MAX_EVALUATIONS = 5000
 SEED = 0
 PRESET = "predicted"

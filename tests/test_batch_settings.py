@@ -88,7 +88,7 @@ def test_a_manifest_is_resumed_with_its_own_settings_only(tmp_path, monkeypatch)
     assert go(f"{first},lbfgs,", f"{second},kcm,vacuum", resume=True) == []
     for row, said in (
         (f"{second},kcm,gbn2", "solvent vacuum, not gbn2"),
-        (f"{second},,", "methods kcm, not hybrid"),
+        (f"{second},,", "methods kcm, not cartesian"),
     ):
         with pytest.raises(pc.ProtochainError, match=rf"results for .*1l2y\.pdb with {said}"):
             go(f"{first},lbfgs,", row, resume=True)

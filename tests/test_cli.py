@@ -59,8 +59,8 @@ def test_json_is_one_object_and_the_files_are_there(tmp_path):
 def test_minimise_says_what_it_did_and_ends_with_0_when_converged(tmp_path):
     done = protochain("minimize", STRUCTURES / "ala10.pdb", cwd=tmp_path)
     assert done.returncode == 0
-    assert "converged" in done.stdout and "written: ala10.hybrid.pdb" in done.stdout
-    assert (tmp_path / "ala10.hybrid.pdb").exists()
+    assert "converged" in done.stdout and "written: ala10.cartesian.pdb" in done.stdout
+    assert (tmp_path / "ala10.cartesian.pdb").exists()
     assert max(map(len, done.stdout.splitlines())) <= 80
 
 
@@ -199,7 +199,7 @@ def test_force_lets_the_input_be_replaced(tmp_path):
     path = tmp_path / "in.pdb"
     path.write_text((STRUCTURES / "ala10.pdb").read_text())
     assert protochain("minimise", "in.pdb", "-o", "in.pdb", "--force", cwd=tmp_path).returncode == 0
-    assert "METHOD hybrid" in path.read_text()
+    assert "METHOD cartesian" in path.read_text()
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])

@@ -212,8 +212,8 @@ def test_batch_hands_its_options_on(batched, capsys):
     assert more == {
         "manifest": None, "resume": False, "workers": None, "scheduler": None, "threads": 1,
         "time_limit": 3600.0,
-        "methods": ("hybrid",), "tolerance": None, "max_rmsd": math.inf, "max_evaluations": 5000, "seed": 0,
-        "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
+        "methods": ("cartesian",), "tolerance": None, "max_rmsd": math.inf, "max_evaluations": 5000,
+        "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
         "setup": Setup(), "relaxing": Relaxing(),
     }  # fmt: skip
     assert capsys.readouterr().out == "done 1 'page'\n"

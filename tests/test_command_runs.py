@@ -111,7 +111,7 @@ def asked(monkeypatch):
 
 
 DEFAULTS = {
-    "method": "hybrid", "tolerance": 1.0, "max_evaluations": 5000, "seed": 0, "restraint": "",
+    "method": "cartesian", "tolerance": None, "max_evaluations": 5000, "seed": 0, "restraint": "",
     "max_rmsd": math.inf,
 }  # fmt: skip
 
@@ -169,7 +169,7 @@ def test_a_start_with_overlaps_is_foretold_to_take_longer(asked, tmp_path, monke
     asked.troubled = True
     assert run("minimise", "a.pdb") == 0
     assert run("minimise", "a.pdb", "--max-evaluations", 200) == 0
-    assert asked.foretold == [(3 * typical_evaluations("hybrid", 5000), 5000), (200, 200)]
+    assert asked.foretold == [(3 * typical_evaluations("cartesian", 5000), 5000), (200, 200)]
 
 
 @pytest.mark.parametrize(
@@ -181,8 +181,8 @@ def test_many_starts_are_explored(options, spread, hop, asked, tmp_path, monkeyp
     monkeypatch.setattr(MINIMISE, "print_distribution", lambda summary: print("distribution", summary))
     assert run("minimise", "a.pdb", "--starts", 4, *options) == 0
     assert asked.runs == [DEFAULTS | {"n_starts": 4, "spread": spread, "hop_temperature": hop}]
-    assert asked.shown[0][:2] == ("hybrid", 5000)
-    assert asked.foretold == [(4 * typical_evaluations("hybrid", 5000), 20_000)]
+    assert asked.shown[0][:2] == ("cartesian", 5000)
+    assert asked.foretold == [(4 * typical_evaluations("cartesian", 5000), 20_000)]
     assert capsys.readouterr().out.startswith("distribution {'n': 1}\n")
     assert run("minimise", "a.pdb", "--starts", 2, "--json") == 0
     assert json.loads(capsys.readouterr().out)["starts"] == [1]

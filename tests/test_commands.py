@@ -26,8 +26,9 @@ SETUP = {
     "keep": None, "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
 }  # fmt: skip
 OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}
+OWN = {**RUN, "tolerance": None}
 MINIMISE = {
-    "source": None, **OUTPUT, "method": "hybrid", "angle": None, **RUN, "restrain": "", "max_rmsd": None,
+    "source": None, **OUTPUT, "method": "cartesian", "angle": None, **OWN, "restrain": "", "max_rmsd": None,
     "starts": 1, "spread": None, "hop": None, "checkpoint": None, "resume": None, "trace": None,
     "trajectory": None, "report": None, "no_curvature": False, "one_file": False, "seed": 0, **AS_JSON,
     "force": False, **SETUP,
@@ -38,14 +39,14 @@ COMMANDS = {
     "minimise": MINIMISE,
     "minimize": MINIMISE,
     "compare": {
-        "source": None, **OUTPUT, "methods": "kcm,md,lbfgs,hybrid,openmm", "repeats": 3, "reference": None,
+        "source": None, **OUTPUT, "methods": "kcm,md,lbfgs,cartesian,openmm", "repeats": 3, "reference": None,
         **RUN, "no_curvature": False, "seed": 0, **AS_JSON, "force": False,
         **{k: v for k, v in SETUP.items() if k != "move"},
     },
     "batch": {
-        "inputs": None, "output": Path("batch"), "methods": "hybrid", "manifest": None, "workers": None,
+        "inputs": None, "output": Path("batch"), "methods": "cartesian", "manifest": None, "workers": None,
         "scheduler": None, "threads": 1, "time_limit": 3600.0, "null": False, "resume": False,
-        "dry_run": False, **RUN, "max_rmsd": None, "restrain": "", "starts": 1, "spread": None, "hop": None,
+        "dry_run": False, **OWN, "max_rmsd": None, "restrain": "", "starts": 1, "spread": None, "hop": None,
         "no_curvature": False, "seed": 0, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_BATCH},
     },

@@ -16,12 +16,11 @@ from conftest import STRUCTURES
 
 import protochain as pc
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, listed, origin
-from protochain.defaults import TOLERANCE
 from protochain.relaxation import Relaxing
 
 PLAIN = {
-    "methods": ("hybrid",), "tolerance": None, "max_rmsd": float("inf"), "max_evaluations": 5000, "seed": 0,
-    "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
+    "methods": ("cartesian",), "tolerance": None, "max_rmsd": float("inf"), "max_evaluations": 5000,
+    "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
     "hinges": "phi psi chi", "root": "auto", "move": "all", "forcefield": "amber14", "solvent": "obc2",
     "engine": "auto", "cutoff": "auto", "trust_forcefield": False, "model": None, "altloc": "",
     "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (),
@@ -77,9 +76,9 @@ def test_one_tolerance_is_that_of_all_methods():
         BatchSettings(("relax", "lbfgs"), relaxing=Relaxing(tolerance=7.0)).changed(tolerance=5.0),
         BatchSettings(("relax", "lbfgs")).read({"tolerance": "5"}),
     ):
-        assert settings.tolerance == settings.relaxing.tolerance == settings.of_minimising == 5.0
+        assert settings.tolerance == settings.relaxing.tolerance == 5.0
     usual = BatchSettings(("relax", "lbfgs"))
-    assert (usual.of_minimising, usual.relaxing.strength.tolerance) == (TOLERANCE, 10.0)
+    assert (usual.tolerance, usual.relaxing.strength.tolerance) == (None, 10.0)
 
 
 def test_a_setting_that_no_method_has_is_refused(tmp_path):

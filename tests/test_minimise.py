@@ -358,7 +358,7 @@ def test_a_file_a_structure_or_a_chain_may_be_given():
 
     by_file = pc.minimise(STRUCTURES / "ala10.pdb", max_evaluations=5)
     by_structure = pc.minimize(load("ala10.pdb"), max_evaluations=5)
-    assert by_file.method == by_structure.method == "hybrid"
+    assert by_file.method == by_structure.method == "cartesian"
     assert by_file.end.energy == pytest.approx(by_structure.end.energy, abs=1e-2)
 
 

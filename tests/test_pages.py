@@ -29,7 +29,7 @@ import tables_more  # noqa: E402
 benchmarks = importlib.import_module("all")
 HELPERS = {
     "all", "made", "pages", "relax_openmm", "tables", "tables_curves", "tables_kcm", "tables_more",
-    "tables_scenes",
+    "tables_near", "tables_scenes",
 }  # fmt: skip
 NOTEBOOKS = sorted((ROOT / "analysis" / "notebooks").glob("*.ipynb"))
 TEXTS = {

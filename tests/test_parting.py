@@ -1,6 +1,7 @@
 """Overlaps parted by moves that stay local, bonds drawn out of rings, and what is said of both."""
 
 import warnings
+from dataclasses import replace
 
 import models
 import numpy as np
@@ -13,8 +14,11 @@ from protochain.contacts import overlaps
 from protochain.energies.bonded import bonded_part
 from protochain.errors import StrayWarning
 from protochain.minimisers import RECIPES, Stop, springs, verdict
-from protochain.minimisers.outlook import FAR, Straying, is_crowded, outlook, strayed
+from protochain.minimisers.curvature import near_terms
+from protochain.minimisers.metrics import Damped
+from protochain.minimisers.outlook import FAR, Straying, how_far, is_crowded, outlook, strayed
 from protochain.minimisers.parting import parting_in_all_atoms, parting_in_torsions
+from protochain.minimisers.problem import evaluate
 from protochain.minimisers.restraints import Bound, SoftRepulsion
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import walk
@@ -145,7 +149,7 @@ def test_a_threaded_ring_is_freed_and_the_fold_kept(planted):
     assert np.abs(lengths[0] - lengths[1]).max() < 0.01
 
 
-@pytest.mark.parametrize("method", ["hybrid", "lbfgs"])
+@pytest.mark.parametrize("method", ["cartesian", "lbfgs"])
 def test_overlaps_are_parted_near_the_start(method):
     s = models.with_random_side_chains(load("1vii.pdb"), 4, chis=1)
     assert len(overlaps(s, s.positions)) > 10
@@ -214,15 +218,47 @@ def test_a_watcher_or_a_warning_says_that_a_run_strays_and_the_message_too():
 
     r = pc.minimise(c, pull, "cartesian", tolerance=0.01, watch=Watch())
     assert len(told) == 1 and told[0].endswith("pc.relax keeps the fold")
-    assert r.message.endswith(f"{r.ca_rmsd_angstrom:.1f} angstrom from a start whose atoms overlapped; "
-                              "pc.relax keeps the fold")  # fmt: skip
+    assert r.message.endswith(
+        f"; {r.ca_rmsd_angstrom:.1f} angstrom from a start whose atoms overlapped; pc.relax keeps the fold; "
+        "to stay nearer: --restrain or --max-rmsd (restraint=, max_rmsd= in Python)"
+    )
     with pytest.warns(StrayWarning, match="angstrom from a start whose atoms overlapped"):
         pc.minimise(c, pull, "cartesian", tolerance=0.01)
     calm = chain("1l2y.pdb")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         r = pc.minimise(calm, stretched(calm.structure.positions), "cartesian", tolerance=0.01)
-    assert r.ca_rmsd_angstrom > FAR and "start" not in r.message
+    # Nothing is said on the way, but the end says so, whatever the start.
+    assert r.ca_rmsd_angstrom > FAR and r.ended in r.message and "start" not in r.ended
+    assert r.message.endswith(
+        f"; {r.ca_rmsd_angstrom:.1f} angstrom from its start; "
+        "to stay nearer: --restrain or --max-rmsd (restraint=, max_rmsd= in Python)"
+    )
+    near = pc.minimise(calm, stretched(calm.structure.positions), "cartesian", max_evaluations=1)
+    assert near.message == near.ended
+
+
+def test_what_keeps_a_run_nearer_depends_on_the_method_and_the_start():
+    s, held = load("1l2y.pdb"), "--restrain or --max-rmsd (restraint=, max_rmsd= in Python)"
+    for name, near in (
+        ("cartesian", held), ("openmm", f"cartesian with {held}"), ("openmm-md", f"cartesian with {held}"),
+        *((name, f"cartesian, {held}") for name in ("hybrid", "lbfgs", "kcm", "md", "anneal")),
+    ):  # fmt: skip
+        assert how_far(FAR, RECIPES[name], s, False) == how_far(np.nan, RECIPES[name], s, False) == ""
+        said = how_far(2.31, RECIPES[name], s, False)
+        assert said == f"2.3 angstrom from its start; to stay nearer: {near}"
+    assert how_far(2.31, RECIPES["lbfgs"], s, True) == (
+        "2.3 angstrom from the structure given; to stay nearer: a smaller spread"
+    )
+
+
+def test_the_best_of_many_starts_says_how_far_the_structure_given_is():
+    c = chain("1l2y.pdb")
+    found = pc.explore(c, energy("1l2y.pdb"), "lbfgs", 2, seed=3, spread=1.5, max_evaluations=30)
+    first, second = found.solutions
+    assert second.ca_rmsd_angstrom > FAR and "from its start" not in second.message
+    assert f"; {second.ca_rmsd_angstrom:.1f} angstrom from the structure given; " in second.message
+    assert first.message == first.ended
 
 
 def test_what_is_wrong_with_a_start_is_said_before(planted):
@@ -240,8 +276,21 @@ def test_what_is_wrong_with_a_start_is_said_before(planted):
     assert "does not part overlaps" in outlook(planted, RECIPES["kcm"])[-1]
     assert "draws bonds out" in outlook(planted, RECIPES["cartesian"])[-1]
     s = crowded().structure
-    assert "does not part overlaps" in outlook(s, RECIPES["cartesian"])[-1]
+    assert outlook(s, RECIPES["cartesian"])[-1].startswith("cartesian: parts overlaps while springs hold")
     assert "by turning bonds" in outlook(s, RECIPES["lbfgs"])[-1]
+
+
+def test_the_metric_is_damped_in_proportion_to_the_rms_force():
+    c, e = chain("1l2y.pdb"), energy("1l2y.pdb")
+    space = spaces(c, near_terms(e))[1]
+    at = evaluate(space, e, space.start(c.structure.positions))
+    pull = np.random.default_rng(0).normal(size=at.torque.shape)
+    damped, plain = Damped(damping=300.0).at(space, at), space.stiffness(at)
+    step = damped(pull)
+    # (P + d) s = f and P t = f - d s: one solution by the other metric.
+    assert plain(pull - 300.0 * at.residual * step) == pytest.approx(step, rel=1e-6, abs=1e-12)
+    calm = replace(at, residual=0.0)
+    assert np.array_equal(Damped().at(space, calm)(pull), plain(pull))
 
 
 @pytest.mark.parametrize("met", [True, False])
@@ -251,7 +300,7 @@ def test_a_ring_left_threaded_is_a_clash(planted, met, monkeypatch):
     status, message = verdict.verdict(Stop.TOLERANCE, met, "so far", s, s.positions, 5)
     assert (status, message) == (
         "clash",
-        f"clash: {ring}; hybrid and pc.relax try to draw it out; otherwise build these side chains anew; "
+        f"clash: {ring}; cartesian and pc.relax try to draw it out; otherwise build these side chains anew; "
         "so far",
     )
     assert verdict.verdict(Stop.INTERRUPTED, met, "so far", s, s.positions, 5)[0] == "interrupted"

@@ -17,7 +17,7 @@ from protochain.minimisers.fire import Fire, FireState
 from protochain.minimisers.kcm import KCM, Proportional, by_largest, by_length, by_sign
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Stop
-from protochain.minimisers.metrics import Euclidean, Mass, Stiffness
+from protochain.minimisers.metrics import Damped, Euclidean, Mass, Stiffness
 from protochain.minimisers.newton import Newton, PseudoTransient, PseudoTransientState
 from protochain.minimisers.parting import FIRM, once_ordinary
 from protochain.minimisers.restraints import SOFT_TETHER, Bound, Given, Hold, SoftRepulsion, Tethers
@@ -46,6 +46,8 @@ TYPICAL = {"newton": 400, "lbfgs": 50}
 NEAR = Descent(LBFGS(Stiffness(5), 5), StrongWolfe())
 BY_LBFGS = Run(NEAR, by_springs=Descent(LBFGS(Stiffness(20), 100), StrongWolfe()))
 ALL_ATOMS = Run(NEAR, in_torsions=False, by_springs=Descent(LBFGS(Stiffness(40), 100), StrongWolfe()))
+NEARBY = replace(ALL_ATOMS, method=Descent(LBFGS(Damped(5, 300.0), 5), StrongWolfe()))
+"""The default: what all atoms do, damped in proportion to the RMS force."""
 
 
 def test_each_method_in_torsions_is_as_documented():
@@ -75,7 +77,7 @@ def test_dynamics_run_to_their_end_and_end_in_a_minimum():
 def test_the_other_methods_are_as_documented():
     expected = (
         Recipe("lbfgs", (BY_LBFGS,), True, typical=TYPICAL["lbfgs"]),
-        Recipe("cartesian", (ALL_ATOMS,), False, typical=100),
+        Recipe("cartesian", (NEARBY,), True, typical=100),
         Recipe("hybrid", (replace(BY_LBFGS, tolerance=300.0), ALL_ATOMS), True, typical=100),
         Recipe("openmm", (), False, False, True, 1500),
         Recipe("openmm-md", (), False, True, True, 3000),
@@ -170,7 +172,7 @@ def test_the_last_run_is_repeated_for_each_restraint():
 
 def test_the_springs_of_a_restraint_are_in_the_metric():
     c, e = chain("ala10.pdb"), energy("ala10.pdb")
-    for name in ("hybrid", "newton", "kcm-stiffness"):
+    for name in ("cartesian", "hybrid", "newton", "kcm-stiffness"):
         *_, last_held, free = RECIPES[name].plan(c, e, e, 2.0, Hold((100.0, 0.0), term=term), 0)
         metric = last_held.method.direction.metric
         assert (
@@ -237,6 +239,25 @@ def test_methods_that_may_move_all_atoms_part_overlaps_with_all_atoms():
     # A callable has no bonds to hold the molecule together: torsions part the atoms.
     own = pc.energies.as_energy(lambda x: (0.0, 0.0 * x), c.structure)
     assert RECIPES["hybrid"].plan(c, own, own, 2.0, Hold(), 0)[0].space is spaces(c)[0]
+
+
+def test_all_atoms_are_parted_near_their_start_and_then_all_go():
+    c, e = crowded(), energy("1l2y.pdb")
+    atoms = spaces(c, near_terms(e))[1]
+    *parting, free = RECIPES["cartesian"].plan(c, e, e, 5.0, Hold(), 0)
+    names = [stage.name for stage in parting]
+    assert names == ["parting overlaps", *["held by springs"] * 3] and free.name == "all atoms"
+    assert all(stage.space is atoms for stage in (*parting, free)) and free.tolerance == 5.0
+    # Without overlaps all atoms go at once, however large the torques: they have no levers.
+    for torque in (0.0, 1e9, np.inf):
+        (only,) = RECIPES["cartesian"].plan(chain("1l2y.pdb"), e, e, 5.0, Hold(), 0, torque)
+        assert only.name == "all atoms" and only.method == NEARBY.method
+
+
+def test_the_default_tolerance_is_of_what_moves_last():
+    assert [RECIPES[name].tolerance() for name in ("cartesian", "hybrid", "openmm")] == [10.0] * 3
+    assert [RECIPES[name].tolerance() for name in ("lbfgs", "kcm", "md")] == [1.0] * 3
+    assert RECIPES["cartesian"].tolerance(0.5) == 0.5
 
 
 @pytest.mark.parametrize(("torque", "parts"), [(9e4, False), (2e5, True), (np.nan, True), (np.inf, True)])

@@ -31,7 +31,7 @@ def solution(**changed):
     c = chain("ala10.pdb")
     made = Solution(
         recipe=RECIPES["lbfgs"], chain=c, energy_function=ENERGY, constant_terms={"bonds": 3, "angles": 4},
-        q=c.q0, x=c.structure.positions, energy=-12.25, status=Status.BUDGET, message="budget: used",
+        q=c.q0, x=c.structure.positions, energy=-12.25, status=Status.BUDGET, ended="budget: used",
         n_iterations=5, n_evaluations=6, seconds=1.5, trace=None, start=Judgement(-10.0, 300.0, 40.0),
         end=Judgement(-12.5, 30.0, 4.0), frame=Frame(c.structure), ca_rmsd_angstrom=0.25, tolerance=1.0,
         hold=Hold((100.0,), 0.5), seed=9, lowest_eigenvalue=7.5,

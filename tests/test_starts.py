@@ -135,7 +135,7 @@ def test_an_interrupt_leaves_out_the_starts_that_follow(given):
     given.ends += [(-1.0, None), (-3.0, None, 0.0, 1, 1.0, Status.INTERRUPTED)]
     found = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), n_starts=5)
     assert len(found.solutions) == len(given.calls) == 2 and found.accepted == (True, True)
-    assert given.calls[0][2:4] == ("hybrid", 0) and given.calls[1][0][1] == 0.2
+    assert given.calls[0][2:4] == ("cartesian", 0) and given.calls[1][0][1] == 0.2
 
 
 def test_hops_start_from_the_last_accepted_minimum(given, monkeypatch):

@@ -328,6 +328,19 @@ def test_the_summary_names_methods_that_did_not_arrive():
     assert not list(kcm_summary.unfinished(made_up([{"kcm-0.05": 1}], left=0.5)))
 
 
+def test_minima_lie_so_far_from_deposited_structures():
+    runs = made_up([{"kcm-0.05": 1, "openmm": 2}] * 3)
+    assert kcm_summary.deposited(runs).empty
+    runs["start"] = ["deposited"] * 4 + ["extended"] * 2
+    runs["polished_rmsd_start_angstrom"] = [1.0, 9.0, 3.0, 9.0, 9.0, 9.0]
+    # OpenMM's ends are as they are: the polish is in torsions.
+    runs["rmsd_start_angstrom"] = [8.0, 0.5, 8.0, 0.7, 8.0, 8.0]
+    table = kcm_summary.deposited(runs).set_index("method")
+    assert table["starts"].tolist() == [2, 2]
+    assert table["median_angstrom"].tolist() == pytest.approx([2.0, 0.6])
+    assert table["largest_angstrom"].tolist() == [3.0, 0.7]
+
+
 def test_equal_cost_counts_only_starts_that_all_methods_ran_from():
     runs = made_up([{"kcm-0.05": 1, "lbfgs": 2}] * 3 + [{"kcm-0.05": 1}])
     table = kcm_summary.cost(runs).set_index("method")

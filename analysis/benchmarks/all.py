@@ -123,6 +123,7 @@ JOBS = (
     Job("kinds", f"{HERE}/kinds.py -o DIR", 15),
     Job("race", f"{HERE}/race.py --forces gbsa,vacuum {RACED} -o DIR", 6),
     Job("race-custom", f"{HERE}/race.py --forces obc2 {RACED_CUSTOM} -o DIR", 15),
+    Job("near", f"{HERE}/near.py {SAMPLES} {SMALL} {LARGER} --models {RELAXED} --made 7 -o DIR", 60),
     Job(
         "precision", f"protochain bench precision --only minimisers {SAMPLES} {SMALL} {LARGER} -o DIR", 25,
         "protochain bench precision --only minimisers structures/ala10.pdb -o DIR",
@@ -140,7 +141,10 @@ JOBS = (
     Job(
         "kcm", f"protochain bench kcm {STARTED} {SMALL} -o DIR --jobs 2 --minutes 240", 240,
         "protochain bench kcm --quick -o DIR",
-        {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in ("contrasts", "cost", "ends", "shares")}
+        {
+            f"{name}.csv": (f"kcm_{name}.csv", ())
+            for name in ("contrasts", "cost", "deposited", "ends", "shares")
+        }
         | {"runs.csv": ("kcm_runs.csv", OF_RUNS)},
     ),
     Job("relax", f"{HERE}/relax.py {RELAXED} --made 4 -o DIR", 16),

@@ -107,7 +107,7 @@ def closures(folder: Path, quick: bool) -> pd.DataFrame:
             **_lengths("start", s.positions, first, second),
         }
         for method in METHODS:
-            r = pc.minimise(chain, energy, method, max_evaluations=100 if quick else BUDGET)
+            r = pc.minimise(chain, energy, method, 1.0, 100 if quick else BUDGET)
             row |= _lengths(method, r.x, first, second)
         rows.append(row)
     return pd.DataFrame(rows)

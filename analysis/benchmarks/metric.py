@@ -38,7 +38,7 @@ class Clock:
 def needed(chain: pc.Chain, energy: object, method: str) -> dict[str, float]:
     """Evaluations and seconds of one run, and its end."""
     clock, began = Clock(), process_time()
-    found = pc.minimise(chain, energy, method, watch=clock)
+    found = pc.minimise(chain, energy, method, 1.0, watch=clock)
     lowest = np.minimum.accumulate(found.trace["energy_kj_mol"].to_numpy())
     row: dict[str, float] = {"end_kj_mol": found.end.energy}
     for above in ABOVE:

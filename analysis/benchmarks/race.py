@@ -120,7 +120,7 @@ def races(path: Path, force: str):
     else:
         system = build_system(structure, "amber14", solvent)
     energy = pc.energy(structure, solvent=solvent, threads=THREADS)
-    ours = {method: pc.minimise(chain, energy, method) for method in METHODS}
+    ours = {method: pc.minimise(chain, energy, method, TOLERANCES[-1]) for method in METHODS}
     near = NEAR * structure.n_residues
     for tolerance in TOLERANCES:
         trace = Trace()

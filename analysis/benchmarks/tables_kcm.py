@@ -48,6 +48,15 @@ def kcm_cost(results: Path) -> str:
     )  # fmt: skip
 
 
+@table("kcm-deposited")
+def kcm_deposited(results: Path) -> str:
+    """How far minima lie from deposited structures, by method."""
+    return of_rows(
+        pd.read_csv(results / "kcm_deposited.csv"), ("method", "`{method}`"), ("starts", "{starts}"),
+        ("median, angstrom", "{median_angstrom:.2f}"), ("largest", "{largest_angstrom:.2f}"),
+    )  # fmt: skip
+
+
 @table("kcm-words")
 def kcm_words(results: Path) -> str:
     """What the study's shares say."""

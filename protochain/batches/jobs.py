@@ -51,7 +51,8 @@ class BatchSettings:
     methods : tuple of str
         Run one after the other from the same start: those of :func:`protochain.minimise`, and ``relax``.
     tolerance : float, optional
-        As in :func:`protochain.minimise` and :func:`protochain.relax`; by default, that of each.
+        As in :func:`protochain.minimise`, :func:`protochain.relax`, or :func:`protochain.explore` of several
+        starts; by default, that of each.
     max_rmsd : float
         As in :func:`protochain.minimise`.
     max_evaluations, seed : int
@@ -110,7 +111,7 @@ class BatchSettings:
             )
         for recipe in recipes:
             Minimisation(
-                recipe, self.of_minimising, self.max_evaluations, self.seed,
+                recipe, recipe.tolerance(self.tolerance), self.max_evaluations, self.seed,
                 restraint=self.restraint, max_rmsd=self.max_rmsd,
             )  # fmt: skip
         object.__setattr__(self, "relaxing", replace(self.relaxing, tolerance=tolerance))
@@ -120,11 +121,6 @@ class BatchSettings:
             raise ProtochainError("hop_temperature: needs several minima; give n_starts 2 or more")
         held = {} if self.n_starts == 1 else {"restraint": self.restraint, "max_rmsd": self.max_rmsd}
         check_starts(self.n_starts, self.spread, self.hop_temperature, **held)
-
-    @property
-    def of_minimising(self) -> float:
-        """Tolerance of the minimisations."""
-        return defaults.TOLERANCE if self.tolerance is None else self.tolerance
 
     @property
     def of_relaxing(self) -> Setup:

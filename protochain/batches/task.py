@@ -135,13 +135,13 @@ def _run(
 
     if s.n_starts == 1:
         solution = minimise(
-            chain, energy, method, s.of_minimising, s.max_evaluations, s.seed,
+            chain, energy, method, s.tolerance, s.max_evaluations, s.seed,
             restraint=s.restraint, max_rmsd=s.max_rmsd, curvature=s.curvature,
         )  # fmt: skip
         return solution, {"n_starts": 1}
     found = explore(
         chain, energy, method, s.n_starts, seed=s.seed, spread=s.spread, hop_temperature=s.hop_temperature,
-        tolerance=s.of_minimising, max_evaluations=s.max_evaluations, curvature=s.curvature,
+        tolerance=s.tolerance, max_evaluations=s.max_evaluations, curvature=s.curvature,
     )  # fmt: skip
     overall = found.overall()
     return found.best, overall.pop("starts_summary") | overall

@@ -19,6 +19,7 @@ from protochain.cli.options import (
     MaxEvaluations,
     MaxRmsd,
     NoCurvature,
+    OwnTolerance,
     Restrain,
     Scheduler,
     Seed,
@@ -56,13 +57,6 @@ TimeLimit = Annotated[float, typer.Option(help="Seconds after which a structure 
 ByNul = Annotated[
     bool, typer.Option("--null", "-0", help="Names on standard input have NULs between them: find -print0.")
 ]
-Tolerance = Annotated[
-    float | None,
-    typer.Option(
-        help="Largest torque (kJ/mol/rad) at convergence, or RMS force (kJ/mol/nm) where all atoms move "
-        "[default: that of each method]."
-    ),
-]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder, with the same settings.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
 
@@ -80,7 +74,7 @@ def batch(
     null: ByNul = False,
     resume: Resume = False,
     dry_run: DryRun = False,
-    tolerance: Tolerance = None,
+    tolerance: OwnTolerance = None,
     max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
     max_rmsd: MaxRmsd = None,
     restrain: Restrain = "",

@@ -24,11 +24,11 @@ from protochain.cli.options import (
     MaxEvaluations,
     MaxRmsd,
     NoCurvature,
+    OwnTolerance,
     Restrain,
     Seed,
     Spread,
     Starts,
-    Tolerance,
     check_outputs,
     fail,
     inputs_of,
@@ -65,7 +65,7 @@ Output = Annotated[
     ),
 ]
 Method = Annotated[
-    str, typer.Option(help="hybrid, cartesian, lbfgs, newton, kcm, openmm ...: an unknown one lists them.")
+    str, typer.Option(help="cartesian, hybrid, lbfgs, newton, kcm, openmm ...: an unknown one lists them.")
 ]
 Angle = Annotated[float | None, typer.Option(help="Turn of a hinge in a step of kcm, rad [default: 0.0005].")]
 Checkpoint = Annotated[Path | None, typer.Option(help="File for the state at the end, .npz.")]
@@ -84,7 +84,7 @@ def minimise(
     output: Output = None,
     method: Method = defaults.METHOD,
     angle: Angle = None,
-    tolerance: Tolerance = defaults.TOLERANCE,
+    tolerance: OwnTolerance = None,
     max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
     restrain: Restrain = "",
     max_rmsd: MaxRmsd = None,
@@ -111,7 +111,9 @@ def minimise(
 
     limit = math.inf if max_rmsd is None else max_rmsd
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
-    Minimisation(recipe_of(chosen), tolerance, max_evaluations, seed, restrain, limit, checkpoint, resume)
+    recipe = recipe_of(chosen)
+    asked = recipe.tolerance(tolerance)
+    Minimisation(recipe, asked, max_evaluations, seed, restrain, limit, checkpoint, resume)
     width = defaults.SPREAD if spread is None else math.radians(spread)
     check_spread(width)  # Also of a single start, which has none.
     _check_starts(starts, hop, bool(checkpoint or resume or trajectory))

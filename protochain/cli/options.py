@@ -37,6 +37,14 @@ Input = Annotated[
     Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, packed or not; - is standard input.")
 ]
 MaxRmsd = Annotated[float | None, typer.Option(help="Largest C-alpha RMSD to the start, angstrom.")]
+OwnTolerance = Annotated[
+    float | None,
+    typer.Option(
+        "--tolerance",
+        help="RMS force at convergence where all atoms move [default: 10 kJ/mol/nm, 1 with --starts], "
+        "or largest torque [default: 1 kJ/mol/rad].",
+    ),
+]
 Tolerance = Annotated[
     float,
     typer.Option(

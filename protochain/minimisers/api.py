@@ -34,7 +34,7 @@ from protochain.interrupts import held_interrupts, open_to_interrupts
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import minimise_by_openmm
-from protochain.minimisers.outlook import Straying, strayed
+from protochain.minimisers.outlook import Straying
 from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
@@ -73,7 +73,7 @@ def minimise(
     chain: Any,
     energy: Any = None,
     method: Any = defaults.METHOD,
-    tolerance: float = defaults.TOLERANCE,
+    tolerance: float | None = None,
     max_evaluations: int = defaults.MAX_EVALUATIONS,
     seed: int = defaults.SEED,
     *,
@@ -90,16 +90,17 @@ def minimise(
         Default: that of :func:`protochain.energy`. A callable takes positions (na, 3) in nm to energy in
         kJ/mol and forces (na, 3) in kJ/mol/nm, and judges the result too.
     method : str, Recipe, or object with ``init`` and ``step``
-        ``hybrid`` (torsions, then all atoms), ``cartesian`` (all atoms), ``lbfgs`` or ``newton`` (torsions),
+        ``cartesian`` (all atoms), ``hybrid`` (torsions, then all atoms), ``lbfgs`` or ``newton`` (torsions),
         ``kcm`` (kineto-static compliance, turns of a fixed angle, which :func:`protochain.kcm` sets) with
         variants ``kcm-proportional``, ``kcm-sign``, ``kcm-adaptive``, ``kcm-metric`` ...,
         ``fire``, ``quench``, ``md`` (damped constrained dynamics) and ``anneal`` (from 600 K), both ending in
         a minimum by ``lbfgs``, ``openmm`` (LocalEnergyMinimizer), or ``openmm-md`` (OpenMM's dynamics at
         300 K, bonds to hydrogen constrained, between two minimisations). For methods of your own see
         :func:`protochain.minimisers.recipe_of`.
-    tolerance : float
+    tolerance : float, optional
         Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force (kJ/mol/nm), as
-        recomputed in double precision, is no larger.
+        recomputed in double precision, is no larger. Default: 1 kJ/mol/rad, or 10 kJ/mol/nm, which leaves a
+        structure nearer to its start than 1 does, some tenths of kJ/mol per residue above the minimum.
     max_evaluations : int
         Energy evaluations allowed.
     seed : int
@@ -109,7 +110,7 @@ def minimise(
         trajectory. Its method ``at_stage``, if it has one, is called with the stage (``parting overlaps``,
         ``held by springs``, ``torsions``, ``all atoms`` ...) and the evaluations so far; ``at_warning`` with
         a line once a run from a start with overlaps is 2 angstrom (C-alpha RMSD) away, or else
-        :class:`protochain.errors.StrayWarning` says so.
+        :class:`protochain.errors.StrayWarning` says so. The message of a result that far away always does.
     **options
         ``restraint`` : float, sequence of float (kJ/mol/nm^2), or callable. Springs from the heavy atoms to
         their initial positions: one strength after the other, each until it converges; a final 0 releases
@@ -143,7 +144,8 @@ def minimise(
     platform, within the same budget.
     """
     refuse_further("minimise", options, Options)
-    run = Minimisation(recipe_of(method), tolerance, max_evaluations, seed, **options)
+    recipe = recipe_of(method)
+    run = Minimisation(recipe, recipe.tolerance(tolerance), max_evaluations, seed, **options)
     chain = as_chain(chain)
     return minimise_from(Start(chain, as_energy(energy, chain.structure)), run, watch)
 
@@ -315,13 +317,11 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     if not np.isfinite(end.energy) and stop is not Stop.INTERRUPTED:
         # A callable may return forces that vanish, or are small, and no energy with them.
         stop, met = Stop.NON_FINITE, False
-    status, message = verdict(stop, met, f"{measured}, {judged}", structure, at.x, done.n_evaluations)
+    status, ended = verdict(stop, met, f"{measured}, {judged}", structure, at.x, done.n_evaluations)
     if twisted := twisted_bonds(structure, at.x, structure.positions):
-        message = f"{message}; peptide bonds that became twisted: {listed(twisted)}"
+        ended = f"{ended}; peptide bonds that became twisted: {listed(twisted)}"
     if faults := fixed_faults(structure, at.x).said(structure, at.x):
-        message = f"{message}; not minimised: {faults}"
-    if start.is_crowded and (far := strayed(structure, at.x)):
-        message = f"{message}; {far}"
+        ended = f"{ended}; not minimised: {faults}"
     x = at.x if at is start.pose else record.frame(at.x)
     # Made when first read, from what does not hold the watcher.
     trace: Any = partial(trace_of, record.structure, record.rows, record.alphas)
@@ -334,7 +334,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         x=x,
         energy=energy(at.x)[0],
         status=status,
-        message=message,
+        ended=ended,
         n_iterations=done.n_iterations,
         n_evaluations=done.n_evaluations,
         seconds=seconds,

@@ -80,6 +80,29 @@ class Stiffness:
         return space.stiffness(at)
 
 
+@dataclass(frozen=True)
+class Damped(Stiffness):
+    """The model of all atoms, damped in proportion to the RMS force: far from a minimum steps are short.
+
+    A regularised Newton method (Li, Fukushima, Qi, Yamashita, Comput. Optim. Appl. 28:131, 2004): soft
+    freedoms do not run ahead of stiff ones, so that a start leads to a minimum near it. Near the minimum
+    nothing of the damping is left.
+
+    Parameters
+    ----------
+    refresh_every : int
+        Iterations between two computations of the matrix.
+    damping : float, 1/nm
+        Added to the diagonal, times the RMS force.
+    """
+
+    damping: float = 300.0
+
+    def at(self, space: Space, at: Evaluation) -> Solve:
+        """Solver for the model made at a point."""
+        return space.stiffness(at, None, np.full(len(at.x), self.damping * at.residual))
+
+
 @dataclass(frozen=True, eq=False)
 class Preconditioner:
     """A metric computed at one point, and used for some iterations.

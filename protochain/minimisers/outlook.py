@@ -1,4 +1,4 @@
-"""What is wrong with a start, and what a method will do about it: said before a run, and while it strays."""
+"""What is wrong with a start and what will be done about it, said before a run; how far a run went."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from protochain.validation.rings import threaded_rings
 from protochain.validation.violations import violations
 
 FAR = 2.0
-"""angstrom. C-alpha RMSD from a start with overlaps at which the fold is no longer that of the input."""
+"""angstrom. C-alpha RMSD from the start at which the fold is no longer that of the input."""
 
 _SHOWN_RINGS = 3
 
@@ -54,7 +54,7 @@ def _way(recipe: Recipe, threaded: bool) -> str:
     ring = "draws bonds out of rings, " if threaded else ""
     if not recipe.keeps_geometry:
         return f"{ring}parts overlaps while springs hold the chain, then lets all atoms go"
-    ring = "; few bonds come out of a ring in this way: hybrid moves all atoms" if threaded else ""
+    ring = "; few bonds come out of a ring in this way: cartesian moves all atoms" if threaded else ""
     return f"parts overlaps by turning bonds while springs hold the chain, then lets it go{ring}"
 
 
@@ -94,6 +94,36 @@ def strayed(structure: Structure, x: Floats) -> str:
     if len(alpha) <= 2 or not np.isfinite(x[alpha]).all():
         return ""
     away = rmsd_angstrom(x[alpha], structure.positions[alpha])
-    if not away > FAR:
+    return f"{away:.1f} angstrom {_FROM_OVERLAPS}" if away > FAR else ""
+
+
+_FROM_OVERLAPS = "from a start whose atoms overlapped; pc.relax keeps the fold"
+_HOLD = "--restrain or --max-rmsd (restraint=, max_rmsd= in Python)"
+
+
+def how_far(away: float, recipe: Recipe, start: Structure, turned: bool) -> str:
+    """Say how far an end is from its start, and what keeps a run nearer.
+
+    Parameters
+    ----------
+    away : float, angstrom
+        C-alpha RMSD.
+    recipe : Recipe
+        The method.
+    start : Structure
+    turned : bool
+        Whether the run began from the start with its dihedrals turned, as one of many.
+
+    Returns
+    -------
+    str
+        Empty within ``FAR``.
+    """
+    if not away > FAR or len(start.alpha_carbons) <= 2:
         return ""
-    return f"{away:.1f} angstrom from a start whose atoms overlapped; pc.relax keeps the fold"
+    if turned:
+        return f"{away:.1f} angstrom from the structure given; to stay nearer: a smaller spread"
+    near = f"cartesian with {_HOLD}" if recipe.by_openmm else _HOLD
+    near = f"cartesian, {_HOLD}" if recipe.in_torsions else near
+    origin = _FROM_OVERLAPS if is_crowded(start) else "from its start"
+    return f"{away:.1f} angstrom {origin}; to stay nearer: {near}"

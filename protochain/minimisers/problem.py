@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -93,10 +93,12 @@ class Space(Protocol):
     def move(self, q: Floats, step: Floats) -> Floats:
         """Coordinates after a step (n_v,)."""
 
-    def stiffness(self, at: Evaluation) -> Callable[[Floats], Floats]:
+    def stiffness(
+        self, at: Evaluation, near_by: Any = None, tether: Floats | None = None
+    ) -> Callable[[Floats], Floats]:
         """Solver for a model of the Hessian made at a point: torques (n_v,) -> step (n_v,).
 
-        Those of proteins also take how nearby atoms are coupled, and springs to fixed points.
+        With how nearby atoms are coupled, if that is given, and springs (na,) to fixed points.
         """
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:

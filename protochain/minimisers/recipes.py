@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from protochain import defaults
 from protochain.arrays import Floats
 from protochain.chain import Chain
 from protochain.checks import number
@@ -22,7 +23,7 @@ from protochain.minimisers.fire import Fire
 from protochain.minimisers.kcm import KCM, Proportional, by_length, by_sign
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.loop import Method, Stop
-from protochain.minimisers.metrics import NEAR_REFRESH, Mass, Stiffness
+from protochain.minimisers.metrics import NEAR_REFRESH, Damped, Mass, Stiffness
 from protochain.minimisers.newton import Newton, PseudoTransient
 from protochain.minimisers.parting import (
     UNUSUAL,
@@ -108,8 +109,8 @@ class Recipe:
     runs : tuple of Run
         One after the other, the last once for each restraint; none for methods of OpenMM.
     parts_overlaps : bool
-        Whether overlapping atoms are separated first, while springs hold all others. KCM follows
-        the torques alone; with all atoms free they separate by themselves.
+        Whether overlapping atoms are separated first, near where they are, while springs hold all others;
+        of methods that turn hinges also large torques. KCM follows the torques alone.
     draws_random : bool
         Whether its result depends on the seed.
     by_openmm : bool
@@ -132,6 +133,11 @@ class Recipe:
         Bond lengths and angles are then untouched, except opened ones and where rings and disulfides close.
         """
         return not self.by_openmm and all(run.in_torsions for run in self.runs)
+
+    def tolerance(self, given: float | None = None) -> float:
+        """Tolerance given, or the default for what moves in the last run."""
+        default = defaults.TOLERANCE if self.keeps_geometry else defaults.TOLERANCE_IN_ALL_ATOMS
+        return default if given is None else given
 
     @property
     def in_torsions(self) -> bool:
@@ -184,9 +190,13 @@ class Recipe:
         torsions, atoms = spaces(chain, terms)
         restraints = hold.restraints(chain.structure)
         overlap = self.parts_overlaps and bool(overlaps(chain.structure, chain.structure.positions))
-        parts = overlap or (self.parts_overlaps and not max_torque <= UNUSUAL)
-        # Not even free atoms come out of a ring by themselves.
-        parts |= bool(self.runs) and not self.in_torsions and bool(threaded_rings(chain.structure))
+        parts = overlap
+        if self.parts_overlaps and self.in_torsions:
+            # Turned bonds have long levers.
+            parts |= not max_torque <= UNUSUAL
+        elif self.runs and not self.in_torsions:
+            # Not even free atoms come out of a ring by themselves.
+            parts |= bool(threaded_rings(chain.structure))
         plan: list[Stage] = []
         if parts and self.keeps_geometry:
             plan += parting_in_torsions(torsions, reduced, tolerance, restraints[0], overlap)
@@ -215,6 +225,8 @@ _ALL_ATOMS = Run(
 )
 """Springs are renewed less often: bonds and angles, most of them, change little, and the matrix is costly."""
 
+_NEAR = replace(_ALL_ATOMS, method=replace(_LBFGS, direction=LBFGS(Damped(NEAR_REFRESH), NEAR_MEMORY)))
+
 HYBRID_TORQUE = 300.0
 """kJ/mol/rad. Tolerance in torsions before all atoms move: the strain left is in bonds and angles."""
 
@@ -222,7 +234,7 @@ HYBRID_TORQUE = 300.0
 _TYPICAL = {
     "lbfgs": 50, "newton": 400, "cartesian": 100, "hybrid": 100, "openmm": 1500, "openmm-md": 3000,
 }  # fmt: skip
-"""Evaluations to convergence at the default tolerance: rounded medians of proteins of 20 to 129 residues."""
+"""Evaluations to a tolerance of 1: rounded medians of proteins of 20 to 129 residues. To 10, half as many."""
 
 
 def _in_torsions(name: str, method: Method, parts_overlaps: bool = False) -> Recipe:
@@ -256,7 +268,7 @@ _TABLE = (
     _dynamics("anneal", Annealing(temperature=600.0, n_steps=2000), draws_random=True),
     _in_torsions("newton", Descent(Newton(), StrongWolfe()), parts_overlaps=True),
     Recipe("lbfgs", (_TORSIONS,), parts_overlaps=True),
-    Recipe("cartesian", (_ALL_ATOMS,)),
+    Recipe("cartesian", (_NEAR,), parts_overlaps=True),
     Recipe("hybrid", (replace(_TORSIONS, tolerance=HYBRID_TORQUE), _ALL_ATOMS), parts_overlaps=True),
     Recipe("openmm", by_openmm=True),
     Recipe("openmm-md", by_openmm=True, draws_random=True),

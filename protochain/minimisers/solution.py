@@ -18,6 +18,7 @@ from protochain.energies.protocol import Energy
 from protochain.errors import StrayWarning
 from protochain.frame import Frame
 from protochain.markup import facts
+from protochain.minimisers.outlook import how_far
 from protochain.minimisers.recipes import Recipe
 from protochain.minimisers.record import record
 from protochain.minimisers.restraints import Hold
@@ -168,8 +169,8 @@ class Solution(Value):
         By the engine of the run; ``end.energy`` is the judge's.
     status : Status
         How the run ended, as judged.
-    message : str
-        Status and residual in words.
+    ended : str
+        Status and residual in words; ``message`` also says if the end is far from the start.
     n_iterations, n_evaluations : int
         Iterations, and energy evaluations, of the run.
     seconds : float
@@ -204,7 +205,7 @@ class Solution(Value):
     x: Floats
     energy: float
     status: Status
-    message: str
+    ended: str
     n_iterations: int
     n_evaluations: int
     seconds: float
@@ -247,6 +248,13 @@ class Solution(Value):
     def measures_end(self) -> dict[str, Any]:
         """What is wrong with the end."""
         return measures(self.chain.structure, self.x)
+
+    @cached_property
+    def message(self) -> str:
+        """Status and residual in words; beyond 2 angstrom (C-alpha RMSD) also how far the start is."""
+        turned = self.frame.start is not self.chain.structure
+        far = how_far(self.ca_rmsd_angstrom, self.recipe, self.frame.start, turned)
+        return f"{self.ended}; {far}" if far else self.ended
 
     @property
     def method(self) -> str:

@@ -125,6 +125,7 @@ def explore(
     seed: int = defaults.SEED,
     spread: float = defaults.SPREAD,
     hop_temperature: float | None = None,
+    tolerance: float | None = None,
     each: Callable[[int, Solution], None] | None = None,
     **settings: Any,
 ) -> Starts:
@@ -147,6 +148,8 @@ def explore(
     hop_temperature : float, K, optional
         Basin hopping (Wales, Doye, J. Phys. Chem. A 101:5111, 1997): each start is the last accepted minimum,
         perturbed, and a minimum is accepted by the Metropolis criterion at this temperature.
+    tolerance : float, optional
+        As in :func:`protochain.minimise`, but by default 1 also in kJ/mol/nm: minima are to be compared.
     each : callable, optional
         Called with the number and solution of each start.
     **settings
@@ -166,6 +169,7 @@ def explore(
     if seed < 0:
         raise ProtochainError(f"seed {seed}: give 0 or more")
     check_starts(n_starts, spread, hop_temperature, **settings)
+    settings["tolerance"] = defaults.TOLERANCE if tolerance is None else tolerance
     chain = as_chain(chain)
     energy = as_energy(energy, chain.structure)
     solutions: list[Solution] = []

@@ -145,7 +145,7 @@ def verdict(
         more = f", and {len(overlap) - 1} more" if len(overlap) > 1 else ""
         return Status.CLASH, f"clash: {overlap[0]}{more}; {measured}"
     if threaded:
-        remedy = "hybrid and pc.relax try to draw it out; otherwise build these side chains anew"
+        remedy = "cartesian and pc.relax try to draw it out; otherwise build these side chains anew"
         return Status.CLASH, f"clash: {threaded[0]}; {remedy}; {measured}"
     if stop is Stop.NON_FINITE:
         return (

@@ -51,7 +51,7 @@ def write(output: Path, runs: pd.DataFrame, planned: set[tuple[Any, ...]]) -> It
     if done.empty:
         return
     by_method, pairs = ends(done), compared(done)
-    tables = {"ends": by_method, "cost": cost(done)}
+    tables = {"ends": by_method, "cost": cost(done), "deposited": deposited(done)}
     if not pairs.empty:
         tables |= {"shares": shares(pairs), "contrasts": contrasts(pairs)}
     for name, table in tables.items():
@@ -124,6 +124,18 @@ def cost(runs: pd.DataFrame) -> pd.DataFrame:
     table["converged_share"] = groups["converged"].mean()
     table.insert(0, "starts", groups.size())
     return table.reset_index()
+
+
+def deposited(runs: pd.DataFrame) -> pd.DataFrame:
+    """C-alpha RMSD from deposited structures to the minima, of starts that every method has run from.
+
+    Ends are polished in torsions; those of ``openmm``, which moves all atoms, are as it leaves them.
+    """
+    own = _complete(runs[runs["start"] == "deposited"])
+    away = own["polished_rmsd_start_angstrom"].where(own["method"] != "openmm", own["rmsd_start_angstrom"])
+    of = away.groupby(own["method"], sort=False)
+    found = {"starts": of.size(), "median_angstrom": of.median(), "largest_angstrom": of.max()}
+    return pd.DataFrame(found).reset_index(names="method")
 
 
 def compared(runs: pd.DataFrame) -> pd.DataFrame:
@@ -251,6 +263,12 @@ def page(lines: list[str], tables: Mapping[str, pd.DataFrame]) -> str:
         "Medians, in kJ/mol above the lowest polished end of the start; `left` is what the polish took off.",
         _markdown(tables["cost"][[*shown, *few]].rename(columns=few)),
     ]
+    if len(tables["deposited"]):
+        parts += [
+            "## How far minima lie from deposited structures",
+            "C-alpha RMSD; minima in torsions, after the polish, and of `openmm` in all atoms.",
+            _markdown(tables["deposited"]),
+        ]
     return "\n\n".join(parts) + "\n"
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from protochain import defaults
 from protochain.analysis.plots import COLOURS, Figure, plain
 from protochain.analysis.studies.precision.curves import Point
 from protochain.articulate import build_chain
@@ -78,7 +79,7 @@ def measure(structure: Structure, most: int = _MOST) -> tuple[pd.DataFrame, pd.D
     traces, ends = [], []
     for method in METHODS:
         budget = int(np.clip(_WORK / structure.n_atoms, _LEAST, most)) * (2 if method == "openmm" else 1)
-        solution = minimise(chain, own, method, max_evaluations=budget)
+        solution = minimise(chain, own, method, defaults.TOLERANCE, budget)
         traces.append(solution.trace.assign(structure=structure.name, method=method))
         ends.append(
             {
