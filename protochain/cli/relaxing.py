@@ -46,6 +46,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy") -> float:
         str(violations(structure, x)),
         *(["threaded rings, to be freed first: " + ", ".join(map(str, rings))] if rings else []),
         *_wrong_hands(structure),
+        *_twisted(structure),
         *_breaks(structure),
         f"about {max(seconds, 1.0):.0f} s",
     ]
@@ -60,6 +61,14 @@ def _wrong_hands(structure: "Structure") -> list[str]:
     n = len(Hands.of(structure).wrong(structure.positions))
     atoms = f"{n} chiral atom{'s' * (n > 1)} of the wrong hand"
     return [f"{atoms}, to be turned right (name D-amino acids as DAL ...)"] if n else []
+
+
+def _twisted(structure: "Structure") -> list[str]:
+    """What will become of twisted peptide bonds, in words."""
+    from protochain.relaxation.peptides import PeptideBonds
+
+    n = len(PeptideBonds.of(structure).wrong(structure.positions))
+    return [f"{n} twisted peptide bond{'s' * (n > 1)}, to be turned to trans or cis"] if n else []
 
 
 def _breaks(structure: "Structure") -> list[str]:
@@ -106,8 +115,8 @@ def print_relaxed(record: dict[str, Any]) -> None:
     if record["repacked"]:
         told = summarised(record["side_chains_turned"]) or ("no side chain is better turned",)
         said.insert(1, f"repacked first: {'; '.join(told)}")
-    if record["hands_turned"]:
-        said.insert(1, "; ".join(summarised(record["hands_turned"])))
+    if turned := [*record["hands_turned"], *record["peptides_turned"]]:
+        said.insert(1, "; ".join(summarised(turned)))
     print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
     if "report" in record:

@@ -34,6 +34,8 @@ from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import Outcome, Stage, walk
 from protochain.minimisers.start import Start
 from protochain.minimisers.verdict import judge, rebuilt, verdict
+from protochain.structure.chirality import listed
+from protochain.validation.omega import twisted_bonds
 
 
 class Options(TypedDict, total=False):
@@ -302,6 +304,8 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         # A callable may return forces that vanish, or are small, and no energy with them.
         stop, met = Stop.NON_FINITE, False
     status, message = verdict(stop, met, f"{measured}, {judged}", structure, at.x, done.n_evaluations)
+    if twisted := twisted_bonds(structure, at.x, structure.positions):
+        message = f"{message}; peptide bonds that became twisted: {listed(twisted)}"
     if start.is_crowded and (far := strayed(structure, at.x)):
         message = f"{message}; {far}"
     x = at.x if at is start.pose else record.frame(at.x)

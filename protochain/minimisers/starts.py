@@ -20,7 +20,7 @@ from protochain.minimisers.restraints import Hold
 from protochain.minimisers.solution import Solution
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import parting, walk
-from protochain.minimisers.verdict import Status
+from protochain.minimisers.verdict import OTHER_ISOMER, Status
 from protochain.structure.superpose import rmsd
 from protochain.units import MOLAR_GAS
 
@@ -51,8 +51,8 @@ class Starts:
 
     @cached_property
     def best(self) -> Solution:
-        """Solution of lowest energy, the first of equal ones; those with a changed hand come last."""
-        return min(self.solutions, key=lambda each: (each.status is Status.INVERTED, each.end.energy))
+        """Solution of lowest energy, the first of equal ones; those that became another isomer come last."""
+        return min(self.solutions, key=lambda each: (each.status in OTHER_ISOMER, each.end.energy))
 
     def records(self) -> list[dict[str, Any]]:
         """Record of each start, as written to JSON."""
@@ -184,7 +184,7 @@ def explore(
         accepted.append(True)
         if hop_temperature is not None:
             accepted[-1] = _accept(solution.end.energy - present, hop_temperature, random)
-            accepted[-1] &= solution.status is not Status.INVERTED
+            accepted[-1] &= solution.status not in OTHER_ISOMER
             if accepted[-1]:
                 here, present = _chain_at(solution), solution.end.energy
         if each:

@@ -16,6 +16,7 @@ from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
 from protochain.structure.chirality import changed_hands, listed
 from protochain.structure.model import Structure
+from protochain.validation.omega import isomerised_bonds
 from protochain.validation.rings import threaded_rings
 
 
@@ -29,8 +30,13 @@ class Status(StrEnum):
     NON_FINITE = "non-finite"
     INTERRUPTED = "interrupted"
     INVERTED = "inverted"
+    ISOMERISED = "isomerised"
     VIOLATIONS = "violations"
     SADDLE = "saddle"
+
+
+OTHER_ISOMER = (Status.INVERTED, Status.ISOMERISED)
+"""Of runs whose end is another molecule than their start."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +90,7 @@ def verdict(
     x: Floats,
     n_evaluations: int,
     inverted: Sequence[str] | None = None,
+    isomerised: Sequence[str] | None = None,
 ) -> tuple[Status, str]:
     """Status and message, from the reason a run ended and the residual that the judge measured.
 
@@ -101,6 +108,8 @@ def verdict(
     n_evaluations : int
     inverted : sequence of str, optional
         Atoms that changed hand and should not have; by default all that did.
+    isomerised : sequence of str, optional
+        Peptide bonds that went from trans to cis, or back, and should not have; by default all that did.
 
     Returns
     -------
@@ -110,10 +119,19 @@ def verdict(
     if inverted is None:
         inverted = changed_hands(structure, x, structure.positions)
         remedy = "lbfgs keeps hands: it turns bonds only"
+    if isomerised is None:
+        isomerised = isomerised_bonds(structure, x, structure.positions)
+    lost: dict[Status, str] = {}
     if inverted:
-        measured = f"{listed(inverted)} changed hand; {remedy}; {measured}"
+        lost[Status.INVERTED] = f"{listed(inverted)} changed hand; {remedy}"
+    if isomerised:
+        bonds = f"the peptide bond{'s' * (len(isomerised) > 1)} {listed(isomerised)}"
+        lost[Status.ISOMERISED] = f"{bonds} turned from trans to cis, or back; --restrain holds it"
+    if lost:
+        status = next(iter(lost))
+        measured = "; ".join([*lost.values(), measured])
         if stop is not Stop.INTERRUPTED:
-            return Status.INVERTED, f"inverted: {measured}"
+            return status, f"{status}: {measured}"
         met = False
     # A minimum with overlapping atoms, or with a bond through a ring, is no usable result.
     overlap, threaded = overlaps(structure, x), threaded_rings(structure, x)

@@ -13,10 +13,11 @@ from protochain.checks import WATCHER, checked
 from protochain.energies import Energy
 from protochain.frame import Frame
 from protochain.interrupts import answering, held_interrupts
-from protochain.minimisers.problem import Evaluation
+from protochain.minimisers.problem import Evaluation, Force
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.verdict import Status, verdict
 from protochain.relaxation.hands import Hands
+from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
 from protochain.relaxation.rounds import GENTLE, Ended, Relaxer, fewest_left, mendable
 from protochain.relaxation.settings import Relaxing, split
@@ -24,6 +25,7 @@ from protochain.structure import Structure
 from protochain.structure.chirality import listed
 from protochain.structure.select import select
 from protochain.validation import threaded_rings, violations
+from protochain.validation.omega import bonds_named, omegas
 
 _NAMED = 5
 """Residues that a message names."""
@@ -84,7 +86,7 @@ def relax_structure(
     seconds = perf_counter() - trace.began
     end = fewest_left(done)
     frame = Frame(structure, held_by)
-    value, force = _judged(structure, energy, end)
+    value, force = _judged(structure, energy, end, relaxer.restraint(end.springs))
     status, message = _verdict(structure, energy, settings, end, force)
     return Relaxation(
         start=structure,
@@ -152,12 +154,12 @@ def _judge(energy: Energy) -> Energy:
     return energy if energy.is_exact else energy.reference
 
 
-def _judged(structure: Structure, energy: Energy, end: Ended) -> tuple[float, float]:
+def _judged(structure: Structure, energy: Energy, end: Ended, restraint: Force) -> tuple[float, float]:
     """Energy without springs, kJ/mol, and RMS force with them, kJ/mol/nm."""
     judge = _judge(energy)
     value, forces = judge(end.x) if judge is energy else answering(lambda: judge(end.x))
     space = Cartesian(structure, ~structure.obstacle)
-    total = forces + end.springs(end.x)[1]
+    total = forces + restraint(end.x)[1]
     return value, space.residual(space.torque(space.place(space.start(end.x)), total))
 
 
@@ -171,6 +173,7 @@ def _verdict(
     status, message = verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
         inverted=_spoiled(structure, end.x),
+        isomerised=_bonds_named(structure, end.x, _lost(structure, end.x)),
     )  # fmt: skip
     left = left_in_words(structure, end.x)
     if left and status is Status.CONVERGED:
@@ -184,15 +187,29 @@ def _spoiled(structure: Structure, x: Floats) -> list[str]:
     return _atoms_named(structure, np.setdiff1d(hands.wrong(x), hands.wrong(structure.positions)))
 
 
+def _lost(structure: Structure, x: Floats) -> Integers:
+    """Nitrogens of peptide bonds that had the form that they should have, and have the other."""
+    bonds = PeptideBonds.of(structure)
+    return np.setdiff1d(bonds.reversed(x), bonds.wrong(structure.positions))
+
+
+def _bonds_named(structure: Structure, x: Floats, nitrogens: Integers) -> list[str]:
+    now, then = omegas(structure, x), omegas(structure)
+    return bonds_named(structure, now, then, np.isin(now.residue, structure.atom_residue[nitrogens]))
+
+
 def _atoms_named(structure: Structure, atoms: Integers) -> list[str]:
     return [structure.describe(atom).removeprefix("atom ") for atom in atoms.tolist()]
 
 
 def left_in_words(structure: Structure, x: Floats) -> str:
-    """Threaded rings, wrong hands and residues with violations at positions x (na, 3), by name, if any."""
+    """Threaded rings, wrong hands, twisted peptide bonds, residues with violations at x (na, 3), if any."""
     others = [str(ring) for ring in threaded_rings(structure, x)]
     wrong = _atoms_named(structure, Hands.of(structure).wrong(x))
     others += [f"left of the wrong hand: {listed(wrong)}"] if wrong else []
+    peptides = PeptideBonds.of(structure).wrong(x)
+    twisted = _bonds_named(structure, x, np.setdiff1d(peptides, _lost(structure, x)))
+    others += [f"twisted peptide bonds: {listed(twisted)}"] if twisted else []
     found = violations(structure, x)
     residues = found.residues.tolist()
     if not residues:

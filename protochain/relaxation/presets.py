@@ -26,6 +26,8 @@ class Preset:
         Whether overlapping atoms are parted by soft repulsion before they feel the force field.
     forcefield, solvent : str
         Those of the protocol; empty for those of the settings.
+    planar : bool
+        Whether peptide bonds that springs twist are held within the usual, as long as springs act.
     """
 
     name: str
@@ -36,6 +38,7 @@ class Preset:
     softened: bool = False
     forcefield: str = ""
     solvent: str = ""
+    planar: bool = True
 
 
 _ALPHAFOLD = 10.0 * KCAL_PER_ANGSTROM2
@@ -68,7 +71,7 @@ _PROTOCOLS = (
         "alphafold", (_ALPHAFOLD,), (_ALPHAFOLD,), 10.0,
         "AlphaFold's relaxation (Jumper et al., 2021): amber99sb in vacuum, 10 kcal/mol/angstrom^2 on heavy "
         "atoms, 2.39 kcal/mol; bonds to hydrogen are free here, and constrained there",
-        forcefield="amber99sb", solvent="vacuum",
+        forcefield="amber99sb", solvent="vacuum", planar=False,
     ),
 )  # fmt: skip
 

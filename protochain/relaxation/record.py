@@ -69,6 +69,7 @@ COLUMNS: Mapping[str, _Value] = MappingProxyType({
     "repacked": lambda r: r.settings.repack,
     "side_chains_turned": lambda r: list(r.turned),
     "hands_turned": lambda r: list(r.hands_turned),
+    "peptides_turned": lambda r: list(r.peptides_turned),
     "left_out": lambda r: dict(r.start.left_out),
     "repairs": lambda r: list(r.start.repairs),
     "threads": lambda r: r.energy_function.threads,

@@ -16,6 +16,7 @@ from protochain.markup import facts
 from protochain.minimisers.solution import alpha_residues
 from protochain.minimisers.verdict import Status
 from protochain.relaxation.hands import Hands
+from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.record import COLUMNS, METHOD
 from protochain.relaxation.rounds import Round
 from protochain.relaxation.settings import Relaxing
@@ -24,6 +25,7 @@ from protochain.structure.changes import summarised
 from protochain.structure.superpose import displacements
 from protochain.units import ANGSTROM_PER_NM
 from protochain.validation import MEASURES, measures
+from protochain.validation.omega import PLANAR
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -94,8 +96,8 @@ class Relaxation(Value):
 
     @cached_property
     def structure(self) -> Structure:
-        """Structure at the end, with all its hydrogens; its repairs tell of side chains and hands turned."""
-        told = (*self.start.repairs, *self.turned, *self.hands_turned)
+        """Structure at the end, with all its hydrogens; its repairs tell of all that was turned."""
+        told = (*self.start.repairs, *self.turned, *self.hands_turned, *self.peptides_turned)
         return replace(self.start, positions=self.x, repairs=told)
 
     @cached_property
@@ -108,6 +110,17 @@ class Relaxation(Value):
             f"{s.describe_residue(int(residue))}: {' and '.join(s.atom_name[right[residues == residue]])} "
             "of the wrong hand turned right"
             for residue in np.unique(residues)
+        )
+
+    @cached_property
+    def peptides_turned(self) -> tuple[str, ...]:
+        """Peptide bonds that were twisted, and are trans or cis at the end, each in words."""
+        s, bonds = self.start, PeptideBonds.of(self.start)
+        right = (bonds.away(s.positions) > PLANAR) & (bonds.away(self.x) <= PLANAR)
+        return tuple(
+            f"{s.describe_residue(int(s.atom_residue[nitrogen]))}: twisted peptide bond before it turned to "
+            f"{'cis' if cis else 'trans'}"
+            for nitrogen, cis in zip(bonds.atoms[right, 2], bonds.cis[right], strict=True)
         )
 
     @cached_property

@@ -27,6 +27,7 @@ from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import PATIENCE, lowest
 from protochain.minimisers.steps import StrongWolfe
 from protochain.relaxation.hands import Hands
+from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.planes import Planes
 from protochain.relaxation.presets import Preset
 from protochain.structure import Structure
@@ -95,7 +96,8 @@ class Ended:
     springs : Tethers
         Those of its last stage.
     concerned : (n,) int
-        Residues with violations, overlaps, threaded rings or chiral atoms of the wrong hand.
+        Residues with violations, overlaps, threaded rings, chiral atoms of the wrong hand or twisted peptide
+        bonds.
     round : Round
     """
 
@@ -140,8 +142,8 @@ class Relaxer:
             Rounds at most.
         """
         share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
-        # Their places are wrong: springs to them would keep the C-beta off.
-        turning = self.structure.atom_residue[self.hands.wrong(x)]
+        # Their places are wrong: springs to them would keep the C-beta, or the peptide's atoms, off.
+        turning = self.structure.atom_residue[[*self.hands.wrong(x), *self.peptides.reversed(x)]]
         share[turning] = np.minimum(share[turning], _WEAKER)
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
         strongest = strengths[-1:]
@@ -178,8 +180,11 @@ class Relaxer:
         return x, work
 
     def _righted(self, x: Floats, springs: Tethers, work: "_Work") -> "tuple[Floats, _Work]":
-        """Positions of which no atom is folded, nearly flat or of the wrong hand, and the work so far."""
-        if not self.shapes(x)[0]:
+        """Positions without folded or nearly flat atoms, wrong hands or reversed peptide bonds, and the work.
+
+        Bonds that are only twisted are turned by the stages that follow.
+        """
+        if not self.shapes(x)[0] and not len(self.peptides.reversed(x)):
             return x, work
         x, _, work = self._minimised(getattr(self.energy, "coarse", self.energy), springs, x, work, _ROUGH)
         return x, work
@@ -198,6 +203,8 @@ class Relaxer:
         wrong[self._of_rings(threaded_rings(structure, x))] = True
         wrong[structure.atom_residue[pairs]] = True
         wrong[structure.atom_residue[self.hands.wrong(x)]] = True
+        if self.strength.planar:
+            wrong[structure.atom_residue[self.peptides.wrong(x)]] = True
         seconds = perf_counter() - began
         told = Round(int((share < 1.0).sum()), len(found.residues), len(pairs), *work, seconds)
         return Ended(read_only(x), stop, springs, np.flatnonzero(wrong), told)
@@ -213,8 +220,9 @@ class Relaxer:
         else:
             direction = LBFGS(Held(springs.weight + _STIFFER_NEAR, stage is _SOFT, NEAR_REFRESH), NEAR_MEMORY)
         method = Descent(direction, StrongWolfe())
-        # The last of a round is a minimum of energy and springs alone.
-        restraint = Sum([springs, self.shapes]) if stage.name == GENTLE else springs
+        restraint = self.restraint(springs)
+        if stage.name == GENTLE:
+            restraint = Sum([springs, self.shapes, self.peptides])
         problem = Problem(space, energy, _ENDLESS, restraint)
         seen, allowed = count(), (self.max_iterations or _ENDLESS) - work.iterations
 
@@ -238,6 +246,19 @@ class Relaxer:
     def shapes(self) -> Sum:
         """Push of chiral atoms to their hands, and of planar ones into the middle of their neighbours."""
         return Sum([self.hands, Planes.of(self.structure)])
+
+    def restraint(self, springs: Tethers) -> Force:
+        """What holds the last stage of a round, of whose minimum it is part.
+
+        Springs to a bad model twist peptide bonds; the push to their form makes up for it, while they act.
+        """
+        pushed = springs.weight.any() and self.strength.planar
+        return Sum([springs, self.peptides]) if pushed else springs
+
+    @cached_property
+    def peptides(self) -> PeptideBonds:
+        """Push of peptide bonds to trans or cis."""
+        return PeptideBonds.of(self.structure)
 
     @cached_property
     def hands(self) -> Hands:

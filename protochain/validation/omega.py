@@ -9,8 +9,10 @@ from protochain.arrays import Floats, Integers
 from protochain.structure.model import Structure
 from protochain.validation.layout import peptides
 
-_PLANAR = 30.0
+PLANAR = 30.0
 """Degrees from planarity beyond which a peptide bond is twisted, as in mmtbx's omegalyze."""
+PERPENDICULAR = 90.0
+"""Degrees: between cis and trans."""
 
 
 class Peptides(NamedTuple):
@@ -56,5 +58,39 @@ def omegas(structure: Structure, x: Floats | None = None) -> Peptides:
     omega = omega[residue]
     size = np.abs(omega)
     proline = structure.residue_name[residue] == "PRO"
-    cis = size < _PLANAR
-    return Peptides(residue, omega, proline, cis, ~cis & (size <= 180.0 - _PLANAR))
+    cis = size < PLANAR
+    return Peptides(residue, omega, proline, cis, ~cis & (size <= 180.0 - PLANAR))
+
+
+def isomerised_bonds(structure: Structure, x: Floats, reference: Floats) -> list[str]:
+    """Name the peptide bonds that went from trans to cis, or back, between two sets of positions.
+
+    Parameters
+    ----------
+    structure : Structure
+    x, reference : (na, 3) float, nm
+
+    Returns
+    -------
+    list of str
+        As ``before residue 14 LYS of chain A (omega 178, now 4)``.
+    """
+    now, then = omegas(structure, x), omegas(structure, reference)
+    size = np.abs(now.omega)
+    crossed = np.where(then.cis, size > PERPENDICULAR, size < PERPENDICULAR)
+    return bonds_named(structure, now, then, crossed & ~then.twisted)
+
+
+def twisted_bonds(structure: Structure, x: Floats, reference: Floats) -> list[str]:
+    """Name the peptide bonds that became twisted, as :func:`isomerised_bonds` does."""
+    now, then = omegas(structure, x), omegas(structure, reference)
+    return bonds_named(structure, now, then, now.twisted & ~then.twisted)
+
+
+def bonds_named(structure: Structure, now: Peptides, then: Peptides, which: NDArray[np.bool_]) -> list[str]:
+    """Name some peptide bonds of a structure, with their dihedrals then and now."""
+    return [
+        f"before {structure.describe_residue(int(now.residue[k]))} "
+        f"(omega {then.omega[k]:.0f}, now {now.omega[k]:.0f})"
+        for k in np.flatnonzero(which)
+    ]
