@@ -94,8 +94,12 @@ def _keys(structure: Structure, bonds: int) -> Integers:
 @lru_cache(maxsize=16)
 def joined(structure: Structure, bonds: int) -> Integers:
     """(n, 2) int: pairs of atoms separated by at most this many bonds, the smaller index first."""
-    n = structure.n_atoms
-    i, j = structure.bonds.T
+    return neighbourhood(structure.bonds, structure.n_atoms, bonds)
+
+
+def neighbourhood(edges: Integers, n: int, bonds: int) -> Integers:
+    """(m, 2) int: pairs of n atoms separated by at most so many of the bonds (k, 2), smaller index first."""
+    i, j = edges.T
     step = coo_array((np.ones(2 * len(i), dtype=np.int64), (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
     reach, power = step, step
     for _ in range(bonds - 1):

@@ -35,6 +35,7 @@ from protochain.minimisers.stages import Outcome, Stage, walk
 from protochain.minimisers.start import Start
 from protochain.minimisers.verdict import judge, rebuilt, verdict
 from protochain.structure.chirality import listed
+from protochain.validation.fixed import fixed_faults
 from protochain.validation.omega import twisted_bonds
 
 
@@ -306,6 +307,8 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     status, message = verdict(stop, met, f"{measured}, {judged}", structure, at.x, done.n_evaluations)
     if twisted := twisted_bonds(structure, at.x, structure.positions):
         message = f"{message}; peptide bonds that became twisted: {listed(twisted)}"
+    if faults := fixed_faults(structure, at.x).said(structure, at.x):
+        message = f"{message}; not minimised: {faults}"
     if start.is_crowded and (far := strayed(structure, at.x)):
         message = f"{message}; {far}"
     x = at.x if at is start.pose else record.frame(at.x)

@@ -25,6 +25,7 @@ from protochain.structure import Structure
 from protochain.structure.chirality import listed
 from protochain.structure.select import select
 from protochain.validation import threaded_rings, violations
+from protochain.validation.fixed import fixed_counts, fixed_faults
 from protochain.validation.omega import bonds_named, omegas
 
 _NAMED = 5
@@ -170,6 +171,8 @@ def _verdict(
     by = NATIVE if energy.is_exact else REFERENCE
     springs = ", springs included" if end.springs.weight.any() else ""
     measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {by}"
+    fixed = [f"{n} {name}" for name, n in fixed_counts(structure).items()]
+    measured += f"; fixed, not relaxed: {listed(fixed)}" if fixed else ""
     status, message = verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
         inverted=_spoiled(structure, end.x),
@@ -203,13 +206,15 @@ def _atoms_named(structure: Structure, atoms: Integers) -> list[str]:
 
 
 def left_in_words(structure: Structure, x: Floats) -> str:
-    """Threaded rings, wrong hands, twisted peptide bonds, residues with violations at x (na, 3), if any."""
+    """What is left to mend at positions x (na, 3), by name, and faults of what is fixed, if there are any."""
     others = [str(ring) for ring in threaded_rings(structure, x)]
     wrong = _atoms_named(structure, Hands.of(structure).wrong(x))
     others += [f"left of the wrong hand: {listed(wrong)}"] if wrong else []
     peptides = PeptideBonds.of(structure).wrong(x)
     twisted = _bonds_named(structure, x, np.setdiff1d(peptides, _lost(structure, x)))
     others += [f"twisted peptide bonds: {listed(twisted)}"] if twisted else []
+    fixed = fixed_faults(structure, x).said(structure, x)
+    others += [fixed] if fixed else []
     found = violations(structure, x)
     residues = found.residues.tolist()
     if not residues:

@@ -9,6 +9,7 @@ from typing import Any
 
 from protochain.contacts import overlaps
 from protochain.validation import MEASURES
+from protochain.validation.fixed import fixed_counts
 
 METHOD = "relax"
 
@@ -70,6 +71,7 @@ COLUMNS: Mapping[str, _Value] = MappingProxyType({
     "side_chains_turned": lambda r: list(r.turned),
     "hands_turned": lambda r: list(r.hands_turned),
     "peptides_turned": lambda r: list(r.peptides_turned),
+    "fixed": lambda r: fixed_counts(r.start),
     "left_out": lambda r: dict(r.start.left_out),
     "repairs": lambda r: list(r.start.repairs),
     "threads": lambda r: r.energy_function.threads,

@@ -21,8 +21,9 @@ KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
 """Words that choose molecules by kind; any other word is the name of a residue."""
 JOINED = 2.0
 """Angstrom: molecules with atoms nearer than this are parts of one, as the sugars of a glycan (1.4)."""
-_PHOSPHATE_BREAK = 2.5
-"""Angstrom: O3' and P further apart than this are not bonded (1.6)."""
+_PHOSPHATE_BREAK, _PHOSPHATE_TORN = 2.5, 10.0
+"""Angstrom: O3' and P further apart than this are not bonded (1.6), where numbers go on not than the second:
+then the strand is torn. Ends of two strands of a duplex are 15 apart and more."""
 _PHOSPHATE = ("P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
 _BOND_SLACK, _BOND_SHORTEST = 0.4, 0.5
 """Angstrom: atoms at most this much further apart than the sum of their covalent radii are bonded, and not
@@ -170,7 +171,9 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
 
 def _is_bonded(last: Member, first: Member) -> bool:
     end, start = last.atom("O3'"), first.atom("P")
-    return bool(end and start and end.pos.dist(start.pos) < _PHOSPHATE_BREAK)
+    follows = last.chain_id == first.chain_id and int(first.number) == int(last.number) + 1
+    farthest = _PHOSPHATE_TORN if follows else _PHOSPHATE_BREAK
+    return bool(end and start and end.pos.dist(start.pos) < farthest)
 
 
 def _fits(member: Member, template: Template | None) -> bool:

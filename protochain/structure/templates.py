@@ -19,6 +19,7 @@ from protochain.structure.draft import Part
 _DATA = Path(app.__file__).parent / "data"
 PROTEIN = _DATA / "amber14" / "protein.ff14SB.xml"
 """The default force field of proteins."""
+DNA, RNA = _DATA / "amber14" / "DNA.OL15.xml", _DATA / "amber14" / "RNA.OL3.xml"
 _BONDED = 2.2
 """Angstrom: no bond of an amino acid is longer (C-S 1.8, S-S 2.0)."""
 SMIRNOFF = "SMIRNOFF"

@@ -10,8 +10,10 @@ import numpy as np
 from protochain.arrays import Floats, Integers, Value
 from protochain.structure.chirality import wrong_atoms
 from protochain.structure.model import Structure
+from protochain.units import ANGSTROM_PER_NM
 from protochain.validation.cbeta import Deviations, cbeta_deviations
 from protochain.validation.clashes import Clashes, clashes
+from protochain.validation.fixed import FixedFaults, fixed_faults
 from protochain.validation.layout import built, layout
 from protochain.validation.omega import Peptides, omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, Ramachandran, ramachandran
@@ -76,6 +78,11 @@ class Found(Value):
     def rings(self) -> list[ThreadedRing]:
         """Rings that a bond goes through."""
         return threaded_rings(self.structure, self.x)
+
+    @cached_property
+    def fixed(self) -> FixedFaults:
+        """Faults of what stands still beside the protein."""
+        return fixed_faults(self.structure, self.x)
 
     @cached_property
     def strain(self) -> Strain:
@@ -164,6 +171,11 @@ class Found(Value):
                 yield r, f"{count} {what}{'s' * (count > 1)} strained"
         for ring in self.rings:
             yield ring.residue, str(ring)
+        for said, pairs in (("broken", self.fixed.bonds), ("a clash", self.fixed.clashes)):
+            for i, j in pairs.tolist():
+                apart = ANGSTROM_PER_NM * np.linalg.norm(self.x[i] - self.x[j])
+                other = "" if of[i] == of[j] else f" of {s.describe_residue(int(of[j]))}"
+                yield int(of[i]), f"{s.atom_name[i]} to {s.atom_name[j]}{other} {said} ({apart:.2f} angstrom)"
 
 
 class Measure(NamedTuple):
@@ -222,5 +234,11 @@ MEASURES = {
         "angles beyond 4 sigma of the force field's", "angle", lambda f: len(f.strain.angles)
     ),
     "threaded_rings": Measure("rings that a bond goes through", "ring", lambda f: len(f.rings)),
+    "fixed_broken_bonds": Measure(
+        "broken bonds of what is fixed beside the protein", "", lambda f: len(f.fixed.bonds)
+    ),
+    "fixed_clashes": Measure(
+        "overlaps of what is fixed, by 1.5 angstrom", "", lambda f: len(f.fixed.clashes)
+    ),
 }  # fmt: skip
 """All that :func:`measures` returns, by key."""

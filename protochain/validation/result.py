@@ -83,7 +83,7 @@ class Validation(Value):
         wrong = [
             f"{self.measures[key]} {measure.what}"
             for key, measure in MEASURES.items()
-            if measure.whole and measure.heading and self.measures[key]
+            if measure.whole and key != "cis_prolines" and self.measures[key]
         ]
         return f"<Validation of {self.structure.name}: {'; '.join(wrong) or 'nothing wrong'}>"
 

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -184,10 +185,15 @@ def _residue_types(residue: str, names: tuple[str, ...]) -> Mapping[str, str]:
     return best.type if best is not None else {}
 
 
+def bond_lengths(file: Path) -> dict[tuple[str, ...], float]:
+    """Equilibrium lengths of bonds, nm, by the atom types of a force-field file."""
+    return {types: norm[0] for types, norm in _parameters(file)[0].items()}
+
+
 @cache
-def _parameters() -> tuple[Mapping[tuple[str, ...], tuple[float, float]], ...]:
+def _parameters(file: Path = PROTEIN) -> tuple[Mapping[tuple[str, ...], tuple[float, float]], ...]:
     """Equilibrium values of bonds and angles, nm and rad, with their thermal widths, by atom types."""
-    root = ElementTree.parse(PROTEIN).getroot()
+    root = ElementTree.parse(file).getroot()
     found: list[dict[tuple[str, ...], tuple[float, float]]] = []
     for path, value, n in (("HarmonicBondForce/Bond", "length", 2), ("HarmonicAngleForce/Angle", "angle", 3)):
         table: dict[tuple[str, ...], tuple[float, float]] = {}
