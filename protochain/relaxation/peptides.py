@@ -16,7 +16,7 @@ much again holds them 5 degrees beyond the usual."""
 _USUAL = 25.0
 """Degrees from the form that a bond should have up to which it feels nothing: 6 are usual in crystals."""
 _HARMONIC = np.radians(15.0)
-"""Beyond it the torque grows no more: three times what ff14SB resists with, and no angle is drawn straight."""
+"""Beyond it the torque grows no more: three times that of ff14SB, which draws no angle straight."""
 _NEAR = 0.34
 """nm between the C-alphas: 0.29 where a bond is cis, 0.38 where it is trans. Noise turns omega the more."""
 _SHORTEST = 0.01
