@@ -63,7 +63,7 @@ def test_settings_that_results_do_not_depend_on_are_not_recorded():
     both = BatchSettings(("relax", "lbfgs"))
     assert both.record() == PLAIN | OF_RELAX | {"methods": ("relax", "lbfgs")}
     alone = BatchSettings(("relax",)).record()
-    assert alone.keys() == both.record().keys() - MINIMISING - ({"move"} - alone.keys())
+    assert alone.keys() == both.record().keys() - MINIMISING
     # Of a protocol the force field, too: rows have it.
     assert BatchSettings(("relax",)).changed(protocol="alphafold").record()["forcefield"] == "amber99sb"
     assert both.changed(protocol="alphafold").record()["forcefield"] == "amber14"

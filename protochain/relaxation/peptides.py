@@ -15,6 +15,8 @@ _STIFFNESS = 1000.0
 much again holds them 5 degrees beyond the usual."""
 _USUAL = 25.0
 """Degrees from the form that a bond should have up to which it feels nothing: 6 are usual in crystals."""
+_HARMONIC = np.radians(15.0)
+"""Beyond it the torque grows no more: three times that of ff14SB, which draws no angle straight."""
 _NEAR = 0.34
 """nm between the C-alphas: 0.29 where a bond is cis, 0.38 where it is trans. Noise turns omega the more."""
 _SHORTEST = 0.01
@@ -25,7 +27,7 @@ _SHORTEST = 0.01
 class PeptideBonds:
     """Push of peptide bonds to trans or cis: E = k/2 sum max(0, d - d0)^2, d the angle from that form.
 
-    A bond of usual shape feels nothing.
+    A bond of usual shape feels nothing. Where d is large, E grows in proportion to it (Huber's function).
 
     Parameters
     ----------
@@ -72,8 +74,9 @@ class PeptideBonds:
         atoms, beyond = self.atoms[far], beyond[far]
         outward = np.where(self.cis[far], 1.0, -1.0) * np.sign(dihedrals(x, atoms))
         slopes = _slopes(x[atoms])
-        np.subtract.at(forces, atoms, (_STIFFNESS * beyond * outward)[:, None, None] * slopes)
-        return float(0.5 * _STIFFNESS * beyond @ beyond), forces
+        bent = np.minimum(beyond, _HARMONIC)
+        np.subtract.at(forces, atoms, (_STIFFNESS * bent * outward)[:, None, None] * slopes)
+        return float(_STIFFNESS * bent @ (beyond - 0.5 * bent)), forces
 
 
 def _slopes(x: Floats) -> Floats:
