@@ -78,14 +78,6 @@ def _twisted(structure: "Structure") -> list[str]:
     return [f"{n} twisted peptide bond{'s' * (n > 1)}, to be turned to trans or cis"] if n else []
 
 
-def _twisted(structure: "Structure") -> list[str]:
-    """What will become of twisted peptide bonds, in words."""
-    from protochain.relaxation.peptides import PeptideBonds
-
-    n = len(PeptideBonds.of(structure).wrong(structure.positions))
-    return [f"{n} twisted peptide bond{'s' * (n > 1)}, to be turned to trans or cis"] if n else []
-
-
 def _breaks(structure: "Structure") -> list[str]:
     """Breaks in chains, in words."""
     mine = sorted({*structure.atom_residue[~structure.kept].tolist()})
