@@ -201,7 +201,7 @@ def _force_field_with(tag, attribute, mark):
 @pytest.mark.parametrize(
     ("tag", "attribute"),
     [
-        ("Script", ""), ("InitializationScript", ""), ("Include", "file"), ("Residue", "name"),
+        ("Script", ""), ("InitializationScript", ""), ("Include", "file"), ("Bond", "k"),
         ("Type", "mass"),
         ("NonbondedForce", "useDispersionCorrection"), ("LennardJonesForce", "useDispersionCorrection"),
     ],

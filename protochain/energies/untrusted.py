@@ -30,6 +30,8 @@ _NEVER_READ = ("Info", "Source", "Reference")
 _NOTES = ("def", "desc", "doi", "overrides", "source", "comment")
 """Attributes of other programs (Foyer), which OpenMM does not read."""
 _LEPTON = ("energy", "expression")
+_FREE = ("name", *_LEPTON, *_NOTES)
+"""Names are only compared: openmmforcefields names residues by their SMILES."""
 
 _BOOLEAN = re.compile(r"\s*(True|False|[01])\s*")
 _PLAIN = re.compile(r"[\w.+\-*'\"#:/,~&|^%!?@$<> ]*")
@@ -62,7 +64,7 @@ def check_passive(path: Path, root: ElementTree.Element) -> None:
                 raise ForceFieldError(
                     f"{place}, which OpenMM would run as Python: give True or False; {trust}"
                 )
-            if name not in (*_LEPTON, *_NOTES) and not _PLAIN.fullmatch(value):
+            if name not in _FREE and not _PLAIN.fullmatch(value):
                 raise ForceFieldError(
                     f"{place}, which is neither a number nor a plain name: mend it; {trust}"
                 )
