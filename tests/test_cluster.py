@@ -113,7 +113,7 @@ def test_a_killed_child_is_a_row_and_is_done_again_on_resuming(inputs, whole, tm
     running = start(inputs, tmp_path, "--workers", "1")
     wait_for_rows(tmp_path, 4, running)
     family = psutil.Process(running.pid).children(recursive=True)
-    (child,) = [p for p in family if "protochain.batches.child" in p.cmdline()]
+    (child,) = [p for p in family if "protochain.batches.child" in " ".join(p.cmdline())]
     child.kill()
     assert running.wait(timeout=300) == 3
     ended = table(tmp_path)
