@@ -2,9 +2,9 @@
 
     python analysis/benchmarks/kinds.py [-o DIR] [--quick] [--only FAMILY ...]
 
-Each kind of tests/kinds.py is made anew, read, prepared, relaxed for at most 100 iterations, written as PDB and
-mmCIF, and read again (tests/fate.py); a row a kind. Those that need files beside the repository are left out
-where these are not there. Structures of more than 3000 atoms are not relaxed.
+Each kind of tests/kinds.py is made anew, read, prepared, relaxed for at most 100 iterations, written as PDB
+and mmCIF, and read again (tests/fate.py); a row a kind. Those that need files beside the repository are left
+out where these are not there. Structures of more than 3000 atoms are not relaxed.
 """
 
 import sys
@@ -60,7 +60,8 @@ def row(kind: kinds.Kind, folder: Path) -> dict[str, object]:
         out[f"difference_{name}"] = abs(there - here) / max(abs(here), 1.0) if known else None
         out[f"differs_{name}"] = found.again.get(suffix, "")
     out |= {
-        "metal_drift_angstrom": round(found.drift, 3), "said": " | ".join(found.said), "faults": len(wrong),
+        "metal_drift_angstrom": round(found.drift, 3), "changed": " | ".join(found.changes),
+        "said": " ".join(found.said), "faults": len(wrong),
         "wrong": told(wrong), "seconds": round(perf_counter() - began, 2),
     }  # fmt: skip
     return {name: one_line(value) for name, value in out.items()}
