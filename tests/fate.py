@@ -530,7 +530,8 @@ def faults(found: Fate, name: str, refused: str = "", links: int = 0, keeps: boo
             [] if "\n" not in line and name in line and len(line) < _LINE else [f"no such line: {line}"]
         )
     out = [f"lost and not said: {_word(place)}" for place in found.unsaid]
-    lost = [place for place in found.lost if place[2] not in found.left_out]
+    left_out = {kind.upper() for kind in found.left_out}
+    lost = [place for place in found.lost if place[2].upper() not in left_out]
     if found.said and lost and not any(f"{lost[0][1]} {lost[0][2]}" in line for line in found.said):
         out.append(f"not in the last lines: {_word(lost[0])} is lost")
     out += [f"lost: {_word(place)}" for place in found.lost if keeps]
@@ -544,6 +545,10 @@ def faults(found: Fate, name: str, refused: str = "", links: int = 0, keeps: boo
     for suffix, (here, there) in found.energy.items():
         if abs(here - there) > READ_AGAIN * max(abs(here), 1.0):
             out.append(f"energy of {suffix}: {here:.4f}, read again {there:.4f}")
+    if ".cif" in found.energy and abs(found.energy[".cif"][1] - found.stated) > READ_AGAIN * abs(
+        found.stated
+    ):
+        out.append(f"energy stated {found.stated:.4f}, read again {found.energy['.cif'][1]:.4f}")
     if len(set(found.charge)) > 1:
         out.append(f"formal charges {found.charge[0]}, written {found.charge[1:]}")
     if found.drift > DRIFT:
@@ -556,4 +561,4 @@ _LINE = 400
 DRIFT = 0.1
 """Angstrom."""
 READ_AGAIN = 1e-6
-"""Relative."""
+"""Relative. Columns of a PDB file hold an angstrom's third decimal: its energy is that of these places."""

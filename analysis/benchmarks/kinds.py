@@ -22,6 +22,8 @@ import fate
 import kinds
 
 ITERATIONS = 100
+LONGEST = 400
+"""Characters of a cell."""
 
 
 def row(kind: kinds.Kind, folder: Path) -> dict[str, object]:
@@ -74,7 +76,7 @@ def told(lines: Iterable[str]) -> str:
 
 
 def one_line(value: object) -> object:
-    return " ".join(value.split())[:1500] if isinstance(value, str) else value
+    return " ".join(value.split())[:LONGEST] if isinstance(value, str) else value
 
 
 def main() -> None:
