@@ -7,6 +7,7 @@ and mmCIF, and read again (tests/fate.py); a row a kind. Those that need files b
 out where these are not there. Structures of more than 3000 atoms are not relaxed.
 """
 
+import argparse
 import sys
 import tempfile
 from collections.abc import Iterable
@@ -79,15 +80,19 @@ def one_line(value: object) -> object:
     return " ".join(value.split())[:LONGEST] if isinstance(value, str) else value
 
 
-def main() -> None:
+FAMILIES = tuple(dict.fromkeys(kind.family for kind in kinds.KINDS))
+
+
+def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__)
-    own.add_argument(
-        "--only", nargs="+", metavar="FAMILY", help=", ".join(dict.fromkeys(k.family for k in kinds.KINDS))
-    )
-    options = own.parse_args()
-    chosen = [
-        kind for kind in kinds.KINDS if kind.is_here and (not options.only or kind.family in options.only)
-    ]
+    own.add_argument("--only", nargs="+", metavar="FAMILY", choices=FAMILIES, help=", ".join(FAMILIES))
+    return own
+
+
+def main() -> None:
+    options = parser().parse_args()
+    families = options.only or FAMILIES
+    chosen = [kind for kind in kinds.KINDS if kind.is_here and kind.family in families]
     if options.quick:
         chosen = [kind for kind in chosen if kind.name in ("plain", "sep", "covalent-stated", "c-alphas")]
     rows = []
