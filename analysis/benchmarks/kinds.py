@@ -2,9 +2,9 @@
 
     python analysis/benchmarks/kinds.py [-o DIR] [--quick] [--only FAMILY ...]
 
-Each kind of tests/kinds.py is made anew, read, prepared, relaxed for at most 100 iterations, written as PDB
-and mmCIF, and read again (tests/fate.py); a row a kind. Those that need files beside the repository are left
-out where these are not there. Structures of more than 3000 atoms are not relaxed.
+Each kind of tests/file_kinds.py is made anew, read, prepared, relaxed for at most 100 iterations, written as
+PDB and mmCIF, and read again (tests/fate.py); a row a kind. Those that need files beside the repository are
+left out where these are not there. Structures of more than 3000 atoms are not relaxed.
 """
 
 import argparse
@@ -20,14 +20,14 @@ from made import ROOT
 
 sys.path.insert(0, str(ROOT / "tests"))
 import fate
-import kinds
+import file_kinds
 
 ITERATIONS = 100
 LONGEST = 400
 """Characters of a cell."""
 
 
-def row(kind: kinds.Kind, folder: Path) -> dict[str, object]:
+def row(kind: file_kinds.Kind, folder: Path) -> dict[str, object]:
     """What became of one kind."""
     began = perf_counter()
     path, meant = kind.make(folder)
@@ -80,7 +80,7 @@ def one_line(value: object) -> object:
     return " ".join(value.split())[:LONGEST] if isinstance(value, str) else value
 
 
-FAMILIES = tuple(dict.fromkeys(kind.family for kind in kinds.KINDS))
+FAMILIES = tuple(dict.fromkeys(kind.family for kind in file_kinds.KINDS))
 
 
 def parser() -> argparse.ArgumentParser:
@@ -92,7 +92,7 @@ def parser() -> argparse.ArgumentParser:
 def main() -> None:
     options = parser().parse_args()
     families = options.only or FAMILIES
-    chosen = [kind for kind in kinds.KINDS if kind.is_here and kind.family in families]
+    chosen = [kind for kind in file_kinds.KINDS if kind.is_here and kind.family in families]
     if options.quick:
         chosen = [kind for kind in chosen if kind.name in ("plain", "sep", "covalent-stated", "c-alphas")]
     rows = []
@@ -105,7 +105,7 @@ def main() -> None:
     refused, wrong = (table["refusal"] != "").sum(), (table["faults"] > 0).sum()
     print(f"{len(table)} kinds, {refused} refused, {wrong} with faults")
     if options.output:
-        made.write(table, options.output / "kinds.csv", ["kinds of tests/kinds.py"])
+        made.write(table, options.output / "kinds.csv", ["kinds of tests/file_kinds.py"])
 
 
 if __name__ == "__main__":
