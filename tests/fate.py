@@ -46,8 +46,8 @@ class Fate:
     refusal : str
         The line, if it was refused; nothing else is known then.
     status : str
-    said : tuple of str
-        Last lines of the command, and the summary of changes.
+    said, changes : tuple of str
+        Last lines of the command, after its table; summary of what was changed to prepare the file.
     left_out : mapping of str to int
         ``Structure.left_out``.
     lost : tuple of Place
@@ -90,6 +90,7 @@ class Fate:
     refusal: str = ""
     status: str = ""
     said: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
     lost: tuple[Place, ...] = ()
     unsaid: tuple[Place, ...] = ()
@@ -151,7 +152,8 @@ def fate(
     cis, twisted, turned = source.peptides(end)
     return Fate(
         status=str(result.status) if result else "prepared",
-        said=tuple(said + list(prepared.changes)),
+        said=tuple(said),
+        changes=prepared.changes,
         left_out=dict(prepared.left_out),
         lost=tuple(lost),
         unsaid=tuple(source.unsaid()),
@@ -333,8 +335,10 @@ class Meant:
     def unsaid(self) -> list[Place]:
         """Lost atoms that are not among the losses of the structure, nor left out by number and kind."""
         s = self.prepared
-        told = {(loss.chain, loss.number, atom) for loss in s.losses for atom in loss.atoms}
-        return [p for p in self.lost() if (p[0], p[1], p[3]) not in told and p[2] not in s.left_out]
+        told = {(loss.chain, loss.number, atom.upper()) for loss in s.losses for atom in loss.atoms}
+        left_out = {kind.upper() for kind in s.left_out}
+        lost = self.lost()
+        return [p for p in lost if (*p[:2], p[3].upper()) not in told and p[2].upper() not in left_out]
 
     def lost_hydrogens(self) -> int:
         kept = {p for (p, _), k in zip(self.atoms, self.found, strict=True) if k >= 0}
@@ -526,6 +530,10 @@ def faults(found: Fate, name: str, refused: str = "", links: int = 0, keeps: boo
             [] if "\n" not in line and name in line and len(line) < _LINE else [f"no such line: {line}"]
         )
     out = [f"lost and not said: {_word(place)}" for place in found.unsaid]
+    left_out = {kind.upper() for kind in found.left_out}
+    lost = [place for place in found.lost if place[2].upper() not in left_out]
+    if found.said and lost and not any(f"{lost[0][1]} {lost[0][2]}" in line for line in found.said):
+        out.append(f"not in the last lines: {_word(lost[0])} is lost")
     out += [f"lost: {_word(place)}" for place in found.lost if keeps]
     if len(found.links) != links and links >= 0:
         out.append(f"{len(found.links)} bonds beside the protein, not {links}: {found.links}")
@@ -537,6 +545,10 @@ def faults(found: Fate, name: str, refused: str = "", links: int = 0, keeps: boo
     for suffix, (here, there) in found.energy.items():
         if abs(here - there) > READ_AGAIN * max(abs(here), 1.0):
             out.append(f"energy of {suffix}: {here:.4f}, read again {there:.4f}")
+    if ".cif" in found.energy and abs(found.energy[".cif"][1] - found.stated) > READ_AGAIN * abs(
+        found.stated
+    ):
+        out.append(f"energy stated {found.stated:.4f}, read again {found.energy['.cif'][1]:.4f}")
     if len(set(found.charge)) > 1:
         out.append(f"formal charges {found.charge[0]}, written {found.charge[1:]}")
     if found.drift > DRIFT:
@@ -549,4 +561,4 @@ _LINE = 400
 DRIFT = 0.1
 """Angstrom."""
 READ_AGAIN = 1e-6
-"""Relative."""
+"""Relative. Columns of a PDB file hold an angstrom's third decimal: its energy is that of these places."""

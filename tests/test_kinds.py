@@ -1,8 +1,10 @@
 """Kinds of file that people bring: nothing is lost, bonded or turned without a word; all is read again."""
 
 import fate
-import kinds
+import file_kinds
 import pytest
+
+import protochain as pc
 
 QUICK = (
     "chains-that-share-an-id", "ions-that-share-a-number", "ligand-atoms-that-share-a-name",
@@ -14,7 +16,7 @@ QUICK = (
 """A few of each family, one at least for each fault that the collection found."""
 
 
-def check(kind: kinds.Kind, folder) -> fate.Fate:
+def check(kind: file_kinds.Kind, folder) -> fate.Fate:
     if not kind.is_here:
         pytest.skip(f"{kind.needs} is not here")
     path, meant = kind.make(folder)
@@ -25,15 +27,32 @@ def check(kind: kinds.Kind, folder) -> fate.Fate:
 
 @pytest.mark.parametrize("name", QUICK)
 def test_a_kind_of_file_is_taken_whole_or_says_what_it_lost(name, tmp_path):
-    check(next(kind for kind in kinds.KINDS if kind.name == name), tmp_path)
+    check(next(kind for kind in file_kinds.KINDS if kind.name == name), tmp_path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", kinds.KINDS, ids=[kind.name for kind in kinds.KINDS])
+@pytest.mark.parametrize("kind", file_kinds.KINDS, ids=[kind.name for kind in file_kinds.KINDS])
 def test_every_kind_of_file_is_taken_whole_or_says_what_it_lost(kind, tmp_path):
     check(kind, tmp_path)
 
 
 def test_kinds_have_names_of_their_own_and_are_many():
-    assert len({kind.name for kind in kinds.KINDS}) == len(kinds.KINDS)
-    assert sum(kind.is_made for kind in kinds.KINDS) >= 145
+    assert len({kind.name for kind in file_kinds.KINDS}) == len(file_kinds.KINDS)
+    assert sum(kind.is_made for kind in file_kinds.KINDS) >= 145
+
+
+def test_what_shares_its_ids_is_told_apart_and_said(tmp_path):
+    kinds = {kind.name: kind for kind in file_kinds.KINDS}
+
+    def load(name):
+        return pc.load(kinds[name].make(tmp_path)[0])
+
+    chains = load("chains-that-share-an-id")
+    assert {*chains.residue_chain} == {"A", "B"} and any("A called B" in line for line in chains.repairs)
+    ions = load("ions-that-share-a-number")
+    assert (ions.residue_name == "NA").sum() == 2 and any("told apart: 1" in line for line in ions.repairs)
+    ligand = load("ligand-atoms-that-share-a-name")
+    names = ligand.atom_name[(ligand.residue_name == "LIG")[ligand.atom_residue]]
+    assert len({*names}) == len(names) == 9 and any(
+        "share a name numbered" in line for line in ligand.repairs
+    )

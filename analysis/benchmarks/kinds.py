@@ -2,11 +2,12 @@
 
     python analysis/benchmarks/kinds.py [-o DIR] [--quick] [--only FAMILY ...]
 
-Each kind of tests/kinds.py is made anew, read, prepared, relaxed for at most 100 iterations, written as PDB and
-mmCIF, and read again (tests/fate.py); a row a kind. Those that need files beside the repository are left out
-where these are not there. Structures of more than 3000 atoms are not relaxed.
+Each kind of tests/file_kinds.py is made anew, read, prepared, relaxed for at most 100 iterations, written as
+PDB and mmCIF, and read again (tests/fate.py); a row a kind. Those that need files beside the repository are
+left out where these are not there. Structures of more than 3000 atoms are not relaxed.
 """
 
+import argparse
 import sys
 import tempfile
 from collections.abc import Iterable
@@ -19,12 +20,14 @@ from made import ROOT
 
 sys.path.insert(0, str(ROOT / "tests"))
 import fate
-import kinds
+import file_kinds
 
 ITERATIONS = 100
+LONGEST = 400
+"""Characters of a cell."""
 
 
-def row(kind: kinds.Kind, folder: Path) -> dict[str, object]:
+def row(kind: file_kinds.Kind, folder: Path) -> dict[str, object]:
     """What became of one kind."""
     began = perf_counter()
     path, meant = kind.make(folder)
@@ -60,7 +63,8 @@ def row(kind: kinds.Kind, folder: Path) -> dict[str, object]:
         out[f"difference_{name}"] = abs(there - here) / max(abs(here), 1.0) if known else None
         out[f"differs_{name}"] = found.again.get(suffix, "")
     out |= {
-        "metal_drift_angstrom": round(found.drift, 3), "said": " | ".join(found.said), "faults": len(wrong),
+        "metal_drift_angstrom": round(found.drift, 3), "changed": " | ".join(found.changes),
+        "said": " ".join(found.said), "faults": len(wrong),
         "wrong": told(wrong), "seconds": round(perf_counter() - began, 2),
     }  # fmt: skip
     return {name: one_line(value) for name, value in out.items()}
@@ -73,18 +77,22 @@ def told(lines: Iterable[str]) -> str:
 
 
 def one_line(value: object) -> object:
-    return " ".join(value.split())[:1500] if isinstance(value, str) else value
+    return " ".join(value.split())[:LONGEST] if isinstance(value, str) else value
+
+
+FAMILIES = tuple(dict.fromkeys(kind.family for kind in file_kinds.KINDS))
+
+
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__)
+    own.add_argument("--only", nargs="+", metavar="FAMILY", choices=FAMILIES, help=", ".join(FAMILIES))
+    return own
 
 
 def main() -> None:
-    own = made.parser(__doc__)
-    own.add_argument(
-        "--only", nargs="+", metavar="FAMILY", help=", ".join(dict.fromkeys(k.family for k in kinds.KINDS))
-    )
-    options = own.parse_args()
-    chosen = [
-        kind for kind in kinds.KINDS if kind.is_here and (not options.only or kind.family in options.only)
-    ]
+    options = parser().parse_args()
+    families = options.only or FAMILIES
+    chosen = [kind for kind in file_kinds.KINDS if kind.is_here and kind.family in families]
     if options.quick:
         chosen = [kind for kind in chosen if kind.name in ("plain", "sep", "covalent-stated", "c-alphas")]
     rows = []
@@ -97,7 +105,7 @@ def main() -> None:
     refused, wrong = (table["refusal"] != "").sum(), (table["faults"] > 0).sum()
     print(f"{len(table)} kinds, {refused} refused, {wrong} with faults")
     if options.output:
-        made.write(table, options.output / "kinds.csv", ["kinds of tests/kinds.py"])
+        made.write(table, options.output / "kinds.csv", ["kinds of tests/file_kinds.py"])
 
 
 if __name__ == "__main__":

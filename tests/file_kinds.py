@@ -870,7 +870,8 @@ REAL = tuple(sorted(p.name for p in MORE.glob("*.*") if p.suffix in (".pdb",
     ".cif"))) if MORE.is_dir() else ()
 for _path in REAL:
     if _path not in ("2n0n_lactam.pdb",):
-        real("Entries and models", f"structures/{_path}")
+        real("Entries and models", f"structures/{_path}",
+            refused="C-alpha" if _path == "ubiquitin_ca_only.pdb" else "")
 for _path in ("1hel.pdb", "1l2y.pdb", "1ubq.pdb", "1vii.pdb", "3i40.pdb", "4pti.pdb", "ala10.pdb"):
     add("Samples", f"sample-{_path.replace('.', '-')}", lambda p=_path: read_file(SAMPLES / p).clone(),
         lambda s,
