@@ -294,7 +294,7 @@ def parser() -> argparse.ArgumentParser:
     own.add_argument("--made", type=int, default=0, help="damaged copies of samples, to relax first")
     own.add_argument("--kept", type=Path, metavar="FOLDER", help="what is done, not to be done again")
     own.add_argument("--basins", type=int, default=400, metavar="ATOMS", help="of a descent, at most")
-    own.add_argument("--limit", type=float, default=150.0, metavar="SECONDS", help="of a run, at most")
+    own.add_argument("--limit", type=float, default=100.0, metavar="SECONDS", help="of a run, at most")
     own.add_argument("--check", action="store_true", help="only: that the way is that of each tolerance")
     return own
 
