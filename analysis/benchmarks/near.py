@@ -160,12 +160,10 @@ def basins(structure: pc.Structure, kept: "Kept") -> Iterator[Row]:
     last = f"{TOLERANCES[-1]:g}"
     energy = pc.energy(structure, threads=1)
     found = {method: kept.positions(structure.name, method).get(last) for method in (*METHODS, "descent")}
-    if found["descent"] is None:
-        return
-    home = polished(structure, energy, found["descent"])
+    home = None if found["descent"] is None else polished(structure, energy, found["descent"])
     for method in METHODS:
-        row = {"method": method}
-        if found[method] is not None:
+        row: Row = {"method": method}
+        if home is not None and found[method] is not None:
             end = polished(structure, energy, found[method])
             above = end.end.energy - home.end.energy
             apart = all_atoms(end.x, home.x)
@@ -294,7 +292,13 @@ def parser() -> argparse.ArgumentParser:
     own.add_argument("--made", type=int, default=0, help="damaged copies of samples, to relax first")
     own.add_argument("--kept", type=Path, metavar="FOLDER", help="what is done, not to be done again")
     own.add_argument("--basins", type=int, default=400, metavar="ATOMS", help="of a descent, at most")
-    own.add_argument("--limit", type=float, default=150.0, metavar="SECONDS", help="of a run, at most")
+    own.add_argument(
+        "--limit",
+        type=float,
+        default=100.0,
+        metavar="SECONDS",
+        help="of a run, at most; a descent has ten times as many",
+    )
     own.add_argument("--check", action="store_true", help="only: that the way is that of each tolerance")
     return own
 
@@ -318,7 +322,7 @@ def main() -> None:
             small = structure.n_atoms <= options.basins
             for method in (*METHODS, "descent") if small else METHODS:
                 if method == "descent":
-                    run = partial(descent, structure, options.limit)
+                    run = partial(descent, structure, 10.0 * options.limit)
                 else:
                     run = partial(ends, structure, method, options.limit)
                 tables.append(kept.run(name, method, run).assign(**about))
