@@ -24,6 +24,7 @@ from protochain.batches.settings import keep_settings
 from protochain.batches.supervise import Child
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables
 from protochain.batches.task import run
+from protochain.defaults import METHOD
 from protochain.errors import WriteError
 from protochain.minimisers import record
 from protochain.storage import json_text
@@ -296,7 +297,7 @@ def test_a_row_cut_short_is_discarded_with_its_structure(lost, ending, tmp_path)
     tables = Tables(tmp_path, resume=False)
     tables.finished([])
     for job in (one, two):
-        tables.append([failure(job, "hybrid", "refused", 300 * "x")])
+        tables.append([failure(job, METHOD, "refused", 300 * "x")])
     text = tables.summary.read_text()
     tables.summary.write_text(text[:-lost] + ending)
     assert tables.finished([one, two]) == {one.identity}
@@ -469,7 +470,7 @@ def test_a_failed_start_leaves_an_earlier_batch_as_it_is(folder, tmp_path):
     tables = Tables(tmp_path, resume=False)
     (job,) = find_jobs([folder / "1l2y.pdb"], BatchSettings())
     tables.finished([job])
-    tables.append([Row(origin(job) | {"method": "hybrid", "status": "converged"}, [])])
+    tables.append([Row(origin(job) | {"method": METHOD, "status": "converged"}, [])])
     tables.close()
     # As the batch itself does, before any result.
     rows = (tmp_path / "summary.csv").read_bytes()

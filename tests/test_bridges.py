@@ -263,7 +263,7 @@ DNA = {
 }
 
 
-@pytest.mark.parametrize(("far", "bonded"), [(2.49, True), (2.5, False)])
+@pytest.mark.parametrize(("far", "bonded"), [(2.5, True), (9.99, True), (10.0, False)])
 def test_bonded_nucleotides_are_a_strand_and_others_stand_alone(far, bonded):
     first = member("DA", 1, ("P", -5.0), ("O3'", 0.0), chain="B")
     second = member("DA", 2, ("P", far), ("O3'", 9.0), chain="B")
@@ -311,13 +311,13 @@ def test_a_template_fits_the_same_heavy_atoms_by_any_name_and_no_amino_acid():
 
 
 def test_all_of_a_phosphate_is_left_out_of_the_first_nucleotide_only():
-    names = ("P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P", "O5'", "O3'")
+    names = ("P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P", "O5'", "O3'", "O2'")
     strand = member("A", 1, *((name, 0.0) for name in names))
     ligand = member("ATP", 2, ("P", 9.0))
     draft = Draft("x", "x")
-    known = {"AN": template("AN", "O5'", "O3'"), "DGN": template("DGN", "O5'")}
+    known = {"AN": template("AN", "O5'", "O3'", "O2'"), "DGN": template("DGN", "O5'")}
     choose(draft, [Candidate(strand, "A"), Candidate(ligand, "ATP")], ("all",), known)
-    assert [a.name for a in strand.atoms] == ["O5'", "O3'"] and [a.name for a in ligand.atoms] == ["P"]
+    assert [a.name for a in strand.atoms] == ["O5'", "O3'", "O2'"] and [a.name for a in ligand.atoms] == ["P"]
     clean = Draft("x", "x")
     assert len(choose(clean, [Candidate(member("DG", 1, ("O5'", 0.0)), "DG")], ("all",), known)) == 1
     assert clean.repairs == ["1 DG kept beside the protein"]

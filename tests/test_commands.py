@@ -47,7 +47,9 @@ COMMANDS = {
         "inputs": None, "output": Path("batch"), "methods": "cartesian", "manifest": None, "workers": None,
         "scheduler": None, "threads": 1, "time_limit": 3600.0, "null": False, "resume": False,
         "dry_run": False, **OWN, "max_rmsd": None, "restrain": "", "starts": 1, "spread": None, "hop": None,
-        "no_curvature": False, "seed": 0, **AS_JSON,
+        "no_curvature": False, "seed": 0,
+        "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
+        "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_BATCH},
     },
     "simulate": {
@@ -63,9 +65,10 @@ COMMANDS = {
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_VALIDATE},
     },
     "relax": {
-        "inputs": None, **OUTPUT, "preset": "predicted", "protocol": "", "tolerance": None, "stiffness": None,
+        "inputs": None, **OUTPUT, "manifest": None, "preset": "predicted", "protocol": "", "tolerance": None, "stiffness": None,
         "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
-        "repack": False, "report": None, "workers": None, "time_limit": 3600.0, "resume": False, **AS_JSON,
+        "repack": False, "report": None, "workers": None, "scheduler": None,
+        "time_limit": 3600.0, "resume": False, **AS_JSON,
         "force": False, **{k: v for k, v in SETUP.items() if k != "hinges"},
     },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
@@ -284,7 +287,7 @@ def info(monkeypatch):
     """``info`` on crambin with an energy that is none; the clock goes on by 1, 2, 3 and 4 s."""
     s, c = load("1ejg.pdb"), chain("1ejg.pdb")
     s = pc.Structure("x", s.topology, s.positions, ("one", "two"), {"waters": 3, "ZN": 1})
-    reduced = SimpleNamespace(engine="native", reason="why", left_out={"bonds": 5})
+    reduced = SimpleNamespace(engine="native", reason="why", threads=2, left_out={"bonds": 5})
 
     def energy(self, structure):
         assert structure is s
@@ -453,6 +456,8 @@ def test_all_that_is_read_and_written_is_known():
         for file in files
         # Ends are named after the input.
         if (command, read) != ("compare", "source") or Path(file).stem in ("summary", "report")
+        # Of a manifest, the output is a folder: tests/test_relax_command.py.
+        if (command, read) != ("relax", "manifest")
     ],
 )
 def test_no_output_of_any_command_is_an_input(command, read, written, file, tmp_path, monkeypatch):

@@ -393,7 +393,7 @@ def test_a_method_compared_ends_as_it_does_alone_in_any_order(methods):
     c, s, shared = chain("1ejg.pdb"), load("1ejg.pdb"), pc.energy(load("1ejg.pdb"), threads=1)
     # Near enough for neighbour lists to hold at the start too, and to be others.
     near = s.positions + np.random.default_rng(0).uniform(-0.02, 0.02, s.positions.shape)
-    alone = {m: pc.minimise(c, pc.energy(s, threads=1), m, max_evaluations=25) for m in methods}
+    alone = {m: pc.minimise(c, pc.energy(s, threads=1), m, 1.0, max_evaluations=25) for m in methods}
     for order in (methods, methods[::-1]):
         k = pc.compare(c, order, shared, max_evaluations=25, watch=lambda _: shared(near) and None)
         for one in k.solutions:
@@ -467,7 +467,7 @@ def test_work_is_what_it_took_to_come_near(comparison, folder):
 def test_pictures_show_each_method_with_its_unit(comparison):
     torque, work = comparison.plot_torque(), comparison.plot_work_precision()
     shown = {line.get_label() for line in torque.axes[0].lines}
-    assert shown == {"kcm", "md", "lbfgs", "hybrid"}
+    assert shown == {"kcm", "md", "lbfgs"}
     assert "kJ/mol/rad" in torque.axes[0].get_ylabel()
     assert [{line.get_label() for line in ax.lines} for ax in work.axes[::2]] == [
         {"kcm", "md", "lbfgs"},

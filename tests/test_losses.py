@@ -9,8 +9,7 @@ from conftest import STRUCTURES
 
 import protochain as pc
 from protochain.batches.api import _finish
-from protochain.batches.jobs import find_jobs
-from protochain.batches.relaxed import COLUMNS, RelaxSettings
+from protochain.batches.jobs import BatchSettings, find_jobs
 from protochain.batches.table import Tables, read_table
 from protochain.batches.task import run as run_job
 from protochain.cli import main
@@ -106,9 +105,9 @@ def test_the_last_lines_of_a_run_say_what_is_lost(command, modified, protochain)
 
 def test_a_folder_says_it_in_its_last_lines_its_table_its_summary_and_its_pages(modified, tmp_path, capsys):
     (modified.parent / "whole.pdb").write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
-    settings, folder = RelaxSettings(setup=Setup(solvent="vacuum")), tmp_path / "out"
+    settings, folder = BatchSettings(("relax",), setup=Setup(solvent="vacuum")), tmp_path / "out"
     jobs = find_jobs([modified.parent], settings, None, folder)
-    tables = Tables(folder, False, "relaxed", COLUMNS)
+    tables = Tables(folder, False, "relaxed", {"relax"})
     tables.finished(jobs)
     for job in jobs:
         tables.append(list(run_job(job, folder, 1)))

@@ -451,7 +451,7 @@ def test_two_runs_with_one_energy_are_the_same():
     c = chain("1l2y.pdb")
     e = pc.energy(c.structure, engine="native")
     e(shaken(c.structure, 0.05))
-    first, second = (pc.minimise(c, e, max_evaluations=80) for _ in range(2))
+    first, second = (pc.minimise(c, e, "hybrid", max_evaluations=80) for _ in range(2))
     assert np.array_equal(first.x, second.x)
     assert first.constant_terms["bonds"] == second.record()["constant_terms"]["bonds"] > 0
 

@@ -75,7 +75,7 @@ def test_models_with_atoms_far_off_their_places_are_made_clean(name, seed):
     """A backbone's carbonyl, and a carboxyl group, folded at random: forces alone do not open them."""
     start = models.shaken(load(name), 0.25, seed)
     planes = Planes.of(start)
-    plain = pc.minimise(pc.build_chain(start), pc.energy(start), "cartesian")
+    plain = pc.minimise(pc.build_chain(start), pc.energy(start), "cartesian", 1.0)
     assert plain.status == "converged" and planes(plain.x)[0] > 100.0
     assert violations(start.with_positions(plain.x))
     done = pc.relax(start)

@@ -220,7 +220,7 @@ def test_links_are_those_of_the_structure(name, tmp_path):
     stated = sum(line.startswith("SSBOND") for line in text.splitlines())
     sulphurs = load(name).atom_name == "SG"
     assert stated == sulphurs[load(name).bonds].all(axis=1).sum() > 0
-    opened = pc.load(STRUCTURES / name, disulfide=())
+    opened = pc.load(STRUCTURES / name, disulfide="none")
     assert not any(line.startswith("SSBOND") for line in as_text(opened, ".pdb").splitlines())
 
 

@@ -23,7 +23,6 @@ from protochain.relaxation.rounds import Relaxer
 from protochain.residues import VAN_DER_WAALS
 from protochain.structure.chirality import wrong_atoms
 from protochain.validation import threaded_rings, violations
-from protochain.validation.layout import layout
 
 STIFF = 4184.0
 
@@ -334,7 +333,7 @@ def test_the_rough_energy_is_that_of_a_cutoff_with_a_reaction_field():
 def test_only_hands_that_became_wrong_are_inverted():
     """A model with noise, in which hands were wrong, ends with right ones: that is no fault."""
     shaken = models.shaken(load("1l2y.pdb"), 0.6, seed=2)
-    x, mirrored = shaken.positions, layout(shaken).mirrored
+    x, mirrored = shaken.positions, shaken.mirrored
     wrong = wrong_atoms(shaken, x, mirrored)
     assert len(wrong) >= 1
     r = pc.relax(shaken, threads=1, solvent="vacuum")

@@ -150,7 +150,7 @@ def test_each_strength_comes_with_whatever_else_restrains():
 
 
 def test_a_ramp_of_restraints_ends_free():
-    r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), "cartesian", restraint=(1000.0, 100.0, 0.0))
+    r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), "cartesian", 1.0, restraint=(1000.0, 100.0, 0.0))
     assert r.status == Status.CONVERGED and "restraints" not in r.message and r.end.rms_force <= 1.0
 
 

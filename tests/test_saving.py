@@ -66,7 +66,16 @@ def test_a_trajectory_that_fills_the_disk_does_not_cost_the_result(suffix, tmp_p
     monkeypatch.chdir(tmp_path)
     with full_above(20_000):
         status = run(
-            monkeypatch, "minimise", SAMPLE, "-o", "out.pdb", "--trajectory", f"t.{suffix}", "--json"
+            monkeypatch,
+            "minimise",
+            SAMPLE,
+            "-o",
+            "out.pdb",
+            "--trajectory",
+            f"t.{suffix}",
+            "--json",
+            "--tolerance",
+            "0.1",
         )
     said = capsys.readouterr()
     assert status == 3 and json.loads(said.out)["status"] == "converged"

@@ -155,7 +155,8 @@ def test_deviations_are_a_table_with_failures_below(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
     good = {
         "file": "[b]a.pdb", "model": 3.0, "rmsd_angstrom": 1.23456, "tm_score": 0.56789,
-        "matched_residues": 12.0, "coverage": 0.756, "matched_by": "numbers", "message": "",
+        "matched_residues": 12.0, "coverage": 0.756, "matched_by": "numbers", "chain_mapping": "A:B",
+        "message": "",
     }  # fmt: skip
     bad = {"file": "b", "message": f"[b] 12 {'w ' * 90}end"}
     terminal.print_deviations([good, bad, good | {"tm_score": None, "file": "c"}])

@@ -152,6 +152,8 @@ class Folder:
             state = _state(tree, arrays, values)
             fitting(arrays, "memory", first(state.at).memory.shape)
             self.start = fitting(arrays, "start", (structure.n_atoms, 3))
+            for name, own in self.constants.items():
+                fitting(arrays, name, own.shape)
             listed = arrays["lists_at"]
             lists_at = fitting(arrays, "lists_at", (structure.n_atoms if len(listed) else 0, 3))
         self.stored = values

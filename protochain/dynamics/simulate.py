@@ -20,7 +20,7 @@ from protochain.checks import WATCHER, checked, flag, integer, path, quantity, t
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import has_free_roots
 from protochain.dynamics.fixman import fixman
-from protochain.dynamics.folder import Folder, check_folder, constants_of, rescued, undamaged
+from protochain.dynamics.folder import Folder, check_folder, constants_of, rescued
 from protochain.dynamics.hinge_springs import HingeSprings, dampers, hinge_springs, hinges_of
 from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
 from protochain.dynamics.loop import run as propagate
@@ -42,7 +42,6 @@ from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts
 from protochain.motion.system import Phase, StepTooLargeError, System, total
 from protochain.multibody import HingeKind
-from protochain.storage import fitting
 from protochain.structure.chirality import changed_hands, listed
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.units import MOLAR_GAS
@@ -159,8 +158,7 @@ def simulate(
     chain = as_chain(chain)
     energy = as_energy(energy, chain.structure)
     # A resumed run has the loops of its own start, not of this q.
-    with undamaged(Path(output or ".")):
-        run = _prepare(chain, energy, q, settings, constants_of(Path(output)) if resume and output else None)
+    run = _prepare(chain, energy, q, settings, constants_of(Path(output)) if resume and output else {})
     folder = Folder(Path(output), trajectory, run.identity, run.constants) if output is not None else None
     with threadpool_limits(1, "blas"), rescued(folder):
         return _simulate(run, folder, resume, n_steps, checkpoint_every, watch)
@@ -270,7 +268,7 @@ def _prepare(
     energy: Energy,
     q: Floats | None,
     settings: SimulationSettings,
-    constants: Mapping[str, Floats] | None,
+    constants: Mapping[str, Floats],
 ) -> _Run:
     """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator.
 
@@ -284,14 +282,14 @@ def _prepare(
     varying = energy.without_constants(made.rigid_groups, made.structure.positions)
     start = _transferred(chain, made, given)
     closure = closure_of(made, start) if settings.loops == "closed" else None
-    if closure is not None and constants is not None:
-        closure = replace(closure, length=fitting(constants, "loop_lengths", closure.length.shape))
+    if closure is not None:
+        closure = replace(closure, length=_measured(constants, "loop_lengths", closure.length))
     springs = hinge_springs(settings.hinge_springs, made, start)
-    if springs is not None and constants is not None:
-        springs = replace(springs, rest=fitting(constants, "hinge_rest", springs.rest.shape))
+    if springs is not None:
+        springs = replace(springs, rest=_measured(constants, "hinge_rest", springs.rest))
     pull = moving_spring(settings.pull, made, start) if settings.pull is not None else None
-    if pull is not None and constants is not None:
-        pull = replace(pull, start=float(fitting(constants, "pull_start", (1,))[0]))
+    if pull is not None:
+        pull = replace(pull, start=float(_measured(constants, "pull_start", np.array([pull.start]))[0]))
     parts = [chain_potential(made, varying)]
     if settings.fixman:
         parts.append(fixman(settings.thermal_energy, closure))
@@ -312,6 +310,15 @@ def _prepare(
         settings.thermal_energy, settings.seed, removes, dampers(settings.hinge_springs, made, noise),
     )  # fmt: skip
     return _Run(made, energy, varying, start, settings, propagator, closure, freedoms, pull, springs)
+
+
+def _measured(constants: Mapping[str, Floats], name: str, own: Floats) -> Floats:
+    """What the run to be resumed measured at its start; its own if there is none of its shape.
+
+    The checkpoint is then of another run, or damaged, which is found out and said when it is read.
+    """
+    found = constants.get(name)
+    return own if found is None or found.shape != own.shape else found
 
 
 def _transferred(chain: Chain, made: Chain, q: Floats) -> Floats:

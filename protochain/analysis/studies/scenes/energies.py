@@ -211,7 +211,7 @@ def kept(material: Material) -> Both | None:
     """Waters kept in place: their own terms and pairs summed, and left out."""
     if material.path is None:
         return None
-    beside = load(material.path, keep=("HOH",))
+    beside = load(material.path, keep=("water",))
     if not beside.obstacle.any():
         return None
     own = Material(beside, material.path)
