@@ -94,7 +94,7 @@ def test_models_are_numbered_as_the_file_does(tmp_path):
     with pytest.raises(pc.ProtochainError, match=r"has no model 4; its models are 3, 7"):
         pc.load(path, model=4)
     unended = written(tmp_path, text.replace("ENDMDL\n", "", 1) + "END\n", "unended.pdb")
-    assert "1 models without an ENDMDL record" in pc.load(unended).repairs[0]
+    assert "1 model without an ENDMDL record" in pc.load(unended).repairs[0]
     assert np.array_equal(pc.load(unended, model=7).positions, pc.load(path, model=7).positions)
 
 
