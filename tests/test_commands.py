@@ -65,7 +65,8 @@ COMMANDS = {
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_VALIDATE},
     },
     "relax": {
-        "inputs": None, **OUTPUT, "manifest": None, "preset": "predicted", "protocol": "", "tolerance": None, "stiffness": None,
+        "inputs": None, **OUTPUT, "manifest": None, "preset": "predicted", "protocol": "", "tolerance": None,
+        "stiffness": None,
         "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
         "repack": False, "report": None, "workers": None, "scheduler": None,
         "time_limit": 3600.0, "resume": False, **AS_JSON,
@@ -79,7 +80,7 @@ COMMANDS = {
     "scene": {"name": None, **OUTPUT, "quick": False, **AS_JSON},
     "info": {
         "source": None, **AS_JSON,
-        **{k: v for k, v in SETUP.items() if k not in ("engine", "move", "threads")},
+        **{k: v for k, v in SETUP.items() if k not in ("engine", "move")},
     },
     "build": {"sequence": None, **OUTPUT},
 }  # fmt: skip
@@ -316,7 +317,7 @@ def facts_of(s, c, near):
         "loops": [f"{s.describe(a)} - {s.describe(b)}" for a, b in c.loops.tolist()],
         "left_out": {"waters": 3, "ZN": 1}, "lost_atoms": [], "repairs": ["one", "two"],
         "overlaps": [f"{near}; mend"],
-        "engine": "native", "engine_reason": "why", "constant_terms": {"bonds": 5}, "seconds_import": 1.0,
+        "engine": "native", "engine_reason": "why", "threads": 2, "constant_terms": {"bonds": 5}, "seconds_import": 1.0,
         "seconds_preparation": 2.0, "seconds_chain": 3.0, "seconds_energy": 4.0,
     }  # fmt: skip
 

@@ -70,10 +70,9 @@ def test_a_folded_carbonyl_is_opened():
     assert not violations(done.structure)
 
 
-@pytest.mark.parametrize(("name", "seed"), [("1l2y.pdb", 202), ("1vii.pdb", 503)])
-def test_models_with_atoms_far_off_their_places_are_made_clean(name, seed):
-    """A backbone's carbonyl, and a carboxyl group, folded at random: forces alone do not open them."""
-    start = models.shaken(load(name), 0.25, seed)
+def test_a_model_with_atoms_far_off_their_places_is_made_clean():
+    """A carboxyl group folded at random: forces alone do not open it."""
+    start = models.shaken(load("1vii.pdb"), 0.25, 503)
     planes = Planes.of(start)
     plain = pc.minimise(pc.build_chain(start), pc.energy(start), "cartesian", 1.0)
     assert plain.status == "converged" and planes(plain.x)[0] > 100.0

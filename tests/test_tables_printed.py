@@ -162,9 +162,9 @@ def test_deviations_are_a_table_with_failures_below(capsys, monkeypatch):
     terminal.print_deviations([good, bad, good | {"tm_score": None, "file": "c"}])
     lines = capsys.readouterr().out.splitlines()
     cells = [line.split() for line in lines]
-    assert cells[0] == ["file", "model", "RMSD", "angstrom", "TM-score", "matched", "residues"]
-    assert cells[1] == ["[b]a.pdb", "3", "1.235", "0.5679", "12", "(76", "%)", "by", "numbers"]
-    assert cells[2] == ["c", "3", "1.235", "-", "12", "(76", "%)", "by", "numbers"]
+    assert cells[0] == ["file", "model", "RMSD", "angstrom", "TM-score", "matched", "residues", "chains"]
+    assert cells[1] == ["[b]a.pdb", "3", "1.235", "0.5679", "12", "(76", "%)", "by", "numbers", "A:B"]
+    assert cells[2] == ["c", "3", "1.235", "-", "12", "(76", "%)", "by", "numbers", "A:B"]
     assert lines[3] == bad["message"] and len(lines) == 4
     # Files to the left in 24 columns, numbers to the right, nothing at the edges.
     assert lines[1].index("3 ") == 24 + 1 + 4 and len(lines[1]) == len(lines[2])

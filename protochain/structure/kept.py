@@ -198,7 +198,8 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
 
 def _is_bonded(last: Member, first: Member) -> bool:
     end, start = last.atom("O3'"), first.atom("P")
-    follows = last.chain_id == first.chain_id and int(first.number) == int(last.number) + 1
+    of_strand = {last.name, first.name} <= {*residues.NUCLEOTIDES}
+    follows = of_strand and last.chain_id == first.chain_id and int(first.number) == int(last.number) + 1
     farthest = _PHOSPHATE_TORN if follows else _PHOSPHATE_BREAK
     return bool(end and start and end.pos.dist(start.pos) < farthest)
 
