@@ -317,7 +317,8 @@ def facts_of(s, c, near):
         "loops": [f"{s.describe(a)} - {s.describe(b)}" for a, b in c.loops.tolist()],
         "left_out": {"waters": 3, "ZN": 1}, "lost_atoms": [], "repairs": ["one", "two"],
         "overlaps": [f"{near}; mend"],
-        "engine": "native", "engine_reason": "why", "threads": 2, "constant_terms": {"bonds": 5}, "seconds_import": 1.0,
+        "engine": "native", "engine_reason": "why", "threads": 2, "constant_terms": {"bonds": 5},
+        "seconds_import": 1.0,
         "seconds_preparation": 2.0, "seconds_chain": 3.0, "seconds_energy": 4.0,
     }  # fmt: skip
 

@@ -471,7 +471,7 @@ def test_pictures_show_each_method_with_its_unit(comparison):
     assert "kJ/mol/rad" in torque.axes[0].get_ylabel()
     assert [{line.get_label() for line in ax.lines} for ax in work.axes[::2]] == [
         {"kcm", "md", "lbfgs"},
-        {"hybrid", "openmm"},
+        {"cartesian", "openmm"},
     ]
     colours = [
         {line.get_label(): line.get_color() for ax in figure.axes for line in ax.lines}

@@ -386,7 +386,7 @@ def print_deviations(rows: list[dict[str, Any]]) -> None:
     for heading in ("model", "RMSD angstrom", "TM-score", "matched residues"):
         table.add_column(heading, justify="right")
     measured = [row for row in rows if not row["message"]]
-    table.add_column("chains", no_wrap=True)
+    table.add_column("chains", justify="right", no_wrap=True)
     for row in measured:
         score = row["tm_score"]
         table.add_row(
