@@ -246,8 +246,8 @@ def check(structure: pc.Structure, limit: float) -> None:
             _, part = ends(structure, method, limit, tolerance)
             apart = np.abs(part[f"{tolerance:g}"] - whole[f"{tolerance:g}"]).max()
             print(f"{structure.name} {method} {tolerance:g}: {apart:.1e} nm apart", flush=True)
-    _, rough = descent(structure, limit)
-    _, fine = descent(structure, limit, ERROR / 100.0)
+    _, rough = descent(structure, 10.0 * limit)
+    _, fine = descent(structure, 10.0 * limit, ERROR / 100.0)
     last = f"{TOLERANCES[-1]:g}"
     print(f"{structure.name} descent: {all_atoms(rough[last], fine[last]):.1e} angstrom apart", flush=True)
 
