@@ -269,7 +269,7 @@ def curves(table: pd.DataFrame) -> Figure:
     """Medians of RMSD, energy above the lowest and seconds against tolerance."""
     shown = {
         "ca_rmsd_angstrom": "C-alpha RMSD to the start, angstrom",
-        "above_kj_mol_per_100_residues": "energy above the lowest end, kJ/mol per 100 residues",
+        "above_kj_mol_per_100_residues": "energy above the lowest end,\nkJ/mol per 100 residues",
         "cpu_seconds": "CPU seconds",
     }  # fmt: skip
     figure = Figure(figsize=(12, 4), layout="constrained")
