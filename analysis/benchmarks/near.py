@@ -246,8 +246,8 @@ def check(structure: pc.Structure, limit: float) -> None:
             _, part = ends(structure, method, limit, tolerance)
             apart = np.abs(part[f"{tolerance:g}"] - whole[f"{tolerance:g}"]).max()
             print(f"{structure.name} {method} {tolerance:g}: {apart:.1e} nm apart", flush=True)
-    _, rough = descent(structure, limit)
-    _, fine = descent(structure, limit, ERROR / 100.0)
+    _, rough = descent(structure, 10.0 * limit)
+    _, fine = descent(structure, 10.0 * limit, ERROR / 100.0)
     last = f"{TOLERANCES[-1]:g}"
     print(f"{structure.name} descent: {all_atoms(rough[last], fine[last]):.1e} angstrom apart", flush=True)
 
@@ -269,7 +269,7 @@ def curves(table: pd.DataFrame) -> Figure:
     """Medians of RMSD, energy above the lowest and seconds against tolerance."""
     shown = {
         "ca_rmsd_angstrom": "C-alpha RMSD to the start, angstrom",
-        "above_kj_mol_per_100_residues": "energy above the lowest end, kJ/mol per 100 residues",
+        "above_kj_mol_per_100_residues": "energy above the lowest end,\nkJ/mol per 100 residues",
         "cpu_seconds": "CPU seconds",
     }  # fmt: skip
     figure = Figure(figsize=(12, 4), layout="constrained")
