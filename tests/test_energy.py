@@ -222,6 +222,15 @@ def test_a_force_field_that_would_run_code_is_refused_unrun(tag, attribute, tmp_
     assert not mark.exists()
 
 
+@pytest.mark.parametrize("value", ["exit", "true", "1 if x else 0"])
+def test_what_openmm_evaluates_is_a_boolean_and_not_just_a_name(value, tmp_path):
+    root = ElementTree.fromstring(
+        f'<ForceField><NonbondedForce useDispersionCorrection="{value}"/></ForceField>'
+    )
+    with pytest.raises(pc.ProtochainError, match="would run as Python: give True or False"):
+        untrusted.check_passive(tmp_path, root)
+
+
 def test_openmm_evaluates_nothing_but_what_is_listed():
     """A new ``eval`` or ``exec`` in OpenMM's reader must be looked at before it is allowed."""
     tree = ast.parse(inspect.getsource(app.forcefield))
