@@ -46,7 +46,7 @@ def start_without_work(files, output, monkeypatch, **settings):
     """Names of the structures that a batch gives to its workers, each of which gets a row at once."""
     given = []
 
-    def work(client, todo, tables, *_):
+    def work(workers, todo, tables, *_):
         for job in todo:
             given.append(job.name)
             tables.append([failure(job, method, "refused", "why") for method in job.settings.methods])
@@ -55,7 +55,7 @@ def start_without_work(files, output, monkeypatch, **settings):
     api = importlib.import_module("protochain.batches.api")
     monkeypatch.setattr(api, "_work", work)
     monkeypatch.setattr(api, "_finish", lambda *_: None)
-    monkeypatch.setattr(api, "connected", lambda processes: contextlib.nullcontext())
+    monkeypatch.setattr(api, "at_work", lambda processes: contextlib.nullcontext())
     pc.batch(files, output, **settings)
     return given
 

@@ -1,23 +1,25 @@
-"""Where a batch runs, and how its jobs are handed out; no process is started."""
+"""Where a batch runs, and how its jobs are handed out."""
 
 import json
 import platform
-import signal
+import subprocess
 import sys
-from contextlib import contextmanager
+import threading
+from collections import deque
+from concurrent.futures import Future
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 
 import protochain as pc
 from protochain.batches import api, cluster
-from protochain.batches.cluster import Processes, connected
+from protochain.batches.cluster import Processes, Workers, at_work
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables
+from protochain.subprocesses import own_python
 
 OWN = version("protochain")
 
@@ -39,12 +41,13 @@ class Client:
     made = ()
     answers = ()
     error = None
+    dashboard_link = "http://there"
 
     def __init__(self, *given, **options):
         if self.error:
             raise self.error
         type(self).made = (*self.made, (given, options))
-        self.plugins, self.awaited = [], []
+        self.awaited = False
 
     def __enter__(self):
         return self
@@ -52,35 +55,31 @@ class Client:
     def __exit__(self, *_):
         type(self).made = (*self.made, "closed")
 
-    def register_plugin(self, plugin):
-        self.plugins.append(plugin)
-
     def wait_for_workers(self, count, timeout):
-        self.awaited.append((count, timeout))
+        assert (count, timeout) == (1, 10.0)
+        self.awaited = True
 
     def run(self, function):
         assert self.awaited
         assert function is cluster._version
         return dict(self.answers)
 
+    def nthreads(self):
+        return {"one": 2, "two": 3}
+
+    def submit(self, *given, pure):
+        return given, pure
+
 
 @pytest.fixture
 def dask(monkeypatch):
-    """A client and a cluster that only note what they are given."""
+    """A client that only notes what it is given."""
 
     class Own(Client):
         pass
 
-    clusters = []
-
-    @contextmanager
-    def local(**options):
-        clusters.append(options)
-        yield "the cluster"
-
-    monkeypatch.setattr(cluster, "Client", Own)
-    monkeypatch.setattr(cluster, "LocalCluster", local)
-    return SimpleNamespace(client=Own, clusters=clusters)
+    monkeypatch.setattr("distributed.Client", Own)
+    return Own
 
 
 @pytest.mark.parametrize(
@@ -90,29 +89,39 @@ def dask(monkeypatch):
         (Processes(threads=9), 8, 1), (Processes(), 1, 1),
     ],
 )  # fmt: skip
-def test_a_cluster_of_this_machine_is_reached_from_it_only(processes, cores, count, dask, monkeypatch):
+def test_on_this_machine_a_thread_is_busy_on_each_core(processes, cores, count, dask, monkeypatch):
     monkeypatch.setattr(cluster, "processors", lambda: cores)
-    with connected(processes) as client:
-        (plugin,) = client.plugins
-        assert isinstance(plugin, cluster._CalmWorker) and client.awaited == []
-    assert dask.clusters == [
-        {"n_workers": count, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": "127.0.0.1:0",
-         "memory_limit": 0, "silence_logs": 50}
-    ]  # fmt: skip
-    assert dask.client.made == ((("the cluster",), {}), "closed")
+    barrier = threading.Barrier(count, timeout=60.0)
+    with at_work(processes) as workers:
+        assert (workers.count(), workers.dashboard) == (count, "")
+        # It breaks, unless all are busy at a time.
+        assert sorted(each.result() for each in [workers.submit(barrier.wait) for _ in range(count)]) == [
+            *range(count)
+        ]
+    assert dask.made == ()
+
+
+def test_dask_is_loaded_for_a_cluster_only():
+    script = (
+        "import sys; from protochain.batches.cluster import Processes, at_work\n"
+        "with at_work(Processes()): print({'distributed', 'dask', 'tornado'} & {*sys.modules})"
+    )
+    done = subprocess.run(own_python(script), capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
 
 
 @pytest.mark.parametrize("address", ["tcp://there:1", "tls://there:1"])
 def test_a_cluster_that_runs_is_used_where_its_version_is_ours(address, dask):
-    dask.client.answers = [("one", OWN), ("two", OWN)]
-    with connected(Processes(scheduler=address)) as client:
-        assert client.plugins == [] and client.awaited == [(1, 10.0)]
-    (((given,), options), closed) = dask.client.made
-    assert given == address and closed == "closed" and not dask.clusters
+    dask.answers = [("one", OWN), ("two", OWN)]
+    with at_work(Processes(scheduler=address)) as workers:
+        assert (workers.count(), workers.dashboard) == (5, "http://there")
+        assert workers.submit(len, "job") == ((len, "job"), False)
+    (((given,), options), closed) = dask.made
+    assert given == address and closed == "closed"
     assert (options["timeout"], options["set_as_default"]) == ("10s", False)
     assert (options["security"] is None) == address.startswith("tcp")
-    dask.client.answers = [("one", OWN), ("two", "0.0.1")]
-    with pytest.raises(pc.ProtochainError) as refusal, connected(Processes(scheduler=address)):
+    dask.answers = [("one", OWN), ("two", "0.0.1")]
+    with pytest.raises(pc.ProtochainError) as refusal, at_work(Processes(scheduler=address)):
         pass
     assert str(refusal.value) == (
         f"scheduler {address}: worker two has protochain 0.0.1, and here is {OWN}; "
@@ -122,8 +131,8 @@ def test_a_cluster_that_runs_is_used_where_its_version_is_ours(address, dask):
 
 @pytest.mark.parametrize("error", [OSError("no"), TypeError("no"), ValueError("no")])
 def test_a_cluster_that_does_not_answer_is_named(error, dask):
-    dask.client.error = error
-    with pytest.raises(pc.ProtochainError) as refusal, connected(Processes(scheduler="tcp://there:1")):
+    dask.error = error
+    with pytest.raises(pc.ProtochainError) as refusal, at_work(Processes(scheduler="tcp://there:1")):
         pass
     assert str(refusal.value) == "scheduler tcp://there:1: no cluster answers there: no"
 
@@ -138,13 +147,6 @@ def test_a_worker_tells_its_version(monkeypatch):
     assert cluster._version() == "not installed"
 
 
-def test_a_worker_ignores_what_the_client_handles(monkeypatch):
-    given = []
-    monkeypatch.setattr(signal, "signal", lambda *what: given.append(what))
-    cluster._CalmWorker().setup(None)
-    assert given == [(signal.SIGINT, signal.SIG_IGN)]
-
-
 def jobs_of(n, folder):
     settings = BatchSettings(methods=("kcm", "lbfgs"))
     return [Job(f"s{k}", Path(folder) / f"s{k}.pdb", settings, f"key-{k}") for k in range(n)]
@@ -153,43 +155,40 @@ def jobs_of(n, folder):
 RESULT = {"output": "file", "energy_end_reference_kj_mol": -12.25, "ca_rmsd_angstrom": 0.5, "seconds": 2.0}
 
 
-class Futures:
-    """Dask's client and its futures in one: what was submitted ends in the order of submission."""
+class Ending:
+    """Workers of which one ends, the earliest, whenever the batch looks whether any has."""
 
-    def __init__(self, monkeypatch, n_threads=1, lost_at=None, failed_at=(), usable=()):
-        self.submitted, self.cancelled, self.lost_at = [], None, lost_at
-        self.failed_at, self.usable, self.most = failed_at, usable, 0
-        self.loop, self.cluster, self.dashboard_link = "the loop", None, "http://there"
-        self.nthreads = lambda: {"worker": n_threads}
-        self.futures = []
-        monkeypatch.setattr(api, "as_completed", self.completed)
+    def __init__(self, monkeypatch, lost_at=None, failed_at=(), usable=()):
+        self.submitted, self.lost_at, self.failed_at, self.usable = [], lost_at, failed_at, usable
+        self.running, self.most = [], 0
+        self.workers = Workers(self.submit, lambda: 1, "http://there")
 
-    def submit(self, function, job, folder, threads, time_limit, pure):
-        assert function is supervise and pure is False
+        class Ended(deque):
+            def put(_, item):
+                _.append(item)
+
+            def get(_):
+                self.most = max(self.most, len(self.running))
+                self.end(*self.running.pop(0))
+                return _.popleft()
+
+        monkeypatch.setattr(api, "SimpleQueue", Ended)
+
+    def submit(self, function, job, folder, threads, time_limit):
+        assert function is supervise
         self.submitted.append((job, folder, threads, time_limit))
-        number = len(self.submitted) - 1
-        status = "lost" if number == self.lost_at else "error" if number in self.failed_at else "finished"
+        self.running.append((len(self.submitted) - 1, job, Future()))
+        return self.running[-1][-1]
+
+    def end(self, number, job, future):
         record = RESULT if number in self.usable else {}
-        rows = [
-            Row(failure(job, method, "budget", "").record | record, []) for method in job.settings.methods
-        ]
-        return SimpleNamespace(key=number, status=status, result=lambda: rows, exception=lambda: "why")
-
-    def completed(self, futures, loop):
-        assert loop == "the loop"
-        self.futures = list(futures)
-        return self
-
-    def add(self, future):
-        self.futures.append(future)
-
-    def __iter__(self):
-        while self.futures:
-            self.most = max(self.most, len(self.futures))
-            yield self.futures.pop(0)
-
-    def cancel(self, futures):
-        self.cancelled = futures
+        rows = [failure(job, method, "budget", "") for method in job.settings.methods]
+        if number == self.lost_at:
+            assert future.cancel()
+        elif number in self.failed_at:
+            future.set_exception(RuntimeError("why"))
+        else:
+            future.set_result([Row(row.record | record, []) for row in rows])
 
 
 @pytest.fixture
@@ -201,12 +200,13 @@ def tables(tmp_path):
 
 
 def test_jobs_are_handed_out_a_few_ahead_and_counted_as_they_end(tables, tmp_path, monkeypatch):
-    client, seen = Futures(monkeypatch, failed_at=(1,), usable=(0, 2, 3, 4, 5)), []
+    ending, seen = Ending(monkeypatch, failed_at=(1,), usable=(0, 2, 3, 4, 5)), []
     clock = iter(range(1000))
     monkeypatch.setattr(api, "perf_counter", lambda: float(next(clock)))
     todo = jobs_of(6, tmp_path)
-    assert api._work(client, todo, tables, Processes(threads=2, time_limit=9.0), 3, seen.append) is False
-    assert client.submitted == [(job, tmp_path, 2, 9.0) for job in todo] and client.most == 4
+    processes = Processes(threads=2, time_limit=9.0)
+    assert api._work(ending.workers, todo, tables, processes, 3, seen.append) is False
+    assert ending.submitted == [(job, tmp_path, 2, 9.0) for job in todo] and ending.most == 4
     assert [(p.total, p.done, p.failed, p.skipped) for p in seen] == [
         (9, 1, 0, 3), (9, 2, 1, 3), (9, 3, 1, 3), (9, 4, 1, 3), (9, 5, 1, 3), (9, 6, 1, 3),
     ]  # fmt: skip
@@ -224,21 +224,20 @@ def test_jobs_are_handed_out_a_few_ahead_and_counted_as_they_end(tables, tmp_pat
 
 
 def test_a_scheduler_that_is_lost_ends_the_batch(tables, tmp_path, monkeypatch):
-    client = Futures(monkeypatch, lost_at=1)
-    assert api._work(client, jobs_of(3, tmp_path), tables, Processes(), 0, None) is True
-    assert tables.read()["structure"].tolist() == ["s0", "s0"] and client.cancelled is None
+    workers = Ending(monkeypatch, lost_at=1).workers
+    assert api._work(workers, jobs_of(3, tmp_path), tables, Processes(), 0, None) is True
+    assert tables.read()["structure"].tolist() == ["s0", "s0"]
 
 
-def test_an_interrupt_keeps_what_is_done_and_cancels_the_rest(tables, tmp_path, monkeypatch):
-    client = Futures(monkeypatch)
+def test_an_interrupt_keeps_what_is_done_and_hands_out_no_more(tables, tmp_path, monkeypatch):
+    ending = Ending(monkeypatch)
 
     def watch(progress):
         if progress.done == 2:
             raise KeyboardInterrupt
 
-    assert api._work(client, jobs_of(9, tmp_path), tables, Processes(), 0, watch) is True
-    assert tables.read()["structure"].nunique() == 2
-    assert [future.key for future in client.cancelled] == [future.key for future in client.futures] != []
+    assert api._work(ending.workers, jobs_of(9, tmp_path), tables, Processes(), 0, watch) is True
+    assert tables.read()["structure"].nunique() == 2 and len(ending.submitted) == 5
 
 
 def test_the_summary_of_a_batch(tmp_path, monkeypatch):

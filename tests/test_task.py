@@ -3,6 +3,8 @@
 import pickle
 import queue
 import threading
+from concurrent.futures import Future
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 from conftest import STRUCTURES, load
 
 import protochain as pc
-from protochain.batches import api, supervise, task
+from protochain.batches import api, cluster, supervise, task
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import Child, ChildError
 from protochain.batches.thinning import thinned
@@ -123,7 +125,7 @@ def test_a_trace_is_thinned_to_fifty_points_with_both_ends():
 class Scripted(Child):
     """A child without a process, which says what it is told."""
 
-    threads = 1
+    threads, is_ready = 1, True
 
     def __init__(self, *said, sent=None):
         self.messages, self.sent, self.killed = queue.Queue(), [], False
@@ -242,7 +244,7 @@ def test_what_a_child_says_is_listened_to_until_it_ends(tmp_path):
         assert [child.messages.get(block=False) for _ in range(3)] == ["ready", [1, 2], None]
 
 
-def test_a_child_is_started_with_its_threads_and_stopped_if_it_does_not_start(monkeypatch):
+def test_a_child_is_started_with_its_threads_and_stopped_if_it_does_not_start(monkeypatch, tmp_path):
     started, listening = {}, threading.Event()
 
     def popen(command, **options):
@@ -251,7 +253,7 @@ def test_a_child_is_started_with_its_threads_and_stopped_if_it_does_not_start(mo
 
     def late(self, deadline, said):
         assert listening.wait(60.0)
-        started.update(deadline=deadline, said=said)
+        started.update(deadline=deadline)
         raise ChildError("time-limit", said)
 
     monkeypatch.setattr(supervise.subprocess, "Popen", popen)
@@ -259,8 +261,12 @@ def test_a_child_is_started_with_its_threads_and_stopped_if_it_does_not_start(mo
     monkeypatch.setattr(Child, "_listen", lambda self: listening.set())
     monkeypatch.setattr(Child, "_next", late)
     monkeypatch.setattr(Child, "kill", lambda self: (started.update(killed=True), self.said.close()))
-    with pytest.raises(ChildError, match="did not start in time"):
-        Child(3)
+    job = job_of("kcm", "lbfgs")
+    # The time that it takes to start is not that of the first structure.
+    assert Child(3).do(job, tmp_path, 1.0) == [
+        failure(job, method, "time-limit", "the process that minimises did not start in time")
+        for method in ("kcm", "lbfgs")
+    ]
     assert started["command"] == own_python("from protochain.batches.child import main; main()")
     assert started["killed"]
     assert started["deadline"] == 650.0 and started["start_new_session"] is True
@@ -269,58 +275,106 @@ def test_a_child_is_started_with_its_threads_and_stopped_if_it_does_not_start(mo
     assert {started["env"][name] for name in names} == {"3"} and "PATH" in started["env"]
 
 
-def test_a_thread_keeps_its_child_while_that_fits(monkeypatch, tmp_path):
+def test_a_child_is_ready_before_the_time_of_its_first_structure_begins(monkeypatch, tmp_path):
+    clock = iter([100.0, 100.0, 500.0, 500.0, 500.5])
+    monkeypatch.setattr(supervise, "perf_counter", lambda: next(clock))
+    job = job_of("kcm")
+    child = Scripted("ready", failure(job, "kcm", "budget", ""), "done")
+    child.is_ready = False
+    (row,) = child.do(job, tmp_path, 60.0)
+    assert row.record["status"] == "budget" and child.is_ready and not child.killed
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """Children without processes, as they are made."""
     made = []
 
     class Counted(Scripted):
+        is_alive = True
+
         def __init__(self, threads):
             super().__init__()
-            self.threads, self.is_alive = threads, True
+            self.threads, self.process = threads, SimpleNamespace(kill=self.end)
             made.append(self)
 
-        is_alive = True
+        def end(self):
+            self.is_alive = False
 
         def do(self, job, folder, time_limit):
             return [len(made), folder, time_limit]
 
     monkeypatch.setattr(supervise, "Child", Counted)
-    monkeypatch.setattr(supervise, "_here", SimpleNamespace())
+    monkeypatch.setattr(supervise, "_here", threading.local())
+    return made
+
+
+def test_a_thread_keeps_its_child_while_that_fits(counted, tmp_path):
     job = job_of("kcm")
     assert supervise.supervise(job, tmp_path, 1, 5.0) == [1, tmp_path, 5.0]
-    assert supervise.supervise(job, tmp_path, 1, 6.0) == [1, tmp_path, 6.0] and not made[0].killed
+    assert supervise.supervise(job, tmp_path, 1, 6.0) == [1, tmp_path, 6.0] and not counted[0].killed
     # Another number of threads, or a child that has died, needs a new one.
-    assert supervise.supervise(job, tmp_path, 2, 5.0)[0] == 2 and made[0].killed
-    made[1].is_alive = False
-    assert supervise.supervise(job, tmp_path, 2, 5.0)[0] == 3 and made[1].killed and not made[2].killed
-
-    def none(threads):
-        raise ChildError("time-limit", "too late")
-
-    made[2].is_alive = False
-    monkeypatch.setattr(supervise, "Child", none)
-    two = job_of("kcm", "lbfgs")
-    assert supervise.supervise(two, tmp_path, 2, 5.0) == [
-        failure(two, method, "time-limit", "too late") for method in ("kcm", "lbfgs")
-    ]
+    assert supervise.supervise(job, tmp_path, 2, 5.0)[0] == 2 and counted[0].killed
+    counted[1].is_alive = False
+    assert supervise.supervise(job, tmp_path, 2, 5.0)[0] == 3 and counted[1].killed and not counted[2].killed
 
 
-def test_a_window_is_of_four_jobs_a_thread_counted_again_after_a_while(monkeypatch):
+@pytest.mark.parametrize("error", [None, KeyboardInterrupt, ZeroDivisionError])
+def test_children_end_with_the_crew_however_it_ends(error, counted, tmp_path):
+    job, both = job_of("kcm"), threading.Barrier(2, timeout=60.0)
+    with pytest.raises(error) if error else nullcontext(), supervise.crew(2) as executor:
+        # Each waits for the other, so that both threads have one.
+        given = [
+            executor.submit(lambda: (both.wait(), supervise.supervise(job, tmp_path, 1, 5.0))) for _ in "ab"
+        ]
+        for future in given:
+            future.result()
+        assert len(counted) == 2 and all(child.is_alive for child in counted)
+        if error:
+            raise error
+    assert not any(child.is_alive for child in counted) and all(child.killed for child in counted)
+
+
+def test_a_child_that_is_started_while_its_crew_ends_is_ended_too(counted, tmp_path):
+    begun, release = threading.Event(), threading.Event()
+
+    def late():
+        begun.set()
+        assert release.wait(60.0)
+        return supervise.supervise(job_of("kcm"), tmp_path, 1, 5.0)
+
+    class Children(supervise._Children):
+        def end(self):
+            super().end()
+            release.set()
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(supervise, "_Children", Children)
+        with supervise.crew(1) as executor:
+            executor.submit(late)
+            never = executor.submit(late)
+            assert begun.wait(60.0)
+    assert never.cancelled() and [child.is_alive for child in counted] == [False] and counted[0].killed
+
+
+def test_a_window_is_of_four_jobs_a_worker_counted_again_after_a_while(monkeypatch):
     now, counted = [0.0], []
-    client = SimpleNamespace(nthreads=lambda: counted.append(now[0]) or {"a": 2, "b": 3})
+    workers = cluster.Workers(None, lambda: counted.append(now[0]) or 5)
     monkeypatch.setattr(api, "perf_counter", lambda: now[0])
-    window = api._Window(client)
+    window = api._Window(workers)
     sizes = []
     for now[0] in (0.1, 5.1, 5.2, 9.0, 10.3):
         sizes.append(window.size())
     assert sizes == [20] * 5 and counted == [0.1, 5.2, 10.3]
-    assert api._Window(SimpleNamespace(nthreads=dict)).size() == 4
+    assert api._Window(cluster.Workers(None, lambda: 0)).size() == 4
 
 
-def test_what_dask_reports_is_the_row_of_each_method():
+def test_what_a_worker_reports_is_the_row_of_each_method():
     job = job_of("kcm", "lbfgs")
-    rows = [Row({"method": "kcm"}, [])]
-    assert api._rows(SimpleNamespace(status="finished", result=lambda: rows), job) is rows
-    lost = SimpleNamespace(status="error", exception=lambda: ValueError("three times"))
+    rows, ended, lost = [Row({"method": "kcm"}, [])], Future(), Future()
+    ended.set_result(rows)
+    assert api._rows(ended, job) is rows
+    lost.set_exception(ValueError("three times"))
     message = "no worker finished this structure: three times"
     assert api._rows(lost, job) == [failure(job, method, "killed", message) for method in ("kcm", "lbfgs")]
 

@@ -173,17 +173,17 @@ def handed(monkeypatch):
     seen = SimpleNamespace(interrupted=False, done=0, works=[], finished=[])
 
     @contextmanager
-    def connected(processes):
+    def at_work(processes):
         seen.processes = processes
-        yield "the client"
+        yield "the workers"
 
-    def work(client, todo, tables, processes, skipped, watch):
-        seen.works.append((client, [job.name for job in todo], processes, skipped, watch))
+    def work(workers, todo, tables, processes, skipped, watch):
+        seen.works.append((workers, [job.name for job in todo], processes, skipped, watch))
         for job in todo[: seen.done]:
             tables.append([failure(job, method, "budget", "") for method in job.settings.methods])
         return seen.interrupted
 
-    monkeypatch.setattr(batches, "connected", connected)
+    monkeypatch.setattr(batches, "at_work", at_work)
     monkeypatch.setattr(batches, "_work", work)
     monkeypatch.setattr(
         batches, "_finish", lambda tables, jobs: seen.finished.append((tables.folder, len(jobs)))
@@ -198,7 +198,7 @@ def test_a_batch_hands_its_settings_to_their_parts(handed, tmp_path):
     assert batches.batch(inputs, out, ("kcm", "lbfgs"), **options) == Batch(out, False)
     processes = Processes(2, None, 3, 9.0)
     assert handed.processes == processes and handed.finished == [(out, 2)]
-    assert handed.works == [("the client", ["ala10", "1l2y"], processes, 0, len)]
+    assert handed.works == [("the workers", ["ala10", "1l2y"], processes, 0, len)]
     settings = BatchSettings(("kcm", "lbfgs"), seed=4, setup=pc.Setup(ph=5.0))
     keys = {job.key for job in find_jobs(inputs, settings)}
     assert set(batches.Batch(out).table["key"]) <= keys
@@ -226,9 +226,10 @@ def test_a_batch_of_one_file_by_one_method_or_of_a_manifest(handed, tmp_path):
         batches.batch([], tmp_path / "c", colour="red")
 
 
-def test_a_child_reads_jobs_until_the_pipe_closes(tmp_path, monkeypatch):
+@pytest.mark.parametrize("cut", [b"", pickle.dumps(("three", 3))[:-3], b"\x00"])
+def test_a_child_reads_jobs_until_the_pipe_closes_in_the_middle_of_one_or_not(cut, tmp_path, monkeypatch):
     jobs, file = child.queue.Queue(), tmp_path / "in"
-    file.write_bytes(pickle.dumps("one") + pickle.dumps(("two", 2)))
+    file.write_bytes(pickle.dumps("one") + pickle.dumps(("two", 2)) + cut)
 
     class Gone(Exception):
         pass

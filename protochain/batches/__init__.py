@@ -1,4 +1,4 @@
-"""Many structures, on one machine or on a cluster, by Dask."""
+"""Many structures, on one machine or, by Dask, on a cluster."""
 
 from protochain.batches.api import Batch, BatchProgress, batch
 from protochain.batches.cluster import Processes

@@ -1,23 +1,20 @@
-"""``batch``: many structures by Dask, results to disk as they arrive."""
+"""``batch``: many structures in many processes, results to disk as they arrive."""
 
 import platform
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from importlib.metadata import version
-from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
+from queue import SimpleQueue
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from distributed import LocalCluster, as_completed
-from distributed.client import Client, Future
-
 from protochain import defaults
-from protochain.batches.cluster import Processes, connected
+from protochain.batches.cluster import Processes, Workers, at_work
 from protochain.batches.jobs import (
     NAMES,
     BatchSettings,
@@ -39,10 +36,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _AHEAD = 4
-"""Jobs waiting at the scheduler for each thread of the cluster: enough to keep all threads busy."""
+"""Jobs handed out for each that is done at a time: enough to keep all workers busy."""
 
 _RECOUNT = 5.0
-"""s between counts of the cluster's threads: it may grow."""
+"""s between counts of the workers: a cluster may grow."""
 
 
 @dataclass(frozen=True)
@@ -162,10 +159,6 @@ def batch(
     ProtochainError
         If there is nothing to do, a setting is unknown or makes no sense or differs from that of the batch to
         be resumed, or the folder or cluster cannot be used.
-
-    Notes
-    -----
-    A script must call it under ``if __name__ == "__main__":``, as any function that starts processes.
     """
     whole = [inputs] if isinstance(inputs, str) else several(inputs, "inputs")
     given = [str(path(each, "inputs")) for each in whole]
@@ -203,8 +196,8 @@ def run_batch(
         todo = [job for job in jobs if job.identity not in done]
         interrupted = False
         if todo:
-            with connected(processes) as client:
-                interrupted = _work(client, todo, tables, processes, len(done), watch)
+            with at_work(processes) as workers:
+                interrupted = _work(workers, todo, tables, processes, len(done), watch)
         with held_interrupts():
             tables.sort(jobs)
             _finish(tables, jobs)
@@ -217,7 +210,7 @@ def run_batch(
 
 
 def _work(
-    client: Client,
+    workers: Workers,
     todo: Sequence[Job],
     tables: Tables,
     processes: Processes,
@@ -228,41 +221,37 @@ def _work(
     began = perf_counter()
     folder = tables.folder.absolute()
     waiting = iter(todo)
-    of: dict[Any, Job] = {}
+    running: set[Any] = set()  # Dask gives up what nobody holds.
+    ended: SimpleQueue[tuple[Job, Any]] = SimpleQueue()
     done = failed = 0
 
-    def submit(count: int) -> Iterator[Future]:
+    def submit(count: int) -> None:
         for job in islice(waiting, count):
-            future = client.submit(
-                supervise, job.anywhere, folder, processes.threads, processes.time_limit, pure=False
-            )
-            of[future.key] = job
-            yield future
+            future = workers.submit(supervise, job.anywhere, folder, processes.threads, processes.time_limit)
+            running.add(future)
+            future.add_done_callback(lambda future, job=job: ended.put((job, future)))
 
-    # Bokeh draws the dashboard. Only of a scheduler on this machine is it known whether it has it.
-    drawn = find_spec("bokeh") or not isinstance(client.cluster, LocalCluster)
-    dashboard = client.dashboard_link if drawn else ""
-    window = _Window(client)
-    running = as_completed(submit(window.size()), loop=client.loop)
+    window = _Window(workers)
     try:
-        for future in running:
-            if future.status not in ("finished", "error"):
+        submit(window.size())
+        while running:
+            job, future = ended.get()
+            if future.cancelled():
                 return True  # The connection to the scheduler is lost.
+            running.remove(future)
             with held_interrupts() as interrupts:
-                rows = _rows(future, of.pop(future.key))
+                rows = _rows(future, job)
                 tables.append(rows)
             done += 1
             failed += all("output" not in row.record for row in rows)
             if watch:
                 total = skipped + len(todo)
                 seconds = perf_counter() - began
-                watch(BatchProgress(total, done, failed, skipped, seconds, dashboard, _line(rows)))
+                watch(BatchProgress(total, done, failed, skipped, seconds, workers.dashboard, _line(rows)))
             if interrupts:
                 raise KeyboardInterrupt
-            for further in submit(max(0, window.size() - len(of))):
-                running.add(further)
+            submit(max(0, window.size() - len(running)))
     except KeyboardInterrupt:
-        client.cancel(list(running.futures))
         return True
     return False
 
@@ -289,23 +278,24 @@ def _line(rows: Sequence[Row]) -> str:
 
 
 class _Window:
-    """Number of jobs to have at the scheduler, so that memory does not grow with the batch."""
+    """Number of jobs to have handed out, so that memory does not grow with the batch."""
 
-    def __init__(self, client: Client) -> None:
-        self.client, self.counted, self.threads = client, -_RECOUNT, 0
+    def __init__(self, workers: Workers) -> None:
+        self.workers, self.counted, self.count = workers, -_RECOUNT, 0
 
     def size(self) -> int:
         if perf_counter() - self.counted > _RECOUNT:
-            self.threads, self.counted = sum(self.client.nthreads().values()), perf_counter()
-        return _AHEAD * max(self.threads, 1)
+            self.count, self.counted = self.workers.count(), perf_counter()
+        return _AHEAD * max(self.count, 1)
 
 
-def _rows(future: Future, job: Job) -> list[Row]:
-    """Return the rows of a job, or rows with the error that Dask reports."""
-    if future.status == "finished":
+def _rows(future: Any, job: Job) -> list[Row]:
+    """Return the rows of a job, or rows with the error of its worker."""
+    error = future.exception()
+    if error is None:
         rows: list[Row] = future.result()
         return rows
-    message = f"no worker finished this structure: {future.exception()}"
+    message = f"no worker finished this structure: {error}"
     return [failure(job, method, "killed", message) for method in job.settings.methods]
 
 

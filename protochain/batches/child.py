@@ -1,6 +1,6 @@
-"""The process that minimises: ``main``, run in a Python of its own that a worker starts.
+"""The process that minimises: ``main``, run in a Python of its own that a thread of a batch starts.
 
-It may hang, be killed, or run out of memory without harm to the worker. It reads pickled jobs from standard
+It may hang, be killed, or run out of memory without harm to the batch. It reads pickled jobs from standard
 input and writes pickled rows to standard output.
 """
 
@@ -17,12 +17,12 @@ READY, DONE = "ready", "done"
 
 
 def main() -> None:
-    """Run jobs until the worker closes the pipe."""
+    """Run jobs until the pipe is closed, on purpose or because the batch has died."""
     results = os.fdopen(os.dup(1), "wb")
     # Output of libraries must not mix with the rows.
     os.dup2(2, 1)
     with suppress(OSError):
-        # When memory runs out, the system is to kill this process, and not the worker.
+        # When memory runs out, the system is to kill this process, and not the batch.
         Path("/proc/self/oom_score_adj").write_text("500")
     jobs: queue.Queue[Any] = queue.Queue()
     threading.Thread(target=_read, args=(sys.stdin.buffer, jobs), daemon=True).start()
@@ -39,12 +39,12 @@ def main() -> None:
 
 
 def _read(source: BinaryIO, jobs: "queue.Queue[Any]") -> None:
-    """Pass jobs on as they arrive; end when the worker has gone."""
-    while True:
-        try:
+    """Pass jobs on as they arrive; end with whoever sends them, who may die in the middle of one."""
+    try:
+        while True:
             jobs.put(pickle.load(source))
-        except EOFError:
-            os._exit(0)
+    finally:
+        os._exit(0)
 
 
 def _send(target: BinaryIO, message: Any) -> None:

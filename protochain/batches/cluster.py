@@ -1,19 +1,21 @@
-"""A Dask client: of a cluster started on this machine, or of one that is running already."""
+"""Who does the jobs of a batch: threads of this process, or a Dask cluster that is running already."""
 
 import logging
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
-
-from distributed import Client, LocalCluster, Worker, WorkerPlugin
-from distributed.security import Security
+from typing import TYPE_CHECKING, Any
 
 from protochain import defaults
+from protochain.batches.supervise import crew
 from protochain.checks import check_fields, integer, number, optional, text
 from protochain.errors import ProtochainError
 from protochain.processors import processors
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 _LOG = logging.getLogger(__name__)
 _PATIENCE = 10.0
@@ -55,32 +57,55 @@ class Processes:
             raise ProtochainError("time_limit, threads and workers: give numbers above 0")
 
 
+@dataclass(frozen=True)
+class Workers:
+    """Who does the jobs.
+
+    Parameters
+    ----------
+    submit : callable
+        As of :class:`concurrent.futures.Executor`; its futures know ``add_done_callback``, ``result``,
+        ``exception`` and ``cancelled``.
+    count : callable
+        Returns how many jobs are done at a time, now.
+    dashboard : str
+        Address of Dask's dashboard, if there is one.
+    """
+
+    submit: Callable[..., Any]
+    count: Callable[[], int]
+    dashboard: str = ""
+
+
 @contextmanager
-def connected(processes: Processes) -> Iterator[Client]:
-    """Connect to a cluster, or start one on this machine; close afterwards what was started.
+def at_work(processes: Processes) -> Iterator[Workers]:
+    """Start threads of this process, or connect to a cluster; what is not done at the end is given up.
 
     Raises
     ------
     ProtochainError
         If the cluster does not answer, or runs another version of protochain.
     """
-    scheduler = processes.scheduler
-    if scheduler is None:
+    if processes.scheduler is None:
+        # Without sockets: whoever could reach them would run any code as the user.
         count = processes.workers or max(1, processors() // processes.threads)
-        with (
-            LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",  # The usual port may be another batch's.
-                memory_limit=0,  # Memory is used by the worker's child, which the system limits.
-                silence_logs=logging.CRITICAL,
-            ) as cluster,
-            Client(cluster) as client,
-        ):
-            client.register_plugin(_CalmWorker())
-            yield client
-        return
+        with crew(count) as executor:
+            yield Workers(executor.submit, lambda: count)
+    else:
+        with _connected(processes.scheduler) as client:
+            yield Workers(
+                partial(client.submit, pure=False),
+                lambda: sum(client.nthreads().values()),
+                client.dashboard_link,
+            )
+
+
+@contextmanager
+def _connected(scheduler: str) -> Iterator["Client"]:
+    # Half a second that batches on this machine do without.
+    from distributed import Client
+    from distributed.security import Security
+
     try:
         security = Security() if scheduler.startswith("tls://") else None
         client = Client(scheduler, security=security, timeout="10s", set_as_default=False)
@@ -92,7 +117,7 @@ def connected(processes: Processes) -> Iterator[Client]:
         yield client
 
 
-def _await_workers(client: Client, scheduler: str) -> None:
+def _await_workers(client: "Client", scheduler: str) -> None:
     """Wait for a worker, and say so: a queue may give it later, or nobody has started one."""
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
@@ -104,15 +129,7 @@ def _await_workers(client: Client, scheduler: str) -> None:
         client.wait_for_workers(1)
 
 
-class _CalmWorker(WorkerPlugin):
-    """Ignore Ctrl-C, which all processes of a terminal receive: the client ends the workers."""
-
-    def setup(self, worker: Worker) -> None:
-        with suppress(ValueError):  # Only a main thread receives signals.
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _check_versions(client: Client, scheduler: str) -> None:
+def _check_versions(client: "Client", scheduler: str) -> None:
     """Refuse workers with another version of protochain."""
     own = version("protochain")
     for worker, theirs in client.run(_version).items():

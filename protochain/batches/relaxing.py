@@ -56,10 +56,6 @@ def relax_files(
     ProtochainError
         If there is nothing to do, settings differ from those of the folder to be resumed, or it cannot be
         used.
-
-    Notes
-    -----
-    A script must call it under ``if __name__ == "__main__":``, as any function that starts processes.
     """
     setup = setup or Setup()
     if setup.threads is not None:

@@ -1,4 +1,4 @@
-"""Dask workers: each runs its jobs in a child process, whose end it survives and reports."""
+"""Threads, here or of Dask: each runs its jobs in a child process, whose end it survives and reports."""
 
 import os
 import pickle
@@ -7,13 +7,16 @@ import signal
 import subprocess
 import tempfile
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter
 from typing import IO, Any
 
 from protochain.batches.child import DONE
 from protochain.batches.jobs import Job, Row, failure
+from protochain.interrupts import held_interrupts
 from protochain.subprocesses import own_python
 
 _START = 600.0
@@ -50,23 +53,22 @@ class Child:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self.said,
-            start_new_session=True,  # Ctrl-C is handled by the client.
+            start_new_session=True,  # Ctrl-C, which all processes of a terminal receive, is the batch's.
             env=os.environ | dict.fromkeys(_PINNED, str(threads)),
         )
         self.messages: queue.Queue[Any] = queue.Queue()
         self.listener = threading.Thread(target=self._listen, daemon=True)
         self.listener.start()
-        try:
-            self._next(perf_counter() + _START, "the process that minimises did not start in time")
-        except ChildError:
-            self.kill()
-            raise
+        self.is_ready = False
 
     def do(self, job: Job, folder: Path, time_limit: float) -> list[Row]:
         """Run a job in the child; return a row for every method, even if the child ends before."""
         rows: list[Row] = []
         began = perf_counter()
         try:
+            if not self.is_ready:
+                self._next(began + _START, "the process that minimises did not start in time")
+                self.is_ready, began = True, perf_counter()
             self._send((job, folder, self.threads))
             while True:
                 message = self._next(began + time_limit, f"time limit of {time_limit:g} s reached")
@@ -133,7 +135,50 @@ class Child:
 
 
 _here = threading.local()
-"""The child of each thread of a worker."""
+"""The child of each thread, and the children it belongs to, if the thread is of a crew."""
+
+
+class _Children(list[Child]):
+    """All children of a crew. They may be ended while a thread starts another."""
+
+    are_wanted = True
+
+    def add(self, child: Child) -> None:
+        """Take one up, or end it where it comes too late."""
+        self.append(child)
+        if not self.are_wanted:
+            child.process.kill()
+
+    def end(self) -> None:
+        """End all; their threads notice."""
+        self.are_wanted = False
+        for child in self:
+            child.process.kill()
+
+
+@contextmanager
+def crew(count: int) -> Iterator[Executor]:
+    """Threads that each :func:`supervise` with a child of its own.
+
+    At the end, whatever the reason, jobs that have not begun are cancelled, and all children are ended, also
+    in the middle of a job.
+
+    Parameters
+    ----------
+    count : int
+        Threads.
+    """
+    children = _Children()
+    executor = ThreadPoolExecutor(count, "crew", lambda: setattr(_here, "children", children))
+    try:
+        yield executor
+    finally:
+        with held_interrupts():
+            executor.shutdown(wait=False, cancel_futures=True)
+            children.end()
+            executor.shutdown()
+            for child in children:
+                child.kill()
 
 
 def supervise(job: Job, folder: Path, threads: int, time_limit: float) -> list[Row]:
@@ -156,12 +201,9 @@ def supervise(job: Job, folder: Path, threads: int, time_limit: float) -> list[R
         A row for every method.
     """
     child: Child | None = getattr(_here, "child", None)
-    try:
-        if child is not None and not (child.is_alive and child.threads == threads):
+    if child is None or not child.is_alive or child.threads != threads:
+        if child is not None:
             child.kill()
-            child = None
-        child = child or Child(threads)
-        _here.child = child
-    except ChildError as error:
-        return [failure(job, method, error.status, str(error)) for method in job.settings.methods]
+        child = _here.child = Child(threads)
+        getattr(_here, "children", _Children()).add(child)
     return child.do(job, folder, time_limit)
