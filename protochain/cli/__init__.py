@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from importlib import metadata
 from inspect import signature
 from typing import Annotated
@@ -21,6 +22,7 @@ from protochain.cli.compare import compare
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
 from protochain.cli.options import BAD_INPUT, fail, with_options
+from protochain.cli.printable import Printable
 from protochain.cli.relax import relax
 from protochain.cli.rmsd import rmsd
 from protochain.cli.scene import scene
@@ -92,6 +94,12 @@ def main() -> None:
     atexit.register(gc.freeze)
     if len(sys.argv) == 1:
         sys.argv.append("--help")
+    with redirect_stdout(Printable(sys.stdout)), redirect_stderr(Printable(sys.stderr)):
+        sys.exit(_status())
+
+
+def _status() -> int:
+    """Run the command of the arguments, and return the exit status."""
     try:
         status = app(standalone_mode=False)
         # What Typer makes of a KeyboardInterrupt, without a word.
@@ -99,26 +107,25 @@ def main() -> None:
             raise KeyboardInterrupt
         sys.stdout.flush()
     except WriteError as error:
-        status = fail(as_options(str(error)))
+        return fail(as_options(str(error)))
     except ProtochainError as error:
-        status = fail(as_options(str(error)), BAD_INPUT)
+        return fail(as_options(str(error)), BAD_INPUT)
     except TyperException as error:
         context = getattr(error, "ctx", None)
         command = f"protochain {context.info_name}" if context and context.parent else "protochain"
-        status = fail(f"{error.format_message().rstrip('.')}. See {command} --help.", BAD_INPUT)
+        return fail(f"{error.format_message().rstrip('.')}. See {command} --help.", BAD_INPUT)
     except BrokenPipeError:
         _close_output()
-        status = 128 + signal.SIGPIPE  # As of programs that the signal ends.
+        return 128 + signal.SIGPIPE  # As of programs that the signal ends.
     except OSError as error:
         if error.errno in _FULL and not error.filename:
             _close_output()
-            status = fail(f"standard output: not written ({error.strerror}); all files are complete")
-        else:
-            where = f"{error.filename}: " if error.filename else ""
-            status = fail(f"{where}{error.strerror or error}")
+            return fail(f"standard output: not written ({error.strerror}); all files are complete")
+        where = f"{error.filename}: " if error.filename else ""
+        return fail(f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
-        status = fail("interrupted before there was a result")
-    sys.exit(status if isinstance(status, int) else 0)
+        return fail("interrupted before there was a result")
+    return status if isinstance(status, int) else 0
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from protochain.cli.options import CONVERGED, AsJson, fail
+from protochain.cli.printable import printer
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -69,9 +70,7 @@ def _listed(width: int) -> list[str]:
 
 def _print(scene: "Scene") -> None:
     """Print what a scene has found: a table each of checks, work, extremes and what is left out."""
-    from rich.console import Console
-
-    console = Console()
+    console = printer()
     console.print(f"{scene.name}: {scene.title}", markup=False, highlight=False)
     checks = [
         (c.name, f"{c.value:.6g}", f"{c.oracle:.6g}", f"{c.error:.2g}", f"{c.bound:.2g}", _said(c.right))

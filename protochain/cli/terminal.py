@@ -9,6 +9,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from protochain.cli.options import print_lost
+from protochain.cli.printable import printer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -51,13 +52,12 @@ class _Progress:
     """
 
     def __init__(self, name: str, typical: int, most: int) -> None:
-        from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn
 
         self.name, self.typical, self.most = name, typical, most
-        self.console = Console(stderr=True)
+        self.console = printer(stderr=True)
         columns = (
-            TextColumn("{task.description}"), BarColumn(16), TextColumn("{task.fields[now]}"),
+            TextColumn("{task.description}", markup=False), BarColumn(16), TextColumn("{task.fields[now]}"),
             TextColumn("{task.fields[left]}"),
         )  # fmt: skip
         self.bar = Progress(*columns, console=self.console, disable=not self.console.is_terminal)
@@ -239,10 +239,9 @@ def _clock(seconds: float) -> str:
 @contextmanager
 def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
     """Show a line for each structure; on a terminal also a bar with done, failed, rate and the time left."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
+    console = printer(stderr=True)
     columns = (BarColumn(), TextColumn("{task.fields[now]}"), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=None, now="starting workers")
@@ -292,13 +291,12 @@ def _pulled(record: dict[str, Any]) -> str:
 
 def print_table(records: list[dict[str, Any]]) -> None:
     """Print a table with a row for each record, and below it their messages."""
-    from rich.console import Console
     from rich.table import Table
 
     from protochain.minimisers.record import SHOWN
 
     rows = [[column.short_text(record[column.key]) for column in SHOWN] for record in records]
-    console = Console()
+    console = printer()
     headings = [f"{c.short or c.heading} {c.unit}".strip() for c in SHOWN]
     columns = [list(cells) for cells in zip(headings, *rows, strict=True)]
     if sum(max(map(len, column)) + 1 for column in columns) > max(_WIDTH, console.width):
@@ -342,11 +340,9 @@ def mended(usable: "DataFrame") -> str:
 
 def print_batch(table: "DataFrame", report: str) -> None:
     """Print the number of runs of each status for each method, failures, and what is left to mend."""
-    from rich.console import Console
-
     from protochain.relaxation.record import METHOD as RELAX
 
-    console = Console()
+    console = printer()
     for method, rows in table.groupby("method", sort=False):
         counts = ", ".join(f"{n} {status}" for status, n in rows["status"].value_counts().items())
         usable = rows[rows["output"].notna()]
@@ -377,7 +373,6 @@ def print_distribution(summary: dict[str, float]) -> None:
 
 def print_deviations(rows: list[dict[str, Any]]) -> None:
     """Print a row for each model measured, and a line for each that cannot be."""
-    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
@@ -395,7 +390,7 @@ def print_deviations(rows: list[dict[str, Any]]) -> None:
             f"{row['matched_residues']:.0f} ({100 * row['coverage']:.0f} %) by {row['matched_by']}",
             escape(row["chain_mapping"]),
         )  # fmt: skip
-    console = Console()
+    console = printer()
     if measured:
         console.print(table, crop=False)
     for row in rows:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from protochain.cli.options import BAD_INPUT, CONVERGED, AsJson, check_outputs, inputs_of, with_setup
+from protochain.cli.printable import printer
 from protochain.errors import ProtochainError
 from protochain.markup import counted
 from protochain.setup import Setup
@@ -114,11 +115,9 @@ def _name(path: Path) -> str:
 
 def _print(rows: Sequence[dict[str, Any]]) -> None:
     """Print the numbers of all structures, then the residues concerned in words."""
-    from rich.console import Console
-
     from protochain.validation import LIKENESS, MEASURES
 
-    console = Console()
+    console = printer()
     headings = {key: measure.heading for key, measure in MEASURES.items() if measure.heading}
     console.print(_table(rows, headings), crop=False)
     if LIKENESS.keys() & rows[0].keys():

@@ -243,17 +243,20 @@ def _refuse_cut_pdb(text: str, source: str) -> None:
 def _ascii(text: str, source: str, used: slice) -> str:
     """Refuse other characters in the used columns of atom records, and put question marks for them elsewhere.
 
-    gemmi counts bytes: another character would shift columns or be cut in two.
+    gemmi counts bytes: another character would shift columns or be cut in two. Control characters would drive
+    the terminal of whoever looks at the file, or at what is written of it.
     """
-    if text.isascii():
+    if not _STRANGE.search(text):
         return text
     for number, line in enumerate(text.split("\n"), 1):
-        if line[:6].upper().startswith(("ATOM", "HETATM")) and not line[used].isascii():
-            column = next(k for k in range(*used.indices(len(line))) if not line[k].isascii())
-            raise StructureError(
-                f"{source}: line {number}: column {column + 1} holds a letter that is not ASCII; correct it"
-            )
-    return text.encode("ascii", "replace").decode()
+        if line[:6].upper().startswith(("ATOM", "HETATM")) and (found := _STRANGE.search(line[used])):
+            what = "control character" if found[0].isascii() else "letter that is not ASCII"
+            column = (used.start or 0) + found.start() + 1
+            raise StructureError(f"{source}: line {number}: column {column} holds a {what}; correct it")
+    return _STRANGE.sub("?", text)
+
+
+_STRANGE = re.compile(r"[^\t\n -~]")
 
 
 def _corrected(text: str, source: str, overlooked: list[str]) -> str:

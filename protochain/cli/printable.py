@@ -1,0 +1,61 @@
+"""What is printed: names of files may hold codes that drive a terminal, which are shown instead."""
+
+import re
+import sys
+from typing import TYPE_CHECKING, Any, TextIO
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from rich.console import Console
+    from rich.text import Text
+
+_UNUSUAL = re.compile(r"[^\n\t -~]")
+
+
+def printable(text: str) -> str:
+    """Text in which characters that are not to be seen, as control characters, are as ``repr`` has them."""
+    return _UNUSUAL.sub(lambda found: found[0] if found[0].isprintable() else ascii(found[0])[1:-1], text)
+
+
+class Printable:
+    """Stream that writes what is printable.
+
+    Parameters
+    ----------
+    raw : text stream
+        Gets it.
+    """
+
+    def __init__(self, raw: TextIO) -> None:
+        self.raw = raw
+
+    def write(self, text: str) -> int:
+        """Write text, as a stream does."""
+        self.raw.write(printable(text))
+        return len(text)
+
+    def writelines(self, lines: "Iterable[str]") -> None:
+        """Write lines, as a stream does."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.raw, name)
+
+
+def printer(stderr: bool = False) -> "Console":
+    """Console of rich that writes its own codes, for colours and bars, and what is printable of all else."""
+    from rich.console import Console
+
+    class Printing(Console):
+        def render_str(self, text: str, **options: Any) -> "Text":
+            # Before its width is taken.
+            return super().render_str(printable(text), **options)
+
+        def render(self, renderable: Any, options: Any = None) -> "Iterable[Any]":
+            for segment in super().render(renderable, options):
+                yield segment if segment.control else segment._replace(text=printable(segment.text))
+
+    stream = sys.stderr if stderr else sys.stdout
+    return Printing(file=getattr(stream, "raw", stream), stderr=stderr)
