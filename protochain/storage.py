@@ -50,6 +50,19 @@ def check_writable(path: Path) -> None:
         raise ProtochainError(f"{path}: cannot be written ({error.strerror}); give another name") from None
 
 
+def regular(path: Path) -> Path:
+    """Return a path as it is, unless what is there is no file: to read a pipe or a device may never end.
+
+    Raises
+    ------
+    ProtochainError
+        Naming the path.
+    """
+    if path.exists() and not path.is_file():
+        raise ProtochainError(f"{path}: is not a regular file; give the name of one")
+    return path
+
+
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Name the file in errors of writing to it: the system's own errors name none, or a temporary one.
@@ -167,7 +180,7 @@ def read_arrays(
         If the file cannot be read, or belongs to a run with other settings.
     """
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+        with regular(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             _check_sizes(file)
             arrays = dict(file)
         text = json.loads(str(arrays.pop("text")))

@@ -4,6 +4,7 @@ import gzip
 import io
 import itertools
 import os
+import signal
 import string
 import subprocess
 import sys
@@ -12,11 +13,13 @@ from pathlib import Path
 import gemmi
 import numpy as np
 import pytest
-from conftest import MORE_STRUCTURES, ROOT, STRUCTURES, load, shared
+from conftest import MORE_STRUCTURES, ROOT, STRUCTURES, energy, load, shared
 from pdbfixer.pdbfixer import substitutions
 
 import protochain as pc
 from protochain import residues
+from protochain.batches import BatchSettings, find_jobs
+from protochain.batches.task import run
 from protochain.structure.files import parse
 from protochain.structure.losses import Why
 from protochain.structure.read import model_numbers
@@ -551,3 +554,66 @@ def test_the_largest_complex_loads():
     s = pc.load(shared("4jsv_2750.pdb"))
     assert (s.n_residues, s.n_chains) == (2750 + 8, 8)
     assert pc.build_chain(s).n_hinges > 10_000
+
+
+@pytest.fixture(params=["pipe", "device", "folder"])
+def endless(request, tmp_path):
+    """What is no file, to read which may never end, with a limit of time for a test that would."""
+    path = tmp_path / "odd.pdb"
+    if request.param == "pipe":
+        os.mkfifo(path)
+    elif request.param == "device":
+        path.symlink_to("/dev/null")  # As /dev/zero, which would fill the memory if it were read.
+    else:
+        path.mkdir()
+
+    def late(*_):
+        raise AssertionError("it is read")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(20)
+    yield path
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        pc.load,
+        lambda path: pc.rmsd(STRUCTURES / "ala10.pdb", path),
+        lambda path: (
+            pc.load(STRUCTURES / "ala10.pdb", forcefield=path) and pc.energy(load("ala10.pdb"), path)
+        ),
+        lambda path: find_jobs([], BatchSettings(), manifest=path),
+    ],
+)
+def test_what_is_no_file_is_refused_unread(call, endless):
+    with pytest.raises(pc.ProtochainError, match=r"odd\.pdb: is not a regular file; give the name of one$"):
+        call(endless)
+
+
+def test_what_is_no_file_is_no_checkpoint(endless):
+    with pytest.raises(pc.ProtochainError, match=r"odd\.pdb: is no checkpoint of a minimisation"):
+        pc.minimise(pc.build_chain(load("ala10.pdb")), energy("ala10.pdb"), resume=endless)
+
+
+def test_what_is_no_file_is_a_row_of_a_batch(endless, tmp_path):
+    (tmp_path / "list.csv").write_text("path\nodd.pdb\n")
+    (job,) = find_jobs([], BatchSettings(), manifest=tmp_path / "list.csv")
+    (row,) = run(job, tmp_path / "out", 1)
+    assert row.record["status"] == "refused" and "is not a regular file" in row.record["message"]
+
+
+def test_a_pipe_that_a_shell_has_opened_is_read():
+    """As ``protochain info <(zcat x.pdb.gz)``; but of a batch, whose processes have other pipes."""
+    reads, writes = os.pipe()
+    with os.fdopen(writes, "wb") as file:
+        file.write((STRUCTURES / "ala10.pdb").read_bytes()[: 1 << 15])
+    try:
+        assert pc.load(f"/dev/fd/{reads}").fingerprint == load("ala10.pdb").fingerprint
+        (job,) = find_jobs([f"/dev/fd/{reads}"], BatchSettings())
+        (row,) = run(job, Path("out"), 1)
+        assert row.record["status"] == "refused"
+    finally:
+        os.close(reads)

@@ -111,7 +111,7 @@ def test_tables_and_bars_have_their_own_codes_and_no_others(monkeypatch):
     table = Table("file", title=CODES)
     table.add_row(CODES)
     console.print(table)
-    console.print(CODES, style="bold")
+    console.print(CODES, style="bold", highlight=False)
     with terminal.batch_progress() as watch:
         watch(BatchProgress(2, 1, 0, 0, 1.0, "", f"line {CODES}"))
         print(f"beside {CODES}", file=sys.stderr)

@@ -35,6 +35,7 @@ from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.settings import NAMES as OF_RELAXING
 from protochain.relaxation.settings import WITHOUT, Relaxing
 from protochain.setup import ALL_MODELS, Setup, models_asked
+from protochain.storage import regular
 from protochain.structure.files import format_of
 from protochain.structure.prepare import user_files
 from protochain.structure.read import model_numbers
@@ -409,7 +410,7 @@ def _is_structure(path: Path) -> bool:
 
 
 def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
-    if not manifest.is_file():
+    if not regular(manifest).exists():
         raise ProtochainError(f"{manifest}: not found; give a CSV file with a column 'path'")
     with manifest.open(newline="", encoding="utf-8-sig") as file:
         reader = csv.DictReader(file, restkey="", restval="")
@@ -446,9 +447,9 @@ def _models(found: _Found) -> list[_Found]:
 
 def _hash(path: Path) -> str:
     try:
-        with path.open("rb") as file:
+        with regular(path).open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
+    except (OSError, ProtochainError):  # The job fails, with the reason.
         return ""
 
 

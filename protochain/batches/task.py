@@ -14,6 +14,7 @@ from protochain.errors import ProtochainError, WriteError
 from protochain.relaxation.names import suffix_of
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.setup import Setup
+from protochain.storage import regular
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -111,7 +112,8 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
 def _prepared(path: Path, setup: Setup) -> tuple["Structure", "Energy"]:
     from protochain.energies.shared import shared_energy
 
-    structure = setup.load(path)
+    # Standard input is that of this process, which has the jobs on it.
+    structure = setup.load(regular(path))
     return structure, setup.energy(structure, shared_energy)
 
 

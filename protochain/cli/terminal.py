@@ -9,7 +9,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from protochain.cli.options import print_lost
-from protochain.cli.printable import printer
+from protochain.cli.printable import printable, printer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -54,14 +54,14 @@ class _Progress:
     def __init__(self, name: str, typical: int, most: int) -> None:
         from rich.progress import BarColumn, Progress, TextColumn
 
-        self.name, self.typical, self.most = name, typical, most
+        self.name, self.typical, self.most = printable(name), typical, most
         self.console = printer(stderr=True)
         columns = (
             TextColumn("{task.description}", markup=False), BarColumn(16), TextColumn("{task.fields[now]}"),
             TextColumn("{task.fields[left]}"),
         )  # fmt: skip
         self.bar = Progress(*columns, console=self.console, disable=not self.console.is_terminal)
-        self.task = self.bar.add_task(name, total=typical, now="", left="")
+        self.task = self.bar.add_task(self.name, total=typical, now="", left="")
         self.stage = self.now = ""
         self.done, self.first = 0.0, 0.0
         self.began = self.told = monotonic()

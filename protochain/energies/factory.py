@@ -29,6 +29,7 @@ from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 from protochain.energies.untrusted import check_passive
 from protochain.errors import ForceFieldError
+from protochain.storage import regular
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 from protochain.structure.templates import CONVERT, NO_OPENMM, NO_XML, SMIRNOFF
@@ -262,7 +263,7 @@ def _bundled_file(name: str) -> str | None:
 def _checked_file(path: Path, trusted: bool) -> str | bytes:
     """What OpenMM is to read: the bytes checked, or the path of a trusted file, which may include others."""
     try:
-        content = path.read_bytes()
+        content = regular(path).read_bytes()
         root = ElementTree.fromstring(content)
     except OSError:
         known = ", ".join(FORCE_FIELDS)

@@ -17,6 +17,7 @@ import gemmi
 
 from protochain.errors import StructureError
 from protochain.markup import counted
+from protochain.storage import regular
 from protochain.structure.apart import chains_told_apart, told_apart
 from protochain.structure.records import of_cif, of_pdb
 from protochain.structure.templates import standard_name
@@ -143,8 +144,13 @@ def _standard_input(stream: BinaryIO) -> bytes:
 
 
 def _bytes(path: Path) -> bytes:
-    with path.open("rb") as file:
+    given = str(path).startswith(_OPENED)
+    with (path if given else regular(path)).open("rb") as file:
         return file.read(_BYTES + 1)
+
+
+_OPENED = ("/dev/stdin", "/dev/fd/", "/proc/self/fd/")
+"""What the caller has opened for us, as a shell does for ``<(zcat x.pdb.gz)``."""
 
 
 def _is_cif(text: str) -> bool:
