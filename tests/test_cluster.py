@@ -97,18 +97,6 @@ def test_a_killed_batch_goes_on_to_the_same_table(inputs, whole, whom, least, tm
     assert len(after) == len(before) and (after["seconds_x"] == after["seconds_y"]).all()
 
 
-def test_a_killed_worker_changes_nothing(inputs, whole, tmp_path):
-    running = start(inputs, tmp_path, "--workers", "2")
-    wait_for_rows(tmp_path, 2, running)
-    children = psutil.Process(running.pid).children()
-    (worker, *_) = [p for p in children if "spawn_main" in " ".join(p.cmdline())]
-    own = worker.children(recursive=True)
-    worker.kill()
-    assert running.wait(timeout=300) == 3
-    assert gone(own)
-    pd.testing.assert_frame_equal(table(tmp_path), whole)
-
-
 def test_a_killed_child_is_a_row_and_is_done_again_on_resuming(inputs, whole, tmp_path):
     running = start(inputs, tmp_path, "--workers", "1")
     wait_for_rows(tmp_path, 4, running)
@@ -181,6 +169,21 @@ def cluster(folder, *options):
 def test_workers_of_the_dask_command_line_do_the_same(inputs, whole, tmp_path):
     with cluster(tmp_path) as address:
         assert start(inputs, tmp_path / "out", "--scheduler", address).wait(timeout=300) == 3
+    pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
+
+
+def test_a_killed_worker_changes_nothing(inputs, whole, tmp_path):
+    with cluster(tmp_path) as address:
+        running = start(inputs, tmp_path / "out", "--scheduler", address)
+        wait_for_rows(tmp_path / "out", 2, running)
+        (worker, *_) = [
+            p for p in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(p.cmdline())
+        ]
+        own = worker.children(recursive=True)
+        assert own
+        worker.kill()
+        assert running.wait(timeout=300) == 3
+        assert gone(own)
     pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
 
 

@@ -221,9 +221,7 @@ def test_an_interrupt_is_answered_in_words_at_once(clock, capsys):
 
 def test_on_a_terminal_the_bar_names_the_stage_and_the_time_left(clock, monkeypatch):
     drawn = io.StringIO()
-    monkeypatch.setattr(
-        "rich.console.Console", lambda **_: Console(file=drawn, force_terminal=True, width=120)
-    )
+    monkeypatch.setattr(terminal, "printer", lambda **_: Console(file=drawn, force_terminal=True, width=120))
     c, stages = crowded(), []
     with terminal.run_progress("hybrid", 5000) as watch:
 
