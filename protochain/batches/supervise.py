@@ -205,5 +205,6 @@ def supervise(job: Job, folder: Path, threads: int, time_limit: float) -> list[R
         if child is not None:
             child.kill()
         child = _here.child = Child(threads)
-        getattr(_here, "children", _Children()).add(child)
+        children: _Children = getattr(_here, "children", _Children())
+        children.add(child)
     return child.do(job, folder, time_limit)
