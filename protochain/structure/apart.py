@@ -18,6 +18,9 @@ _SAME_PLACE = 0.5
 
 _UPON, _SHARE = 1.0, 0.5
 """Angstrom: a chain lies upon another if this share of its C-alphas is this near to C-alphas of that one."""
+_CROWD, _CROWDED = 4.0, (200_000, 20)
+"""Angstrom; pairs of heavy atoms this near that any file may have, and more for each atom. Packed well, an atom
+has six. What is looked at later, overlaps of atoms and who hides whom, grows with the square of crowds."""
 _IDS = ascii_uppercase + ascii_lowercase + digits
 
 
@@ -69,6 +72,24 @@ def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
             raise StructureError(
                 f"{source}: chain {name} lies upon chain {other}; give them as models (MODEL, ENDMDL){one}"
             )
+
+
+def refuse_crowds(atoms: Sequence[gemmi.Atom], source: str) -> None:
+    """Refuse so many atoms upon one another that time and memory would no longer go with their number.
+
+    Raises
+    ------
+    StructureError
+        Telling how many pairs there are.
+    """
+    tree = KDTree([atom.pos.tolist() for atom in atoms if not atom.is_hydrogen()])
+    pairs = (int(tree.count_neighbors(tree, _CROWD)) - tree.n) // 2
+    least, more = _CROWDED
+    if pairs > least + more * tree.n:
+        raise StructureError(
+            f"{source}: its atoms lie upon one another: {pairs} pairs of heavy atoms are nearer than {_CROWD:g} "
+            f"angstrom, where some {6 * tree.n} are usual; give fewer chains or molecules, or correct positions"
+        )
 
 
 def _is_amino(residue: gemmi.Residue) -> bool:

@@ -15,6 +15,7 @@ from protochain import residues
 from protochain.checks import check_fields, flag, integer, optional, text, words
 from protochain.errors import OnlyAlphaError, StructureError
 from protochain.markup import counted
+from protochain.structure.apart import refuse_crowds
 from protochain.structure.chirality import WELL_FORMED, hand, listed
 from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place
@@ -148,6 +149,7 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         key=lambda each: order.index(each.member.chain_id) if each.member.chain_id in order else len(order)
     )
     draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield))
+    refuse_crowds([atom for part in draft.parts for member in part.members for atom in member.atoms], draft.source)
     return draft
 
 
