@@ -18,7 +18,7 @@ from protochain.markup import counted
 from protochain.structure.apart import refuse_crowds
 from protochain.structure.chirality import WELL_FORMED, hand, listed
 from protochain.structure.choose import choose_chains, choose_model
-from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place
+from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place, without_nan
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse, split_name
 from protochain.structure.header import take_header
@@ -120,6 +120,7 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     draft.header = take_header(structure, draft.header)
     model = choose_model(draft, structure, reading.model)
     check_altloc(model, reading.altloc, draft.source)
+    draft.repairs += without_nan(model)
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections
@@ -149,7 +150,8 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         key=lambda each: order.index(each.member.chain_id) if each.member.chain_id in order else len(order)
     )
     draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield))
-    refuse_crowds([atom for part in draft.parts for member in part.members for atom in member.atoms], draft.source)
+    atoms = [atom for part in draft.parts for member in part.members for atom in member.atoms]
+    refuse_crowds(atoms, draft.source)
     return draft
 
 
