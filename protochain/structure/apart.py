@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import count
 from string import ascii_lowercase, ascii_uppercase, digits
 
 import gemmi
@@ -149,15 +150,13 @@ def told_apart(structure: gemmi.Structure, source: str) -> list[str]:
 def _copies(residue: gemmi.Residue) -> list[dict[str, gemmi.Atom]]:
     """Atoms by name: those that come first, those that come again ...; alternate locations come once."""
     copies: list[dict[str, gemmi.Atom]] = [{}]
+    there = Counter[str]()
     for atom in residue:
-        if atom.has_altloc():
-            copies[0].setdefault(atom.name, atom)
-            continue
-        its = next((each for each in copies if atom.name not in each), None)
-        if its is None:
-            its = {}
-            copies.append(its)
-        its[atom.name] = atom
+        name = atom.name
+        if not (atom.has_altloc() and there[name]):
+            copies += [{}] if there[name] == len(copies) else []
+            copies[there[name]][name] = atom
+            there[name] += 1
     return copies
 
 
@@ -167,11 +166,11 @@ def _nearest(copies: list[dict[str, gemmi.Atom]]) -> float:
 
 
 def _split(chain: gemmi.Chain, i: int, copies: list[dict[str, gemmi.Atom]]) -> None:
-    made = []
+    made, empty = [], chain[i].clone()
+    for k in reversed(range(len(empty))):
+        del empty[k]
     for each in copies:
-        copy = chain[i].clone()
-        for k in reversed(range(len(copy))):
-            del copy[k]
+        copy = empty.clone()
         for atom in each.values():
             copy.add_atom(atom)
         made.append(copy)
@@ -182,10 +181,8 @@ def _split(chain: gemmi.Chain, i: int, copies: list[dict[str, gemmi.Atom]]) -> N
 
 def _number(residue: gemmi.Residue, copies: list[dict[str, gemmi.Atom]]) -> None:
     taken = {atom.name for atom in residue}
+    numbers = {name: count(2) for name in taken}
     for each in copies[1:]:
-        for atom in each.values():
-            number = 2
-            while f"{atom.name}{number}" in taken:
-                number += 1
-            atom.name = f"{atom.name}{number}"
+        for name, atom in each.items():
+            atom.name = next(new for k in numbers[name] if (new := f"{name}{k}") not in taken)
             taken.add(atom.name)

@@ -149,9 +149,9 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     beside.sort(
         key=lambda each: order.index(each.member.chain_id) if each.member.chain_id in order else len(order)
     )
+    there = [*draft.members, *(each.member for each in beside)]
+    refuse_crowds([atom for member in there for atom in member.atoms], draft.source)
     draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield))
-    atoms = [atom for part in draft.parts for member in part.members for atom in member.atoms]
-    refuse_crowds(atoms, draft.source)
     return draft
 
 
