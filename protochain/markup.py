@@ -1,4 +1,4 @@
-"""HTML of values in notebooks, and numbers with the right form of what they count."""
+"""HTML of values in notebooks; numbers with the right form of what they count; text cut to what a line holds."""
 
 from collections.abc import Mapping
 from html import escape
@@ -7,6 +7,11 @@ from html import escape
 def counted(n: int, what: str, several: str = "") -> str:
     """Return a number and what it counts: ``1 round``, ``2 rounds``, or as given where an s does not do."""
     return f"{n} {what if n == 1 else several or what + 's'}"
+
+
+def excerpt(text: str, most: int = 100) -> str:
+    """Return text of a file for a message, cut to so many letters."""
+    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def facts(title: str, rows: Mapping[str, object]) -> str:

@@ -1,5 +1,6 @@
 """Clashes: the pairs that Probe finds, a slow oracle with dots, and pairs whose answer follows on paper."""
 
+import tracemalloc
 from itertools import pairwise
 
 import numpy as np
@@ -170,3 +171,14 @@ def test_radii_follow_from_bonds():
         ("LYS", "NZ"): 1.55, ("MET", "SD"): 1.80,
     }  # fmt: skip
     assert {key: by_name[key] for key in expected} == {key: {value} for key, value in expected.items()}
+
+
+def test_memory_is_bounded_where_atoms_crowd():
+    """Two thousand pairs with 24 dots and 8 neighbours each are looked at together: 400,000 rows of 100 bytes."""
+    s = load("1l2y.pdb")
+    clashes(s)
+    tracemalloc.start()
+    clashes(s, 0.4 * s.positions)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100e6

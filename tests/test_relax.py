@@ -354,6 +354,16 @@ def test_threaded_rings_are_freed():
     assert r.rounds[0].let_go == 2 and r.ca_rmsd_angstrom < 0.5
 
 
+def test_the_budget_of_iterations_holds_while_rings_are_freed():
+    """Of many rings none may come free, however long one tries."""
+    (planted,) = models.planted_rings([load("1l2y.pdb")], 1, seed=1)
+    points = []
+    note = lambda name, at, evaluations: points.append(at)  # noqa: E731
+    relaxer = Relaxer(planted.structure, energy("1l2y.pdb"), PRESETS["predicted"], 3, note)
+    relaxer._unthreaded(planted.structure.positions)
+    assert len(points) == 4
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["af_with_violations.pdb", "af_multiple_disulfides.pdb"])
 def test_published_models_with_violations_end_with_none(name):

@@ -296,6 +296,8 @@ class Relaxer:
     def _unthreaded(self, x: Floats) -> "tuple[Floats, _Work]":
         """Positions with bonds drawn out of rings, as far as that is possible, and the work."""
         space, spent = self._space, 0
+        # One budget for all stages: of hundreds of rings none may come free.
+        left = iter(range(self.max_iterations)) if self.max_iterations else count()
         for stage in unthreading(space, self.energy):
             q = space.start(x)
             if stage.ready and not stage.ready(stage, space.place(q)):
@@ -305,9 +307,13 @@ class Relaxer:
 
             def record(at: Evaluation, before: int = spent, problem: Problem = problem) -> None:
                 self.note(GENTLE, at, before + problem.n_evaluations)
+                if next(left, None) is None:
+                    raise BudgetSpentError
 
             ending = run(problem, own.method, q, own.tolerance, own.patience, record)
             x, spent = space.place(own.answer(problem, ending, q)).x, spent + problem.n_evaluations
+            if ending.stop is Stop.BUDGET:
+                break
         return x, _Work(0, spent)
 
     def _springs(self, share: Floats, backbone: float, side_chains: float) -> Tethers:

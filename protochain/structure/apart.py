@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import count
 from string import ascii_lowercase, ascii_uppercase, digits
 
 import gemmi
@@ -18,6 +19,9 @@ _SAME_PLACE = 0.5
 
 _UPON, _SHARE = 1.0, 0.5
 """Angstrom: a chain lies upon another if this share of its C-alphas is this near to C-alphas of that one."""
+_CROWD, _CROWDED = 4.0, (200_000, 20)
+"""Angstrom; pairs of heavy atoms this near that any file may have, and more for each atom. Packed well, an atom
+has six. What is looked at later, overlaps of atoms and who hides whom, grows with the square of crowds."""
 _IDS = ascii_uppercase + ascii_lowercase + digits
 
 
@@ -69,6 +73,24 @@ def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
             raise StructureError(
                 f"{source}: chain {name} lies upon chain {other}; give them as models (MODEL, ENDMDL){one}"
             )
+
+
+def refuse_crowds(atoms: Sequence[gemmi.Atom], source: str) -> None:
+    """Refuse so many atoms upon one another that time and memory would no longer go with their number.
+
+    Raises
+    ------
+    StructureError
+        Telling how many pairs there are.
+    """
+    tree = KDTree([atom.pos.tolist() for atom in atoms if not atom.is_hydrogen()])
+    pairs = (int(tree.count_neighbors(tree, _CROWD)) - tree.n) // 2
+    least, more = _CROWDED
+    if pairs > least + more * tree.n:
+        raise StructureError(
+            f"{source}: its atoms lie upon one another: {pairs} pairs of heavy atoms are nearer than {_CROWD:g} "
+            f"angstrom, where some {6 * tree.n} are usual; give fewer chains or molecules, or correct positions"
+        )
 
 
 def _is_amino(residue: gemmi.Residue) -> bool:
@@ -128,15 +150,13 @@ def told_apart(structure: gemmi.Structure, source: str) -> list[str]:
 def _copies(residue: gemmi.Residue) -> list[dict[str, gemmi.Atom]]:
     """Atoms by name: those that come first, those that come again ...; alternate locations come once."""
     copies: list[dict[str, gemmi.Atom]] = [{}]
+    there = Counter[str]()
     for atom in residue:
-        if atom.has_altloc():
-            copies[0].setdefault(atom.name, atom)
-            continue
-        its = next((each for each in copies if atom.name not in each), None)
-        if its is None:
-            its = {}
-            copies.append(its)
-        its[atom.name] = atom
+        name = atom.name
+        if not (atom.has_altloc() and there[name]):
+            copies += [{}] if there[name] == len(copies) else []
+            copies[there[name]][name] = atom
+            there[name] += 1
     return copies
 
 
@@ -146,11 +166,11 @@ def _nearest(copies: list[dict[str, gemmi.Atom]]) -> float:
 
 
 def _split(chain: gemmi.Chain, i: int, copies: list[dict[str, gemmi.Atom]]) -> None:
-    made = []
+    made, empty = [], chain[i].clone()
+    for k in reversed(range(len(empty))):
+        del empty[k]
     for each in copies:
-        copy = chain[i].clone()
-        for k in reversed(range(len(copy))):
-            del copy[k]
+        copy = empty.clone()
         for atom in each.values():
             copy.add_atom(atom)
         made.append(copy)
@@ -161,10 +181,8 @@ def _split(chain: gemmi.Chain, i: int, copies: list[dict[str, gemmi.Atom]]) -> N
 
 def _number(residue: gemmi.Residue, copies: list[dict[str, gemmi.Atom]]) -> None:
     taken = {atom.name for atom in residue}
+    numbers = {name: count(2) for name in taken}
     for each in copies[1:]:
-        for atom in each.values():
-            number = 2
-            while f"{atom.name}{number}" in taken:
-                number += 1
-            atom.name = f"{atom.name}{number}"
+        for name, atom in each.items():
+            atom.name = next(new for k in numbers[name] if (new := f"{name}{k}") not in taken)
             taken.add(atom.name)

@@ -1,11 +1,13 @@
 """Choice among alternate locations: one conformation of each residue."""
 
 from dataclasses import dataclass
+from math import isfinite
 
 import gemmi
 import numpy as np
 
 from protochain.errors import StructureError
+from protochain.markup import counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +57,23 @@ def check_altloc(model: gemmi.Model, asked: str, source: str) -> None:
     if asked and asked not in found:
         there = f"its atoms have {', '.join(sorted(found))}" if found else "no atom of it has one"
         raise StructureError(f"{source}: has no alternate location {asked!r}: {there}; change or omit altloc")
+
+
+def without_nan(model: gemmi.Model) -> list[str]:
+    """Put 0 for occupancies and B factors that are no numbers, and return what was done.
+
+    Parameters
+    ----------
+    model : gemmi.Model
+        Changed in place.
+    """
+    n = 0
+    for place in model.all():
+        atom = place.atom
+        if not (isfinite(atom.occ) and isfinite(atom.b_iso)):
+            n += 1
+            atom.occ, atom.b_iso = (value if isfinite(value) else 0.0 for value in (atom.occ, atom.b_iso))
+    return [f"occupancy or B factor of {counted(n, 'atom')} is no number: taken as 0"] if n else []
 
 
 def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:

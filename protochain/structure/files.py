@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import gemmi
 
 from protochain.errors import StructureError
-from protochain.markup import counted
+from protochain.markup import counted, excerpt
 from protochain.storage import regular
 from protochain.structure.apart import chains_told_apart, told_apart
 from protochain.structure.records import of_cif, of_pdb
@@ -24,6 +24,8 @@ from protochain.structure.templates import standard_name
 
 MAX_MEGABYTES = 512
 """Largest text, after decompression; the largest files of the PDB are smaller."""
+MAX_LINES = 8_000_000
+"""Most lines of it: as many bytes of atom records have fewer, and empty ones pack into nothing."""
 MAX_ATOMS = 250_000
 """Largest model: preparation takes some ten kilobytes an atom, energies without a cutoff quadratic time."""
 STANDARD_INPUT = Path("-")
@@ -41,6 +43,8 @@ _COORDINATE_COLUMNS = 54
 _USED = slice(12, 66)
 """Columns of an atom record, from its name to its B factor."""
 _RECORDS = ("ATOM", "HETATM", "ANISOU", "SIGATM", "SIGUIJ")
+_LONGEST_NAME = 80
+"""Letters of the name of a chain, residue or atom; longer ones are refused: messages quote them."""
 _FARTHEST = 1e5
 """Angstrom. Larger coordinates are refused."""
 
@@ -97,7 +101,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool, str]:
     except StructureError:
         raise
     except (RuntimeError, ValueError, IndexError) as error:
-        reason = " ".join(str(error).replace("string:", "line ").split())
+        reason = excerpt(" ".join(str(error).replace("string:", "line ").split()))
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
     overlooked += chains_told_apart(structure)
     structure.merge_chain_parts()
@@ -125,7 +129,12 @@ def _text(path: Path, source: str) -> str:
     if b"\0" in data:
         raise StructureError(f"{source}: is a binary file; give PDB or mmCIF text")
     text = data.decode("utf-8-sig", errors="replace")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if text.count("\n") > MAX_LINES:
+        raise StructureError(
+            f"{source}: more than {MAX_LINES // 10**6} million lines; give fewer models or chains"
+        )
+    return text
 
 
 _BYTES = MAX_MEGABYTES << 20
@@ -371,6 +380,12 @@ def check(structure: gemmi.Structure, source: str) -> None:
                 f"{source}: {model.count_atom_sites()} atoms are more than {MAX_ATOMS}; give fewer chains"
             )
         for place in model.all():
+            for name in (place.chain.name, place.residue.name, place.atom.name):
+                if len(name) > _LONGEST_NAME:
+                    raise StructureError(
+                        f"{source}: the name {excerpt(name)} has {len(name)} letters; "
+                        f"give one of {_LONGEST_NAME} at most"
+                    )
             x = place.atom.pos.tolist()
             if not all(map(isfinite, x)) or max(map(abs, x)) > _FARTHEST:
                 where = (

@@ -68,7 +68,8 @@ class _Placing:
         for parent in parents:
             hydrogens = self._hydrogens(parent)
             directions = self._directions(parent, len(hydrogens))
-            if directions is None:
+            # A stray hydrogen more than a parent has room for goes where the energy is lowest.
+            if directions is None or len(directions) < len(hydrogens):
                 turning.append(parent)
             else:
                 self._put(parent, hydrogens, directions)

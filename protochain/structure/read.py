@@ -15,9 +15,10 @@ from protochain import residues
 from protochain.checks import check_fields, flag, integer, optional, text, words
 from protochain.errors import OnlyAlphaError, StructureError
 from protochain.markup import counted
+from protochain.structure.apart import refuse_crowds
 from protochain.structure.chirality import WELL_FORMED, hand, listed
 from protochain.structure.choose import choose_chains, choose_model
-from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place
+from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place, without_nan
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.files import STANDARD_INPUT, parse, split_name
 from protochain.structure.header import take_header
@@ -119,6 +120,7 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     draft.header = take_header(structure, draft.header)
     model = choose_model(draft, structure, reading.model)
     check_altloc(model, reading.altloc, draft.source)
+    draft.repairs += without_nan(model)
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections
@@ -147,6 +149,8 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     beside.sort(
         key=lambda each: order.index(each.member.chain_id) if each.member.chain_id in order else len(order)
     )
+    there = [*draft.members, *(each.member for each in beside)]
+    refuse_crowds([atom for member in there for atom in member.atoms], draft.source)
     draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield))
     return draft
 

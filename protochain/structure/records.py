@@ -35,6 +35,7 @@ _KINDS = {
     gemmi.ResidueKind.RNA: "RNA linking", gemmi.ResidueKind.DNA: "DNA linking",
     gemmi.ResidueKind.PYR: "saccharide", gemmi.ResidueKind.KET: "saccharide",
 }  # fmt: skip
+_READ = ("HETNAM", "REMARK", "JRNL")
 _ORDERS = {1: "sing", 2: "doub", 3: "trip"}
 
 
@@ -51,13 +52,14 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
     for line in text.splitlines():
         if line.startswith(("ATOM", "HETATM", "MODEL")):
             break
+        if not line.startswith(_READ):
+            continue
         # mmCIF has no control characters.
-        plain = "".join(c if c.isprintable() else " " for c in line)
+        plain = line if line.isprintable() else "".join(c if c.isprintable() else " " for c in line)
         lines.setdefault(plain[:6].strip(), []).append(plain.ljust(80))
-    names: dict[str, str] = {}
+    names: dict[str, list[str]] = {}
     for line in lines.get("HETNAM", ()):
-        name = line[11:14].strip()
-        names[name] = _joined(names.get(name, ""), line[15:70].strip())
+        names.setdefault(line[11:14].strip(), []).append(line[15:70].strip())
     remarks = [line[10:].strip() for line in lines.get("REMARK", ()) if line[6:10].strip() == f"{_TERMS}"]
     mods = [
         {"id": f"{k}", "auth_asym_id": mod.chain_name or "?", "auth_seq_id": f"{mod.res_id.seqid.num}",
@@ -68,7 +70,9 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
     ]  # fmt: skip
     return _text(
         {
-            "_chem_comp.": [{"id": _quoted(name), "name": _quoted(said)} for name, said in names.items()],
+            "_chem_comp.": [
+                {"id": _quoted(name), "name": _quoted(_joined(said))} for name, said in names.items()
+            ],
             "_chem_comp_bond.": list(_drawn(structure)),
             _MODIFIED: mods,
             "_database_PDB_remark.": [{"id": f"{_TERMS}", "text": _quoted("\n".join(remarks))}]
@@ -249,12 +253,12 @@ def _drawn(structure: gemmi.Structure) -> Iterator[dict[str, str]]:
 
 def _journal(lines: Iterable[str]) -> dict[str, Rows]:
     """Citation of the JRNL records."""
-    text: dict[str, str] = {}
+    given: dict[str, list[str]] = {}
     for line in lines:
-        name = line[12:16].strip()
-        text[name] = _joined(text.get(name, ""), line[19:79].strip())
-    if not text:
+        given.setdefault(line[12:16].strip(), []).append(line[19:79].strip())
+    if not given:
         return {}
+    text = {name: _joined(said) for name, said in given.items()}
     items = {
         "id": "primary",
         "title": text.get("TITL", ""),
@@ -318,9 +322,13 @@ def _text(categories: Mapping[str, Rows]) -> str:
     return str(document.as_string())
 
 
-def _joined(before: str, line: str) -> str:
-    """Text of a record with its next line, which a hyphen or comma needs no space before."""
-    return f"{before}{'' if before.endswith(('-', ',')) or not before else ' '}{line}"
+def _joined(lines: Iterable[str]) -> str:
+    """Text of the lines of a record; after a hyphen or comma a line needs no space before."""
+    text: list[str] = []
+    for line in lines:
+        space = text and not text[-1].endswith(("-", ","))
+        text += [piece] if (piece := f"{' ' if space else ''}{line}") else []
+    return "".join(text)
 
 
 def _quoted(value: str) -> str:

@@ -30,6 +30,9 @@ _DOTS = 24
 """On each side of a contact."""
 _RIM = 0.85
 """Share of the area of a contact that they cover: Probe has seldom a dot at its very rim."""
+_PORTION, _NEAREST = 2000, 8
+"""Pairs looked at together, and atoms looked at first around a dot: they bound memory and time where atoms
+crowd."""
 _POLAR_OR_AROMATIC_H, _CARBONYL, _AROMATIC = 1.05, 1.65, 1.75
 
 _LENGTH = {"C": 0.97, "N": 0.86, "O": 0.84, "S": 1.20}
@@ -223,7 +226,8 @@ def _is_seen(structure: Structure, tree: cKDTree, pairs: Integers) -> NDArray[np
     for share in (np.zeros(1), np.sqrt(_RIM * np.arange(1, _DOTS) / (_DOTS - 1))):
         for way in (pairs, pairs[:, ::-1]):
             left = np.flatnonzero(~seen)
-            seen[left] = _has_free_dot(structure, tree, way[left], share)
+            for some in np.split(left, range(_PORTION, len(left), _PORTION)):
+                seen[some] = _has_free_dot(structure, tree, way[some], share)
     return seen
 
 
@@ -242,20 +246,30 @@ def _has_free_dot(structure: Structure, tree: cKDTree, pairs: Integers, share: F
     x, kinds = np.asarray(tree.data), _kinds(structure)
     first, second = pairs.T
     dots = _dots(x[first], x[second], kinds.radius[pairs], _allowance(kinds, pairs) + OVERLAP, share)
-    reach = kinds.radius[second][:, None] - np.linalg.norm(dots - x[second][:, None], axis=-1)
-    near = tree.query_ball_point(dots.reshape(-1, 3), kinds.radius.max())
-    count = np.array([len(each) for each in near], dtype=np.int64)
-    hidden = np.zeros(dots.shape[0] * dots.shape[1], dtype=bool)
-    if count.sum():
-        dot, other = np.repeat(np.arange(len(near)), count), np.concatenate(near).astype(np.int64)
+    reach = (kinds.radius[second][:, None] - np.linalg.norm(dots - x[second][:, None], axis=-1)).ravel()
+    dots, farthest = dots.reshape(-1, 3), kinds.radius.max()
+    hidden = np.zeros(len(dots), dtype=bool)
+
+    def hide(dot: Integers, other: Integers) -> None:
         row = dot // len(share)
-        depth = kinds.radius[other] - np.linalg.norm(x[other] - dots.reshape(-1, 3)[dot], axis=1)
-        own, stranger = (
-            _is_excluded(structure, first[row], other),
-            (other != first[row]) & (other != second[row]),
-        )
-        hidden[dot[np.where(own, depth > 0, stranger & (depth > reach.ravel()[dot]))]] = True
-    return np.asarray(~hidden.reshape(reach.shape).all(axis=1))
+        depth = kinds.radius[other] - np.linalg.norm(x[other] - dots[dot], axis=1)
+        own = _is_excluded(structure, first[row], other)
+        stranger = (other != first[row]) & (other != second[row])
+        hidden[dot[np.where(own, depth > 0, stranger & (depth > reach[dot]))]] = True
+
+    # Of many atoms upon one another the nearest hide most dots; for what is left all are looked at.
+    others = tree.query(dots, _NEAREST, distance_upper_bound=farthest)[1]
+    dot, rank = np.nonzero(others < tree.n)
+    hide(dot, others[dot, rank])
+    left = np.flatnonzero(~hidden)
+    count = tree.query_ball_point(dots[left], farthest, return_length=True)
+    portion = _PORTION * _DOTS * _NEAREST
+    ends = np.searchsorted(np.cumsum(count), range(portion, int(count.sum()), portion))
+    for some in np.split(left, ends):
+        near = tree.query_ball_point(dots[some], farthest)
+        if (number := [len(each) for each in near]) and sum(number):
+            hide(np.repeat(some, number), np.concatenate(near).astype(np.int64))
+    return np.asarray(~hidden.reshape(len(pairs), len(share)).all(axis=1))
 
 
 def _dots(a: Floats, b: Floats, radius: Floats, depth: Floats, share: Floats) -> Floats:
