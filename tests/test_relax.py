@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import signal
 from dataclasses import replace
 
 import gemmi
@@ -313,6 +314,21 @@ def test_an_interrupt_keeps_the_best_so_far(monkeypatch):
     assert r.status is pc.Status.INTERRUPTED and len(r.rounds) == 1
     assert r.energy_end <= r.energy_start
     assert Stop.INTERRUPTED in rounds._FINAL
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_a_signal_between_two_rounds_keeps_the_first(monkeypatch):
+    s = load("1l2y.pdb")
+    found = replace(violations(s), per_residue=np.arange(s.n_residues) < 3)
+
+    def interrupted(*_):
+        signal.raise_signal(signal.SIGINT)
+        return found
+
+    monkeypatch.setattr(rounds, "violations", interrupted)
+    r = relax_structure(s, energy("1l2y.pdb"), Relaxing())
+    first, second = r.rounds
+    assert first.evaluations > 1 and second.evaluations == r.best == 0 and r.energy_end < r.energy_start
 
 
 def test_the_rough_energy_is_that_of_a_cutoff_with_a_reaction_field():

@@ -49,6 +49,10 @@ def test_side_chains_that_springs_hold_against_one_another_give_way_in_a_second_
     first, second = r.rounds
     assert first.violations > 0 == second.violations and r.status == "converged"
     assert first.let_go == 0 < second.let_go <= 12 and r.ca_rmsd_angstrom < 0.7
+    # The trace counts on through the rounds.
+    evaluations = r.trace[:, 1]
+    assert (np.diff(evaluations) >= 1).all()
+    assert first.evaluations < evaluations[-1] <= first.evaluations + second.evaluations
 
 
 def test_springs_of_later_rounds_are_those_in_series_and_lead_to_the_input(monkeypatch):
