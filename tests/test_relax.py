@@ -181,6 +181,8 @@ def test_iterations_are_counted_and_limited():
     r = pc.relax(s, threads=1, max_iterations=3)
     assert r.status is pc.Status.BUDGET and r.rounds[0].iterations <= 3
     assert len(r.trace) == 4 and r.energy_end < r.energy_start
+    staged = pc.relax(s, "design", threads=1, max_iterations=3)
+    assert [each.iterations for each in staged.rounds] == [3] * len(staged.rounds)
     whole = pc.relax(s, threads=1, max_iterations=0)
     assert whole.status is pc.Status.CONVERGED
     assert (np.diff(whole.trace[:, 1]) >= 1).all() and whole.trace[-1, 4] <= 10.0

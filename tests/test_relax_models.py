@@ -8,6 +8,7 @@ from oracles import bond_lengths
 
 import protochain as pc
 from protochain.minimisers.loop import Stop
+from protochain.relaxation.hands import Hands
 from protochain.relaxation.presets import PRESETS
 from protochain.relaxation.rounds import Ended, Relaxer, Round, mendable
 from protochain.validation import measures, violations
@@ -71,6 +72,32 @@ def test_springs_of_later_rounds_are_those_in_series_and_lead_to_the_input(monke
     assert all(np.array_equal(each.springs.home, s.positions) for each in done)
     assert seen[0][0].min() == 1.0 and seen[1][0][15] == 1.0
     assert (seen[2][0][5:7] == 0.0).all()
+
+
+def test_rings_are_freed_where_the_round_begins_not_where_the_input_was(monkeypatch):
+    (plant,) = models.planted_rings([load("1vii.pdb")], 1, seed=1)
+    monkeypatch.setattr(Relaxer, "_unthreaded", lambda self, x, work: (x, work))
+    whole = np.ones(plant.structure.n_residues)
+    for s, begins in ((load("1vii.pdb"), plant.structure), (plant.structure, load("1vii.pdb"))):
+        relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 1, lambda *_: None)
+        _, share, _ = relaxer._freed(begins.positions, whole, 0)
+        there = [plant.ring_residue, plant.threading_residue] if begins is plant.structure else []
+        assert np.flatnonzero(share == 0.0).tolist() == sorted(there)
+
+
+def test_a_wrong_hand_weakens_springs_and_gives_none_to_an_excluded_residue(monkeypatch):
+    s, seen = load("1l2y.pdb"), []
+
+    def begins(self, x, share, before):
+        seen.append(share.copy())
+        raise InterruptedError
+
+    monkeypatch.setattr(Relaxer, "_freed", begins)
+    monkeypatch.setattr(Hands, "wrong", lambda self, x: s.alpha_carbons[[4, 7]])
+    relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 1, lambda *_: None)
+    with pytest.raises(InterruptedError):
+        relaxer.rounds(s.positions, np.arange(s.n_residues) == 7, 1)
+    assert seen[0].tolist() == [{4: 0.1, 7: 0.0}.get(r, 1.0) for r in range(s.n_residues)]
 
 
 def test_a_bond_that_a_broken_chain_does_not_have_holds_up_nothing_and_is_said(tmp_path):
