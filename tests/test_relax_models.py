@@ -7,11 +7,12 @@ from conftest import load
 from oracles import bond_lengths
 
 import protochain as pc
+from protochain.contacts import overlaps
 from protochain.minimisers.loop import Stop
 from protochain.relaxation.hands import Hands
 from protochain.relaxation.presets import PRESETS
-from protochain.relaxation.rounds import Ended, Relaxer, Round, mendable
-from protochain.validation import measures, violations
+from protochain.relaxation.rounds import Ended, Relaxer, Round, _Work, mendable
+from protochain.validation import measures, threaded_rings, violations
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -83,6 +84,22 @@ def test_rings_are_freed_where_the_round_begins_not_where_the_input_was(monkeypa
         _, share, _ = relaxer._freed(begins.positions, whole, 0)
         there = [plant.ring_residue, plant.threading_residue] if begins is plant.structure else []
         assert np.flatnonzero(share == 0.0).tolist() == sorted(there)
+
+
+def test_what_is_wrong_with_the_input_is_forgotten_where_a_round_ends_without_it(monkeypatch):
+    (plant,) = models.planted_rings([load("1l2y.pdb")], 1, seed=3)
+    bad, good = models.shaken(plant.structure, 0.25, seed=3), load("1l2y.pdb")
+    monkeypatch.setattr(
+        Relaxer, "_minimised", lambda self, energy, springs, x, work: (x, Stop.TOLERANCE, work)
+    )
+    relaxer = Relaxer(bad, pc.energy(bad), PRESETS["predicted"], 0, lambda *_: None)
+    x = bad.positions
+    wrong = relaxer.hands.wrong(x), relaxer.peptides.wrong(x), threaded_rings(bad), overlaps(bad, x)
+    assert all(len(each) for each in (*wrong, violations(bad).residues))
+    for at, concerned in ((x, True), (good.positions, False)):
+        ended = relaxer._round(at, np.ones(bad.n_residues), [(1.0, 1.0)], _Work(0))
+        assert bool(len(ended.concerned)) is concerned
+        assert (ended.round.violations > 0, ended.round.overlaps > 0) == (concerned, concerned)
 
 
 def test_a_wrong_hand_weakens_springs_and_gives_none_to_an_excluded_residue(monkeypatch):
