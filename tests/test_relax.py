@@ -140,6 +140,8 @@ def test_residues_in_trouble_and_their_neighbours_are_let_go_by_and_by(monkeypat
     assert [each.round.let_go for each in done][:2] == [1, 5] and done[2].round.let_go > 6
     assert [each.round.violations for each in done] == [1, 1, 1]
     assert len(relaxer.rounds(s.positions, excluded, 2)) == 2
+    moved = s.positions + np.where(s.atom_residue == 15, 1.0, 0.0)[:, None]
+    assert np.array_equal(relaxer._touching(np.array([15]), moved), touching(s, 15, moved))
 
 
 def test_the_round_with_the_fewest_left_is_the_result(monkeypatch):
