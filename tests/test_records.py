@@ -34,7 +34,7 @@ def predicted(name, tmp_path, change=lambda text: text):
     )
     asyms = list(dict.fromkeys(asym for asym, _, _ in labels))
     for category, columns in {
-        "_ma_model_list.": {"ordinal_id": ["1"], "model_id": ["1"], "data_id": ["1"]},
+        "_ma_model_list.": {"ordinal_id": ["1", "2"], "model_id": ["1", None], "data_id": ["1", "1"]},
         "_ma_qa_metric.": {"id": ["1"], "mode": ["local"], "name": ["pLDDT"], "type": ["pLDDT"]},
         "_ma_qa_metric_local.": {
             "ordinal_id": [f"{k}" for k in range(1, len(labels) + 1)], "model_id": ["1"] * len(labels),
@@ -84,6 +84,8 @@ def test_what_is_said_of_a_model_stays_where_its_residues_are(tmp_path):
     assert rows(part, "ma_target_entity_instance", "asym_id") == [("B",)]
     for text in (whole, part):
         assert rows(text, "pdbx_data_usage", "type", "details") == [("license", TERMS)]
+        # What names no model is of all of them.
+        assert rows(text, "ma_model_list", "ordinal_id") == [("1",), ("2",)]
         assert rows(text, "citation", "title", "year") == [("Its structure, predicted", "2024")]
         assert rows(text, "software", "name", "version") == [("Predictor", "3")]
         components = rows(text, "chem_comp", "id", "type", "name")

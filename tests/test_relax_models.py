@@ -59,16 +59,21 @@ def test_side_chains_that_springs_hold_against_one_another_give_way_in_a_second_
 
 def test_springs_of_later_rounds_are_those_in_series_and_lead_to_the_input(monkeypatch):
     s = load("1l2y.pdb")
-    seen = []
+    seen, begins = [], []
 
     def as_it_was(self, x, share, strengths, work):
         seen.append((share.copy(), strengths))
+        begins.append(x)
         told = Round(0, 1, 0, 1, 1, 0.0)
-        return Ended(x, Stop.TOLERANCE, self._springs(share, *strengths[0]), np.array([4 + len(seen)]), told)
+        return Ended(
+            x + 0.1, Stop.TOLERANCE, self._springs(share, *strengths[0]), np.array([4 + len(seen)]), told
+        )
 
     monkeypatch.setattr(Relaxer, "_round", as_it_was)
     relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 10, lambda *_: None)
     done = relaxer.rounds(s.positions + 0.1, np.zeros(s.n_residues, dtype=bool), 3)
+    # Each round goes on where the last ended.
+    assert np.array(begins) == pytest.approx(np.array([s.positions + 0.1 * k for k in (1, 2, 3)]))
     assert [strengths for _, strengths in seen] == [[(k, k)] for k in (4184.0, 2092.0, 4184.0 / 3.0)]
     assert all(np.array_equal(each.springs.home, s.positions) for each in done)
     assert seen[0][0].min() == 1.0 and seen[1][0][15] == 1.0
