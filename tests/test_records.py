@@ -213,6 +213,15 @@ def test_records_of_ligands_stay_with_them(tmp_path):
         == (text.split("SEQRES")[-1].split("HET ")[-1])
     )
     assert_no_row_twice(cif)
+    # Files say that a ligand has no place in the sequence, or that it is not known.
+    asym = dict(rows(cif, "atom_site", "label_comp_id", "label_asym_id"))["NAG"]
+    for unknown in (".", "?"):
+        block = block_of(cif)
+        said = {"label_asym_id": asym, "label_seq_id": unknown, "label_comp_id": "NAG", "metric_value": "5"}
+        block.set_mmcif_category("_ma_qa_metric_local.", {k: [v] for k, v in said.items()}, raw=True)
+        (tmp_path / "c.cif").write_text(block.as_string())
+        again = as_text(pc.load(tmp_path / "c.cif", keep="all"), ".cif")
+        assert rows(again, "ma_qa_metric_local", "label_comp_id", "metric_value") == [("NAG", "5")]
 
 
 @pytest.mark.parametrize("name", ["1hel.pdb", "3i40.pdb"])
