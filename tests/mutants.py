@@ -1,6 +1,6 @@
 """Mutation run: faults put at random into the code, one at a time, and the share that the tests notice.
 
-``python tests/mutants.py -o analysis/results`` takes an hour on two cores. A fault is a comparison, an
+``python tests/mutants.py -o analysis/results`` takes hours on two cores. A fault is a comparison, an
 operator, a number, a name or a condition changed, a statement or a keyword left out. The fast tests that
 reach its line (by a coverage run before) are run, quickest first and no longer than ``LONGEST``.
 Compiled kernels, which coverage does not see into, get the test files named in ``FOLDERS``; lines that
@@ -42,16 +42,18 @@ FOLDERS = {
     "cli": (["cli"], ["cli", "commands", "command_runs", "command_jobs"]),
     "validation": (["validation"], []),
     "analysis": (["analysis/deviation.py", "analysis/quality.py"], []),
-    "mechanics": (
-        ["multibody", "motion", "dynamics", "chain.py"],
-        ["multibody", "mass", "chain", "motion", "dynamics", "driven", "massless", "flexible"],
-    ),
+    "write": ([f"structure/{name}.py" for name in ("write", "header", "records", "springs")], []),
+    "relaxation": (["relaxation"], ["repack"]),
+    "mechanics": (["multibody", "chain.py"], ["multibody", "mass", "chain", "massless", "flexible"]),
+    "motion": (["motion"], ["motion", "driven", "bending"]),
+    "dynamics": (["dynamics"], ["dynamics"]),
+    "mechanisms": (["mechanisms"], ["mechanisms", "contact", "boxes", "pile", "search", "segments"]),
     "kernels": (["energies/native"], ["native", "energy"]),
 }
 """Name: (what is changed, under protochain; test files for what coverage does not see: kernels, processes)"""
 LONGEST = 300.0
 """Seconds of tests for one fault, as they took without it. On a busy machine they take longer."""
-COMPILED = ("neighbours", "mechanics", "kernels")
+COMPILED = ("neighbours", "relaxation", "mechanics", "motion", "mechanisms", "kernels")
 """Names of folders with kernels, into which a module's constants are compiled, also those of other files."""
 COMPARISONS = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,

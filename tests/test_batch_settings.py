@@ -100,6 +100,19 @@ def test_a_manifest_is_resumed_with_its_own_settings_only(tmp_path, monkeypatch)
     assert set(before.splitlines()) < set(rows_of(output).splitlines())
 
 
+def test_models_of_one_file_have_settings_of_their_own(tmp_path, monkeypatch):
+    manifest, output = tmp_path / "work.csv", tmp_path / "out"
+
+    def go(first, second, **more):
+        rows = [f"{STRUCTURES / 'ala10.pdb'},{model},{seed}" for model, seed in ((1, first), (2, second))]
+        manifest.write_text("\n".join(["path,model,seed", *rows]))
+        return start_without_work((), output, monkeypatch, manifest=manifest, methods="lbfgs", **more)
+
+    assert go(3, 4) == ["ala10.1", "ala10.2"] and go(3, 4, resume=True) == []
+    with pytest.raises(pc.ProtochainError, match=r"for .*ala10\.pdb, model [12] with seed"):
+        go(4, 3, resume=True)
+
+
 def test_settings_of_structures_that_are_left_out_are_kept(tmp_path, monkeypatch):
     first, second = (f"{STRUCTURES / name},vacuum" for name in ("ala10.pdb", "1l2y.pdb"))
     manifest, output = tmp_path / "work.csv", tmp_path / "out"

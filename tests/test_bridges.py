@@ -284,6 +284,16 @@ def test_bonded_nucleotides_are_a_strand_and_others_stand_alone(far, bonded):
     assert all(each.own is None for each in (first, second, water, last))
 
 
+def test_each_strand_is_one_part_and_ends_of_two_are_not_joined():
+    """Where numbers go on from one chain to the next, O3' and P of a duplex may be 10 angstrom apart."""
+    strands = [
+        [member("DA", n, ("P", at + 7.0 * n), ("O3'", at + 7.0 * n + 5.4), chain=chain) for n in numbers]
+        for chain, numbers, at in (("B", (1, 2, 3), 0.0), ("C", (4, 5, 6), 5.0))
+    ]
+    given = [Candidate(each, each.name) for strand in strands for each in strand]
+    assert [part.members for part in choose(Draft("x", "x"), given, ("all",), DNA)] == strands
+
+
 def test_a_strand_that_the_templates_do_not_fit_is_kept_whole_and_by_element():
     first = member("DA", 1, ("P", -5.0), ("O3'", 0.0))
     second = member("DA", 2, ("P", 1.6), ("O3'", 9.0), ("CX", 10.0))

@@ -97,20 +97,26 @@ def molecules(*parts):
 
 
 @pytest.mark.parametrize(
-    ("parent", "apart", "clash"),
+    ("parent", "charges", "apart", "clash"),
     [
-        # Radii: hydrogen at C 1.22, at N 1.05, oxygen 1.40; a hydrogen bond may overlap by 0.6 more.
-        ("C", 1.22 + 1.40 - 0.41, 1), ("C", 1.22 + 1.40 - 0.39, 0),
-        ("N", 1.05 + 1.40 - 0.90, 0), ("N", 1.05 + 1.40 - 1.01, 1),
+        # Radii: hydrogen at C 1.22, at N 1.05, oxygen 1.40; a hydrogen bond may overlap by 0.6 more, by 0.8
+        # if the charges of hydrogen's parent and oxygen attract each other, and by none if they repel.
+        ("C", (0, 0), 1.22 + 1.40 - 0.41, 1), ("C", (0, 0), 1.22 + 1.40 - 0.39, 0),
+        ("N", (0, 0), 1.05 + 1.40 - 0.90, 0), ("N", (0, 0), 1.05 + 1.40 - 1.01, 1),
+        ("N", (0, -1), 1.05 + 1.40 - 0.99, 0), ("N", (0, -1), 1.05 + 1.40 - 1.01, 1),
+        ("N", (1, -1), 1.05 + 1.40 - 1.19, 0), ("N", (1, -1), 1.05 + 1.40 - 1.21, 1),
+        ("N", (-1, -1), 1.05 + 1.40 - 0.39, 0), ("N", (-1, -1), 1.05 + 1.40 - 0.41, 1),
     ],
 )  # fmt: skip
-def test_hydrogen_bonds_may_overlap_more(parent, apart, clash):
+def test_hydrogen_bonds_may_overlap_more(parent, charges, apart, clash):
     """The hydrogen is measured at its electron cloud, wherever along its bond it is."""
     length = {"C": 0.97, "N": 0.86}[parent]
     for drawn in (length, 1.09, 0.5):
         donor = [(parent, (-length, 0, 0)), ("H", (drawn - length, 0, 0))]
         s = molecules(donor, [("O", (apart, 0, 0)), ("C", (apart + 1.2, 0, 0))])
-        assert clashes(s).pairs.tolist() == [[1, 2]] * clash
+        for which, charge in zip((0, 2), charges, strict=True):
+            list(s.topology.atoms())[which].formalCharge = charge
+        assert ([1, 2] in clashes(s).pairs.tolist()) == bool(clash)
 
 
 @pytest.mark.parametrize(("bonds", "clash"), [(3, 0), (4, 1)])

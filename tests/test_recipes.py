@@ -271,15 +271,22 @@ def test_strain_without_overlaps_is_held_too(torque, parts):
     assert len(RECIPES["kcm"].plan(c, whole, whole, 2.0, Hold(), 0, torque)) == 1
 
 
-@pytest.mark.parametrize(("torque", "runs"), [(9e3, True), (1.1e4, False)])
-def test_torsions_take_over_once_the_largest_torque_is_ordinary(torque, runs):
+@pytest.mark.parametrize(("share", "runs"), [(0.9, True), (1.1, False)])
+def test_torsions_take_over_once_the_largest_torque_is_ordinary(share, runs):
+    """That of the stage; after one in all atoms a tenth as large, of the whole energy where the atoms are."""
     c = chain("ala10.pdb")
-    space = spaces(c)[0]
-    at = space.place(c.q0)
-    pull = np.random.default_rng(0).normal(size=at.x.shape)
-    size = space.residual(space.torque(at, pull))
-    stage = once_ordinary(Stage(space, None, lambda x: (0.0, torque / size * pull), 1.0))
-    assert stage.ready(stage, at) is runs
+    pull = np.random.default_rng(0).normal(size=c.structure.positions.shape)
+    stage = Stage(spaces(c)[0], None, None, 1.0)
+    moved = c.structure.with_positions(c.structure.positions * [1.0, 1.02, 0.98])
+    for structure, energy_of, limit in (
+        (c.structure, lambda pulled: (replace(stage, energy=pulled),), 1e4),
+        (moved, lambda pulled: (stage, pulled), 1e3),
+    ):
+        space = spaces(pc.build_chain(structure))[0]
+        at = space.place(space.start(structure.positions))
+        size = space.residual(space.torque(at, pull))
+        held = once_ordinary(*energy_of(lambda x, by=limit * share / size: (0.0, by * pull)))
+        assert held.ready(held, at) is runs
     crowd = spaces(crowded())[0]
     calm = once_ordinary(Stage(crowd, None, lambda x: (0.0, 0.0 * x), 1.0))
     assert not calm.ready(calm, crowd.place(crowd.chain.q0))

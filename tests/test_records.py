@@ -34,7 +34,7 @@ def predicted(name, tmp_path, change=lambda text: text):
     )
     asyms = list(dict.fromkeys(asym for asym, _, _ in labels))
     for category, columns in {
-        "_ma_model_list.": {"ordinal_id": ["1"], "model_id": ["1"], "data_id": ["1"]},
+        "_ma_model_list.": {"ordinal_id": ["1", "2"], "model_id": ["1", None], "data_id": ["1", "1"]},
         "_ma_qa_metric.": {"id": ["1"], "mode": ["local"], "name": ["pLDDT"], "type": ["pLDDT"]},
         "_ma_qa_metric_local.": {
             "ordinal_id": [f"{k}" for k in range(1, len(labels) + 1)], "model_id": ["1"] * len(labels),
@@ -84,6 +84,8 @@ def test_what_is_said_of_a_model_stays_where_its_residues_are(tmp_path):
     assert rows(part, "ma_target_entity_instance", "asym_id") == [("B",)]
     for text in (whole, part):
         assert rows(text, "pdbx_data_usage", "type", "details") == [("license", TERMS)]
+        # What names no model is of all of them.
+        assert rows(text, "ma_model_list", "ordinal_id") == [("1",), ("2",)]
         assert rows(text, "citation", "title", "year") == [("Its structure, predicted", "2024")]
         assert rows(text, "software", "name", "version") == [("Predictor", "3")]
         components = rows(text, "chem_comp", "id", "type", "name")
@@ -211,6 +213,15 @@ def test_records_of_ligands_stay_with_them(tmp_path):
         == (text.split("SEQRES")[-1].split("HET ")[-1])
     )
     assert_no_row_twice(cif)
+    # Files say that a ligand has no place in the sequence, or that it is not known.
+    asym = dict(rows(cif, "atom_site", "label_comp_id", "label_asym_id"))["NAG"]
+    for unknown in (".", "?"):
+        block = block_of(cif)
+        said = {"label_asym_id": asym, "label_seq_id": unknown, "label_comp_id": "NAG", "metric_value": "5"}
+        block.set_mmcif_category("_ma_qa_metric_local.", {k: [v] for k, v in said.items()}, raw=True)
+        (tmp_path / "c.cif").write_text(block.as_string())
+        again = as_text(pc.load(tmp_path / "c.cif", keep="all"), ".cif")
+        assert rows(again, "ma_qa_metric_local", "label_comp_id", "metric_value") == [("NAG", "5")]
 
 
 @pytest.mark.parametrize("name", ["1hel.pdb", "3i40.pdb"])
@@ -324,6 +335,10 @@ def test_every_model_has_its_own_coordinates_repairs_and_cis_peptides(tmp_path):
     assert [each.model_num for each in read.cispeps] == [2]
     assert len(set(rows(cif, "atom_site", "pdbx_PDB_model_num"))) == 2
     assert rows(cif, "struct_mon_prot_cis", "pdbx_PDB_model_num") == [("2",)]
+    # Models that are not told apart are numbered, and all are without hydrogens.
+    alike = as_text([first, replace(second, model_number=first.model_number)], ".cif", hydrogens=False)
+    written = rows(alike, "atom_site", "pdbx_PDB_model_num", "type_symbol")
+    assert {number for number, _ in written} == {"1", "2"} and "H" not in {element for _, element in written}
 
 
 def test_files_of_predictors_keep_what_they_say(tmp_path):

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import signal
 from dataclasses import replace
 
 import gemmi
@@ -139,6 +140,8 @@ def test_residues_in_trouble_and_their_neighbours_are_let_go_by_and_by(monkeypat
     assert [each.round.let_go for each in done][:2] == [1, 5] and done[2].round.let_go > 6
     assert [each.round.violations for each in done] == [1, 1, 1]
     assert len(relaxer.rounds(s.positions, excluded, 2)) == 2
+    moved = s.positions + np.where(s.atom_residue == 15, 1.0, 0.0)[:, None]
+    assert np.array_equal(relaxer._touching(np.array([15]), moved), touching(s, 15, moved))
 
 
 def test_the_round_with_the_fewest_left_is_the_result(monkeypatch):
@@ -180,6 +183,8 @@ def test_iterations_are_counted_and_limited():
     r = pc.relax(s, threads=1, max_iterations=3)
     assert r.status is pc.Status.BUDGET and r.rounds[0].iterations <= 3
     assert len(r.trace) == 4 and r.energy_end < r.energy_start
+    staged = pc.relax(s, "design", threads=1, max_iterations=3)
+    assert [each.iterations for each in staged.rounds] == [3] * len(staged.rounds)
     whole = pc.relax(s, threads=1, max_iterations=0)
     assert whole.status is pc.Status.CONVERGED
     assert (np.diff(whole.trace[:, 1]) >= 1).all() and whole.trace[-1, 4] <= 10.0
@@ -313,6 +318,21 @@ def test_an_interrupt_keeps_the_best_so_far(monkeypatch):
     assert r.status is pc.Status.INTERRUPTED and len(r.rounds) == 1
     assert r.energy_end <= r.energy_start
     assert Stop.INTERRUPTED in rounds._FINAL
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_a_signal_between_two_rounds_keeps_the_first(monkeypatch):
+    s = load("1l2y.pdb")
+    found = replace(violations(s), per_residue=np.arange(s.n_residues) < 3)
+
+    def interrupted(*_):
+        signal.raise_signal(signal.SIGINT)
+        return found
+
+    monkeypatch.setattr(rounds, "violations", interrupted)
+    r = relax_structure(s, energy("1l2y.pdb"), Relaxing())
+    first, second = r.rounds
+    assert first.evaluations > 1 and second.evaluations == r.best == 0 and r.energy_end < r.energy_start
 
 
 def test_the_rough_energy_is_that_of_a_cutoff_with_a_reaction_field():

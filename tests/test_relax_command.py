@@ -17,10 +17,11 @@ import pandas as pd
 import pytest
 from conftest import STRUCTURES, load, shared
 from distributed import LocalCluster
+from scipy.spatial.transform import Rotation
 from test_commands import refusal, run
 
 import protochain as pc
-from protochain.analysis.relaxed import write_relaxed
+from protochain.analysis.relaxed import coloured, write_relaxed
 from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.jobs import Job
 from protochain.batches.relaxed import COLUMNS as OF_RELAXED
@@ -299,6 +300,21 @@ def test_the_plot_of_displacements_names_its_line_in_words(monkeypatch, tmp_path
     ((panel,),) = (figure.axes for figure in figures)
     assert [text.get_text() for text in panel.get_legend().get_texts()] == ["relaxed"]
     assert panel.lines[0].get_ydata() == pytest.approx(r.displacements["displacement_angstrom"])
+
+
+def test_a_motion_of_the_whole_changes_nothing_on_the_page():
+    """The end is coloured by how far its atoms are from the start once both are superposed."""
+    r = pc.relax(load("ala10.pdb"), threads=1, solvent="vacuum")
+    turned = replace(r, x=r.x @ Rotation.from_rotvec([0.3, 1.0, -0.7]).as_matrix().T + [0.5, -1.0, 2.0])
+    shown = [coloured(each)["models"] for each in (r, turned)]
+    atoms = [
+        [(at.atom.pos.tolist(), at.atom.b_iso) for at in gemmi.read_pdb_string(models[1]["text"])[0].all()]
+        for models in shown
+    ]
+    assert [away for _, away in atoms[0]] == pytest.approx([away for _, away in atoms[1]], abs=0.011)
+    assert np.array([x for x, _ in atoms[0]]) == pytest.approx(np.array([x for x, _ in atoms[1]]), abs=0.0011)
+    assert max(away for _, away in atoms[0]) > 0.1
+    assert shown[0][1]["farthest_angstrom"] == pytest.approx(shown[1][1]["farthest_angstrom"])
 
 
 def test_hands_are_announced_and_told(monkeypatch, tmp_path, capsys):

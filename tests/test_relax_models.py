@@ -7,10 +7,12 @@ from conftest import load
 from oracles import bond_lengths
 
 import protochain as pc
+from protochain.contacts import overlaps
 from protochain.minimisers.loop import Stop
+from protochain.relaxation.hands import Hands
 from protochain.relaxation.presets import PRESETS
-from protochain.relaxation.rounds import Ended, Relaxer, Round, mendable
-from protochain.validation import measures, violations
+from protochain.relaxation.rounds import Ended, Relaxer, Round, _Work, mendable
+from protochain.validation import measures, threaded_rings, violations
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -49,24 +51,75 @@ def test_side_chains_that_springs_hold_against_one_another_give_way_in_a_second_
     first, second = r.rounds
     assert first.violations > 0 == second.violations and r.status == "converged"
     assert first.let_go == 0 < second.let_go <= 12 and r.ca_rmsd_angstrom < 0.7
+    # The trace counts on through the rounds.
+    evaluations = r.trace[:, 1]
+    assert (np.diff(evaluations) >= 1).all()
+    assert first.evaluations < evaluations[-1] <= first.evaluations + second.evaluations
 
 
 def test_springs_of_later_rounds_are_those_in_series_and_lead_to_the_input(monkeypatch):
     s = load("1l2y.pdb")
-    seen = []
+    seen, begins = [], []
 
     def as_it_was(self, x, share, strengths, work):
         seen.append((share.copy(), strengths))
+        begins.append(x)
         told = Round(0, 1, 0, 1, 1, 0.0)
-        return Ended(x, Stop.TOLERANCE, self._springs(share, *strengths[0]), np.array([4 + len(seen)]), told)
+        return Ended(
+            x + 0.1, Stop.TOLERANCE, self._springs(share, *strengths[0]), np.array([4 + len(seen)]), told
+        )
 
     monkeypatch.setattr(Relaxer, "_round", as_it_was)
     relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 10, lambda *_: None)
     done = relaxer.rounds(s.positions + 0.1, np.zeros(s.n_residues, dtype=bool), 3)
+    # Each round goes on where the last ended.
+    assert np.array(begins) == pytest.approx(np.array([s.positions + 0.1 * k for k in (1, 2, 3)]))
     assert [strengths for _, strengths in seen] == [[(k, k)] for k in (4184.0, 2092.0, 4184.0 / 3.0)]
     assert all(np.array_equal(each.springs.home, s.positions) for each in done)
     assert seen[0][0].min() == 1.0 and seen[1][0][15] == 1.0
     assert (seen[2][0][5:7] == 0.0).all()
+
+
+def test_rings_are_freed_where_the_round_begins_not_where_the_input_was(monkeypatch):
+    (plant,) = models.planted_rings([load("1vii.pdb")], 1, seed=1)
+    monkeypatch.setattr(Relaxer, "_unthreaded", lambda self, x, work: (x, work))
+    whole = np.ones(plant.structure.n_residues)
+    for s, begins in ((load("1vii.pdb"), plant.structure), (plant.structure, load("1vii.pdb"))):
+        relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 1, lambda *_: None)
+        _, share, _ = relaxer._freed(begins.positions, whole, 0)
+        there = [plant.ring_residue, plant.threading_residue] if begins is plant.structure else []
+        assert np.flatnonzero(share == 0.0).tolist() == sorted(there)
+
+
+def test_what_is_wrong_with_the_input_is_forgotten_where_a_round_ends_without_it(monkeypatch):
+    (plant,) = models.planted_rings([load("1l2y.pdb")], 1, seed=3)
+    bad, good = models.shaken(plant.structure, 0.25, seed=3), load("1l2y.pdb")
+    monkeypatch.setattr(
+        Relaxer, "_minimised", lambda self, energy, springs, x, work: (x, Stop.TOLERANCE, work)
+    )
+    relaxer = Relaxer(bad, pc.energy(bad), PRESETS["predicted"], 0, lambda *_: None)
+    x = bad.positions
+    wrong = relaxer.hands.wrong(x), relaxer.peptides.wrong(x), threaded_rings(bad), overlaps(bad, x)
+    assert all(len(each) for each in (*wrong, violations(bad).residues))
+    for at, concerned in ((x, True), (good.positions, False)):
+        ended = relaxer._round(at, np.ones(bad.n_residues), [(1.0, 1.0)], _Work(0))
+        assert bool(len(ended.concerned)) is concerned
+        assert (ended.round.violations > 0, ended.round.overlaps > 0) == (concerned, concerned)
+
+
+def test_a_wrong_hand_weakens_springs_and_gives_none_to_an_excluded_residue(monkeypatch):
+    s, seen = load("1l2y.pdb"), []
+
+    def begins(self, x, share, before):
+        seen.append(share.copy())
+        raise InterruptedError
+
+    monkeypatch.setattr(Relaxer, "_freed", begins)
+    monkeypatch.setattr(Hands, "wrong", lambda self, x: s.alpha_carbons[[4, 7]])
+    relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 1, lambda *_: None)
+    with pytest.raises(InterruptedError):
+        relaxer.rounds(s.positions, np.arange(s.n_residues) == 7, 1)
+    assert seen[0].tolist() == [{4: 0.1, 7: 0.0}.get(r, 1.0) for r in range(s.n_residues)]
 
 
 def test_a_bond_that_a_broken_chain_does_not_have_holds_up_nothing_and_is_said(tmp_path):

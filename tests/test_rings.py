@@ -157,6 +157,22 @@ def test_a_disulfide_ring_is_threaded_by_a_bond_that_passes_it():
     assert not [each for each in threaded_rings(s, x) if each.bond == bond and each.atoms == ring]
 
 
+@pytest.mark.parametrize(("end", "crosses"), [(0.3, True), (0.8, False)])
+def test_a_bond_through_both_sides_of_a_folded_ring_threads_it_not(end, crosses):
+    """Bent to a U of 0.6 nm: a bond that ends between the arms is caught, one that passes both is not."""
+    s = load("3i40.pdb")
+    (ring,) = [ring for ring in rings(s) if len(ring) > 6]
+    side = [(x, 0.0) for x in (0.9, 0.7, 0.5, 0.3)] + [(0.1, 0.1), (0.1, 0.5)]
+    side += [(x, 0.6) for x in (0.3, 0.5, 0.7, 0.9)]
+    x = s.positions + np.array([20.0, 0.0, 0.0])
+    x[list(ring)] = [(u, 0.0, w) for u, w in side] + [(u, 0.25, w) for u, w in reversed(side)]
+    lysine = int(np.flatnonzero(s.residue_name == "LYS")[0])
+    bond = (atom(s, lysine, "CE"), atom(s, lysine, "NZ"))
+    x[list(bond)] = [(0.62, 0.13, -0.2), (0.61, 0.12, end)]
+    found = [each for each in threaded_rings(s, x) if each.bond == bond and each.atoms == ring]
+    assert bool(found) is crosses
+
+
 def test_molecules_held_fixed_are_not_held_against_the_protein():
     s = pc.load(shared("4cup_missing.cif"))
     inside = [ring for ring in rings(s) if s.obstacle[list(ring)].all()]

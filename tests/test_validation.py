@@ -185,9 +185,9 @@ def test_the_command_measures_files_folders_and_patterns(tmp_path, monkeypatch, 
         run("validate", "none.pdb")
 
 
-def test_the_command_prints_one_object_of_every_model(capsys):
-    path = shared("1vii_villin_nmr3.pdb")
-    assert run("validate", path, "--model", "1-2", "--json", "--keep", "none") == 0
+def test_the_command_prints_one_object_of_every_model(tmp_path, capsys):
+    path, table = shared("1vii_villin_nmr3.pdb"), tmp_path / "residues.csv"
+    assert run("validate", path, "--model", "1-2", "--json", "--keep", "none", "--residues", table) == 0
     told = capsys.readouterr()
     said = json.loads(told.out)
     assert (
@@ -197,6 +197,8 @@ def test_the_command_prints_one_object_of_every_model(capsys):
         v = pc.validate(path, model=row["model"])
         assert {key: row[key] for key in MEASURES} == pytest.approx(dict(v.measures))
         assert row["findings"] == v.listing() and row["added"] == v.added and row["message"] == ""
+        own = pd.read_csv(table).query(f"model == {row['model']}")
+        assert own["omega_degrees"].to_numpy() == pytest.approx(v.residues["omega_degrees"], nan_ok=True)
 
 
 def test_the_command_reads_standard_input():

@@ -151,7 +151,7 @@ class Relaxer:
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
         strongest = strengths[-1:]
         while True:
-            x, share, work = self._freed(x, share)
+            x, share, work = self._freed(x, share, sum(each.round.evaluations for each in done))
             springs = self._springs(share, *strengths[0])
             if not done:
                 x, work = self._begun(x, springs, work)
@@ -210,7 +210,14 @@ class Relaxer:
             wrong[structure.atom_residue[self.peptides.wrong(x)]] = True
         wrong &= np.bincount(structure.atom_residue, self._mobile, structure.n_residues) > 0.0
         seconds = perf_counter() - began
-        told = Round(int((share < 1.0).sum()), len(found.residues), len(pairs), *work, seconds)
+        told = Round(
+            int((share < 1.0).sum()),
+            len(found.residues),
+            len(pairs),
+            work.iterations,
+            work.evaluations,
+            seconds,
+        )
         return Ended(read_only(x), stop, springs, np.flatnonzero(wrong), told)
 
     def _minimised(
@@ -231,7 +238,7 @@ class Relaxer:
         seen, allowed = count(), (self.max_iterations or _ENDLESS) - work.iterations
 
         def record(at: Evaluation) -> None:
-            self.note(stage.name, at, work.evaluations + problem.n_evaluations)
+            self.note(stage.name, at, work.so_far + problem.n_evaluations)
             if next(seen) >= allowed:
                 raise BudgetSpentError
 
@@ -239,12 +246,11 @@ class Relaxer:
         try:
             ending = run(problem, method, q, stage.tolerance, stage.patience, record)
         except KeyboardInterrupt:
-            if not work.evaluations:
+            if not work.so_far:
                 raise
             return x, Stop.INTERRUPTED, work
         x = space.place(lowest(problem, ending, q)).x
-        done = _Work(work.iterations + ending.last.n_iterations, work.evaluations + problem.n_evaluations)
-        return x, ending.stop, done
+        return x, ending.stop, work.and_more(ending.last.n_iterations, problem.n_evaluations)
 
     @cached_property
     def shapes(self) -> Sum:
@@ -279,23 +285,23 @@ class Relaxer:
         """Atoms that may move, with the springs of their bonds."""
         return Cartesian(self.structure, self._mobile, near_terms(self.energy))
 
-    def _freed(self, x: Floats, share: Floats) -> "tuple[Floats, Floats, _Work]":
+    def _freed(self, x: Floats, share: Floats, before: int) -> "tuple[Floats, Floats, _Work]":
         """Positions without threaded rings, springs that do not draw the bonds back, and the work."""
         threaded = threaded_rings(self.structure, x)
         if not threaded:
-            return x, share, _Work(0, 0)
+            return x, share, _Work(before)
         let_go = share.copy()
         let_go[self._of_rings(threaded)] = 0.0
-        x, work = self._unthreaded(x)
+        x, work = self._unthreaded(x, _Work(before))
         return x, let_go, work
 
     def _of_rings(self, threaded: Sequence[ThreadedRing]) -> list[int]:
         """Residues of rings and of the bonds that go through them."""
         return [int(self.structure.atom_residue[i]) for ring in threaded for i in (*ring.atoms, *ring.bond)]
 
-    def _unthreaded(self, x: Floats) -> "tuple[Floats, _Work]":
+    def _unthreaded(self, x: Floats, work: "_Work") -> "tuple[Floats, _Work]":
         """Positions with bonds drawn out of rings, as far as that is possible, and the work."""
-        space, spent = self._space, 0
+        space = self._space
         # One budget for all stages: of hundreds of rings none may come free.
         left = iter(range(self.max_iterations)) if self.max_iterations else count()
         for stage in unthreading(space, self.energy):
@@ -305,16 +311,17 @@ class Relaxer:
             own = stage.fit(stage, x) if stage.fit else stage
             problem = Problem(space, own.energy, _ENDLESS)
 
-            def record(at: Evaluation, before: int = spent, problem: Problem = problem) -> None:
+            def record(at: Evaluation, before: int = work.so_far, problem: Problem = problem) -> None:
                 self.note(GENTLE, at, before + problem.n_evaluations)
                 if next(left, None) is None:
                     raise BudgetSpentError
 
             ending = run(problem, own.method, q, own.tolerance, own.patience, record)
-            x, spent = space.place(own.answer(problem, ending, q)).x, spent + problem.n_evaluations
+            x = space.place(own.answer(problem, ending, q)).x
+            work = work.and_more(0, problem.n_evaluations)
             if ending.stop is Stop.BUDGET:
                 break
-        return x, _Work(0, spent)
+        return x, work
 
     def _springs(self, share: Floats, backbone: float, side_chains: float) -> Tethers:
         """Springs of the heavy atoms; each residue (nr,) has its share of their strength."""
@@ -343,10 +350,20 @@ class Relaxer:
 
 
 class _Work(NamedTuple):
-    """Iterations and evaluations of a round so far."""
+    """Evaluations of the rounds before; iterations and evaluations of a round so far."""
 
-    iterations: int
-    evaluations: int
+    before: int
+    iterations: int = 0
+    evaluations: int = 0
+
+    @property
+    def so_far(self) -> int:
+        """Evaluations of all rounds."""
+        return self.before + self.evaluations
+
+    def and_more(self, iterations: int, evaluations: int) -> "_Work":
+        """With those of another minimisation."""
+        return _Work(self.before, self.iterations + iterations, self.evaluations + evaluations)
 
 
 class _Stage(NamedTuple):
