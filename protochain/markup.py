@@ -1,12 +1,18 @@
-"""HTML of values in notebooks, and numbers with the right form of what they count."""
+"""HTML of values in notebooks, numbers with the right form of what they count, and long lists cut short."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 
 
 def counted(n: int, what: str, several: str = "") -> str:
     """Return a number and what it counts: ``1 round``, ``2 rounds``, or as given where an s does not do."""
     return f"{n} {what if n == 1 else several or what + 's'}"
+
+
+def listed(places: Sequence[str], shown: int = 6) -> str:
+    """The first of some places, and how many more there are."""
+    more = f" and {len(places) - shown} more" if len(places) > shown else ""
+    return ", ".join(places[:shown]) + more
 
 
 def facts(title: str, rows: Mapping[str, object]) -> str:

@@ -12,6 +12,7 @@ from protochain.relaxation.rotamer_energies import Rotamers
 from protochain.structure.chirality import volume
 from protochain.structure.model import Structure
 from protochain.structure.packing import WIDTH, wrapped
+from protochain.structure.repairs import Kind, Repair
 from protochain.structure.rotamers import rotamers
 from protochain.structure.sidechains import dihedral
 from protochain.structure.turning import beyond, turned
@@ -51,16 +52,16 @@ class Arm:
     n_chi: int
     rotamers: Rotamers
 
-    def told(self, state: int) -> str:
-        """How it is turned, in words."""
+    def repair(self, state: int, residue: residues.Residue) -> Repair:
+        """How it is turned."""
         before, after = np.rint(np.rad2deg(wrapped(self.chi[[0, state], : self.n_chi]))).astype(int)
         if (before == after).all():
-            return "polar hydrogen turned"
+            return Repair(Kind.HYDROGEN_TURNED, {"residue": residue})
         old, new = (
             " ".join(f"chi{k} {value}" for k, value in enumerate(each.tolist(), 1))
             for each in (before, after)
         )
-        return f"side chain turned from {old} to {new}"
+        return Repair(Kind.SIDE_CHAIN_TURNED, {"residue": residue, "before": old, "after": new})
 
 
 class Arms:

@@ -4,13 +4,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import gemmi
 
 from protochain import residues
 from protochain.structure.header import NO_LABEL, Label
 from protochain.structure.losses import Loss, Why
+from protochain.structure.repairs import Kind, Repair
 
 if TYPE_CHECKING:
     from protochain.structure.templates import Template
@@ -59,7 +60,12 @@ class Member:
     parent: str = ""
 
     def __str__(self) -> str:
-        return residues.describe(self.seqid, residues.name_in_file(self.name, self.is_d), self.chain_id)
+        return str(self.residue)
+
+    @property
+    def residue(self) -> residues.Residue:
+        """What a file calls it."""
+        return residues.Residue(self.chain_id, self.seqid, residues.name_in_file(self.name, self.is_d))
 
     @property
     def is_cap(self) -> bool:
@@ -110,7 +116,7 @@ class Draft:
     parts : list of Part
     stated : list of pairs of Address
         Bonds between residues that the file states.
-    repairs : list of str
+    repairs : list of Repair
         Changes made so far.
     rebuilt : dict of int to tuple of str
         Atoms added to side chains, by ``id`` of their residue.
@@ -133,7 +139,7 @@ class Draft:
     source: str
     parts: list[Part] = field(default_factory=list)
     stated: list[tuple[Address, Address]] = field(default_factory=list)
-    repairs: list[str] = field(default_factory=list)
+    repairs: list[Repair] = field(default_factory=list)
     rebuilt: dict[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
     springs: Mapping[tuple[Address, ...], tuple[float, float]] = field(default_factory=dict)
@@ -146,6 +152,10 @@ class Draft:
     def members(self) -> list[Member]:
         """Every residue, in order."""
         return [member for part in self.parts for member in part.members]
+
+    def note(self, kind: Kind, **facts: Any) -> None:
+        """Note a change."""
+        self.repairs.append(Repair(kind, facts))
 
     def lose(self, member: Member, atoms: Iterable[gemmi.Atom], why: Why) -> None:
         """Note the heavy atoms among those of a residue as lost; count them if the rest of it stays."""

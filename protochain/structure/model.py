@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from protochain.arrays import Floats, Integers, Value, read_only
 from protochain.errors import StructureError
 from protochain.markup import facts
-from protochain.residues import describe, name_in_file
-from protochain.structure.changes import summarised
+from protochain.residues import Residue, name_in_file
 from protochain.structure.header import Label
 from protochain.structure.losses import Loss
+from protochain.structure.repairs import Repair, summarised
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class Structure(Value):
         Chains, residues, atoms and bonds; chain ids, numbers and insertion codes are those of the file.
     positions : (na, 3) float, nm
         Positions of the atoms.
-    repairs : tuple of str
-        Every change made to the file's contents, one line each.
+    repairs : tuple of Repair
+        Every change made to the file's contents; the text of each is a line.
     left_out : mapping of str to int
         Numbers of molecules and atoms of the file that were left out, by kind.
     b_factor : (na,) float, angstrom^2
@@ -89,7 +89,7 @@ class Structure(Value):
     name: str
     topology: Any
     positions: Floats
-    repairs: tuple[str, ...] = ()
+    repairs: tuple[Repair, ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
     b_factor: Floats = field(default_factory=lambda: np.empty(0))
     obstacle: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
@@ -236,9 +236,13 @@ class Structure(Value):
 
     def describe_residue(self, residue: int) -> str:
         """Describe a residue: ``residue 17 GLU of chain A``."""
+        return str(self.residue(residue))
+
+    def residue(self, residue: int) -> Residue:
+        """What files call a residue."""
         number = f"{self.residue_number[residue]}{self.residue_insertion_code[residue]}"
         name = name_in_file(str(self.residue_name[residue]), bool(self.mirrored[residue]))
-        return describe(number, name, str(self.residue_chain[residue]))
+        return Residue(str(self.residue_chain[residue]), number, name)
 
     def describe(self, atom: int) -> str:
         """Describe an atom: ``atom CG of residue 17 GLU of chain A``."""

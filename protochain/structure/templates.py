@@ -315,20 +315,20 @@ def other_names(atoms: Iterable[gemmi.Atom], template: Template) -> Iterator[str
                 yield other
 
 
-def rename(atoms: list[gemmi.Atom], template: Template) -> list[str]:
+def rename(atoms: list[gemmi.Atom], template: Template) -> list[tuple[str, str]]:
     """Rename atoms to their PDB names.
 
     Returns
     -------
-    list of str
-        Changes, as ``CD to CD1``.
+    list of (str, str)
+        Names before and after.
     """
     present = {atom.name for atom in atoms}
     changed = []
     for atom in atoms:
         name = template.synonyms.get(atom.name)
         if atom.name not in template.element and name is not None and name not in present:
-            changed.append(f"{atom.name} to {name}")
+            changed.append((atom.name, name))
             present.add(name)
             atom.name = name
     return changed

@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 
 from protochain.arrays import Floats, Integers
 from protochain.contacts import neighbourhood, radii
+from protochain.markup import listed
 from protochain.residues import NUCLEOTIDES
-from protochain.structure.chirality import listed
 from protochain.structure.model import Structure
 from protochain.structure.templates import DNA, RNA, templates
 from protochain.units import ANGSTROM_PER_NM
