@@ -225,6 +225,8 @@ class Sentences:
             return key in MESSAGES if isinstance(key, str) else self.said(node.value, known)
         if isinstance(node, ast.Call):
             name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if name in ("describe", "describe_residue", "told"):
+                return True
             if name in ("str", "join", "sorted", "list", "tuple"):
                 return any(self.said(each, known) for each in node.args)
             return name in ("lower", "upper", "strip") and self.said(node.func.value, known)
@@ -263,6 +265,7 @@ def test_no_module_reads_what_another_says_to_people(path):
         "for line in structure.changes:\n    print(with_options(line))\n"
         "def with_options(line): return re.sub('a', 'b', line)",
         "said = str(solution.message)\nwhere, what = said.split(': ')",
+        "return structure.describe(atom).removeprefix('atom ')",
     ],
 )
 def test_readers_of_sentences_are_found(source):

@@ -236,7 +236,7 @@ def test_what_is_left_out_is_said_first_and_then_what_is_kept():
     names = [f"L{k}" for k in range(8)]
     assert sentences(many) == [
         f"{', '.join('1 ' + name for name in names)} and 1 more kept beside the protein "
-        f"({', '.join(names)} by element, unless the force field has parameters)"
+        f"({', '.join(names)} and 1 more by element, unless the force field has parameters)"
     ]
     silent = drafted(glycine())
     assert choose(silent, [], ("near",), {}) == [] and silent.repairs == []

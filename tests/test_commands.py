@@ -16,7 +16,7 @@ from test_write import ring
 
 import protochain as pc
 from protochain.cli import app, main, options
-from protochain.errors import ProtochainError, WriteError
+from protochain.errors import Argument, ProtochainError, WriteError
 from protochain.residues import Residue
 from protochain.setup import Setup
 from protochain.structure.repairs import EVERYTHING, Kind, Repair
@@ -147,9 +147,13 @@ def refusal(*arguments):
     ("raised", "status", "said"),
     [
         (ProtochainError("two\nlines"), 2, "protochain: two lines\n"),
-        (ProtochainError("n_steps 0: force=True"), 2, "protochain: --steps 0: --force\n"),
         (
-            WriteError("a", "full", "b", "resume=True"),
+            ProtochainError(Argument("n_steps"), " 0: ", Argument("force", True)),
+            2,
+            "protochain: --steps 0: --force\n",
+        ),
+        (
+            WriteError("a", "full", "b", Argument("resume", True)),
             1,
             "protochain: a: not written (full); saved: b; --resume\n",
         ),

@@ -194,7 +194,7 @@ def test_every_kind_of_repair_is_told_by_its_facts(kind):
     for name, value in given.items():
         if name != "last" and name != "first":
             assert all(str(each) in told for each in (value if isinstance(value, tuple) else (value,)))
-    assert "{" not in told and "residue" not in kind.value.many
+    assert "{" not in told and "{residue}" not in kind.value.many
     assert not kind.value.many or kind.value.one.startswith("{residue}")
 
 

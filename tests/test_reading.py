@@ -216,7 +216,7 @@ def test_what_is_kept_is_said_and_what_has_no_element_is_left_out():
     ligand, odd = residue("XQQ", 9, atoms=["S"]), residue("XQR", 10, atoms=[("Q", "X")])
     beside = residue("WAT", 9, atoms=["O"]), ligand, odd
     bare = "(XQQ by element, unless the force field has parameters)"
-    unknown = '1 XQR (of unknown element) left out; keep="all" keeps everything'
+    unknown = '1 XQR (its element is unknown) left out; keep="all" keeps everything'
     named = taken(*alanines(2), *beside, keep=("XQQ",))
     assert names(named) == [["ALA1", "ALA2"], ["XQQ9"]] and dict(named.left_out) == {"waters": 1, "XQR": 1}
     assert sentences(named) == [f"1 waters, {unknown}", f"1 XQQ kept beside the protein {bare}"]

@@ -94,7 +94,7 @@ def test_an_mmcif_file_has_its_remarks_entities_links_and_atoms():
         return [[gemmi.cif.as_string(cell) for cell in row] for row in block.find(f"_{category}.", names)]
 
     assert rows("protochain_provenance", "ordinal", "text") == [["1", "one"], ["2", "it's two"], ["3", ""]]
-    assert rows("protochain_repair", "ordinal", "text") == [["1", "a repair"]]
+    assert rows("protochain_repair", "ordinal", "text") == [["1", str(noted("a repair"))]]
     assert rows("entity", "id", "type") == [["A", "polymer"], ["x1", "water"]]
     assert rows("struct_asym", "id", "entity_id") == [["A", "A"], ["x1", "x1"]]
     sequence = rows("entity_poly_seq", "entity_id", "num", "mon_id")

@@ -58,9 +58,9 @@ for command in _COMMANDS:
 app.command("minimize", hidden=True)(minimise)
 
 
-def as_said(error: ProtochainError) -> str:
+def as_said(error: ProtochainError, of: typer.Typer = app) -> str:
     """Message of an error in the words of the command line, where some command has the option."""
-    commands = get_command(app).commands.values()  # type: ignore[attr-defined]  # a group
+    commands = get_command(of).commands.values()  # type: ignore[attr-defined]  # a group
     named = {param.name for each in commands for param in each.params if isinstance(param, TyperOption)}
     known = {name for name in (*named, *RENAMED) if RENAMED.get(name, name) in named}
     return error.told(

@@ -213,7 +213,7 @@ def _bonds_named(structure: Structure, x: Floats, nitrogens: Integers) -> list[s
 
 
 def _atoms_named(structure: Structure, atoms: Integers) -> list[str]:
-    return [structure.describe(atom).removeprefix("atom ") for atom in atoms.tolist()]
+    return [str(structure.atom(atom)) for atom in atoms.tolist()]
 
 
 def left_in_words(structure: Structure, x: Floats) -> str:

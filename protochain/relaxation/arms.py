@@ -69,10 +69,6 @@ class Arms:
 
     def __init__(self, structure: Structure, x: Floats, moving: NDArray[np.bool_] | None = None) -> None:
         self.structure, self.x = structure, x
-        self._bonded: list[list[int]] = [[] for _ in range(structure.n_atoms)]
-        for i, j in structure.bonds.tolist():
-            self._bonded[i].append(j)
-            self._bonded[j].append(i)
         self._held = structure.kept.copy()
         if moving is not None:
             self._held |= ~moving
@@ -92,7 +88,9 @@ class Arms:
         polar = [q for q in residues.ROTORS.get(name, ()) if q[3] in at and q[2][0] in "OS"]
         quartets += polar if name in _POLAR else []
         axes = [tuple(at[atom] for atom in quartet) for quartet in quartets]
-        outward = [np.array(sorted(beyond(self._bonded, a[1], a[2])), dtype=np.int64) for a in axes]
+        outward = [
+            np.array(sorted(beyond(self.structure.neighbours, a[1], a[2])), dtype=np.int64) for a in axes
+        ]
         moved = outward[0]
         side = set(at.values()) - {at[atom] for atom in ("N", "CA", "C", "O") if atom in at}
         if not set(moved.tolist()) <= side or self._held[moved].any():

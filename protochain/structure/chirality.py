@@ -83,7 +83,7 @@ def changed_hands(structure: Structure, x: Floats, reference: Floats) -> list[st
     if not len(atoms):
         return []
     flipped = np.sign(volume(x[atoms])) != np.sign(volume(reference[atoms]))
-    return [structure.describe(int(atom)).removeprefix("atom ") for atom in atoms[flipped, 0]]
+    return [str(structure.atom(int(atom))) for atom in atoms[flipped, 0]]
 
 
 def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) -> Integers:

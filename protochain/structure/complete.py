@@ -14,7 +14,7 @@ from protochain.structure.losses import Why
 from protochain.structure.packing import Site, packed
 from protochain.structure.repairs import Kind, Renamed
 from protochain.structure.sidechains import Places, bridged, dihedral, ideal, placed, unit
-from protochain.structure.templates import Template, base_template, rename
+from protochain.structure.templates import Template, rename
 
 _CARBOXYLATE = 1.25
 """Angstrom: C-O of ff14SB's carboxylate."""
@@ -41,7 +41,7 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
     lacking: list[tuple[Part, int, list[str]]] = []
     for part in draft.parts:
         for i, member in enumerate(part.members):
-            template = base_template(known, part, i)
+            template = part.template(known, i)
             if template is None:
                 where = "" if part.obstacle else " at the end of a chain"
                 raise StructureError(

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gemmi
 
@@ -12,9 +12,7 @@ from protochain import residues
 from protochain.structure.header import NO_LABEL, Label
 from protochain.structure.losses import Loss, Why
 from protochain.structure.repairs import Kind, Repair
-
-if TYPE_CHECKING:
-    from protochain.structure.templates import Template
+from protochain.structure.templates import Template, template_name
 
 Address = tuple[str, str, str]
 """Chain id, number with insertion code, and atom name in the file."""
@@ -52,7 +50,7 @@ class Member:
     atoms: list[gemmi.Atom]
     state: str = ""
     is_d: bool = False
-    own: "Template | None" = None
+    own: Template | None = None
     links: list[gemmi.Atom] = field(default_factory=list)
     metals: list[gemmi.Atom] = field(default_factory=list)
     label: Label = NO_LABEL
@@ -103,6 +101,27 @@ class Part:
     obstacle: bool = False
     mobile: bool = False
     cyclic: bool = False
+
+    def template(self, known: Mapping[str, Template], i: int, state: str = "") -> Template | None:
+        """Template of residue i, in a protonation state or in the usual one.
+
+        The first residue of a chain is ``N...``, its last ``C...``, unless capped or cyclic; terminal
+        nucleotides are ``...5`` and ``...3``. A molecule kept as it is has its own.
+        """
+        member = self.members[i]
+        if member.own is not None:
+            return member.own
+        name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
+        # An end that is bonded to a molecule beside the chain has no charge.
+        linked = {atom.name for atom in member.links}
+        ends = (i == 0 and "N" not in linked, i == len(self.members) - 1 and "C" not in linked)
+        if member.name in residues.NUCLEOTIDES:
+            return known.get(
+                member.name + {(True, True): "N", (True, False): "5", (False, True): "3"}.get(ends, "")
+            )
+        if self.obstacle or self.cyclic or member.is_cap or not any(ends):
+            return known.get(name)
+        return known.get(("N" if ends[0] else "C") + name)
 
 
 @dataclass(eq=False)

@@ -17,7 +17,7 @@ from protochain.structure.draft import Draft, Member, Part
 from protochain.structure.losses import Why
 from protochain.structure.recognise import recognised
 from protochain.structure.repairs import EVERYTHING, Count, Kind, Repair
-from protochain.structure.templates import Template, base_template
+from protochain.structure.templates import Template
 
 KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
 """Words that choose molecules by kind; any other word is the name of a residue."""
@@ -178,7 +178,7 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
         whole = [*first.atoms]
         if first.name in residues.NUCLEOTIDES and gone:
             first.atoms = [atom for atom in first.atoms if atom.name not in gone]
-        found = [base_template(known, part, i) for i in range(len(part.members))]
+        found = [part.template(known, i) for i in range(len(part.members))]
         fits = all(_fits(member, its) for member, its in zip(part.members, found, strict=True))
         # Of a strand bonds would have to hold, which torsions do not know.
         part.mobile = fits and len(found) == 1 and found[0] is not None and found[0].is_users

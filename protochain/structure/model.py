@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers, Value, read_only
+from protochain.arrays import Floats, Integers, Neighbours, Value, neighbours, read_only
 from protochain.errors import StructureError
 from protochain.markup import facts
-from protochain.residues import Residue, name_in_file
+from protochain.residues import Atom, Residue, name_in_file
 from protochain.structure.header import Label
 from protochain.structure.losses import Loss
 from protochain.structure.repairs import Repair, summarised
@@ -198,6 +198,11 @@ class Structure(Value):
         return read_only(np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1), np.int64)
 
     @cached_property
+    def neighbours(self) -> Neighbours:
+        """Atoms bonded to each atom, in the order of the bonds."""
+        return neighbours(self.bonds, self.n_atoms)
+
+    @cached_property
     def alpha_carbons(self) -> Integers:
         """(nca,) int: the C-alpha atoms of the protein."""
         alpha = (self.atom_name == "CA") & (self.atom_element == "C") & ~self.kept
@@ -246,7 +251,11 @@ class Structure(Value):
 
     def describe(self, atom: int) -> str:
         """Describe an atom: ``atom CG of residue 17 GLU of chain A``."""
-        return f"atom {self.atom_name[atom]} of {self.describe_residue(int(self.atom_residue[atom]))}"
+        return f"atom {self.atom(atom)}"
+
+    def atom(self, atom: int) -> Atom:
+        """What files call an atom."""
+        return Atom(str(self.atom_name[atom]), self.residue(int(self.atom_residue[atom])))
 
     def with_positions(self, x: Floats) -> "Structure":
         """Return the same structure with positions x (na, 3), nm."""

@@ -11,7 +11,7 @@ from protochain.checks import number
 from protochain.errors import StructureError
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.repairs import Kind
-from protochain.structure.templates import Template, base_template, rename
+from protochain.structure.templates import Template, rename
 
 _BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is dropped."""
@@ -74,8 +74,8 @@ def _template(
     state = shown or _at_ph(member, ph)
     if member.name == "HIS" and not state:
         state = "HIE" if acceptors.prefer_epsilon(member) else "HID"
-    template = base_template(known, part, i, state)
-    usual = base_template(known, part, i)
+    template = part.template(known, i, state)
+    usual = part.template(known, i)
     assert usual is not None
     if template is None:
         draft.note(Kind.USUAL_STATE, residue=member.residue, state=state)

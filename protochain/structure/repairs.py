@@ -241,6 +241,9 @@ class Repair(Value):
     def __str__(self) -> str:
         return self.told()
 
+    def __repr__(self) -> str:
+        return f"<Repair {self.kind.name}: {self}>"
+
     def told(self, say: Say = str) -> str:
         """Tell it in a sentence."""
         return _filled(self.kind.value.one, self, say)

@@ -12,7 +12,7 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.arrays import Floats, Integers
+from protochain.arrays import Floats, Integers, neighbours
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.kept import JOINED
 from protochain.structure.linkage import COVALENT_SLACK, Link, told_apart, usual_length
@@ -231,21 +231,18 @@ def ties(
     -------
     tuple of Tie
     """
-    neighbours: dict[int, list[int]] = {}
-    for first, second in bonds.tolist():
-        if "H" not in (element[first], element[second]):
-            neighbours.setdefault(first, []).append(second)
-            neighbours.setdefault(second, []).append(first)
+    heavy = np.array(element) != "H"
+    near = neighbours(bonds[heavy[bonds].all(axis=1)], len(element))
     found: dict[tuple[int, ...], float] = {}
     own = {at[id(link.member)][link.atom.name] for link in links}
     for link in links:
         mine = at[id(link.member)][link.atom.name]
         its = at[id(link.other)][link.other_atom.name]
         found[mine, its] = _METAL_BOND if link.is_metal else _BOND
-        for k in neighbours[mine]:
+        for k in near[mine]:
             if k != its:
                 found[k, mine, its] = _DONOR_ANGLE if link.is_metal else _ANGLE
-        for j, k in combinations(sorted(neighbours[its]), 2):
+        for j, k in combinations(sorted(near[its]), 2):
             if mine in (j, k) and (j in own or k in own):
                 found[j, its, k] = _METAL_ANGLE if link.is_metal else _ANGLE
     made = []

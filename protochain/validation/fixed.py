@@ -50,7 +50,7 @@ class FixedFaults(NamedTuple):
         """Describe each in a line."""
         pairs = np.vstack([self.bonds, self.clashes])
         apart = ANGSTROM_PER_NM * np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-        ends = [[structure.describe(atom).removeprefix("atom ") for atom in pair] for pair in pairs.tolist()]
+        ends = [[str(structure.atom(atom)) for atom in pair] for pair in pairs.tolist()]
         return [f"{a} and {b}, {by:.2f} angstrom apart" for (a, b), by in zip(ends, apart, strict=True)]
 
     def said(self, structure: Structure, x: Floats) -> str:
