@@ -12,7 +12,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar
 
-from protochain.errors import Argument, ProtochainError
+from protochain.errors import Argument, ProtochainError, refused
 
 Check = Callable[[Any, str], Any]
 
@@ -83,14 +83,14 @@ def number(value: Any, name: str) -> float:
     """Return a real number as it is."""
     if isinstance(value, Real) and not isinstance(value, bool):
         return value  # type: ignore[return-value]  # numpy's numbers, too
-    raise _refused(name, value, _instead(value, "a number"))
+    raise refused(name, shown(value), _instead(value, "a number"))
 
 
 def integer(value: Any, name: str) -> int:
     """Return a whole number as an int, also one that is given as 1e4."""
     if isinstance(value, Real) and not isinstance(value, bool) and float(value).is_integer():
         return int(value) if isinstance(value, Integral) else round(float(value))
-    raise _refused(name, value, _instead(value, "a whole number"))
+    raise refused(name, shown(value), _instead(value, "a whole number"))
 
 
 def quantity(unit: str) -> Check:
@@ -132,11 +132,12 @@ def cutoff_of(value: Any, name: str) -> Any:
     except ValueError:
         distance = 0.0
     if not 0.0 < distance < float("inf"):
-        raise _refused(name, value, "give a distance in nm, auto, or none")
+        raise refused(name, shown(value), "give a distance in nm, auto, or none")
     if distance < SHORTEST_CUTOFF:
-        raise ProtochainError(
-            Argument(name),
-            f" {distance:g} nm: cuts off atoms that touch; give {SHORTEST_CUTOFF:g} nm or more, or none",
+        raise refused(
+            name,
+            f"{distance:g} nm",
+            f"cuts off atoms that touch; give {SHORTEST_CUTOFF:g} nm or more, or none",
         )
     return distance
 
@@ -151,21 +152,21 @@ def text(value: Any, name: str) -> str:
     """Return a text as it is."""
     if isinstance(value, str):
         return value
-    raise _refused(name, value, "give a text")
+    raise refused(name, shown(value), "give a text")
 
 
 def selection(value: Any, name: str) -> str:
     """Return a text that selects atoms."""
     if text(value, name).strip():
         return str(value)
-    raise _refused(name, value, "selects nothing; give a selection, as 'resid 5:20', or all")
+    raise refused(name, shown(value), "selects nothing; give a selection, as 'resid 5:20', or all")
 
 
 def flag(value: Any, name: str) -> bool:
     """Return True or False as a bool."""
     if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
         return bool(value)
-    raise _refused(name, value, "give True or False")
+    raise refused(name, shown(value), "give True or False")
 
 
 def path(value: Any, name: str) -> Path:
@@ -173,7 +174,7 @@ def path(value: Any, name: str) -> Path:
     try:
         return Path(value)
     except TypeError:
-        raise _refused(name, value, "give the path of a file") from None
+        raise refused(name, shown(value), "give the path of a file") from None
 
 
 def file_name(value: Any, name: str) -> str:
@@ -202,11 +203,11 @@ def bonds(given: Any, name: str) -> tuple[Bond, ...]:
         return ()
     each = words(given, name) if isinstance(given, str) else given
     if not isinstance(each, Iterable):
-        raise _refused(name, given, "give pairs, as [('A:3', 'A:40')]")
+        raise refused(name, shown(given), "give pairs, as [('A:3', 'A:40')]")
     read = tuple(bond if bond == NO_BONDS else _pair(bond, name) for bond in each)
     if not read:
         remedy = "names no bond; leave it out, or ", Argument(name, NO_BONDS), " drops those found"
-        raise _refused(name, given, *remedy)
+        raise refused(name, shown(given), *remedy)
     return read
 
 
@@ -218,7 +219,7 @@ def _pair(bond: Any, name: str) -> tuple[str, str]:
             return found[1], found[2]
     elif isinstance(bond, tuple | list) and len(bond) == 2 and all(isinstance(end, str) for end in bond):
         return bond[0], bond[1]
-    raise _refused(name, bond, "give chain:number-chain:number, as A:3-A:40")
+    raise refused(name, shown(bond), "give chain:number-chain:number, as A:3-A:40")
 
 
 def ends(given: Any, name: str) -> tuple[str, str]:
@@ -231,7 +232,7 @@ def ends(given: Any, name: str) -> tuple[str, str]:
         read = tuple(given) if isinstance(given, tuple | list) else ()
     if len(read) == 2 and all(isinstance(end, str) and end.strip() for end in read):
         return read[0].strip(), read[1].strip()
-    raise _refused(name, given, "give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between")
+    raise refused(name, shown(given), "give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between")
 
 
 _PLACE = r"\S*?:-?\d+\w?(?::[^\s:]+?)?"
@@ -263,7 +264,7 @@ def function(*parameters: str) -> Check:
         if value is None or (callable(value) and _takes(value, len(parameters))):
             return value
         given = getattr(value, "__qualname__", None) or shown(value)
-        raise ProtochainError(Argument(name), f" {given}: give a callable of {', '.join(parameters)}")
+        raise refused(name, given, f"give a callable of {', '.join(parameters)}")
 
     return check
 
@@ -278,7 +279,7 @@ def instance(kind: type, remedy: str) -> Check:
     def check(value: Any, name: str) -> Any:
         if isinstance(value, kind):
             return value
-        raise _refused(name, value, f"give a {kind.__name__}, as of {remedy}")
+        raise refused(name, shown(value), f"give a {kind.__name__}, as of {remedy}")
 
     return check
 
@@ -287,7 +288,7 @@ def _listed(value: Any, name: str) -> list[str]:
     found = list(value) if isinstance(value, Iterable) else [value]
     strange = next((each for each in found if not isinstance(each, str)), None)
     if strange is not None or not isinstance(value, Iterable):
-        raise _refused(name, value, "give words, as one text or a list")
+        raise refused(name, shown(value), "give words, as one text or a list")
     return found
 
 
@@ -305,11 +306,6 @@ def shown(value: Any) -> str:
     """Return a value as it is shown in a message: short, and on one line."""
     said = " ".join(repr(value).split())
     return said if len(said) <= 60 else f"of type {type(value).__name__}"
-
-
-def _refused(name: str, value: Any, *remedy: str | Argument) -> ProtochainError:
-    """The refusal of an argument's value, in one line."""
-    return ProtochainError(Argument(name), f" {shown(value)}: ", *remedy)
 
 
 def _instead(value: Any, wanted: str) -> str:

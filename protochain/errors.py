@@ -60,6 +60,11 @@ class ProtochainError(ValueError):
         return "".join(say(part) if isinstance(part, Argument | Angle) else str(part) for part in self.parts)
 
 
+def refused(name: str, given: object, *remedy: object) -> ProtochainError:
+    """Return the refusal of an argument that is given as this: its name, what is given, and what to do."""
+    return ProtochainError(Argument(name), f" {given}: ", *remedy)
+
+
 class WriteError(ProtochainError):
     """A file that could not be written, mostly for want of space.
 

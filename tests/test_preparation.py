@@ -171,7 +171,7 @@ def test_every_repair_is_told_once_alone_or_in_a_group():
         f"missing atoms added in 20 residues: {places} and 12 more",
         str(hydrogens),
     )
-    assert summarised(()) == ()
+    assert summarised(()) == () and summarised([waters, waters]) == (str(waters),)
     assert summarised([gap, gap])[0].startswith(
         "split at 2 gaps in the chains, with charged termini: A:3-5A (5.0"
     )

@@ -9,7 +9,7 @@ import numpy as np
 from protochain import defaults
 from protochain.checks import check_fields, ends, number, quantity, shown, text
 from protochain.dynamics import thermostats
-from protochain.errors import Argument, ProtochainError
+from protochain.errors import Argument, ProtochainError, refused
 from protochain.hinges import HINGES
 from protochain.motion import lobatto
 from protochain.motion.leapfrog import Leapfrog
@@ -147,9 +147,7 @@ class HingeSpring:
         springs = [cls.read(each, name) if isinstance(each, str) else each for each in given]
         for spring in springs:
             if not isinstance(spring, cls):
-                raise ProtochainError(
-                    Argument(name), f" {shown(spring)}: give HingeSprings, as of 'omega 40 0.5'"
-                )
+                raise refused(name, shown(spring), "give HingeSprings, as of 'omega 40 0.5'")
         return tuple(springs)
 
     def __str__(self) -> str:
@@ -203,7 +201,7 @@ class SimulationSettings:
                     Argument(name), f" {value!r} is not known; choose from {', '.join(known)}"
                 )
         if not 0.0 < self.time_step < np.inf:
-            raise ProtochainError(Argument("time_step"), f" {self.time_step:g} ps: give a number above 0")
+            raise refused("time_step", f"{self.time_step:g} ps", "give a number above 0")
         if self.time_step >= LONGEST_STEP:
             raise ProtochainError(
                 Argument("time_step"),
@@ -211,17 +209,17 @@ class SimulationSettings:
                 f"{self.time_step / 1000:g} are {self.time_step:g} fs",
             )
         if not 0.0 <= self.temperature < np.inf:
-            raise ProtochainError(Argument("temperature"), f" {self.temperature:g} K: give 0 or more")
+            raise refused("temperature", f"{self.temperature:g} K", "give 0 or more")
         if not 0.0 <= self.friction < np.inf:
-            raise ProtochainError(Argument("friction"), f" {self.friction:g} /ps: give 0 or more")
+            raise refused("friction", f"{self.friction:g} /ps", "give 0 or more")
         for name, count in (
             ("n_steps", n_steps), ("every", self.every), ("trajectory_length", self.trajectory_length),
             ("checkpoint_every", checkpoint_every),
         ):  # fmt: skip
             if count < 1:
-                raise ProtochainError(Argument(name), f" {count}: give at least 1")
+                raise refused(name, count, "give at least 1")
         if self.seed < 0:
-            raise ProtochainError(Argument("seed"), f" {self.seed}: give 0 or more")
+            raise refused("seed", self.seed, "give 0 or more")
         if self.pull is not None and abs(self.pull.speed) * self.time_step > FARTHEST_PULL:
             raise ProtochainError(
                 f"pull: a speed of {self.pull.speed:g} nm/ps moves the spring by more than {FARTHEST_PULL:g} "

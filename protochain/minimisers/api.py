@@ -28,7 +28,7 @@ from protochain.checks import (
     refuse_misplaced,
 )
 from protochain.energies import as_energy
-from protochain.errors import Argument, ProtochainError, WriteError, WriteWarning
+from protochain.errors import ProtochainError, WriteError, WriteWarning, refused
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts, open_to_interrupts
 from protochain.markup import listed
@@ -177,11 +177,11 @@ class Minimisation:
             curvature=flag, checkpoint=path_or_none, resume=path_or_none,
         )  # fmt: skip
         if self.seed < 0:
-            raise ProtochainError(Argument("seed"), f" {self.seed}: give 0 or more")
+            raise refused("seed", self.seed, "give 0 or more")
         if not 0 < self.tolerance < np.inf:
-            raise ProtochainError(Argument("tolerance"), f" {self.tolerance:g}: give a number above 0")
+            raise refused("tolerance", f"{self.tolerance:g}", "give a number above 0")
         if self.max_evaluations < 1:
-            raise ProtochainError(Argument("max_evaluations"), f" {self.max_evaluations}: give at least 1")
+            raise refused("max_evaluations", self.max_evaluations, "give at least 1")
         if self.hold != Hold() and self.recipe.by_openmm:
             raise ProtochainError(
                 f"method {self.recipe.name!r} cannot be held near its start; choose cartesian or hybrid"

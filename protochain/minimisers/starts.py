@@ -13,7 +13,7 @@ from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, pose
 from protochain.checks import WATCHER, checked, function, integer, number, quantity
 from protochain.energies import as_energy
-from protochain.errors import Angle, Argument, ProtochainError
+from protochain.errors import Angle, Argument, ProtochainError, refused
 from protochain.interrupts import held_interrupts
 from protochain.minimisers.api import minimise
 from protochain.minimisers.restraints import Hold
@@ -207,12 +207,10 @@ def check_starts(n_starts: int, spread: float, hop_temperature: float | None, **
         Naming the setting.
     """
     if n_starts < 1:
-        raise ProtochainError(Argument("n_starts"), f" {n_starts}: give at least 1")
+        raise refused("n_starts", n_starts, "give at least 1")
     check_spread(spread)
     if hop_temperature is not None and not 0 <= hop_temperature < np.inf:
-        raise ProtochainError(
-            Argument("hop_temperature"), f" {hop_temperature:g}: give a temperature in K, not below 0"
-        )
+        raise refused("hop_temperature", f"{hop_temperature:g}", "give a temperature in K, not below 0")
     if Hold.of(settings.get("restraint", ()), settings.get("max_rmsd", np.inf)) != Hold():
         raise ProtochainError(
             Argument("restraint"),

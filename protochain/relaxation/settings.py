@@ -7,7 +7,7 @@ import numpy as np
 
 from protochain import defaults
 from protochain.checks import check_fields, flag, integer, number, optional, text
-from protochain.errors import Argument, ProtochainError
+from protochain.errors import Argument, ProtochainError, refused
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
 from protochain.setup import Setup
 
@@ -74,21 +74,13 @@ class Relaxing:
                 f"preset {self.preset}: protocol {self.protocol} has its own; give one of them"
             )
         if self.tolerance is not None and not 0 < self.tolerance < np.inf:
-            raise ProtochainError(
-                Argument("tolerance"), f" {self.tolerance:g}: give an RMS force above 0, in kJ/mol/nm"
-            )
+            raise refused("tolerance", f"{self.tolerance:g}", "give an RMS force above 0, in kJ/mol/nm")
         if self.stiffness is not None and not 0 <= self.stiffness < np.inf:
-            raise ProtochainError(
-                Argument("stiffness"), f" {self.stiffness:g}: give kJ/mol/nm^2, none below 0"
-            )
+            raise refused("stiffness", f"{self.stiffness:g}", "give kJ/mol/nm^2, none below 0")
         if self.max_iterations < 0:
-            raise ProtochainError(
-                Argument("max_iterations"), f" {self.max_iterations}: give 1 or more, or 0 for no limit"
-            )
+            raise refused("max_iterations", self.max_iterations, "give 1 or more, or 0 for no limit")
         if self.max_outer_iterations < 1:
-            raise ProtochainError(
-                Argument("max_outer_iterations"), f" {self.max_outer_iterations}: give 1 or more"
-            )
+            raise refused("max_outer_iterations", self.max_outer_iterations, "give 1 or more")
 
     @property
     def strength(self) -> Preset:

@@ -47,7 +47,7 @@ def chains_told_apart(structure: gemmi.Structure) -> list[Repair]:
                 renamed.append(Repair(Kind.CHAIN_RENAMED, called))
                 part.name = name
             taken.setdefault(part.name, set()).update(numbers)
-    return renamed
+    return list(dict.fromkeys(renamed))  # Each model may have them.
 
 
 def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:

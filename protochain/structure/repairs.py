@@ -312,7 +312,7 @@ def _told(rank: Rank, what: str, alike: list[Repair], say: Say) -> str:
         for each in alike:
             of[each.facts["state"]].append(each.facts["residue"].place)
         return "HIS states: " + "; ".join(f"{state} {listed(of[state], _SHOWN)}" for state in sorted(of))
-    if len(alike) == 1:
+    if len(alike) == 1 or (rank is not Rank.GAP and "residue" not in alike[0].facts):
         return alike[0].told(say)
     if rank is Rank.GAP:
         gaps = [
