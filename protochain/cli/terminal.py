@@ -107,7 +107,7 @@ class _RunProgress(_Progress):
 
         if name != self.stage:
             self.stage, self.counts = name, True
-            if name == Stop.INTERRUPTED:
+            if name == Stop.INTERRUPTED.value:
                 self.say(
                     f"{self.name}: {name}" + ("; the best so far will be written" if self.writes else "")
                 )

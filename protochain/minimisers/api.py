@@ -227,7 +227,7 @@ def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None)
         done = _by_openmm(start, run, record) if run.recipe.by_openmm else _walked(start, run, record)
         seconds = perf_counter() - record.started
         if done.stop is Stop.INTERRUPTED:
-            record.at_stage(Stop.INTERRUPTED, done.n_evaluations)
+            record.at_stage(Stop.INTERRUPTED.value, done.n_evaluations)
         record.at_stage("judging the end", done.n_evaluations)
         return _judged(start, run, done, record, seconds)
 
