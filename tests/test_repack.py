@@ -370,8 +370,8 @@ def test_relaxing_turns_them_first_and_tells():
     done = pc.relax(given, solvent="vacuum", max_iterations=20, repack=True)
     assert plain.turned == () and plain.record()["side_chains_turned"] == []
     expected = repacked(given, energy=done.energy_function)
-    assert done.turned == sentences(expected)[len(given.repairs) :] != ()
-    assert done.record()["side_chains_turned"] == list(done.turned)
+    assert done.turned == expected.repairs[len(given.repairs) :] != ()
+    assert done.record()["side_chains_turned"] == [str(each) for each in done.turned]
     assert done.structure.repairs == expected.repairs and done.start is given
     # The springs lead to the turned side chains.
     turned_atoms = (expected.positions != given.positions).any(axis=1) & (given.atom_element != "H")
