@@ -253,7 +253,7 @@ def test_repairs_are_in_the_file(suffix, tmp_path):
     if suffix == ".cif":
         block = gemmi.cif.read_string(text).sole_block()
         said = [gemmi.cif.as_string(each) for each in block.find_values("_protochain_repair.text")]
-        assert said == list(sentences(s))
+        assert said == sentences(s)
         (provenance,) = block.find_values("_protochain_provenance.text")
         assert gemmi.cif.as_string(provenance) == "WRITTEN FOR A TEST"
     else:

@@ -56,7 +56,7 @@ def test_a_record_holds_each_value_under_its_name():
         "forcefield": "amber14", "solvent": "obc2", "hinges": "phi psi chi", "tolerance": 1.0,
         "tolerance_unit": "kJ/mol/rad", "move": "all", "restraint_kj_mol_nm2": [100.0],
         "max_rmsd_angstrom": 0.5, "left_out": {}, "constant_terms": {"bonds": 3, "angles": 4},
-        "lost_atoms": [], "n_lost_atoms": 0, "far_molecules": [], "repairs": list(sentences(c.structure)),
+        "lost_atoms": [], "n_lost_atoms": 0, "far_molecules": [], "repairs": sentences(c.structure),
         "seed": 9, "threads": 2,
     }  # fmt: skip
     assert solution().record() == expected and list(solution().record()) == list(expected)
