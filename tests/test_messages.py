@@ -13,7 +13,7 @@ import protochain as pc
 from protochain.batches import cluster
 from protochain.batches.jobs import BatchSettings, find_jobs
 from protochain.cli import as_said, main
-from protochain.errors import Angle, Argument, WriteError
+from protochain.errors import Angle, Argument, ProtochainError, WriteError
 
 SAMPLE = STRUCTURES / "ala10.pdb"
 
@@ -83,6 +83,14 @@ def test_only_arguments_are_told_as_options():
         "max_rmsd.pdb: a restraint: --time-step 3; give --resume, --keep all, --restrain or path 180 degrees"
     )
     assert as_said(pickle.loads(pickle.dumps(error))) == as_said(error)
+
+
+def test_every_error_is_told_from_its_parts():
+    """One with words of its own beside them would be another on the command line."""
+    kinds = [ProtochainError]
+    for each in kinds:
+        kinds += each.__subclasses__()
+        assert each is ProtochainError or not {"__str__", "told"} & vars(each).keys(), each
 
 
 def test_an_error_that_says_where_keeps_the_arguments_of_what_it_says(tmp_path):
