@@ -13,7 +13,7 @@ from protochain import defaults
 from protochain.arrays import Floats, Integers, read_only
 from protochain.chain import Chain, dihedral
 from protochain.checks import checked, kinds, quantity, selection, text
-from protochain.errors import ChainError
+from protochain.errors import Argument, ChainError
 from protochain.hinges import HINGES, Hinge, components, cross_links, find_hinges, turning_hinges
 from protochain.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.convert import as_structure
@@ -160,7 +160,9 @@ def _masses(structure: Structure, hydrogen_mass: float | None) -> Floats:
                 mass[heavy] -= hydrogen_mass - mass[hydrogen]
                 mass[hydrogen] = hydrogen_mass
     if not (hydrogen_mass > 0.0 and np.all(mass > 0.0)):
-        raise ChainError(f"hydrogen_mass {hydrogen_mass:g} amu: give a mass above 0 and at most about 4")
+        raise ChainError(
+            Argument("hydrogen_mass"), f" {hydrogen_mass:g} amu: give a mass above 0 and at most about 4"
+        )
     return mass
 
 

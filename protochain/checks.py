@@ -12,7 +12,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar
 
-from protochain.errors import ProtochainError
+from protochain.errors import Argument, ProtochainError, refused
 
 Check = Callable[[Any, str], Any]
 
@@ -83,14 +83,14 @@ def number(value: Any, name: str) -> float:
     """Return a real number as it is."""
     if isinstance(value, Real) and not isinstance(value, bool):
         return value  # type: ignore[return-value]  # numpy's numbers, too
-    raise ProtochainError(f"{name} {shown(value)}: {_instead(value, name, 'a number')}")
+    raise refused(name, shown(value), _instead(value, "a number"))
 
 
 def integer(value: Any, name: str) -> int:
     """Return a whole number as an int, also one that is given as 1e4."""
     if isinstance(value, Real) and not isinstance(value, bool) and float(value).is_integer():
         return int(value) if isinstance(value, Integral) else round(float(value))
-    raise ProtochainError(f"{name} {shown(value)}: {_instead(value, name, 'a whole number')}")
+    raise refused(name, shown(value), _instead(value, "a whole number"))
 
 
 def quantity(unit: str) -> Check:
@@ -115,7 +115,7 @@ def plain(value: Any, unit: str, name: str) -> Any:
     try:
         return value.value_in_unit(wanted)
     except TypeError:
-        raise ProtochainError(f"{name} is in {value.unit}; give it in {unit}") from None
+        raise ProtochainError(Argument(name), f" is in {value.unit}; give it in {unit}") from None
 
 
 def optional(check: Check) -> Check:
@@ -132,10 +132,12 @@ def cutoff_of(value: Any, name: str) -> Any:
     except ValueError:
         distance = 0.0
     if not 0.0 < distance < float("inf"):
-        raise ProtochainError(f"{name} {shown(value)}: give a distance in nm, auto, or none")
+        raise refused(name, shown(value), "give a distance in nm, auto, or none")
     if distance < SHORTEST_CUTOFF:
-        raise ProtochainError(
-            f"{name} {distance:g} nm: cuts off atoms that touch; give {SHORTEST_CUTOFF:g} nm or more, or none"
+        raise refused(
+            name,
+            f"{distance:g} nm",
+            f"cuts off atoms that touch; give {SHORTEST_CUTOFF:g} nm or more, or none",
         )
     return distance
 
@@ -150,21 +152,21 @@ def text(value: Any, name: str) -> str:
     """Return a text as it is."""
     if isinstance(value, str):
         return value
-    raise ProtochainError(f"{name} {shown(value)}: give a text")
+    raise refused(name, shown(value), "give a text")
 
 
 def selection(value: Any, name: str) -> str:
     """Return a text that selects atoms."""
     if text(value, name).strip():
         return str(value)
-    raise ProtochainError(f"{name} {value!r}: selects nothing; give a selection, as 'resid 5:20', or all")
+    raise refused(name, shown(value), "selects nothing; give a selection, as 'resid 5:20', or all")
 
 
 def flag(value: Any, name: str) -> bool:
     """Return True or False as a bool."""
     if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
         return bool(value)
-    raise ProtochainError(f"{name} {shown(value)}: give True or False")
+    raise refused(name, shown(value), "give True or False")
 
 
 def path(value: Any, name: str) -> Path:
@@ -172,7 +174,7 @@ def path(value: Any, name: str) -> Path:
     try:
         return Path(value)
     except TypeError:
-        raise ProtochainError(f"{name} {shown(value)}: give the path of a file") from None
+        raise refused(name, shown(value), "give the path of a file") from None
 
 
 def file_name(value: Any, name: str) -> str:
@@ -201,12 +203,11 @@ def bonds(given: Any, name: str) -> tuple[Bond, ...]:
         return ()
     each = words(given, name) if isinstance(given, str) else given
     if not isinstance(each, Iterable):
-        raise ProtochainError(f"{name} {shown(given)}: give pairs, as [('A:3', 'A:40')]")
+        raise refused(name, shown(given), "give pairs, as [('A:3', 'A:40')]")
     read = tuple(bond if bond == NO_BONDS else _pair(bond, name) for bond in each)
     if not read:
-        raise ProtochainError(
-            f'{name} {shown(given)}: names no bond; leave it out, or {name}="{NO_BONDS}" drops those found'
-        )
+        remedy = "names no bond; leave it out, or ", Argument(name, NO_BONDS), " drops those found"
+        raise refused(name, shown(given), *remedy)
     return read
 
 
@@ -218,7 +219,7 @@ def _pair(bond: Any, name: str) -> tuple[str, str]:
             return found[1], found[2]
     elif isinstance(bond, tuple | list) and len(bond) == 2 and all(isinstance(end, str) for end in bond):
         return bond[0], bond[1]
-    raise ProtochainError(f"{name} {shown(bond)}: give chain:number-chain:number, as A:3-A:40")
+    raise refused(name, shown(bond), "give chain:number-chain:number, as A:3-A:40")
 
 
 def ends(given: Any, name: str) -> tuple[str, str]:
@@ -231,9 +232,7 @@ def ends(given: Any, name: str) -> tuple[str, str]:
         read = tuple(given) if isinstance(given, tuple | list) else ()
     if len(read) == 2 and all(isinstance(end, str) and end.strip() for end in read):
         return read[0].strip(), read[1].strip()
-    raise ProtochainError(
-        f"{name} {shown(given)}: give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between"
-    )
+    raise refused(name, shown(given), "give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between")
 
 
 _PLACE = r"\S*?:-?\d+\w?(?::[^\s:]+?)?"
@@ -265,7 +264,7 @@ def function(*parameters: str) -> Check:
         if value is None or (callable(value) and _takes(value, len(parameters))):
             return value
         given = getattr(value, "__qualname__", None) or shown(value)
-        raise ProtochainError(f"{name} {given}: give a callable of {', '.join(parameters)}")
+        raise refused(name, given, f"give a callable of {', '.join(parameters)}")
 
     return check
 
@@ -280,7 +279,7 @@ def instance(kind: type, remedy: str) -> Check:
     def check(value: Any, name: str) -> Any:
         if isinstance(value, kind):
             return value
-        raise ProtochainError(f"{name} {shown(value)}: give a {kind.__name__}, as of {remedy}")
+        raise refused(name, shown(value), f"give a {kind.__name__}, as of {remedy}")
 
     return check
 
@@ -289,7 +288,7 @@ def _listed(value: Any, name: str) -> list[str]:
     found = list(value) if isinstance(value, Iterable) else [value]
     strange = next((each for each in found if not isinstance(each, str)), None)
     if strange is not None or not isinstance(value, Iterable):
-        raise ProtochainError(f"{name} {shown(value)}: give words, as one text or a list")
+        raise refused(name, shown(value), "give words, as one text or a list")
     return found
 
 
@@ -309,11 +308,11 @@ def shown(value: Any) -> str:
     return said if len(said) <= 60 else f"of type {type(value).__name__}"
 
 
-def _instead(value: Any, name: str, wanted: str) -> str:
+def _instead(value: Any, wanted: str) -> str:
     """What to give instead of a value; numbers in a text are shown without their quotes."""
     bare = value.strip() if isinstance(value, str) else ""
     try:
         float(bare)
     except ValueError:
         return f"give {wanted}"
-    return f"give {wanted}, not a text: {name}={bare}"
+    return f"give {wanted}, not a text: {bare}"

@@ -3,11 +3,66 @@
 The outcome of a run is no exception but a :class:`protochain.minimisers.Status`.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 _MAKE_SPACE = "free space there, or give another place, and run again"
 
 
+@dataclass(frozen=True)
+class Argument:
+    """An argument in a message; its text is that of Python, as ``time_step`` or ``keep="all"``.
+
+    Parameters
+    ----------
+    name : str
+    value : str or True, optional
+        What to give.
+    """
+
+    name: str
+    value: str | bool | None = None
+
+    def __str__(self) -> str:
+        value = f'"{self.value}"' if isinstance(self.value, str) else self.value
+        return self.name if value is None else f"{self.name}={value}"
+
+
+@dataclass(frozen=True)
+class Angle:
+    """An angle in a message, with its unit."""
+
+    radians: float
+
+    def __str__(self) -> str:
+        return f"{self.radians:g} rad"
+
+
 class ProtochainError(ValueError):
-    """Bad input: one line that names the file, the place and the remedy."""
+    """Bad input: one line that names the file, the place and the remedy.
+
+    Parameters
+    ----------
+    *parts : str, Argument or Angle
+        The line in parts. Its text names arguments as Python does; :meth:`told` as the caller knows them.
+    """
+
+    def __str__(self) -> str:
+        return self.told(str)
+
+    @property
+    def parts(self) -> tuple[object, ...]:
+        """The line in parts, for one that says more."""
+        return self.args
+
+    def told(self, say: Callable[["Argument | Angle"], str]) -> str:
+        """Return the line with arguments and angles in the words of ``say``."""
+        return "".join(say(part) if isinstance(part, Argument | Angle) else str(part) for part in self.parts)
+
+
+def refused(name: str, given: object, *remedy: object) -> ProtochainError:
+    """Return the refusal of an argument that is given as this: its name, what is given, and what to do."""
+    return ProtochainError(Argument(name), f" {given}: ", *remedy)
 
 
 class WriteError(ProtochainError):
@@ -20,21 +75,23 @@ class WriteError(ProtochainError):
         The system's reason.
     saved : str
         What was saved besides.
-    remedy : str
-        What to do.
+    *remedy : str or Argument
+        What to do, in parts.
     """
 
-    def __init__(self, path: object, why: str, saved: str = "", remedy: str = _MAKE_SPACE) -> None:
-        super().__init__(str(path), why, saved, remedy)
+    def __init__(self, path: object, why: str, saved: str = "", *remedy: str | Argument) -> None:
+        super().__init__(str(path), why, saved, *(remedy or (_MAKE_SPACE,)))
 
-    def __str__(self) -> str:
-        path, why, saved, remedy = self.args
-        return f"{path}: not written ({why}){saved and f'; saved: {saved}'}; {remedy}"
+    @property
+    def parts(self) -> tuple[object, ...]:
+        """The line in parts."""
+        path, why, saved, *remedy = self.args
+        return (f"{path}: not written ({why}){saved and f'; saved: {saved}'}; ", *remedy)
 
-    def with_saved(self, saved: str, remedy: str = _MAKE_SPACE) -> "WriteError":
+    def with_saved(self, saved: str, *remedy: str | Argument) -> "WriteError":
         """Return the same error, which also says what was saved and what to do."""
         path, why, *_ = self.args
-        return WriteError(path, why, saved, remedy)
+        return WriteError(path, why, saved, *remedy)
 
 
 class WriteWarning(RuntimeWarning):

@@ -1,6 +1,6 @@
-"""HTML of values in notebooks; numbers with the right form of what they count; text cut to what a line holds."""
+"""HTML of values in notebooks; numbers with the right form of what they count; lists and texts cut short."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 
 
@@ -12,6 +12,12 @@ def counted(n: int, what: str, several: str = "") -> str:
 def excerpt(text: str, most: int = 100) -> str:
     """Return text of a file for a message, cut to so many letters."""
     return text if len(text) <= most else f"{text[:most]}..."
+
+
+def listed(places: Sequence[str], shown: int = 6) -> str:
+    """The first of some places, and how many more there are."""
+    more = f" and {len(places) - shown} more" if len(places) > shown else ""
+    return ", ".join(places[:shown]) + more
 
 
 def facts(title: str, rows: Mapping[str, object]) -> str:

@@ -4,6 +4,8 @@ Dihedrals follow IUPAC-IUB (Biochemistry 9:3471, 1970). A trailing ``+`` or ``-`
 the next or the previous residue of the chain.
 """
 
+from dataclasses import dataclass
+
 STANDARD = {
     "ALA": "A", "ARG": "R", "ASN": "N", "ASP": "D", "CYS": "C", "GLN": "Q", "GLU": "E", "GLY": "G",
     "HIS": "H", "ILE": "I", "LEU": "L", "LYS": "K", "MET": "M", "PHE": "F", "PRO": "P", "SER": "S",
@@ -106,6 +108,43 @@ def name_in_file(name: str, is_d: bool) -> str:
     return D_NAMES.get(name, name) if is_d else name
 
 
-def describe(number: str, name: str, chain_id: str) -> str:
-    """Describe a residue: ``residue 17 GLU of chain A``."""
-    return f"residue {number} {name} of chain {chain_id or BLANK}"
+@dataclass(frozen=True)
+class Residue:
+    """A residue by what a file calls it; its text is ``residue 17 GLU of chain A``.
+
+    Parameters
+    ----------
+    chain : str
+        Empty for a chain without an id.
+    number : str
+        With its insertion code.
+    name : str
+    """
+
+    chain: str
+    number: str
+    name: str
+
+    def __str__(self) -> str:
+        return f"residue {self.number} {self.name} of chain {self.chain_name}"
+
+    @property
+    def chain_name(self) -> str:
+        """What its chain is called."""
+        return self.chain or BLANK
+
+    @property
+    def place(self) -> str:
+        """Chain and number: ``A:17``."""
+        return f"{self.chain}:{self.number}" if self.chain else self.number
+
+
+@dataclass(frozen=True)
+class Atom:
+    """An atom of a residue; its text is ``CG of residue 17 GLU of chain A``."""
+
+    name: str
+    residue: Residue
+
+    def __str__(self) -> str:
+        return f"{self.name} of {self.residue}"

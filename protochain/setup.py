@@ -21,7 +21,7 @@ from protochain.checks import (
     text,
     words,
 )
-from protochain.errors import ProtochainError
+from protochain.errors import ProtochainError, refused
 
 if TYPE_CHECKING:
     from protochain.chain import Chain
@@ -174,7 +174,7 @@ def _model(given: int | str | None, name: str) -> int | str | None:
     parts = [re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", part) for part in asked.split(",")]
     ranges = [(int(part[1]), int(part[2] or part[1])) for part in parts if part]
     if len(ranges) < len(parts) or any(not 0 <= b - a < _MOST_MODELS for a, b in ranges):
-        raise ProtochainError(f"{name} {given!r}: give its number, or all, or a range such as 1-5")
+        raise refused(name, f"{given!r}", "give its number, or all, or a range such as 1-5")
     return int(asked) if asked.isdigit() else asked
 
 

@@ -14,7 +14,7 @@ from zipfile import ZIP_STORED, BadZipFile
 import numpy as np
 
 from protochain.arrays import Floats
-from protochain.errors import ProtochainError, WriteError
+from protochain.errors import Argument, ProtochainError, WriteError
 
 
 def json_text(values: Any, indent: int | None = 2) -> str:
@@ -162,7 +162,7 @@ def write_arrays(
 
 
 def read_arrays(
-    path: Path, settings: Mapping[str, Any], kind: str = "run", remedy: str = "give one of an earlier run"
+    path: Path, settings: Mapping[str, Any], kind: str, *remedy: str | Argument
 ) -> tuple[dict[str, np.ndarray], Any]:
     """Read a checkpoint that :func:`write_arrays` wrote for a run with the same settings.
 
@@ -171,8 +171,10 @@ def read_arrays(
     path : Path
     settings : mapping of plain values
         The first of them tells the kinds of run apart.
-    kind, remedy : str
-        What runs it should be of, and what to do if it is not, for the message.
+    kind : str
+        What runs it should be of.
+    *remedy : str or Argument
+        What to do if it is not, in parts.
 
     Raises
     ------
@@ -190,9 +192,9 @@ def read_arrays(
     except PermissionError as error:
         raise ProtochainError(f"{path}: cannot be read ({error.strerror}); change its permissions") from None
     except _DAMAGED:
-        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; {remedy}") from None
+        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; ", *remedy) from None
     if not {*list(settings)[:1]} <= set(written):
-        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; {remedy}")
+        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; ", *remedy)
     for name, value in settings.items():
         if written.get(name) != value:
             raise ProtochainError(

@@ -4,6 +4,7 @@ import functools
 import os
 import signal
 from pathlib import Path
+from typing import Any
 
 # Threads of several test processes that spin while they wait take the cores from one another.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
@@ -14,6 +15,7 @@ import pytest
 import protochain as pc
 from protochain import interrupts
 from protochain.multibody import Tree
+from protochain.structure.repairs import Kind, Repair
 
 ROOT = Path(__file__).parent.parent
 
@@ -119,6 +121,16 @@ def interruptible():
 def is_held() -> bool:
     """Whether interrupts are noted, not raised."""
     return isinstance(signal.getsignal(signal.SIGINT), interrupts._Noted)
+
+
+def sentences(of: Any) -> list[str]:
+    """Repairs of a structure, or of a draft, in words."""
+    return [str(repair) for repair in of.repairs]
+
+
+def noted(text: str) -> Repair:
+    """A repair whose words end with a text."""
+    return Repair(Kind.WRONG_HAND, {"atoms": (text,)})
 
 
 def shared(name: str) -> Path:

@@ -183,7 +183,7 @@ def fate(
 def _said(result: Any, path: Path) -> list[str]:
     told = io.StringIO()
     with contextlib.redirect_stdout(told):
-        print_relaxed(result.record() | {"output": "out"})
+        print_relaxed(result, result.record() | {"output": "out"})
     lines = told.getvalue().splitlines()
     first = next((k for k, line in enumerate(lines) if line.startswith("C-alpha RMSD")), 0)
     return [line for line in lines[first:] if not line.startswith("written")]

@@ -5,6 +5,7 @@ import re
 import gemmi
 import numpy as np
 import pytest
+from conftest import noted, sentences
 
 import protochain as pc
 from protochain.structure.bridges import disulfides, refuse_crosslinks
@@ -40,7 +41,7 @@ def test_sulphurs_within_three_angstrom_are_bonded_and_that_is_said_unless_state
     draft = drafted(*other, *pair)
     assert disulfides(draft) == [tuple(pair)] * bonded
     bond = "disulfide bond between residue 1 CYS of chain A and residue 2 CYS of chain A"
-    assert draft.repairs == [bond] * bonded
+    assert sentences(draft) == [bond] * bonded
     draft = drafted(*pair)
     draft.stated = [(place(2), place(1))]
     disulfides(draft)
@@ -48,7 +49,7 @@ def test_sulphurs_within_three_angstrom_are_bonded_and_that_is_said_unless_state
         "disulfide bond of the file between residue 2 CYS of chain A and residue 1 CYS of chain A ignored: "
         "it is 3.0 angstrom long; request it as disulfide if it is real"
     )
-    assert draft.repairs == [said] * (not bonded)
+    assert sentences(draft) == [said] * (not bonded)
 
 
 def test_bonds_are_in_the_order_of_their_cysteines_and_the_nearest_first():
@@ -61,7 +62,9 @@ def test_bonds_are_in_the_order_of_their_cysteines_and_the_nearest_first():
         (place(5), place(8)),
     ]
     assert disulfides(draft) == [(a, c), (b, d)]
-    assert draft.repairs == ["disulfide bond between residue 2 CYS of chain A and residue 4 CYS of chain A"]
+    assert sentences(draft) == [
+        "disulfide bond between residue 2 CYS of chain A and residue 4 CYS of chain A"
+    ]
     assert disulfides(drafted(member("ALA", 1), member("CYS", 2))) == []
 
 
@@ -72,13 +75,15 @@ def test_bonds_asked_for_are_added_to_those_found_or_take_their_place():
     asked = "disulfide bond between residue 4 CYS of chain A and residue 3 CYS of chain A, as requested"
     draft = drafted(a, b, c, d)
     assert disulfides(draft, [("A:4", "A:3"), ("A:2B", "A:1")]) == [(a, b), (d, c)]
-    assert draft.repairs == [found, f"{asked}; their sulphurs are 10.0 angstrom apart"]
+    assert sentences(draft) == [found, f"{asked}; their sulphurs are 10.0 angstrom apart"]
     draft = drafted(a, c)
     draft.stated = [(("A", "1", "SG"), ("A", "3", "SG"))]
-    assert disulfides(draft, [("A:1", "A:3")]) == [(a, c)] and "ignored" not in "".join(draft.repairs)
+    assert disulfides(draft, [("A:1", "A:3")]) == [(a, c)] and "ignored" not in "".join(sentences(draft))
     draft = drafted(a, b, c, d)
     assert disulfides(draft, ["none", ("A:3", "A:2B")]) == [(c, b)]
-    assert draft.repairs[0] == "disulfide bonds left out, as requested: A:1-A:2B" and len(draft.repairs) == 2
+    assert (
+        sentences(draft)[0] == "disulfide bonds left out, as requested: A:1-A:2B" and len(draft.repairs) == 2
+    )
     draft = drafted(a, b, c, d)
     assert disulfides(draft, ["none"]) == [] and len(draft.repairs) == 1
     draft = drafted(a, c)
@@ -151,11 +156,11 @@ CENTRE = 0.5
 )
 def test_molecules_are_kept_by_kind_or_by_either_name(residue, kind):
     def kept(word):
-        given = Candidate(residue, "OLD", ["noted"])
+        given = Candidate(residue, "OLD", [noted("oddly")])
         draft = drafted(glycine())
         parts = choose(draft, [given], (word,), {})
         assert given.kind == kind and draft.left_out == ({} if parts else {_told(kind): 1})
-        assert ("noted" in draft.repairs) == bool(parts)
+        assert (noted("oddly") in draft.repairs) == bool(parts)
         return [part.members for part in parts] == [[residue]]
 
     every = ("none", "near", "all", "water", "ions", "nucleic", "ligands", residue.name, "OLD")
@@ -199,8 +204,10 @@ def test_near_is_five_angstrom_from_heavy_atoms_of_the_protein_or_joined_to_what
     kept = [part.members[0] for part in choose(draft, given, ("near",), {})]
     assert kept == [given[k].member for k in near]
     gone = len(places) - len(near)
-    said = f'{gone} LIG (further than 5 angstrom from the protein) left out; keep="all" keeps everything'
-    assert draft.left_out == ({"LIG": gone} if gone else {}) and (draft.repairs[0] == said) == bool(gone)
+    said = (
+        f'{gone} LIG (it is further than 5 angstrom from the protein) left out; keep="all" keeps everything'
+    )
+    assert draft.left_out == ({"LIG": gone} if gone else {}) and (sentences(draft)[0] == said) == bool(gone)
 
 
 def test_what_is_left_out_is_said_first_and_then_what_is_kept():
@@ -212,24 +219,24 @@ def test_what_is_left_out_is_said_first_and_then_what_is_kept():
         Candidate(bare, "DUM"), *candidates(3.0, name="BIG"), *candidates(3.2, name="BIG"),
     ]  # fmt: skip
     draft = drafted(glycine())
-    draft.repairs.append("earlier")
+    draft.repairs.append(noted("earlier"))
     choose(draft, given, ("near",), {})
-    assert draft.repairs == [
-        "2 LIG (further than 5 angstrom from the protein), 1 waters, 1 UNX (of unknown element), "
-        '1 DUM (of unknown element) left out; keep="all" keeps everything',
+    assert sentences(draft) == [
+        "2 LIG (it is further than 5 angstrom from the protein), 1 waters, 1 UNX (its element is unknown), "
+        '1 DUM (its element is unknown) left out; keep="all" keeps everything',
         "2 BIG, 1 LIG kept beside the protein (BIG, LIG by element, unless the force field has parameters)",
-        "earlier",
+        str(noted("earlier")),
     ]
     assert draft.left_out == {"LIG": 2, "waters": 1, "UNX": 1, "DUM": 1}
     dry = drafted(glycine())
     choose(dry, candidates(1.0, 2.0, name="HOH"), ("near",), {})
-    assert dry.repairs == ['2 waters left out: the solvent is implicit; keep="all" keeps everything']
+    assert sentences(dry) == ['2 waters left out: the solvent is implicit; keep="all" keeps everything']
     many = drafted(glycine())
     choose(many, [each for k in range(9) for each in candidates(1.0, name=f"L{k}")], ("all",), {})
     names = [f"L{k}" for k in range(8)]
-    assert many.repairs == [
-        f"{', '.join('1 ' + name for name in names)} and 1 more kinds kept beside the protein "
-        f"({', '.join(names)} by element, unless the force field has parameters)"
+    assert sentences(many) == [
+        f"{', '.join('1 ' + name for name in names)} and 1 more kept beside the protein "
+        f"({', '.join(names)} and 1 more by element, unless the force field has parameters)"
     ]
     silent = drafted(glycine())
     assert choose(silent, [], ("near",), {}) == [] and silent.repairs == []
@@ -276,7 +283,7 @@ def test_bonded_nucleotides_are_a_strand_and_others_stand_alone(far, bonded):
     assert all(part.obstacle and not part.cyclic for part in parts)
     assert [part.chain_id for part in parts] == ["B"] * (len(parts) - 1) + ["C"]
     said = "residue {} of chain B: 5' phosphate left out: the force fields do not have it"
-    assert draft.repairs == [
+    assert sentences(draft) == [
         "2 DA, 2 LIG kept beside the protein",
         said.format("1 DA"), *([] if bonded else [said.format("2 DA")]),
     ]  # fmt: skip
@@ -301,7 +308,7 @@ def test_a_strand_that_the_templates_do_not_fit_is_kept_whole_and_by_element():
     choose(draft, [Candidate(first, "DA"), Candidate(second, "DA")], ("all",), DNA)
     assert [a.name for a in first.atoms] == ["P", "O3'"] and first.own.element == {"P": "P", "O3'": "O"}
     assert second.own.element == {"P": "P", "O3'": "O", "CX": "C"}
-    assert draft.repairs == [
+    assert sentences(draft) == [
         "2 DA kept beside the protein (DA by element, unless the force field has parameters)"
     ]
 
@@ -330,7 +337,7 @@ def test_all_of_a_phosphate_is_left_out_of_the_first_nucleotide_only():
     assert [a.name for a in strand.atoms] == ["O5'", "O3'", "O2'"] and [a.name for a in ligand.atoms] == ["P"]
     clean = Draft("x", "x")
     assert len(choose(clean, [Candidate(member("DG", 1, ("O5'", 0.0)), "DG")], ("all",), known)) == 1
-    assert clean.repairs == ["1 DG kept beside the protein"]
+    assert sentences(clean) == ["1 DG kept beside the protein"]
 
 
 def test_molecules_by_element_have_bonds_by_distance():
@@ -399,7 +406,7 @@ def test_donors_are_bonded_to_a_metal_up_to_its_usual_distance_and_some(name, do
             f"residue 1 {name} of chain A ({far:.2f} angstrom): held at these distances by springs; the ion "
             "stays in place"
         )
-        assert draft.repairs == [said] * bonded
+        assert sentences(draft) == [said] * bonded
 
 
 def test_carbon_and_the_amides_of_a_chain_are_no_donors_unless_the_file_says_so():
@@ -441,7 +448,7 @@ def test_a_known_kind_of_bond_is_made_at_its_length_and_waters_have_none():
             assert (link.member, link.atom.name, link.other, link.other_atom.name) == (
                 residue, "ND2", beside_it, "C1",
             )  # fmt: skip
-            assert not link.is_metal and draft.repairs == [
+            assert not link.is_metal and sentences(draft) == [
                 "C1 of residue 5 NAG of chain B is bonded to ND2 of residue 1 ASN of chain A "
                 f"({far:.2f} angstrom): held at these distances by springs"
             ]
@@ -467,7 +474,7 @@ def test_what_cannot_be_a_bond_is_an_overlap_and_is_named(residue, other, why):
     assert bool(find_links(draft)) is not bool(why), why
     assert bool(residue.links) is not bool(why)
     if why:
-        (line,) = draft.repairs
+        (line,) = sentences(draft)
         assert "not bonded (no LINK, CONECT or struct_conn, and no known kind of bond)" in line
         assert (
             f"{residue.atoms[0].name} of residue 1 {residue.name} of chain A and C1 of residue 5 NAG" in line
@@ -487,13 +494,13 @@ def test_a_bond_of_the_file_that_cannot_be_is_said_to_be_ignored():
             "bond of the file between NH1 of residue 1 ARG of chain A and C1 of residue 5 NAG of chain B "
             f"ignored: it is {far:.2f} angstrom long; mend the file if it is real"
         )
-        assert (ignored in draft.repairs) is not bonded
+        assert (ignored in sentences(draft)) is not bonded
     full = sugar(("O1", (-0.48, -0.68, -1.16)), ("C8", (0.1, 0.9, -1.2)))
     draft = beside([placed("SER", 1, OG=(1.44, 0.0, 0.0))], full)
     draft.stated = [(("A", "1", "OG"), ("B", "5", "C1"))]
     assert (
         find_links(draft) == []
-        and "ignored: C1 of residue 5 NAG of chain B has no valence left" in draft.repairs[0]
+        and "ignored: C1 of residue 5 NAG of chain B has no valence left" in sentences(draft)[0]
     )
 
 
@@ -508,7 +515,7 @@ def test_an_ion_moves_if_the_protein_alone_holds_it_on_all_sides():
         draft = beside(holders, metal, *(water[far] for far in kept))
         draft.absent = [water[far] for far in absent]
         links = find_links(draft)
-        assert len(links) == n and draft.repairs[0].endswith(", and moves with them") is moves(
+        assert len(links) == n and sentences(draft)[0].endswith(", and moves with them") is moves(
             draft, metal, links
         )
         assert not moves(draft, metal, [])
@@ -528,7 +535,7 @@ def test_several_ends_of_a_site_are_one_line():
     first, second = placed("CYS", 1, SG=(2.3, 0.0, 0.0)), placed("HIS", 2, NE2=(0.0, 2.0, 0.0))
     draft = beside([first, second], ion("Zn", 7, 0.0, 0.0, 0.0))
     assert [each.atom.name for each in find_links(draft)] == ["SG", "NE2"]
-    assert draft.repairs == [
+    assert sentences(draft) == [
         "ZN of residue 7 ZN of chain B is coordinated by SG of residue 1 CYS of chain A (2.30 angstrom), "
         "NE2 of residue 2 HIS of chain A (2.00 angstrom): held at these distances by springs; the ion stays "
         "in place"

@@ -11,13 +11,15 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 import typer
-from conftest import chain, load
+from conftest import chain, load, noted
 from test_write import ring
 
 import protochain as pc
 from protochain.cli import app, main, options
-from protochain.errors import ProtochainError, WriteError
+from protochain.errors import Argument, ProtochainError, WriteError
+from protochain.residues import Residue
 from protochain.setup import Setup
+from protochain.structure.repairs import EVERYTHING, Kind, Repair
 from protochain.structure.write import as_text
 
 SETUP = {
@@ -145,9 +147,13 @@ def refusal(*arguments):
     ("raised", "status", "said"),
     [
         (ProtochainError("two\nlines"), 2, "protochain: two lines\n"),
-        (ProtochainError("n_steps 0: force=True"), 2, "protochain: --steps 0: --force\n"),
         (
-            WriteError("a", "full", "b", "resume=True"),
+            ProtochainError(Argument("n_steps"), " 0: ", Argument("force", True)),
+            2,
+            "protochain: --steps 0: --force\n",
+        ),
+        (
+            WriteError("a", "full", "b", Argument("resume", True)),
             1,
             "protochain: a: not written (full); saved: b; --resume\n",
         ),
@@ -226,8 +232,9 @@ def test_changes_and_the_first_overlaps_are_said(n, monkeypatch, capsys):
         def __str__(self):
             return f"overlap {self.k}"
 
-    changes = ("lost", "alike")
-    structure = SimpleNamespace(repairs=("lost",) * (n + 2), changes=changes, positions="x")
+    repairs = [Repair(Kind.OXT_ADDED, {"residue": Residue("A", str(k), "SER")}) for k in range(n + 1)]
+    repairs.append(Repair(Kind.WATERS_LEFT_OUT, {"count": 2, "remedy": EVERYTHING}))
+    structure = SimpleNamespace(repairs=repairs, positions="x")
     found = [Overlap(k=k, remedy=f"mend {k}") for k in range(n)]
     monkeypatch.setattr(
         "protochain.contacts.overlaps", lambda s, x, c: found if (s, x, c) == (structure, "x", "c") else 1
@@ -237,10 +244,15 @@ def test_changes_and_the_first_overlaps_are_said(n, monkeypatch, capsys):
         prepare=lambda source: (structure, "c", "e") if source == Path("in") else None, move="all"
     )
     assert options.prepare(Path("in"), setup) == ("c", "e", 2.5)
-    told = ["lost", "alike"] + [f"protochain info lists all {n + 2} changes"] * (n > 0)
+    alike = f"missing OXT added in {n + 1} residues: " if n else "residue 0 SER of chain A: missing OXT added"
+    told = ["2 waters left out: the solvent is implicit; --keep all keeps everything", alike]
+    told += [f"protochain info lists all {n + 2} changes"] * (n > 0)
     told += [*(f"overlap {k}; mend {k}" for k in range(min(n, 5)))]
     told += [f"and {n - 5} more overlap{'s' * (n > 6)}"] * (n > 5)
-    assert capsys.readouterr().err == "".join(f"in: {line}\n" for line in told)
+    said = capsys.readouterr().err.splitlines()
+    assert said[1].startswith(f"in: {alike}")
+    said[1] = f"in: {alike}"
+    assert said == [f"in: {line}" for line in told]
 
 
 def test_outputs_are_neither_the_input_nor_one_another(tmp_path):
@@ -287,7 +299,7 @@ def test_build_checks_its_file_first_and_writes_it(tmp_path, monkeypatch, capsys
 def info(monkeypatch):
     """``info`` on crambin with an energy that is none; the clock goes on by 1, 2, 3 and 4 s."""
     s, c = load("1ejg.pdb"), chain("1ejg.pdb")
-    s = pc.Structure("x", s.topology, s.positions, ("one", "two"), {"waters": 3, "ZN": 1})
+    s = pc.Structure("x", s.topology, s.positions, (noted("one"), noted("two")), {"waters": 3, "ZN": 1})
     reduced = SimpleNamespace(engine="native", reason="why", threads=2, left_out={"bonds": 5})
 
     def energy(self, structure):
@@ -315,7 +327,8 @@ def facts_of(s, c, near):
         "n_hinges": len(kinds), "n_q": c.n_q, "n_v": c.n_v,
         "hinges": {kind: kinds.count(kind) for kind in kinds},
         "loops": [f"{s.describe(a)} - {s.describe(b)}" for a, b in c.loops.tolist()],
-        "left_out": {"waters": 3, "ZN": 1}, "lost_atoms": [], "repairs": ["one", "two"],
+        "left_out": {"waters": 3, "ZN": 1}, "lost_atoms": [],
+        "repairs": [str(noted("one")), str(noted("two"))],
         "overlaps": [f"{near}; mend"],
         "engine": "native", "engine_reason": "why", "threads": 2, "constant_terms": {"bonds": 5},
         "seconds_import": 1.0,

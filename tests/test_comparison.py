@@ -5,7 +5,7 @@ import numpy as np
 import openmm
 import pandas as pd
 import pytest
-from conftest import PDB_ROUNDING_NM, STRUCTURES, chain, energy, load
+from conftest import PDB_ROUNDING_NM, STRUCTURES, chain, energy, load, noted
 from openmm import app, unit
 
 import protochain as pc
@@ -159,7 +159,7 @@ def test_names_from_files_are_escaped(tmp_path):
     import dataclasses
 
     evil = "<script>alert(1)</script>$x$"
-    s = dataclasses.replace(load("ala10.pdb"), name=evil, repairs=("<b>bold</b>",))
+    s = dataclasses.replace(load("ala10.pdb"), name=evil, repairs=(noted("<b>bold</b>"),))
     k = pc.compare(s, methods=("lbfgs",), max_evaluations=3)
     from protochain.analysis.report import render
 

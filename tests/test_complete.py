@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import sentences
 
 import protochain as pc
 from protochain.structure import complete as module
@@ -49,7 +50,7 @@ def glycine(number, *more):
 def test_an_open_end_gets_its_oxygen_and_a_continued_one_loses_it():
     first, second, third = glycine(1, "OXT"), glycine(2, "H", "OXT"), glycine(3, "H")
     draft = completed(first, second, third)
-    assert draft.repairs == [
+    assert sentences(draft) == [
         "residue 1 GLY of chain A: OXT left out: the chain continues",
         "residue 2 GLY of chain A: OXT left out: the chain continues",
         "residue 3 GLY of chain A: missing OXT added",
@@ -116,14 +117,14 @@ def test_residues_and_atoms_without_parameters_are_named():
 def test_renamed_atoms_are_listed_up_to_four():
     serine = member("SER", 2, "N", "CA", "C", "OT1", "CB", "OG", "HB1")
     draft = completed(glycine(1), serine, glycine(3, "OXT"))
-    assert names(serine)[3] == "O" and draft.repairs == [
+    assert names(serine)[3] == "O" and sentences(draft) == [
         "atoms renamed: OT1 to O of residue 2 SER of chain A, HB1 to HB3 of residue 2 SER of chain A"
     ]
     four = [member("GLY", k, "N", "CA", "C", "OT1") for k in range(1, 6)]
     said = [f"OT1 to O of residue {k} GLY of chain A" for k in range(1, 5)]
-    assert completed(*four[:4]).repairs[0] == f"atoms renamed: {', '.join(said)}"
+    assert sentences(completed(*four[:4]))[0] == f"atoms renamed: {', '.join(said)}"
     again = [member("GLY", k, "N", "CA", "C", "OT1") for k in range(1, 7)]
-    assert completed(*again).repairs[0] == f"atoms renamed: {', '.join(said)} and 2 more"
+    assert sentences(completed(*again))[0] == f"atoms renamed: {', '.join(said)} and 2 more"
 
 
 def test_neighbours_are_those_of_the_chain_and_of_the_ring():
@@ -163,7 +164,7 @@ def test_missing_atoms_of_a_side_chain_are_built_where_they_belong():
     mean = np.mean([a.b_iso for a in part[0].atoms])
     draft = drafted(*part)
     add_heavy_atoms(draft, templates())
-    assert draft.repairs == [
+    assert sentences(draft) == [
         "residue 5 SER of chain A: missing CB, OG added", "residue 6 SER of chain A: missing OG added",
     ]  # fmt: skip
     # Hydrogens of the atoms that get a neighbour are placed anew, those of N are not.
@@ -198,7 +199,7 @@ def test_an_atom_between_others_is_not_chosen_but_fitted():
     draft = drafted(*part)
     add_heavy_atoms(draft, templates())
     assert draft.rebuilt == {} and np.linalg.norm(at(part[0], "CB") - beta) < 0.1
-    assert draft.repairs == ["residue 5 SER of chain A: missing CB added"]
+    assert sentences(draft) == ["residue 5 SER of chain A: missing CB added"]
 
 
 def test_a_residue_of_a_d_name_is_built_in_the_mirror():
@@ -219,10 +220,10 @@ def test_the_hand_is_that_of_the_atoms_then_of_the_name_then_of_the_chain(monkey
     assert module._site(draft, Part("A", [whole, d]), 1).sign == -1
     without(whole, "CB")
     site = module._site(draft, Part("A", [whole, d]), 0)
-    assert (site.sign, site.member, site.before, site.after) == (1, whole, None, d) and not draft.repairs
+    assert (site.sign, site.member, site.before, site.after) == (1, whole, None, d) and not sentences(draft)
     monkeypatch.setattr(module, "_is_misnamed", lambda part, i: True)
     assert module._site(draft, Part("A", [whole, d]), 0).sign == -1
-    assert draft.repairs == [
+    assert sentences(draft) == [
         "residue 5 SER of chain A: built as a D-amino acid, as others of its chain are under such names"
     ]
     assert module._site(draft, Part("A", [whole, d]), 1).sign == -1 and len(draft.repairs) == 1

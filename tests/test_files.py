@@ -13,7 +13,7 @@ from pathlib import Path
 import gemmi
 import numpy as np
 import pytest
-from conftest import MORE_STRUCTURES, ROOT, STRUCTURES, energy, load, shared
+from conftest import MORE_STRUCTURES, ROOT, STRUCTURES, energy, load, sentences, shared
 from pdbfixer.pdbfixer import substitutions
 
 import protochain as pc
@@ -56,7 +56,7 @@ def test_every_file_is_taken_whole_or_refused_in_a_line(name):
         assert str(refused.value).startswith(f"{path}: ") and "\n" not in str(refused.value)
         return
     s = pc.load(path)
-    said = "\n".join(s.repairs)
+    said = "\n".join(sentences(s))
     there = set(zip(s.residue_chain, np.char.add(s.residue_number, s.residue_insertion_code), strict=True))
     original = parse(path)[0]
     for chain in original[0]:
@@ -93,11 +93,11 @@ def test_models_are_numbered_as_the_file_does(tmp_path):
     text = "".join(f"MODEL     {n:4d}\n{lines}ENDMDL\n" for n in (3, 7))
     path = written(tmp_path, text + "END\n")
     assert model_numbers(path) == [3, 7]
-    assert dict(pc.load(path).left_out) == {"models": 1} and "model 3 used" in pc.load(path).repairs[0]
+    assert dict(pc.load(path).left_out) == {"models": 1} and "model 3 used" in sentences(pc.load(path))[0]
     with pytest.raises(pc.ProtochainError, match=r"has no model 4; its models are 3, 7"):
         pc.load(path, model=4)
     unended = written(tmp_path, text.replace("ENDMDL\n", "", 1) + "END\n", "unended.pdb")
-    assert "1 model without an ENDMDL record" in pc.load(unended).repairs[0]
+    assert "1 model without an ENDMDL record" in sentences(pc.load(unended))[0]
     assert np.array_equal(pc.load(unended, model=7).positions, pc.load(path, model=7).positions)
 
 
@@ -242,7 +242,7 @@ def test_too_much_is_refused(tmp_path, monkeypatch):
 def test_the_other_location_can_be_asked_for():
     a, b = pc.load(STRUCTURES / "1ejg.pdb"), pc.load(STRUCTURES / "1ejg.pdb", altloc="B")
     assert (a.residue_name[21], b.residue_name[21]) == ("PRO", "SER")
-    assert any("alternate location B kept" in line for line in b.repairs)
+    assert any("alternate location B kept" in line for line in sentences(b))
 
 
 def test_waters_and_ions_stay_where_they_are(tmp_path):
@@ -264,8 +264,10 @@ def test_waters_and_ions_stay_where_they_are(tmp_path):
         assert r.end.energy < r.start.energy
     pc.save(s, tmp_path / "out.pdb")
     again = pc.load(tmp_path / "out.pdb", keep=("all",))
-    assert again.repairs[0] == "30 waters, 1 CA kept beside the protein"
-    assert len(again.repairs) == 2 and "CA of residue 73 CA of chain A is coordinated by" in again.repairs[1]
+    assert sentences(again)[0] == "30 waters, 1 CA kept beside the protein"
+    assert (
+        len(again.repairs) == 2 and "CA of residue 73 CA of chain A is coordinated by" in sentences(again)[1]
+    )
     assert np.array_equal(again.obstacle, s.obstacle)
 
 
@@ -284,10 +286,10 @@ def test_nucleic_acids_are_kept_as_strands(tmp_path):
             text += f"{line[:20]} B{number:4d}    {at[0]:8.3f}{at[1]:8.3f}{at[2]:8.3f}  1.00  0.00\n"
     path = written(tmp_path, text + "END\n")
     far = pc.load(path)
-    assert dict(far.left_out) == {"DG": 2} and "further than 5 angstrom from the protein" in far.repairs[0]
+    assert dict(far.left_out) == {"DG": 2} and "further than 5 angstrom from the protein" in sentences(far)[0]
     s = pc.load(path, keep=("nucleic",))
     assert s.n_residues == 12 and s.n_chains == 1 and s.obstacle.sum() == 31 + 34
-    assert any("5' phosphate left out" in line for line in s.repairs)
+    assert any("5' phosphate left out" in line for line in sentences(s))
     (phosphate,) = s.losses
     assert (phosphate.name, phosphate.number, phosphate.why) == ("DG", "1", Why.PHOSPHATE)
     assert set(phosphate.atoms) == {"P", "OP1", "OP2"} and dict(s.left_out) == {"atoms of DG": 3}
@@ -300,9 +302,9 @@ def test_disulfides_can_be_asked_for_and_refused():
     assert len(pc.build_chain(pc.load(path)).loops) == 3
     free = pc.load(path, disulfide="none")
     assert free.n_atoms == load("4pti.pdb").n_atoms + 6 and not len(pc.build_chain(free).loops)
-    assert "disulfide bonds left out, as requested: A:5-A:55, A:14-A:38, A:30-A:51" in free.repairs
+    assert "disulfide bonds left out, as requested: A:5-A:55, A:14-A:38, A:30-A:51" in sentences(free)
     one = pc.load(path, disulfide=["none", ("A:5", "A:55")])
-    assert "as requested" in "".join(one.repairs) and len(pc.build_chain(one).loops) == 1
+    assert "as requested" in "".join(sentences(one)) and len(pc.build_chain(one).loops) == 1
     for pair, why in (
         (("A:5", "A:6"), "residue 6 LEU of chain A is no cysteine"),
         (("A:5", "A:5"), "give two"),
@@ -316,7 +318,7 @@ def test_disulfides_can_be_asked_for_and_refused():
 )
 def test_protonation_follows_the_ph_and_is_said(ph, names):
     s = pc.load(STRUCTURES / "1hel.pdb", ph=ph)
-    said = [line.rsplit(" taken as ", 1)[1] for line in s.repairs if " taken as " in line]
+    said = [line.rsplit(" taken as ", 1)[1] for line in sentences(s) if " taken as " in line]
     assert set(said) == names
     # One hydrogen more or less for each, but for histidine's two neutral states.
     more = sum({"HIP": 1, "ASH": 1, "GLH": 1, "LYN": -1}.get(name, 0) for name in said)
@@ -329,7 +331,7 @@ def test_protonation_follows_the_ph_and_is_said(ph, names):
 def test_a_hydrogen_of_an_unknown_name_is_named_by_its_parent_and_that_is_said(tmp_path):
     lines = (STRUCTURES / "1l2y.pdb").read_text().replace(" HB2 ASP A   9", " HQ7 ASP A   9")
     s = pc.load(written(tmp_path, lines))
-    assert "1 hydrogens with unknown names renamed after their parent atoms" in s.repairs
+    assert "1 hydrogens with unknown names renamed after their parent atoms" in sentences(s)
     assert np.array_equal(np.sort(s.atom_name), np.sort(load("1l2y.pdb").atom_name))
 
 
@@ -344,7 +346,9 @@ def test_modified_residues_become_their_parents_and_d_stays_d(tmp_path):
     assert s.left_out["FOR"] == 2 == s.left_out["ETA"]
     text = shared("1grm_gramicidin.pdb").read_text().replace("VAL A   6", "DVA A   6")
     named = pc.load(written(tmp_path, text), keep=())
-    assert "residue 6 DVA of chain A: D-amino acid, with the parameters of its mirror image" in named.repairs
+    assert "residue 6 DVA of chain A: D-amino acid, with the parameters of its mirror image" in sentences(
+        named
+    )
     assert np.array_equal(named.positions, s.positions)
     handed = []
     for r in np.flatnonzero(s.residue_name == "VAL"):
@@ -361,7 +365,7 @@ def test_modified_residues_become_their_parents_and_d_stays_d(tmp_path):
     methionine = pc.load(shared("1a8o_mse.pdb"))
     assert np.count_nonzero(methionine.residue_name == "MET") == 4
     assert "M3L of chain W: converted to its standard parent LYS, CM1, CM2, CM3 left out" in "".join(
-        pc.load(shared("1kyo_m3l.pdb")).repairs
+        sentences(pc.load(shared("1kyo_m3l.pdb")))
     )
 
 
@@ -435,7 +439,7 @@ def test_a_sulphate_is_no_end_of_a_chain(last, has_oxygen, tmp_path):
     made = pc.load(written(tmp_path, "".join(lines)))
     assert made.residue_name.tolist() == s.residue_name.tolist() and made.n_atoms == s.n_atoms
     said = "converted to its standard parent TYR, S, O1, O2, O3 left out"
-    assert f"residue {place} TYS of chain A: {said}" in made.repairs
+    assert f"residue {place} TYS of chain A: {said}" in sentences(made)
     carbon, oxygen = (
         made.positions[(made.atom_residue == place - 1) & (made.atom_name == name)][0] for name in ("C", "O")
     )
@@ -455,7 +459,7 @@ def test_modified_histidines_are_read_with_their_own_atoms(name, tmp_path):
             lines.append(f"HETATM{line[6:12]} CZ  HIC{line[20:30]}{at}{line[54:76]} C\n")
     made = pc.load(written(tmp_path, "".join(lines)))
     assert made.residue_name.tolist() == ["ALA", "HIS", "ALA"]
-    assert any(f"residue 2 {name} of chain A" in line for line in made.repairs)
+    assert any(f"residue 2 {name} of chain A" in line for line in sentences(made))
     assert np.isfinite(pc.energy(made, solvent="vacuum")(made.positions)[0])
 
 

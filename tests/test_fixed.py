@@ -5,7 +5,7 @@ from dataclasses import replace
 import gemmi
 import numpy as np
 import pytest
-from conftest import STRUCTURES, load, shared
+from conftest import STRUCTURES, load, sentences, shared
 
 import protochain as pc
 from protochain.validation.fixed import fixed_counts, fixed_faults
@@ -73,7 +73,7 @@ def test_a_bond_within_a_nucleotide_is_known_by_its_name(dodecamer, tmp_path):
 def test_a_torn_strand_keeps_its_phosphate_and_is_said(dodecamer, tmp_path):
     """Numbers go on: it was taken for two strands, and lost the second one's phosphate."""
     s = loaded(dodecamer, tmp_path, range(7, 13), (0.0, 0.0, -5.0))
-    assert not any("phosphate" in line and "residue 7 " in line for line in s.repairs)
+    assert not any("phosphate" in line and "residue 7 " in line for line in sentences(s))
     ((i, j),) = [
         pair for pair in fixed_faults(s).bonds.tolist() if {*s.atom_name[pair].tolist()} == {"O3'", "P"}
     ]

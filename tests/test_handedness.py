@@ -6,7 +6,7 @@ from importlib import import_module
 import gemmi
 import numpy as np
 import pytest
-from conftest import MORE_STRUCTURES, STRUCTURES, load, shared
+from conftest import MORE_STRUCTURES, STRUCTURES, load, sentences, shared
 
 import protochain as pc
 from protochain import residues
@@ -179,7 +179,7 @@ def test_d_amino_acids_under_names_of_l_are_known_by_the_rest_of_their_chain():
     """Gramicidin A: every second residue is D, under the name of L, and has a positive phi."""
     structure, whole = rebuilt(shared("1grm_gramicidin.pdb"), lambda k: k % 3 == 0)
     assert not changed(whole)
-    said = [line for line in structure.repairs if "built as a D-amino acid" in line]
+    said = [line for line in sentences(structure) if "built as a D-amino acid" in line]
     d = [str(member) for member, was, _ in whole if spins(member.name, was)[0] == -1]
     assert len(d) == len(said) == 4 and all(any(name in line for line in said) for name in d)
 
@@ -199,12 +199,12 @@ def test_a_wrong_hand_of_the_file_is_kept_and_said_in_one_line():
     draft = read(STRUCTURES / "1ubq.pdb")
     inverted(draft, 9, "CB", "OG1", "CG2")
     was = places(inverted(draft, 36, "CB", "CG1", "CG2"))
-    lines = [line for line in prepare(draft).repairs if "hand" in line]
+    lines = [line for line in sentences(prepare(draft)) if "hand" in line]
     assert lines == [
         "of the wrong hand in the file: CB of residue 9 THR of chain A, CB of residue 36 ILE of chain A"
     ]
     assert was["CG1"].tolist() == draft.members[35].atom("CG1").pos.tolist()
-    assert not any("hand" in line for line in load("1ubq.pdb").repairs)
+    assert not any("hand" in line for line in sentences(load("1ubq.pdb")))
 
 
 def test_what_hangs_on_an_atom_of_the_wrong_hand_is_built_all_the_same():
@@ -212,7 +212,7 @@ def test_what_hangs_on_an_atom_of_the_wrong_hand_is_built_all_the_same():
     member = inverted(draft, 36, "CB", "CG1", "CG2")
     member.atoms = [a for a in member.atoms if a.name != "CD1"]
     structure = prepare(draft)
-    assert "of the wrong hand in the file: CB of residue 36 ILE of chain A" in structure.repairs
+    assert "of the wrong hand in the file: CB of residue 36 ILE of chain A" in sentences(structure)
     at = places(member)
     assert np.linalg.norm(at["CD1"] - at["CG1"]) == pytest.approx(1.51, abs=0.02)
 
@@ -227,7 +227,7 @@ def test_a_side_chain_goes_on_from_the_atoms_of_the_file_even_if_these_are_of_th
     lysine.atoms = [a for a in lysine.atoms if a.name in (*BACKBONE, "CB")]
     lysine.atom("CB").pos = gemmi.Position(*mirror.tolist())
     structure = prepare(draft)
-    assert any("wrong hand in the file: CA of residue 6 LYS" in line for line in structure.repairs)
+    assert any("wrong hand in the file: CA of residue 6 LYS" in line for line in sentences(structure))
     assert spins("LYS", places(lysine))[0] == -1 and "NZ" in places(lysine)
     assert places(lysine)["CB"] == pytest.approx(mirror)
 

@@ -3,14 +3,16 @@
 import models
 import numpy as np
 import pytest
-from conftest import SAMPLES, load, shared
+from conftest import SAMPLES, load, sentences, shared
 
 import protochain as pc
 from protochain.minimisers.loop import Stop
 from protochain.relaxation.hands import Hands
 from protochain.relaxation.presets import PRESETS
 from protochain.relaxation.rounds import Ended, Relaxer, Round
+from protochain.residues import Residue
 from protochain.structure.chirality import chiral_atoms, wrong_atoms
+from protochain.structure.repairs import Kind
 
 BACKBONE = ("N", "CA", "C", "O", "OXT", "H", "H1", "H2", "H3")
 
@@ -89,12 +91,12 @@ def test_well_formed_residues_of_the_wrong_hand_become_right():
     r = pc.relax(wrong, threads=1)
     assert (r.measures_start["wrong_hands"], r.measures_end["wrong_hands"]) == (2, 0)
     assert r.status == "converged" and r.measures_end["violations"] == 0 and r.ca_rmsd_angstrom < 0.2
-    said = (
+    said = [
         f"{threonine}: CB of the wrong hand turned right",
         f"{leucine}: CA of the wrong hand turned right",
-    )
-    assert r.hands_turned == said == r.structure.repairs[-2:]
-    assert r.record()["hands_turned"] == list(said)
+    ]
+    assert r.hands_turned == r.structure.repairs[-2:] and sentences(r.structure)[-2:] == said
+    assert r.record()["hands_turned"] == said
     assert r.rounds[0].let_go == 2
     assert not Hands.of(s)(r.x)[0]
 
@@ -119,7 +121,9 @@ def test_a_residue_named_as_d_keeps_its_hand_and_gets_it_where_it_has_the_other(
     assert np.flatnonzero(two.mirrored).tolist() == [3, 6]
     assert two.describe(int(Hands.of(two).wrong(two.positions)[0])) == "atom CA of residue 7 DAL of chain A"
     r = pc.relax(two, threads=1)
-    assert r.hands_turned == ("residue 7 DAL of chain A: CA of the wrong hand turned right",)
+    (turned,) = r.hands_turned
+    assert (turned.kind, turned.facts["atoms"]) == (Kind.HAND_TURNED, ("CA",))
+    assert turned.facts["residue"] == Residue("A", "7", "DAL")
     alpha = np.flatnonzero(two.atom_name == "CA")
     assert np.intersect1d(alpha, Hands.of(s).wrong(r.x)).tolist() == alpha[[3, 6]].tolist()
     assert r.status == "converged" and r.measures_end["wrong_hands"] == 0

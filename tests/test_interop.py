@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import chain, energy, load
+from conftest import chain, energy, load, noted
 
 import protochain as pc
 from protochain.energies.shared import shared_energy
@@ -157,7 +157,7 @@ def test_compare_gives_each_method_a_bar(capsys):
 
 
 def test_values_show_themselves_in_notebooks_and_escape_names():
-    s = dataclasses.replace(load("ala10.pdb"), name="<b>x</b>", repairs=("<i>y</i>",))
+    s = dataclasses.replace(load("ala10.pdb"), name="<b>x</b>", repairs=(noted("<i>y</i>"),))
     r = pc.minimise(pc.build_chain(s), energy("ala10.pdb"), "lbfgs")
     for shown in (s._repr_html_(), r._repr_html_()):
         assert "<b>" not in shown and "&lt;b&gt;x&lt;/b&gt;" in shown

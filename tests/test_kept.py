@@ -7,7 +7,7 @@ import gemmi
 import numpy as np
 import openmm
 import pytest
-from conftest import NATIVE_ENERGY, NATIVE_FORCE, STRUCTURES, shared
+from conftest import NATIVE_ENERGY, NATIVE_FORCE, STRUCTURES, sentences, shared
 from openmm import app
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
@@ -115,7 +115,7 @@ def test_nothing_near_the_protein_is_left_out_silently(name):
     s = pc.load(path)
     protein = KDTree(10 * s.positions[~s.kept & (s.atom_element != "H")])
     there = set(zip(s.residue_chain.tolist(), s.residue_number.tolist(), strict=True))
-    said = " ".join(s.repairs)
+    said = " ".join(sentences(s))
     found, *_ = parse(path)
     for chain in found[0]:
         for residue in chain:
@@ -123,7 +123,7 @@ def test_nothing_near_the_protein_is_left_out_silently(name):
             if not near or (chain.name.strip(), str(residue.seqid.num)) in there:
                 continue
             if residue.is_water():
-                assert "waters" in s.repairs[0] and "left out" in s.repairs[0]
+                assert "waters" in sentences(s)[0] and "left out" in sentences(s)[0]
             else:
                 assert residue.name in said or f"residue {residue.seqid.num} " in said, residue
 
@@ -139,10 +139,11 @@ def test_words_choose_what_is_kept():
         "ligands": ["SO4"], "SO4 water": ["HOH", "SO4"],
     }  # fmt: skip
     s = pc.load(path, keep=("none",))
-    assert s.repairs[0] == '1 SO4, 1 CA, 30 waters left out; keep="all" keeps everything'
+    assert sentences(s)[0] == '1 SO4, 1 CA, 30 waters left out; keep="all" keeps everything'
     assert dict(s.left_out) == {"SO4": 1, "CA": 1, "waters": 30} and not s.ties
     assert (
-        pc.load(path).repairs[0] == '30 waters left out: the solvent is implicit; keep="all" keeps everything'
+        sentences(pc.load(path))[0]
+        == '30 waters left out: the solvent is implicit; keep="all" keeps everything'
     )
     assert pc.Setup().keep == ("near",) and pc.Setup(keep="none").load(path).left_out["SO4"] == 1
     with pytest.raises(pc.ProtochainError, match=r"keep 'ligand' is not known; give none, near, all, water"):
@@ -164,7 +165,7 @@ def test_what_is_far_is_left_out_and_what_joins_it_to_the_protein_stays(tmp_path
             )
     s = pc.load(written(tmp_path, "".join(lines) + "END\n"))
     assert s.residue_number[-2:].tolist() == ["101", "102"]
-    assert s.repairs[0].startswith("1 PO3 (further than 5 angstrom from the protein) left out")
+    assert sentences(s)[0].startswith("1 PO3 (it is further than 5 angstrom from the protein) left out")
 
 
 @pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
@@ -299,7 +300,7 @@ def test_a_force_field_that_knows_the_ligand_is_used(tmp_path):
     bond = '<Bond type1="l-S" type2="l-O" length="0.149" k="400000"/>'
     written(tmp_path, text.replace("</HarmonicBondForce>", f"{bond}</HarmonicBondForce>"), "own.xml")
     s = pc.load(shared("1bx8_hirustasin.pdb"), forcefield=path)
-    assert not any("by element" in line for line in s.repairs)
+    assert not any("by element" in line for line in sentences(s))
     nonbonded = next(
         f for f in pc.energy(s, str(path)).system.getForces() if isinstance(f, openmm.NonbondedForce)
     )
@@ -334,7 +335,7 @@ def test_glycans_stay_bonded_and_do_not_push_their_residue_away(tmp_path):
 
 def test_one_conformation_of_a_ligand_is_taken_and_said():
     s = pc.load(shared("3al1_caps_altloc.pdb"))
-    assert any("506 ETA" in line and "alternate location B kept" in line for line in s.repairs)
+    assert any("506 ETA" in line and "alternate location B kept" in line for line in sentences(s))
     for residue in np.unique(s.atom_residue[s.obstacle]):
         names = s.atom_name[s.atom_residue == residue]
         assert len(set(names)) == len(names)
@@ -397,7 +398,7 @@ def test_iron_sulphur_clusters_are_prepared_as_sites(tmp_path, name, n):
     ends = [(str(s.atom_name[i]), str(s.atom_name[j])[:2]) for i, j in (tie.atoms for tie in bonds)]
     assert ends == [("SG", "FE")] * 4 and len({tie.atoms[0] for tie in bonds}) == 4
     assert [tie.rest for tie in bonds] == pytest.approx([0.23] * 4, abs=5e-4)
-    assert not any("disulfide" in line for line in s.repairs)
+    assert not any("disulfide" in line for line in sentences(s))
     hydrogens = {str(h) for h in s.atom_name[s.atom_element == "H"]}
     assert "HB2" in hydrogens and "HG" not in hydrogens
     # Their iron is no bond of the cluster's own sulphides, and sulphides hold no hydrogens.
@@ -472,7 +473,7 @@ def test_molecules_pushed_into_the_protein_overlap_and_are_not_bonded(name, pair
     found = [each for each in overlaps(s, s.positions) if each.beside]
     named = {tuple(s.atom_name[list(each.atoms)].tolist()) for each in found}
     assert pairs <= named | {pair[::-1] for pair in named}
-    (line,) = (line for line in s.repairs if "not bonded" in line)
+    (line,) = (line for line in sentences(s) if "not bonded" in line)
     assert line.startswith("3 pairs of atoms as near as bonded ones")
     # No hydrogen gives way to a bond that is none.
     whole = pc.load(complexes(f"models/{name}"), keep="none")
@@ -521,8 +522,8 @@ def methylated(tmp_path: Path, far: float, connected: bool) -> Path:
 def test_bonds_of_conect_records_are_believed_at_lengths_of_bonds(tmp_path, far, connected, bonded):
     s = pc.load(methylated(tmp_path, far, connected))
     assert [tuple(s.atom_name[pair].tolist()) for pair in s.links] == [("NH1", "C")] * bonded
-    assert any("not bonded" in line for line in s.repairs) is (not connected)
-    assert any("ignored: it is 2.60 angstrom long" in line for line in s.repairs) is (far > 2.0)
+    assert any("not bonded" in line for line in sentences(s)) is (not connected)
+    assert any("ignored: it is 2.60 angstrom long" in line for line in sentences(s)) is (far > 2.0)
 
 
 @pytest.mark.parametrize("name", ["1V48_HA1", "1P62_GEO"])
@@ -530,7 +531,7 @@ def test_ions_whose_waters_are_left_out_stay_in_place(name):
     s = pc.load(complexes(f"astex/{name}_protein.pdb"))
     ions = [tie.atoms[1] for tie in s.ties if len(tie.atoms) == 2]
     assert len(ions) < 4 and s.obstacle[ions].all()
-    assert any(line.endswith("; the ion stays in place") for line in s.repairs)
+    assert any(line.endswith("; the ion stays in place") for line in sentences(s))
     for r in (pc.relax(s, threads=1), pc.minimise(s, method="cartesian", max_evaluations=40)):
         assert np.array_equal(r.x[ions], s.positions[ions])
         for tie in s.ties:

@@ -3,6 +3,7 @@
 import fate
 import file_kinds
 import pytest
+from conftest import sentences
 
 import protochain as pc
 
@@ -48,11 +49,11 @@ def test_what_shares_its_ids_is_told_apart_and_said(tmp_path):
         return pc.load(kinds[name].make(tmp_path)[0])
 
     chains = load("chains-that-share-an-id")
-    assert {*chains.residue_chain} == {"A", "B"} and any("A called B" in line for line in chains.repairs)
+    assert {*chains.residue_chain} == {"A", "B"} and any("A called B" in line for line in sentences(chains))
     ions = load("ions-that-share-a-number")
-    assert (ions.residue_name == "NA").sum() == 2 and any("told apart: 1" in line for line in ions.repairs)
+    assert (ions.residue_name == "NA").sum() == 2 and any("told apart: 1" in line for line in sentences(ions))
     ligand = load("ligand-atoms-that-share-a-name")
     names = ligand.atom_name[(ligand.residue_name == "LIG")[ligand.atom_residue]]
     assert len({*names}) == len(names) == 9 and any(
-        "share a name numbered" in line for line in ligand.repairs
+        "share a name numbered" in line for line in sentences(ligand)
     )

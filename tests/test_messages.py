@@ -1,16 +1,19 @@
 """What messages say: arguments in Python, options in commands, units, and what was changed."""
 
+import pickle
 import sys
 import threading
 
 import numpy as np
 import pytest
-from conftest import STRUCTURES, chain, energy
+from conftest import STRUCTURES, chain, energy, sentences
 from distributed import LocalCluster
 
 import protochain as pc
 from protochain.batches import cluster
-from protochain.cli import as_options, main
+from protochain.batches.jobs import BatchSettings, find_jobs
+from protochain.cli import as_said, main
+from protochain.errors import Angle, Argument, ProtochainError, WriteError
 
 SAMPLE = STRUCTURES / "ala10.pdb"
 
@@ -52,8 +55,8 @@ def test_python_hears_of_its_arguments(call, words, tmp_path, monkeypatch):
         (("minimise", SAMPLE, "--restrain", "-1"), "--restrain (-1.0,): give strengths in kJ/mol/nm^2"),
         (("minimise", SAMPLE, "--restrain", "strong"), "--restrain 'strong': give strengths"),
         (("minimise", SAMPLE, "--starts", 3, "--restrain", 10), ": --restrain and --max-rmsd refer to"),
-        (("minimise", SAMPLE, "--starts", 3, "--spread", "-30"), "--spread -30: give an angle above 0, in"),
-        (("batch", SAMPLE, "--starts", 3, "--spread", 0), "--spread 0: give an angle above 0, in degrees"),
+        (("minimise", SAMPLE, "--starts", 3, "--spread", "-30"), "--spread -30 degrees: give an angle"),
+        (("batch", SAMPLE, "--starts", 3, "--spread", 0), "--spread 0 degrees: give an angle above 0"),
         (("simulate", SAMPLE, "--steps", 0), "--steps 0: "),
         (("simulate", SAMPLE, "--resume"), "leave out --resume"),
         (("simulate", SAMPLE, "--time-step", "0.002"), "0.002 fs: give femtoseconds: 2 are 0.002 ps"),
@@ -67,21 +70,42 @@ def test_commands_hear_of_their_options(arguments, words, tmp_path, monkeypatch,
     assert status == 2 and words in line and "_" not in line
 
 
-def test_names_of_files_are_no_options():
-    for text in ("a/max_evaluations.pdb: odd", "max_rmsd.pdb: odd", "'time_step' is odd", "in_time_step odd"):
-        assert as_options(text) == text
-    assert as_options("x: give resume=True; time_step 3") == "x: give --resume; --time-step 3"
-    assert as_options("with trust_forcefield=True") == "with --trust-forcefield"
-    for text in (
-        "20 restraints, restraint: held",
-        "a restraint of the start",
-        "a/restraint 3: odd",
-        "spread 3",
-    ):
-        assert as_options(text) == text
-    assert as_options("m.csv: row 2: spread 0.5: give an angle above 0, in rad") == (
-        "m.csv: row 2: --spread 28.6479: give an angle above 0, in degrees"
+def test_only_arguments_are_told_as_options():
+    """Not words and names of files that look like them, nor arguments that no command has."""
+    error = pc.ProtochainError(
+        "max_rmsd.pdb: a restraint: ", Argument("time_step"), " 3; give ", Argument("resume", True), ", ",
+        Argument("keep", "all"), ", ", Argument("restraint"), " or ", Argument("path"), " ", Angle(np.pi),
+    )  # fmt: skip
+    assert str(error) == (
+        'max_rmsd.pdb: a restraint: time_step 3; give resume=True, keep="all", restraint or path 3.14159 rad'
     )
+    assert as_said(error) == (
+        "max_rmsd.pdb: a restraint: --time-step 3; give --resume, --keep all, --restrain or path 180 degrees"
+    )
+    assert as_said(pickle.loads(pickle.dumps(error))) == as_said(error)
+
+
+def test_every_error_is_told_from_its_parts():
+    """One with words of its own beside them would be another on the command line."""
+    kinds = [ProtochainError]
+    for each in kinds:
+        kinds += each.__subclasses__()
+        assert each is ProtochainError or not {"__str__", "told"} & vars(each).keys(), each
+
+
+def test_an_error_that_says_where_keeps_the_arguments_of_what_it_says(tmp_path):
+    (tmp_path / "m.csv").write_text("path,spread\na.pdb,0\n")
+    with pytest.raises(pc.ProtochainError) as raised:
+        find_jobs([], BatchSettings(n_starts=2), tmp_path / "m.csv")
+    where = f"{tmp_path}/m.csv: line 2: "
+    assert str(raised.value) == f"{where}spread 0 rad: give an angle above 0"
+    assert as_said(raised.value) == f"{where}--spread 0 degrees: give an angle above 0"
+
+
+def test_a_file_that_is_not_written_says_how_to_go_on_in_the_words_of_the_caller():
+    error = WriteError("x", "full").with_saved("nothing", "continue with ", Argument("resume", True))
+    assert str(error) == "x: not written (full); saved: nothing; continue with resume=True"
+    assert as_said(pickle.loads(pickle.dumps(error))) == str(error).replace("resume=True", "--resume")
 
 
 def test_what_is_left_out_is_told_with_the_words_of_whoever_asks(monkeypatch, capsys):
@@ -132,7 +156,7 @@ def test_an_alternate_location_that_no_atom_has_is_refused(name):
 
 
 def test_an_alternate_location_that_some_atoms_have_is_preferred():
-    kept = [line for line in pc.load(STRUCTURES / "1ejg.pdb", altloc="B").repairs if "alternate" in line]
+    kept = [line for line in sentences(pc.load(STRUCTURES / "1ejg.pdb", altloc="B")) if "alternate" in line]
     assert len(kept) > 5 and all("location B kept" in line for line in kept)
 
 

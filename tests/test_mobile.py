@@ -4,7 +4,7 @@ import gemmi
 import numpy as np
 import openmm
 import pytest
-from conftest import NATIVE_FORCE, STRUCTURES
+from conftest import NATIVE_FORCE, STRUCTURES, sentences
 
 import protochain as pc
 from protochain.multibody import HingeKind
@@ -100,8 +100,8 @@ def test_a_molecule_with_parameters_of_the_users_is_free(tmp_path):
     s, c, _ = prepared(tmp_path)
     assert s.atom_name[s.mobile].tolist() == ["C1", "C2", "O1", "HO1"] and not s.obstacle.any()
     assert np.array_equal(s.kept, s.mobile) and s.n_chains == 1
-    assert [line for line in s.repairs if "1 LIG with parameters" in line and "rigid body" in line]
-    assert not any("by element" in line for line in s.repairs)
+    assert [line for line in sentences(s) if "1 LIG with parameters" in line and "rigid body" in line]
+    assert not any("by element" in line for line in sentences(s))
     assert c.moving.all() and (c.tree.kind == HingeKind.FREE).sum() == 2
     assert len({*c.atom_body[s.mobile].tolist()}) == 1 and c.n_v == c.n_hinges + 12
     assert not any(s.mobile[list(hinge.atoms)].any() for hinge in c.hinges)
@@ -109,7 +109,7 @@ def test_a_molecule_with_parameters_of_the_users_is_free(tmp_path):
 
 def test_without_parameters_it_is_an_obstacle(tmp_path):
     s = pc.load(with_ligand(tmp_path))
-    assert s.obstacle.sum() == 3 and not s.mobile.any() and any("by element" in line for line in s.repairs)
+    assert s.obstacle.sum() == 3 and not s.mobile.any() and any("by element" in line for line in sentences(s))
 
 
 @pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
@@ -196,7 +196,7 @@ def test_one_bonded_to_another_molecule_stays(tmp_path):
     )
     s = pc.load(file, forcefield=f"amber14,{path}")
     assert not s.mobile.any() and s.obstacle.sum() == 5
-    assert any("LIG" in line and "stays in place" in line for line in s.repairs)
+    assert any("LIG" in line and "stays in place" in line for line in sentences(s))
 
 
 OFFXML = '<?xml version="1.0"?><SMIRNOFF version="0.3" aromaticity_model="OEAroModel_MDL"><Bonds/></SMIRNOFF>'
@@ -233,7 +233,7 @@ def test_a_ligand_is_recognised_by_its_bonds_under_any_names(tmp_path, hydrogen)
         )  # fmt: skip
     s = pc.load(file, forcefield=f"amber14,{path}")
     assert s.atom_name[s.mobile].tolist() == ["C9", "C7", "O5", "HQ" if hydrogen else "H4x"]
-    assert not s.obstacle.any() and not any("by element" in line for line in s.repairs)
+    assert not s.obstacle.any() and not any("by element" in line for line in sentences(s))
     e = pc.energy(s, f"amber14,{path}", "vacuum")
     nonbonded = next(f for f in e.system.getForces() if isinstance(f, openmm.NonbondedForce))
     own = [nonbonded.getParticleParameters(int(k))[0]._value for k in np.flatnonzero(s.mobile)]

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import noted
 from openmm import app
 from test_write import ring
 
@@ -81,14 +82,14 @@ def test_what_springs_hold_is_beside_the_protein():
 
 
 def test_a_structure_says_what_it_is():
-    told = pc.Structure("a<b", S.topology, S.positions, ("one", "two"), {"waters": 3, "ZN": 1})
+    told = pc.Structure("a<b", S.topology, S.positions, (noted("one"), noted("two")), {"waters": 3, "ZN": 1})
     assert repr(told) == "<Structure a<b: 2 chains, 4 residues, 14 atoms, 2 repairs>"
 
     def row(name, value):
         return f"<tr><th>{name}</th><td>{value}</td></tr>"
 
     facts = [row("residues", 4), row("atoms", 14)]
-    told_facts = [row("left out", "3 waters; 1 ZN"), row("repairs", "one; two")]
+    told_facts = [row("left out", "3 waters; 1 ZN"), row("repairs", f"{noted('one')}; {noted('two')}")]
     caption = "<table><caption>Structure {}</caption>{}</table>"
     assert told._repr_html_() == caption.format("a&lt;b", "".join([row("chains", 2), *facts, *told_facts]))
     nothing = [row("left out", "nothing"), row("repairs", "none")]

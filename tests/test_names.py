@@ -3,7 +3,7 @@
 import gemmi
 import numpy as np
 import pytest
-from conftest import PDB_ROUNDING_NM, STRUCTURES, load, shared
+from conftest import PDB_ROUNDING_NM, STRUCTURES, load, sentences, shared
 
 import protochain as pc
 from protochain.relaxation.hands import Hands
@@ -216,8 +216,8 @@ def d_arginine(tmp_path, is_d, alone=False):
 )
 def test_one_line_tells_of_a_d_arginine(is_d, alone, said, tmp_path):
     s = pc.load(d_arginine(tmp_path, is_d, alone))
-    named = [line for line in s.repairs if "DAR of" in line]
-    assert named == [said] and not any("ARG" in line for line in s.repairs)
+    named = [line for line in sentences(s) if "DAR of" in line]
+    assert named == [said] and not any("ARG" in line for line in sentences(s))
     assert int(s.mirrored.sum()) == 1 and s.kept.any() == alone
     wrong = [s.describe(int(k)) for k in Hands.of(s).wrong(s.positions)]
     assert wrong == ([] if is_d or alone else ["atom CA of residue 42 DAR of chain A"])
@@ -250,7 +250,7 @@ def test_a_modified_d_amino_acid_is_known_by_its_atoms(tmp_path):
     path.write_text(text.replace("DAR", "HAR"))
     s = pc.load(path)
     assert s.mirrored.tolist() == (s.residue_number == "42").tolist()
-    assert "residue 42 HAR of chain A: converted to its D-amino acid DAR" in s.repairs
+    assert "residue 42 HAR of chain A: converted to its D-amino acid DAR" in sentences(s)
 
 
 def test_disulfides_of_insulin_stay_when_another_is_asked_for(tmp_path):

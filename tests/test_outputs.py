@@ -9,7 +9,7 @@ import pickle
 import gemmi
 import numpy as np
 import pytest
-from conftest import STRUCTURES, load, shared
+from conftest import STRUCTURES, load, sentences, shared
 
 import protochain as pc
 from protochain.structure import header
@@ -253,14 +253,14 @@ def test_repairs_are_in_the_file(suffix, tmp_path):
     if suffix == ".cif":
         block = gemmi.cif.read_string(text).sole_block()
         said = [gemmi.cif.as_string(each) for each in block.find_values("_protochain_repair.text")]
-        assert said == list(s.repairs)
+        assert said == sentences(s)
         (provenance,) = block.find_values("_protochain_provenance.text")
         assert gemmi.cif.as_string(provenance) == "WRITTEN FOR A TEST"
     else:
         remarks = [line for line in text.splitlines() if line.startswith("REMARK")]
         assert max(map(len, remarks)) <= 80 and remarks[0] == "REMARK   3 WRITTEN FOR A TEST"
         said = " ".join(line[11:].strip() for line in remarks)
-        assert all(" ".join(line.split()) in said for line in s.repairs)
+        assert all(" ".join(line.split()) in said for line in sentences(s))
         # As the format orders them: title, remarks, sequence, secondary structure, cell, atoms.
         order = [line[:6].strip() for line in text.splitlines()]
         places = [order.index(record) for record in ("TITLE", "REMARK", "SEQRES", "HELIX", "CRYST1", "ATOM")]

@@ -197,7 +197,7 @@ def test_straying_is_told_once_and_at_once():
         x = middle + (1.0 + share * FAR / size) * (s.positions - middle)
         look(x)
         assert len(told) == (share > 1.0) == bool(strayed(s, x))
-    assert told == ["2.1 angstrom from a start whose atoms overlapped; pc.relax keeps the fold"]
+    assert told == ["2.1 angstrom from a start whose atoms overlapped; relax keeps the fold"]
 
 
 def stretched(at):
@@ -217,9 +217,9 @@ def test_a_watcher_or_a_warning_says_that_a_run_strays_and_the_message_too():
             pass
 
     r = pc.minimise(c, pull, "cartesian", tolerance=0.01, watch=Watch())
-    assert len(told) == 1 and told[0].endswith("pc.relax keeps the fold")
+    assert len(told) == 1 and told[0].endswith("relax keeps the fold")
     assert r.message.endswith(
-        f"; {r.ca_rmsd_angstrom:.1f} angstrom from a start whose atoms overlapped; pc.relax keeps the fold; "
+        f"; {r.ca_rmsd_angstrom:.1f} angstrom from a start whose atoms overlapped; relax keeps the fold; "
         "to stay nearer: --restrain or --max-rmsd (restraint=, max_rmsd= in Python)"
     )
     with pytest.warns(StrayWarning, match="angstrom from a start whose atoms overlapped"):
@@ -271,7 +271,7 @@ def test_what_is_wrong_with_a_start_is_said_before(planted):
     assert rings == [str(ring) for ring in threaded_rings(planted)]
     assert last == (
         "hybrid: draws bonds out of rings, parts overlaps while springs hold the chain, then lets all atoms "
-        "go; pc.relax keeps the fold"
+        "go; relax keeps the fold"
     )
     assert "does not part overlaps" in outlook(planted, RECIPES["kcm"])[-1]
     assert "draws bonds out" in outlook(planted, RECIPES["cartesian"])[-1]
@@ -300,7 +300,7 @@ def test_a_ring_left_threaded_is_a_clash(planted, met, monkeypatch):
     status, message = verdict.verdict(Stop.TOLERANCE, met, "so far", s, s.positions, 5)
     assert (status, message) == (
         "clash",
-        f"clash: {ring}; cartesian and pc.relax try to draw it out; otherwise build these side chains anew; "
+        f"clash: {ring}; cartesian and relax try to draw it out; otherwise build these side chains anew; "
         "so far",
     )
     assert verdict.verdict(Stop.INTERRUPTED, met, "so far", s, s.positions, 5)[0] == "interrupted"

@@ -3,7 +3,7 @@
 import models
 import numpy as np
 import pytest
-from conftest import SAMPLES, energy, load
+from conftest import SAMPLES, energy, load, sentences
 
 import protochain as pc
 from protochain.minimisers.loop import Stop
@@ -75,7 +75,7 @@ def test_a_bond_beyond_the_barrier_is_turned_to_trans_in_the_first_round(bent):
     assert r.status == "converged" and len(r.rounds) == 1
     assert (r.measures_end["cis_peptides"], r.measures_end["twisted_peptides"]) == (0, 0)
     told = "residue 13 SER of chain A: twisted peptide bond before it turned to trans"
-    assert r.peptides_turned == (told,) and r.structure.repairs[-1] == told
+    assert [str(each) for each in r.peptides_turned] == [told] == sentences(r.structure)[-1:]
     assert r.record()["peptides_turned"] == [told] and r.ca_rmsd_angstrom < 0.4
     alone = pc.minimise(bent, pc.energy(bent), "cartesian", restraint=4184.0)
     assert np.sum(omegas(bent, alone.x).cis | omegas(bent, alone.x).twisted) == 1

@@ -1,16 +1,20 @@
 """The choices made while a file is read: alternates, residues of one number, disulfides, histidines."""
 
+from string import Formatter
+
 import gemmi
 import numpy as np
 import pytest
-from conftest import shared
+from conftest import noted, shared
 
 import protochain as pc
+from protochain.cli.options import as_option
+from protochain.residues import Residue
 from protochain.structure.bridges import disulfides
-from protochain.structure.changes import summarised
 from protochain.structure.conformation import likeliest, same_place
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.protonate import protonate
+from protochain.structure.repairs import EVERYTHING, Kind, Repair, summarised
 from protochain.structure.templates import templates
 
 
@@ -123,14 +127,19 @@ def test_changes_are_few_lines_losses_first_and_histidines_one(name, first, line
     assert "hydrogens added" in s.changes[-1]
 
 
+def repair(kind, place=("A", "1", "LYS"), **facts):
+    return Repair(kind, {"residue": Residue(*place), **facts})
+
+
 def test_histidines_are_told_by_state():
+    chosen, named = Kind.STATE_CHOSEN, Kind.STATE_NAMED
     changes = summarised(
         [
-            "residue 5 HIS of chain A taken as HID",
-            "residue 9 HIS of chain A taken as HIE",
-            "residue 12A HIS of chain (blank) taken as HID",
-            "residue 4 HIP of chain B: taken as HIS in protonation state HIP",
-            "residue 5 ASP of chain A taken as ASH",
+            repair(chosen, ("A", "5", "HIS"), state="HID"),
+            repair(chosen, ("A", "9", "HIS"), state="HIE"),
+            repair(chosen, ("", "12A", "HIS"), state="HID"),
+            repair(named, ("B", "4", "HIP"), name="HIS", state="HIP"),
+            repair(chosen, ("A", "5", "ASP"), state="ASH"),
         ]
     )
     assert changes == (
@@ -139,30 +148,59 @@ def test_histidines_are_told_by_state():
     )
 
 
-def test_every_line_is_told_once_alone_or_in_a_group():
-    hydrogens = "12 hydrogens added at pH 7 (0 were in the file)"
-    gap = (
-        "chain A is broken between 3 and 5A (5.0 angstrom): split there, with charged termini; to avoid it, "
-        "model the missing residues"
-    )
+def test_every_repair_is_told_once_alone_or_in_a_group():
+    hydrogens = Repair(Kind.HYDROGENS_ADDED, {"count": 12, "ph": 7, "present": 0})
+    last, first = Residue("A", "3", "SER"), Residue("", "5A", "GLY")
+    gap = Repair(Kind.GAP, {"last": last, "first": first, "length": 5.0})
+    waters = Repair(Kind.WATERS_LEFT_OUT, {"count": 3, "remedy": EVERYTHING})
     lost = [
-        "residue 4 SER of chain A: alternate location A kept (occupancy 0.60), SER B left out",
-        "residue 7 GLY of chain A: left out: it is bonded to no other residue",
-        "model 1 used, 9 other models left out",
+        repair(Kind.ALTERNATES, ("A", "4", "SER"), taken="A", occupancy=0.6, others=("SER B",)),
+        repair(Kind.NO_BACKBONE, ("A", "7", "GLY"), atom="N"),
+        Repair(Kind.MODELS_LEFT_OUT, {"taken": 1, "count": 9}),
     ]
     changed = [
-        "something that no rule knows",
-        "residue 3 LYS of chain B: missing OXT added",
-        "disulfide bond between residue 3 CYS of chain A and residue 9 CYS of chain A",
+        noted("CB"),
+        repair(Kind.OXT_ADDED, ("B", "3", "LYS")),
+        Repair(Kind.BRIDGE, {"first": last, "second": first}),
     ]
-    many = [f"residue {n} LYS of chain A: missing CE, NZ added" for n in range(20)]
+    many = [repair(Kind.ATOMS_ADDED, ("A", f"{n}", "LYS"), atoms=("CE", f"N{n}")) for n in range(20)]
     places = ", ".join(f"A:{n} LYS" for n in range(8))
-    assert summarised([hydrogens, *changed, "3 waters left out", *lost, gap, "1 HEM left out", *many]) == (
-        "left out: 1 HEM, 3 waters",
-        gap,
-        *lost,
-        *changed,
+    given = [hydrogens, *changed, *lost, gap, waters, *many]
+    assert summarised(given) == (
+        *map(str, (waters, gap, *lost, *changed)),
         f"missing atoms added in 20 residues: {places} and 12 more",
-        hydrogens,
+        str(hydrogens),
     )
-    assert summarised(()) == ()
+    assert summarised(()) == () and summarised([waters, waters]) == (str(waters),)
+    assert summarised([gap, gap])[0].startswith(
+        "split at 2 gaps in the chains, with charged termini: A:3-5A (5.0"
+    )
+
+
+def test_whoever_reads_a_repair_hears_of_arguments_in_their_words():
+    waters = Repair(Kind.WATERS_LEFT_OUT, {"count": 3, "remedy": EVERYTHING})
+    said = "3 waters left out: the solvent is implicit; {} keeps everything"
+    assert str(waters) == said.format('keep="all"')
+    for words in (waters.told(as_option), *summarised([waters], as_option)):
+        assert words == said.format("--keep all")
+
+
+@pytest.mark.parametrize("kind", Kind)
+def test_every_kind_of_repair_is_told_by_its_facts(kind):
+    """Each stands in the sentence; what is said of many is not about one residue."""
+    names = {name.partition(".")[0] for _, name, _, _ in Formatter().parse(kind.value.one) if name}
+    given = {name: FACTS.get(name, f"<{name}>") for name in names}
+    told = str(Repair(kind, given))
+    for name, value in given.items():
+        if name != "last" and name != "first":
+            assert all(str(each) in told for each in (value if isinstance(value, tuple) else (value,)))
+    assert "{" not in told and "{residue}" not in kind.value.many
+    assert not kind.value.many or kind.value.one.startswith("{residue}")
+
+
+FACTS = {
+    "residue": Residue("A", "1", "LYS"), "last": Residue("A", "1", "LYS"), "first": Residue("B", "2", "GLY"),
+    "second": Residue("B", "3", "GLY"), "count": 3, "length": 2.5, "occupancy": 0.25, "ph": 4.5,
+    **dict.fromkeys(("atoms", "others", "counts", "bare", "ends", "pairs", "changes"), ("<one>", "<two>")),
+    "residues": ("<one>",),
+}  # fmt: skip

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import sentences
 
 import protochain as pc
 from protochain.structure import protonate as module
@@ -80,7 +81,7 @@ def matched(*atoms):
     renamed = module._match(draft, one, MADE)
     after = [(a.name, *np.round(a.pos.tolist(), 6).tolist(), a.b_iso) for a in one.atoms]
     assert [a.element.name for a in one.atoms] == [a.name[0] for a in one.atoms]
-    return renamed, after, draft.repairs
+    return renamed, after, sentences(draft)
 
 
 HEAVY = (("C1", 0.0, 0.0, 0.0), ("O1", 3.0, 0.0, 0.0), ("N1", 9.0, 0.0, 0.0))
@@ -126,7 +127,7 @@ def test_hydrogens_are_counted_and_said():
         ["N", "H", "CA", "HA2", "HA3", "C", "O"],
         ["N", "H", "CA", "HA2", "HA3", "C", "O"],
     ]
-    assert draft.repairs == [
+    assert sentences(draft) == [
         "2 hydrogens with unknown names renamed after their parent atoms",
         "8 hydrogens added at pH 6.5 (3 were in the file)",
     ]
@@ -153,22 +154,22 @@ def test_states_that_are_chosen_are_said_and_those_of_the_file_are_not():
         "GLH",
         "CALA",
     ]
-    assert draft.repairs[:3] == [
+    assert sentences(draft)[:3] == [
         "residue 1 HIS of chain A taken as HIP", "residue 2 ASP of chain A taken as ASH",
         "residue 6 GLU of chain A taken as GLH",
     ]  # fmt: skip
-    assert draft.repairs[3].endswith("hydrogens added at pH 4.4 (0 were in the file)")
+    assert sentences(draft)[3].endswith("hydrogens added at pH 4.4 (0 were in the file)")
     ends = [member("ASP", 1, ("CA", 0.0, 0.0, 0.0)), member("HIS", 2, ("CA", 9.0, 0.0, 0.0))]
     draft = Draft("x", "x", [Part("A", ends)])
     done = protonate(draft, templates(), set(), 2.0)
     assert [template.name for _, template in done] == ["NASP", "CHIP"]
-    assert draft.repairs[:2] == [
+    assert sentences(draft)[:2] == [
         "residue 1 ASP of chain A: kept in its usual state: the force field has no terminal ASH",
         "residue 2 HIS of chain A taken as HIP",
     ]
     neutral = Draft("x", "x", [Part("A", chain("HIS"))])
     assert protonate(neutral, templates(), set(), 7.0)[1][1].name == "HID"
-    assert neutral.repairs[0] == "residue 1 HIS of chain A taken as HID"
+    assert sentences(neutral)[0] == "residue 1 HIS of chain A taken as HID"
 
 
 @pytest.mark.parametrize("element", ["O", "N", "C", "S"])

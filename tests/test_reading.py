@@ -3,6 +3,7 @@
 import gemmi
 import numpy as np
 import pytest
+from conftest import sentences
 
 import protochain as pc
 from protochain.structure import read as module
@@ -69,7 +70,7 @@ def test_bonded_residues_are_one_part_and_nothing_is_said():
     assert [(m.chain_id, m.number, m.insertion_code, m.state) for m in draft.members] == [
         ("A", "1", "", ""), ("A", "2", "B", "HIE"), ("A", "3", "", ""),
     ]  # fmt: skip
-    assert draft.repairs == ["residue 2B HIE of chain A: taken as HIS in protonation state HIE"]
+    assert sentences(draft) == ["residue 2B HIE of chain A: taken as HIS in protonation state HIE"]
     assert dict(draft.left_out) == {}
 
 
@@ -80,7 +81,7 @@ def test_models_go_by_their_numbers(numbers, said):
     many[1].add_chain(structure(("B", alanines(2)))[0][0])
     draft = read_structure(many, Draft("x", "x"), Reading())
     n = len(numbers) - 1
-    assert draft.repairs == [f"model {numbers[0]} used, {n} other models left out"]
+    assert sentences(draft) == [f"model {numbers[0]} used, {n} other models left out"]
     assert dict(draft.left_out) == {"models": n} and draft.parts[0].chain_id == "A"
     second = read_structure(many, Draft("x", "x"), Reading(model=numbers[1]))
     assert second.parts[0].chain_id == "B" and second.repairs == [] and dict(second.left_out) == {"models": n}
@@ -113,7 +114,7 @@ def test_a_file_without_a_protein_says_what_there_is():
     )
     draft = taken(*alanines(2), water, iron, heavy, other, third)
     assert dict(draft.left_out) == {"waters": 3, "XQQ": 2, "deuterium atoms": 1}
-    assert draft.repairs == [
+    assert sentences(draft) == [
         '3 waters, 2 XQQ left out; keep="all" keeps everything',
         "1 deuterium atoms left out",
     ]
@@ -127,7 +128,7 @@ def test_a_trace_of_c_alphas_is_refused_though_it_has_a_cap():
     assert refused(*trace, chain=" ") == f"x: chain (blank) {said}"
     draft = taken(trace[0], residue("ALA", 2), residue("ALA", 3))
     assert names(draft) == [["ALA2", "ALA3"]] and dict(draft.left_out) == {"ALA": 1}
-    assert draft.repairs == [
+    assert sentences(draft) == [
         '1 ALA left out; keep="all" keeps everything',
         "chain A is broken between 1 and 2 (inf angstrom): split there, with charged termini; "
         "to avoid it, model the missing residues",
@@ -150,14 +151,14 @@ def test_alternates_and_repeated_atoms_of_the_protein_are_said():
     made[2].name = "XQQ"
     draft = taken(*made[:2], residue("ALA", 3), residue("XQQ", 9, atoms=["O", "O"]))
     first, second = "residue 1 MSE of chain A", "residue 2 ALA of chain A"
-    assert draft.repairs == [
+    assert sentences(draft) == [
         '1 XQQ left out; keep="all" keeps everything',
         f"{first}: alternate location B kept (occupancy 0.75), MSE A left out",
         f"{second}: CB given more than once; the first of each kept",
         f"{first}: selenomethionine converted to MET",
     ]
     assert dict(draft.left_out) == {"alternate locations": 1, "repeated atoms": 1, "XQQ": 1}
-    assert "A kept (occupancy 0.25), MSE B left out" in taken(*made[:2], altloc="A").repairs[0]
+    assert "A kept (occupancy 0.25), MSE B left out" in sentences(taken(*made[:2], altloc="A"))[0]
 
 
 def test_heavy_atoms_of_zero_occupancy_are_counted():
@@ -165,9 +166,11 @@ def test_heavy_atoms_of_zero_occupancy_are_counted():
     made[0][4].occ = 0.0
     for k in (0, 5):
         made[1][k].occ = 0.0
-    assert taken(*made).repairs == ["2 atoms of zero occupancy kept, in residue 2 ALA of chain A"]
+    assert sentences(taken(*made)) == ["2 atoms of zero occupancy kept, in residue 2 ALA of chain A"]
     made[2][0].occ = 0.0
-    assert taken(*made).repairs == ["3 atoms of zero occupancy kept, in residue 2 ALA of chain A and 1 more"]
+    assert sentences(taken(*made)) == [
+        "3 atoms of zero occupancy kept, in residue 2 ALA of chain A and 1 more"
+    ]
 
 
 def test_elements_of_amino_acids_and_caps_follow_their_names():
@@ -183,7 +186,7 @@ def test_elements_of_amino_acids_and_caps_follow_their_names():
 def test_d_cysteine_is_no_nucleotide_and_d_glutamine_no_nucleoside():
     draft = taken(residue("DCY", 1), residue("DGN", 2), residue("HYP", 3), residue("ALA", 4))
     assert names(draft)[0] == ["CYS1", "GLN2", "HYP3", "ALA4"]
-    assert draft.repairs[:2] == [
+    assert sentences(draft)[:2] == [
         "residue 1 DCY of chain A: D-amino acid, with the parameters of its mirror image",
         "residue 2 DGN of chain A: D-amino acid, with the parameters of its mirror image",
     ]
@@ -201,7 +204,7 @@ def test_caps_have_the_force_fields_names_and_stand_at_the_ends():
     assert [a.name for a in amide.members[-1].atoms] == ["N", "HN1"]
     wrong = taken(residue("NME", 0, atoms=["N"]), *alanines(2), residue("ACE", 3, atoms=["C", "O"]))
     assert names(wrong) == [["ALA1", "ALA2"]] and dict(wrong.left_out) == {"NME": 1, "ACE": 1}
-    assert wrong.repairs == [
+    assert sentences(wrong) == [
         "residue 0 NME of chain A: left out: this cap is not at the end of a chain",
         "residue 3 ACE of chain A: left out: this cap is not at the end of a chain",
     ]
@@ -213,16 +216,16 @@ def test_what_is_kept_is_said_and_what_has_no_element_is_left_out():
     ligand, odd = residue("XQQ", 9, atoms=["S"]), residue("XQR", 10, atoms=[("Q", "X")])
     beside = residue("WAT", 9, atoms=["O"]), ligand, odd
     bare = "(XQQ by element, unless the force field has parameters)"
-    unknown = '1 XQR (of unknown element) left out; keep="all" keeps everything'
+    unknown = '1 XQR (its element is unknown) left out; keep="all" keeps everything'
     named = taken(*alanines(2), *beside, keep=("XQQ",))
     assert names(named) == [["ALA1", "ALA2"], ["XQQ9"]] and dict(named.left_out) == {"waters": 1, "XQR": 1}
-    assert named.repairs == [f"1 waters, {unknown}", f"1 XQQ kept beside the protein {bare}"]
+    assert sentences(named) == [f"1 waters, {unknown}", f"1 XQQ kept beside the protein {bare}"]
     kept = taken(*alanines(2), *beside, keep=("all",))
     assert names(kept) == [["ALA1", "ALA2"], ["HOH9"], ["XQQ9"]] and dict(kept.left_out) == {"XQR": 1}
     assert [part.obstacle for part in kept.parts] == [False, True, True]
     assert [member.own is not None for member in kept.members] == [False, False, False, True]
     assert kept.members[-1].own.element == {"S": "S"}
-    assert kept.repairs == [unknown, f"1 waters, 1 XQQ kept beside the protein {bare}"]
+    assert sentences(kept) == [unknown, f"1 waters, 1 XQQ kept beside the protein {bare}"]
     assert refused(*alanines(2), keep=("XQQ", "salt")) == (
         "keep 'salt' is not known; give none, near, all, water, ions, nucleic, ligands or names of residues"
     )
@@ -245,7 +248,7 @@ def test_modified_residues_become_their_parents():
         ["HD1", "HE2", "H", "H1", "H2", "H3", "OXT"],
     ]
     assert [draft.members[k].atom(s).element.name for k, s in ((0, "SD"), (1, "SG"))] == ["S", "S"]
-    assert draft.repairs == [
+    assert sentences(draft) == [
         "residue 1 MSE of chain A: selenomethionine converted to MET",
         "residue 2 CSO of chain A: converted to its standard parent CYS, OD left out",
         "residue 3 CSO of chain A: converted to its standard parent CYS, S1, S2 left out",
@@ -262,14 +265,14 @@ def test_an_unknown_amino_acid_is_refused_in_a_chain_and_left_out_alone():
     draft = taken(*alanines(2), residue("XQQ", 9), residue("ALA", 20), residue("ALA", 21))
     assert names(draft) == [["ALA1", "ALA2"], ["ALA20", "ALA21"]]
     assert dict(draft.left_out) == {"XQQ": 1}
-    assert draft.repairs == ['1 XQQ left out; keep="all" keeps everything']
+    assert sentences(draft) == ['1 XQQ left out; keep="all" keeps everything']
 
 
 def test_a_residue_that_lacks_its_backbone_is_left_out():
     made = [*alanines(2), residue("ALA", 3, atoms=["CA", "O"]), residue("ALA", 4), residue("ALA", 5)]
     draft = taken(*made)
     assert names(draft) == [["ALA1", "ALA2"], ["ALA4", "ALA5"]]
-    assert draft.repairs[0] == "residue 3 ALA of chain A: left out: its backbone atom N is missing"
+    assert sentences(draft)[0] == "residue 3 ALA of chain A: left out: its backbone atom N is missing"
     assert dict(draft.left_out) == {"incomplete residues": 1} and len(draft.repairs) == 2
     assert refused(*made, strict=True) == (
         "x: residue 3 ALA of chain A: atom N missing; rebuild the backbone or remove the residue"
@@ -295,7 +298,7 @@ def test_a_chain_breaks_where_c_and_n_are_two_angstrom_apart(gap, broken):
         [["ALA1", "ALA2"], ["ALA4", "ALA5"]] if broken else [["ALA1", "ALA2", "ALA4", "ALA5"]]
     )
     assert (
-        draft.repairs
+        sentences(draft)
         == [f"{where}: split there, with charged termini; to avoid it, model the missing residues"] * broken
     )
     if broken:
@@ -309,13 +312,13 @@ def test_a_chain_breaks_where_c_and_n_are_two_angstrom_apart(gap, broken):
 def test_a_bond_of_consecutive_numbers_is_torn_before_it_is_a_break(gap, torn):
     draft = taken(*apart(gap, 3), strict=torn is not None)
     if torn is None:
-        assert len(names(draft)) == 2 and "broken between 2 and 3 (3.0 angstrom)" in draft.repairs[0]
+        assert len(names(draft)) == 2 and "broken between 2 and 3 (3.0 angstrom)" in sentences(draft)[0]
     else:
         assert names(draft) == [["ALA1", "ALA2", "ALA3", "ALA4"]]
         where = (
             f"the bond of residue 2 ALA of chain A and residue 3 ALA of chain A is {gap:.1f} angstrom long"
         )
-        assert draft.repairs == [f"{where}: kept as a peptide bond"] * torn
+        assert sentences(draft) == [f"{where}: kept as a peptide bond"] * torn
 
 
 def test_a_break_at_a_terminus_or_a_cap_is_no_surprise():
@@ -343,7 +346,7 @@ def test_four_residues_whose_ends_meet_are_a_ring(n, gap, bonded):
     closed = bonded and n == 4
     assert draft.parts[0].cyclic is closed
     last = f"residue {n} ALA of chain A"
-    assert draft.repairs == [f"chain A is cyclic: {last} is bonded to residue 1 ALA of chain A"] * closed
+    assert sentences(draft) == [f"chain A is cyclic: {last} is bonded to residue 1 ALA of chain A"] * closed
     link = gemmi.Connection()
     link.type = gemmi.ConnectionType.Covale
     link.partner1 = gemmi.AtomAddress("A", gemmi.SeqId(1, " "), "ALA", "N")
@@ -374,12 +377,12 @@ def test_a_name_comes_from_the_file_and_an_end_is_missed(tmp_path, monkeypatch):
     for name, stem in (("a.b.pdb", "a.b"), ("c.pdb.GZ", "c")):
         (tmp_path / name).write_text(text)
         draft = read(tmp_path / name)
-        assert (draft.name, draft.source, draft.repairs) == (stem, str(tmp_path / name), [])
+        assert (draft.name, draft.source, sentences(draft)) == (stem, str(tmp_path / name), [])
     water = "HETATM   99  O   HOH A   9       1.000   9.000   3.000  1.00  0.00           O  \n"
     oxygen = water.replace("HETATM   99  O   HOH A   9", "ATOM     98  OXT ALA A   3")
     place = tmp_path / "x.pdb"
     place.write_text(unended + water)
-    assert read(place, Reading(keep=("water",))).repairs == [
+    assert sentences(read(place, Reading(keep=("water",)))) == [
         "1 waters kept beside the protein",
         "the file ends at residue 3 ALA of chain A without an END record or a terminal oxygen: "
         "check that it is complete",

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import gemmi
 import numpy as np
 import pytest
-from conftest import chain
+from conftest import chain, sentences
 from scipy.spatial.transform import Rotation
 
 from protochain.frame import Frame
@@ -56,7 +56,7 @@ def test_a_record_holds_each_value_under_its_name():
         "forcefield": "amber14", "solvent": "obc2", "hinges": "phi psi chi", "tolerance": 1.0,
         "tolerance_unit": "kJ/mol/rad", "move": "all", "restraint_kj_mol_nm2": [100.0],
         "max_rmsd_angstrom": 0.5, "left_out": {}, "constant_terms": {"bonds": 3, "angles": 4},
-        "lost_atoms": [], "n_lost_atoms": 0, "far_molecules": [], "repairs": list(c.structure.repairs),
+        "lost_atoms": [], "n_lost_atoms": 0, "far_molecules": [], "repairs": sentences(c.structure),
         "seed": 9, "threads": 2,
     }  # fmt: skip
     assert solution().record() == expected and list(solution().record()) == list(expected)
@@ -168,10 +168,10 @@ def test_the_provenance_of_a_structure(tmp_path):
     # The file itself lists what was changed, once.
     s.save(tmp_path / "a.cif")
     block = gemmi.cif.read(str(tmp_path / "a.cif")).sole_block()
-    for category, lines in (("provenance", s.provenance()), ("repair", c.structure.repairs)):
+    for category, lines in (("provenance", s.provenance()), ("repair", sentences(c.structure))):
         said = [gemmi.cif.as_string(each) for each in block.find_values(f"_protochain_{category}.text")]
         assert said == list(lines) and said
-    assert any("alternate location" in line for line in c.structure.repairs)
+    assert any("alternate location" in line for line in sentences(c.structure))
 
 
 def test_a_recorder_numbers_its_rows_and_measures_rmsds_afterwards(monkeypatch):

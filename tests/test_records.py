@@ -5,7 +5,7 @@ from dataclasses import replace
 import gemmi
 import numpy as np
 import pytest
-from conftest import MORE_STRUCTURES, STRUCTURES, load, shared
+from conftest import MORE_STRUCTURES, STRUCTURES, load, noted, shared
 from openmm import app
 from test_write import ring
 
@@ -313,8 +313,10 @@ def test_any_label_seq_id_is_read_and_the_sequence_is_that_of_the_residues(place
 
 
 def test_every_model_has_its_own_coordinates_repairs_and_cis_peptides(tmp_path):
-    first = replace(load("ala10.pdb"), repairs=("of the first",))
-    second = replace(first.with_positions(first.positions + 0.1), repairs=("of the second",), model_number=2)
+    first = replace(load("ala10.pdb"), repairs=(noted("of the first"),))
+    second = replace(
+        first.with_positions(first.positions + 0.1), repairs=(noted("of the second"),), model_number=2
+    )
     # The amide plane turned over: omega from 180 to 0 is the next residue mirrored in that plane.
     x = second.positions.copy()
     at = {str(n): k for k, n in enumerate(first.atom_name) if first.atom_residue[k] == 4}

@@ -333,5 +333,5 @@ def test_hands_are_announced_and_told(monkeypatch, tmp_path, capsys):
     tell_plan(tmp_path / "x.pdb", s, pc.energy(s, solvent="vacuum"))
     assert "of the wrong hand" not in capsys.readouterr().err
     r = pc.relax(wrong, threads=1, solvent="vacuum")
-    print_relaxed(r.record() | {"output": "x.pdb"})
+    print_relaxed(r, r.record() | {"output": "x.pdb"})
     assert "residue 4 ALA of chain A: CA of the wrong hand turned right\n" in capsys.readouterr().out

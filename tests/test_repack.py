@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from conftest import load, shared
+from conftest import load, sentences, shared
 from models import planted_rings
 
 import protochain as pc
@@ -266,7 +266,7 @@ def test_random_side_chains_come_back():
     turned_residues = set(native.atom_residue[moved].tolist())
     assert set(chosen) >= turned_residues
     assert not moved[np.isin(native.atom_name, ["N", "CA", "C", "O", "CB", "HA"])].any()
-    lines = found.repairs[len(given.repairs) :]
+    lines = sentences(found)[len(given.repairs) :]
     assert len(lines) == len(turned_residues)
     assert all(any(native.describe_residue(r) in line for line in lines) for r in turned_residues)
     assert any("side chains turned in" in line for line in found.changes)
@@ -371,7 +371,7 @@ def test_relaxing_turns_them_first_and_tells():
     assert plain.turned == () and plain.record()["side_chains_turned"] == []
     expected = repacked(given, energy=done.energy_function)
     assert done.turned == expected.repairs[len(given.repairs) :] != ()
-    assert done.record()["side_chains_turned"] == list(done.turned)
+    assert done.record()["side_chains_turned"] == [str(each) for each in done.turned]
     assert done.structure.repairs == expected.repairs and done.start is given
     # The springs lead to the turned side chains.
     turned_atoms = (expected.positions != given.positions).any(axis=1) & (given.atom_element != "H")

@@ -1,7 +1,7 @@
 import gemmi
 import numpy as np
 import pytest
-from conftest import PDB_ROUNDING_NM, STRUCTURES, load, shared
+from conftest import PDB_ROUNDING_NM, STRUCTURES, load, sentences, shared
 
 import protochain as pc
 from protochain.chain import dihedral
@@ -75,7 +75,7 @@ def test_heavy_atoms_stay_where_they_were(name):
 
 
 def test_every_change_is_said():
-    repairs = "\n".join(load("3i40.pdb").repairs)
+    repairs = "\n".join(sentences(load("3i40.pdb")))
     assert "35 waters left out" in repairs
     # The file says them itself.
     assert "disulfide" not in repairs
@@ -107,7 +107,7 @@ def test_crambin_keeps_the_likelier_alternate_and_says_so():
     names = dict(zip(s.residue_number, s.residue_name, strict=True))
     assert (names["22"], names["25"]) == ("PRO", "LEU")
     for number in ("22", "25"):
-        assert any(line.startswith(f"residue {number} ") and "left out" in line for line in s.repairs)
+        assert any(line.startswith(f"residue {number} ") and "left out" in line for line in sentences(s))
     for r in range(s.n_residues):
         atoms = s.atom_name[s.atom_residue == r]
         assert len(set(atoms)) == len(atoms)
@@ -149,14 +149,14 @@ def test_missing_side_chain_atoms_are_added_and_named(tmp_path):
     ]
     assert len(gone) == len(lines_of("1ubq.pdb")) - 1
     s = pc.load(written(tmp_path, "".join(gone)))
-    assert "residue 8 LEU of chain A: missing CD1 added" in s.repairs
+    assert "residue 8 LEU of chain A: missing CD1 added" in sentences(s)
     assert s.n_atoms == load("1ubq.pdb").n_atoms
 
 
 def test_a_terminal_oxygen_is_where_the_files_own_was(tmp_path):
     gone = [line for line in lines_of("1ubq.pdb") if line[12:16] != " OXT"]
     s, file = pc.load(written(tmp_path, "".join(gone))), load("1ubq.pdb")
-    assert any(line.endswith("missing OXT added") for line in s.repairs)
+    assert any(line.endswith("missing OXT added") for line in sentences(s))
     (ours,), (theirs,) = (np.flatnonzero(each.atom_name == "OXT") for each in (s, file))
     assert np.linalg.norm(s.positions[ours] - file.positions[theirs]) < OXYGEN_NM
 
@@ -167,7 +167,7 @@ def test_a_broken_chain_becomes_two_under_one_id(tmp_path):
     ]
     s = pc.load(written(tmp_path, "".join(gone)))
     assert s.n_chains == 2 and set(s.residue_chain) == {"A"}
-    assert any("chain A is broken between 29 and 34" in line for line in s.repairs)
+    assert any("chain A is broken between 29 and 34" in line for line in sentences(s))
     first, second = s.bonds.T
     assert np.linalg.norm(s.positions[first] - s.positions[second], axis=1).max() < 0.22
     pc.save(s, tmp_path / "out.cif")
@@ -193,7 +193,7 @@ def test_the_parts_of_a_broken_chain_are_different_molecules_in_mmcif(tmp_path):
 
 def test_selenomethionine_and_gaps_in_real_entries():
     s = pc.load(shared("1a8o_mse.pdb"))
-    assert sum("selenomethionine converted to MET" in line for line in s.repairs) == 4
+    assert sum("selenomethionine converted to MET" in line for line in sentences(s)) == 4
     assert "Se" not in set(s.atom_element)
 
 
@@ -230,7 +230,7 @@ def test_a_name_of_a_protonation_state_is_taken_at_its_word(tmp_path):
     heavy = [line for line in text.splitlines(True) if line[76:78].strip() != "H"]
     path = written(tmp_path, "".join(heavy).replace("ASP A   9", "ASH A   9"))
     s = pc.load(path)
-    assert any(line.startswith("residue 9 ASH of chain A: taken as ASP") for line in s.repairs)
+    assert any(line.startswith("residue 9 ASH of chain A: taken as ASP") for line in sentences(s))
     assert "HD2" in s.atom_name[s.atom_residue == 8] and s.n_atoms == load("1l2y.pdb").n_atoms + 1
 
 
@@ -247,9 +247,9 @@ def test_a_file_of_ours_that_was_cut_is_refused(tmp_path):
 def test_a_file_without_an_end_is_taken_with_a_warning(tmp_path):
     text = (STRUCTURES / "ala10.pdb").read_text()
     atoms = [line for line in text.splitlines(True) if line.startswith("ATOM")]
-    assert not any("ends at" in line for line in pc.load(written(tmp_path, "".join(atoms))).repairs)
+    assert not any("ends at" in line for line in sentences(pc.load(written(tmp_path, "".join(atoms)))))
     cut = [line for line in atoms if int(line[22:26]) <= 8]
-    said = pc.load(written(tmp_path, "".join(cut))).repairs[0]
+    said = sentences(pc.load(written(tmp_path, "".join(cut))))[0]
     assert "ends at residue 8 ALA of chain A" in said and "complete" in said
 
 
@@ -290,7 +290,7 @@ def test_a_residue_without_its_backbone_is_left_out_and_said_or_refused(tmp_path
     with pytest.raises(pc.ProtochainError, match="residue 18 GLU of chain A: atom C missing"):
         pc.load(path, strict=True)
     s = pc.load(path)
-    assert "residue 18 GLU of chain A: left out: its backbone atom C is missing" in s.repairs
+    assert "residue 18 GLU of chain A: left out: its backbone atom C is missing" in sentences(s)
     assert s.n_residues == 75 and s.n_chains == 2
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import noted
 from matplotlib.image import imread
 
 import protochain as pc
@@ -226,9 +227,9 @@ def test_curves_are_scaled_to_all_runs_together():
 def test_a_structures_page_is_written_with_its_curves_and_repairs(tmp_path):
     (tmp_path / "pages").mkdir()
     row = Row(failure(JOBS[0], "kcm", "budget", "used up").record, points((1, 4.0), (100, 0.0)))
-    write_page(tmp_path, JOBS[0], [row], ["a hydrogen added"])
+    write_page(tmp_path, JOBS[0], [row], [noted("<CB>")])
     page = (tmp_path / "pages" / "one.html").read_text()
-    for text in ("a hydrogen added", "used up", 'points="0.0,0.0 640.0,240.0"', "640", "240", "one"):
+    for text in ("&lt;CB&gt;", "used up", 'points="0.0,0.0 640.0,240.0"', "640", "240", "one"):
         assert text in page
     assert [path.name for path in (tmp_path / "pages").iterdir()] == ["one.html"]
 

@@ -6,7 +6,6 @@ import protochain as pc
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.templates import (
     Template,
-    base_template,
     rename,
     standard_name,
     template_name,
@@ -147,16 +146,14 @@ def members(*names):
 )
 def test_ends_of_chains_and_strands_have_templates_of_their_own(names, kinds, expected):
     part = Part("A", members(*names), **kinds)
-    assert [base_template(Asked(), part, i) for i in range(len(names))] == [f"template {e}" for e in expected]
+    assert [part.template(Asked(), i) for i in range(len(names))] == [f"template {e}" for e in expected]
 
 
 def test_a_state_takes_the_place_of_the_usual_one():
     part = Part("A", members("HIS", "HIS", "ASP"))
-    found = [base_template(Asked(), part, i, state) for i, state in enumerate(("HIP", "HID", "ASH"))]
+    found = [part.template(Asked(), i, state) for i, state in enumerate(("HIP", "HID", "ASH"))]
     assert found == ["template NHIP", "template HID", "template CASH"]
-    assert (
-        base_template({}, part, 0) is None and template_name("ALA") == "ALA" and template_name("NH2") == "NHE"
-    )
+    assert part.template({}, 0) is None and template_name("ALA") == "ALA" and template_name("NH2") == "NHE"
 
 
 def test_atoms_are_renamed_once_and_never_to_a_name_that_is_there():

@@ -25,7 +25,7 @@ MESSAGES = {
     Stop.STRAINED: (
         "stalled",
         "stalled: bonds, angles and contacts are strained beyond what turning bonds can relieve without "
-        "unfolding the chain; pc.relax moves all atoms and keeps the fold: so far",
+        "unfolding the chain; relax moves all atoms and keeps the fold: so far",
     ),
     Stop.SADDLE: ("stalled", "stalled: the energy falls on both sides of where the torques vanish: so far"),
     Stop.INTERRUPTED: ("interrupted", "interrupted after 7 evaluations: so far"),

@@ -5,6 +5,7 @@ from dataclasses import replace
 import gemmi
 import numpy as np
 import pytest
+from conftest import noted
 from openmm import app
 
 import protochain as pc
@@ -73,8 +74,8 @@ def test_a_pdb_file_has_its_remarks_links_and_atoms_in_their_columns_and_an_end(
     remarks = ["one", "", 68 * "x", 68 * "y" + "zz", " ".join(20 * ["word"])]
     expected = ["one", "", 68 * "x", 68 * "y", "  zz", " ".join(13 * ["word"]), "  " + " ".join(7 * ["word"])]
     assert as_text(ring(), ".ent", remarks) == "".join(f"REMARK   3 {line}\n" for line in expected) + RING_PDB
-    repaired = replace(ring(), repairs=("two", "three"))
-    head = "REMARK   3 one\nREMARK   3 two\nREMARK   3 three\n"
+    repaired = replace(ring(), repairs=(noted("two"), noted("three")))
+    head = f"REMARK   3 one\nREMARK   3 {noted('two')}\nREMARK   3 {noted('three')}\n"
     assert as_text(repaired, ".pdb", ["one"]) == head + RING_PDB
     half = as_text(replace(ring(), occupancy=np.where(np.arange(14) == 5, 0.5, 1.0)), ".pdb")
     assert half == RING_PDB.replace("  1.00  5.50 ", "  0.50  5.50 ") != RING_PDB
@@ -83,7 +84,7 @@ def test_a_pdb_file_has_its_remarks_links_and_atoms_in_their_columns_and_an_end(
 
 
 def test_an_mmcif_file_has_its_remarks_entities_links_and_atoms():
-    text = as_text(replace(ring(), repairs=("a repair",)), ".cif", ["one", "it's two", ""])
+    text = as_text(replace(ring(), repairs=(noted("a repair"),)), ".cif", ["one", "it's two", ""])
     # The mark of a whole file of the archive.
     assert text.endswith("\n#\n") and text.count("\n#\n") > 5
     block = gemmi.cif.read_string(text).sole_block()
@@ -93,7 +94,7 @@ def test_an_mmcif_file_has_its_remarks_entities_links_and_atoms():
         return [[gemmi.cif.as_string(cell) for cell in row] for row in block.find(f"_{category}.", names)]
 
     assert rows("protochain_provenance", "ordinal", "text") == [["1", "one"], ["2", "it's two"], ["3", ""]]
-    assert rows("protochain_repair", "ordinal", "text") == [["1", "a repair"]]
+    assert rows("protochain_repair", "ordinal", "text") == [["1", str(noted("a repair"))]]
     assert rows("entity", "id", "type") == [["A", "polymer"], ["x1", "water"]]
     assert rows("struct_asym", "id", "entity_id") == [["A", "A"], ["x1", "x1"]]
     sequence = rows("entity_poly_seq", "entity_id", "num", "mon_id")

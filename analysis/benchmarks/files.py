@@ -50,7 +50,7 @@ def table(folder: Path, quick: bool) -> pd.DataFrame:
                 "atoms": s.n_atoms,
                 "repairs": len(s.repairs),
             }
-            row["first repair"] = next(iter(s.repairs), "")
+            row["first repair"] = next(map(str, s.repairs), "")
         except pc.ProtochainError as error:
             row["refused"] = str(error).removeprefix(f"{path}: ")
         rows.append(row | {"seconds": perf_counter() - began})

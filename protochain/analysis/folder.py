@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from protochain.errors import ProtochainError
+from protochain.errors import Argument, ProtochainError
 from protochain.storage import check_writable
 
 TABLES = ("summary", "equal_cost", "work", "spread", "displacement", "traces", "quality")
@@ -36,7 +36,9 @@ def check_folder(folder: Path, force: bool) -> None:
     there = [name for name in (_PAGE, *_names()) if (folder / name).exists()]
     if there and not force:
         raise ProtochainError(
-            f"{folder}: holds a comparison ({there[0]}); give another folder, or force=True to replace it"
+            f"{folder}: holds a comparison ({there[0]}); give another folder, or ",
+            Argument("force", True),
+            " to replace it",
         )
 
 

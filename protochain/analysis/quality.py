@@ -111,13 +111,9 @@ def _bond_angles(structure: Structure) -> Floats:
 
 def _triples(structure: Structure) -> Integers:
     """Atoms (n, 3) of every bond angle, its vertex in the middle."""
-    neighbours: list[list[int]] = [[] for _ in range(structure.n_atoms)]
-    for first, second in structure.bonds.tolist():
-        neighbours[first].append(second)
-        neighbours[second].append(first)
     found = [
         (a, b, c)
-        for b, around in enumerate(neighbours)
+        for b, around in enumerate(structure.neighbours)
         for i, a in enumerate(around)
         for c in around[i + 1 :]
     ]

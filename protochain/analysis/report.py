@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from protochain.analysis.folder import clear
 from protochain.analysis.viewer import scene, template
-from protochain.errors import WriteError
+from protochain.errors import Argument, WriteError
 from protochain.minimisers.record import SHOWN
 from protochain.storage import write_atomically
 from protochain.structure import save
@@ -32,7 +32,9 @@ def write_report(comparison: "Comparison", directory: Path) -> Path:
     except WriteError as error:
         there = ", ".join(sorted(path.name for path in directory.glob("*") if not path.name.startswith(".")))
         raise error.with_saved(
-            f"{directory}: {there}" if there else "nothing", "free space there, and run again with force=True"
+            f"{directory}: {there}" if there else "nothing",
+            "free space there, and run again with ",
+            Argument("force", True),
         ) from error
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from protochain import defaults
 from protochain.batches.supervise import crew
 from protochain.checks import check_fields, integer, number, optional, text
-from protochain.errors import ProtochainError
+from protochain.errors import Argument, ProtochainError
 from protochain.processors import processors
 
 if TYPE_CHECKING:
@@ -54,7 +54,14 @@ class Processes:
             self, workers=optional(integer), scheduler=optional(text), threads=integer, time_limit=number
         )
         if not self.time_limit > 0 or self.threads < 1 or (self.workers is not None and self.workers < 1):
-            raise ProtochainError("time_limit, threads and workers: give numbers above 0")
+            raise ProtochainError(
+                Argument("time_limit"),
+                ", ",
+                Argument("threads"),
+                " and ",
+                Argument("workers"),
+                ": give numbers above 0",
+            )
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from protochain.checks import (
     several,
     words,
 )
-from protochain.errors import ProtochainError
+from protochain.errors import Argument, ProtochainError
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.recipes import recipe_of
 from protochain.minimisers.starts import check_starts
@@ -119,7 +119,12 @@ class BatchSettings:
         if RELAX in self.methods:
             _ = self.of_relaxing  # It may be refused.
         if self.hop_temperature is not None and self.n_starts == 1:
-            raise ProtochainError("hop_temperature: needs several minima; give n_starts 2 or more")
+            raise ProtochainError(
+                Argument("hop_temperature"),
+                ": needs several minima; give ",
+                Argument("n_starts"),
+                " 2 or more",
+            )
         held = {} if self.n_starts == 1 else {"restraint": self.restraint, "max_rmsd": self.max_rmsd}
         check_starts(self.n_starts, self.spread, self.hop_temperature, **held)
 
@@ -153,6 +158,8 @@ class BatchSettings:
             raise ProtochainError("methods: an import path runs code; give it as an option of the batch")
         try:
             own = self.changed(**{name: _IN_MANIFEST[name](text) for name, text in cells.items()})
+        except ProtochainError:
+            raise
         except ValueError as error:
             raise ProtochainError(str(error)) from error
         own.refuse_idle(cells)
@@ -423,7 +430,7 @@ def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
                     raise ProtochainError("more cells than columns")
                 own = settings.read({k: v for k, v in row.items() if k != "path"})
             except ProtochainError as error:
-                raise ProtochainError(f"{manifest}: line {reader.line_num}: {error}") from error
+                raise ProtochainError(f"{manifest}: line {reader.line_num}: ", *error.parts) from error
             path = manifest.parent / row["path"].strip()
             found.append(_Found(path, own, path.parent))
         return found

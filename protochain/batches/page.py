@@ -13,12 +13,13 @@ from protochain.minimisers.record import SHOWN
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.storage import write_atomically
 from protochain.structure.losses import told
+from protochain.structure.repairs import Repair
 
 WIDTH, HEIGHT = 640, 240
 """Size of the drawing, in units of the SVG."""
 
 
-def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[str]) -> None:
+def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[Repair]) -> None:
     """Write ``pages/NAME.html``.
 
     Parameters
@@ -29,7 +30,7 @@ def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[st
         Its structure.
     rows : sequence of Row
         One a method.
-    repairs : sequence of str
+    repairs : sequence of Repair
         Changes made to prepare it.
     """
     minimised = SHOWN if {*job.settings.methods} != {RELAX} else ()

@@ -16,7 +16,7 @@ from protochain.batches import relaxed
 from protochain.batches.jobs import Job, Row, origin
 from protochain.batches.naming import Earlier
 from protochain.batches.settings import NAME as SETTINGS
-from protochain.errors import ProtochainError, WriteError
+from protochain.errors import Argument, ProtochainError, WriteError
 from protochain.minimisers import record
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.storage import check_writable, write_atomically, writing
@@ -105,7 +105,9 @@ class Tables:
         if self.summary.exists() and not resume:
             self.lock.release()
             raise ProtochainError(
-                f"{self.summary}: holds a batch; resume=True continues it, or give another folder"
+                f"{self.summary}: holds a batch; ",
+                Argument("resume", True),
+                " continues it, or give another folder",
             )
         minimised = COLUMNS if {*methods} != {RELAX} else ()
         of_relaxed = relaxed.COLUMNS if RELAX in methods else ()
@@ -244,7 +246,7 @@ def _append(path: Path, text: str) -> None:
     except WriteError as error:
         os.ftruncate(file, whole)
         raise error.with_saved(
-            "the structures done before", "free space there, then continue with resume=True"
+            "the structures done before", "free space there, then continue with ", Argument("resume", True)
         ) from error
     finally:
         os.close(file)

@@ -3,33 +3,31 @@
 import atexit
 import errno
 import gc
-import math
 import os
-import re
 import signal
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from importlib import metadata
-from inspect import signature
 from typing import Annotated
 
 import typer
+from typer.core import TyperOption
 from typer.exceptions import TyperException
+from typer.main import get_command
 
 from protochain.cli.batch import batch
 from protochain.cli.bench import bench
 from protochain.cli.compare import compare
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
-from protochain.cli.options import BAD_INPUT, fail, with_options
+from protochain.cli.options import BAD_INPUT, RENAMED, as_option, fail
 from protochain.cli.printable import Printable
 from protochain.cli.relax import relax
 from protochain.cli.rmsd import rmsd
 from protochain.cli.scene import scene
 from protochain.cli.simulate import simulate
-from protochain.cli.terminal import in_commands
 from protochain.cli.validate import validate
-from protochain.errors import ProtochainError, WriteError
+from protochain.errors import Argument, ProtochainError, WriteError
 
 __all__ = ["main"]
 
@@ -62,26 +60,14 @@ for command in _COMMANDS:
 app.command("minimize", hidden=True)(minimise)
 
 
-_RENAMED = {"n_steps": "steps", "n_starts": "starts", "hop_temperature": "hop"}
-"""Options with other names than the arguments of the library."""
-
-_SPREAD = re.compile(r"\bspread (\S+): give an angle above 0, in rad\b")
-_RESTRAINT = re.compile(r"(^|: )restraint(?= )")
-"""Names that are also words, where they are arguments: the one in rad, where the option is in degrees."""
-
-
-def as_options(message: str) -> str:
-    """Message of the library, which names its arguments, in the words of the command line."""
-    options = {name for each in _COMMANDS for name in signature(each).parameters if "_" in name}
-    names = "|".join(sorted({*options, *_RENAMED}, key=len, reverse=True))
-    message = _RESTRAINT.sub(r"\1--restrain", with_options(message))
-    message = _SPREAD.sub(
-        lambda m: f"--spread {math.degrees(float(m[1])):g}: give an angle above 0, in degrees", message
+def as_said(error: ProtochainError, of: typer.Typer = app) -> str:
+    """Message of an error in the words of the command line, where some command has the option."""
+    commands = get_command(of).commands.values()  # type: ignore[attr-defined]  # a group
+    named = {param.name for each in commands for param in each.params if isinstance(param, TyperOption)}
+    known = {name for name in (*named, *RENAMED) if RENAMED.get(name, name) in named}
+    return error.told(
+        lambda part: str(part) if isinstance(part, Argument) and part.name not in known else as_option(part)
     )
-    # Not in paths and other names.
-    found = re.compile(rf"(?<![\w/.'-])(?:(\w+)=True|({names}))(?![\w/'-]|\.\w)")
-    named = found.sub(lambda m: f"--{_RENAMED.get(m[2], m[1] or m[2]).replace('_', '-')}", message)
-    return in_commands(named)
 
 
 def main() -> None:
@@ -107,9 +93,9 @@ def _status() -> int:
             raise KeyboardInterrupt
         sys.stdout.flush()
     except WriteError as error:
-        return fail(as_options(str(error)))
+        return fail(as_said(error))
     except ProtochainError as error:
-        return fail(as_options(str(error)), BAD_INPUT)
+        return fail(as_said(error), BAD_INPUT)
     except TyperException as error:
         context = getattr(error, "ctx", None)
         command = f"protochain {context.info_name}" if context and context.parent else "protochain"

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, with_options, with_setup
+from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, as_option, with_setup
 from protochain.markup import counted
 from protochain.setup import Setup
 
@@ -44,7 +44,7 @@ def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
         "loops": [f"{structure.describe(a)} - {structure.describe(b)}" for a, b in chain.loops.tolist()],
         "left_out": dict(structure.left_out),
         "lost_atoms": lost_atoms(structure.losses),
-        "repairs": list(structure.repairs),
+        "repairs": [each.told(str if as_json else as_option) for each in structure.repairs],
         "overlaps": [f"{each}; {each.remedy}" for each in overlaps(structure, structure.positions, chain)],
         "engine": energy.engine,
         "engine_reason": energy.reason,
@@ -62,7 +62,7 @@ def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
         if isinstance(value, list):
             print(f"{key}: {len(value)}")
             for line in value:
-                print(f"  {with_options(line)}")
+                print(f"  {line}")
         elif isinstance(value, dict):
             print(f"{key}: {', '.join(f'{count} {name}' for name, count in value.items()) or 'nothing'}")
         else:

@@ -2,7 +2,6 @@
 
 import inspect
 import math
-import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -15,7 +14,7 @@ import typer
 
 from protochain import defaults
 from protochain.checks import NO_BONDS
-from protochain.errors import ProtochainError
+from protochain.errors import Angle, Argument, ProtochainError
 from protochain.markup import counted
 from protochain.setup import Setup
 
@@ -207,9 +206,12 @@ def _counted(structure: "Structure", atoms: Any) -> str:
 
 def print_changes(source: Path, structure: "Structure") -> None:
     """Say on standard error what was changed to prepare a file, losses first."""
-    for line in structure.changes:
-        print(f"{source}: {with_options(line)}", file=sys.stderr)
-    if len(structure.changes) < len(structure.repairs):
+    from protochain.structure.repairs import summarised
+
+    changes = summarised(structure.repairs, as_option)
+    for line in changes:
+        print(f"{source}: {line}", file=sys.stderr)
+    if len(changes) < len(structure.repairs):
         print(f"{source}: protochain info lists all {len(structure.repairs)} changes", file=sys.stderr)
 
 
@@ -217,13 +219,23 @@ def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
     """Print what the structures of records, or of rows of a table, lost."""
     from protochain.structure.losses import told
 
-    for line in told(rows):
-        print(with_options(line))
+    for line in told(rows, as_option):
+        print(line)
 
 
-def with_options(line: str) -> str:
-    """Line of the library in which arguments with values, as ``keep="all"``, are options."""
-    return re.sub(r'\b(\w+)="([\w,]+)"', r"--\1 \2", line)
+RENAMED = {
+    "n_steps": "steps", "n_starts": "starts", "hop_temperature": "hop", "restraint": "restrain",
+    "hinge_springs": "hinge_spring",
+}  # fmt: skip
+"""Options with other names than the arguments of the library."""
+
+
+def as_option(part: Argument | Angle) -> str:
+    """Part of a message in the words of the command line: an argument is an option, angles are in degrees."""
+    if isinstance(part, Angle):
+        return f"{math.degrees(part.radians):g} degrees"
+    option = f"--{RENAMED.get(part.name, part.name).replace('_', '-')}"
+    return option if part.value in (None, True) else f"{option} {part.value}"
 
 
 def inputs_of(setup: Setup, *given: str | Path | None) -> list[Path]:

@@ -187,7 +187,7 @@ def _one(
         print(json.dumps(record, allow_nan=False))
     else:
         with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
-            print_relaxed(record)
+            print_relaxed(result, record)
     return CONVERGED if record["status"] == "converged" and not lost else UNCONVERGED
 
 

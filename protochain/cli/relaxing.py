@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from protochain.arrays import Watcher
     from protochain.energies import Energy
+    from protochain.relaxation import Relaxation
     from protochain.structure import Structure
 
 _EVALUATIONS = 90
@@ -102,10 +103,10 @@ def progress(seconds: float) -> Iterator["Watcher | None"]:
         yield watch
 
 
-def print_relaxed(record: dict[str, Any]) -> None:
+def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     """Print what is wrong before and after, how far the structure moved, and where it is."""
     from protochain.relaxation.record import before_and_after
-    from protochain.structure.changes import summarised
+    from protochain.structure.repairs import summarised
 
     rows = before_and_after(record)
     wide = max(len(what) for what, _, _ in rows)
@@ -120,9 +121,9 @@ def print_relaxed(record: dict[str, Any]) -> None:
     )
     said = [moved, record["message"]]
     if record["repacked"]:
-        told = summarised(record["side_chains_turned"]) or ("no side chain is better turned",)
+        told = summarised(result.turned) or ("no side chain is better turned",)
         said.insert(1, f"repacked first: {'; '.join(told)}")
-    if turned := [*record["hands_turned"], *record["peptides_turned"]]:
+    if turned := (*result.hands_turned, *result.peptides_turned):
         said.insert(1, "; ".join(summarised(turned)))
     print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
     print_lost([record])

@@ -30,7 +30,7 @@ from protochain.cli.terminal import (
     simulation_progress,
     typical_evaluations,
 )
-from protochain.errors import ProtochainError
+from protochain.errors import refused
 from protochain.interrupts import held_interrupts
 from protochain.setup import Setup
 
@@ -190,13 +190,11 @@ def _check_time_step(given: float) -> None:
     from protochain.dynamics.settings import LONGEST_STEP
 
     if not 0.0 < given < 1000.0 * LONGEST_STEP:
-        raise ProtochainError(
-            f"time_step {given:g} fs: give a number above 0 and below {1000.0 * LONGEST_STEP:g}"
+        raise refused(
+            "time_step", f"{given:g} fs", f"give a number above 0 and below {1000.0 * LONGEST_STEP:g}"
         )
     if given < _SHORTEST:
-        raise ProtochainError(
-            f"time_step {given:g} fs: give femtoseconds: {1000.0 * given:g} are {given:g} ps"
-        )
+        raise refused("time_step", f"{given:g} fs", f"give femtoseconds: {1000.0 * given:g} are {given:g} ps")
 
 
 def _foretell(source: Path, chain: "Chain", energy: "Energy", steps: int, relax: bool) -> None:

@@ -1,7 +1,6 @@
 """Output of the command line: a bar while it computes, a table when it is done."""
 
 import math
-import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,11 +33,6 @@ _LINE_EVERY = 60.0
 """s between lines where there is no terminal."""
 _LONG = 30.0
 """s. A run that is expected to take longer says so before it begins."""
-
-
-def in_commands(message: str) -> str:
-    """Message of the library, which names its calls, in the words of the command line."""
-    return re.sub(r"\bpc\.(relax|validate)\b(?!\()", r"protochain \1", message)
 
 
 class _Progress:
@@ -109,9 +103,11 @@ class _RunProgress(_Progress):
 
     def at_stage(self, name: str, evaluations: int) -> None:
         """Show the stage of the run."""
+        from protochain.minimisers.loop import Stop
+
         if name != self.stage:
             self.stage, self.counts = name, True
-            if name.startswith("interrupted"):
+            if name == Stop.INTERRUPTED.value:
                 self.say(
                     f"{self.name}: {name}" + ("; the best so far will be written" if self.writes else "")
                 )
@@ -119,7 +115,7 @@ class _RunProgress(_Progress):
 
     def at_warning(self, line: str) -> None:
         """Print what the user should know at once."""
-        self.say(f"{self.name}: {in_commands(line)}")
+        self.say(f"{self.name}: {line}")
 
     def __call__(self, row: "Mapping[str, float]", x: Any) -> None:
         torque = row["max_torque_kj_mol_rad"]
@@ -188,7 +184,7 @@ def print_outlook(source: object, structure: "Structure", method: "str | Recipe"
 
     lines = outlook(structure, recipe_of(method))
     for line in lines:
-        print(f"{source}: {in_commands(line)}", file=sys.stderr)
+        print(f"{source}: {line}", file=sys.stderr)
     return bool(lines)
 
 
@@ -314,7 +310,7 @@ def print_table(records: list[dict[str, Any]]) -> None:
     # In less room than the numbers take rich would cut the last ones off.
     console.print(table, crop=False)
     for record in records:
-        message = in_commands(record["message"])
+        message = record["message"]
         console.print(f"{record['method']}: {message}", markup=False, highlight=False)
 
 

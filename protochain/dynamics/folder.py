@@ -13,7 +13,7 @@ import numpy as np
 from protochain.arrays import Floats, frozen
 from protochain.dynamics.loop import State
 from protochain.dynamics.thermostats import Bath
-from protochain.errors import ProtochainError, StructureError, WriteError
+from protochain.errors import Argument, ProtochainError, StructureError, WriteError
 from protochain.motion.system import Phase
 from protochain.multibody import Frames, Tree, pose
 from protochain.multibody.articulated import Articulated, articulate
@@ -55,15 +55,23 @@ def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
     there = [name for name in (CHECKPOINT, "log.csv", _PART) if (path / name).exists()]
     if there and not (resume or force):
         raise ProtochainError(
-            f"{path}: holds a simulation ({there[0]}); resume=True continues it, force=True replaces it"
+            f"{path}: holds a simulation ({there[0]}); ",
+            Argument("resume", True),
+            " continues it, ",
+            Argument("force", True),
+            " replaces it",
         )
     if resume and not (path / CHECKPOINT).exists():
-        raise ProtochainError(f"{path}: holds no {CHECKPOINT} to resume from; leave out resume=True")
+        raise ProtochainError(
+            f"{path}: holds no {CHECKPOINT} to resume from; leave out ", Argument("resume", True)
+        )
 
 
 def _read(path: Path, settings: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], Any]:
-    return read_arrays(path / CHECKPOINT, settings, "simulation", "start again with force=True")
+    return read_arrays(path / CHECKPOINT, settings, "simulation", *_AGAIN)
 
+
+_AGAIN = "start again with ", Argument("force", True)
 
 CONSTANTS = ("loop_lengths", "pull_start", "hinge_rest")
 """What a run measures at its start and keeps: distances at closed loops, nm, and between the places of a
@@ -87,9 +95,7 @@ def undamaged(path: Path) -> Iterator[None]:
     try:
         yield
     except (KeyError, TypeError, ValueError) as error:
-        raise ProtochainError(
-            f"{path / CHECKPOINT}: damaged checkpoint ({error}); start again with force=True"
-        ) from None
+        raise ProtochainError(f"{path / CHECKPOINT}: damaged checkpoint ({error}); ", *_AGAIN) from None
 
 
 class Folder:
@@ -160,9 +166,7 @@ class Folder:
         if not self.log_part.exists() and self.log.exists():
             self.log.replace(self.log_part)
         if not self.log_part.exists() or self.log_part.stat().st_size < values["log_bytes"]:
-            raise ProtochainError(
-                f"{self.log_part}: rows before the checkpoint are missing; start again with force=True"
-            )
+            raise ProtochainError(f"{self.log_part}: rows before the checkpoint are missing; ", *_AGAIN)
         with undamaged(self.path):
             reader = csv.DictReader(self.log_part.read_bytes()[: values["log_bytes"]].decode().splitlines())
             rows = [{name: float(value) for name, value in row.items()} for row in reader]
@@ -272,7 +276,9 @@ def rescued(folder: Folder | None) -> Iterator[None]:
         saved = folder.rescue() if folder else ""
         if not saved:
             raise error.with_saved("nothing") from error
-        raise error.with_saved(saved, "free space there, then continue with resume=True") from error
+        raise error.with_saved(
+            saved, "free space there, then continue with ", Argument("resume", True)
+        ) from error
 
 
 _COUNTS, _NUMBERS = (

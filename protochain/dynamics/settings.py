@@ -9,7 +9,7 @@ import numpy as np
 from protochain import defaults
 from protochain.checks import check_fields, ends, number, quantity, shown, text
 from protochain.dynamics import thermostats
-from protochain.errors import ProtochainError
+from protochain.errors import Argument, ProtochainError, refused
 from protochain.hinges import HINGES
 from protochain.motion import lobatto
 from protochain.motion.leapfrog import Leapfrog
@@ -137,8 +137,8 @@ class HingeSpring:
         try:
             return cls(kind, *(float(word) for word in rest))
         except (TypeError, ValueError) as error:
-            why = str(error) if isinstance(error, ProtochainError) else "give kind, stiffness, damping"
-            raise ProtochainError(f"{name} {said!r}: {why}, as 'omega 40 0.5'") from None
+            why = error.parts if isinstance(error, ProtochainError) else ("give kind, stiffness, damping",)
+            raise ProtochainError(Argument(name), f" {said!r}: ", *why, ", as 'omega 40 0.5'") from None
 
     @classmethod
     def several(cls, value: Any, name: str = "hinge_springs") -> tuple[Self, ...]:
@@ -147,7 +147,7 @@ class HingeSpring:
         springs = [cls.read(each, name) if isinstance(each, str) else each for each in given]
         for spring in springs:
             if not isinstance(spring, cls):
-                raise ProtochainError(f"{name} {shown(spring)}: give HingeSprings, as of 'omega 40 0.5'")
+                raise refused(name, shown(spring), "give HingeSprings, as of 'omega 40 0.5'")
         return tuple(springs)
 
     def __str__(self) -> str:
@@ -197,26 +197,29 @@ class SimulationSettings:
             ("loops", self.loops, ("open", "closed")),
         ):
             if value not in known:
-                raise ProtochainError(f"{name} {value!r} is not known; choose from {', '.join(known)}")
+                raise ProtochainError(
+                    Argument(name), f" {value!r} is not known; choose from {', '.join(known)}"
+                )
         if not 0.0 < self.time_step < np.inf:
-            raise ProtochainError(f"time_step {self.time_step:g} ps: give a number above 0")
+            raise refused("time_step", f"{self.time_step:g} ps", "give a number above 0")
         if self.time_step >= LONGEST_STEP:
             raise ProtochainError(
-                f"time_step {self.time_step:g} ps: no step of this length is stable; "
-                f"give picoseconds: {self.time_step / 1000:g} are {self.time_step:g} fs"
+                Argument("time_step"),
+                f" {self.time_step:g} ps: no step of this length is stable; give picoseconds: "
+                f"{self.time_step / 1000:g} are {self.time_step:g} fs",
             )
         if not 0.0 <= self.temperature < np.inf:
-            raise ProtochainError(f"temperature {self.temperature:g} K: give 0 or more")
+            raise refused("temperature", f"{self.temperature:g} K", "give 0 or more")
         if not 0.0 <= self.friction < np.inf:
-            raise ProtochainError(f"friction {self.friction:g} /ps: give 0 or more")
+            raise refused("friction", f"{self.friction:g} /ps", "give 0 or more")
         for name, count in (
             ("n_steps", n_steps), ("every", self.every), ("trajectory_length", self.trajectory_length),
             ("checkpoint_every", checkpoint_every),
         ):  # fmt: skip
             if count < 1:
-                raise ProtochainError(f"{name} {count}: give at least 1")
+                raise refused(name, count, "give at least 1")
         if self.seed < 0:
-            raise ProtochainError(f"seed {self.seed}: give 0 or more")
+            raise refused("seed", self.seed, "give 0 or more")
         if self.pull is not None and abs(self.pull.speed) * self.time_step > FARTHEST_PULL:
             raise ProtochainError(
                 f"pull: a speed of {self.pull.speed:g} nm/ps moves the spring by more than {FARTHEST_PULL:g} "

@@ -37,12 +37,13 @@ from protochain.dynamics.settings import (
 from protochain.dynamics.simulation import Simulation, said_of
 from protochain.energies import Energy, as_energy
 from protochain.energies.custom import EnergyFunction
-from protochain.errors import ProtochainError
+from protochain.errors import Argument, ProtochainError
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts
+from protochain.markup import listed
 from protochain.motion.system import Phase, StepTooLargeError, System, total
 from protochain.multibody import HingeKind
-from protochain.structure.chirality import changed_hands, listed
+from protochain.structure.chirality import changed_hands
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.units import MOLAR_GAS
 
@@ -154,7 +155,7 @@ def simulate(
     if output is not None:
         check_folder(Path(output), trajectory, resume, force)
     elif resume:
-        raise ProtochainError("resume=True: give the folder of the simulation as output")
+        raise ProtochainError(Argument("resume", True), ": give the folder of the simulation as output")
     chain = as_chain(chain)
     energy = as_energy(energy, chain.structure)
     # A resumed run has the loops of its own start, not of this q.

@@ -182,7 +182,7 @@ class Simulation:
             "lost_atoms": lost_atoms(s.losses),
             "n_lost_atoms": n_lost(s.losses),
             "far_molecules": far_molecules(s.losses),
-            "repairs": list(s.repairs),
+            "repairs": [str(each) for each in s.repairs],
             "threads": e.threads,
         }
 

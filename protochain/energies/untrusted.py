@@ -21,7 +21,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-from protochain.errors import ForceFieldError
+from protochain.errors import Argument, ForceFieldError
 
 ACTIVE = ("Script", "InitializationScript", "Include")
 EVALUATED = ("useDispersionCorrection",)
@@ -52,21 +52,21 @@ def check_passive(path: Path, root: ElementTree.Element) -> None:
     ForceFieldError
         Naming the file, the element and what to do.
     """
-    trust = "if you trust the file, allow that with trust_forcefield=True"
+    trust = "if you trust the file, allow that with ", Argument("trust_forcefield", True)
     for node in root.iter():
         if node.tag in ACTIVE:
-            raise ForceFieldError(f"{path}: has <{node.tag}>, which runs code or opens files; {trust}")
+            raise ForceFieldError(f"{path}: has <{node.tag}>, which runs code or opens files; ", *trust)
         if node.tag in _NEVER_READ:
             continue
         for name, value in node.attrib.items():
             place = f"{path}: {name} of <{node.tag}> is {_short(value)}"
             if name in EVALUATED and not _BOOLEAN.fullmatch(value):
                 raise ForceFieldError(
-                    f"{place}, which OpenMM would run as Python: give True or False; {trust}"
+                    f"{place}, which OpenMM would run as Python: give True or False; ", *trust
                 )
             if name not in _FREE and not _PLAIN.fullmatch(value):
                 raise ForceFieldError(
-                    f"{place}, which is neither a number nor a plain name: mend it; {trust}"
+                    f"{place}, which is neither a number nor a plain name: mend it; ", *trust
                 )
 
 

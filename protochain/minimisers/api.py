@@ -28,9 +28,10 @@ from protochain.checks import (
     refuse_misplaced,
 )
 from protochain.energies import as_energy
-from protochain.errors import ProtochainError, WriteError, WriteWarning
+from protochain.errors import ProtochainError, WriteError, WriteWarning, refused
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts, open_to_interrupts
+from protochain.markup import listed
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import minimise_by_openmm
@@ -44,7 +45,6 @@ from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import Outcome, Stage, walk
 from protochain.minimisers.start import Start
 from protochain.minimisers.verdict import judge, rebuilt, verdict
-from protochain.structure.chirality import listed
 from protochain.validation.fixed import fixed_faults
 from protochain.validation.omega import twisted_bonds
 
@@ -108,7 +108,7 @@ def minimise(
     watch : callable, optional
         Called with every trace row and its positions (in the frame of the start), to show progress or write a
         trajectory. Its method ``at_stage``, if it has one, is called with the stage (``parting overlaps``,
-        ``held by springs``, ``torsions``, ``all atoms`` ...) and the evaluations so far; ``at_warning`` with
+        ``held by springs``, ``interrupted`` ...) and the evaluations so far; ``at_warning`` with
         a line once a run from a start with overlaps is 2 angstrom (C-alpha RMSD) away, or else
         :class:`protochain.errors.StrayWarning` says so. The message of a result that far away always does.
     **options
@@ -177,11 +177,11 @@ class Minimisation:
             curvature=flag, checkpoint=path_or_none, resume=path_or_none,
         )  # fmt: skip
         if self.seed < 0:
-            raise ProtochainError(f"seed {self.seed}: give 0 or more")
+            raise refused("seed", self.seed, "give 0 or more")
         if not 0 < self.tolerance < np.inf:
-            raise ProtochainError(f"tolerance {self.tolerance:g}: give a number above 0")
+            raise refused("tolerance", f"{self.tolerance:g}", "give a number above 0")
         if self.max_evaluations < 1:
-            raise ProtochainError(f"max_evaluations {self.max_evaluations}: give at least 1")
+            raise refused("max_evaluations", self.max_evaluations, "give at least 1")
         if self.hold != Hold() and self.recipe.by_openmm:
             raise ProtochainError(
                 f"method {self.recipe.name!r} cannot be held near its start; choose cartesian or hybrid"
@@ -226,8 +226,9 @@ def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None)
         record = Recorder(start.chain.structure, _frame(start, run), watch)
         done = _by_openmm(start, run, record) if run.recipe.by_openmm else _walked(start, run, record)
         seconds = perf_counter() - record.started
-        interrupted = "interrupted, " if done.stop is Stop.INTERRUPTED else ""
-        record.at_stage(f"{interrupted}judging the end", done.n_evaluations)
+        if done.stop is Stop.INTERRUPTED:
+            record.at_stage(Stop.INTERRUPTED.value, done.n_evaluations)
+        record.at_stage("judging the end", done.n_evaluations)
         return _judged(start, run, done, record, seconds)
 
 

@@ -22,7 +22,7 @@ class Stop(Enum):
     INTERRUPTED = "interrupted"
     STRAINED = (
         "bonds, angles and contacts are strained beyond what turning bonds can relieve without unfolding the "
-        "chain; pc.relax moves all atoms and keeps the fold"
+        "chain; relax moves all atoms and keeps the fold"
     )
 
 

@@ -43,7 +43,7 @@ def outlook(structure: Structure, recipe: Recipe) -> list[str]:
     if len(threaded) > _SHOWN_RINGS:
         lines.append(f"and {len(threaded) - _SHOWN_RINGS} more threaded rings")
     if crowd or threaded:
-        lines.append(f"{recipe.name}: {_way(recipe, bool(threaded))}; pc.relax keeps the fold")
+        lines.append(f"{recipe.name}: {_way(recipe, bool(threaded))}; relax keeps the fold")
     return lines
 
 
@@ -97,7 +97,7 @@ def strayed(structure: Structure, x: Floats) -> str:
     return f"{away:.1f} angstrom {_FROM_OVERLAPS}" if away > FAR else ""
 
 
-_FROM_OVERLAPS = "from a start whose atoms overlapped; pc.relax keeps the fold"
+_FROM_OVERLAPS = "from a start whose atoms overlapped; relax keeps the fold"
 _HOLD = "--restrain or --max-rmsd (restraint=, max_rmsd= in Python)"
 
 

@@ -125,7 +125,7 @@ COLUMNS = (
     Column("lost_atoms", lambda s: lost_atoms(s.chain.structure.losses)),
     Column("n_lost_atoms", lambda s: n_lost(s.chain.structure.losses)),
     Column("far_molecules", lambda s: far_molecules(s.chain.structure.losses)),
-    Column("repairs", lambda s: list(s.chain.structure.repairs)),
+    Column("repairs", lambda s: [str(each) for each in s.chain.structure.repairs]),
     Column("seed", lambda s: s.seed),
     Column("threads", lambda s: s.energy_function.threads),
 )

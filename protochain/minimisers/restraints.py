@@ -9,7 +9,7 @@ import numpy as np
 from protochain.arrays import Floats, Integers
 from protochain.contacts import near_pairs
 from protochain.energies.custom import answer, check_forces, name_of
-from protochain.errors import ProtochainError
+from protochain.errors import refused
 from protochain.minimisers.problem import Force
 from protochain.structure import Structure
 from protochain.structure.superpose import superpose
@@ -215,9 +215,9 @@ class Hold:
 
     def __post_init__(self) -> None:
         if not all(0 <= strength < np.inf for strength in self.strengths):
-            raise ProtochainError(f"restraint {self.strengths}: give strengths in kJ/mol/nm^2, none below 0")
+            raise refused("restraint", self.strengths, "give strengths in kJ/mol/nm^2, none below 0")
         if not self.max_rmsd > 0:
-            raise ProtochainError(f"max_rmsd {self.max_rmsd:g}: give a number of angstrom above 0")
+            raise refused("max_rmsd", f"{self.max_rmsd:g}", "give a number of angstrom above 0")
 
     @classmethod
     def of(cls, restraint: Any, max_rmsd: float = np.inf) -> "Hold":
@@ -234,8 +234,8 @@ class Hold:
             given = restraint.split() if isinstance(restraint, str) else np.atleast_1d(restraint)
             strengths = tuple(float(strength) for strength in given)
         except (TypeError, ValueError):
-            raise ProtochainError(
-                f"restraint {restraint!r}: give strengths in kJ/mol/nm^2, as '1000 100 0'"
+            raise refused(
+                "restraint", f"{restraint!r}", "give strengths in kJ/mol/nm^2, as '1000 100 0'"
             ) from None
         return cls(strengths, max_rmsd)
 

@@ -13,7 +13,7 @@ from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, pose
 from protochain.checks import WATCHER, checked, function, integer, number, quantity
 from protochain.energies import as_energy
-from protochain.errors import ProtochainError
+from protochain.errors import Angle, Argument, ProtochainError, refused
 from protochain.interrupts import held_interrupts
 from protochain.minimisers.api import minimise
 from protochain.minimisers.restraints import Hold
@@ -207,12 +207,17 @@ def check_starts(n_starts: int, spread: float, hop_temperature: float | None, **
         Naming the setting.
     """
     if n_starts < 1:
-        raise ProtochainError(f"n_starts {n_starts}: give at least 1")
+        raise refused("n_starts", n_starts, "give at least 1")
     check_spread(spread)
     if hop_temperature is not None and not 0 <= hop_temperature < np.inf:
-        raise ProtochainError(f"hop_temperature {hop_temperature:g}: give a temperature in K, not below 0")
+        raise refused("hop_temperature", f"{hop_temperature:g}", "give a temperature in K, not below 0")
     if Hold.of(settings.get("restraint", ()), settings.get("max_rmsd", np.inf)) != Hold():
-        raise ProtochainError("restraint and max_rmsd refer to each start's own structure; use one start")
+        raise ProtochainError(
+            Argument("restraint"),
+            " and ",
+            Argument("max_rmsd"),
+            " refer to each start's own structure; use one start",
+        )
 
 
 def check_spread(spread: float) -> None:
@@ -224,7 +229,7 @@ def check_spread(spread: float) -> None:
         Naming it.
     """
     if not 0 < spread < np.inf:
-        raise ProtochainError(f"spread {spread:g}: give an angle above 0, in rad")
+        raise ProtochainError(Argument("spread"), " ", Angle(spread), ": give an angle above 0")
 
 
 def perturbed(chain: Chain, spread: float, random: np.random.Generator) -> Chain:

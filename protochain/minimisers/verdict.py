@@ -11,10 +11,11 @@ from protochain.chain import Chain, Pose
 from protochain.contacts import overlaps
 from protochain.energies.protocol import Energy
 from protochain.interrupts import answering
+from protochain.markup import listed
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
-from protochain.structure.chirality import changed_hands, listed
+from protochain.structure.chirality import changed_hands
 from protochain.structure.model import Structure
 from protochain.validation.omega import isomerised_bonds
 from protochain.validation.rings import threaded_rings
@@ -145,7 +146,7 @@ def verdict(
         more = f", and {len(overlap) - 1} more" if len(overlap) > 1 else ""
         return Status.CLASH, f"clash: {overlap[0]}{more}; {measured}"
     if threaded:
-        remedy = "cartesian and pc.relax try to draw it out; otherwise build these side chains anew"
+        remedy = "cartesian and relax try to draw it out; otherwise build these side chains anew"
         return Status.CLASH, f"clash: {threaded[0]}; {remedy}; {measured}"
     if stop is Stop.NON_FINITE:
         return (

@@ -13,16 +13,16 @@ from protochain.checks import WATCHER, checked
 from protochain.energies import Energy
 from protochain.frame import Frame
 from protochain.interrupts import answering, held_interrupts
+from protochain.markup import listed
 from protochain.minimisers.problem import Evaluation, Force
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.verdict import Status, verdict
 from protochain.relaxation.hands import Hands
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
-from protochain.relaxation.rounds import GENTLE, Ended, Relaxer, fewest_left, mendable
+from protochain.relaxation.rounds import Ended, Phase, Relaxer, fewest_left, mendable
 from protochain.relaxation.settings import Relaxing, split
 from protochain.structure import Structure
-from protochain.structure.chirality import listed
 from protochain.structure.select import moving, select
 from protochain.validation import threaded_rings, violations
 from protochain.validation.fixed import fixed_counts, fixed_faults
@@ -126,10 +126,10 @@ class _Trace:
         self.tell = getattr(watch, "at_stage", None)
         self.rows: list[tuple[float, ...]] = []
 
-    def __call__(self, stage: str, at: Evaluation, evaluations: int) -> None:
+    def __call__(self, phase: Phase, at: Evaluation, evaluations: int) -> None:
         if self.tell:
-            self.tell(stage, evaluations)
-        if stage == GENTLE:  # Its energy is not the force field's.
+            self.tell(phase, evaluations)
+        if phase is Phase.GENTLE:  # Its energy is not the force field's.
             return
         energy = at.energy - at.restraint
         self.rows.append((len(self.rows), evaluations, perf_counter() - self.began, energy, at.residual))
@@ -213,7 +213,7 @@ def _bonds_named(structure: Structure, x: Floats, nitrogens: Integers) -> list[s
 
 
 def _atoms_named(structure: Structure, atoms: Integers) -> list[str]:
-    return [structure.describe(atom).removeprefix("atom ") for atom in atoms.tolist()]
+    return [str(structure.atom(atom)) for atom in atoms.tolist()]
 
 
 def left_in_words(structure: Structure, x: Floats) -> str:

@@ -12,6 +12,7 @@ from protochain.relaxation.rotamer_energies import Rotamers
 from protochain.structure.chirality import volume
 from protochain.structure.model import Structure
 from protochain.structure.packing import WIDTH, wrapped
+from protochain.structure.repairs import Kind, Repair
 from protochain.structure.rotamers import rotamers
 from protochain.structure.sidechains import dihedral
 from protochain.structure.turning import beyond, turned
@@ -51,16 +52,16 @@ class Arm:
     n_chi: int
     rotamers: Rotamers
 
-    def told(self, state: int) -> str:
-        """How it is turned, in words."""
+    def repair(self, state: int, residue: residues.Residue) -> Repair:
+        """How it is turned."""
         before, after = np.rint(np.rad2deg(wrapped(self.chi[[0, state], : self.n_chi]))).astype(int)
         if (before == after).all():
-            return "polar hydrogen turned"
+            return Repair(Kind.HYDROGEN_TURNED, {"residue": residue})
         old, new = (
             " ".join(f"chi{k} {value}" for k, value in enumerate(each.tolist(), 1))
             for each in (before, after)
         )
-        return f"side chain turned from {old} to {new}"
+        return Repair(Kind.SIDE_CHAIN_TURNED, {"residue": residue, "before": old, "after": new})
 
 
 class Arms:
@@ -68,10 +69,6 @@ class Arms:
 
     def __init__(self, structure: Structure, x: Floats, moving: NDArray[np.bool_] | None = None) -> None:
         self.structure, self.x = structure, x
-        self._bonded: list[list[int]] = [[] for _ in range(structure.n_atoms)]
-        for i, j in structure.bonds.tolist():
-            self._bonded[i].append(j)
-            self._bonded[j].append(i)
         self._held = structure.kept.copy()
         if moving is not None:
             self._held |= ~moving
@@ -91,7 +88,9 @@ class Arms:
         polar = [q for q in residues.ROTORS.get(name, ()) if q[3] in at and q[2][0] in "OS"]
         quartets += polar if name in _POLAR else []
         axes = [tuple(at[atom] for atom in quartet) for quartet in quartets]
-        outward = [np.array(sorted(beyond(self._bonded, a[1], a[2])), dtype=np.int64) for a in axes]
+        outward = [
+            np.array(sorted(beyond(self.structure.neighbours, a[1], a[2])), dtype=np.int64) for a in axes
+        ]
         moved = outward[0]
         side = set(at.values()) - {at[atom] for atom in ("N", "CA", "C", "O") if atom in at}
         if not set(moved.tolist()) <= side or self._held[moved].any():

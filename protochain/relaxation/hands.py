@@ -43,11 +43,10 @@ class Hands:
         and chains most of whose C-alphas are of the other hand keep what they have.
         """
         centres, rows = chiral_atoms(structure), list[tuple[int, ...]]()
-        beside = _neighbours(structure, centres[:, 0])
         for (centre, a, b, c), wanted in zip(centres.tolist(), _wanted(structure, centres), strict=True):
             a, b = (a, b) if wanted > 0.0 else (b, a)
             rows.append((centre, a, b, c))
-            for d in beside[centre] - {a, b, c}:
+            for d in {*structure.neighbours[centre]} - {a, b, c}:
                 rows += [(centre, b, a, d), (centre, c, b, d), (centre, a, c, d)]
         atoms = np.array(rows, dtype=np.int64).reshape(-1, 4)
         hydrogen = (structure.atom_element[atoms] == "H").any(axis=1)
@@ -84,13 +83,3 @@ def _wanted(structure: Structure, centres: Integers) -> Floats:
     chain, n = structure.residue_chain_index[of], structure.n_chains
     mostly = np.bincount(chain, alpha & other, n) > 0.5 * np.bincount(chain, alpha, n)
     return np.where(np.isin(of, of[meant]) | mostly[chain], has, by_name)
-
-
-def _neighbours(structure: Structure, centres: Integers) -> dict[int, set[int]]:
-    """Atoms bonded to each centre."""
-    found: dict[int, set[int]] = {centre: set() for centre in centres.tolist()}
-    for i, j in structure.bonds[np.isin(structure.bonds, centres).any(axis=1)].tolist():
-        for one, other in ((i, j), (j, i)):
-            if one in found:
-                found[one].add(other)
-    return found

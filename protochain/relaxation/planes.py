@@ -33,10 +33,7 @@ class Planes:
     @classmethod
     def of(cls, structure: Structure) -> "Planes":
         """Find carbons of three bonds, and nitrogens of three bonds beside one."""
-        neighbours: list[set[int]] = [set() for _ in range(structure.n_atoms)]
-        for i, j in structure.bonds.tolist():
-            neighbours[i].add(j)
-            neighbours[j].add(i)
+        neighbours = structure.neighbours
         three = np.array([len(its) == 3 for its in neighbours]) & ~structure.obstacle
         carbon = three & (structure.atom_element == "C")
         beside = np.array([any(carbon[i] for i in its) for its in neighbours])

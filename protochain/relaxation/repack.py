@@ -16,6 +16,7 @@ from protochain.relaxation.arms import Arm, arms
 from protochain.relaxation.assignment import best
 from protochain.relaxation.rotamer_energies import Interactions
 from protochain.structure.model import Structure
+from protochain.structure.repairs import Kind, Repair
 from protochain.validation.clashes import clashes
 from protochain.validation.rings import threaded_rings
 from protochain.validation.rotamers import side_chains
@@ -57,7 +58,7 @@ def repacked(
     Returns
     -------
     Structure
-        Its ``repairs`` end with a line for each residue that was turned; the structure itself if none was.
+        Its ``repairs`` end with one for each residue that was turned; the structure itself if none was.
 
     Raises
     ------
@@ -69,7 +70,7 @@ def repacked(
     Rotamers are those of Lovell, Word, Richardson, Richardson, Proteins 40:389 (2000).
     """
     chosen = troubled(structure) if residues is None else _checked(structure, residues)
-    x, told = structure.positions, tuple[str, ...]()
+    x, told = structure.positions, tuple[Repair, ...]()
     terms = None
     for _ in range(_ROUNDS):
         turning = arms(structure, structure.positions, chosen.tolist(), moving)
@@ -134,8 +135,8 @@ def _terms(structure: Structure, given: Energy | None) -> Terms:
     return compile_system(energy_of(structure, solvent="vacuum", engine="openmm").system)
 
 
-def _settled(structure: Structure, terms: Terms, turning: list[Arm]) -> tuple[Floats, tuple[str, ...]]:
-    """Positions with the best rotamers, and what was turned, in words."""
+def _settled(structure: Structure, terms: Terms, turning: list[Arm]) -> tuple[Floats, tuple[Repair, ...]]:
+    """Positions with the best rotamers, and what was turned."""
     x = np.array(structure.positions)
     felt = Interactions(terms, structure.positions, [arm.rotamers for arm in turning])
     found = best([felt.own(i) for i in range(len(turning))], felt.pairs())
@@ -143,9 +144,9 @@ def _settled(structure: Structure, terms: Terms, turning: list[Arm]) -> tuple[Fl
     for arm, state in zip(turning, found.states.tolist(), strict=True):
         if state:
             x[arm.rotamers.atoms] = arm.rotamers.x[state]
-            told.append(f"{structure.describe_residue(arm.residue)}: {arm.told(state)}")
+            told.append(arm.repair(state, structure.residue(arm.residue)))
     if told and not found.is_proven:
-        told.append("side chains turned into good rotamers, perhaps not the best: there are too many to try")
+        told.append(Repair(Kind.NOT_PROVEN))
     return x, tuple(told)
 
 

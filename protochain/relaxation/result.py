@@ -23,7 +23,7 @@ from protochain.relaxation.record import COLUMNS, METHOD
 from protochain.relaxation.rounds import Round
 from protochain.relaxation.settings import Relaxing
 from protochain.structure import Structure, save
-from protochain.structure.changes import summarised
+from protochain.structure.repairs import Kind, Repair, summarised
 from protochain.structure.superpose import displacements
 from protochain.units import ANGSTROM_PER_NM
 from protochain.validation import MEASURES, measures
@@ -75,8 +75,8 @@ class Relaxation(Value):
         Wall time of all rounds, without preparation and measures.
     trace : (n, 5) float
         A row for each iteration, with columns ``TRACE_COLUMNS``; energies without springs.
-    turned : tuple of str
-        Side chains put into other rotamers first, each in words.
+    turned : tuple of Repair
+        Side chains put into other rotamers first.
     move : str
         Selection of what may move.
     moving : (na,) bool, optional
@@ -98,7 +98,7 @@ class Relaxation(Value):
     frame: Frame
     seconds: float
     trace: Floats
-    turned: tuple[str, ...] = ()
+    turned: tuple[Repair, ...] = ()
     move: str = defaults.MOVE
     moving: NDArray[np.bool_] | None = None
 
@@ -109,25 +109,32 @@ class Relaxation(Value):
         return replace(self.start, positions=self.x, repairs=told)
 
     @cached_property
-    def hands_turned(self) -> tuple[str, ...]:
-        """Chiral atoms that were of the wrong hand, and are right at the end, each in words."""
+    def hands_turned(self) -> tuple[Repair, ...]:
+        """Chiral atoms that were of the wrong hand, and are right at the end."""
         s, hands = self.start, Hands.of(self.start)
         right = np.setdiff1d(hands.wrong(s.positions), hands.wrong(self.x))
         residues = s.atom_residue[right]
         return tuple(
-            f"{s.describe_residue(int(residue))}: {' and '.join(s.atom_name[right[residues == residue]])} "
-            "of the wrong hand turned right"
-            for residue in np.unique(residues)
+            Repair(
+                Kind.HAND_TURNED,
+                {
+                    "residue": s.residue(residue),
+                    "atoms": (*s.atom_name[right[residues == residue]].tolist(),),
+                },
+            )
+            for residue in np.unique(residues).tolist()
         )
 
     @cached_property
-    def peptides_turned(self) -> tuple[str, ...]:
-        """Peptide bonds that were twisted, and are trans or cis at the end, each in words."""
+    def peptides_turned(self) -> tuple[Repair, ...]:
+        """Peptide bonds that were twisted, and are trans or cis at the end."""
         s, bonds = self.start, PeptideBonds.of(self.start)
         right = (bonds.away(s.positions) > PLANAR) & (bonds.away(self.x) <= PLANAR)
         return tuple(
-            f"{s.describe_residue(int(s.atom_residue[nitrogen]))}: twisted peptide bond before it turned to "
-            f"{'cis' if cis else 'trans'}"
+            Repair(
+                Kind.TURNED_CIS if cis else Kind.TURNED_TRANS,
+                {"residue": s.residue(int(s.atom_residue[nitrogen]))},
+            )
             for nitrogen, cis in zip(bonds.atoms[right, 2], bonds.cis[right], strict=True)
         )
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 from itertools import count
 from time import perf_counter
@@ -52,11 +53,17 @@ _WEAKER = 0.1
 """Share of their springs that residues with violations keep at first; the next time they lose them all.
 Without any at once, more of the fold gives way than has to."""
 
-GENTLE = "parting overlaps"
-"""Name of stages whose energy is not the force field's."""
 
-Note = Callable[[str, Evaluation, int], None]
-"""Told each point accepted: name of the stage, the point, evaluations so far."""
+class Phase(StrEnum):
+    """What a minimisation is for."""
+
+    GENTLE = "parting overlaps"
+    """Its energy is not the force field's."""
+    WHOLE = "all atoms"
+
+
+Note = Callable[[Phase, Evaluation, int], None]
+"""Told each point accepted: what for, the point, evaluations so far."""
 
 
 @dataclass(frozen=True)
@@ -224,7 +231,7 @@ class Relaxer:
         self, energy: Force, springs: Tethers, x: Floats, work: "_Work", stage: "_Stage | None" = None
     ) -> "tuple[Floats, Stop, _Work]":
         """Positions, why it ended, and the work with that of the stages before."""
-        stage = stage or _Stage("all atoms", self.strength.tolerance, PATIENCE)
+        stage = stage or _Stage(Phase.WHOLE, self.strength.tolerance, PATIENCE)
         space = self._space
         if space.terms is None:
             direction = LBFGS(Held(springs.weight + _STIFFER, stage is _SOFT, _REFRESH), _MEMORY)
@@ -232,13 +239,13 @@ class Relaxer:
             direction = LBFGS(Held(springs.weight + _STIFFER_NEAR, stage is _SOFT, NEAR_REFRESH), NEAR_MEMORY)
         method = Descent(direction, StrongWolfe())
         restraint = self.restraint(springs)
-        if stage.name == GENTLE:
+        if stage.phase is Phase.GENTLE:
             restraint = Sum([springs, self.shapes, self.peptides])
         problem = Problem(space, energy, _ENDLESS, restraint)
         seen, allowed = count(), (self.max_iterations or _ENDLESS) - work.iterations
 
         def record(at: Evaluation) -> None:
-            self.note(stage.name, at, work.so_far + problem.n_evaluations)
+            self.note(stage.phase, at, work.so_far + problem.n_evaluations)
             if next(seen) >= allowed:
                 raise BudgetSpentError
 
@@ -312,7 +319,7 @@ class Relaxer:
             problem = Problem(space, own.energy, _ENDLESS)
 
             def record(at: Evaluation, before: int = work.so_far, problem: Problem = problem) -> None:
-                self.note(GENTLE, at, before + problem.n_evaluations)
+                self.note(Phase.GENTLE, at, before + problem.n_evaluations)
                 if next(left, None) is None:
                     raise BudgetSpentError
 
@@ -367,15 +374,15 @@ class _Work(NamedTuple):
 
 
 class _Stage(NamedTuple):
-    """What a minimisation is called, its tolerance in kJ/mol/nm, and its patience."""
+    """What a minimisation is for, its tolerance in kJ/mol/nm, and its patience."""
 
-    name: str
+    phase: Phase
     tolerance: float
     patience: int
 
 
-_SOFT = _Stage(GENTLE, 20.0, 60)
-_ROUGH = _Stage(GENTLE, 30.0, PATIENCE)
+_SOFT = _Stage(Phase.GENTLE, 20.0, 60)
+_ROUGH = _Stage(Phase.GENTLE, 30.0, PATIENCE)
 
 
 _ENDLESS = 1_000_000_000

@@ -7,7 +7,7 @@ import numpy as np
 
 from protochain import defaults
 from protochain.checks import check_fields, flag, integer, number, optional, text
-from protochain.errors import ProtochainError
+from protochain.errors import Argument, ProtochainError, refused
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
 from protochain.setup import Setup
 
@@ -66,19 +66,21 @@ class Relaxing:
         for name, known in (("preset", PRESETS), ("protocol", PROTOCOLS)):
             given = getattr(self, name)
             if given not in known and (given or name == "preset"):
-                raise ProtochainError(f"{name} {given!r} is not known; choose from {', '.join(known)}")
+                raise ProtochainError(
+                    Argument(name), f" {given!r} is not known; choose from {', '.join(known)}"
+                )
         if self.protocol and self.preset != defaults.PRESET:
             raise ProtochainError(
                 f"preset {self.preset}: protocol {self.protocol} has its own; give one of them"
             )
         if self.tolerance is not None and not 0 < self.tolerance < np.inf:
-            raise ProtochainError(f"tolerance {self.tolerance:g}: give an RMS force above 0, in kJ/mol/nm")
+            raise refused("tolerance", f"{self.tolerance:g}", "give an RMS force above 0, in kJ/mol/nm")
         if self.stiffness is not None and not 0 <= self.stiffness < np.inf:
-            raise ProtochainError(f"stiffness {self.stiffness:g}: give kJ/mol/nm^2, none below 0")
+            raise refused("stiffness", f"{self.stiffness:g}", "give kJ/mol/nm^2, none below 0")
         if self.max_iterations < 0:
-            raise ProtochainError(f"max_iterations {self.max_iterations}: give 1 or more, or 0 for no limit")
+            raise refused("max_iterations", self.max_iterations, "give 1 or more, or 0 for no limit")
         if self.max_outer_iterations < 1:
-            raise ProtochainError(f"max_outer_iterations {self.max_outer_iterations}: give 1 or more")
+            raise refused("max_outer_iterations", self.max_outer_iterations, "give 1 or more")
 
     @property
     def strength(self) -> Preset:

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.errors import StructureError
-from protochain.residues import BLANK, describe
+from protochain.residues import BLANK, Residue
+from protochain.structure.repairs import Kind, Repair
 
 _NOT_BONDED = 2.0
 """Angstrom: copies of a residue are different ones if no atom lies this near to its namesake."""
@@ -25,7 +26,7 @@ has six. What is looked at later, overlaps of atoms and who hides whom, grows wi
 _IDS = ascii_uppercase + ascii_lowercase + digits
 
 
-def chains_told_apart(structure: gemmi.Structure) -> list[str]:
+def chains_told_apart(structure: gemmi.Structure) -> list[Repair]:
     """Give chains whose ids and numbers are those of a chain before them ids of their own.
 
     Parameters
@@ -35,7 +36,7 @@ def chains_told_apart(structure: gemmi.Structure) -> list[str]:
 
     Returns
     -------
-    list of str
+    list of Repair
         What was done.
     """
     renamed = []
@@ -46,11 +47,11 @@ def chains_told_apart(structure: gemmi.Structure) -> list[str]:
             if numbers & taken.get(part.name, set()):
                 names = {chain.name for chain in model}
                 name = next((each for each in _IDS if each not in names), part.name)
-                renamed.append(f"{part.name or BLANK} called {name}")
+                called = {"before": part.name or BLANK, "after": name}
+                renamed.append(Repair(Kind.CHAIN_RENAMED, called))
                 part.name = name
             taken.setdefault(part.name, set()).update(numbers)
-    told = ", ".join(renamed)
-    return [f"chains with the id and numbers of one before: {told}"] if renamed else []
+    return list(dict.fromkeys(renamed))  # Each model may have them.
 
 
 def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
@@ -97,7 +98,7 @@ def _is_amino(residue: gemmi.Residue) -> bool:
     return residue.get_ca() is not None
 
 
-def told_apart(structure: gemmi.Structure, source: str) -> list[str]:
+def told_apart(structure: gemmi.Structure, source: str) -> list[Repair]:
     """Split molecules that share number and name, and number atoms of a molecule that share a name.
 
     Atoms of alternate locations, and atoms of an amino acid given more than once, are left for later choice.
@@ -111,7 +112,7 @@ def told_apart(structure: gemmi.Structure, source: str) -> list[str]:
 
     Returns
     -------
-    list of str
+    list of Repair
         What was done.
 
     Raises
@@ -131,7 +132,7 @@ def told_apart(structure: gemmi.Structure, source: str) -> list[str]:
                 is_amino = {"N", "CA", "C"} <= copies[0].keys()
                 if nearest > _NOT_BONDED and all(each.keys() == copies[0].keys() for each in copies):
                     if is_amino:
-                        where = describe(str(residue.seqid).strip(), residue.name, chain.name.strip())
+                        where = Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name)
                         raise StructureError(
                             f"{source}: {where} is there {len(copies)} times, {nearest:.1f} angstrom apart; "
                             "give each residue a number of its own"
@@ -141,10 +142,8 @@ def told_apart(structure: gemmi.Structure, source: str) -> list[str]:
                 elif nearest > _SAME_PLACE and not is_amino:
                     numbered += 1
                     _number(residue, copies)
-    lines = [f"molecules that share number and name told apart: {split} more"] if split else []
-    if numbered:
-        lines.append(f"atoms that share a name numbered in {numbered} molecules")
-    return lines
+    done = {Kind.MOLECULES_TOLD_APART: split, Kind.ATOMS_NUMBERED: numbered}
+    return [Repair(kind, {"count": count}) for kind, count in done.items() if count]
 
 
 def _copies(residue: gemmi.Residue) -> list[dict[str, gemmi.Atom]]:

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from scipy.spatial import KDTree
 
 from protochain.checks import NO_BONDS, Bond
-from protochain.errors import StructureError
-from protochain.structure.chirality import listed
+from protochain.errors import Argument, StructureError
 from protochain.structure.draft import Draft, Member
+from protochain.structure.repairs import Kind
 
 DISULFIDE = 3.0
 """Angstrom: sulphurs nearer than this are bonded, as in OpenMM (a disulfide bond is 2.05)."""
@@ -42,14 +42,14 @@ def disulfides(draft: Draft, asked: Sequence[Bond] = ()) -> list[Bridge]:
     only = len(wanted) < len(asked)
     if only and found:
         in_order = sorted(found, key=lambda pair: cysteines.index(pair[0]))
-        pairs = listed([f"{_place(first)}-{_place(second)}" for first, second in in_order])
-        draft.repairs.append(f"disulfide bonds left out, as requested: {pairs}")
+        pairs = tuple(f"{_place(first)}-{_place(second)}" for first, second in in_order)
+        draft.note(Kind.BRIDGES_DROPPED, pairs=pairs)
     found = [] if only else found
-    for pair in found:
-        if not _is_stated(draft, *pair):
-            draft.repairs.append(f"disulfide bond between {pair[0]} and {pair[1]}")
-    for first, second in wanted:
-        bridge = _asked(draft, cysteines, found, (first, second))
+    for first, second in found:
+        if not _is_stated(draft, first, second):
+            draft.note(Kind.BRIDGE, first=first.residue, second=second.residue)
+    for bond in wanted:
+        bridge = _asked(draft, cysteines, found, bond)
         if bridge is not None:
             found.append(bridge)
     if not only:
@@ -83,10 +83,10 @@ def _report_ignored(draft: Draft, cysteines: list[Member], found: list[Bridge]) 
     taken = [set(map(id, pair)) for pair in found]
     for first, second in [(at[a], at[b]) for a, b in draft.stated if a in at and b in at]:
         if {id(first), id(second)} not in taken:
-            draft.repairs.append(
-                f"disulfide bond of the file between {first} and {second} ignored: it is "
-                f"{_apart(first, second):.1f} angstrom long; request it as disulfide if it is real"
-            )
+            draft.note(
+                Kind.BRIDGE_IGNORED, first=first.residue, second=second.residue,
+                length=_apart(first, second), remedy=Argument("disulfide"),
+            )  # fmt: skip
 
 
 def _asked(
@@ -109,7 +109,8 @@ def _asked(
         if {id(first), id(second)} & ends:
             raise StructureError(
                 f"{bond}: {_place(first)} and {_place(second)} are bonded, and no cysteine has two bonds; "
-                'leave one out, or drop the bonds that are found: disulfide="none"'
+                "leave one out, or drop the bonds that are found: ",
+                Argument("disulfide", NO_BONDS),
             )
     held = next((name for name in pair if any(a.name == "SG" for a in at[name].links + at[name].metals)), "")
     if held:
@@ -118,8 +119,8 @@ def _asked(
         )
     first, second = (at[name] for name in pair)
     apart = _apart(first, second)
-    far = f"; their sulphurs are {apart:.1f} angstrom apart" if apart >= DISULFIDE else ""
-    draft.repairs.append(f"disulfide bond between {first} and {second}, as requested{far}")
+    kind = Kind.BRIDGE_FAR if apart >= DISULFIDE else Kind.BRIDGE_ASKED
+    draft.note(kind, first=first.residue, second=second.residue, length=apart)
     return first, second
 
 

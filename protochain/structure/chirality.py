@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers
+from protochain.residues import Atom
 from protochain.structure.draft import Member
 from protochain.structure.model import Structure
 from protochain.units import ANGSTROM_PER_NM
@@ -19,7 +20,6 @@ _CENTRES = {
     "ILE": {**_ALPHA, "CB": ("CA", "CG1", "CG2")},
 }
 """Chiral atoms and three neighbours, seen clockwise from the fourth in an L-amino acid."""
-_SHOWN = 6
 
 
 def centres(residue: str) -> dict[str, tuple[str, str, str]]:
@@ -56,10 +56,10 @@ def hand(member: Member, centre: str = "CA", least: float = 0.0) -> int:
     return int(np.sign(size)) if abs(size) > least else 0
 
 
-def wrong_hands(members: Sequence[Member]) -> list[str]:
+def wrong_hands(members: Sequence[Member]) -> list[Atom]:
     """Name the chiral atoms whose hand is not that of their residue's name."""
     return [
-        f"{centre} of {member}"
+        Atom(centre, member.residue)
         for member in members
         for centre in centres(member.name)
         if hand(member, centre) == (1 if member.is_d else -1)
@@ -83,7 +83,7 @@ def changed_hands(structure: Structure, x: Floats, reference: Floats) -> list[st
     if not len(atoms):
         return []
     flipped = np.sign(volume(x[atoms])) != np.sign(volume(reference[atoms]))
-    return [structure.describe(int(atom)).removeprefix("atom ") for atom in atoms[flipped, 0]]
+    return [str(structure.atom(int(atom))) for atom in atoms[flipped, 0]]
 
 
 def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) -> Integers:
@@ -103,12 +103,6 @@ def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) ->
     atoms = chiral_atoms(structure)
     hands = np.where(mirrored[structure.atom_residue[atoms[:, 0]]], -1.0, 1.0)
     return np.asarray(atoms[hands * volume(x[atoms]) < 0.0, 0])
-
-
-def listed(places: Sequence[str]) -> str:
-    """The first of some places, and how many more there are."""
-    more = f" and {len(places) - _SHOWN} more" if len(places) > _SHOWN else ""
-    return ", ".join(places[:_SHOWN]) + more
 
 
 @lru_cache(maxsize=16)

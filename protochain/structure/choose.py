@@ -7,6 +7,7 @@ import gemmi
 from protochain.errors import StructureError
 from protochain.structure.apart import refuse_copies
 from protochain.structure.draft import Draft
+from protochain.structure.repairs import Kind
 
 
 def choose_model(draft: Draft, structure: gemmi.Structure, number: int | None) -> gemmi.Model:
@@ -22,8 +23,7 @@ def choose_model(draft: Draft, structure: gemmi.Structure, number: int | None) -
     chosen = 0 if number is None else numbers.index(number)
     if len(structure) > 1:
         if number is None:
-            others = len(structure) - 1
-            draft.repairs.append(f"model {structure[0].num} used, {others} other models left out")
+            draft.note(Kind.MODELS_LEFT_OUT, taken=structure[0].num, count=len(structure) - 1)
         draft.left_out["models"] = len(structure) - 1
     draft.model_number = structure[chosen].num
     return structure[chosen]

@@ -8,12 +8,13 @@ import numpy as np
 from protochain import residues
 from protochain.arrays import Floats
 from protochain.errors import StructureError
-from protochain.structure.chirality import centres, hand, listed, wrong_hands
+from protochain.structure.chirality import centres, hand, wrong_hands
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.losses import Why
 from protochain.structure.packing import Site, packed
+from protochain.structure.repairs import Kind, Renamed
 from protochain.structure.sidechains import Places, bridged, dihedral, ideal, placed, unit
-from protochain.structure.templates import Template, base_template, rename
+from protochain.structure.templates import Template, rename
 
 _CARBOXYLATE = 1.25
 """Angstrom: C-O of ff14SB's carboxylate."""
@@ -23,7 +24,6 @@ _FLAT = 0.1
 """Angstrom^2: area of N-CA-C below which they are on one line."""
 _DECIMALS = 4
 """Decimals (angstrom) of the positions: sine and cosine differ in the last bit between libraries."""
-_RENAMED_SHOWN = 4
 
 
 def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
@@ -36,18 +36,21 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
     StructureError
         If a residue has no template, has an atom that its template lacks, or cannot be completed.
     """
-    renamed: list[str] = []
+    renamed: list[Renamed] = []
     open_ended: list[Member] = []
     lacking: list[tuple[Part, int, list[str]]] = []
     for part in draft.parts:
         for i, member in enumerate(part.members):
-            template = base_template(known, part, i)
+            template = part.template(known, i)
             if template is None:
                 where = "" if part.obstacle else " at the end of a chain"
                 raise StructureError(
                     f"{draft.source}: {member}: the force field has no parameters for it{where}; remove it"
                 )
-            renamed += [f"{change} of {member}" for change in rename(member.atoms, template)]
+            renamed += [
+                Renamed(before, residues.Atom(after, member.residue))
+                for before, after in rename(member.atoms, template)
+            ]
             _check_heavy_atoms(draft, member, template)
             missing = [name for name in template.heavy if not member.atom(name)]
             if "OXT" in missing:
@@ -56,14 +59,13 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
             if missing:
                 lacking.append((part, i, missing))
     if renamed:
-        more = f" and {len(renamed) - _RENAMED_SHOWN} more" if len(renamed) > _RENAMED_SHOWN else ""
-        draft.repairs.append(f"atoms renamed: {', '.join(renamed[:_RENAMED_SHOWN])}{more}")
+        draft.note(Kind.ATOMS_RENAMED, changes=tuple(renamed))
     inverted = wrong_hands([m for part in draft.parts if not part.obstacle for m in part.members])
     if inverted:
-        draft.repairs.append(f"of the wrong hand in the file: {listed(inverted)}")
+        draft.note(Kind.WRONG_HAND, atoms=tuple(inverted))
     _rebuild(draft, lacking)
     for member in open_ended:
-        draft.repairs.append(f"{member}: missing OXT added")
+        draft.note(Kind.OXT_ADDED, residue=member.residue)
         member.atoms.append(_terminal_oxygen(draft, member))
 
 
@@ -78,7 +80,7 @@ def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> None
             "rename or remove it"
         )
     if "OXT" not in template.element and member.atom("OXT"):
-        draft.repairs.append(f"{member}: OXT left out: the chain continues")
+        draft.note(Kind.INNER_OXT, residue=member.residue)
         draft.lose(member, [a for a in member.atoms if a.name == "OXT"], Why.INNER)
         member.atoms = [a for a in member.atoms if a.name != "OXT"]
 
@@ -103,7 +105,7 @@ def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> None:
                 f"{draft.source}: {member}: atom {missing[0]} missing; build it, or remove the residue"
             )
         _check_backbone(draft, member)
-        draft.repairs.append(f"{member}: missing {', '.join(missing)} added")
+        draft.note(Kind.ATOMS_ADDED, residue=member.residue, atoms=tuple(missing))
     for part, i, missing in lacking:
         if "O" in missing:
             _add(part.members[i], {"O": _oxygen(draft, part, i)})
@@ -125,9 +127,7 @@ def _site(draft: Draft, part: Part, i: int) -> Site:
     sign = hand(member) or (-1 if member.is_d else 1)
     if not hand(member) and not member.is_d and _is_misnamed(part, i):
         sign = -1
-        draft.repairs.append(
-            f"{member}: built as a D-amino acid, as others of its chain are under such names"
-        )
+        draft.note(Kind.BUILT_AS_D, residue=member.residue)
     return Site(member, sign, *_neighbours(part, i))
 
 

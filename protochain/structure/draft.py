@@ -4,16 +4,15 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import gemmi
 
 from protochain import residues
 from protochain.structure.header import NO_LABEL, Label
 from protochain.structure.losses import Loss, Why
-
-if TYPE_CHECKING:
-    from protochain.structure.templates import Template
+from protochain.structure.repairs import Kind, Repair
+from protochain.structure.templates import Template, template_name
 
 Address = tuple[str, str, str]
 """Chain id, number with insertion code, and atom name in the file."""
@@ -51,7 +50,7 @@ class Member:
     atoms: list[gemmi.Atom]
     state: str = ""
     is_d: bool = False
-    own: "Template | None" = None
+    own: Template | None = None
     links: list[gemmi.Atom] = field(default_factory=list)
     metals: list[gemmi.Atom] = field(default_factory=list)
     label: Label = NO_LABEL
@@ -59,7 +58,12 @@ class Member:
     parent: str = ""
 
     def __str__(self) -> str:
-        return residues.describe(self.seqid, residues.name_in_file(self.name, self.is_d), self.chain_id)
+        return str(self.residue)
+
+    @property
+    def residue(self) -> residues.Residue:
+        """What a file calls it."""
+        return residues.Residue(self.chain_id, self.seqid, residues.name_in_file(self.name, self.is_d))
 
     @property
     def is_cap(self) -> bool:
@@ -98,6 +102,27 @@ class Part:
     mobile: bool = False
     cyclic: bool = False
 
+    def template(self, known: Mapping[str, Template], i: int, state: str = "") -> Template | None:
+        """Template of residue i, in a protonation state or in the usual one.
+
+        The first residue of a chain is ``N...``, its last ``C...``, unless capped or cyclic; terminal
+        nucleotides are ``...5`` and ``...3``. A molecule kept as it is has its own.
+        """
+        member = self.members[i]
+        if member.own is not None:
+            return member.own
+        name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
+        # An end that is bonded to a molecule beside the chain has no charge.
+        linked = {atom.name for atom in member.links}
+        ends = (i == 0 and "N" not in linked, i == len(self.members) - 1 and "C" not in linked)
+        if member.name in residues.NUCLEOTIDES:
+            return known.get(
+                member.name + {(True, True): "N", (True, False): "5", (False, True): "3"}.get(ends, "")
+            )
+        if self.obstacle or self.cyclic or member.is_cap or not any(ends):
+            return known.get(name)
+        return known.get(("N" if ends[0] else "C") + name)
+
 
 @dataclass(eq=False)
 class Draft:
@@ -110,7 +135,7 @@ class Draft:
     parts : list of Part
     stated : list of pairs of Address
         Bonds between residues that the file states.
-    repairs : list of str
+    repairs : list of Repair
         Changes made so far.
     rebuilt : dict of int to tuple of str
         Atoms added to side chains, by ``id`` of their residue.
@@ -133,7 +158,7 @@ class Draft:
     source: str
     parts: list[Part] = field(default_factory=list)
     stated: list[tuple[Address, Address]] = field(default_factory=list)
-    repairs: list[str] = field(default_factory=list)
+    repairs: list[Repair] = field(default_factory=list)
     rebuilt: dict[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
     springs: Mapping[tuple[Address, ...], tuple[float, float]] = field(default_factory=dict)
@@ -146,6 +171,10 @@ class Draft:
     def members(self) -> list[Member]:
         """Every residue, in order."""
         return [member for part in self.parts for member in part.members]
+
+    def note(self, kind: Kind, **facts: Any) -> None:
+        """Note a change."""
+        self.repairs.append(Repair(kind, facts))
 
     def lose(self, member: Member, atoms: Iterable[gemmi.Atom], why: Why) -> None:
         """Note the heavy atoms among those of a residue as lost; count them if the rest of it stays."""

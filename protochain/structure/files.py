@@ -20,6 +20,7 @@ from protochain.markup import counted, excerpt
 from protochain.storage import regular
 from protochain.structure.apart import chains_told_apart, told_apart
 from protochain.structure.records import of_cif, of_pdb
+from protochain.structure.repairs import Kind, Repair
 from protochain.structure.templates import standard_name
 
 MAX_MEGABYTES = 512
@@ -61,7 +62,7 @@ def format_of(path: Path) -> str:
     return SUFFIXES.get(split_name(path)[1].lower(), "")
 
 
-def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool, str]:
+def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
     """Parse a PDB or mmCIF file, packed by gzip, bzip2 or xz or not; the content decides.
 
     Parameters
@@ -82,7 +83,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool, str]:
     """
     source = "standard input" if path == STANDARD_INPUT else str(path)
     text = _text(path, source)
-    overlooked: list[str] = []
+    overlooked: list[Repair] = []
     try:
         if _is_cif(text):
             text = _ascii(text, source, slice(None))
@@ -274,7 +275,7 @@ def _ascii(text: str, source: str, used: slice) -> str:
 _STRANGE = re.compile(r"[^\t\n -~]")
 
 
-def _corrected(text: str, source: str, overlooked: list[str]) -> str:
+def _corrected(text: str, source: str, overlooked: list[Repair]) -> str:
     """Check the columns of a PDB file that are used, and correct those whose meaning is clear.
 
     gemmi reads anything that is not a number as 0, and entry names after column 72 of old files as elements.
@@ -310,17 +311,11 @@ def _corrected(text: str, source: str, overlooked: list[str]) -> str:
             line = line[:78].rstrip()
         lines[i] = line
     if lower:
-        overlooked.append(f"{counted(lower, 'atom record')} in lower case read as upper case")
+        overlooked.append(Repair(Kind.LOWER_CASE, {"count": lower}))
     if strange:
-        records = counted(len(strange), "atom record")
-        overlooked.append(
-            f"columns 77-78 of {records}, from line {strange[0]} on, hold no element: "
-            "elements derived from atom names"
-        )
+        overlooked.append(Repair(Kind.NO_ELEMENT, {"count": len(strange), "line": strange[0]}))
     if unended:
-        ends = "ends" if unended == 1 else "end"
-        models = counted(unended, "model")
-        overlooked.append(f"{models} without an ENDMDL record {ends} where the next begins")
+        overlooked.append(Repair(Kind.NO_ENDMDL, {"count": unended}))
     return "\n".join(lines)
 
 

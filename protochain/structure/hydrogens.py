@@ -9,7 +9,7 @@ Hydroxyls and thiols are rotated, one after the other, to the minimum of a Coulo
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.arrays import Floats, Integers
+from protochain.arrays import Floats, Integers, neighbours
 
 _LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336}
 """nm: bond lengths to hydrogen."""
@@ -56,10 +56,7 @@ class _Placing:
         self.x, self.element, self.charge = np.array(x), element, charge
         self.missing = np.isnan(self.x[:, 0])
         self.turned: list[int] = []
-        self.neighbours: list[list[int]] = [[] for _ in element]
-        for first, second in bonds.tolist():
-            self.neighbours[first].append(second)
-            self.neighbours[second].append(first)
+        self.neighbours = neighbours(bonds, len(element))
 
     def placed(self) -> Floats:
         """Place hydrogens whose position is determined, then those that rotate."""

@@ -16,7 +16,8 @@ from protochain.errors import StructureError
 from protochain.structure.draft import Draft, Member, Part
 from protochain.structure.losses import Why
 from protochain.structure.recognise import recognised
-from protochain.structure.templates import Template, base_template
+from protochain.structure.repairs import EVERYTHING, Count, Kind, Repair
+from protochain.structure.templates import Template
 
 KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
 """Words that choose molecules by kind; any other word is the name of a residue."""
@@ -29,7 +30,6 @@ _PHOSPHATE = ("P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
 _BOND_SLACK, _BOND_SHORTEST = 0.4, 0.5
 """Angstrom: atoms at most this much further apart than the sum of their covalent radii are bonded, and not
 below the second."""
-_SHOWN = 8
 _NAMED = 20
 
 
@@ -42,13 +42,13 @@ class Candidate:
     member : Member
     given : str
         Its name in the file.
-    notes : list of str
+    notes : list of Repair
         Repairs to report if it is kept.
     """
 
     member: Member
     given: str
-    notes: list[str] = field(default_factory=list)
+    notes: list[Repair] = field(default_factory=list)
 
     @property
     def kind(self) -> str:
@@ -102,7 +102,7 @@ def choose(
     usable = [candidate for candidate in candidates if _is_usable(candidate.member)]
     near = _near(draft, usable) if "near" in keep else set()
     chosen = []
-    gone: Counter[tuple[str, str]] = Counter()
+    gone: Counter[tuple[str, Why | None]] = Counter()
     for candidate in candidates:
         words = {"all", candidate.kind, candidate.member.name, candidate.given}
         # A result names what it kept, which may have come further away.
@@ -112,14 +112,14 @@ def choose(
             chosen.append(candidate)
             continue
         draft.absent.append(candidate.member)
-        reason = ""
+        why = None
         if not _is_usable(candidate.member):
-            reason = "of unknown element"
-            draft.lose(candidate.member, candidate.member.atoms, Why.ELEMENT)
+            why = Why.ELEMENT
         elif "near" in keep and candidate.kind != "water":
-            reason = f"further than {defaults.KEEP_WITHIN:g} angstrom from the protein"
-            draft.lose(candidate.member, candidate.member.atoms, Why.FAR)
-        gone[("waters" if candidate.kind == "water" else candidate.given, reason)] += 1
+            why = Why.FAR
+        if why:
+            draft.lose(candidate.member, candidate.member.atoms, why)
+        gone[("waters" if candidate.kind == "water" else candidate.given, why)] += 1
     for (kind, _), count in gone.items():
         draft.left_out[kind] += count
     parts = _parts(draft, chosen, known)
@@ -178,7 +178,7 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
         whole = [*first.atoms]
         if first.name in residues.NUCLEOTIDES and gone:
             first.atoms = [atom for atom in first.atoms if atom.name not in gone]
-        found = [base_template(known, part, i) for i in range(len(part.members))]
+        found = [part.template(known, i) for i in range(len(part.members))]
         fits = all(_fits(member, its) for member, its in zip(part.members, found, strict=True))
         # Of a strand bonds would have to hold, which torsions do not know.
         part.mobile = fits and len(found) == 1 and found[0] is not None and found[0].is_users
@@ -191,7 +191,7 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
                 known_as = recognised(first, first.own, users) if first.own else None
                 first.own, part.mobile = known_as or first.own, known_as is not None
         elif len(whole) > len(first.atoms):
-            draft.repairs.append(f"{first}: 5' phosphate left out: the force fields do not have it")
+            draft.note(Kind.PHOSPHATE, residue=first.residue)
             draft.lose(first, [atom for atom in whole if atom.name in gone], Why.PHOSPHATE)
     return parts
 
@@ -247,26 +247,24 @@ def by_element(member: Member) -> Template:
     )
 
 
-def _report(draft: Draft, gone: Mapping[tuple[str, str], int], chosen: Sequence[Candidate]) -> None:
+def _report(draft: Draft, gone: Mapping[tuple[str, Why | None], int], chosen: Sequence[Candidate]) -> None:
     """Say what is left out, before all other repairs, and then what is kept."""
-    lines = []
+    told = []
     if gone:
-        said = ", ".join(
-            f"{count} {kind}" + (f" ({reason})" if reason else "") for (kind, reason), count in gone.items()
+        counts = tuple(Count(n, kind, why or "") for (kind, why), n in gone.items())
+        dry = any(count.kind != "waters" for count in counts)
+        told.append(
+            Repair(Kind.LEFT_OUT, {"counts": counts, "remedy": EVERYTHING})
+            if dry
+            else Repair(Kind.WATERS_LEFT_OUT, {"count": counts[0].n, "remedy": EVERYTHING})
         )
-        dry = any(kind != "waters" for kind, _ in gone)
-        why = "" if dry else ": the solvent is implicit"
-        lines.append(f'{said} left out{why}; keep="all" keeps everything')
     if chosen:
-        count = Counter("waters" if each.kind == "water" else each.given for each in chosen)
-        names = [f"{number} {name}" for name, number in count.most_common()]
-        more = f" and {len(names) - _SHOWN} more kinds" if len(names) > _SHOWN else ""
-        line = f"{', '.join(names[:_SHOWN])}{more} kept beside the protein"
-        bare = sorted({each.given for each in chosen if each.member.own and not each.member.own.is_users})
-        if bare:
-            line += f" ({', '.join(bare[:_SHOWN])} by element, unless the force field has parameters)"
-        lines.append(line)
-    draft.repairs[:0] = lines
+        its = Counter("waters" if each.kind == "water" else each.given for each in chosen)
+        kept = tuple(Count(n, name) for name, n in its.most_common())
+        bare = {each.given for each in chosen if each.member.own and not each.member.own.is_users}
+        kind = Kind.KEPT_BY_ELEMENT if bare else Kind.KEPT
+        told.append(Repair(kind, {"counts": kept, "bare": tuple(sorted(bare))}))
+    draft.repairs[:0] = told
 
 
 def water_named(member: Member, given: str) -> Member:

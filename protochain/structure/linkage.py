@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.arrays import Floats
+from protochain.residues import Atom
 from protochain.structure.draft import Draft, Member
 
 COVALENT_SLACK = 0.3
@@ -84,7 +85,12 @@ class Link:
     stated: bool = False
 
     def __str__(self) -> str:
-        return f"{self.atom.name} of {self.member} and {self.other_atom.name} of {self.other}"
+        return " and ".join(map(str, self.atoms))
+
+    @property
+    def atoms(self) -> tuple[Atom, Atom]:
+        """What a file calls the atoms."""
+        return Atom(self.atom.name, self.member.residue), Atom(self.other_atom.name, self.other.residue)
 
     @property
     def is_metal(self) -> bool:

@@ -7,6 +7,7 @@ from textwrap import shorten
 from typing import Any
 
 from protochain import defaults
+from protochain.structure.repairs import EVERYTHING, Say
 
 _WIDTH = 200
 """Characters of what is told of one structure."""
@@ -72,13 +73,15 @@ def far_molecules(losses: Iterable[Loss]) -> list[str]:
     return [str(loss) for loss in losses if loss.why is Why.FAR]
 
 
-def told(rows: Iterable[Mapping[Any, Any]]) -> list[str]:
+def told(rows: Iterable[Mapping[Any, Any]], say: Say = str) -> list[str]:
     """Tell at the end of a run what its structures lost.
 
     Parameters
     ----------
     rows : iterable of mapping
         Records, or rows of a table, of which those of one structure say the same.
+    say : callable
+        Argument -> its words.
 
     Returns
     -------
@@ -87,7 +90,8 @@ def told(rows: Iterable[Mapping[Any, Any]]) -> list[str]:
     """
     of = {str(row.get("structure")): row for row in rows}
     lines = []
-    for key, what, remedy in _TOLD:
+    for key, what in _TOLD.items():
+        remedy = f"; {say(EVERYTHING)} keeps them" if key == "far_molecules" else ""
         cells = {name: row.get(key) for name, row in of.items()}
         texts = {name: "; ".join(cell) if isinstance(cell, list) else cell for name, cell in cells.items()}
         lost = {name: _short(text) for name, text in texts.items() if isinstance(text, str) and text}
@@ -100,15 +104,11 @@ def told(rows: Iterable[Mapping[Any, Any]]) -> list[str]:
     return lines
 
 
-_TOLD = (
-    ("lost_atoms", "lost atoms", ""),
-    (
-        "far_molecules",
-        f"left out molecules further than {defaults.KEEP_WITHIN:g} angstrom from the protein",
-        '; keep="all" keeps them',
-    ),
-)
-"""Columns, what they tell, and the remedy."""
+_TOLD = {
+    "lost_atoms": "lost atoms",
+    "far_molecules": f"left out molecules further than {defaults.KEEP_WITHIN:g} angstrom from the protein",
+}
+"""Columns, and what they tell."""
 
 
 def _short(text: str) -> str:

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers, Value, read_only
+from protochain.arrays import Floats, Integers, Neighbours, Value, neighbours, read_only
 from protochain.errors import StructureError
 from protochain.markup import facts
-from protochain.residues import describe, name_in_file
-from protochain.structure.changes import summarised
+from protochain.residues import Atom, Residue, name_in_file
 from protochain.structure.header import Label
 from protochain.structure.losses import Loss
+from protochain.structure.repairs import Repair, summarised
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class Structure(Value):
         Chains, residues, atoms and bonds; chain ids, numbers and insertion codes are those of the file.
     positions : (na, 3) float, nm
         Positions of the atoms.
-    repairs : tuple of str
-        Every change made to the file's contents, one line each.
+    repairs : tuple of Repair
+        Every change made to the file's contents; the text of each is a line.
     left_out : mapping of str to int
         Numbers of molecules and atoms of the file that were left out, by kind.
     b_factor : (na,) float, angstrom^2
@@ -89,7 +89,7 @@ class Structure(Value):
     name: str
     topology: Any
     positions: Floats
-    repairs: tuple[str, ...] = ()
+    repairs: tuple[Repair, ...] = ()
     left_out: Mapping[str, int] = field(default_factory=dict)
     b_factor: Floats = field(default_factory=lambda: np.empty(0))
     obstacle: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
@@ -198,6 +198,11 @@ class Structure(Value):
         return read_only(np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1), np.int64)
 
     @cached_property
+    def neighbours(self) -> Neighbours:
+        """Atoms bonded to each atom, in the order of the bonds."""
+        return neighbours(self.bonds, self.n_atoms)
+
+    @cached_property
     def alpha_carbons(self) -> Integers:
         """(nca,) int: the C-alpha atoms of the protein."""
         alpha = (self.atom_name == "CA") & (self.atom_element == "C") & ~self.kept
@@ -236,13 +241,21 @@ class Structure(Value):
 
     def describe_residue(self, residue: int) -> str:
         """Describe a residue: ``residue 17 GLU of chain A``."""
+        return str(self.residue(residue))
+
+    def residue(self, residue: int) -> Residue:
+        """What files call a residue."""
         number = f"{self.residue_number[residue]}{self.residue_insertion_code[residue]}"
         name = name_in_file(str(self.residue_name[residue]), bool(self.mirrored[residue]))
-        return describe(number, name, str(self.residue_chain[residue]))
+        return Residue(str(self.residue_chain[residue]), number, name)
 
     def describe(self, atom: int) -> str:
         """Describe an atom: ``atom CG of residue 17 GLU of chain A``."""
-        return f"atom {self.atom_name[atom]} of {self.describe_residue(int(self.atom_residue[atom]))}"
+        return f"atom {self.atom(atom)}"
+
+    def atom(self, atom: int) -> Atom:
+        """What files call an atom."""
+        return Atom(str(self.atom_name[atom]), self.residue(int(self.atom_residue[atom])))
 
     def with_positions(self, x: Floats) -> "Structure":
         """Return the same structure with positions x (na, 3), nm."""

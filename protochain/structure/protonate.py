@@ -10,7 +10,8 @@ from protochain import residues
 from protochain.checks import number
 from protochain.errors import StructureError
 from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.templates import Template, base_template, rename
+from protochain.structure.repairs import Kind
+from protochain.structure.templates import Template, rename
 
 _BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is dropped."""
@@ -53,9 +54,9 @@ def protonate(
             added += sum(a.is_hydrogen() for a in member.atoms) - now
             done.append((member, template))
     if renamed:
-        draft.repairs.append(f"{renamed} hydrogens with unknown names renamed after their parent atoms")
+        draft.note(Kind.HYDROGENS_RENAMED, count=renamed)
     if added:
-        draft.repairs.append(f"{added} hydrogens added at pH {ph:g} ({present} were in the file)")
+        draft.note(Kind.HYDROGENS_ADDED, count=added, ph=ph, present=present)
     return done
 
 
@@ -73,13 +74,13 @@ def _template(
     state = shown or _at_ph(member, ph)
     if member.name == "HIS" and not state:
         state = "HIE" if acceptors.prefer_epsilon(member) else "HID"
-    template = base_template(known, part, i, state)
-    usual = base_template(known, part, i)
+    template = part.template(known, i, state)
+    usual = part.template(known, i)
     assert usual is not None
     if template is None:
-        draft.repairs.append(f"{member}: kept in its usual state: the force field has no terminal {state}")
+        draft.note(Kind.USUAL_STATE, residue=member.residue, state=state)
     elif state and not shown:
-        draft.repairs.append(f"{member} taken as {state}")
+        draft.note(Kind.STATE_CHOSEN, residue=member.residue, state=state)
     template = template or usual
     for linked in member.links:
         if linked.name != "N":
@@ -165,7 +166,7 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
         member.atoms.append(parent)
         member.atoms += [named.get(name) or atom(name, "H", _UNPLACED, parent.b_iso) for name in names]
     if strange:
-        draft.repairs.append(f"{member}: {strange} hydrogens left out: they do not belong to its state")
+        draft.note(Kind.STRANGE_HYDROGENS, residue=member.residue, count=strange)
     return len({a.name for a in member.atoms if a.is_hydrogen() and not np.isnan(a.pos.x)} - before)
 
 

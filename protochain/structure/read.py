@@ -7,16 +7,17 @@ raises an error of one line.
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import gemmi
 import numpy as np
 
 from protochain import residues
 from protochain.checks import check_fields, flag, integer, optional, text, words
-from protochain.errors import OnlyAlphaError, StructureError
-from protochain.markup import counted
+from protochain.errors import Argument, OnlyAlphaError, StructureError
+from protochain.markup import counted, listed
 from protochain.structure.apart import refuse_crowds
-from protochain.structure.chirality import WELL_FORMED, hand, listed
+from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place, without_nan
 from protochain.structure.draft import Address, Draft, Member, Part
@@ -24,6 +25,7 @@ from protochain.structure.files import STANDARD_INPUT, parse, split_name
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, water_named
 from protochain.structure.losses import Why
+from protochain.structure.repairs import Kind, Repair
 from protochain.structure.springs import springs
 from protochain.structure.templates import (
     archive_parent,
@@ -103,9 +105,7 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
     draft = read_structure(structure, draft, reading or Reading())
     last = next(part for part in reversed(draft.parts) if not part.obstacle).members[-1]
     if not ends and not last.atom("OXT"):
-        draft.repairs.append(
-            f"the file ends at {last} without an END record or a terminal oxygen: check that it is complete"
-        )
+        draft.note(Kind.NO_END, residue=last.residue)
     return draft
 
 
@@ -134,7 +134,7 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         reader.take(chain)
         unknown += reader.refused
     if unknown:
-        raise StructureError(f"{draft.source}: {_unknown_told(draft, unknown)}")
+        raise StructureError(f"{draft.source}: ", *_unknown_told(draft, unknown))
     if not draft.parts:
         kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
         found = ", ".join(_counted(kind, count) for kind, count in kinds.items())
@@ -142,8 +142,8 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         remedy = "a chain has two amino acids or more" if single else "give a file with amino acids"
         raise StructureError(f"{draft.source}: no protein found{found and f', only {found}'}; {remedy}")
     draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})
-    if draft.left_out["deuterium atoms"]:
-        draft.repairs.append(f"{draft.left_out['deuterium atoms']} deuterium atoms left out")
+    if deuterium := draft.left_out["deuterium atoms"]:
+        draft.note(Kind.DEUTERIUM, count=deuterium)
     # As in a file written of it, where chains are whole: protein chains come first.
     order = list(dict.fromkeys(part.chain_id for part in draft.parts))
     beside.sort(
@@ -171,16 +171,17 @@ def model_numbers(path: str | Path) -> list[int]:
     return [model.num for model in parse(Path(path))[0]]
 
 
-def _unknown_told(draft: Draft, unknown: list[Member]) -> str:
+def _unknown_told(draft: Draft, unknown: list[Member]) -> tuple[str | Argument, ...]:
     """What amino acids are unknown, and what to do; taking other chains is offered if they hold none."""
     chains = dict.fromkeys(part.chain_id for part in draft.parts)
     free = [name for name in chains if name and name not in {member.chain_id for member in unknown}]
     said = "is an unknown amino acid" if len(unknown) == 1 else "are unknown amino acids"
     it = "it" if len(unknown) == 1 else "them"
-    others = f', or take only what has none: chains="{",".join(free)}"' if free else ""
+    others = (", or take only what has none: ", Argument("chains", ",".join(free))) if free else ()
     return (
         f"{listed([str(member) for member in unknown])} {said} without a standard parent; replace or remove "
-        f"{it}, or give a force field that defines {it}{others}"
+        f"{it}, or give a force field that defines {it}",
+        *others,
     )
 
 
@@ -218,7 +219,7 @@ class _Reader:
         run: list[Member] = []
         for group in same_place(chain):
             found = likeliest(group, self.reading.altloc)
-            self.notes: list[str] = []
+            self.notes: list[Repair] = []
             if self._is_protein(found.residue):
                 self._report_alternates(found)
             else:
@@ -239,11 +240,8 @@ class _Reader:
     def _chain(self) -> str:
         return self.chain_id or "(blank)"
 
-    def _report(self, line: str) -> None:
-        self.draft.repairs.append(line)
-
-    def _describe(self, residue: gemmi.Residue) -> str:
-        return residues.describe(str(residue.seqid).strip(), residue.name, self.chain_id)
+    def _in_file(self, residue: gemmi.Residue) -> residues.Residue:
+        return residues.Residue(self.chain_id, str(residue.seqid).strip(), residue.name)
 
     def _report_alternates(self, found: Conformation) -> None:
         self.draft.repairs += self._alternates(found)
@@ -252,25 +250,22 @@ class _Reader:
         elif found.repeated:
             self.draft.left_out["repeated atoms"] += len(found.repeated)
 
-    def _alternates(self, found: Conformation) -> list[str]:
+    def _alternates(self, found: Conformation) -> list[Repair]:
         """Describe the choice among the alternate locations of a residue."""
-        where = self._describe(found.residue)
+        facts: dict[str, Any] = {"residue": self._in_file(found.residue)}
         if found.others:
-            return [
-                f"{where}: alternate location {found.altloc} kept (occupancy {found.occupancy:.2f}), "
-                f"{', '.join(found.others)} left out"
-            ]
+            facts |= {"taken": found.altloc, "occupancy": found.occupancy, "others": tuple(found.others)}
+            return [Repair(Kind.ALTERNATES, facts)]
         if found.repeated:
-            return [f"{where}: {', '.join(found.repeated)} given more than once; the first of each kept"]
+            return [Repair(Kind.REPEATED, facts | {"atoms": tuple(found.repeated)})]
         return []
 
     def _report_zero_occupancy(self, run: list[Member]) -> None:
         """Report heavy atoms that the experiment did not resolve."""
         unseen = [sum(atom.occ == 0.0 for atom in member.atoms if not atom.is_hydrogen()) for member in run]
-        places = [str(member) for member, n in zip(run, unseen, strict=True) if n]
+        places = tuple(member.residue for member, n in zip(run, unseen, strict=True) if n)
         if places:
-            more = f" and {len(places) - 1} more" if len(places) > 1 else ""
-            self._report(f"{sum(unseen)} atoms of zero occupancy kept, in {places[0]}{more}")
+            self.draft.note(Kind.UNRESOLVED, count=sum(unseen), residues=places)
 
     def _is_protein(self, residue: gemmi.Residue) -> bool:
         name, _ = named(residue.name.strip().upper(), [*residue], self.known)
@@ -293,8 +288,8 @@ class _Reader:
         )  # fmt: skip
         if name in residues.STANDARD or name in residues.CAPS:
             if state or given[-3:] in residues.LINKED:
-                told = f" in protonation state {state}" if state else ""
-                self._report(f"{self._describe(residue)}: taken as {name}{told}")
+                kind = Kind.STATE_NAMED if state else Kind.RENAMED
+                self.draft.note(kind, residue=self._in_file(residue), name=name, state=state)
             if member.is_cap:
                 rename(member.atoms, self.known[template_name(name)])
             return member
@@ -312,7 +307,7 @@ class _Reader:
 
     def _convert(self, member: Member) -> None:
         """Convert a modified residue of a chain to its standard parent."""
-        where, parent, given = str(member), member.parent, member.name
+        residue, parent, given = member.residue, member.parent, member.name
         # HIP has the atoms of every state of histidine.
         named = self.known["HIP" if parent == "HIS" else parent]
         expected = {*named.element, *other_names(member.atoms, named), "OXT", "H1", "H2", "H3", "H"}
@@ -326,18 +321,19 @@ class _Reader:
             atom for atom in member.atoms if atom.name in expected and not (strange and atom.is_hydrogen())
         ]
         member.name, member.parent = parent, ""
-        gone = f", {', '.join(a.name for a in strange)} left out" if strange else ""
+        gone = tuple(a.name for a in strange)
         self.draft.lose(member, strange, Why.PARENT)
         if gemmi.find_tabulated_residue(given).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
             # The table does not say of which hand it is.
             member.is_d = hand(member, least=WELL_FORMED) < 0
         if given == "MSE":
-            self._report(f"{where}: selenomethionine converted to MET")
+            self.draft.note(Kind.SELENOMETHIONINE, residue=residue)
         elif given != residues.name_in_file(parent, member.is_d):
-            to = f"D-amino acid {residues.D_NAMES[parent]}" if member.is_d else f"standard parent {parent}"
-            self._report(f"{where}: converted to its {to}{gone}")
+            cut, whole = _TO_D if member.is_d else _TO_PARENT
+            name = residues.name_in_file(parent, member.is_d)
+            self.draft.note(cut if gone else whole, residue=residue, name=name, atoms=gone)
         elif gone or hand(member) < 1:  # One of the other hand is told with all that are.
-            self._report(f"{where}: D-amino acid, with the parameters of its mirror image{gone}")
+            self.draft.note(Kind.MIRRORED_CUT if gone else Kind.MIRRORED, residue=residue, atoms=gone)
 
     def _has_backbone(self, member: Member) -> bool:
         missing = [name for name in residues.BACKBONE if not member.atom(name)]
@@ -348,7 +344,7 @@ class _Reader:
                 f"{self.draft.source}: {member}: atom {missing[0]} missing; "
                 "rebuild the backbone or remove the residue"
             )
-        self._report(f"{member}: left out: its backbone atom {missing[0]} is missing")
+        self.draft.note(Kind.NO_BACKBONE, residue=member.residue, atom=missing[0])
         self.draft.left_out["incomplete residues"] += 1
         self.draft.lose(member, member.atoms, Why.BACKBONE)
         return False
@@ -360,8 +356,7 @@ class _Reader:
             if part:
                 gap = _gap(part[-1], member)
                 if gap >= PEPTIDE_BREAK and _is_torn(part[-1], member, gap):
-                    where = f"the bond of {part[-1]} and {member}"
-                    self._report(f"{where} is {gap:.1f} angstrom long: kept as a peptide bond")
+                    self.draft.note(Kind.TORN, last=part[-1].residue, first=member.residue, length=gap)
                 elif gap >= PEPTIDE_BREAK:
                     self._break(part[-1], member, gap)
                     self._add(part)
@@ -373,12 +368,13 @@ class _Reader:
         """Report a chain break, unless the file has termini there."""
         if last.atom("OXT") or last.is_cap or first.is_cap or {id(last), id(first)} & self.unknown:
             return
-        where = f"chain {self._chain} is broken between {last.seqid} and {first.seqid} ({gap:.1f} angstrom)"
         if self.reading.strict:
             raise StructureError(
-                f"{self.draft.source}: {where}; model the missing residues, or leave out strict=True"
+                f"{self.draft.source}: chain {self._chain} is broken between {last.seqid} and {first.seqid} "
+                f"({gap:.1f} angstrom); model the missing residues, or leave out ",
+                Argument("strict", True),
             )
-        self._report(f"{where}: split there, with charged termini; to avoid it, model the missing residues")
+        self.draft.note(Kind.GAP, last=last.residue, first=first.residue, length=gap)
 
     def _add(self, part: list[Member]) -> None:
         """Add an unbroken chain, or leave out a single residue."""
@@ -390,7 +386,7 @@ class _Reader:
         strange = [member for member in part if id(member) in self.unknown]
         if len(part) == 1:
             if not strange:
-                self._report(f"{part[0]}: no part of a chain: it is bonded to no other residue")
+                self.draft.note(Kind.ALONE, residue=part[0].residue)
             self.beside.append(Candidate(part[0], part[0].name))
         elif strange:
             self.refused += strange
@@ -405,16 +401,21 @@ class _Reader:
                     (self.chain_id, member.seqid, name) for member, name in ((part[-1], "C"), (part[0], "N"))
                 )
                 if not self.draft.states(*ends):
-                    self._report(f"chain {self._chain} is cyclic: {part[-1]} is bonded to {part[0]}")
+                    self.draft.note(Kind.CYCLIC, last=part[-1].residue, first=part[0].residue)
             self.draft.parts.append(made)
 
     def _is_in_place(self, member: Member, i: int, n: int) -> bool:
         if n > 1 and (i == 0 if member.name == "ACE" else i == n - 1):
             return True
-        self._report(f"{member}: left out: this cap is not at the end of a chain")
+        self.draft.note(Kind.CAP, residue=member.residue)
         self.draft.left_out[member.name] += 1
         self.draft.lose(member, member.atoms, Why.CAP)
         return False
+
+
+_TO_D = Kind.CUT_TO_D, Kind.CONVERTED_TO_D
+_TO_PARENT = Kind.CUT_TO_PARENT, Kind.CONVERTED
+"""With atoms left out, and whole."""
 
 
 def _element(atom: gemmi.Atom) -> gemmi.Element:

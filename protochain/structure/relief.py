@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain import residues
-from protochain.arrays import Floats, Integers
+from protochain.arrays import Floats, Integers, neighbours
 from protochain.structure.chirality import hand
 from protochain.structure.draft import Member
 from protochain.structure.packing import WIDTH, wrapped
@@ -105,10 +105,7 @@ class _Room:
         for i, (member, name) in enumerate(owners):
             self.atoms.setdefault(id(member), {})[name] = i
             self.members[id(member)] = member
-        self.bonded: list[list[int]] = [[] for _ in owners]
-        for i, j in bonds.tolist():
-            self.bonded[i].append(j)
-            self.bonded[j].append(i)
+        self.bonded = neighbours(bonds, len(owners))
 
     def within(self, atom: int, n: int) -> set[int]:
         """Atoms at most n bonds away, itself included."""

@@ -12,11 +12,12 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.arrays import Floats, Integers
+from protochain.arrays import Floats, Integers, neighbours
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.kept import JOINED
 from protochain.structure.linkage import COVALENT_SLACK, Link, told_apart, usual_length
 from protochain.structure.model import Tie
+from protochain.structure.repairs import Apart, Count, Kind
 
 _OXYGEN_DISTANCE = {
     "Na": 2.38, "Mg": 2.07, "K": 2.74, "Ca": 2.36, "Mn": 2.15, "Fe": 2.04, "Co": 2.05, "Ni": 2.06,
@@ -40,8 +41,6 @@ _STRAIGHT = np.deg2rad(170.0)
 _SHELL = {"Na": 5, "Mg": 6, "K": 6, "Ca": 6, "Mn": 6}
 _OTHER_SHELL = 4
 """Donors that hold an ion on all sides (Harding, Acta Cryst. D60:849, 2004)."""
-_SHOWN = 6
-"""Overlaps named."""
 
 _METAL_BOND, _METAL_ANGLE, _DONOR_ANGLE = 8.0e4, 300.0, 540.0
 """kJ/mol/nm^2, kJ/mol/rad^2: angles are those of Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver,
@@ -86,26 +85,18 @@ def find_links(draft: Draft) -> list[Link]:
         (link.member.metals if link.is_metal else link.member.links).append(link.atom)
         sites.setdefault(id(link.other_atom), []).append(link)
     for site in sites.values():
-        ends = ", ".join(f"{each.atom.name} of {each.member} ({each.length:.2f} angstrom)" for each in site)
-        how = "coordinated by" if site[0].is_metal else "bonded to"
-        along = ""
+        kind = Kind.COORDINATED if site[0].is_metal else Kind.BONDED
         if moves(draft, site[0].other, links):
-            along = ", and moves with them"
+            kind = Kind.ION_MOVES
         elif site[0].is_metal and len(site[0].other.atoms) == 1:
-            along = "; the ion stays in place"
-        draft.repairs.append(
-            f"{site[0].other_atom.name} of {site[0].other} is {how} {ends}: held at these distances by "
-            f"springs{along}"
-        )
+            kind = Kind.ION_HELD
+        ends = tuple(Apart(each.atoms[:1], each.length) for each in site)
+        draft.note(kind, atom=site[0].atoms[1], ends=ends)
     for link, why in refused:
-        draft.repairs.append(f"bond of the file between {link} ignored: {why}; mend the file if it is real")
+        draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=why)
     if told.overlapping:
-        n = len(told.overlapping)
-        pairs = ", ".join(f"{link} ({link.length:.2f} angstrom)" for link in told.overlapping[:_SHOWN])
-        draft.repairs.append(
-            f"{n} pair{'s' * (n > 1)} of atoms as near as bonded ones, but not bonded (no LINK, CONECT or "
-            f"struct_conn, and no known kind of bond): {pairs}{f' and {n - _SHOWN} more' * (n > _SHOWN)}"
-        )
+        pairs = tuple(Apart(link.atoms, link.length) for link in told.overlapping)
+        draft.note(Kind.NEAR, count=len(pairs), pairs=pairs)
     return links
 
 
@@ -195,17 +186,11 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
         }
         if any(beside[k][0] is not part for k in near) or tied & {id(m) for m in part.members}:
             part.mobile = False
-            draft.repairs.append(
-                f"{part.members[0]} stays in place, though the force field has its parameters: it is bonded "
-                "to another molecule"
-            )
+            draft.note(Kind.STAYS, residue=part.members[0].residue)
         else:
             names[part.members[0].name] += 1
     if names:
-        said = ", ".join(f"{count} {name}" for name, count in names.items())
-        draft.repairs.append(
-            f"{said} with parameters of the force field: free to move, in torsions as a rigid body"
-        )
+        draft.note(Kind.MOBILE, counts=tuple(Count(n, name) for name, n in names.items()))
 
 
 def _heavy(member: Member) -> list[gemmi.Atom]:
@@ -246,21 +231,18 @@ def ties(
     -------
     tuple of Tie
     """
-    neighbours: dict[int, list[int]] = {}
-    for first, second in bonds.tolist():
-        if "H" not in (element[first], element[second]):
-            neighbours.setdefault(first, []).append(second)
-            neighbours.setdefault(second, []).append(first)
+    heavy = np.array(element) != "H"
+    near = neighbours(bonds[heavy[bonds].all(axis=1)], len(element))
     found: dict[tuple[int, ...], float] = {}
     own = {at[id(link.member)][link.atom.name] for link in links}
     for link in links:
         mine = at[id(link.member)][link.atom.name]
         its = at[id(link.other)][link.other_atom.name]
         found[mine, its] = _METAL_BOND if link.is_metal else _BOND
-        for k in neighbours[mine]:
+        for k in near[mine]:
             if k != its:
                 found[k, mine, its] = _DONOR_ANGLE if link.is_metal else _ANGLE
-        for j, k in combinations(sorted(neighbours[its]), 2):
+        for j, k in combinations(sorted(near[its]), 2):
             if mine in (j, k) and (j in own or k in own):
                 found[j, its, k] = _METAL_ANGLE if link.is_metal else _ANGLE
     made = []

@@ -15,7 +15,6 @@ from pdbfixer.pdbfixer import substitutions
 
 from protochain.errors import StructureError
 from protochain.residues import CAPS, LINKED, NUCLEOTIDES, STANDARD, STATE_PARENT
-from protochain.structure.draft import Part
 
 _DATA = Path(app.__file__).parent / "data"
 PROTEIN = _DATA / "amber14" / "protein.ff14SB.xml"
@@ -279,28 +278,6 @@ def template_name(residue: str) -> str:
     return "NHE" if residue == "NH2" else residue
 
 
-def base_template(known: Mapping[str, Template], part: Part, i: int, state: str = "") -> Template | None:
-    """Template of residue i of a chain, in a protonation state or in the usual one.
-
-    The first residue of a chain is ``N...``, its last ``C...``, unless capped or cyclic; terminal nucleotides
-    are ``...5`` and ``...3``. A molecule kept as it is has its own.
-    """
-    member = part.members[i]
-    if member.own is not None:
-        return member.own
-    name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
-    # An end that is bonded to a molecule beside the chain has no charge.
-    linked = {atom.name for atom in member.links}
-    ends = (i == 0 and "N" not in linked, i == len(part.members) - 1 and "C" not in linked)
-    if member.name in NUCLEOTIDES:
-        return known.get(
-            member.name + {(True, True): "N", (True, False): "5", (False, True): "3"}.get(ends, "")
-        )
-    if part.obstacle or part.cyclic or member.is_cap or not any(ends):
-        return known.get(name)
-    return known.get(("N" if ends[0] else "C") + name)
-
-
 def other_names(atoms: Iterable[gemmi.Atom], template: Template) -> Iterator[str]:
     """Yield names by which atoms of a modified residue mean its parent's: O1 is O, but not in a sulphate.
 
@@ -315,20 +292,20 @@ def other_names(atoms: Iterable[gemmi.Atom], template: Template) -> Iterator[str
                 yield other
 
 
-def rename(atoms: list[gemmi.Atom], template: Template) -> list[str]:
+def rename(atoms: list[gemmi.Atom], template: Template) -> list[tuple[str, str]]:
     """Rename atoms to their PDB names.
 
     Returns
     -------
-    list of str
-        Changes, as ``CD to CD1``.
+    list of (str, str)
+        Names before and after.
     """
     present = {atom.name for atom in atoms}
     changed = []
     for atom in atoms:
         name = template.synonyms.get(atom.name)
         if atom.name not in template.element and name is not None and name not in present:
-            changed.append(f"{atom.name} to {name}")
+            changed.append((atom.name, name))
             present.add(name)
             atom.name = name
     return changed

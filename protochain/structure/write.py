@@ -81,7 +81,7 @@ def as_text(
     settle(out, whole=format_ == "mmCIF")
     if not hydrogens:
         out.remove_hydrogens()
-    repairs = dict.fromkeys(line for each in models for line in each.repairs)
+    repairs = dict.fromkeys(str(repair) for each in models for repair in each.repairs)
     return _WRITERS[format_](out, models, remarks, repairs)
 
 

@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 
 from protochain.arrays import Floats, Integers
 from protochain.contacts import neighbourhood, radii
+from protochain.markup import listed
 from protochain.residues import NUCLEOTIDES
-from protochain.structure.chirality import listed
 from protochain.structure.model import Structure
 from protochain.structure.templates import DNA, RNA, templates
 from protochain.units import ANGSTROM_PER_NM
@@ -50,7 +50,7 @@ class FixedFaults(NamedTuple):
         """Describe each in a line."""
         pairs = np.vstack([self.bonds, self.clashes])
         apart = ANGSTROM_PER_NM * np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-        ends = [[structure.describe(atom).removeprefix("atom ") for atom in pair] for pair in pairs.tolist()]
+        ends = [[str(structure.atom(atom)) for atom in pair] for pair in pairs.tolist()]
         return [f"{a} and {b}, {by:.2f} angstrom apart" for (a, b), by in zip(ends, apart, strict=True)]
 
     def said(self, structure: Structure, x: Floats) -> str:

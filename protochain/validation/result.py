@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from protochain.arrays import Value
 from protochain.markup import facts
 from protochain.structure.model import Structure
+from protochain.structure.repairs import Kind
 from protochain.validation.found import MEASURES
 from protochain.validation.likeness import LIKENESS
 from protochain.validation.violations import Violations
@@ -65,7 +66,7 @@ class Validation(Value):
     def added(self) -> str:
         """What preparation added to the file, in words; empty if nothing."""
         heavy = self.residues["atoms_added"]
-        told = [line for line in self.structure.repairs if "hydrogens added" in line]
+        told = [str(each) for each in self.structure.repairs if each.kind is Kind.HYDROGENS_ADDED]
         if heavy.any():
             counts = int(heavy.sum()), int((heavy > 0).sum())
             kinds = zip(counts, ("heavy atom", "residue"), strict=True)

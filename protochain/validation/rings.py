@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.arrays import Floats, Integers, floats, read_only
+from protochain.arrays import Floats, Integers, Neighbours, floats, neighbours, read_only
 from protochain.structure.model import Structure
 
 LARGEST = 20
@@ -18,8 +18,6 @@ _SMALL = 7
 """Atoms of the largest ring that is nearly flat; its surface is spanned from its centre."""
 _LONG = 0.25
 """nm; bonds that are longer are compared with every ring."""
-
-Neighbours = tuple[tuple[int, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -134,7 +132,7 @@ def _closed(structure: Structure, bonds: Integers, between: Integers) -> list[tu
     closing = between[~follows & ~metal[between].any(axis=1)]
     if not len(closing):
         return []
-    near = _neighbours(bonds[~metal[bonds].any(axis=1)], structure.n_atoms)
+    near = neighbours(bonds[~metal[bonds].any(axis=1)], structure.n_atoms)
     cycles = (_cycle(near, int(i), int(j)) for i, j in closing)
     return list({frozenset(ring): ring for ring in cycles if ring}.values())
 
@@ -142,17 +140,9 @@ def _closed(structure: Structure, bonds: Integers, between: Integers) -> list[tu
 @lru_cache(maxsize=256)
 def _cycles(bonds: tuple[tuple[int, int], ...]) -> tuple[tuple[int, ...], ...]:
     """Smallest ring through each bond of a molecule, each ring once."""
-    near = _neighbours(np.array(bonds), 1 + max(map(max, bonds)))
+    near = neighbours(np.array(bonds), 1 + max(map(max, bonds)))
     cycles = (_cycle(near, i, j) for i, j in bonds)
     return tuple({frozenset(ring): ring for ring in cycles if ring}.values())
-
-
-def _neighbours(bonds: Integers, n: int) -> Neighbours:
-    near: list[list[int]] = [[] for _ in range(n)]
-    for i, j in bonds.tolist():
-        near[i].append(j)
-        near[j].append(i)
-    return tuple(map(tuple, near))
 
 
 def _cycle(near: Neighbours, i: int, j: int) -> tuple[int, ...]:

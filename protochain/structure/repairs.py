@@ -1,0 +1,330 @@
+"""What was changed to prepare a file: values, the words for each, and a summary of many."""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from string import Formatter
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from protochain.arrays import Value
+from protochain.errors import Argument
+from protochain.markup import counted, listed
+from protochain.residues import Atom
+
+_SHOWN = 8
+"""Places named in a line that tells many changes."""
+EVERYTHING = Argument("keep", "all")
+"""How to keep what is left out."""
+
+Say = Callable[[Argument], str]
+"""An argument in the words of whoever reads: ``str`` in those of Python."""
+
+
+class Rank(IntEnum):
+    """Order in a summary."""
+
+    LEFT_OUT = 0
+    GAP = 1
+    LOSS = 2
+    CHANGE = 3
+    HISTIDINE = 4
+    HYDROGENS = 5
+
+
+class Words(NamedTuple):
+    """How a kind of repair is told.
+
+    Parameters
+    ----------
+    one : str
+        A template, whose fields are the facts of the repair.
+    many : str
+        What is said of several residues; by default what ``one`` says of its residue.
+    rank : Rank
+    """
+
+    one: str
+    many: str = ""
+    rank: Rank = Rank.CHANGE
+
+
+class Kind(Enum):
+    """Kinds of repairs, with their words."""
+
+    # Of the file.
+    LOWER_CASE = Words("{count:n atom record} in lower case read as upper case")
+    NO_ELEMENT = Words(
+        "columns 77-78 of {count:n atom record}, from line {line} on, hold no element: elements derived from "
+        "atom names"
+    )
+    NO_ENDMDL = Words("{count:n model} without an ENDMDL record, taken to end where the next begins")
+    CHAIN_RENAMED = Words("chain {before} called {after}: one before it has its id and numbers")
+    MOLECULES_TOLD_APART = Words("molecules that share number and name told apart: {count} more")
+    ATOMS_NUMBERED = Words("atoms that share a name numbered in {count} molecules")
+    MODELS_LEFT_OUT = Words("model {taken} used, {count} other models left out", rank=Rank.LOSS)
+    NO_END = Words(
+        "the file ends at {residue} without an END record or a terminal oxygen: check that it is complete",
+        rank=Rank.LOSS,
+    )
+    # Of what is taken.
+    DEUTERIUM = Words("{count} deuterium atoms left out", rank=Rank.LEFT_OUT)
+    ALTERNATES = Words(
+        "{residue}: alternate location {taken} kept (occupancy {occupancy:.2f}), {others} left out",
+        "alternate locations left out",
+        Rank.LOSS,
+    )
+    REPEATED = Words(
+        "{residue}: {atoms} given more than once; the first of each kept",
+        "atoms given more than once, the first of each kept",
+    )
+    UNRESOLVED = Words("{count} atoms of zero occupancy kept, in {residues:1}")
+    RENAMED = Words("{residue}: taken as {name}")
+    STATE_NAMED = Words("{residue}: taken as {name} in protonation state {state}")
+    SELENOMETHIONINE = Words("{residue}: selenomethionine converted to MET")
+    CONVERTED = Words(
+        "{residue}: converted to its standard parent {name}",
+        "modified residues converted to their standard parents",
+    )
+    CUT_TO_PARENT = Words(
+        "{residue}: converted to its standard parent {name}, {atoms} left out",
+        "modified residues converted to their standard parents",
+        Rank.LOSS,
+    )
+    CONVERTED_TO_D = Words("{residue}: converted to its D-amino acid {name}")
+    CUT_TO_D = Words("{residue}: converted to its D-amino acid {name}, {atoms} left out", rank=Rank.LOSS)
+    MIRRORED = Words("{residue}: D-amino acid, with the parameters of its mirror image")
+    MIRRORED_CUT = Words(
+        "{residue}: D-amino acid, with the parameters of its mirror image, {atoms} left out", rank=Rank.LOSS
+    )
+    NO_BACKBONE = Words(
+        "{residue}: left out: its backbone atom {atom} is missing",
+        "left out, without a backbone atom,",
+        Rank.LOSS,
+    )
+    CAP = Words("{residue}: left out: this cap is not at the end of a chain", rank=Rank.LOSS)
+    ALONE = Words("{residue}: no part of a chain: it is bonded to no other residue")
+    TORN = Words("the bond of {last} and {first} is {length:.1f} angstrom long: kept as a peptide bond")
+    GAP = Words(
+        "chain {last.chain_name} is broken between {last.number} and {first.number} ({length:.1f} angstrom): "
+        "split there, with charged termini; to avoid it, model the missing residues",
+        rank=Rank.GAP,
+    )
+    CYCLIC = Words("chain {last.chain_name} is cyclic: {last} is bonded to {first}")
+    # Beside the protein.
+    WATERS_LEFT_OUT = Words(
+        "{count} waters left out: the solvent is implicit; {remedy} keeps everything", rank=Rank.LEFT_OUT
+    )
+    LEFT_OUT = Words("{counts} left out; {remedy} keeps everything", rank=Rank.LEFT_OUT)
+    KEPT = Words("{counts:8} kept beside the protein")
+    KEPT_BY_ELEMENT = Words(
+        "{counts:8} kept beside the protein ({bare:8} by element, unless the force field has parameters)"
+    )
+    PHOSPHATE = Words("{residue}: 5' phosphate left out: the force fields do not have it", rank=Rank.LOSS)
+    COORDINATED = Words("{atom} is coordinated by {ends}: held at these distances by springs")
+    ION_HELD = Words(
+        "{atom} is coordinated by {ends}: held at these distances by springs; the ion stays in place"
+    )
+    ION_MOVES = Words(
+        "{atom} is coordinated by {ends}: held at these distances by springs, and moves with them"
+    )
+    BONDED = Words("{atom} is bonded to {ends}: held at these distances by springs")
+    BOND_IGNORED = Words(
+        "bond of the file between {atoms:and} ignored: {why}; mend the file if it is real", rank=Rank.LOSS
+    )
+    NEAR = Words(
+        "{count:n pair} of atoms as near as bonded ones, but not bonded (no LINK, CONECT or struct_conn, and "
+        "no known kind of bond): {pairs:6}"
+    )
+    STAYS = Words(
+        "{residue} stays in place, though the force field has its parameters: it is bonded to another "
+        "molecule"
+    )
+    MOBILE = Words("{counts} with parameters of the force field: free to move, in torsions as a rigid body")
+    # Heavy atoms.
+    ATOMS_RENAMED = Words("atoms renamed: {changes:4}")
+    WRONG_HAND = Words("of the wrong hand in the file: {atoms:6}")
+    INNER_OXT = Words("{residue}: OXT left out: the chain continues", rank=Rank.LOSS)
+    OXT_ADDED = Words("{residue}: missing OXT added")
+    ATOMS_ADDED = Words("{residue}: missing {atoms} added", "missing atoms added")
+    BUILT_AS_D = Words("{residue}: built as a D-amino acid, as others of its chain are under such names")
+    BRIDGES_DROPPED = Words("disulfide bonds left out, as requested: {pairs:6}", rank=Rank.LOSS)
+    BRIDGE = Words("disulfide bond between {first} and {second}")
+    BRIDGE_ASKED = Words("disulfide bond between {first} and {second}, as requested")
+    BRIDGE_FAR = Words(
+        "disulfide bond between {first} and {second}, as requested; their sulphurs are {length:.1f} angstrom "
+        "apart"
+    )
+    BRIDGE_IGNORED = Words(
+        "disulfide bond of the file between {first} and {second} ignored: it is {length:.1f} angstrom long; "
+        "request it as {remedy} if it is real",
+        rank=Rank.LOSS,
+    )
+    # Hydrogens.
+    USUAL_STATE = Words("{residue}: kept in its usual state: the force field has no terminal {state}")
+    STATE_CHOSEN = Words("{residue} taken as {state}")
+    STRANGE_HYDROGENS = Words(
+        "{residue}: {count} hydrogens left out: they do not belong to its state",
+        "hydrogens left out that do not belong to the state",
+        Rank.LOSS,
+    )
+    HYDROGENS_RENAMED = Words("{count} hydrogens with unknown names renamed after their parent atoms")
+    HYDROGENS_ADDED = Words(
+        "{count} hydrogens added at pH {ph:g} ({present} were in the file)", rank=Rank.HYDROGENS
+    )
+    # By relax and repack.
+    SIDE_CHAIN_TURNED = Words("{residue}: side chain turned from {before} to {after}", "side chains turned")
+    HYDROGEN_TURNED = Words("{residue}: polar hydrogen turned", "polar hydrogens turned")
+    NOT_PROVEN = Words(
+        "side chains turned into good rotamers, perhaps not the best: there are too many to try"
+    )
+    HAND_TURNED = Words(
+        "{residue}: {atoms:and} of the wrong hand turned right", "chiral atoms of the wrong hand turned right"
+    )
+    TURNED_TRANS = Words("{residue}: twisted peptide bond before it turned to trans")
+    TURNED_CIS = Words("{residue}: twisted peptide bond before it turned to cis")
+
+
+@dataclass(frozen=True)
+class Count:
+    """Number of molecules of a kind, and why these are left out."""
+
+    n: int
+    kind: str
+    why: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.n} {self.kind}{self.why and f' ({self.why})'}"
+
+
+@dataclass(frozen=True)
+class Apart:
+    """An atom, or two, and how far away or apart it is, angstrom."""
+
+    atoms: tuple[Atom, ...]
+    length: float
+
+    def __str__(self) -> str:
+        return f"{' and '.join(map(str, self.atoms))} ({self.length:.2f} angstrom)"
+
+
+@dataclass(frozen=True)
+class Renamed:
+    """Name of an atom in the file, and that which it gets."""
+
+    before: str
+    after: Atom
+
+    def __str__(self) -> str:
+        return f"{self.before} to {self.after}"
+
+
+@dataclass(frozen=True)
+class Repair(Value):
+    """A change made to the contents of a file; its text is a sentence.
+
+    Parameters
+    ----------
+    kind : Kind
+    facts : mapping
+        What the words of the kind name, and more: ``residue`` (a :class:`protochain.residues.Residue`),
+        ``atoms``, ``count``, ``length`` (angstrom), ...
+    """
+
+    kind: Kind
+    facts: Mapping[str, Any] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
+
+    def __str__(self) -> str:
+        return self.told()
+
+    def __repr__(self) -> str:
+        return f"<Repair {self.kind.name}: {self}>"
+
+    def told(self, say: Say = str) -> str:
+        """Tell it in a sentence."""
+        return _filled(self.kind.value.one, self, say)
+
+
+class _Form(Formatter):
+    """Fills templates: arguments as whoever reads calls them, lists with commas, counts with what they count.
+
+    The format of a list is how many are shown, or ``and`` to join them by that; that of a count is ``n`` and
+    the word for one.
+    """
+
+    def __init__(self, say: Say) -> None:
+        self.say = say
+
+    def format_field(self, value: Any, spec: str) -> str:
+        if isinstance(value, Argument):
+            return self.say(value)
+        if isinstance(value, tuple):
+            each = [str(one) for one in value]
+            return " and ".join(each) if spec == "and" else listed(each, int(spec or len(each)))
+        if spec.startswith("n "):
+            return counted(value, spec[2:])
+        return str(super().format_field(value, spec))
+
+
+def _filled(template: str, repair: Repair, say: Say) -> str:
+    return _Form(say).vformat(template, (), repair.facts)
+
+
+def summarised(repairs: Iterable[Repair], say: Say = str) -> tuple[str, ...]:
+    """Summarise repairs.
+
+    Parameters
+    ----------
+    repairs : iterable of Repair
+    say : callable
+        Argument -> its words.
+
+    Returns
+    -------
+    tuple of str
+        First what is lost: molecules left out, gaps, other losses. Then what was changed, the states of all
+        histidines in one line, and last the hydrogens added. Repairs that are like no other stay as they are.
+    """
+    groups: dict[tuple[Rank, str], list[Repair]] = defaultdict(list)
+    for repair in repairs:
+        groups[_group(repair, say)].append(repair)
+    return tuple(_told(*group, groups[group], say) for group in sorted(groups, key=lambda group: group[0]))
+
+
+def _group(repair: Repair, say: Say) -> tuple[Rank, str]:
+    """Rank of a repair in the summary, and what it says, alike for those that are told as one."""
+    one, many, rank = repair.kind.value
+    if rank is Rank.GAP:
+        return rank, ""
+    if repair.kind in (Kind.STATE_NAMED, Kind.STATE_CHOSEN) and repair.facts["state"] in _HISTIDINES:
+        return Rank.HISTIDINE, ""
+    return rank, _filled(many or one.removeprefix("{residue}").removeprefix(":").lstrip(), repair, say)
+
+
+def _told(rank: Rank, what: str, alike: list[Repair], say: Say) -> str:
+    """Tell the repairs of a group as one; a single one as it is, unless it is the state of a histidine."""
+    if rank is Rank.HISTIDINE:
+        of: dict[str, list[str]] = defaultdict(list)
+        for each in alike:
+            of[each.facts["state"]].append(each.facts["residue"].place)
+        return "HIS states: " + "; ".join(f"{state} {listed(of[state], _SHOWN)}" for state in sorted(of))
+    if len(alike) == 1 or (rank is not Rank.GAP and "residue" not in alike[0].facts):
+        return alike[0].told(say)
+    if rank is Rank.GAP:
+        gaps = [
+            f"{each['last'].place}-{each['first'].number} ({each['length']:.1f} angstrom)"
+            for each in (repair.facts for repair in alike)
+        ]
+        return (
+            f"split at {len(gaps)} gaps in the chains, with charged termini: {listed(gaps, _SHOWN)}; "
+            "to avoid it, model the missing residues"
+        )
+    places = [f"{each.place} {each.name}" for each in (repair.facts["residue"] for repair in alike)]
+    return f"{what} in {len(places)} residues: {listed(places, _SHOWN)}"
+
+
+_HISTIDINES = ("HID", "HIE", "HIP")
