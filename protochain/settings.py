@@ -23,7 +23,7 @@ class Setting:
     kind : type
         Of what an option or a cell of a manifest gives.
     option : str
-        The option's names, where they are not the field's: ``"--chain --chains"``, of which the first is said;
+        The option's names, where they are not the field's: ``"--chain --chains"``, the first of which is said;
         one that begins with ``--no-`` turns a field off that is on.
     read : callable, optional
         (what is given) -> value of the field; as of degrees.

@@ -95,7 +95,7 @@ def minimise(
     state = [path for path in vars(saving).values() if path]
     if starting.n_starts > 1 and (state or trajectory):
         raise ProtochainError("starts: a checkpoint or trajectory belongs to one run; give one start")
-    beside = [path for path in (trace, trajectory, saving.checkpoint, report) if path]
+    beside = [Path(path) for path in (trace, trajectory, saving.checkpoint, report) if path]
     stem, suffix = named_after(source)
     output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
     _check_outputs(output, trajectory, report, as_json)

@@ -99,10 +99,11 @@ def _made(kind: type[Made], options: Mapping[str, Any]) -> Made:
     """Settings made of options; those that are not given keep their defaults."""
     given = {}
     for name, its in settings_of(kind):
-        value = options.get(name)
-        value = not value if its.turns_off and name in options else value
+        value: Any = options.get(name)
+        if its.turns_off and name in options:
+            value = not value
         if its.word and options.get(its.word[0]):
-            value = [its.word[2], *(value or [])]
+            value = [its.word[2], *(value or ())]
         if value not in (None, []):
             given[name] = its.read(value) if its.read else value
     return kind(**given)

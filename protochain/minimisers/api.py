@@ -227,7 +227,7 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     if run.curvature and run.recipe.keeps_geometry:
         plan = with_curvature(plan, floats=not record.frame.held_by)
     x = chain.structure.positions
-    waypoint = load_checkpoint(run.resume, plan, run.settings(start), x) if run.resume else None
+    waypoint = load_checkpoint(Path(run.resume), plan, run.settings(start), x) if run.resume else None
     allowed = Leash(chain.structure, hold.max_rmsd).allows if hold.max_rmsd < np.inf else None
     if not plan[0].recorded:
         record(start.pose.x, start.judgement.energy, start.judgement.max_torque, 0)
@@ -244,7 +244,7 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     done = walk(plan, chain, run.max_evaluations, allowed, note, waypoint)
     if run.checkpoint and done.waypoint:
         try:
-            save_checkpoint(run.checkpoint, done.waypoint, run.settings(start))
+            save_checkpoint(Path(run.checkpoint), done.waypoint, run.settings(start))
         except WriteError as error:
             # The result is worth more: it must not be lost with the checkpoint.
             warnings.warn(str(error), WriteWarning, stacklevel=2)

@@ -61,8 +61,10 @@ class Minimising(Settings):
 class Saving(Settings):
     """Where the state of a run is written, and read, so that it can go on."""
 
-    checkpoint: Path | None = setting(None, "File for the state at the end, .npz.", optional(path), Path)
-    resume: Path | None = setting(None, "Continue from a checkpoint.", optional(path), Path)
+    checkpoint: str | Path | None = setting(
+        None, "File for the state at the end, .npz.", optional(path), Path
+    )
+    resume: str | Path | None = setting(None, "Continue from a checkpoint.", optional(path), Path)
 
 
 @dataclass(frozen=True, kw_only=True)
