@@ -23,8 +23,8 @@ class Setting:
     kind : type
         Of what an option or a cell of a manifest gives.
     option : str
-        The option's names, where they are not the field's: ``"--chain --chains"``, the first of which is said;
-        one that begins with ``--no-`` turns a field off that is on.
+        The option's names, where they are not the field's, the first of which is said; one that begins with
+        ``--no-`` turns a field off that is on.
     read : callable, optional
         (what is given) -> value of the field; as of degrees.
     metavar : str, optional
