@@ -79,6 +79,11 @@ def check_fields(of: Any, **checks: Check) -> None:
         object.__setattr__(of, name, check(getattr(of, name), name))
 
 
+def anything(value: Any, name: str) -> Any:
+    """Return a value as it is: it is checked where it is used."""
+    return value
+
+
 def number(value: Any, name: str) -> float:
     """Return a real number as it is."""
     if isinstance(value, Real) and not isinstance(value, bool):

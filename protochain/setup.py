@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from protochain import defaults
 from protochain.checks import (
+    NO_BONDS,
     Bond,
     bonds,
-    check_fields,
     cutoff_of,
     file_name,
     flag,
@@ -22,6 +22,7 @@ from protochain.checks import (
     words,
 )
 from protochain.errors import ProtochainError, refused
+from protochain.settings import Settings, setting
 
 if TYPE_CHECKING:
     from protochain.chain import Chain
@@ -40,7 +41,7 @@ class Prepared(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Setup:
+class Setup(Settings):
     """How a structure is read, cut into rigid bodies and given an energy.
 
     Parameters
@@ -80,29 +81,61 @@ class Setup:
         If the model or a disulfide bond cannot be read.
     """
 
-    hinges: str = defaults.HINGES
-    root: str = defaults.ROOT
-    move: str = defaults.MOVE
-    forcefield: str = defaults.FORCEFIELD
-    solvent: str = defaults.SOLVENT
-    engine: str = defaults.ENGINE
-    cutoff: float | Literal["auto"] | None = defaults.CUTOFF
-    threads: int | None = None
-    trust_forcefield: bool = False
-    model: int | str | None = None
-    altloc: str = ""
-    keep: tuple[str, ...] = defaults.KEEP
-    disulfide: tuple[Bond, ...] | None = None
-    ph: float = defaults.PH
-    strict: bool = False
-    chains: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_fields(
-            self, hinges=kinds, root=text, move=selection, forcefield=file_name, solvent=text, engine=text,
-            cutoff=cutoff_of, threads=optional(integer), trust_forcefield=flag, model=_model, altloc=text,
-            keep=words, disulfide=optional(bonds), ph=number, strict=flag, chains=words,
-        )  # fmt: skip
+    hinges: str = setting(
+        defaults.HINGES, "Degrees of freedom: any of phi psi omega chi rotors angles.", kinds
+    )
+    root: str = setting(defaults.ROOT, "", text)
+    move: str = setting(
+        defaults.MOVE,
+        "What may move, in MDAnalysis's selection language, with sidechain and interface: 'resid 5:20'.",
+        selection,
+    )
+    forcefield: str = setting(
+        defaults.FORCEFIELD,
+        "amber14, amber19, amber99sb, amber99sbildn, charmm36, an OpenMM XML file, or several (a,b).",
+        file_name,
+    )
+    solvent: str = setting(defaults.SOLVENT, "vacuum, obc2 or gbn2.", text)
+    engine: str = setting(defaults.ENGINE, "auto, native or openmm.", text)
+    cutoff: float | Literal["auto"] | None = setting(
+        defaults.CUTOFF,
+        "Distance in nm up to which pairs act, none, or auto: none below 20,000 atoms.",
+        cutoff_of,
+    )
+    threads: int | None = setting(None, "Threads to compute on [default: all].", optional(integer), int)
+    trust_forcefield: bool = setting(False, "Allow a force-field file to run its scripts.", flag, bool)
+    model: int | str | None = setting(
+        None,
+        "Number of the model [default: the first]; minimise, relax, batch and validate also take all, "
+        "or 1-5,8.",
+        lambda given, name: _model(given, name),
+    )
+    altloc: str = setting("", "Alternate location to prefer [default: of highest occupancy].", text)
+    keep: tuple[str, ...] = setting(
+        defaults.KEEP,
+        "Molecules to keep in place, with commas: near (all but waters within 5 angstrom of it), "
+        "none, all, water, ions, nucleic, ligands, or names of residues [default: near].",
+        words,
+    )
+    disulfide: tuple[Bond, ...] | None = setting(
+        None,
+        "Disulfide bond beside those where sulphurs are near; repeat for more.",
+        optional(bonds),
+        list[str],
+        metavar="A:3-A:40",
+        word=("no_disulfide", "No disulfide bonds but those of --disulfide.", NO_BONDS),
+    )
+    ph: float = setting(
+        defaults.PH, "pH for residues whose protonation the file does not show.", number, float
+    )
+    strict: bool = setting(False, "Refuse chain breaks and incomplete backbones.", flag, bool)
+    chains: tuple[str, ...] = setting(
+        (),
+        "Chains to take, with commas between [default: all].",
+        words,
+        option="--chain --chains",
+        metavar="A,B",
+    )
 
     def prepare(
         self, source: Any, name: str = "structure", build_energy: "Callable[..., Energy] | None" = None

@@ -24,6 +24,7 @@ LAYERS = [
         "markup",
         "storage",
         "defaults",
+        "settings",
         "compilation",
         "ahead",
         "processors",

@@ -112,7 +112,7 @@ def asked(monkeypatch):
 
 DEFAULTS = {
     "method": "cartesian", "tolerance": None, "max_evaluations": 5000, "seed": 0, "restraint": "",
-    "max_rmsd": math.inf,
+    "max_rmsd": math.inf, "curvature": True,
 }  # fmt: skip
 
 
@@ -127,7 +127,7 @@ def test_minimise_hands_its_options_on_and_writes_what_is_asked(asked, tmp_path,
     assert asked.runs == [
         {
             "method": "lbfgs", "tolerance": 2.0, "max_evaluations": 7, "seed": 3, "restraint": "5 0",
-            "max_rmsd": 0.5, "checkpoint": Path("c.npz"), "resume": None,
+            "max_rmsd": 0.5, "checkpoint": Path("c.npz"), "resume": None, "curvature": True,
         }
     ]  # fmt: skip
     ((source, setup),) = asked.prepared
@@ -203,8 +203,8 @@ def test_many_starts_are_explored(options, spread, hop, asked, tmp_path, monkeyp
             ("--starts", 2, "--trajectory", "t.dcd"),
             "starts: a checkpoint or trajectory belongs to one run; give one start",
         ),
-        (("--hop", 300), "hop: needs several minima; give --starts 2 or more"),
-        (("--hop", 0), "hop: needs several minima; give --starts 2 or more"),
+        (("--hop", 300), "hop_temperature: needs several minima; give n_starts 2 or more"),
+        (("--hop", 0), "hop_temperature: needs several minima; give n_starts 2 or more"),
         (("--trajectory", "t.avi"), "t.avi: unknown trajectory suffix '.avi'; use .dcd or .xtc"),
         (("-o", "a.xyz"), "a.xyz: unknown suffix '.xyz'; use .pdb or .ent or .cif or .mmcif or .pdbx"),
         (("-o", "t.pdb", "--trace", "t.pdb"), "{}/t.pdb: is given for two outputs; give each its own"),

@@ -25,7 +25,8 @@ LBFGS = RECIPES["lbfgs"]
 
 def test_settings_are_the_defaults_where_none_are_given():
     run = Minimisation(LBFGS)
-    assert run == Minimisation(LBFGS, 1.0, 5000, 0, (), np.inf, None, None)
+    assert run == Minimisation(LBFGS, tolerance=None, max_evaluations=5000, seed=0, max_rmsd=np.inf)
+    assert run.converged_at == 1.0
     assert (run.hold, Minimisation(LBFGS, restraint="3 1", max_rmsd=2.0).hold) == (
         Hold(),
         Hold((3.0, 1.0), 2.0),
@@ -55,8 +56,8 @@ def test_settings_that_make_no_sense_are_refused(recipe, settings, said):
 
 
 def test_settings_that_make_sense_are_not():
-    Minimisation(RECIPES["openmm"], 1e-9, 1)
-    Minimisation(LBFGS, 1.0, 1, checkpoint="run.npz", resume="run.npz", restraint=1.0)
+    Minimisation(RECIPES["openmm"], tolerance=1e-9, max_evaluations=1)
+    Minimisation(LBFGS, max_evaluations=1, checkpoint="run.npz", resume="run.npz", restraint=1.0)
 
 
 def test_an_unknown_option_is_refused_with_those_there_are():
@@ -91,7 +92,9 @@ def told(engine="native", height=lambda x: -5.0):
 
 def test_a_checkpoint_belongs_to_a_method_its_settings_and_its_start():
     c = chain("ala10.pdb")
-    run = Minimisation(LBFGS, 2.0, 7, 3, (5.0, 0.0), 0.75, checkpoint="a")
+    run = Minimisation(
+        LBFGS, tolerance=2.0, max_evaluations=7, seed=3, restraint=(5.0, 0.0), max_rmsd=0.75, checkpoint="a"
+    )
     assert run.settings(Start(c, told())) == {
         "method": "lbfgs", "tolerance": 2.0, "restraint": [5.0, 0.0], "max_rmsd": 0.75,
         "hinges": "phi psi chi", "root": "auto", "move": "all", "seed": 3, "curvature": True,

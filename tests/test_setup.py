@@ -62,7 +62,7 @@ def test_calls_have_the_defaults_of_the_setup():
     batch = given("batch")
     for value in (BatchSettings(), Processes()):
         own = {name: default for name, default in vars(value).items() if name in batch}
-        own |= {name: batch[name] for name in ("methods", "max_rmsd", "spread") if name in own}
+        own |= {name: batch[name] for name in ("methods", "max_rmsd", "spread", "curvature") if name in own}
         assert own == {name: batch[name] for name in own} and len(own) > 3
 
 
@@ -131,5 +131,5 @@ def test_settings_of_a_batch_come_by_their_names():
     assert settings.setup == pc.Setup(hinges="phi psi", model=2, solvent="gbn2")
     assert (settings.seed, settings.tolerance) == (3, 2.0)
     assert settings.record()["hinges"] == "phi psi" and "threads" not in settings.record()
-    with pytest.raises(pc.ProtochainError, match="no setting is called 'colour'; choose from methods"):
+    with pytest.raises(pc.ProtochainError, match="no setting is called 'colour'; choose from tolerance"):
         settings.changed(colour="red")

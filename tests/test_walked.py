@@ -134,7 +134,7 @@ def test_openmms_minimiser_gets_the_settings_and_records_no_torques(monkeypatch)
 
     monkeypatch.setattr(api, "minimise_by_openmm", by_openmm)
     start = Start(chain("ala10.pdb"), told())
-    run = Minimisation(RECIPES["openmm"], 2.0, 7, 3)
+    run = Minimisation(RECIPES["openmm"], tolerance=2.0, max_evaluations=7, seed=3)
     assert api._by_openmm(start, run, Noting(rows, stages)) == "the outcome"
     assert given == [(RECIPES["openmm"], start.chain, start.energy, 2.0, 7, 3)]
     assert rows == [("x", -5.0, pytest.approx(np.nan, nan_ok=True), 3)] and stages == [("all atoms", 3)]

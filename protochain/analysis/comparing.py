@@ -86,7 +86,9 @@ def compare(
     if repeats < 1:
         raise ProtochainError(f"repeats {repeats}: give at least 1")
     runs = [
-        Minimisation(recipe, tolerance, max_evaluations, seed, curvature=curvature)
+        Minimisation(
+            recipe, tolerance=tolerance, max_evaluations=max_evaluations, seed=seed, curvature=curvature
+        )
         for recipe in recipes.values()
     ]
     chain = as_chain(structure)

@@ -57,7 +57,7 @@ class EveryFrame(AnalysisBase):
                 f"atoms of type {type(atoms).__name__}: give an MDAnalysis Universe or AtomGroup"
             )
         if method is not None:
-            Minimisation(recipe_of(method), tolerance, max_evaluations)
+            Minimisation(recipe_of(method), tolerance=tolerance, max_evaluations=max_evaluations)
         self.atoms = atoms.atoms
         super().__init__(self.atoms.universe.trajectory)
         self.method, self.setup = method, Setup(**settings)

@@ -5,7 +5,6 @@ import glob
 import hashlib
 import itertools
 import json
-import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,24 +15,16 @@ from typing import Any
 
 from protochain import defaults
 from protochain.batches.naming import Earlier, Wanted, absolute, named_apart
-from protochain.checks import (
-    check_fields,
-    flag,
-    force_field_parts,
-    instance,
-    integer,
-    number,
-    optional,
-    several,
-    words,
-)
-from protochain.errors import Argument, ProtochainError
+from protochain.checks import check_fields, force_field_parts, instance, several
+from protochain.errors import ProtochainError
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.recipes import recipe_of
-from protochain.minimisers.starts import check_starts
+from protochain.minimisers.settings import Minimising, Starting
+from protochain.minimisers.starts import refuse_held
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.settings import NAMES as OF_RELAXING
 from protochain.relaxation.settings import WITHOUT, Relaxing
+from protochain.settings import Setting, setting, settings_of
 from protochain.setup import ALL_MODELS, Setup, models_asked
 from protochain.storage import regular
 from protochain.structure.files import format_of
@@ -44,34 +35,22 @@ _GLOB = frozenset("*?[")
 
 
 @dataclass(frozen=True)
-class BatchSettings:
+class BatchSettings(Starting, Minimising):
     """How each structure of a batch is prepared, and what is done to it.
 
     Parameters
     ----------
     methods : tuple of str
         Run one after the other from the same start: those of :func:`protochain.minimise`, and ``relax``.
-    tolerance : float, optional
-        As in :func:`protochain.minimise`, :func:`protochain.relax`, or :func:`protochain.explore` of several
-        starts; by default, that of each.
-    max_rmsd : float
-        As in :func:`protochain.minimise`.
-    max_evaluations, seed : int
-        As in :func:`protochain.minimise`.
     setup : Setup
         How the structure is prepared; its ``threads`` are those of the batch.
-    restraint : str
-        As in :func:`protochain.minimise`: strengths in kJ/mol/nm^2, as ``"1000 100 0"``.
-    n_starts : int
-        With more than 1, each method is run as by :func:`protochain.explore`, and its best end is kept.
-    spread : float, rad
-        As in :func:`protochain.explore`.
-    hop_temperature : float, K, optional
-        As in :func:`protochain.explore`.
-    curvature : bool
-        As in :func:`protochain.minimise`.
     relaxing : Relaxing
         How ``relax`` does it; its tolerance is that of the batch, where one is given.
+
+    **settings
+        Fields of :class:`protochain.minimisers.settings.Minimising`, of which the tolerance is also that of
+        ``relax``, and of :class:`protochain.minimisers.settings.Starting`: with several starts, each method
+        is run as by :func:`protochain.explore`, and its best end is kept.
 
     Raises
     ------
@@ -79,26 +58,16 @@ class BatchSettings:
         If a setting makes no sense.
     """
 
-    methods: tuple[str, ...] = (defaults.METHOD,)
-    tolerance: float | None = None
-    max_rmsd: float = float("inf")
-    max_evaluations: int = defaults.MAX_EVALUATIONS
-    seed: int = defaults.SEED
+    methods: tuple[str, ...] = setting((defaults.METHOD,), "", several)
     setup: Setup = field(default_factory=Setup)
-    restraint: str = ""
-    n_starts: int = 1
-    spread: float = defaults.SPREAD
-    hop_temperature: float | None = None
-    curvature: bool = True
     relaxing: Relaxing = field(default_factory=Relaxing)
 
     def __post_init__(self) -> None:
         check_fields(
-            self, methods=several, tolerance=optional(number), max_rmsd=number, max_evaluations=integer,
-            seed=integer, n_starts=integer, spread=number, hop_temperature=optional(number), curvature=flag,
-            setup=instance(Setup, "protochain.Setup()"),
+            self, setup=instance(Setup, "protochain.Setup()"),
             relaxing=instance(Relaxing, "protochain.relaxation.Relaxing()"),
         )  # fmt: skip
+        super().__post_init__()
         tolerance = self.relaxing.tolerance if self.tolerance is None else self.tolerance
         object.__setattr__(self, "tolerance", tolerance)
         object.__setattr__(self, "methods", tuple(dict.fromkeys(self.methods)))
@@ -110,23 +79,14 @@ class BatchSettings:
             raise ProtochainError(
                 f"methods {', '.join(self.methods)}: two have one name; their files would too"
             )
+        minimising = {each.name: getattr(self, each.name) for each in fields(Minimising)}
         for recipe in recipes:
-            Minimisation(
-                recipe, recipe.tolerance(self.tolerance), self.max_evaluations, self.seed,
-                restraint=self.restraint, max_rmsd=self.max_rmsd,
-            )  # fmt: skip
+            Minimisation(recipe, **minimising)
+        if self.n_starts > 1:
+            refuse_held(self.restraint, self.max_rmsd)
         object.__setattr__(self, "relaxing", replace(self.relaxing, tolerance=tolerance))
         if RELAX in self.methods:
             _ = self.of_relaxing  # It may be refused.
-        if self.hop_temperature is not None and self.n_starts == 1:
-            raise ProtochainError(
-                Argument("hop_temperature"),
-                ": needs several minima; give ",
-                Argument("n_starts"),
-                " 2 or more",
-            )
-        held = {} if self.n_starts == 1 else {"restraint": self.restraint, "max_rmsd": self.max_rmsd}
-        check_starts(self.n_starts, self.spread, self.hop_temperature, **held)
 
     @property
     def of_relaxing(self) -> Setup:
@@ -201,32 +161,31 @@ def _truth(text: str) -> bool:
 _NO_VALUES = ("setup", "relaxing", "threads")
 _OF_SETUP = tuple(each.name for each in fields(Setup))
 _OF_RELAXING = frozenset(OF_RELAXING) - {"tolerance"}
-_OF_MINIMISING = frozenset({
-    "max_rmsd", "max_evaluations", "seed", "restraint", "n_starts", "spread", "hop_temperature", "curvature",
-    *WITHOUT,
-})  # fmt: skip
+_OF_MINIMISING = frozenset(each.name for kind in (Minimising, Starting) for each in fields(kind))
+_OF_MINIMISING = (_OF_MINIMISING - {"tolerance"}) | {*WITHOUT}
 NAMES = tuple(dict.fromkeys((*(each.name for each in fields(BatchSettings)), *OF_RELAXING, *_OF_SETUP)))
 """Settings of a batch's structures, by the names of their fields."""
 
-_OF_OPTION = {
-    "restrain": "restraint",
-    "starts": "n_starts",
-    "hop": "hop_temperature",
-    "chain": "chains",
-}
-"""Fields of options that the command line calls otherwise; a manifest may use either."""
 
-_READERS: Mapping[type, Callable[[str], Any]] = {bool: _truth, int: int, float: float, tuple: words}
-_IN_MANIFEST = {
-    each.name: _READERS.get(type(each.default), str)
-    for each in (*fields(BatchSettings), *fields(Relaxing), *fields(Setup))
+def _reader(its: Setting) -> Callable[[str], Any]:
+    """Reader of a cell of a manifest, which says what the option would be given."""
+    kind = _READERS.get(its.kind, str)
+    return lambda text: its.read(kind(text)) if its.read else kind(text)
+
+
+_READERS: Mapping[Any, Callable[[str], Any]] = {bool: _truth, int: int, float: float}
+_SETTINGS = {
+    name: its
+    for kind in (BatchSettings, Relaxing, Setup)
+    for name, its in settings_of(kind)
     # A list of structures may not decide that the code in a force-field file is run.
-    if each.name not in (*_NO_VALUES, "trust_forcefield")
+    if name not in (*_NO_VALUES, "trust_forcefield")
 }
-_IN_MANIFEST["spread"] = lambda text: math.radians(float(text))
-_IN_MANIFEST |= dict.fromkeys(("tolerance", "hop_temperature", "stiffness"), float)
+_IN_MANIFEST = {name: _reader(its) for name, its in _SETTINGS.items()}
 """Columns of a manifest beside ``path``, and how the text of a cell is read; angles are in degrees."""
-_COLUMNS = tuple({known: name for name, known in _OF_OPTION.items()}.get(each, each) for each in _IN_MANIFEST)
+_OF_OPTION = {its.column(name): name for name, its in _SETTINGS.items()}
+"""Fields by the names of their options; a manifest may use either."""
+_COLUMNS = tuple(_OF_OPTION)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """``protochain batch``."""
 
-import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,32 +13,15 @@ from protochain.cli.options import (
     FAILED,
     UNCONVERGED,
     AsJson,
-    Hop,
     Manifest,
-    MaxEvaluations,
-    MaxRmsd,
-    NoCurvature,
-    OwnTolerance,
-    Restrain,
     Scheduler,
-    Seed,
-    Spread,
-    Starts,
     check_outputs,
     inputs_of,
-    with_setup,
-)
-from protochain.cli.relax import (
-    Exclude,
-    Hydrogens,
-    MaxIterations,
-    MaxOuter,
-    Preset,
-    Protocol,
-    Repack,
-    Stiffness,
+    with_settings,
 )
 from protochain.cli.terminal import batch_progress, print_batch, print_jobs
+from protochain.minimisers.settings import Minimising, Starting
+from protochain.relaxation.settings import Relaxing
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -61,7 +43,7 @@ Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder, 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
 
 
-@with_setup(without="trust_forcefield")
+@with_settings(setup="trust_forcefield")
 def batch(
     inputs: Inputs = None,
     output: Output = Path("batch"),
@@ -74,25 +56,11 @@ def batch(
     null: ByNul = False,
     resume: Resume = False,
     dry_run: DryRun = False,
-    tolerance: OwnTolerance = None,
-    max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
-    max_rmsd: MaxRmsd = None,
-    restrain: Restrain = "",
-    starts: Starts = 1,
-    spread: Spread = None,
-    hop: Hop = None,
-    no_curvature: NoCurvature = False,
-    seed: Seed = defaults.SEED,
-    preset: Preset = defaults.PRESET,
-    protocol: Protocol = "",
-    stiffness: Stiffness = None,
-    max_iterations: MaxIterations = defaults.MAX_ITERATIONS,
-    max_outer_iterations: MaxOuter = defaults.MAX_OUTER_ITERATIONS,
-    exclude: Exclude = "",
-    keep_hydrogens: Hydrogens = True,
-    repack: Repack = False,
     as_json: AsJson = False,
     *,
+    minimising: Minimising,
+    starting: Starting,
+    relaxing: Relaxing,
     setup: Setup,
 ) -> None:
     """Minimise or relax many structures in many processes; a failure is reported and stops no other."""
@@ -100,17 +68,10 @@ def batch(
     from protochain.batches import batch as run
     from protochain.batches.jobs import listed
     from protochain.batches.table import files_of
-    from protochain.relaxation.settings import Relaxing
 
-    limit = math.inf if max_rmsd is None else max_rmsd
     settings = BatchSettings(
-        words(methods), tolerance, limit, max_evaluations, seed, setup, restrain, starts,
-        defaults.SPREAD if spread is None else math.radians(spread), hop, not no_curvature,
-        Relaxing(
-            preset, protocol, tolerance, stiffness, max_iterations, max_outer_iterations, exclude,
-            keep_hydrogens, repack,
-        ),
-    )  # fmt: skip
+        words(methods), setup=setup, relaxing=relaxing, **vars(minimising), **vars(starting)
+    )
     # Standard input can be read only once.
     given = [line for each in inputs or () for line in (listed(null) if each == "-" else [each])]
     if dry_run:

@@ -17,28 +17,25 @@ from protochain.cli.options import (
     UNCONVERGED,
     AsJson,
     Input,
-    MaxEvaluations,
-    NoCurvature,
-    Seed,
-    Tolerance,
     check_outputs,
     fail,
     inputs_of,
     named_after,
     prepare,
     print_lost,
-    with_setup,
+    with_settings,
 )
 from protochain.cli.terminal import foretell, print_table, run_progress, typical_evaluations
 from protochain.errors import ProtochainError
 from protochain.interrupts import held_interrupts
+from protochain.minimisers.settings import Minimising
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
     from protochain.arrays import Watcher
 
 
-@with_setup(without="move")
+@with_settings(minimising="tolerance restraint max_rmsd", setup="move")
 def compare(
     context: typer.Context,
     source: Input,
@@ -50,13 +47,16 @@ def compare(
         int, typer.Option(help="Runs of each method that does not repeat exactly.")
     ] = defaults.REPEATS,
     reference: Annotated[Path | None, typer.Option(help="Also compare the ends with this structure.")] = None,
-    tolerance: Tolerance = defaults.TOLERANCE,
-    max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
-    no_curvature: NoCurvature = False,
-    seed: Seed = defaults.SEED,
+    tolerance: Annotated[
+        float,
+        typer.Option(
+            help="Largest torque (kJ/mol/rad) at convergence, or RMS force (kJ/mol/nm) where all atoms move."
+        ),
+    ] = defaults.TOLERANCE,
     as_json: AsJson = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the comparison in DIR.")] = False,
     *,
+    minimising: Minimising,
     setup: Setup,
 ) -> None:
     """Minimise one structure by several methods; write tables, plots, structures and report.html."""
@@ -65,7 +65,8 @@ def compare(
     from protochain.storage import claimed
     from protochain.structure import load
 
-    chosen = _chosen(methods, tolerance, max_evaluations)
+    most = minimising.max_evaluations
+    chosen = _chosen(methods, tolerance, most)
     if repeats < 1:
         raise ProtochainError(f"repeats {repeats}: give at least 1")
     output = output or Path(f"{named_after(source)[0]}-comparison")
@@ -74,13 +75,13 @@ def compare(
     context.with_resource(claimed(output, "comparison"))
     known = load(reference) if reference else None
     chain, energy, preparation = prepare(source, setup)
-    typical = sum(typical_evaluations(method, max_evaluations) for method in chosen)
-    foretell(source, chain, energy, typical, len(chosen) * max_evaluations)
+    typical = sum(typical_evaluations(method, most) for method in chosen)
+    foretell(source, chain, energy, typical, len(chosen) * most)
     context.with_resource(held_interrupts())
-    with _one_bar_each(max_evaluations) as watch:
+    with _one_bar_each(most) as watch:
         comparison = run(
-            chain, chosen, energy, tolerance, max_evaluations, seed,
-            reference=known, repeats=repeats, watch=watch, curvature=not no_curvature,
+            chain, chosen, energy, tolerance, most, minimising.seed,
+            reference=known, repeats=repeats, watch=watch, curvature=minimising.curvature,
         )  # fmt: skip
     comparison = replace(comparison, origin={"input": str(source), "seconds_preparation": preparation})
     page = comparison.report(output)
@@ -107,7 +108,7 @@ def _chosen(methods: str, tolerance: float, max_evaluations: int) -> tuple[str, 
 
     chosen = tuple(dict.fromkeys(words(methods)))
     for method in chosen:
-        Minimisation(recipe_of(method), tolerance, max_evaluations)
+        Minimisation(recipe_of(method), tolerance=tolerance, max_evaluations=max_evaluations)
     return chosen
 
 

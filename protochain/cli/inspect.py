@@ -10,12 +10,12 @@ from typing import Annotated, Any
 
 import typer
 
-from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, as_option, with_setup
+from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, as_option, with_settings
 from protochain.markup import counted
 from protochain.setup import Setup
 
 
-@with_setup(without="engine move")
+@with_settings(setup="engine move")
 def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
     """Show the contents of a file, the repairs to its structure, and its rigid bodies and hinges."""
     began = perf_counter()

@@ -1,7 +1,6 @@
 """``protochain minimise``."""
 
 import json
-import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -19,23 +18,14 @@ from protochain.cli.options import (
     STANDARD_OUTPUT,
     UNCONVERGED,
     AsJson,
-    Hop,
     Input,
-    MaxEvaluations,
-    MaxRmsd,
-    NoCurvature,
-    OwnTolerance,
-    Restrain,
-    Seed,
-    Spread,
-    Starts,
     check_outputs,
     fail,
     inputs_of,
     named_after,
     prepare,
     print_lost,
-    with_setup,
+    with_settings,
 )
 from protochain.cli.terminal import (
     TROUBLED,
@@ -49,6 +39,7 @@ from protochain.cli.terminal import (
 )
 from protochain.errors import ProtochainError, WriteError, WriteWarning
 from protochain.interrupts import held_interrupts
+from protochain.minimisers.settings import Minimising, Saving, Starting
 from protochain.setup import ALL_MODELS, Setup, models_asked
 
 if TYPE_CHECKING:
@@ -68,8 +59,6 @@ Method = Annotated[
     str, typer.Option(help="cartesian, hybrid, lbfgs, newton, kcm, openmm ...: an unknown one lists them.")
 ]
 Angle = Annotated[float | None, typer.Option(help="Turn of a hinge in a step of kcm, rad [default: 0.0005].")]
-Checkpoint = Annotated[Path | None, typer.Option(help="File for the state at the end, .npz.")]
-Resume = Annotated[Path | None, typer.Option(help="Continue from a checkpoint.")]
 Trace = Annotated[Path | None, typer.Option(help="CSV with a row for each iteration.")]
 Trajectory = Annotated[Path | None, typer.Option(help="DCD or XTC with a frame for each iteration.")]
 Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
@@ -77,63 +66,51 @@ OneFile = Annotated[bool, typer.Option("--one-file", help="Write all models into
 Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
 
 
-@with_setup()
+@with_settings()
 def minimise(
     context: typer.Context,
     source: Input,
     output: Output = None,
     method: Method = defaults.METHOD,
     angle: Angle = None,
-    tolerance: OwnTolerance = None,
-    max_evaluations: MaxEvaluations = defaults.MAX_EVALUATIONS,
-    restrain: Restrain = "",
-    max_rmsd: MaxRmsd = None,
-    starts: Starts = 1,
-    spread: Spread = None,
-    hop: Hop = None,
-    checkpoint: Checkpoint = None,
-    resume: Resume = None,
     trace: Trace = None,
     trajectory: Trajectory = None,
     report: Report = None,
-    no_curvature: NoCurvature = False,
     one_file: OneFile = False,
-    seed: Seed = defaults.SEED,
     as_json: AsJson = False,
     force: Force = False,
     *,
+    minimising: Minimising,
+    saving: Saving,
+    starting: Starting,
     setup: Setup,
 ) -> None:
     """Minimise the energy of one structure."""
     from protochain.minimisers.api import Minimisation
     from protochain.minimisers.recipes import at_angle, recipe_of
-    from protochain.minimisers.starts import check_spread
+    from protochain.minimisers.starts import refuse_held
 
-    limit = math.inf if max_rmsd is None else max_rmsd
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
-    recipe = recipe_of(chosen)
-    asked = recipe.tolerance(tolerance)
-    Minimisation(recipe, asked, max_evaluations, seed, restrain, limit, checkpoint, resume)
-    width = defaults.SPREAD if spread is None else math.radians(spread)
-    check_spread(width)  # Also of a single start, which has none.
-    _check_starts(starts, hop, bool(checkpoint or resume or trajectory))
-    beside = [path for path in (trace, trajectory, checkpoint, report) if path]
+    Minimisation(recipe_of(chosen), **vars(minimising), **vars(saving))
+    state = [path for path in vars(saving).values() if path]
+    if starting.n_starts > 1 and (state or trajectory):
+        raise ProtochainError("starts: a checkpoint or trajectory belongs to one run; give one start")
+    beside = [Path(path) for path in (trace, trajectory, saving.checkpoint, report) if path]
     stem, suffix = named_after(source)
     output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
     _check_outputs(output, trajectory, report, as_json)
-    runs = _runs(source, output, setup, bool(beside or resume), one_file)
+    runs = _runs(source, output, setup, bool(beside or saving.resume), one_file)
     written = [*dict.fromkeys(path for _, path in runs), *beside]
-    check_outputs(inputs_of(setup, source, resume), written, force)
+    check_outputs(inputs_of(setup, source, saving.resume), written, force)
 
-    settings: dict[str, Any] = {
-        "method": chosen, "tolerance": tolerance, "max_evaluations": max_evaluations, "seed": seed,
-        "restraint": restrain, "max_rmsd": limit, **({"curvature": False} if no_curvature else {}),
-    }  # fmt: skip
-    if starts == 1:
-        solve = partial(_once, trajectory=trajectory, checkpoint=checkpoint, resume=resume, **settings)
+    settings: dict[str, Any] = {"method": chosen, **vars(minimising)}
+    if starting.n_starts == 1:
+        solve: Any = partial(_once, trajectory=trajectory, **vars(saving), **settings)
     else:
-        solve = _from_many(starts, width, hop, settings)
-    lengths = starts * typical_evaluations(chosen, max_evaluations), starts * max_evaluations
+        refuse_held(minimising.restraint, minimising.max_rmsd)
+        solve = partial(_often, **vars(starting), **settings)
+    most = minimising.max_evaluations
+    lengths = starting.n_starts * typical_evaluations(chosen, most), starting.n_starts * most
     records: list[dict[str, Any]] = []
     with _Writer(output, suffix, one_file, trace, report) as write:
         for own, path in runs:
@@ -145,25 +122,10 @@ def minimise(
     raise typer.Exit(_status(records, len(runs)))
 
 
-def _from_many(starts: int, width: float, hop: float | None, settings: dict[str, Any]) -> Any:
-    """Call that minimises from many starts."""
-    from protochain.minimisers.starts import check_starts
-
-    check_starts(starts, width, hop, **settings)
-    return partial(_often, n_starts=starts, spread=width, hop_temperature=hop, **settings)
-
-
 def _status(records: list[dict[str, Any]], n_runs: int) -> int:
     """Exit status of all runs."""
     whole = [record["status"] == "converged" and "not_written" not in record for record in records]
     return CONVERGED if len(whole) == n_runs and all(whole) else UNCONVERGED
-
-
-def _check_starts(starts: int, hop: float | None, is_single: bool) -> None:
-    if starts > 1 and is_single:
-        raise ProtochainError("starts: a checkpoint or trajectory belongs to one run; give one start")
-    if starts == 1 and hop is not None:
-        raise ProtochainError("hop: needs several minima; give --starts 2 or more")
 
 
 def _check_outputs(output: Path, trajectory: Path | None, report: Path | None, as_json: bool) -> None:

@@ -4,18 +4,19 @@ import inspect
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import Field, fields
 from functools import wraps
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 from protochain import defaults
-from protochain.checks import NO_BONDS
 from protochain.errors import Angle, Argument, ProtochainError
 from protochain.markup import counted
+from protochain.settings import Setting, settings_of
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -29,127 +30,82 @@ CONVERGED, FAILED, BAD_INPUT, UNCONVERGED = 0, 1, 2, 3
 STANDARD_OUTPUT = "-"
 """Name of an output that is printed instead of written to a file."""
 
+Made = TypeVar("Made")
+
 _SHOWN_OVERLAPS = 5
 """Overlaps reported before a run; ``info`` lists all."""
 
 Input = Annotated[
     Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, packed or not; - is standard input.")
 ]
-MaxRmsd = Annotated[float | None, typer.Option(help="Largest C-alpha RMSD to the start, angstrom.")]
-OwnTolerance = Annotated[
-    float | None,
-    typer.Option(
-        "--tolerance",
-        help="RMS force at convergence where all atoms move [default: 10 kJ/mol/nm, 1 with --starts], "
-        "or largest torque [default: 1 kJ/mol/rad].",
-    ),
-]
-Tolerance = Annotated[
-    float,
-    typer.Option(
-        help="Largest torque (kJ/mol/rad) at convergence, or RMS force (kJ/mol/nm) where all atoms move."
-    ),
-]
-MaxEvaluations = Annotated[int, typer.Option(help="Energy evaluations allowed for each method.")]
-Restrain = Annotated[
-    str, typer.Option(help="Restraints to the start, kJ/mol/nm^2, one after the other: '1000 100 0'.")
-]
-Starts = Annotated[
-    int, typer.Option(help="Number of starts, from dihedrals perturbed at random; the best end is written.")
-]
-_DEGREES = f"{math.degrees(defaults.SPREAD):.1f}"
-Spread = Annotated[
-    float | None, typer.Option(help=f"Standard deviation of a perturbation, degrees [default: {_DEGREES}].")
-]
-Hop = Annotated[
-    float | None, typer.Option(help="Basin hopping: start from the last minimum accepted at this K.")
-]
-NoCurvature = Annotated[
-    bool,
-    typer.Option("--no-curvature", help="Do not look whether a run in torsions ends at a saddle point."),
-]
-Seed = Annotated[int, typer.Option(help="Seed of methods that draw random numbers.")]
 Manifest = Annotated[Path | None, typer.Option(help="CSV with a column path, and any settings as columns.")]
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 
 
-def _option(kind: Any, text: str, *names: str, **more: Any) -> Any:
-    return Annotated[kind, typer.Option(*names, help=text, **more)]
+def with_settings(**without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Replace a command's keyword-only parameters, classes of settings, by the options of their fields.
 
-
-_SETUP = {
-    "hinges": _option(str, "Degrees of freedom: any of phi psi omega chi rotors angles."),
-    "move": _option(
-        str, "What may move, in MDAnalysis's selection language, with sidechain and interface: 'resid 5:20'."
-    ),
-    "forcefield": _option(
-        str, "amber14, amber19, amber99sb, amber99sbildn, charmm36, an OpenMM XML file, or several (a,b)."
-    ),
-    "solvent": _option(str, "vacuum, obc2 or gbn2."),
-    "engine": _option(str, "auto, native or openmm."),
-    "cutoff": _option(str, "Distance in nm up to which pairs act, none, or auto: none below 20,000 atoms."),
-    "threads": _option(int | None, "Threads to compute on [default: all]."),
-    "trust_forcefield": _option(bool, "Allow a force-field file to run its scripts.", "--trust-forcefield"),
-    "model": _option(
-        str, "Number of the model [default: the first]; minimise, relax, batch and validate also take all, "
-        "or 1-5,8.",
-    ),
-    "chains": _option(
-        str, "Chains to take, with commas between [default: all].", "--chain", "--chains", metavar="A,B"
-    ),
-    "altloc": _option(str, "Alternate location to prefer [default: of highest occupancy]."),
-    "keep": _option(
-        str, "Molecules to keep in place, with commas: near (all but waters within 5 angstrom of it), "
-        "none, all, water, ions, nucleic, ligands, or names of residues [default: near].",
-    ),
-    "disulfide": _option(
-        list[str] | None, "Disulfide bond beside those where sulphurs are near; repeat for more.",
-        metavar="A:3-A:40",
-    ),
-    "no_disulfide": _option(
-        bool, "No disulfide bonds but those of --disulfide.", "--no-disulfide"
-    ),
-    "ph": _option(float, "pH for residues whose protonation the file does not show.", "--ph"),
-    "strict": _option(bool, "Refuse chain breaks and incomplete backbones.", "--strict"),
-}  # fmt: skip
-"""Options of a :class:`Setup`, in the order of the help."""
-
-_DEFAULTS: dict[str, Any] = vars(Setup()) | {"keep": None, "chains": None, "no_disulfide": False}
-
-
-def with_setup(without: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Replace a command's last parameter, ``setup``, by the options of a :class:`Setup`.
-
-    Options named in ``without``, and those that the command has itself, are left out.
+    ``without`` names, for a parameter, fields that are no options of this command. An option of two classes
+    is given to both; one that the command has itself is its own.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        *own, _ = inspect.signature(command).parameters.values()
-        taken = {*without.split(), *(parameter.name for parameter in own)}
-        options = [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS[name], annotation=kind)
-            for name, kind in _SETUP.items()
-            if name not in taken
-        ]
+        parameters = inspect.signature(command).parameters.values()
+        own = [each for each in parameters if each.kind is not each.KEYWORD_ONLY]
+        kinds = {each.name: each.annotation for each in parameters if each.kind is each.KEYWORD_ONLY}
+        options: dict[str, inspect.Parameter] = {}
+        for parameter, kind in kinds.items():
+            left_out = {*without.get(parameter, "").split(), *(each.name for each in own)}
+            for each in fields(kind):
+                for option in _options(each):
+                    if each.name not in left_out:
+                        options.setdefault(option.name, option)
 
         @wraps(command)
         def run(**given: Any) -> None:
-            chosen = {option.name: given.pop(option.name) for option in options}
-            command(**given, setup=_setup(**chosen))
+            chosen = {name: given.pop(name) for name in options}
+            command(**given, **{name: _made(kind, chosen) for name, kind in kinds.items()})
 
-        run.__signature__ = inspect.Signature([*own, *options])  # type: ignore[attr-defined]  # known at run time only
+        run.__signature__ = inspect.Signature([*own, *options.values()])  # type: ignore[attr-defined]  # known at run time only
         return run
 
     return decorate
 
 
-def _setup(no_disulfide: bool = False, **chosen: Any) -> Setup:
-    """Make a setup of options; those that are not given keep its defaults."""
-    chosen = {name: value for name, value in chosen.items() if value not in (None, [])}
-    if no_disulfide:
-        chosen["disulfide"] = [NO_BONDS, *chosen.get("disulfide", [])]
-    return Setup(**chosen)
+def _options(of: Field[Any]) -> Iterator[inspect.Parameter]:
+    """Options of a field of settings."""
+    its: Setting | None = of.metadata.get("setting")
+    if its is None or not its.help:
+        return
+    # Other defaults are told in the help.
+    is_plain = type(of.default) in (bool, int, float, str) and of.default != math.inf and not its.read
+    usual = (not its.turns_off and of.default) if is_plain else None
+    yield _option(of.name, its.kind if is_plain else its.kind | None, usual, its.names(of.name), its)
+    if its.word:
+        name, told, _ = its.word
+        yield _option(name, bool, False, [f"--{name.replace('_', '-')}"], Setting(its.check, told))
+
+
+def _option(name: str, kind: Any, usual: Any, names: list[str], its: Setting) -> inspect.Parameter:
+    declared = typer.Option(*names, help=its.help, metavar=its.metavar)
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=usual, annotation=Annotated[kind, declared]
+    )
+
+
+def _made(kind: type[Made], options: Mapping[str, Any]) -> Made:
+    """Settings made of options; those that are not given keep their defaults."""
+    given = {}
+    for name, its in settings_of(kind):
+        value: Any = options.get(name)
+        if its.turns_off and name in options:
+            value = not value
+        if its.word and options.get(its.word[0]):
+            value = [its.word[2], *(value or ())]
+        if value not in (None, []):
+            given[name] = its.read(value) if its.read else value
+    return kind(**given)
 
 
 def fail(message: str, status: int = FAILED) -> int:

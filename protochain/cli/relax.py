@@ -21,13 +21,14 @@ from protochain.cli.options import (
     check_outputs,
     fail,
     inputs_of,
-    with_setup,
+    with_settings,
 )
 from protochain.errors import ProtochainError
+from protochain.relaxation.settings import Relaxing
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
-    from protochain.relaxation import Relaxation, Relaxing
+    from protochain.relaxation import Relaxation
 
 Inputs = Annotated[
     list[str] | None,
@@ -43,37 +44,6 @@ Output = Annotated[
         help="File, or folder for several [default: NAME.relaxed.pdb, or the folder relaxed].",
     ),
 ]
-Preset = Annotated[str, typer.Option(help="Springs to the input: predicted, crystal or design.")]
-Protocol = Annotated[
-    str,
-    typer.Option(
-        help="alphafold: amber99sb in vacuum, to compare with; its X-H bonds are constrained, here not."
-    ),
-]
-Tolerance = Annotated[float | None, typer.Option(help="RMS force at the end, kJ/mol/nm [default: 10].")]
-Stiffness = Annotated[
-    float | None,
-    typer.Option(
-        help="Springs, kJ/mol/nm^2 [default: of the preset, 4184, AlphaFold's 10 kcal/mol/angstrom^2]."
-    ),
-]
-MaxIterations = Annotated[int, typer.Option(help="Iterations of each minimisation; 0 for no limit.")]
-MaxOuter = Annotated[
-    int, typer.Option(help="Rounds at most; after the first, residues with violations are held less.")
-]
-Exclude = Annotated[
-    str, typer.Option(help="Residues without springs, in MDAnalysis's selection language: 'resid 5:20'.")
-]
-Hydrogens = Annotated[
-    bool, typer.Option("--keep-hydrogens/--strip-hydrogens", help="Whether the output has hydrogens.")
-]
-Repack = Annotated[
-    bool,
-    typer.Option(
-        "--repack",
-        help="First put side chains that clash, or are far from every rotamer, into the best rotamers.",
-    ),
-]
 Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
 Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
 Workers = Annotated[
@@ -83,20 +53,11 @@ TimeLimit = Annotated[float, typer.Option(help="Of several: seconds after which 
 Resume = Annotated[bool, typer.Option("--resume", help="Of several: continue in the folder.")]
 
 
-@with_setup(without="hinges")
+@with_settings(setup="hinges")
 def relax(
     inputs: Inputs = None,
     output: Output = None,
     manifest: Manifest = None,
-    preset: Preset = defaults.PRESET,
-    protocol: Protocol = "",
-    tolerance: Tolerance = None,
-    stiffness: Stiffness = None,
-    max_iterations: MaxIterations = defaults.MAX_ITERATIONS,
-    max_outer_iterations: MaxOuter = defaults.MAX_OUTER_ITERATIONS,
-    exclude: Exclude = "",
-    keep_hydrogens: Hydrogens = True,
-    repack: Repack = False,
     report: Report = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -105,6 +66,7 @@ def relax(
     as_json: AsJson = False,
     force: Force = False,
     *,
+    relaxing: Relaxing,
     setup: Setup,
 ) -> None:
     """Make predicted models clean: overlaps and broken bonds gone, the fold kept.
@@ -112,12 +74,6 @@ def relax(
     Several files, a folder, a pattern or a manifest go to a folder, with the table relaxed.csv; so does what
     a cluster does.
     """
-    from protochain.relaxation.settings import Relaxing
-
-    relaxing = Relaxing(
-        preset, protocol, tolerance, stiffness, max_iterations, max_outer_iterations, exclude, keep_hydrogens,
-        repack,
-    )  # fmt: skip
     setup = relaxing.setup(setup)
     several = manifest or scheduler or isinstance(setup.model, str)
     if inputs and len(inputs) == 1 and _is_one_file(inputs[0]) and not several:
@@ -139,7 +95,7 @@ def _is_one_file(given: str) -> bool:
 def _one(
     source: Path,
     output: Path | None,
-    relaxing: "Relaxing",
+    relaxing: Relaxing,
     setup: Setup,
     report: Path | None,
     as_json: bool,
@@ -222,7 +178,7 @@ def _several(
     inputs: list[str],
     output: Path | None,
     manifest: Path | None,
-    relaxing: "Relaxing",
+    relaxing: Relaxing,
     setup: Setup,
     processes: dict[str, Any],
     as_json: bool,

@@ -13,13 +13,12 @@ from protochain.cli.options import (
     UNCONVERGED,
     AsJson,
     Input,
-    Seed,
     check_outputs,
     fail,
     inputs_of,
     named_after,
     prepare,
-    with_setup,
+    with_settings,
 )
 from protochain.cli.terminal import (
     TROUBLED,
@@ -93,7 +92,7 @@ Resume = Annotated[bool, typer.Option("--resume", help="Continue the simulation 
 Force = Annotated[bool, typer.Option("--force", help="Replace the simulation in DIR.")]
 
 
-@with_setup()
+@with_settings()
 def simulate(
     context: typer.Context,
     source: Input,
@@ -118,7 +117,7 @@ def simulate(
     relax: Relax = True,
     resume: Resume = False,
     force: Force = False,
-    seed: Seed = defaults.SEED,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.")] = defaults.SEED,
     as_json: AsJson = False,
     *,
     setup: Setup,

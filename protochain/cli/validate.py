@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protochain.cli.options import BAD_INPUT, CONVERGED, AsJson, check_outputs, inputs_of, with_setup
+from protochain.cli.options import BAD_INPUT, CONVERGED, AsJson, check_outputs, inputs_of, with_settings
 from protochain.cli.printable import printer
 from protochain.errors import ProtochainError
 from protochain.markup import counted
@@ -25,7 +25,7 @@ _SHOWN = 10
 """Residues listed of each structure; the tables have all."""
 
 
-@with_setup(without="hinges move forcefield solvent engine cutoff threads trust_forcefield")
+@with_settings(setup="hinges move forcefield solvent engine cutoff threads trust_forcefield")
 def validate(
     inputs: Annotated[
         list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns; - is standard input.")

@@ -16,19 +16,9 @@ from protochain import defaults
 from protochain.arrays import Floats, Watcher, read_only
 from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose
-from protochain.checks import (
-    WATCHER,
-    check_fields,
-    checked,
-    flag,
-    integer,
-    number,
-    optional,
-    path,
-    refuse_misplaced,
-)
+from protochain.checks import WATCHER, checked, refuse_misplaced
 from protochain.energies import as_energy
-from protochain.errors import ProtochainError, WriteError, WriteWarning, refused
+from protochain.errors import ProtochainError, WriteError, WriteWarning
 from protochain.frame import Frame, frame_of
 from protochain.interrupts import held_interrupts, open_to_interrupts
 from protochain.markup import listed
@@ -40,6 +30,7 @@ from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.saddle import with_curvature
+from protochain.minimisers.settings import Minimising, Saving
 from protochain.minimisers.solution import Recorder, Solution, trace_of
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import Outcome, Stage, walk
@@ -145,14 +136,17 @@ def minimise(
     """
     refuse_further("minimise", options, Options)
     recipe = recipe_of(method)
-    run = Minimisation(recipe, recipe.tolerance(tolerance), max_evaluations, seed, **options)
+    run = Minimisation(recipe, tolerance=tolerance, max_evaluations=max_evaluations, seed=seed, **options)
     chain = as_chain(chain)
     return minimise_from(Start(chain, as_energy(energy, chain.structure)), run, watch)
 
 
+minimize = minimise
+
+
 @dataclass(frozen=True)
-class Minimisation:
-    """Settings of a minimisation, as :func:`minimise` takes them.
+class Minimisation(Saving, Minimising):
+    """A minimisation by a recipe.
 
     Raises
     ------
@@ -161,27 +155,9 @@ class Minimisation:
     """
 
     recipe: Recipe
-    tolerance: float = defaults.TOLERANCE
-    max_evaluations: int = defaults.MAX_EVALUATIONS
-    seed: int = defaults.SEED
-    restraint: Any = ()
-    max_rmsd: float = np.inf
-    checkpoint: str | Path | None = None
-    resume: str | Path | None = None
-    curvature: bool = True
 
     def __post_init__(self) -> None:
-        path_or_none = optional(path)
-        check_fields(
-            self, tolerance=number, max_evaluations=integer, seed=integer, max_rmsd=number,
-            curvature=flag, checkpoint=path_or_none, resume=path_or_none,
-        )  # fmt: skip
-        if self.seed < 0:
-            raise refused("seed", self.seed, "give 0 or more")
-        if not 0 < self.tolerance < np.inf:
-            raise refused("tolerance", f"{self.tolerance:g}", "give a number above 0")
-        if self.max_evaluations < 1:
-            raise refused("max_evaluations", self.max_evaluations, "give at least 1")
+        super().__post_init__()
         if self.hold != Hold() and self.recipe.by_openmm:
             raise ProtochainError(
                 f"method {self.recipe.name!r} cannot be held near its start; choose cartesian or hybrid"
@@ -190,6 +166,11 @@ class Minimisation:
             raise ProtochainError(
                 f"method {self.recipe.name!r} keeps no state to resume from; choose another, or no checkpoint"
             )
+
+    @property
+    def converged_at(self) -> float:
+        """Tolerance given, or the recipe's own."""
+        return self.recipe.tolerance(self.tolerance)
 
     @property
     def hold(self) -> Hold:
@@ -201,7 +182,7 @@ class Minimisation:
         chain, energy = start.chain, start.energy
         return {
             "method": self.recipe.name,
-            "tolerance": self.tolerance,
+            "tolerance": self.converged_at,
             "restraint": self.hold.record(),
             "max_rmsd": self.max_rmsd,
             "hinges": chain.opened,
@@ -243,7 +224,7 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     chain, energy, hold = start.chain, start.energy, run.hold
     reduced = start.energy_of(run.recipe)
     torque = start.judgement.max_torque
-    plan = run.recipe.plan(chain, energy, reduced, run.tolerance, hold, run.seed, torque)
+    plan = run.recipe.plan(chain, energy, reduced, run.converged_at, hold, run.seed, torque)
     if run.curvature and run.recipe.keeps_geometry:
         plan = with_curvature(plan, floats=not record.frame.held_by)
     x = chain.structure.positions
@@ -285,7 +266,7 @@ def _by_openmm(start: Start, run: Minimisation, record: Recorder) -> Outcome:
         record(x, energy, np.nan, n_evaluations)
 
     return minimise_by_openmm(
-        run.recipe, start.chain, start.energy, run.tolerance, run.max_evaluations, run.seed, note
+        run.recipe, start.chain, start.energy, run.converged_at, run.max_evaluations, run.seed, note
     )
 
 
@@ -304,8 +285,8 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     residual = end.max_torque if turned else end.rms_force
     restrained = ", restraints included" if done.restraint else ""
     lowest = done.lowest_eigenvalue if at is not start.pose else None
-    measured = f"{done.space.unit.format(residual)} for a tolerance of {run.tolerance:g}{restrained}"
-    met = done.complete and residual <= run.tolerance
+    measured = f"{done.space.unit.format(residual)} for a tolerance of {run.converged_at:g}{restrained}"
+    met = done.complete and residual <= run.converged_at
     judged = "judged by the callable itself" if energy.engine == "custom" else "in double precision"
     if lowest is not None:
         judged += f"; lowest eigenvalue of the Hessian {lowest:.3g} kJ/mol/rad^2"
@@ -344,7 +325,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         end=end,
         frame=record.frame,
         ca_rmsd_angstrom=record.frame.ca_rmsds(x)[0],
-        tolerance=run.tolerance,
+        tolerance=run.converged_at,
         hold=run.hold,
         seed=run.seed,
         lowest_eigenvalue=lowest,

@@ -13,10 +13,11 @@ from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, pose
 from protochain.checks import WATCHER, checked, function, integer, number, quantity
 from protochain.energies import as_energy
-from protochain.errors import Angle, Argument, ProtochainError, refused
+from protochain.errors import Argument, ProtochainError
 from protochain.interrupts import held_interrupts
 from protochain.minimisers.api import minimise
 from protochain.minimisers.restraints import Hold
+from protochain.minimisers.settings import Minimising, Starting
 from protochain.minimisers.solution import Solution
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import parting, walk
@@ -166,9 +167,9 @@ def explore(
     ProtochainError
         If a setting is invalid.
     """
-    if seed < 0:
-        raise ProtochainError(f"seed {seed}: give 0 or more")
-    check_starts(n_starts, spread, hop_temperature, **settings)
+    Minimising(seed=seed)
+    Starting(n_starts=n_starts, spread=spread, hop_temperature=hop_temperature)
+    refuse_held(settings.get("restraint", ()), settings.get("max_rmsd", np.inf))
     settings["tolerance"] = defaults.TOLERANCE if tolerance is None else tolerance
     chain = as_chain(chain)
     energy = as_energy(energy, chain.structure)
@@ -198,38 +199,21 @@ def explore(
     return Starts(chain, tuple(solutions), tuple(accepted))
 
 
-def check_starts(n_starts: int, spread: float, hop_temperature: float | None, **settings: Any) -> None:
-    """Refuse settings of :func:`explore` that make no sense, before any work.
+def refuse_held(restraint: Any, max_rmsd: float) -> None:
+    """Refuse what holds a run near its start, for many starts.
 
     Raises
     ------
     ProtochainError
-        Naming the setting.
+        Naming the settings.
     """
-    if n_starts < 1:
-        raise refused("n_starts", n_starts, "give at least 1")
-    check_spread(spread)
-    if hop_temperature is not None and not 0 <= hop_temperature < np.inf:
-        raise refused("hop_temperature", f"{hop_temperature:g}", "give a temperature in K, not below 0")
-    if Hold.of(settings.get("restraint", ()), settings.get("max_rmsd", np.inf)) != Hold():
+    if Hold.of(restraint, max_rmsd) != Hold():
         raise ProtochainError(
             Argument("restraint"),
             " and ",
             Argument("max_rmsd"),
             " refer to each start's own structure; use one start",
         )
-
-
-def check_spread(spread: float) -> None:
-    """Refuse what is no standard deviation, in rad.
-
-    Raises
-    ------
-    ProtochainError
-        Naming it.
-    """
-    if not 0 < spread < np.inf:
-        raise ProtochainError(Argument("spread"), " ", Angle(spread), ": give an angle above 0")
 
 
 def perturbed(chain: Chain, spread: float, random: np.random.Generator) -> Chain:

@@ -1,9 +1,5 @@
 """Predicted and damaged models made clean, the fold kept."""
 
-from protochain.relaxation.api import relax
-from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
-from protochain.relaxation.result import Relaxation
-from protochain.relaxation.rounds import Round
-from protochain.relaxation.settings import Relaxing
+import lazy_loader
 
-__all__ = ["PRESETS", "PROTOCOLS", "Preset", "Relaxation", "Relaxing", "Round", "relax"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

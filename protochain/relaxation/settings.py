@@ -1,19 +1,19 @@
 """Settings of a relaxation, checked once."""
 
+import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-import numpy as np
-
 from protochain import defaults
-from protochain.checks import check_fields, flag, integer, number, optional, text
+from protochain.checks import flag, integer, number, optional, text
 from protochain.errors import Argument, ProtochainError, refused
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
+from protochain.settings import Settings, setting
 from protochain.setup import Setup
 
 
 @dataclass(frozen=True)
-class Relaxing:
+class Relaxing(Settings):
     """How a structure is relaxed.
 
     Parameters
@@ -47,22 +47,45 @@ class Relaxing:
         If a setting makes no sense.
     """
 
-    preset: str = defaults.PRESET
-    protocol: str = ""
-    tolerance: float | None = None
-    stiffness: float | None = None
-    max_iterations: int = defaults.MAX_ITERATIONS
-    max_outer_iterations: int = defaults.MAX_OUTER_ITERATIONS
-    exclude: str = ""
-    keep_hydrogens: bool = True
-    repack: bool = False
+    preset: str = setting(defaults.PRESET, "Springs to the input: predicted, crystal or design.", text)
+    protocol: str = setting(
+        "",
+        "alphafold: amber99sb in vacuum, to compare with; its X-H bonds are constrained, here not.",
+        text,
+    )
+    tolerance: float | None = setting(
+        None, "RMS force at the end, kJ/mol/nm [default: 10].", optional(number), float
+    )
+    stiffness: float | None = setting(
+        None,
+        "Springs, kJ/mol/nm^2 [default: of the preset, 4184, AlphaFold's 10 kcal/mol/angstrom^2].",
+        optional(number),
+        float,
+    )
+    max_iterations: int = setting(
+        defaults.MAX_ITERATIONS, "Iterations of each minimisation; 0 for no limit.", integer, int
+    )
+    max_outer_iterations: int = setting(
+        defaults.MAX_OUTER_ITERATIONS,
+        "Rounds at most; after the first, residues with violations are held less.",
+        integer,
+        int,
+    )
+    exclude: str = setting(
+        "", "Residues without springs, in MDAnalysis's selection language: 'resid 5:20'.", text
+    )
+    keep_hydrogens: bool = setting(
+        True, "Whether the output has hydrogens.", flag, bool, "--keep-hydrogens/--strip-hydrogens"
+    )
+    repack: bool = setting(
+        False,
+        "First put side chains that clash, or are far from every rotamer, into the best rotamers.",
+        flag,
+        bool,
+    )
 
     def __post_init__(self) -> None:
-        check_fields(
-            self, preset=text, protocol=text, tolerance=optional(number), stiffness=optional(number),
-            max_iterations=integer, max_outer_iterations=integer, exclude=text, keep_hydrogens=flag,
-            repack=flag,
-        )  # fmt: skip
+        super().__post_init__()
         for name, known in (("preset", PRESETS), ("protocol", PROTOCOLS)):
             given = getattr(self, name)
             if given not in known and (given or name == "preset"):
@@ -73,9 +96,9 @@ class Relaxing:
             raise ProtochainError(
                 f"preset {self.preset}: protocol {self.protocol} has its own; give one of them"
             )
-        if self.tolerance is not None and not 0 < self.tolerance < np.inf:
+        if self.tolerance is not None and not 0 < self.tolerance < math.inf:
             raise refused("tolerance", f"{self.tolerance:g}", "give an RMS force above 0, in kJ/mol/nm")
-        if self.stiffness is not None and not 0 <= self.stiffness < np.inf:
+        if self.stiffness is not None and not 0 <= self.stiffness < math.inf:
             raise refused("stiffness", f"{self.stiffness:g}", "give kJ/mol/nm^2, none below 0")
         if self.max_iterations < 0:
             raise refused("max_iterations", self.max_iterations, "give 1 or more, or 0 for no limit")

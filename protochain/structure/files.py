@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import gemmi
 
 from protochain.errors import StructureError
-from protochain.markup import counted, excerpt
+from protochain.markup import excerpt
 from protochain.storage import regular
 from protochain.structure.apart import chains_told_apart, told_apart
 from protochain.structure.records import of_cif, of_pdb

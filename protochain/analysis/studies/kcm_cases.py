@@ -169,9 +169,15 @@ def measured(case: Case, method: str, most: int) -> dict[str, Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StrayWarning)
             start = _started(case)
-            run = Minimisation(METHODS[method], defaults.TOLERANCE, most, case.seed, curvature=False)
+            run = Minimisation(
+                METHODS[method],
+                tolerance=defaults.TOLERANCE,
+                max_evaluations=most,
+                seed=case.seed,
+                curvature=False,
+            )
             raw = minimise_from(start, run)
-            again = Minimisation(_POLISH, POLISH, POLISHED)
+            again = Minimisation(_POLISH, tolerance=POLISH, max_evaluations=POLISHED)
             polished = minimise_from(Start(_chain_at(raw), start.energy), again)
         if Status.INTERRUPTED in (raw.status, polished.status):
             raise KeyboardInterrupt

@@ -1,0 +1,119 @@
+"""Settings of a minimisation and of many starts, as calls, commands and batches share them."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from protochain import defaults
+from protochain.checks import anything, flag, integer, number, optional, path
+from protochain.errors import Angle, Argument, ProtochainError, refused
+from protochain.settings import Settings, setting
+
+
+@dataclass(frozen=True, kw_only=True)
+class Minimising(Settings):
+    """How far a minimisation goes, and what holds it; for the meanings see :func:`protochain.minimise`.
+
+    Raises
+    ------
+    ProtochainError
+        If a setting makes no sense; the message names it.
+    """
+
+    tolerance: float | None = setting(
+        None,
+        "RMS force at convergence where all atoms move [default: 10 kJ/mol/nm, 1 with --starts], "
+        "or largest torque [default: 1 kJ/mol/rad].",
+        optional(number),
+        float,
+    )
+    max_evaluations: int = setting(
+        defaults.MAX_EVALUATIONS, "Energy evaluations allowed for each method.", integer, int
+    )
+    seed: int = setting(defaults.SEED, "Seed of methods that draw random numbers.", integer, int)
+    restraint: Any = setting(
+        "",
+        "Restraints to the start, kJ/mol/nm^2, one after the other: '1000 100 0'.",
+        anything,
+        option="--restrain",
+    )
+    max_rmsd: float = setting(math.inf, "Largest C-alpha RMSD to the start, angstrom.", number, float)
+    curvature: bool = setting(
+        True,
+        "Do not look whether a run in torsions ends at a saddle point.",
+        flag,
+        bool,
+        "--no-curvature",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.seed < 0:
+            raise refused("seed", self.seed, "give 0 or more")
+        if self.tolerance is not None and not 0 < self.tolerance < math.inf:
+            raise refused("tolerance", f"{self.tolerance:g}", "give a number above 0")
+        if self.max_evaluations < 1:
+            raise refused("max_evaluations", self.max_evaluations, "give at least 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Saving(Settings):
+    """Where the state of a run is written, and read, so that it can go on."""
+
+    checkpoint: str | Path | None = setting(
+        None, "File for the state at the end, .npz.", optional(path), Path
+    )
+    resume: str | Path | None = setting(None, "Continue from a checkpoint.", optional(path), Path)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Starting(Settings):
+    """Many starts; for the meanings see :func:`protochain.explore`.
+
+    Raises
+    ------
+    ProtochainError
+        If a setting makes no sense; the message names it.
+    """
+
+    n_starts: int = setting(
+        1,
+        "Number of starts, from dihedrals perturbed at random; the best end is written.",
+        integer,
+        int,
+        "--starts",
+    )
+    spread: float = setting(
+        defaults.SPREAD,
+        f"Standard deviation of a perturbation, degrees [default: {math.degrees(defaults.SPREAD):.1f}].",
+        number,
+        float,
+        read=math.radians,
+    )
+    hop_temperature: float | None = setting(
+        None,
+        "Basin hopping: start from the last minimum accepted at this K.",
+        optional(number),
+        float,
+        "--hop",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.n_starts < 1:
+            raise refused("n_starts", self.n_starts, "give at least 1")
+        if not 0 < self.spread < math.inf:
+            raise ProtochainError(Argument("spread"), " ", Angle(self.spread), ": give an angle above 0")
+        if self.hop_temperature is not None:
+            if not 0 <= self.hop_temperature < math.inf:
+                raise refused(
+                    "hop_temperature", f"{self.hop_temperature:g}", "give a temperature in K, not below 0"
+                )
+            if self.n_starts == 1:
+                raise ProtochainError(
+                    Argument("hop_temperature"),
+                    ": needs several minima; give ",
+                    Argument("n_starts"),
+                    " 2 or more",
+                )
