@@ -17,7 +17,8 @@ from protochain.mechanisms.contact import (
     lankarani_nikravesh,
     real_restitution,
 )
-from protochain.mechanisms.shapes import Ball, Plane, Surface
+from protochain.mechanisms.pressing import Anchors
+from protochain.mechanisms.shapes import Ball, Plane, Surface, Touches
 from protochain.mechanisms.triangles import nearest
 from protochain.motion import DormandPrince
 
@@ -313,6 +314,29 @@ def test_a_run_that_goes_on_keeps_its_anchors_and_another_forgets_them():
     assert np.array_equal(rest.q[-1], whole.q[-1])
     assert np.array_equal(model.simulate(100 * step, step).q, whole.q)
     assert np.array_equal(model.start().torque, half.model.system.at(model.q, model.qd).torque)
+
+
+@pytest.mark.parametrize(
+    ("anchored", "touches", "expected"),
+    [
+        ([(0, 5)], [(0, 5)], [0]),
+        ([(0, 5)], [(0, 1)], [0]),
+        ([(0, 5)], [(0, 1), (0, 2)], [None, None]),
+        ([(0, 5)], [(0, 5), (0, 6)], [0, None]),
+        ([(0, 5), (0, 6)], [(0, 1)], [None]),
+        ([(0, 5), (1, 7)], [(1, 2), (2, 2)], [1, None]),
+    ],
+)
+def test_an_anchor_goes_along_to_one_other_triangle_and_never_to_two(anchored, touches, expected):
+    model = rolling(Plane())
+    *_, pressing = model.conservative
+    n, m = len(touches), len(anchored)
+    pressing.anchors = Anchors(np.array(anchored), np.column_stack([np.arange(1.0, m + 1), np.zeros((m, 5))]))
+    up = np.tile([0.0, 0.0, 1.0], (n, 1))
+    ends = np.tile([0, -1], (n, 1))
+    found = Touches(np.array(touches), ends, np.zeros((n, 3)), up, np.ones(n))
+    stretch = pressing.stretches(model.start().factors.frames, found)[:, 0]
+    assert stretch.tolist() == [0.0 if k is None else k + 1.0 for k in expected]
 
 
 def test_two_groups_touch_across_only():
