@@ -17,7 +17,7 @@ from protochain.mechanisms.contact import (
     lankarani_nikravesh,
     real_restitution,
 )
-from protochain.mechanisms.pressing import Anchors
+from protochain.mechanisms.contact_forces import Anchors
 from protochain.mechanisms.shapes import Ball, Plane, Surface, Touches
 from protochain.mechanisms.triangles import nearest
 from protochain.motion import DormandPrince
@@ -430,5 +430,5 @@ def test_stiffness_over_twelve_decades_and_masses_of_a_billionth():
 def test_a_contact_is_an_element_of_its_own():
     m = Mechanism()
     m.body("ball", 1.0, inertia=0.1, position=(0, 0, 0.05))
-    m.force("floor", Contact([Ball("ball", 0.1)], Plane(), Law(1e3, 1.0)))
+    m.add(Contact("floor", [Ball("ball", 0.1)], Plane(), Law(1e3, 1.0)))
     assert m.build().start().torque[5] == pytest.approx(50.0)

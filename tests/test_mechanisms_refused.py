@@ -58,7 +58,6 @@ def chained(*pairs):
         (lambda m: m.hinge("h", "rod", "tip", axis=ORIGIN), 'hinge "h": its axis has length zero'),
         (lambda m: m.hinge("h", "rod", "tip", "ball"), "its kind 'ball': give revolute, prismatic, screw or"),
         (lambda m: m.hinge("h", "rod", "tip", q=np.inf), 'hinge "h": its q inf'),
-        (lambda m: m.hinge("h", "rod", "tip", speed=1.0), "'speed': give q, qd or pitch"),
         (lambda m: m.hinge("h", "rod", "tip", "screw"), "its pitch is zero; give a pitch, or kind revolute"),
         (lambda m: m.hinge("h", "rod", "tip", pitch=1.0), "pitch is of screws only"),
         (lambda m: m.hinge("h", "rod", "tip", "fixed", q=1.0), "must be zero as it is fixed"),

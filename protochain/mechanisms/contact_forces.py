@@ -39,8 +39,8 @@ class Anchors:
 NO_ANCHORS = Anchors(np.empty((0, 2), np.int64), np.empty((0, 6)))
 
 
-class Pressing:
-    """A contact in a mechanism. What changes in a run is the anchors, after each of its steps.
+class ContactForces:
+    """Forces of a contact in a mechanism. What changes in a run is the anchors, after each of its steps.
 
     Parameters
     ----------
