@@ -135,11 +135,10 @@ class Bushings(Rows):
             self.stiffness,
             wrenches,
         )
-        if energy == np.inf:
-            name = self.names[int(np.argmax(self.angles(frames)))]
+        if energy < 0.0:
             raise MechanicsError(
-                f'bushing "{name}": it is turned by half a turn, where its torque has no direction; '
-                "take a hinge with a torsion for large turns"
+                f'bushing "{self.names[round(-energy) - 1]}": it is turned by half a turn, where its torque '
+                "has no direction; take a hinge with a torsion for large turns"
             )
         return energy
 
@@ -149,12 +148,6 @@ class Bushings(Rows):
             frames.rotation, frames.origin, twists, self.ends, self.points, self.axes_b, self.damping,
             wrenches,
         )  # fmt: skip
-
-    def angles(self, frames: Frames) -> Floats:
-        """(n,) float: angle of each away from rest, up to pi."""
-        out = np.empty(len(self.ends))
-        _angles(frames.rotation, self.ends, self.axes_a, self.axes_b, out)
-        return out
 
 
 @kernel
@@ -201,18 +194,11 @@ def _turned_away(rotation: Floats, a: int, b: int, axes_a: Matrix, along: Matrix
 
 
 @kernel
-def _angles(rotation: Floats, ends: Integers, axes_a: Floats, axes_b: Floats, out: Floats) -> None:
-    for i in range(len(ends)):
-        along = axes_of(rotation, ends[i, 1], matrix(axes_b, i))
-        theta = _turned_away(rotation, ends[i, 0], ends[i, 1], matrix(axes_a, i), along)
-        out[i] = np.sqrt(dot(theta, theta))
-
-
-@kernel
 def _bend(
     rotation: Floats, origin: Floats, ends: Integers, points: Floats, axes_a: Floats, axes_b: Floats,
     stiffness: Floats, wrenches: Floats,
 ) -> float:  # fmt: skip
+    """Add the wrenches; return the energy, or minus the number, from 1, of one at half a turn."""
     energy = 0.0
     for i in range(len(ends)):
         a, b = ends[i, 0], ends[i, 1]
@@ -221,7 +207,7 @@ def _bend(
         along = axes_of(rotation, b, matrix(axes_b, i))
         theta = _turned_away(rotation, a, b, matrix(axes_a, i), along)
         if dot(theta, theta) > HALF_A_TURN * HALF_A_TURN:
-            return np.inf
+            return -1.0 - i
         gap = subtract(place_a, place_b)
         d = turned(along, gap)
         k, s = vector(stiffness, i, 0), vector(stiffness, i, 3)

@@ -99,15 +99,9 @@ class ContactForces:
         if len(self.anchors.pair):
             arms, ends = self.anchors.arms, touches.ends
             _stretch(
-                frames.rotation,
-                frames.origin,
-                touches.pair,
-                ends,
-                touches.normal,
-                self.anchors.pair,
-                arms,
+                frames.rotation, frames.origin, touches.pair, ends, touches.normal, self.anchors.pair, arms,
                 apart,
-            )
+            )  # fmt: skip
         return apart
 
     def begin(self, start: Phase) -> None:

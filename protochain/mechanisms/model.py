@@ -205,22 +205,16 @@ def model_of(
         acting[element.name] = found
     weight = [Gravity(tree, gravity)] if np.any(gravity) else []
     damped = joined(each.damping for each in acting.values() if each.damping)
+    loads = [NamedLoad("damping", damping(tree, damped), dissipates=True)] if damped else []
+    loads += [NamedLoad(name, each.load, each.dissipates) for name, each in acting.items() if each.load]
+    held = np.any((tree.parent < 0) & (tree.kind != HingeKind.FREE))
     return Model(
-        bodies,
-        bodies.q,
-        bodies.qd,
-        (*weight, *joined(each.conservative for each in acting.values() if each.conservative)),
-        (
-            *([NamedLoad("damping", damping(tree, damped), dissipates=True)] if damped else []),
-            *(NamedLoad(name, each.load, each.dissipates) for name, each in acting.items() if each.load),
-        ),
-        drive_of(bodies, drives) if drives else None,
-        events,
-        not weight
-        and not np.any((tree.parent < 0) & (tree.kind != HingeKind.FREE))
-        and all(each.inside for each in acting.values()),
+        bodies, bodies.q, bodies.qd,
+        (*weight, *joined(each.conservative for each in acting.values() if each.conservative)), tuple(loads),
+        drive_of(bodies, drives) if drives else None, events,
+        not weight and not held and all(each.inside for each in acting.values()),
         tuple(each.memory for each in acting.values() if each.memory),
-    )
+    )  # fmt: skip
 
 
 class Audit(NamedTuple):
@@ -240,25 +234,9 @@ class Audit(NamedTuple):
     spin: float | None
 
 
-class Row(NamedTuple):
-    """A phase without its factors, and the energy that events have given until then."""
-
-    time: float
-    q: Floats
-    qd: Floats
-    p: Floats
-    potential: float
-    work: Floats
-    jumps: float
-
-    @property
-    def kinetic(self) -> float:
-        """Kinetic energy."""
-        return 0.5 * float(self.p @ self.qd)
-
-    def unspent(self, counted: NDArray[np.bool_]) -> float:
-        """Energy less work (k,), where counted, and what events have given: it does not change."""
-        return self.kinetic + self.potential - float(self.work @ counted) - self.jumps
+Row = tuple[float, Floats, Floats, Floats, float, Floats, float]
+"""Time, q, qd, p, potential energy and work of a phase, and energy that events have given until then: a plain
+tuple, as to make a NamedTuple takes twice as long."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,8 +247,8 @@ class Run:
     ----------
     model : Model
         The mechanism.
-    rows : sequence of tuples
-        The fields of :class:`Row`, row by row.
+    rows : sequence of Row
+        Phases, without their factors.
     events : tuple of Happened
         What has happened.
     end : Phase
@@ -278,7 +256,7 @@ class Run:
     """
 
     model: Model
-    rows: Sequence[tuple[Any, ...]]
+    rows: Sequence[Row]
     events: tuple[Happened, ...]
     end: Phase
 
@@ -406,8 +384,7 @@ class _Simulation:
         self.rising_only = isinstance(integrator, Rosenbrock) and bool(np.any(taking))
         self.counted = np.ones(len(start.work), dtype=bool)
         self.counted[: len(taking)] = ~(taking & self.rising_only)
-        # Plain tuples: to make a NamedTuple takes twice as long.
-        self.rows: list[tuple[float, Floats, Floats, Floats, float, Floats, float]] = []
+        self.rows: list[Row] = []
         self.happened: list[Happened] = []
 
     def run(self, until: float) -> Run:
@@ -456,19 +433,26 @@ class _Simulation:
         UnbalancedError
             If much of it has come from nothing, or gone nowhere.
         """
-        first, row = Row(*self.rows[0]), Row(*self.rows[-1])
-        lack = row.unspent(self.counted) - first.unspent(self.counted)
+        time, *_, potential, _, _ = self.rows[-1]
+        (_, before), (kinetic, after) = (self.unspent(self.rows[k]) for k in (0, -1))
+        lack = after - before
         wrong = lack if self.rising_only else abs(lack)
-        if wrong <= self.balance * row.kinetic < np.inf:
+        if wrong <= self.balance * kinetic < np.inf:
             return
         # Perhaps there was more before: this row may be a turning point.
         largest = Run(self.model, self.rows, (), self.start).in_motion(self.counted)
-        floor = 1e3 * np.finfo(float).eps * abs(row.potential)
+        floor = 1e3 * np.finfo(float).eps * abs(potential)
         if not (wrong <= self.balance * largest + floor and np.isfinite(lack)):
             raise UnbalancedError(
-                f"by time {row.time:g} the energy has changed by {lack:.3g}, of {largest:.3g} in motion, "
+                f"by time {time:g} the energy has changed by {lack:.3g}, of {largest:.3g} in motion, "
                 f"without work: the time step {self.time_step:g} is too long; {_REMEDY}"
             )
+
+    def unspent(self, row: Row) -> tuple[float, float]:
+        """Kinetic energy; energy less work, where counted, and what events have given: it does not change."""
+        _, _, qd, p, potential, work, jumps = row
+        kinetic = 0.5 * float(p @ qd)
+        return kinetic, kinetic + potential - float(work @ self.counted) - jumps
 
     def without_events(self, until: float) -> Phase:
         """Take steps as :func:`protochain.motion.march` does, in a loop that costs a hundredth of a step."""
