@@ -3,7 +3,7 @@
 The outcome of a run is no exception but a :class:`protochain.minimisers.Status`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 _MAKE_SPACE = "free space there, or give another place, and run again"
@@ -120,3 +120,26 @@ class ChainError(ProtochainError):
 
 class MechanicsError(ProtochainError):
     """An unphysical mechanism, or a pose at which its equations of motion are singular."""
+
+
+class BodyError(MechanicsError):
+    """What is wrong with one body of a tree.
+
+    Parameters
+    ----------
+    body : int
+        Its number.
+    fault : str
+        What is wrong, and what to do.
+    """
+
+    def __init__(self, body: int, fault: str) -> None:
+        super().__init__(int(body), fault)
+
+    def __str__(self) -> str:
+        return f"body {self.args[0]}: {self.args[1]}"
+
+    def by_name(self, names: Sequence[str]) -> MechanicsError:
+        """Return the same error with the name of the body in place of its number."""
+        body, fault = self.args
+        return MechanicsError(f'body "{names[body]}": {fault}')

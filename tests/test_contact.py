@@ -17,7 +17,8 @@ from protochain.mechanisms.contact import (
     lankarani_nikravesh,
     real_restitution,
 )
-from protochain.mechanisms.shapes import Ball, Plane, Surface
+from protochain.mechanisms.contact_forces import Anchors
+from protochain.mechanisms.shapes import Ball, Plane, Surface, Touches
 from protochain.mechanisms.triangles import nearest
 from protochain.motion import DormandPrince
 
@@ -315,6 +316,29 @@ def test_a_run_that_goes_on_keeps_its_anchors_and_another_forgets_them():
     assert np.array_equal(model.start().torque, half.model.system.at(model.q, model.qd).torque)
 
 
+@pytest.mark.parametrize(
+    ("anchored", "touches", "expected"),
+    [
+        ([(0, 5)], [(0, 5)], [0]),
+        ([(0, 5)], [(0, 1)], [0]),
+        ([(0, 5)], [(0, 1), (0, 2)], [None, None]),
+        ([(0, 5)], [(0, 5), (0, 6)], [0, None]),
+        ([(0, 5), (0, 6)], [(0, 1)], [None]),
+        ([(0, 5), (1, 7)], [(1, 2), (2, 2)], [1, None]),
+    ],
+)
+def test_an_anchor_goes_along_to_one_other_triangle_and_never_to_two(anchored, touches, expected):
+    model = rolling(Plane())
+    *_, pressing = model.conservative
+    n, m = len(touches), len(anchored)
+    pressing.anchors = Anchors(np.array(anchored), np.column_stack([np.arange(1.0, m + 1), np.zeros((m, 5))]))
+    up = np.tile([0.0, 0.0, 1.0], (n, 1))
+    ends = np.tile([0, -1], (n, 1))
+    found = Touches(np.array(touches), ends, np.zeros((n, 3)), up, np.ones(n))
+    stretch = pressing.stretches(model.start().factors.frames, found)[:, 0]
+    assert stretch.tolist() == [0.0 if k is None else k + 1.0 for k in expected]
+
+
 def test_two_groups_touch_across_only():
     m = Mechanism()
     for k in range(4):
@@ -406,5 +430,5 @@ def test_stiffness_over_twelve_decades_and_masses_of_a_billionth():
 def test_a_contact_is_an_element_of_its_own():
     m = Mechanism()
     m.body("ball", 1.0, inertia=0.1, position=(0, 0, 0.05))
-    m.force("floor", Contact([Ball("ball", 0.1)], Plane(), Law(1e3, 1.0)))
+    m.add(Contact("floor", [Ball("ball", 0.1)], Plane(), Law(1e3, 1.0)))
     assert m.build().start().torque[5] == pytest.approx(50.0)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 from slow_mechanics import random_q
 
 from protochain import multibody
@@ -213,6 +214,16 @@ def test_clamped_shapes():
     for k in (0, 1):
         exact = clamped(np.array([0.4]), 5)[k + 1]
         assert np.allclose((near[0][k] - near[1][k]) / (2 * h), exact, rtol=1e-7, atol=1e-6)
+
+
+def test_sections_stay_normal_to_the_line_of_the_beam():
+    """A section's turn about y or z is the slope there: of the places, dx/ds = turn x (1, 0, 0)."""
+    own = beam(Beam(2.0, 1.0, flap=1.0, lag=1.0), flap=2, lag=2, sections=40)
+    s = own.place[:, 0]
+    slope = CubicSpline(s, own.moves, axis=0)(s, 1)
+    turned = np.cross(own.turns, [[[1.0], [0.0], [0.0]]], axis=1)
+    assert np.abs(slope - turned).max() < 1e-4 * np.abs(turned).max()
+    assert np.all(np.abs(turned).max(axis=(0, 1)) > 1.0)
 
 
 def test_a_cantilever_has_the_frequencies_of_euler_and_bernoulli():

@@ -1,6 +1,7 @@
 """Impacts against closed forms, dense matrices, brute force and integration over the normal impulse."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ from protochain.multibody import (
 from protochain.multibody.articulated import articulate
 from protochain.multibody.complementarity import restitute
 from protochain.multibody.hamilton import momenta
+from protochain.multibody.impulse import _together
 from protochain.multibody.impulse_path import follow
 
 LAWS = ("newton", "poisson", "stronge")
@@ -544,6 +546,30 @@ def test_friction_too_high_for_one_solution_is_refused_by_name():
         if len(enumerated(w, u, mu, np.zeros(2))) > 1:
             break
     assert restitute(whole, before, mu, np.zeros(2), np.zeros((2, 6))) == 2
+
+
+def test_of_several_solutions_the_point_is_named_where_they_differ_most():
+    """The second of two, though the first has the higher friction: so say all pairs found by trying all."""
+    rng, mu = np.random.default_rng(1), np.array([2.0, 1.8])
+    points = [ContactPoint(f"p{i}", (-1, i), np.zeros(3), UP, mu[i]) for i in (0, 1)]
+    while True:
+        g = rng.normal(size=(4, 5))
+        w, u = g @ g.T, rng.normal(size=4)
+        found = enumerated(w, u, mu, np.zeros(2))
+        apart = [np.linalg.norm((a - b).reshape(2, 2), axis=1) for a, b in itertools.combinations(found, 2)]
+        if apart and all(2.0 * first < second for first, second in apart):
+            break
+    whole, before, _ = in_space(w, u)
+    with pytest.raises(MechanicsError, match=r"contact 'p1': friction 1\.8 is too high for one solution"):
+        _together(SimpleNamespace(w=whole, u=before), points)
+
+
+def test_what_is_left_of_endless_blows_gives_nothing_back():
+    """A light ball between a wall and one that is far heavier: ten thousand blows would turn it back."""
+    factors = sliders(2, np.array([1e-8, 1.0]))
+    wall = ContactPoint("wall", (-1, 0), np.zeros(3), UP, 0.0, 1.0)
+    found = impact(factors, np.array([0.0, -1.0]), [wall, *in_a_row(2, 1.0)], order="in turn")
+    assert np.abs(found.qd).max() < 1e-6
 
 
 def test_what_cannot_be_met_is_refused_by_name():

@@ -9,7 +9,7 @@ from test_docs import GUIDE, blocks
 
 from protochain import multibody
 from protochain.errors import MechanicsError
-from protochain.mechanisms import Acting, Mechanism, State
+from protochain.mechanisms import Acting, Bushing, Mechanism, Named, Spring, State, Torsion
 from protochain.mechanisms.elements import Sum
 from protochain.motion import (
     Applied,
@@ -216,6 +216,29 @@ def _with_only(model, part):
     from dataclasses import replace
 
     return replace(model, conservative=(part,))
+
+
+def test_elements_of_a_kind_are_one_and_their_sums_the_same_in_whatever_order_of_kinds():
+    rng = np.random.default_rng(4)
+    ends = [((f"b{k}", rng.normal(size=3)), ("world", rng.normal(size=3))) for k in range(3)]
+    elements = [Spring(f"s{k}", *end, 1.0 / 3.0, damping=0.1) for k, end in enumerate(ends)]
+    elements += [Torsion(f"t{k}", f"h{k}", 0.7, 0.1) for k in range(3)]
+    elements += [Bushing(f"u{k}", *end, 0.9, 0.3) for k, end in enumerate(ends)]
+    starts = []
+    for order in (elements, elements[3:] + elements[:3], elements[6:] + elements[3:6] + elements[:3]):
+        m = Mechanism(DOWN)
+        for k in range(3):
+            m.body(f"b{k}", 1.0, inertia=1.0)
+            m.hinge(
+                f"h{k}", f"b{k - 1}" if k else "world", f"b{k}", axis=(1, k, 0), at=(0.3, 0, 0), q=0.2, qd=1.0
+            )
+        for element in order:
+            m.add(element)
+        model = m.build()
+        assert (len(model.conservative), model.works) == (4, ("damping",))
+        starts.append(model.start())
+    assert all(np.array_equal(at.torque, starts[0].torque) for at in starts)
+    assert len({at.potential for at in starts}) == 1
 
 
 def test_energies_are_those_of_their_definitions():
@@ -585,10 +608,11 @@ def test_bushings_become_hinges_as_they_stiffen():
     assert errors[1] / errors[2] == pytest.approx(10.0, rel=0.1)
 
 
-def test_elements_of_the_user_act_and_are_counted():
+@pytest.mark.parametrize("named", [False, True])
+def test_elements_of_the_user_act_and_are_counted(named):
     """A force by names: conservative part and a drag whose work is dissipation."""
 
-    class Well:
+    class Well(Named):
         def bind(self, bodies):
             b = bodies.number("ball", "well")
 
@@ -607,7 +631,10 @@ def test_elements_of_the_user_act_and_are_counted():
 
     m = Mechanism()
     m.body("ball", 1.0, inertia=1e-3, position=(1, 0, 0))
-    m.force("well", Well())
+    if named:
+        m.add(Well("well"))
+    else:
+        m.force("well", Well("part"))
     run = m.build().simulate(1.0, 1e-3)
     omega = np.sqrt(4.0 - 1.0 / 16.0)
     wanted = np.exp(-0.25 * run.time) * (np.cos(omega * run.time) + 0.25 / omega * np.sin(omega * run.time))

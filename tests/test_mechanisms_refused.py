@@ -58,7 +58,6 @@ def chained(*pairs):
         (lambda m: m.hinge("h", "rod", "tip", axis=ORIGIN), 'hinge "h": its axis has length zero'),
         (lambda m: m.hinge("h", "rod", "tip", "ball"), "its kind 'ball': give revolute, prismatic, screw or"),
         (lambda m: m.hinge("h", "rod", "tip", q=np.inf), 'hinge "h": its q inf'),
-        (lambda m: m.hinge("h", "rod", "tip", speed=1.0), "'speed': give q, qd or pitch"),
         (lambda m: m.hinge("h", "rod", "tip", "screw"), "its pitch is zero; give a pitch, or kind revolute"),
         (lambda m: m.hinge("h", "rod", "tip", pitch=1.0), "pitch is of screws only"),
         (lambda m: m.hinge("h", "rod", "tip", "fixed", q=1.0), "must be zero as it is fixed"),
@@ -330,6 +329,7 @@ def test_events_happen_and_their_energy_is_counted():
     assert run.table["events"].iloc[-1] == pytest.approx(np.sum(lost))
     assert run.audit().energy < AUDITED
     assert np.any(np.isclose(run.time, first, atol=1e-12))
+    assert np.all(np.diff(run.time) > 0.0)
 
 
 @pytest.mark.parametrize("passes", [True, False])
@@ -382,6 +382,7 @@ def test_every_with_events_keeps_their_rows_too():
     assert 4 / 32 < happened < 6 / 32
     assert np.allclose(run.time[:2], [0.0, happened])
     # The step with the event is cut in two, so that steps no longer end at multiples of their length.
+    assert run.time[2] == pytest.approx(happened + (6 - int(32 * happened)) / 32, abs=1e-12)
     assert np.allclose(np.diff(run.time[2:-1]), 6 / 32)
     assert run.time[-1] == pytest.approx(0.5, abs=1e-12)
 

@@ -129,6 +129,15 @@ def test_tolerance_is_kept_by_substeps(integrator):
     assert error(at, exact(0.8, 1.0)) < 1000 * integrator.tolerance
 
 
+def test_substeps_backwards_are_the_mirror_image():
+    """From rest, under a load that is even in time: the same substeps, with the same rounding."""
+    push = Load(lambda t, q, qd, frames: Applied(torques=np.array([3.0 * np.cos(40.0 * t)])), False)
+    system = System(pendulum(), swings, loads=(push,))
+    start = system.at(np.array([0.4]), np.zeros(1))
+    ahead, back = (DormandPrince().step(system, start, h) for h in (0.25, -0.25))
+    assert np.array_equal(ahead.q, back.q) and np.array_equal(ahead.qd, -back.qd)
+
+
 @pytest.mark.parametrize(
     ("integrator", "allowed"),
     [
@@ -344,10 +353,11 @@ def test_events_of_one_time_follow_each_other_and_the_earliest_comes_first():
 
     turn = Event("wall", lambda p: 0.35 - float(p.q[0]), lambda s, p: s.with_velocities(p, -p.qd))
     events = [mark("late", 0.34), turn, mark("with the wall", 0.35), mark("early", 0.33)]
+    events.append(mark("a moment later", 0.33 + 1e-8))
 
     seen = [(e.name, p.time) for p, e in march(system, RungeKutta4(), at, 0.6, 0.1, events) if e]
-    assert [name for name, _ in seen] == ["early", "late", "wall", "with the wall"]
-    assert np.allclose([time for _, time in seen], [0.33, 0.34, 0.35, 0.35], atol=1e-12)
+    assert [name for name, _ in seen] == ["early", "a moment later", "late", "wall", "with the wall"]
+    assert np.allclose([time for _, time in seen], [0.33, 0.33 + 1e-8, 0.34, 0.35, 0.35], rtol=0, atol=1e-12)
 
 
 def test_an_event_at_the_start_happens():

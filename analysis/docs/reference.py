@@ -29,7 +29,6 @@ PACKAGES = (
 SHADOWED = (
     "dynamics.fixman",
     "dynamics.simulate",
-    "motion.march",
     "multibody.random_tree",
     "validation.clashes",
     "validation.likeness",

@@ -299,7 +299,7 @@ def _prepare(
     if pull is not None and pull.speed == 0.0:
         parts.append(pull.potential)
     loads = (pull.load(),) if pull is not None and pull.speed != 0.0 else ()
-    system = System(made.tree, parts[0] if len(parts) == 1 else total(parts), closure, loads)
+    system = System(made.tree, parts[0] if len(parts) == 1 else total(parts), closure, loads=loads)
     if settings.pull is not None and pull is not None:
         refuse_kept(settings.pull, pull, system, made.structure, start)
     freedoms = made.n_v - (0 if closure is None else len(closure.length))

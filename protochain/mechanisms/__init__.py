@@ -6,6 +6,7 @@ of units will do.
 """
 
 from protochain.mechanisms.bodies import Bodies, State
+from protochain.mechanisms.bushing import Bushing
 from protochain.mechanisms.contact import (
     Contact,
     Friction,
@@ -14,19 +15,23 @@ from protochain.mechanisms.contact import (
     lankarani_nikravesh,
     real_restitution,
 )  # fmt: skip
-from protochain.mechanisms.elements import Acting, Conservative, Element, Memory
+from protochain.mechanisms.elements import Acting, Conservative, CustomForce, Element, Memory, Named
+from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.linear import frequencies, state_matrix
+from protochain.mechanisms.loads import AppliedForce, HingeTorque
 from protochain.mechanisms.mechanism import Mechanism
-from protochain.mechanisms.model import Model
+from protochain.mechanisms.model import Audit, Model, Run
 from protochain.mechanisms.modes import in_modes
-from protochain.mechanisms.run import Audit, Happened, Run
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.segments import Beam, Segments, add_beam
 from protochain.mechanisms.shapes import Ball, Plane, Surface
+from protochain.mechanisms.springs import Spring
+from protochain.mechanisms.torsion import Torsion
 
 __all__ = [
-    "Acting", "Audit", "Ball", "Beam", "Bodies", "BoxTree", "Conservative", "Contact", "Element", "Friction",
-    "Happened", "Law", "Mechanism", "Memory", "Model", "Plane", "Run", "Segments", "State",
-    "Surface", "add_beam", "box_tree", "flores", "frequencies", "in_modes", "lankarani_nikravesh",
-    "overlapping", "real_restitution", "state_matrix", "touching",
+    "Acting", "AppliedForce", "Audit", "Ball", "Beam", "Bodies", "BoxTree", "Bushing", "Conservative",
+    "Contact", "CustomForce", "Element", "Event", "Friction", "Happened", "HingeTorque", "Law", "Mechanism",
+    "Memory", "Model", "Named", "Plane", "Run", "Segments", "Spring", "State", "Surface", "Torsion",
+    "add_beam", "box_tree", "flores", "frequencies", "in_modes", "lankarani_nikravesh", "overlapping",
+    "real_restitution", "state_matrix", "touching",
 ]  # fmt: skip

@@ -2,13 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from protochain.arrays import Floats, Integers, read_only
-from protochain.errors import MechanicsError
+from protochain.checks import shown
+from protochain.errors import BodyError, MechanicsError
 from protochain.mechanisms.bodies import WORLD, Bodies
+from protochain.mechanisms.checks import direction, not_negative, number, numbers
+from protochain.mechanisms.elements import Named
 from protochain.multibody import HingeKind, Tree
 from protochain.multibody.tree import NO_INERTIA
 
@@ -20,39 +24,125 @@ KINDS = {
 }
 
 
+NOWHERE = (0.0, 0.0, 0.0)
+_OF_FREE_BODIES = ("position", "rotation", "velocity", "spin")
+
+
 @dataclass(frozen=True, eq=False)
-class Body:
-    """A body as given: mass, centre of mass, inertia (3, 3); where it starts, if it is free."""
+class Body(Named):
+    """A body; without a hinge it is free.
+
+    Parameters
+    ----------
+    name : str
+        Name.
+    mass : float
+        Mass; none if a body further out has some that its hinge moves.
+    com : (3,) array_like
+        Centre of mass, from the body's origin in its own axes. The origin lies on the body's hinge.
+    inertia : float, (3,) or (3, 3) array_like
+        Tensor about the centre of mass, or its diagonal, or one moment for all axes.
+    position, rotation : (3,) and (3, 3) array_like, optional
+        Where the origin of a free body starts, and its axes in the world, as columns.
+    velocity, spin : (3,) array_like, optional
+        Velocity of the origin of a free body, and its angular velocity, world axes.
+
+    Raises
+    ------
+    MechanicsError
+        If the name is taken, or an argument is unphysical.
+    """
+
+    called: ClassVar[str] = "body"
 
     mass: float
-    com: Floats
-    inertia: Floats
-    position: Floats
-    rotation: Floats
-    velocity: Floats
-    spin: Floats
-    says_where: tuple[str, ...]
+    com: Any = NOWHERE
+    inertia: Any = 0.0
+    position: Any = None
+    rotation: Any = None
+    velocity: Any = None
+    spin: Any = None
+
+    def __post_init__(self) -> None:
+        said = f"{self.said}: its"
+        self.fix(
+            mass=float(not_negative(self.mass, f"{said} mass")),
+            com=numbers(self.com, (3,), f"{said} centre of mass"),
+            inertia=_inertia(self.inertia, f"{said} inertia"),
+            rotation=None if self.rotation is None else _rotation(self.rotation, f"{said} rotation"),
+        )
+        for name in ("position", "velocity", "spin"):
+            value = getattr(self, name)
+            self.fix(**{name: None if value is None else numbers(value, (3,), f"{said} {name}")})
 
 
 @dataclass(frozen=True, eq=False)
-class Hinge:
-    """A hinge as given."""
+class Hinge(Named):
+    """A hinge, which joins a body to its parent.
+
+    Parameters
+    ----------
+    name : str
+        Name.
+    parent, child : str
+        Bodies; the parent may be "world". A body has one inward hinge.
+    kind : {"revolute", "prismatic", "screw", "fixed"}
+        Kind of its motion.
+    at, axis : (3,) array_like
+        Origin of the child at q = 0, and the hinge's axis, in the parent's axes.
+    rotation : (3, 3) array_like, optional
+        Axes of the child at q = 0, as columns, in those of the parent; by default the same.
+    q, qd : float
+        Coordinate and rate at the start.
+    pitch : float
+        Slide of a screw per radian.
+
+    Raises
+    ------
+    MechanicsError
+        If the name is taken, or an argument is unphysical.
+    """
+
+    called: ClassVar[str] = "hinge"
 
     parent: str
     child: str
-    kind: str
-    at: Floats
-    axis: Floats
-    rotation: Floats
-    q: float
-    qd: float
-    pitch: float
+    kind: str = "revolute"
+    at: Any = NOWHERE
+    axis: Any = (0.0, 0.0, 1.0)
+    rotation: Any = None
+    q: float = 0.0
+    qd: float = 0.0
+    pitch: float = 0.0
+
+    def __post_init__(self) -> None:
+        said = f"{self.said}: its"
+        if self.kind not in KINDS:
+            *kinds, last = KINDS
+            raise MechanicsError(f"{said} kind {shown(self.kind)}: give {', '.join(kinds)} or {last}")
+        for name in ("q", "qd", "pitch"):
+            self.fix(**{name: number(getattr(self, name), f"{said} {name}")})
+        if (self.kind == "screw") != (self.pitch != 0.0):
+            raise MechanicsError(
+                f"{said} pitch is zero; give a pitch, or kind revolute"
+                if self.kind == "screw"
+                else f"{said} pitch is of screws only; give kind screw"
+            )
+        if self.kind == "fixed" and (self.q or self.qd):
+            raise MechanicsError(
+                f"{said} q and qd must be zero as it is fixed; give a rotation, or another kind"
+            )
+        self.fix(
+            at=numbers(self.at, (3,), f"{said} place"),
+            axis=direction(self.axis, f"{said} axis"),
+            rotation=np.eye(3) if self.rotation is None else _rotation(self.rotation, f"{said} rotation"),
+        )
 
 
 def assemble(
     bodies: Mapping[str, Body], hinges: Mapping[str, Hinge], driven: Mapping[str, tuple[float, float]]
-) -> tuple[Bodies, Floats, Floats]:
-    """Return the bodies of a tree, and coordinates (n_q,) and velocities (n_v,) at the start.
+) -> Bodies:
+    """Return the bodies of a tree.
 
     ``driven`` has the coordinate and rate of driven hinges at the start.
 
@@ -71,8 +161,9 @@ def assemble(
     for b, name in enumerate(order):
         body = bodies[name]
         if name not in inward:
-            q += [*quaternion(body.rotation), *body.position]
-            qd += [*body.spin, *body.velocity]
+            turned = np.eye(3) if body.rotation is None else body.rotation
+            q += [*quaternion(turned), *_or_still(body.position)]
+            qd += [*_or_still(body.spin), *_or_still(body.velocity)]
             continue
         hinge = hinges[inward[name]]
         parent[b], kind[b], pitch[b] = place[hinge.parent], KINDS[hinge.kind], hinge.pitch
@@ -94,10 +185,14 @@ def assemble(
             np.array([t.T @ body.com for t, body in zip(turn, given, strict=True)]),
             np.array([t.T @ body.inertia @ t for t, body in zip(turn, given, strict=True)]), pitch, **more,
         )  # fmt: skip
-    except MechanicsError as error:
-        raise MechanicsError(by_name(str(error), order)) from None
-    numbers = {hinge: place[each.child] for hinge, each in hinges.items()}
-    return Bodies(tree, order, read_only(turn), numbers), read_only(q), read_only(qd)
+    except BodyError as error:
+        raise error.by_name(order) from None
+    beyond = {hinge: place[each.child] for hinge, each in hinges.items()}
+    return Bodies(tree, order, read_only(turn), beyond, read_only(q), read_only(qd))
+
+
+def _or_still(value: Floats | None) -> Floats:
+    return np.zeros(3) if value is None else value
 
 
 def _refuse_free_needles(
@@ -116,13 +211,24 @@ def _refuse_free_needles(
             )
 
 
-def by_name(message: str, names: tuple[str, ...]) -> str:
-    """Return a message with the name of the body in place of the number with which it begins."""
-    head, colon, rest = message.partition(":")
-    number = head.removeprefix("body ")
-    if not colon or head == number or not number.isdigit() or int(number) >= len(names):
-        return message
-    return f'body "{names[int(number)]}":{rest}'
+def _rotation(value: ArrayLike, said: str) -> Floats:
+    """A rotation, (3, 3)."""
+    matrix = numbers(value, (3, 3), said)
+    if np.max(np.abs(matrix.T @ matrix - np.eye(3))) > 1e-9 or np.linalg.det(matrix) < 0.0:
+        raise MechanicsError(f"{said} is none: give a matrix with orthonormal columns and determinant 1")
+    return matrix
+
+
+def _inertia(value: ArrayLike, said: str) -> Floats:
+    """An inertia tensor (3, 3) of its diagonal, of all of it, or of one number for a ball."""
+    if np.ndim(value) == 0:
+        return number(value, said) * np.eye(3)
+    if np.shape(value) == (3,):
+        return np.diag(numbers(value, (3,), said))
+    matrix = numbers(value, (3, 3), said)
+    if np.max(np.abs(matrix - matrix.T)) > 1e-9 * np.max(np.abs(matrix)):
+        raise MechanicsError(f"{said} is not symmetric: give the tensor about the centre of mass")
+    return 0.5 * (matrix + matrix.T)
 
 
 def with_z_along(axis: Floats) -> Floats:
@@ -168,10 +274,11 @@ def _inward(bodies: Mapping[str, Body], hinges: Mapping[str, Hinge]) -> dict[str
                 "bodies form trees: close a loop by a bushing"
             )
         inward[hinge.child] = name
-        strange = bodies[hinge.child].says_where
+        own = bodies[hinge.child]
+        strange = next((key for key in _OF_FREE_BODIES if getattr(own, key) is not None), None)
         if strange:
             raise MechanicsError(
-                f'body "{hinge.child}": {strange[0]} is of free bodies only, and hinge "{name}" holds it; '
+                f'body "{hinge.child}": {strange} is of free bodies only, and hinge "{name}" holds it; '
                 "give q and qd of the hinge"
             )
     return inward

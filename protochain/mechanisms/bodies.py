@@ -33,12 +33,21 @@ class Bodies:
         Axes of the tree's frame of each body, as columns, in the body's own axes.
     hinges : mapping
         Name of each hinge -> number of the body beyond it.
+    q, qd : (n_q,) and (n_v,) float
+        Coordinates and velocities as built.
     """
 
     tree: Tree
     names: tuple[str, ...]
     turn: Floats
     hinges: Mapping[str, int]
+    q: Floats
+    qd: Floats
+
+    @cached_property
+    def built(self) -> "State":
+        """State as built."""
+        return State(self, 0.0, self.q, self.qd, multibody.pose(self.tree, self.q))
 
     @cached_property
     def numbers(self) -> dict[str, int]:
@@ -65,7 +74,7 @@ class Bodies:
         """
         return _of(self.hinges, name, "hinge", asking)
 
-    def freedom(self, hinge: str) -> tuple[int, int]:
+    def freedom(self, hinge: str, asking: str = "") -> tuple[int, int]:
         """Places of a hinge's coordinate in q and of its rate in qd.
 
         Raises
@@ -73,9 +82,9 @@ class Bodies:
         MechanicsError
             If there is no such hinge, or it is fixed.
         """
-        b = self.hinge(hinge)
+        b = self.hinge(hinge, asking)
         if self.tree.v_start[b] == self.tree.v_start[b + 1]:
-            raise MechanicsError(f'hinge "{hinge}" is fixed and has no coordinate')
+            raise MechanicsError(f'{_asked(asking)}hinge "{hinge}" is fixed and has no coordinate')
         return int(self.tree.q_start[b]), int(self.tree.v_start[b])
 
     def inside(self, b: int, point: ArrayLike) -> Floats:
@@ -160,4 +169,8 @@ def _of(numbers: Mapping[str, int], name: str, kind: str, asking: str) -> int:
     if name in numbers:
         return numbers[name]
     known = ", ".join(f'"{each}"' for each in list(numbers)[:12]) or "none"
-    raise MechanicsError(f'{asking}{": " if asking else ""}there is no {kind} "{name}"; there are {known}')
+    raise MechanicsError(f'{_asked(asking)}there is no {kind} "{name}"; there are {known}')
+
+
+def _asked(asking: str) -> str:
+    return f"{asking}: " if asking else ""

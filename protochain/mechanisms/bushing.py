@@ -1,11 +1,15 @@
 """Bushings: elastic joints of six stiffnesses between two bodies."""
 
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
+from protochain.arrays import Floats, Integers, read_only
 from protochain.errors import MechanicsError
+from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.checks import not_negative
+from protochain.mechanisms.elements import Acting, Between, Rows
 from protochain.mechanisms.springs import end_of, push, speed_of
 from protochain.multibody import Frames
 from protochain.multibody.algebra import (
@@ -30,31 +34,86 @@ HALF_A_TURN = 3.1
 
 
 @dataclass(frozen=True, eq=False)
-class Bushings:
-    """Elastic joints: energy (theta K_r theta + d K_t d) / 2 in the axes of the second body, and dampers.
+class Bushing(Between):
+    """Elastic joint of two bodies, at rest where the points meet, turned as built.
 
-    theta is the rotation vector of the first body relative to the second, away from rest, and d the place of
-    the first body's point from the second's. The gradient along a rotation omega is exp's tangent transposed,
-    dexp_theta^-T K_r theta, so that the energy is exact for large rotations, up to half a turn.
+    Its energy is (theta K_r theta + d K_t d) / 2 in the axes of the second body: theta is the rotation vector
+    of the first body relative to the second, away from rest, and d the place of the first body's point from
+    the second's. The gradient along a rotation omega is exp's tangent transposed, dexp_theta^-T K_r theta, so
+    that the energy is exact for large rotations, up to half a turn.
 
     Parameters
     ----------
-    names : tuple of str
+    name : str
+        Name.
+    a, b : tuple of str and (3,) array_like
+        Body, or "world", and a point of it.
+    stiffness, damping : (6,) array_like
+        Of three rotations, by the rotation vector of a in b, and of three translations, in b's axes.
+
+    Raises
+    ------
+    MechanicsError
+        If the name is taken, or a constant negative.
+    """
+
+    called: ClassVar[str] = "bushing"
+
+    stiffness: Any
+    damping: Any = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("stiffness", "damping"):
+            self.fix(**{name: not_negative(getattr(self, name), f"{self.said}: its {name}", (6,))})
+
+    def bind(self, bodies: Bodies) -> Acting:
+        """Return its wrenches.
+
+        Raises
+        ------
+        MechanicsError
+            If a body is not there.
+        """
+        ends, points = self.ends(bodies)
+        a, b = ends[0].tolist()
+        # The axes of b as they lie in a at rest.
+        world = bodies.built.rotation(self.b[0])
+        turn = np.eye(3) if a < 0 else bodies.built.frames.rotation[a]
+        row = Bushings(
+            np.array([self.name]), ends, points, read_only([turn.T @ world]), read_only([bodies.axes(b)]),
+            read_only([self.stiffness]), read_only([self.damping]),
+        )  # fmt: skip
+        return Acting(
+            row if np.any(self.stiffness) else None,
+            damping=row if np.any(self.damping) else None,
+            inside=bool(np.all(ends >= 0)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Bushings(Rows):
+    """Bushings, bound.
+
+    Parameters
+    ----------
+    names : (n,) str
         Names, for messages.
     ends : (n, 2) int
         Bodies of each; -1 is the world.
     points : (n, 6) float
         Points of both bodies, along the axes of the tree's frames.
-    axes : (2, n, 3, 3) float
+    axes_a, axes_b : (n, 3, 3) float
         Axes, as columns, in the tree's frame of each body, which coincide at rest.
     stiffness, damping : (n, 6) float
         Of rotations and translations along the second body's axes.
     """
 
-    names: tuple[str, ...]
+    names: np.ndarray
     ends: Integers
     points: Floats
-    axes: Floats
+    axes_a: Floats
+    axes_b: Floats
     stiffness: Floats
     damping: Floats
 
@@ -67,28 +126,28 @@ class Bushings:
             If one is turned by almost half a turn, where its rotation vector has no direction.
         """
         energy: float = _bend(
-            frames.rotation, frames.origin, self.ends, self.points, self.axes, self.stiffness, wrenches
+            frames.rotation,
+            frames.origin,
+            self.ends,
+            self.points,
+            self.axes_a,
+            self.axes_b,
+            self.stiffness,
+            wrenches,
         )
-        if energy == np.inf:
-            name = self.names[int(np.argmax(self.angles(frames)))]
+        if energy < 0.0:
             raise MechanicsError(
-                f'bushing "{name}": it is turned by half a turn, where its torque has no direction; '
-                "take a hinge with a torsion for large turns"
+                f'bushing "{self.names[round(-energy) - 1]}": it is turned by half a turn, where its torque '
+                "has no direction; take a hinge with a torsion for large turns"
             )
         return energy
 
     def resist(self, frames: Frames, twists: Floats, qd: Floats, wrenches: Floats, torques: Floats) -> None:
         """Add the wrenches of the dampers."""
         _resist(
-            frames.rotation, frames.origin, twists, self.ends, self.points, self.axes[1], self.damping,
+            frames.rotation, frames.origin, twists, self.ends, self.points, self.axes_b, self.damping,
             wrenches,
         )  # fmt: skip
-
-    def angles(self, frames: Frames) -> Floats:
-        """(n,) float: angle of each away from rest, up to pi."""
-        out = np.empty(len(self.ends))
-        _angles(frames.rotation, self.ends, self.axes, out)
-        return out
 
 
 @kernel
@@ -135,27 +194,20 @@ def _turned_away(rotation: Floats, a: int, b: int, axes_a: Matrix, along: Matrix
 
 
 @kernel
-def _angles(rotation: Floats, ends: Integers, axes: Floats, out: Floats) -> None:
-    for i in range(len(ends)):
-        along = axes_of(rotation, ends[i, 1], matrix(axes[1], i))
-        theta = _turned_away(rotation, ends[i, 0], ends[i, 1], matrix(axes[0], i), along)
-        out[i] = np.sqrt(dot(theta, theta))
-
-
-@kernel
 def _bend(
-    rotation: Floats, origin: Floats, ends: Integers, points: Floats, axes: Floats, stiffness: Floats,
-    wrenches: Floats,
+    rotation: Floats, origin: Floats, ends: Integers, points: Floats, axes_a: Floats, axes_b: Floats,
+    stiffness: Floats, wrenches: Floats,
 ) -> float:  # fmt: skip
+    """Add the wrenches; return the energy, or minus the number, from 1, of one at half a turn."""
     energy = 0.0
     for i in range(len(ends)):
         a, b = ends[i, 0], ends[i, 1]
         arm_a, place_a = end_of(rotation, origin, a, vector(points, i, 0))
         arm_b, place_b = end_of(rotation, origin, b, vector(points, i, 3))
-        along = axes_of(rotation, b, matrix(axes[1], i))
-        theta = _turned_away(rotation, a, b, matrix(axes[0], i), along)
+        along = axes_of(rotation, b, matrix(axes_b, i))
+        theta = _turned_away(rotation, a, b, matrix(axes_a, i), along)
         if dot(theta, theta) > HALF_A_TURN * HALF_A_TURN:
-            return np.inf
+            return -1.0 - i
         gap = subtract(place_a, place_b)
         d = turned(along, gap)
         k, s = vector(stiffness, i, 0), vector(stiffness, i, 3)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.optimize import brentq
@@ -9,8 +10,8 @@ from scipy.optimize import brentq
 from protochain.arrays import read_only
 from protochain.errors import MechanicsError
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.elements import Acting
-from protochain.mechanisms.pressing import Pressing
+from protochain.mechanisms.contact_forces import ContactForces
+from protochain.mechanisms.elements import Acting, Named
 from protochain.mechanisms.shapes import Ball, Other, finder
 from protochain.motion import Load
 
@@ -155,28 +156,32 @@ def real_restitution(loss: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
-    """Balls that touch a plane, a surface, other balls or each other; an element of a mechanism.
+class Contact(Named):
+    """Balls that touch a plane, a surface, other balls or each other.
 
     Parameters
     ----------
+    name : str
+        Name.
     balls : sequence of Ball
-        Balls.
-    other : Plane, Surface or sequence of Ball, optional
-        What they touch; by default each other.
+        Balls, or points, fixed in bodies. Those of one body do not touch each other.
+    other : Plane, Surface, sequence of Ball or None
+        What they touch; None is each other.
     law : Law
         Normal force.
     friction : Friction, optional
         Tangential force; none by default.
-    name : str
-        Name, for messages.
     """
+
+    called: ClassVar[str] = "contact"
 
     balls: Sequence[Ball]
     other: Other
     law: Law
     friction: Friction | None = None
-    name: str = "contact"
+
+    def __post_init__(self) -> None:
+        self.fix(balls=tuple(self.balls))
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return the elastic force with its energy, the rest as a load, and the anchors of friction.
@@ -186,15 +191,15 @@ class Contact:
         MechanicsError
             If a body is not there, or a shape cannot be touched.
         """
-        found = finder(bodies, self.balls, self.other, self.name)
+        found = finder(bodies, self.balls, self.other, self.said)
         law, rub = self.law, self.friction or Friction(0.0, 0.0)
-        numbers = (law.stiffness, law.exponent, law.damping, rub.coefficient, rub.stiffness, rub.damping)
-        pressing = Pressing(bodies.tree, found, read_only(numbers))
+        constants = (law.stiffness, law.exponent, law.damping, rub.coefficient, rub.stiffness, rub.damping)
+        forces = ContactForces(bodies.tree, found, read_only(constants))
         loses = law.damping > 0.0 or rub.coefficient > 0.0
         return Acting(
-            conservative=pressing,
-            load=Load(pressing.resist) if loses else None,
+            conservative=forces,
+            load=Load(forces.resist) if loses else None,
             dissipates=loses,
-            inside=pressing.is_inside,
-            memory=pressing if pressing.must_settle else None,
+            inside=forces.is_inside,
+            memory=forces if forces.must_settle else None,
         )

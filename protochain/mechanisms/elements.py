@@ -1,14 +1,17 @@
-"""What acts in a mechanism: elements with an exact energy, and loads, whose work is counted."""
+"""What acts in a mechanism: elements with an exact energy, dampers, and loads, whose work is counted."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from protochain import multibody
-from protochain.arrays import Floats
+from protochain.arrays import Floats, Integers, read_only
+from protochain.errors import MechanicsError
 from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.checks import numbers
 from protochain.motion import Applied, Load, Phase
 from protochain.multibody import Frames, Tree
 from protochain.multibody.algebra import (
@@ -24,6 +27,9 @@ from protochain.multibody.algebra import (
 )
 from protochain.multibody.articulated import Articulated
 from protochain.multibody.tree import FIRST_MOMENT, MASS
+
+Point = tuple[str, ArrayLike]
+"""Name of a body, or "world", and a point in its axes."""
 
 
 class Conservative(Protocol):
@@ -65,13 +71,15 @@ class Acting:
     conservative : Conservative, optional
         Part with an energy.
     load : Load, optional
-        Part whose work is counted.
+        Part whose work is counted, under the element's name.
     dissipates : bool
         Whether the work of the load is dissipation.
     inside : bool
         Whether all of it acts between bodies of the mechanism, so that it keeps their momentum.
     memory : Memory, optional
         What it keeps from step to step.
+    damping : Damping, optional
+        Part that is one load with the damping of all other elements.
     """
 
     conservative: Conservative | None = None
@@ -79,6 +87,7 @@ class Acting:
     dissipates: bool = False
     inside: bool = False
     memory: Memory | None = None
+    damping: Damping | None = None
 
 
 class Element(Protocol):
@@ -86,6 +95,110 @@ class Element(Protocol):
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return what acts in a mechanism with these bodies, whose names become numbers here."""
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """Part of a mechanism, as given: checked by itself, not yet bound to bodies.
+
+    Parameters
+    ----------
+    name : str
+        Name.
+    """
+
+    called: ClassVar[str] = "element"
+    """What messages call it."""
+
+    name: str
+
+    @property
+    def said(self) -> str:
+        """What messages call it, with its name."""
+        return f'{self.called} "{self.name}"'
+
+    def fix(self, **values: Any) -> None:
+        """Set fields to what they are after a check."""
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True, eq=False)
+class Between(Named):
+    """Element between points of two bodies.
+
+    Parameters
+    ----------
+    a, b : tuple of str and (3,) array_like
+        Body, or "world", and a point of it.
+    """
+
+    a: Point
+    b: Point
+
+    def __post_init__(self) -> None:
+        for end in (self.a, self.b):
+            if not (isinstance(end, tuple | list) and len(end) == 2 and isinstance(end[0], str)):
+                raise MechanicsError(f'{self.said}: give its ends as ("body", (x, y, z))')
+        if self.a[0] == self.b[0]:
+            raise MechanicsError(f'{self.said}: both of its ends are on "{self.a[0]}"; join two bodies')
+        for side, (body, at) in (("a", self.a), ("b", self.b)):
+            self.fix(**{side: (body, numbers(at, (3,), f"{self.said}: its point"))})
+
+    def ends(self, bodies: Bodies) -> tuple[Integers, Floats]:
+        """(1, 2) int, (1, 6) float: both bodies, and their points along the axes of the tree's frames."""
+        ends = [bodies.number(body, self.said) for body, _ in (self.a, self.b)]
+        points = [bodies.inside(b, at) for b, (_, at) in zip(ends, (self.a, self.b), strict=True)]
+        return read_only([ends], np.int64), read_only([np.concatenate(points)])
+
+
+@dataclass(frozen=True, eq=False)
+class CustomForce(Named):
+    """Forces of one's own, as those of contacts are.
+
+    Parameters
+    ----------
+    name : str
+        Name.
+    element : Element or Load
+        What ``bind`` makes forces of, with the bodies of the model; or a load as it is.
+
+    Raises
+    ------
+    MechanicsError
+        If the name is taken, or the element has no ``bind``.
+    """
+
+    called: ClassVar[str] = "force"
+
+    element: Element | Load
+
+    def __post_init__(self) -> None:
+        if not (isinstance(self.element, Load) or callable(getattr(self.element, "bind", None))):
+            raise MechanicsError(f"{self.said}: give a motion.Load, or an object with bind(bodies) -> Acting")
+
+    def bind(self, bodies: Bodies) -> Acting:
+        """Return what its element does."""
+        return Acting(load=self.element) if isinstance(self.element, Load) else self.element.bind(bodies)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Elements of one kind as rows of arrays, of which one call of a kernel takes all."""
+
+    @classmethod
+    def joined(cls, parts: Iterable[Self]) -> Self:
+        """All rows of several."""
+        columns = zip(*([getattr(part, each.name) for each in fields(cls)] for part in parts), strict=True)
+        return cls(*(read_only(np.concatenate(column), column[0].dtype) for column in columns))
+
+
+def joined(parts: Iterable[Any]) -> list[Any]:
+    """Return parts in order, those that are rows of one class as one, where its first is."""
+    kinds: dict[Any, list[Any]] = {}
+    for part in parts:
+        kinds.setdefault(type(part) if isinstance(part, Rows) else id(part), []).append(part)
+    return [own[0] if len(own) == 1 else own[0].joined(own) for own in kinds.values()]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,25 +1,49 @@
-"""A mechanism as built, and its simulation."""
+"""A mechanism as built, its simulation, and what comes of it: rows, table and audit."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from protochain.arrays import Floats
+from protochain import multibody
+from protochain.arrays import Floats, read_only
+from protochain.checks import shown
 from protochain.defaults import BALANCE
-from protochain.errors import MechanicsError
-from protochain.mechanisms.assemble import by_name
+from protochain.errors import BodyError, MechanicsError
 from protochain.mechanisms.bodies import Bodies, State
-from protochain.mechanisms.elements import Conservative, Memory, Sum
-from protochain.mechanisms.parts import Happening
-from protochain.mechanisms.run import Run, carry_out
-from protochain.motion import Drive, Event, Integrator, Load, Phase, RungeKutta4, System
-from protochain.multibody import Tree
+from protochain.mechanisms.drives import Driven, check_drive, drive_of
+from protochain.mechanisms.elements import Acting, Conservative, Gravity, Memory, Sum, damping, joined
+from protochain.mechanisms.event import Event, Happened
+from protochain.motion import (
+    Drive,
+    Equations,
+    Integrator,
+    Load,
+    Phase,
+    Rosenbrock,
+    RungeKutta4,
+    StepTooLargeError,
+    System,
+    march,
+)  # fmt: skip
+from protochain.multibody import HingeKind, Tree
+from protochain.multibody.newton_euler import momenta_of_bodies
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_LOOK = 256
+"""Rows from one look at the balance of energy to the next."""
+_SAME = 1e-9
+"""Difference of times that is none, relative to the time step."""
+_REMEDY = "take a shorter one, DormandPrince(), or for stiff dampers Rosenbrock()"
 
 
 @dataclass(frozen=True, eq=False)
-class Counted:
+class NamedLoad:
     """A load, whose work is counted under its name."""
 
     name: str
@@ -39,11 +63,11 @@ class Model:
         Coordinates and velocities at the start.
     conservative : tuple of Conservative
         Elements with an energy, by kind.
-    loads : tuple of Counted
+    loads : tuple of NamedLoad
         Loads by name.
     drive : callable, optional
         Time -> coordinates, rates and accelerations of the driven hinges, in the order of the tree.
-    events : tuple of Happening
+    events : tuple of Event
         Events.
     inside : bool
         Whether nothing acts from outside, so that momentum and spin are kept.
@@ -55,9 +79,9 @@ class Model:
     q: Floats
     qd: Floats
     conservative: tuple[Conservative, ...] = ()
-    loads: tuple[Counted, ...] = ()
+    loads: tuple[NamedLoad, ...] = ()
     drive: Drive | None = None
-    events: tuple[Happening, ...] = ()
+    events: tuple[Event, ...] = ()
     inside: bool = False
     memories: tuple[Memory, ...] = ()
 
@@ -72,12 +96,10 @@ class Model:
         return np.eye(self.tree.n_v)[:, self.tree.undriven_v]
 
     @cached_property
-    def system(self) -> System:
+    def system(self) -> Equations:
         """The mechanism as integrators see it."""
-        more: dict[str, Any] = {} if self.drive is None else {"drive": self.drive}
-        if self.loads:
-            more["loads"] = tuple(each.load for each in self.loads)
-        return System(self.tree, Sum(self.tree, self.conservative), **more)
+        loads = tuple(each.load for each in self.loads)
+        return System(self.tree, Sum(self.tree, self.conservative), loads=loads, drive=self.drive)
 
     @property
     def works(self) -> tuple[str, ...]:
@@ -94,8 +116,8 @@ class Model:
         """
         try:
             return self.system.at(self.q, self.qd)
-        except MechanicsError as error:
-            raise MechanicsError(self.said(str(error))) from None
+        except BodyError as error:
+            raise error.by_name(self.bodies.names) from None
 
     def state(self, at: Phase | None = None) -> State:
         """State at a phase, by default at the start, from which points and velocities can be had by name."""
@@ -113,7 +135,7 @@ class Model:
         every: int = 1,
         start: Phase | None = None,
         balance: float = BALANCE,
-    ) -> Run:
+    ) -> "Run":
         """Follow the motion.
 
         Parameters
@@ -145,37 +167,326 @@ class Model:
         MechanicsError
             If an argument, or what an element gives, is no number.
         """
-        integrator, start = integrator or RungeKutta4(), start or self.start()
-        return carry_out(self, until, time_step, integrator, every, start, balance)
+        start = start or self.start()
+        for name, value, least in (("until", until, start.time), ("time_step", time_step, 0.0)):
+            if not (isinstance(value, int | float | np.floating) and least < value < np.inf):
+                raise MechanicsError(f"{name} {shown(value)}: give a finite number above {least:g}")
+        if not (isinstance(every, int) and every >= 1):
+            raise MechanicsError(f"every {shown(every)}: give a whole number from 1")
+        if not start.is_finite:
+            raise MechanicsError(
+                "at the start energy or forces are no numbers; see functions of loads and forces"
+            )
+        if not (isinstance(balance, int | float) and balance > 0.0):
+            raise MechanicsError(f"balance {shown(balance)}: give a number above 0, as inf to accept any")
+        if self.drive is not None:
+            for when in (start.time + 0.37 * time_step, start.time + 0.61 * (until - start.time)):
+                check_drive(self.bodies, self.drive, when, 1e-4 * time_step)
+        return _Simulation(self, start, integrator or RungeKutta4(), time_step, every, balance).run(until)
 
-    def said(self, message: str) -> str:
-        """Return a message with the names of bodies in place of their numbers."""
-        return by_name(message, self.bodies.names)
 
-    def watched(self, gains: list[tuple[float, str, float]]) -> tuple[Event, ...]:
-        """Return events for :func:`protochain.motion.march`, which add time, name and gain to a list."""
-        return tuple(self._event(happening, gains) for happening in self.events)
+def model_of(
+    bodies: Bodies, gravity: Floats, elements: Sequence[Any], drives: Sequence[Driven],
+    events: tuple[Event, ...],
+) -> Model:  # fmt: skip
+    """Return a model of bodies and all that acts on them.
 
-    def _event(self, happening: Happening, gains: list[tuple[float, str, float]]) -> Event:
-        said = f'event "{happening.name}"'
+    Raises
+    ------
+    MechanicsError
+        If an element names a body or hinge that is not there, or cannot act where it is.
+    """
+    tree, acting = bodies.tree, {}
+    for element in elements:
+        found = element.bind(bodies)
+        parts = (found.conservative, found.load, found.damping) if isinstance(found, Acting) else ()
+        if all(part is None for part in parts):
+            raise MechanicsError(f"{element.said}: its bind() gives nothing that acts; return Acting(...)")
+        acting[element.name] = found
+    weight = [Gravity(tree, gravity)] if np.any(gravity) else []
+    damped = joined(each.damping for each in acting.values() if each.damping)
+    loads = [NamedLoad("damping", damping(tree, damped), dissipates=True)] if damped else []
+    loads += [NamedLoad(name, each.load, each.dissipates) for name, each in acting.items() if each.load]
+    held = np.any((tree.parent < 0) & (tree.kind != HingeKind.FREE))
+    return Model(
+        bodies, bodies.q, bodies.qd,
+        (*weight, *joined(each.conservative for each in acting.values() if each.conservative)), tuple(loads),
+        drive_of(bodies, drives) if drives else None, events,
+        not weight and not held and all(each.inside for each in acting.values()),
+        tuple(each.memory for each in acting.values() if each.memory),
+    )  # fmt: skip
 
-        def value(at: Phase) -> float:
-            found = float(happening.value(self.state(at)))
-            if np.isnan(found):
-                raise MechanicsError(f"{said}: its value is not a number at time {at.time:g}")
-            return found
 
-        def jump(system: System, at: Phase) -> Phase:
-            qd = happening.jump(self.state(at))
-            after = at
-            if qd is not None:
-                qd = np.array(qd, dtype=float)
-                if qd.shape != (self.tree.n_v,) or not np.all(np.isfinite(qd)):
-                    raise MechanicsError(
-                        f"{said}: its jump must give {self.tree.n_v} finite velocities, or None to go on"
-                    )
-                after = system.with_velocities(at, qd)
-            gains.append((at.time, happening.name, after.kinetic - at.kinetic))
-            return after
+class Audit(NamedTuple):
+    """What does not add up, each relative to the largest of its kind in the run.
 
-        return Event(happening.name, value, jump, happening.passes)
+    Parameters
+    ----------
+    energy : float
+        Largest change of energy that is neither work nor an event's, of the largest energy in motion.
+    momentum, spin : float or None
+        Largest change of momentum, and of that about the origin, of the sum of those of the bodies; None if
+        something acts from outside, as the jump of an event that does not pass may.
+    """
+
+    energy: float
+    momentum: float | None
+    spin: float | None
+
+
+Row = tuple[float, Floats, Floats, Floats, float, Floats, float]
+"""Time, q, qd, p, potential energy and work of a phase, and energy that events have given until then: a plain
+tuple, as to make a NamedTuple takes twice as long."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Motion of a mechanism; its arrays are made when they are first asked for.
+
+    Parameters
+    ----------
+    model : Model
+        The mechanism.
+    rows : sequence of Row
+        Phases, without their factors.
+    events : tuple of Happened
+        What has happened.
+    end : Phase
+        Phase at the end, from which :meth:`Model.simulate` can go on.
+    """
+
+    model: Model
+    rows: Sequence[Row]
+    events: tuple[Happened, ...]
+    end: Phase
+
+    @cached_property
+    def time(self) -> Floats:
+        """(n,) float: times of the rows."""
+        return read_only([row[0] for row in self.rows])
+
+    @cached_property
+    def q(self) -> Floats:
+        """(n, n_q) float: coordinates."""
+        return read_only([row[1] for row in self.rows])
+
+    @cached_property
+    def qd(self) -> Floats:
+        """(n, n_v) float: velocities."""
+        return read_only([row[2] for row in self.rows])
+
+    @cached_property
+    def kinetic(self) -> Floats:
+        """(n,) float: kinetic energy."""
+        return read_only(0.5 * np.einsum("ij,ij->i", [row[3] for row in self.rows], self.qd))
+
+    @cached_property
+    def potential(self) -> Floats:
+        """(n,) float: potential energy."""
+        return read_only([row[4] for row in self.rows])
+
+    @cached_property
+    def work(self) -> Floats:
+        """(n, k) float: work since the start of each of ``model.works``."""
+        return read_only([row[5] for row in self.rows])
+
+    @cached_property
+    def jumps(self) -> Floats:
+        """(n,) float: energy given by events since the start."""
+        return read_only([row[6] for row in self.rows])
+
+    @property
+    def total(self) -> Floats:
+        """(n,) float: energy."""
+        return self.kinetic + self.potential
+
+    @property
+    def dissipation(self) -> Floats:
+        """(n,) float: energy that dampers and friction have taken."""
+        taking = [k for k, each in enumerate(self.model.loads) if each.dissipates]
+        return np.asarray(0.0 - np.sum(self.work[:, taking], axis=1))
+
+    @property
+    def momenta(self) -> Floats:
+        """(n, 2, 3) float: momentum, and angular momentum about the world's origin."""
+        return self._momenta[0]
+
+    @cached_property
+    def _momenta(self) -> tuple[Floats, Floats]:
+        """Both, and the sums of the sizes of those of the bodies, (n, 2)."""
+        tree, n = self.model.tree, len(self.time)
+        whole, sizes = np.empty((n, 2, 3)), np.empty((n, 2))
+        for i, (q, qd) in enumerate(zip(self.q, self.qd, strict=True)):
+            frames = multibody.pose(tree, q)
+            each = momenta_of_bodies(tree, frames, multibody.velocities(tree, frames, qd))
+            both = each[:, 3:], each[:, :3] + np.cross(frames.origin, each[:, 3:])
+            whole[i] = [np.sum(one, axis=0) for one in both]
+            sizes[i] = [np.sum(np.linalg.norm(one, axis=1)) for one in both]
+        return read_only(whole), read_only(sizes)
+
+    @cached_property
+    def table(self) -> "pd.DataFrame":
+        """One row a time: energies, work of each load, dissipation, momentum and spin about the origin."""
+        import pandas as pd
+
+        columns = {
+            "time": self.time, "kinetic": self.kinetic, "potential": self.potential, "total": self.total,
+        }  # fmt: skip
+        columns |= {f"work {name}": self.work[:, k] for k, name in enumerate(self.model.works)}
+        columns["dissipation"] = self.dissipation
+        columns["events"] = self.jumps
+        names = [f"{what} {axis}" for what in ("momentum", "spin") for axis in "xyz"]
+        columns |= dict(zip(names, self.momenta.reshape(-1, 6).T, strict=True))
+        return pd.DataFrame(columns)
+
+    def audit(self) -> Audit:
+        """Say how far energy less work, and momentum, are from constant.
+
+        Returns
+        -------
+        Audit
+            Largest errors, relative.
+        """
+        lack = self.total - np.sum(self.work, axis=1) - self.jumps
+        scale = self.in_motion(np.ones(self.work.shape[1], dtype=bool))
+        energy = float(np.max(np.abs(lack - lack[0])) / scale) if scale > 0.0 else 0.0
+        strikes = {each.name for each in self.model.events if not each.passes}
+        if not self.model.inside or any(event.name in strikes for event in self.events):
+            return Audit(energy, None, None)
+        whole, sizes = self._momenta
+        changes = np.max(np.linalg.norm(whole - whole[0], axis=2), axis=0)
+        scales = np.max(sizes, axis=0)
+        momentum, spin = np.divide(changes, scales, out=np.zeros(2), where=scales > 0.0)
+        return Audit(energy, float(momentum), float(spin))
+
+    def in_motion(self, counted: NDArray[np.bool_]) -> float:
+        """Largest energy that moves: kinetic, that of a change of the potential, of work (k,), of events."""
+        work = (self.work - self.work[0])[:, counted]
+        parts = self.kinetic, self.potential - self.potential[0], work, self.jumps
+        return max(float(np.max(np.abs(part), initial=0.0)) for part in parts)
+
+
+class UnbalancedError(StepTooLargeError):
+    """Energy has come from nothing, or gone nowhere, so that a time step is too long."""
+
+
+class _Simulation:
+    """A run as it comes: its rows, with a look at the energy now and then."""
+
+    def __init__(
+        self, model: Model, start: Phase, integrator: Integrator, time_step: float, every: int, balance: float
+    ) -> None:
+        self.model, self.start, self.integrator, self.time_step = model, start, integrator, time_step
+        self.every, self.balance = every, balance
+        # What stiff dampers take in a step of Rosenbrock's method is right, but not the integral of the
+        # power at its ends. They can but take, so that there the energy must not rise.
+        taking = np.array([each.dissipates for each in model.loads], dtype=bool)
+        self.rising_only = isinstance(integrator, Rosenbrock) and bool(np.any(taking))
+        self.counted = np.ones(len(start.work), dtype=bool)
+        self.counted[: len(taking)] = ~(taking & self.rising_only)
+        self.rows: list[Row] = []
+        self.happened: list[Happened] = []
+
+    def run(self, until: float) -> Run:
+        """Follow the motion until a time."""
+        self.add(self.start)
+        end: Phase | None = None
+        # What diverges is refused, not warned of.
+        with np.errstate(over="ignore", invalid="ignore"):
+            try:
+                watching = self.model.events or self.model.memories
+                end = self.with_events(until) if watching else self.without_events(until)
+                self.look()
+            except UnbalancedError:
+                raise
+            except StepTooLargeError as error:
+                raise StepTooLargeError(
+                    f"{self.after}: {error}; the time step {self.time_step:g} is too long; {_REMEDY}"
+                ) from None
+            except MechanicsError as error:
+                # Of what has diverged this says more.
+                self.look()
+                named = error.by_name(self.model.bodies.names) if isinstance(error, BodyError) else error
+                raise MechanicsError(f"{self.after}: {named}") from None
+            finally:
+                for memory in self.model.memories:
+                    memory.end(end)
+        return Run(self.model, self.rows, tuple(self.happened), end)
+
+    @property
+    def after(self) -> str:
+        """When something has gone wrong."""
+        return f"after time {self.rows[-1][0]:g}"
+
+    def add(self, at: Phase) -> None:
+        """Add a row."""
+        jumps = sum(event.energy for event in self.happened)
+        self.rows.append((at.time, at.q, at.qd, at.p, at.potential, at.work, jumps))
+        if len(self.rows) % _LOOK == 0:
+            self.look()
+
+    def look(self) -> None:
+        """Look at the energy of the latest row.
+
+        Raises
+        ------
+        UnbalancedError
+            If much of it has come from nothing, or gone nowhere.
+        """
+        time, *_, potential, _, _ = self.rows[-1]
+        (_, before), (kinetic, after) = (self.unspent(self.rows[k]) for k in (0, -1))
+        lack = after - before
+        wrong = lack if self.rising_only else abs(lack)
+        if wrong <= self.balance * kinetic < np.inf:
+            return
+        # Perhaps there was more before: this row may be a turning point.
+        largest = Run(self.model, self.rows, (), self.start).in_motion(self.counted)
+        floor = 1e3 * np.finfo(float).eps * abs(potential)
+        if not (wrong <= self.balance * largest + floor and np.isfinite(lack)):
+            raise UnbalancedError(
+                f"by time {time:g} the energy has changed by {lack:.3g}, of {largest:.3g} in motion, "
+                f"without work: the time step {self.time_step:g} is too long; {_REMEDY}"
+            )
+
+    def unspent(self, row: Row) -> tuple[float, float]:
+        """Kinetic energy; energy less work, where counted, and what events have given: it does not change."""
+        _, _, qd, p, potential, work, jumps = row
+        kinetic = 0.5 * float(p @ qd)
+        return kinetic, kinetic + potential - float(work @ self.counted) - jumps
+
+    def without_events(self, until: float) -> Phase:
+        """Take steps as :func:`protochain.motion.march` does, in a loop that costs a hundredth of a step."""
+        system, step, h, every = self.model.system, self.integrator.step, self.time_step, self.every
+        append, at, count, look = self.rows.append, self.start, 0, every * _LOOK
+        # Rounding of times adds up to less than a step: until near the end nothing need be compared.
+        for count in range(1, int((until - at.time) / h) - 1):
+            at = step(system, at, h)
+            if count % every == 0:
+                append((at.time, at.q, at.qd, at.p, at.potential, at.work, 0.0))
+                if count % look == 0:
+                    self.look()
+        while (left := until - at.time) > _SAME * h:
+            at = step(system, at, h if left > (1.0 + _SAME) * h else left)
+            count += 1
+            if count % every == 0:
+                self.add(at)
+        if count % every:
+            self.add(at)
+        return at
+
+    def with_events(self, until: float) -> Phase:
+        """Take steps until events, whose phases have rows, too."""
+        model, at, count = self.model, self.start, 0
+        watched = [event.watched(model.state, self.happened) for event in model.events]
+        for memory in model.memories:
+            memory.begin(at)
+            memory.settle(at)
+        for at, event in march(model.system, self.integrator, self.start, until, self.time_step, watched):
+            for memory in model.memories:
+                memory.settle(at)
+            count += event is None
+            if event is not None or count % self.every == 0:
+                self.add(at)
+        if self.rows[-1][0] != at.time:
+            self.add(at)
+        return at

@@ -8,7 +8,7 @@ and its elastic energy stays exact. No high frequency is left that would ask for
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, eigh
@@ -19,24 +19,23 @@ from protochain.checks import shown
 from protochain.errors import MechanicsError
 from protochain.mechanisms.elements import Sum
 from protochain.mechanisms.model import Model
-from protochain.mechanisms.springs import STIFFNESS, Torsions
-from protochain.motion import System
+from protochain.mechanisms.springs import STIFFNESS
+from protochain.mechanisms.torsion import Torsions
+from protochain.motion import Equations
 
 _PARALLEL = 1e-9
 """Largest part of the start's velocities that no shape has, of their size."""
 
 
 @dataclass(frozen=True, eq=False)
-class ReducedSystem(System):
-    """System that moves along some directions only.
+class ReducedSystem(Equations):
+    """Equations of motion along some directions only.
 
     Parameters
     ----------
     directions : (n_v, k) float
         Columns that span the velocities, none of them of driven hinges.
     """
-
-    bends: ClassVar[bool] = True
 
     directions: Floats = field(kw_only=True)
 
@@ -81,11 +80,11 @@ class ReducedModel(Model):
         return self.shapes
 
     @cached_property
-    def system(self) -> System:
+    def system(self) -> Equations:
         """The mechanism as integrators see it."""
         loads = tuple(each.load for each in self.loads)
         potential = Sum(self.tree, self.conservative)
-        return ReducedSystem(self.tree, potential, None, loads, self.drive, directions=self.shapes)
+        return ReducedSystem(self.tree, potential, loads=loads, drive=self.drive, directions=self.shapes)
 
 
 def in_modes(model: Model, groups: Iterable[tuple[Sequence[str], int]]) -> ReducedModel:

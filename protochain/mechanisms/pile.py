@@ -15,7 +15,17 @@ from protochain.arrays import Floats, Integers, Value, floats, frozen, read_only
 from protochain.errors import MechanicsError
 from protochain.mechanisms.boxes import check_boxes
 from protochain.mechanisms.pile_contact import N_MEMORY
-from protochain.mechanisms.pile_kernels import DONE, LISTS, TOO_DEEP, carry_over, march
+from protochain.mechanisms.pile_kernels import (
+    DONE,
+    LISTS,
+    TOO_DEEP,
+    Boards,
+    Cubes,
+    Lists,
+    Planes,
+    carry_over,
+    march,
+)  # fmt: skip
 from protochain.mechanisms.pile_parts import Heap, Law, Motion, Plates, Sleep
 from protochain.mechanisms.search import in_order, touching
 from protochain.motion.system import StepTooLargeError
@@ -32,17 +42,10 @@ rubs, also against turning, and gives way from both sides."""
 
 
 _OWN = (
-    "position",
-    "quaternion",
-    "velocity",
-    "spin",
-    "acceleration",
-    "asleep",
-    "still",
-    "plane_memory",
-    "sums",
+    *("position", "quaternion", "velocity", "spin", "acceleration", "asleep", "still"),
+    *("plane_memory", "sums"),
 )
-"""Arrays of a heap that steps change in place."""
+"""Arrays of a heap that steps change in place; the first are those of :class:`Cubes`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +213,9 @@ class Pile(Value):
         lists = (heap.start, heap.other, heap.memory.copy())
         plate = np.column_stack([self.plates.centre, self.plates.rotation.reshape(-1, 9), self.plates.half])
         reaction = np.zeros((steps + 1, motion.origin.shape[1], 6))
-        planes = np.column_stack([self.normal, self.offset])
+        cubes = Cubes(0.5 * self.edge, self.mass, *(own[name] for name in _OWN[:7]))
+        planes = Planes(np.column_stack([self.normal, self.offset]), own["plane_memory"])
+        plates = Boards(self.plates.body, plate, *motion)
         skin = SKIN * float(np.min(self.edge, initial=np.inf)) if len(self.edge) else 1.0
         s, drifted = min(steps, 1), False
         gx, gy, gz = map(float, self.gravity)
@@ -220,11 +225,8 @@ class Pile(Value):
             then = own["position"].copy()
             lists = self._lists(then, placed, skin, lists)
             s, why, i, j, depth = march(
-                s, steps if steps else -1, drifted, h, own["position"], own["quaternion"], own["velocity"],
-                own["spin"], own["acceleration"], own["asleep"], own["still"], 0.5 * self.edge, self.mass,
-                self._numbers, (gx, gy, gz), planes, own["plane_memory"], self.plates.body,
-                plate, motion.origin, motion.rotation, motion.twist, *lists, then, placed, skin, reaction,
-                own["sums"],
+                s, steps if steps else -1, drifted, h, cubes, planes, plates,
+                Lists(*lists, then, placed, skin), self._numbers, (gx, gy, gz), reaction, own["sums"],
             )  # fmt: skip
             drifted = True
         time = heap.time + (s if steps else 0) * h

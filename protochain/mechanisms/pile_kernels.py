@@ -4,6 +4,8 @@ Velocity Verlet, with velocities half a step ahead by the last accelerations whe
 them. A cube turns alike about all axes, so that nothing gyroscopic is left; its turn in a step is Cayley's.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from protochain.arrays import Floats, Integers
@@ -44,6 +46,48 @@ DONE, LISTS, TOO_DEEP, TOO_FAST = range(4)
 """Why the kernel returns: all steps are taken, new lists are needed, or something is refused."""
 
 
+class Cubes(NamedTuple):
+    """Cubes: half edges and masses; and what changes in place, see :class:`pile_parts.Heap`."""
+
+    half: Floats
+    mass: Floats
+    x: Floats
+    q: Floats
+    v: Floats
+    w: Floats
+    acc: Floats
+    asleep: Integers
+    still: Floats
+
+
+class Planes(NamedTuple):
+    """Fixed half spaces: normal and offset (p, 4), and what is remembered of each cube on each."""
+
+    plane: Floats
+    memory: Floats
+
+
+class Boards(NamedTuple):
+    """Plates: body, (m, 15) centre, rotation and half edges in its frame; motion of the bodies."""
+
+    body: Integers
+    plate: Floats
+    origin: Floats
+    rotation: Floats
+    twist: Floats
+
+
+class Lists(NamedTuple):
+    """What may touch, what is remembered of it, and where cubes and plates were when they were made."""
+
+    start: Integers
+    other: Integers
+    memory: Floats
+    then: Floats
+    plates_then: Floats
+    skin: float
+
+
 @kernel
 def quaternion_matrix(q: Floats, i: int) -> Matrix:
     """Rotation of unit quaternion i, (w, x, y, z)."""
@@ -73,12 +117,11 @@ def matrix_at(m: Floats, i: int) -> Matrix:
 
 
 @kernel
-def place_plates(
-    s: int, body: Integers, plate: Floats, origin: Floats, rotation: Floats, placed: Floats
-) -> None:
+def place_plates(s: int, plates: Boards, placed: Floats) -> None:
     """Centres and rotations (m, 12) of plates at step s, from the frames of their bodies."""
-    for m in range(len(body)):
-        b = body[m]
+    plate, origin, rotation = plates.plate, plates.origin, plates.rotation
+    for m in range(len(plates.body)):
+        b = plates.body[m]
         r = (
             rotation[s, b, 0, 0], rotation[s, b, 0, 1], rotation[s, b, 0, 2],
             rotation[s, b, 1, 0], rotation[s, b, 1, 1], rotation[s, b, 1, 2],
@@ -111,46 +154,42 @@ def plate_moved(placed: Floats, then: Floats, plate: Floats, m: int) -> float:
 
 
 @kernel
-def drift(
-    h: float, x: Floats, q: Floats, v: Floats, w: Floats, acc: Floats, half: Floats, asleep: Integers,
-    then: Floats, skin: float,
-) -> tuple[bool, int]:  # fmt: skip
+def drift(h: float, cubes: Cubes, lists: Lists) -> tuple[bool, int]:
     """Half a kick and a drift; whether lists hold still, and a cube that is too fast, or -1."""
+    x, v, w, acc, half, skin = cubes.x, cubes.v, cubes.w, cubes.acc, cubes.half, lists.skin
     hold, fast = True, -1
     for i in range(len(x)):
-        if asleep[i]:
+        if cubes.asleep[i]:
             continue
         u = add(vector(v, i), scale(0.5 * h, vector(acc, i)))
         put(u, v, i, 0)
         put(add(vector(x, i), scale(h, u)), x, i, 0)
         o = add(vector(w, i), scale(0.5 * h, vector(acc, i, 3)))
         put(o, w, i, 0)
-        turn_quaternion(q, i, scale(h, o))
+        turn_quaternion(cubes.q, i, scale(h, o))
         # Not: larger, which no number is that is none.
         if not h * h * dot(u, u) <= half[i] * half[i] or not h * h * dot(o, o) <= 0.25:
             fast = i
-        moved = subtract(vector(x, i), vector(then, i))
+        moved = subtract(vector(x, i), vector(lists.then, i))
         if not 4.0 * dot(moved, moved) <= skin * skin:
             hold = False
     return hold, fast
 
 
 @kernel
-def settle(
-    h: float, v: Floats, w: Floats, acc: Floats, half: Floats, mass: Floats, total: Floats, gravity: Vector,
-    asleep: Integers, still: Floats, law: Floats, sums: Floats,
-) -> None:  # fmt: skip
+def settle(h: float, cubes: Cubes, total: Floats, law: Floats, gravity: Vector, sums: Floats) -> None:
     """Accelerations, the other half of the kick, and who falls asleep or wakes."""
+    v, w, acc, half, mass, still = cubes.v, cubes.w, cubes.acc, cubes.half, cubes.mass, cubes.still
     for i in range(len(v)):
         inertia = mass[i] * 2.0 / 3.0 * half[i] * half[i]
         reach = np.sqrt(3.0) * half[i]
         a = add(gravity, scale(1.0 / mass[i], vector(total, i)))
         t = scale(1.0 / inertia, vector(total, i, 3))
         jolt2 = max(dot(a, a), reach * reach * dot(t, t))
-        if asleep[i]:
+        if cubes.asleep[i]:
             if jolt2 <= law[JOLT] * law[JOLT]:
                 continue
-            asleep[i], still[i] = 0, 0.0
+            cubes.asleep[i], still[i] = 0, 0.0
         else:
             put(add(vector(v, i), scale(0.5 * h, a)), v, i, 0)
             put(add(vector(w, i), scale(0.5 * h, t)), w, i, 0)
@@ -162,7 +201,7 @@ def settle(
             # Well below what wakes it, lest it wake at once.
             still[i] = still[i] + h if slow and 4.0 * jolt2 < law[JOLT] * law[JOLT] else 0.0
             if still[i] > law[PATIENCE]:
-                asleep[i] = 1
+                cubes.asleep[i] = 1
                 sums[SLEPT] += 0.5 * (mass[i] * dot(u, u) + inertia * dot(o, o))
                 for k in range(3):
                     v[i, k] = w[i, k] = acc[i, k] = acc[i, 3 + k] = 0.0
@@ -170,16 +209,17 @@ def settle(
 
 @kernel
 def march(
-    first: int, last: int, drifted: bool, h: float, x: Floats, q: Floats, v: Floats, w: Floats, acc: Floats,
-    asleep: Integers, still: Floats, half: Floats, mass: Floats, law: Floats, gravity: Vector,
-    plane: Floats, plane_memory: Floats, body: Integers, plate: Floats, origin: Floats, rotation: Floats,
-    twist: Floats, start: Integers, other: Integers, memory: Floats, then: Floats, plates_then: Floats,
-    skin: float, reaction: Floats, sums: Floats,
+    first: int, last: int, drifted: bool, h: float, cubes: Cubes, planes: Planes, plates: Boards,
+    lists: Lists, law: Floats, gravity: Vector, reaction: Floats, sums: Floats,
 ) -> tuple[int, int, int, int, float]:  # fmt: skip
     """Take steps ``first`` to ``last``; where it stopped, why, and which bodies, how deep.
 
     ``drifted``: the first step's drift has been taken. ``last`` < ``first``: only forces at ``first``.
     """
+    # One function: in parts the compiler would fuse other products with sums, and round otherwise.
+    half, mass, x, q, v, w, acc, asleep, _ = cubes
+    (plane, plane_memory), (body, plate, origin, _, twist) = planes, plates
+    start, other, memory = lists.start, lists.other, lists.memory
     n, n_planes, n_plates = len(x), len(plane), len(body)
     turn, total, guess = np.empty((n, 9)), np.zeros((n, 6)), np.empty((n, 6))
     placed, found = np.empty((n_plates, 12)), np.empty((8, 8))
@@ -188,13 +228,13 @@ def march(
     s = first
     while s <= last or s == first:
         at = s if s <= last else first
-        place_plates(at, body, plate, origin, rotation, placed)
+        place_plates(at, plates, placed)
         if not drifted and s <= last:
-            hold, fast = drift(h, x, q, v, w, acc, half, asleep, then, skin)
+            hold, fast = drift(h, cubes, lists)
             if fast >= 0:
                 return s, TOO_FAST, fast, -1, 0.0
             for m in range(n_plates):
-                if not 2.0 * plate_moved(placed, plates_then, plate, m) <= skin:
+                if not 2.0 * plate_moved(placed, lists.plates_then, plate, m) <= lists.skin:
                     hold = False
             if not hold:
                 return s, LISTS, 0, 0, 0.0
@@ -307,7 +347,7 @@ def march(
                     acc[i, k] = gravity[k] + total[i, k] / mass[i]
                     acc[i, 3 + k] = total[i, 3 + k] / (mass[i] * 2.0 / 3.0 * half[i] * half[i])
             break
-        settle(h, v, w, acc, half, mass, total, gravity, asleep, still, law, sums)
+        settle(h, cubes, total, law, gravity, sums)
         s += 1
     return s, DONE, 0, 0, 0.0
 

@@ -15,8 +15,8 @@ import numpy as np
 from protochain.arrays import Floats
 from protochain.checks import shown
 from protochain.errors import MechanicsError
-from protochain.mechanisms import given
 from protochain.mechanisms.bodies import WORLD
+from protochain.mechanisms.checks import not_negative
 from protochain.mechanisms.mechanism import Mechanism
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -60,8 +60,8 @@ class Beam:
 
     def __post_init__(self) -> None:
         for name in ("length", "mass", "twist", "polar", "rigid"):
-            given.not_negative(getattr(self, name), f"beam: its {name}")
-        given.not_negative(self.bending, "beam: its bending stiffness", (2,))
+            not_negative(getattr(self, name), f"beam: its {name}")
+        not_negative(self.bending, "beam: its bending stiffness", (2,))
         if self.length == 0.0 or self.mass == 0.0:
             raise MechanicsError("beam: its length and its mass must be above zero")
         if self.rigid >= 0.5:
@@ -152,7 +152,7 @@ def add_beam(
     if soft:
         raise MechanicsError(f'beam "{name}": it has no stiffness about {soft[0]}; give one, or leave it out')
     said = f'beam "{name}": its damping'
-    time = float(given.not_negative(damping, said))
+    time = float(not_negative(damping, said))
     lengths = beam.lengths(cells)
     # A rigid zone is no part of a cell.
     cell = (1.0 - 2.0 * beam.rigid) * beam.length / cells

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from protochain.arrays import Floats, Integers, read_only
 from protochain.errors import MechanicsError
 from protochain.mechanisms.bodies import WORLD, Bodies
+from protochain.mechanisms.checks import numbers
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.springs import end_of
 from protochain.mechanisms.triangles import least_distances
@@ -114,13 +115,6 @@ class Balls:
         return found
 
 
-def _three(values: ArrayLike, what: str) -> Floats:
-    array = np.asarray(values, dtype=float)
-    if array.shape != (3,) or not np.isfinite(array).all():
-        raise MechanicsError(f"{what} must be three finite numbers")
-    return array
-
-
 def balls_of(bodies: Bodies, balls: Sequence[Ball], asking: str) -> Balls:
     """Balls by numbers of bodies.
 
@@ -132,7 +126,7 @@ def balls_of(bodies: Bodies, balls: Sequence[Ball], asking: str) -> Balls:
     if not balls:
         raise MechanicsError(f"{asking}: give at least one ball")
     numbers = [bodies.number(ball.body, asking) for ball in balls]
-    centres = [_three(ball.at, f"{asking}: the centre of a ball") for ball in balls]
+    centres = [numbers(ball.at, (3,), f"{asking}: the centre of a ball") for ball in balls]
     radius = np.array([ball.radius for ball in balls], dtype=float)
     if not (np.isfinite(radius) & (radius >= 0.0)).all():
         raise MechanicsError(f"{asking}: the radius of a ball must be finite and not negative")
@@ -252,11 +246,11 @@ def finder(bodies: Bodies, balls: Sequence[Ball], other: Other, name: str) -> Fi
     found = balls_of(bodies, balls, name)
     if isinstance(other, Plane):
         body = bodies.number(other.body, name)
-        normal = _three(other.normal, f"{name}: the normal of the plane")
+        normal = numbers(other.normal, (3,), f"{name}: the normal of the plane")
         if not np.any(normal):
             raise MechanicsError(f"{name}: the normal of the plane has no direction")
         _refuse_own(found, body, name)
-        at = bodies.inside(body, _three(other.at, f"{name}: the point of the plane"))
+        at = bodies.inside(body, numbers(other.at, (3,), f"{name}: the point of the plane"))
         return OnPlane(found, body, at, bodies.inside(body, normal / np.linalg.norm(normal)))
     if isinstance(other, Surface):
         return _on_surface(bodies, found, other, name)

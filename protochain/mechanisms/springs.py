@@ -1,11 +1,15 @@
-"""Springs and dampers between two points, and on hinges."""
+"""Springs and dampers between two points."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
+from protochain.arrays import Floats, Integers, read_only
 from protochain.errors import MechanicsError
+from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.checks import not_negative
+from protochain.mechanisms.elements import Acting, Between, Named, Rows
 from protochain.multibody import Frames
 from protochain.multibody.algebra import (
     Vector,
@@ -27,13 +31,80 @@ STIFFNESS, REST, DAMPING = range(3)
 """Columns of ``constants``."""
 
 
+def constants(stiffness: float, damping: float, of: Named) -> dict[str, float]:
+    """Return stiffness and damping, of which one at least is above zero."""
+    k = float(not_negative(stiffness, f"{of.said}: its stiffness"))
+    c = float(not_negative(damping, f"{of.said}: its damping"))
+    if k == c == 0.0:
+        raise MechanicsError(f"{of.said}: it does nothing; give a stiffness or a damping")
+    return {"stiffness": k, "damping": c}
+
+
 @dataclass(frozen=True, eq=False)
-class Springs:
-    """Springs between pairs of points: energy k (length - rest)^2 / 2, and dampers along the line.
+class Spring(Between):
+    """Spring, damper, or both, between two points: energy k (length - rest)^2 / 2, force along the line.
 
     Parameters
     ----------
-    names : tuple of str
+    name : str
+        Name.
+    a, b : tuple of str and (3,) array_like
+        Body, or "world", and a point of it.
+    stiffness, damping : float
+        Force per length, and force per speed, along the line.
+    rest : float, optional
+        Length without force; by default the length as built.
+
+    Raises
+    ------
+    MechanicsError
+        If the name is taken, or a constant negative.
+    """
+
+    called: ClassVar[str] = "spring"
+
+    stiffness: float = 0.0
+    rest: float | None = None
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.fix(**constants(self.stiffness, self.damping, self))
+        if self.rest is not None:
+            self.fix(rest=float(not_negative(self.rest, f"{self.said}: its rest")))
+
+    def bind(self, bodies: Bodies) -> Acting:
+        """Return its forces.
+
+        Raises
+        ------
+        MechanicsError
+            If a body is not there, or its ends meet as built and it has a length at rest.
+        """
+        ends, points = self.ends(bodies)
+        places = [bodies.built.point(*end) for end in (self.a, self.b)]
+        built = float(np.linalg.norm(places[1] - places[0]))
+        rest = built if self.rest is None else self.rest
+        if self.stiffness > 0.0 and built == 0.0 < rest:
+            raise MechanicsError(
+                f"{self.said}: its ends meet as built, where its force has no direction; "
+                "give rest=0, or move one"
+            )
+        row = Springs(np.array([self.name]), ends, points, read_only([(self.stiffness, rest, self.damping)]))
+        return Acting(
+            row if self.stiffness else None,
+            damping=row if self.damping else None,
+            inside=bool(np.all(ends >= 0)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Springs(Rows):
+    """Springs, bound.
+
+    Parameters
+    ----------
+    names : (n,) str
         Names, for messages.
     ends : (n, 2) int
         Bodies of each; -1 is the world.
@@ -43,7 +114,7 @@ class Springs:
         Stiffness, length at rest, damping.
     """
 
-    names: tuple[str, ...]
+    names: np.ndarray
     ends: Integers
     points: Floats
     constants: Floats
@@ -69,49 +140,6 @@ class Springs:
     def resist(self, frames: Frames, twists: Floats, qd: Floats, wrenches: Floats, torques: Floats) -> None:
         """Add the forces of the dampers."""
         _resist(frames.rotation, frames.origin, twists, self.ends, self.points, self.constants, wrenches)
-
-
-@dataclass(frozen=True, eq=False)
-class Torsions:
-    """Springs and dampers on hinges: energy k (q - rest)^2 / 2, torque -c qd.
-
-    Parameters
-    ----------
-    coordinates, freedoms : (n,) int
-        Places of the hinges in q and in qd.
-    constants : (n, 3) float
-        Stiffness, coordinate at rest, damping.
-    """
-
-    coordinates: Integers
-    freedoms: Integers
-    constants: Floats
-
-    def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
-        """Add the torques of the springs."""
-        energy: float = _wind(self.coordinates, self.freedoms, self.constants, q, torques)
-        return energy
-
-    def resist(self, frames: Frames, twists: Floats, qd: Floats, wrenches: Floats, torques: Floats) -> None:
-        """Add the torques of the dampers."""
-        _slow(self.freedoms, self.constants, qd, torques)
-
-
-@kernel
-def _wind(coordinates: Integers, freedoms: Integers, constants: Floats, q: Floats, torques: Floats) -> float:
-    energy = 0.0
-    for i in range(len(coordinates)):
-        turn = q[coordinates[i]] - constants[i, REST]
-        pull = constants[i, STIFFNESS] * turn
-        energy += 0.5 * pull * turn
-        torques[freedoms[i]] -= pull
-    return energy
-
-
-@kernel
-def _slow(freedoms: Integers, constants: Floats, qd: Floats, torques: Floats) -> None:
-    for i in range(len(freedoms)):
-        torques[freedoms[i]] -= constants[i, DAMPING] * qd[freedoms[i]]
 
 
 @kernel

@@ -3,8 +3,8 @@
 Knows nothing of proteins. Any consistent set of units will do.
 """
 
+from protochain.motion.events import Event, march
 from protochain.motion.leapfrog import Leapfrog
-from protochain.motion.march import Event, march
 from protochain.motion.midpoint import ImplicitMidpoint
 from protochain.motion.rosenbrock import Rosenbrock
 from protochain.motion.runge_kutta import DormandPrince, RungeKutta4
@@ -12,6 +12,7 @@ from protochain.motion.system import (
     Applied,
     Constraint,
     Drive,
+    Equations,
     Integrator,
     Load,
     Phase,
@@ -22,7 +23,7 @@ from protochain.motion.system import (
 )  # fmt: skip
 
 __all__ = [
-    "Applied", "Constraint", "DormandPrince", "Drive", "Event", "ImplicitMidpoint", "Integrator", "Leapfrog",
-    "Load", "Phase", "Potential", "Rosenbrock", "RungeKutta4", "StepTooLargeError", "System", "march",
-    "total",
+    "Applied", "Constraint", "DormandPrince", "Drive", "Equations", "Event", "ImplicitMidpoint", "Integrator",
+    "Leapfrog", "Load", "Phase", "Potential", "Rosenbrock", "RungeKutta4", "StepTooLargeError", "System",
+    "march", "total",
 ]  # fmt: skip

@@ -1,21 +1,21 @@
 """Systems of which some bodies bend, for the integrators that take any equations of motion."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from protochain.arrays import Floats, read_only
 from protochain.errors import MechanicsError
-from protochain.motion.system import Load, System
+from protochain.motion.system import Equations, Load
 from protochain.multibody import flexible_dynamics
 from protochain.multibody.flexible import Bent, Flexible, bend, elastic, integrate
 from protochain.multibody.rotations import displacement_rates
 
 
 @dataclass(frozen=True, eq=False)
-class BendingSystem(System):
+class BendingSystem(Equations):
     """Bodies of which some bend, in a potential beside their elastic energy, under loads.
 
     Coordinates and freedoms are those of :class:`~protochain.multibody.flexible.Flexible`. Potentials and
@@ -30,28 +30,20 @@ class BendingSystem(System):
     Raises
     ------
     MechanicsError
-        If they are on another tree, or a constraint is given.
+        If they are on another tree.
     """
 
-    bends: ClassVar[bool] = True
-
-    flexible: Flexible | None = None
+    flexible: Flexible = field(kw_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.flexible is None or self.flexible.tree is not self.tree or self.constraint is not None:
-            raise MechanicsError("give bodies that bend, on the tree of the system, and no constraint")
-
-    @property
-    def bodies(self) -> Flexible:
-        """The bodies."""
-        assert self.flexible is not None
-        return self.flexible
+        if self.flexible.tree is not self.tree:
+            raise MechanicsError("give bodies that bend, on the tree of the system")
 
     @property
     def n_v(self) -> int:
         """Number of freedoms."""
-        return self.bodies.n_v
+        return self.flexible.n_v
 
     @cached_property
     def units(self) -> Floats:
@@ -67,24 +59,24 @@ class BendingSystem(System):
     def _of_shapes(self) -> Floats:
         most = [
             np.maximum(np.abs(s.moves).max(axis=(0, 1)) / self.tree.size, np.abs(s.turns).max(axis=(0, 1)))
-            for s in self.bodies.shapes
+            for s in self.flexible.shapes
             if s is not None
         ]
         return 1.0 / np.concatenate([np.zeros(0), *most])
 
     def factors(self, q: Floats) -> Any:
         """Frames of all nodes at q (n_q,)."""
-        return bend(self.bodies, q)
+        return bend(self.flexible, q)
 
     def forces(self, time: float, q: Floats, qd: Floats, factors: Any) -> tuple[float, Floats, Floats | None]:
         """Potential and elastic energy; torques (n_v,) of these and the loads, and of each load alone."""
         potential, torque, loads = super().forces(time, q, qd, factors)
-        energy, bending = elastic(self.bodies, q)
+        energy, bending = elastic(self.flexible, q)
         return potential + energy, torque + bending, loads
 
     def momenta(self, factors: Any, qd: Floats) -> Floats:
         """Momenta (n_v,) of velocities."""
-        return flexible_dynamics.multiply_mass(self.bodies, factors, qd)
+        return flexible_dynamics.multiply_mass(self.flexible, factors, qd)
 
     def along(self, load: Load, time: float, q: Floats, qd: Floats, factors: Any) -> Floats:
         """Torques (n_v,) of a load."""
@@ -92,20 +84,20 @@ class BendingSystem(System):
         wrenches, torques = load.applied(time, q, qd, factors)
         out = np.zeros(self.n_v)
         if wrenches is not None:
-            out = flexible_dynamics.pull_back(self.bodies, bent, wrenches)
+            out = flexible_dynamics.pull_back(self.flexible, bent, wrenches)
         return out if torques is None else out + torques
 
     def forward_dynamics(self, q: Floats, qd: Floats, tau: Floats) -> Floats:
         """Accelerations (n_v,) under torques; of driven hinges those given in their place."""
-        return flexible_dynamics.forward_dynamics(self.bodies, q, qd, tau)
+        return flexible_dynamics.forward_dynamics(self.flexible, q, qd, tau)
 
     def inverse_dynamics(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """Torques (n_v,) of accelerations."""
-        return flexible_dynamics.inverse_dynamics(self.bodies, q, qd, qdd)
+        return flexible_dynamics.inverse_dynamics(self.flexible, q, qd, qdd)
 
     def integrate(self, q: Floats, move: Floats) -> Floats:
         """Coordinates (n_q,) after a displacement (n_v,)."""
-        return integrate(self.bodies, q, move)
+        return integrate(self.flexible, q, move)
 
     def displacement_rates(self, move: Floats, qd: Floats) -> Floats:
         """Rates (n_v,) of a displacement, for velocities at its end."""

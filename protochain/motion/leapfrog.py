@@ -19,12 +19,13 @@ from protochain.motion.correction import correct
 from protochain.motion.system import (
     Drift,
     Drifted,
+    Equations,
     Integrator,
     Phase,
     StepTooLargeError,
     System,
+    canonical,
     refuse_departure,
-    refuse_drive,
 )  # fmt: skip
 from protochain.multibody import Frames
 from protochain.multibody.algebra import add, cross, kernel, put_at, scale, subtract, vector_at
@@ -54,7 +55,7 @@ class Leapfrog(Integrator):
     reversible: ClassVar[bool] = True
     drift: Drift = field(default_factory=lambda: drift)
 
-    def step(self, system: System, at: Phase, time_step: float) -> Phase:
+    def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Kick for half a step, drift for a step, kick for half a step.
 
         Raises
@@ -64,8 +65,11 @@ class Leapfrog(Integrator):
         MechanicsError
             If a load depends on velocities, or hinges are driven.
         """
-        if system.loads or system.drive is not None or system.bends:
-            _refuse(system)
+        system = canonical(system, "leapfrog")
+        if system.depends_on_velocity:
+            raise MechanicsError(
+                "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
+            )
         kicked = system.kick(at, *self._drifted(system, at, time_step), time_step)
         if system.constraint is None:
             return kicked
@@ -74,8 +78,9 @@ class Leapfrog(Integrator):
         work = kicked.work + 0.5 * time_step * (there.power - kicked.power)
         return there if kicked.loads is None else replace(there, work=work)
 
-    def check_return(self, system: System, before: Phase, after: Phase, time_step: float) -> None:
+    def check_return(self, system: Equations, before: Phase, after: Phase, time_step: float) -> None:
         """Check that a step backwards ends where the step began, without an energy: its drift decides."""
+        system = canonical(system, "leapfrog")
         refuse_departure(system, self._drifted(system, after, -time_step)[0], before.q)
 
     def _drifted(self, system: System, at: Phase, time_step: float) -> Drifted:
@@ -84,15 +89,6 @@ class Leapfrog(Integrator):
         if system.constraint is None:
             return self.drift(at, kicked, time_step)
         return system.constraint.drift(self.drift, at, kicked, time_step)
-
-
-def _refuse(system: System) -> None:
-    """Raise if the leapfrog cannot take a system."""
-    refuse_drive(system, "leapfrog")
-    if system.depends_on_velocity:
-        raise MechanicsError(
-            "the leapfrog takes no loads that depend on velocities; take the midpoint rule or Rosenbrock"
-        )
 
 
 def drift(at: Phase, p: Floats, time_step: float) -> Drifted:

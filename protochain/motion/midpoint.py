@@ -12,7 +12,7 @@ from scipy.sparse.linalg import LinearOperator
 from protochain import multibody
 from protochain.arrays import Floats
 from protochain.motion.leapfrog import put_end_momenta
-from protochain.motion.system import Integrator, Phase, StepTooLargeError, System, refuse_drive
+from protochain.motion.system import Equations, Integrator, Phase, StepTooLargeError, canonical
 from protochain.multibody.articulated import Articulated, solve
 from protochain.multibody.hamilton import momenta
 
@@ -42,7 +42,7 @@ class ImplicitMidpoint(Integrator):
 
     tolerance: float = 1e-10
 
-    def step(self, system: System, at: Phase, time_step: float) -> Phase:
+    def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step.
 
         Raises
@@ -52,7 +52,7 @@ class ImplicitMidpoint(Integrator):
         MechanicsError
             If hinges are driven.
         """
-        refuse_drive(system, "midpoint rule")
+        system = canonical(system, "midpoint rule")
         tree, h = system.tree, time_step
 
         def middle(qd: Floats) -> tuple[Articulated, Floats, Floats | None]:

@@ -8,7 +8,7 @@ from scipy.linalg import lu_factor, lu_solve
 from protochain.arrays import Floats
 from protochain.errors import MechanicsError
 from protochain.motion.substeps import Tried, in_substeps
-from protochain.motion.system import NOTHING, Integrator, Phase, StepTooLargeError, System
+from protochain.motion.system import NOTHING, Equations, Integrator, Phase, StepTooLargeError
 
 GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
 """With it the method is L-stable: what is stiffer than the step resolves is damped at once."""
@@ -35,7 +35,7 @@ class Rosenbrock(Integrator):
 
     tolerance: float | None = None
 
-    def step(self, system: System, at: Phase, time_step: float) -> Phase:
+    def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step.
 
         Raises
@@ -58,7 +58,7 @@ class Rosenbrock(Integrator):
         return after
 
 
-def _advance(system: System, at: Phase, h: float) -> Tried:
+def _advance(system: Equations, at: Phase, h: float) -> Tried:
     n, driven = system.n_v, system.tree.driven_v
 
     def rates(time: float, move: Floats, qd: Floats) -> tuple[Floats, Floats, Floats]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.motion.substeps import Tried, in_substeps
-from protochain.motion.system import Integrator, Phase, System
+from protochain.motion.system import Equations, Integrator, Phase
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class RungeKutta4(Integrator):
     quaternions keep unit length.
     """
 
-    def step(self, system: System, at: Phase, time_step: float) -> Phase:
+    def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step, with four evaluations of the potential."""
         return _advance(CLASSICAL, system, at, time_step)[0]
 
@@ -80,7 +80,7 @@ class DormandPrince(Integrator):
 
     tolerance: float = 1e-8
 
-    def step(self, system: System, at: Phase, time_step: float) -> Phase:
+    def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step, in as many substeps as the tolerance requires.
 
         Raises
@@ -95,7 +95,7 @@ class DormandPrince(Integrator):
         return in_substeps(substep, system, at, time_step, self.tolerance, order=5)
 
 
-def _advance(tableau: Tableau, system: System, at: Phase, h: float) -> Tried:
+def _advance(tableau: Tableau, system: Equations, at: Phase, h: float) -> Tried:
     """Phase after one step, and estimates of the errors of its coordinates and velocities."""
     a, b, wrong = (h * np.array(weights) for weights in (tableau.a, tableau.b, tableau.error))
     slopes, accelerations = np.zeros((len(b), system.n_v)), np.zeros((len(b), system.n_v))

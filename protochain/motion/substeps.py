@@ -6,7 +6,7 @@ import numpy as np
 
 from protochain.arrays import Floats
 from protochain.errors import MechanicsError
-from protochain.motion.system import Phase, StepTooLargeError, System
+from protochain.motion.system import Equations, Phase, StepTooLargeError
 
 Tried = tuple[Phase, Floats, Floats]
 """Phase after a substep, and estimates of the errors of its displacement and velocities, (n_v,) each."""
@@ -18,7 +18,7 @@ _MOST = 100_000
 
 def in_substeps(
     substep: Callable[[Phase, float], Tried],
-    system: System,
+    system: Equations,
     at: Phase,
     time_step: float,
     tolerance: float,
@@ -30,7 +30,7 @@ def in_substeps(
     ----------
     substep : callable
         Phase and length of a substep -> :data:`Tried`.
-    system : System
+    system : Equations
         Rigid bodies, potential and loads.
     at : Phase
         Phase at the start.

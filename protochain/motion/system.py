@@ -150,14 +150,14 @@ class Integrator(Protocol):
     reversible: ClassVar[bool] = False
     """Whether steps are time-reversible and preserve phase-space volume."""
 
-    def init(self, system: "System", q: Floats, qd: Floats) -> Phase:
+    def init(self, system: "Equations", q: Floats, qd: Floats) -> Phase:
         """Return the phase at q (n_q,) with velocities qd (n_v,)."""
         return system.at(q, qd)
 
-    def step(self, system: "System", at: Phase, time_step: float) -> Phase:
+    def step(self, system: "Equations", at: Phase, time_step: float) -> Phase:
         """Return the phase one time step later; a negative step runs backwards."""
 
-    def check_return(self, system: "System", before: Phase, after: Phase, time_step: float) -> None:
+    def check_return(self, system: "Equations", before: Phase, after: Phase, time_step: float) -> None:
         """Check that a step from ``after`` backwards ends where the step to it began.
 
         Raises
@@ -168,7 +168,7 @@ class Integrator(Protocol):
         refuse_departure(system, self.step(system, after, -time_step).q, before.q)
 
 
-def refuse_departure(system: "System", found: Floats, wanted: Floats) -> None:
+def refuse_departure(system: "Equations", found: Floats, wanted: Floats) -> None:
     """Raise if a step back has found other coordinates than those where the step began.
 
     Raises
@@ -181,8 +181,11 @@ def refuse_departure(system: "System", found: Floats, wanted: Floats) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class System:
-    """Forest of rigid bodies in a potential, under loads.
+class Equations:
+    """Equations of motion of a tree in a potential, under loads: accelerations, of any state.
+
+    Runge-Kutta and Rosenbrock methods take any of them. These are of rigid bodies; others override what they
+    do in another way.
 
     Parameters
     ----------
@@ -190,8 +193,6 @@ class System:
         Rigid bodies.
     potential : callable
         Energy and torques at q.
-    constraint : Constraint, optional
-        Constraint for the leapfrog; other integrators ignore it.
     loads : tuple of Load
         Forces that no potential gives.
     drive : callable, optional
@@ -204,14 +205,10 @@ class System:
         If the tree has driven hinges and there is no drive, or the other way round.
     """
 
-    bends: ClassVar[bool] = False
-    """Whether bodies may bend."""
-
     tree: Tree
     potential: Potential
-    constraint: Constraint | None = None
-    loads: tuple[Load, ...] = ()
-    drive: Drive | None = None
+    loads: tuple[Load, ...] = field(default=(), kw_only=True)
+    drive: Drive | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         if (self.drive is None) != (self.tree.driven is None):
@@ -278,23 +275,6 @@ class System:
             )
         return q, qd, qdd
 
-    def kick(self, before: Phase, q: Floats, p: Floats, factors: Articulated, time_step: float) -> Phase:
-        """Return the phase a step after ``before``, at q (n_q,), p (n_v,) kicked there for half the step."""
-        time = before.time + time_step
-        # A load that depends on velocities is refused before, so that any will do here.
-        potential, torque, loads = self.forces(time, q, before.qd, factors)
-        p = p + 0.5 * time_step * torque
-        at = Phase(q, solve(factors, p), p, potential, torque, factors, time, before.work, loads)
-        if loads is None:
-            return at
-        return replace(at, work=before.work + 0.5 * time_step * (before.power + at.power))
-
-    def arrive(self, q: Floats, p: Floats, factors: Articulated, time: float, work: Floats) -> Phase:
-        """Return the phase at q (n_q,) with momenta p (n_v,)."""
-        qd = solve(factors, p)
-        potential, torque, loads = self.forces(time, q, qd, factors)
-        return Phase(q, qd, p, potential, torque, factors, time, work, loads)
-
     def at_time(self, at: Phase, time: float) -> Phase:
         """Return the phase at a time that differs from its own by rounding."""
         if self.drive is None or time == at.time:
@@ -302,16 +282,10 @@ class System:
         return self.at(at.q, at.qd, time, at.work)
 
     def with_velocities(self, at: Phase, qd: Floats) -> Phase:
-        """Return the phase with other velocities, on the constraint; driven hinges keep theirs."""
-        p = self.momenta(at.factors, qd)
-        if self.constraint is not None:
-            qd = self.constraint.project_velocities(at.factors, p)
-            p = self.momenta(at.factors, qd)
+        """Return the phase with other velocities; driven hinges keep theirs."""
         if self.depends_on_velocity or self.drive is not None:
             return self.at(at.q, qd, at.time, at.work)
-        return replace(at, qd=qd, p=p)
-
-    # What bodies that bend do in another way, see ``motion.bending``:
+        return replace(at, qd=qd, p=self.momenta(at.factors, qd))
 
     @property
     def n_v(self) -> int:
@@ -357,6 +331,44 @@ class System:
         return displacement_rates(self.tree, move, qd)
 
 
+@dataclass(frozen=True, eq=False)
+class System(Equations):
+    """Forest of rigid bodies, whose velocities are M^-1 times their momenta: it can be kicked and drift.
+
+    The leapfrog and the midpoint rule take no other.
+
+    Parameters
+    ----------
+    constraint : Constraint, optional
+        Constraint for the leapfrog; other integrators ignore it.
+    """
+
+    constraint: Constraint | None = None
+
+    def with_velocities(self, at: Phase, qd: Floats) -> Phase:
+        """Return the phase with other velocities, on the constraint; driven hinges keep theirs."""
+        if self.constraint is not None:
+            qd = self.constraint.project_velocities(at.factors, self.momenta(at.factors, qd))
+        return super().with_velocities(at, qd)
+
+    def kick(self, before: Phase, q: Floats, p: Floats, factors: Articulated, time_step: float) -> Phase:
+        """Return the phase a step after ``before``, at q (n_q,), p (n_v,) kicked there for half the step."""
+        time = before.time + time_step
+        # A load that depends on velocities is refused before, so that any will do here.
+        potential, torque, loads = self.forces(time, q, before.qd, factors)
+        p = p + 0.5 * time_step * torque
+        at = Phase(q, solve(factors, p), p, potential, torque, factors, time, before.work, loads)
+        if loads is None:
+            return at
+        return replace(at, work=before.work + 0.5 * time_step * (before.power + at.power))
+
+    def arrive(self, q: Floats, p: Floats, factors: Articulated, time: float, work: Floats) -> Phase:
+        """Return the phase at q (n_q,) with momenta p (n_v,)."""
+        qd = solve(factors, p)
+        potential, torque, loads = self.forces(time, q, qd, factors)
+        return Phase(q, qd, p, potential, torque, factors, time, work, loads)
+
+
 def total(parts: list[Potential]) -> Potential:
     """Sum of potentials.
 
@@ -378,19 +390,17 @@ def total(parts: list[Potential]) -> Potential:
     return potential
 
 
-def refuse_drive(system: System, name: str) -> None:
-    """Raise if hinges are driven or bodies bend, for an integrator that moves by momenta of rigid bodies.
+def canonical(equations: Equations, name: str) -> System:
+    """Return them, for an integrator that moves by momenta of rigid bodies.
 
     Raises
     ------
     MechanicsError
-        If any is, or does.
+        If they have no such momenta, as of bodies that bend, or hinges are driven.
     """
-    if system.bends:
-        raise MechanicsError(
-            f"the {name} takes no bodies that bend; take Runge-Kutta, Dormand-Prince or Rosenbrock"
-        )
-    if system.drive is not None:
-        raise MechanicsError(
-            f"the {name} takes no driven hinges; take Runge-Kutta, Dormand-Prince or Rosenbrock"
-        )
+    remedy = "take Runge-Kutta, Dormand-Prince or Rosenbrock"
+    if not isinstance(equations, System):
+        raise MechanicsError(f"the {name} takes no bodies that bend; {remedy}")
+    if equations.drive is not None:
+        raise MechanicsError(f"the {name} takes no driven hinges; {remedy}")
+    return equations

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.arrays import Floats, Integers, floats, frozen
-from protochain.errors import MechanicsError
+from protochain.errors import BodyError
 from protochain.multibody.algebra import (
     MASSLESS,
     ZERO,
@@ -227,14 +227,12 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
 def refuse_singular(failed: int, pose: Floats) -> None:
     """Raise MechanicsError if a sweep returned a body rather than -1; ``pose`` is q, or the rotations."""
     if failed >= 0 and not np.isfinite(pose).all():
-        raise MechanicsError(
-            f"body {failed}: its place is no number; if it was one before, the motion has diverged: take "
-            "shorter steps"
+        raise BodyError(
+            failed,
+            "its place is no number; if it was one before, the motion has diverged: take shorter steps",
         )
     if failed >= 0:
-        raise MechanicsError(
-            f"body {failed}: its hinge has no inertia at this pose, so accelerations are undefined"
-        )
+        raise BodyError(failed, "its hinge has no inertia at this pose, so accelerations are undefined")
 
 
 @kernel

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.arrays import Floats, Integers, floats, frozen, read_only
-from protochain.errors import MechanicsError
+from protochain.errors import BodyError
 from protochain.multibody.algebra import (
     Vector,
     add,
@@ -92,9 +92,10 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
     n = tree.n_bodies
     thin = _thinness(tree) <= TOO_THIN
     if np.any(thin):
-        raise MechanicsError(
-            f"body {np.argmax(thin)}: a point or a line has no inverse inertia, and what is nearly one none "
-            "of use; share the mass of an atom on its hinge's axis with it, or use method articulated"
+        raise BodyError(
+            int(np.argmax(thin)),
+            "a point or a line has no inverse inertia, and what is nearly one none "
+            "of use; share the mass of an atom on its hinge's axis with it, or use method articulated",
         )
     inverse = _inverse_inertias(tree, frames)
     factor, gain, n_hard = np.empty((n, 6, 6)), np.empty((n, 6, 6)), 6 - np.diff(tree.locked_links[:, V])
@@ -102,7 +103,7 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
         tree.links, n_hard, tree.bodies, frames.rotation, frames.origin, inverse.copy(), factor, gain
     )
     if failed >= 0:
-        raise MechanicsError(f"body {failed}: its hinge's block of H is singular to round-off")
+        raise BodyError(failed, "its hinge's block of H is singular to round-off")
     return Eliminated(
         tree, frames, frozen(inverse), frozen(factor), frozen(gain), read_only(n_hard, np.int64)
     )

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from protochain.arrays import Floats, Integers, Value, floats, frozen, read_only
-from protochain.errors import MechanicsError
+from protochain.errors import BodyError, MechanicsError
 from protochain.multibody.flexible_kernels import put_frames
 from protochain.multibody.kinematics import integrate as integrate_rigid
 from protochain.multibody.tree import Tree
@@ -103,7 +103,7 @@ class Flexible(Value):
         for b, (p, at) in enumerate(zip(self.tree.parent, self.section, strict=True)):
             carrier = self.shapes[p] if p >= 0 else None
             if not -1 <= at < (len(carrier.place) if carrier else 0):
-                raise MechanicsError(f"body {b}: its parent has no section {at} to ride on")
+                raise BodyError(b, f"its parent has no section {at} to ride on")
 
     @cached_property
     def shape_start(self) -> Integers:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.arrays import Floats, floats
-from protochain.errors import MechanicsError
+from protochain.errors import BodyError
 from protochain.multibody.flexible import Bent, Flexible, bend
 from protochain.multibody.flexible_kernels import (
     put_changes,
@@ -157,9 +157,9 @@ def solve(flexible: Flexible, bent: Bent, tau: Floats) -> Floats:
         flexible.links, flexible.seats, mass, inertia, bent.rotation, bent.origin, bent.columns, x
     )
     if failed >= 0:
-        raise MechanicsError(
-            f"body {failed}: its hinge or one of its shapes has no inertia at this pose, so accelerations "
-            "are undefined"
+        raise BodyError(
+            failed,
+            "its hinge or one of its shapes has no inertia at this pose, so accelerations are undefined",
         )
     return x
 

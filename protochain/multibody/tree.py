@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.arrays import Floats, Integers, Value, read_only
-from protochain.errors import MechanicsError
+from protochain.errors import BodyError, MechanicsError
 
 PARENT, Q, V = range(3)
 """Columns of :attr:`Tree.links`."""
@@ -93,7 +93,7 @@ class Tree(Value):
             if array.shape != shape:
                 raise MechanicsError(f"{name} of a tree of {n} bodies has shape {array.shape}, not {shape}")
             if not np.all(np.isfinite(array)):
-                raise MechanicsError(f"body {_first(~np.isfinite(array))}: its {name} is not finite")
+                raise BodyError(_first(~np.isfinite(array)), f"its {name} is not finite")
             object.__setattr__(self, name, array)
         _check_topology(self)
         object.__setattr__(self, "driven", _driven(self))
@@ -278,17 +278,17 @@ def _check_topology(tree: Tree) -> None:
     late = (tree.parent >= np.arange(n)) | (tree.parent < -1)
     if np.any(late):
         b = _first(late)
-        raise MechanicsError(f"body {b}: its parent {tree.parent[b]} must come before it")
+        raise BodyError(b, f"its parent {tree.parent[b]} must come before it")
     strange = ~np.isin(tree.kind, list(HingeKind))
     if np.any(strange):
         b = _first(strange)
-        raise MechanicsError(f"body {b}: {tree.kind[b]} is not a kind of hinge")
+        raise BodyError(b, f"{tree.kind[b]} is not a kind of hinge")
     free = tree.kind == HingeKind.FREE
     wrong = free & ((tree.parent >= 0) | np.any(tree.placement != np.eye(3), axis=(1, 2)))
     if np.any(wrong):
-        raise MechanicsError(
-            f"body {_first(wrong)}: only a root can be free, and then without a placement: "
-            "its coordinates are the world's"
+        raise BodyError(
+            _first(wrong),
+            "only a root can be free, and then without a placement: its coordinates are the world's",
         )
 
 
@@ -304,8 +304,8 @@ def _driven(tree: Tree) -> NDArray[np.bool_] | None:
     wrong = driven & (np.diff(tree.v_start) != 1)
     if np.any(wrong):
         b = _first(wrong)
-        raise MechanicsError(
-            f"body {b}: only a hinge of one freedom can be driven, not a {HingeKind(tree.kind[b]).name} one"
+        raise BodyError(
+            b, f"only a hinge of one freedom can be driven, not a {HingeKind(tree.kind[b]).name} one"
         )
     return read_only(driven, np.bool_) if np.any(driven) else None
 
@@ -314,16 +314,16 @@ def _check_geometry(tree: Tree) -> None:
     product = tree.placement @ tree.placement.swapaxes(1, 2)
     skew = np.any(np.abs(product - np.eye(3)) > 1e-9, axis=(1, 2)) | (np.linalg.det(tree.placement) < 0)
     if np.any(skew):
-        raise MechanicsError(f"body {_first(skew)}: its placement is not a rotation")
+        raise BodyError(_first(skew), "its placement is not a rotation")
 
 
 def _check_inertia(tree: Tree) -> None:
     if np.any(tree.mass < 0):
         b = _first(tree.mass < 0)
-        raise MechanicsError(f"body {b}: its mass {tree.mass[b]:g} must not be negative")
+        raise BodyError(b, f"its mass {tree.mass[b]:g} must not be negative")
     ghost = (tree.mass == 0) & np.any(tree.inertia != 0.0, axis=(1, 2))
     if np.any(ghost):
-        raise MechanicsError(f"body {_first(ghost)}: it has inertia but no mass")
+        raise BodyError(_first(ghost), "it has inertia but no mass")
     size = np.trace(tree.inertia, axis1=1, axis2=2)
     skew = np.any(
         np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)) > 1e-9 * size[:, None, None], axis=(1, 2)
@@ -332,19 +332,20 @@ def _check_inertia(tree: Tree) -> None:
     # No distribution of mass has a moment that exceeds the sum of the other two.
     wrong = skew | (moments[:, 2] - moments[:, 1] - moments[:, 0] > 1e-9 * size) | (moments[:, 2] < 0)
     if np.any(wrong):
-        raise MechanicsError(f"body {_first(wrong)}: its inertia is not that of any rigid body")
+        raise BodyError(_first(wrong), "its inertia is not that of any rigid body")
     moves = (np.diff(tree.v_start) > 0) & ~tree._is_driven
     idle = moves & _carries_nothing(tree)
     if np.any(idle):
-        raise MechanicsError(
-            f"body {_first(idle)}: neither it nor any body beyond it has mass, so nothing resists its hinge; "
-            "give it mass, or make the hinge FIXED or driven"
+        raise BodyError(
+            _first(idle),
+            "neither it nor any body beyond it has mass, so nothing resists its hinge; "
+            "give it mass, or make the hinge FIXED or driven",
         )
     phantom = moves & _turns_nothing(tree)
     if np.any(phantom):
-        raise MechanicsError(
-            f"body {_first(phantom)}: all mass beyond its hinge lies on the hinge's axis, so it has no "
-            "inertia; make the hinge FIXED"
+        raise BodyError(
+            _first(phantom),
+            "all mass beyond its hinge lies on the hinge's axis, so it has no inertia; make the hinge FIXED",
         )
 
 

@@ -39,8 +39,8 @@ class Anchors:
 NO_ANCHORS = Anchors(np.empty((0, 2), np.int64), np.empty((0, 6)))
 
 
-class Pressing:
-    """A contact in a mechanism. What changes in a run is the anchors, after each of its steps.
+class ContactForces:
+    """Forces of a contact in a mechanism. What changes in a run is the anchors, after each of its steps.
 
     Parameters
     ----------
@@ -99,15 +99,9 @@ class Pressing:
         if len(self.anchors.pair):
             arms, ends = self.anchors.arms, touches.ends
             _stretch(
-                frames.rotation,
-                frames.origin,
-                touches.pair,
-                ends,
-                touches.normal,
-                self.anchors.pair,
-                arms,
+                frames.rotation, frames.origin, touches.pair, ends, touches.normal, self.anchors.pair, arms,
                 apart,
-            )
+            )  # fmt: skip
         return apart
 
     def begin(self, start: Phase) -> None:

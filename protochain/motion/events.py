@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from scipy.optimize import brentq
 
 from protochain.errors import MechanicsError
-from protochain.motion.system import Integrator, Phase, System
+from protochain.motion.system import Equations, Integrator, Phase
 
 _SAME_TIME = 1e-12
 """Error of the time of an event, relative to the time step."""
@@ -26,19 +27,19 @@ class Event:
         Phase -> float: positive before the event.
     jump : callable
         System, phase -> phase from which the motion goes on, at the same time: with other velocities by
-        :meth:`System.with_velocities`.
+        :meth:`Equations.with_velocities`.
     passes : bool
         Whether the motion goes on below zero, as past a mark. Otherwise the value must rise again.
     """
 
     name: str
     value: Callable[[Phase], float]
-    jump: Callable[[System, Phase], Phase]
+    jump: Callable[[Any, Phase], Phase]
     passes: bool = False
 
 
 def march(
-    system: System,
+    system: Equations,
     integrator: Integrator,
     at: Phase,
     until: float,
@@ -49,7 +50,7 @@ def march(
 
     Parameters
     ----------
-    system : System
+    system : Equations
         Rigid bodies, potential and loads.
     integrator : Integrator
         Integrator of the equations of motion.
@@ -104,7 +105,7 @@ def march(
 
 
 def _past(
-    system: System, integrator: Integrator, at: Phase, h: float, fired: tuple[Event, ...]
+    system: Equations, integrator: Integrator, at: Phase, h: float, fired: tuple[Event, ...]
 ) -> tuple[float, Phase]:
     """Take the longest of the steps h, h/2, h/4 ... after which events just past have risen above zero."""
     length = h
@@ -121,7 +122,7 @@ def _past(
 
 
 def _moment(
-    system: System, integrator: Integrator, at: Phase, h: float, event: Event, time_step: float
+    system: Equations, integrator: Integrator, at: Phase, h: float, event: Event, time_step: float
 ) -> float:
     """Length of the step at whose end the value is zero."""
 

@@ -1,0 +1,54 @@
+"""Arguments of elements, converted or refused in one line that names the element and the remedy."""
+
+from typing import Any
+
+import numpy as np
+
+from protochain.arrays import Floats
+from protochain.checks import shown
+from protochain.errors import MechanicsError
+
+_KINDS = {
+    (): "a number",
+    (2,): "two numbers",
+    (3,): "three numbers, as (0, 0, 1)",
+    (6,): "six numbers",
+    (3, 3): "a matrix of 3x3",
+}
+
+
+def numbers(value: Any, shape: tuple[int, ...], said: str) -> Floats:
+    """Return finite numbers of a shape; ``said`` begins the message, as ``spring "s": its stiffness``."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    if array.shape != shape or not np.all(np.isfinite(array)) or isinstance(value, bool):
+        raise MechanicsError(f"{said} {shown(value)}: give {_KINDS[shape]}, finite")
+    return array
+
+
+def number(value: Any, said: str) -> float:
+    """Return a finite number."""
+    return float(numbers(value, (), said))
+
+
+def not_negative(value: Any, said: str, shape: tuple[int, ...] = ()) -> Floats:
+    """Return finite numbers, none of them below zero; one number stands for all."""
+    array = numbers(np.full(shape, value) if np.ndim(value) == 0 and shape else value, shape, said)
+    if np.any(array < 0.0):
+        raise MechanicsError(
+            f"{said} {shown(value)}: give none below zero, which would make energy of nothing"
+        )
+    return array
+
+
+def direction(value: Any, said: str) -> Floats:
+    """Return a vector of length one, (3,)."""
+    vector = numbers(value, (3,), said)
+    # Divided first, so that tiny and huge ones keep their digits.
+    largest = float(np.max(np.abs(vector)))
+    if largest == 0.0:
+        raise MechanicsError(f"{said} has length zero: give a direction, as (0, 0, 1)")
+    vector = vector / largest
+    return np.asarray(vector / np.linalg.norm(vector))

@@ -1,0 +1,92 @@
+"""Hinges whose motion is prescribed."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from protochain.arrays import Floats
+from protochain.checks import shown
+from protochain.errors import MechanicsError
+from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.elements import Named
+from protochain.motion import Drive
+
+
+@dataclass(frozen=True, eq=False)
+class Driven(Named):
+    """Prescribed motion of a hinge.
+
+    Parameters
+    ----------
+    name : str
+        Name of the hinge.
+    motion : callable
+        Time -> coordinate, rate, acceleration.
+
+    Raises
+    ------
+    MechanicsError
+        If the hinge is driven already.
+    """
+
+    called: ClassVar[str] = "drive of hinge"
+
+    motion: Callable[[float], tuple[float, float, float]]
+
+    def at(self, time: float) -> tuple[float, float, float]:
+        """Coordinate, rate and acceleration at a time.
+
+        Raises
+        ------
+        MechanicsError
+            If they are not three finite numbers.
+        """
+        found = self.motion(time)
+        try:
+            q, qd, qdd = (float(value) for value in found)
+        except (TypeError, ValueError):
+            q = qd = qdd = np.nan
+        if not np.isfinite(q + qd + qdd):
+            raise MechanicsError(
+                f"{self.said}: at time {time:g} it gives {shown(found)}; "
+                "give coordinate, rate and acceleration, finite"
+            )
+        return q, qd, qdd
+
+
+def drive_of(bodies: Bodies, drives: Sequence[Driven]) -> Drive:
+    """All drives as one, in the order of the tree."""
+    ordered = sorted(drives, key=lambda each: bodies.hinge(each.name))
+
+    def drive(time: float) -> tuple[Floats, Floats, Floats]:
+        q, qd, qdd = np.array([each.at(time) for each in ordered]).T
+        return q, qd, qdd
+
+    return drive
+
+
+def check_drive(bodies: Bodies, drive: Drive, time: float, nudge: float) -> None:
+    """Raise if a drive's rates and accelerations are not the derivatives of its coordinates and rates.
+
+    Raises
+    ------
+    MechanicsError
+        If they are not; the message names the hinge.
+    """
+    tree = bodies.tree
+    before, at, after = (np.array(drive(t)) for t in (time - nudge, time, time + nudge))
+    change = (after[:2] - before[:2]) / (2.0 * nudge)
+    # A hundredth, and what the differences are rounded by: a start from rest cancels terms of order one.
+    rounded = (1e-12 * np.abs(at[:2]) + 1e-13 * tree.units[tree.driven_v]) / nudge
+    allowed = 0.01 * np.maximum(np.abs(change), np.abs(at[1:])) + rounded
+    if np.any(np.abs(change - at[1:]) > allowed):
+        of, k = (int(i) for i in np.argwhere(np.abs(change - at[1:]) > allowed)[0])
+        driven = [hinge for hinge, b in bodies.hinges.items() if tree.v_start[b] in tree.driven_v]
+        name = sorted(driven, key=bodies.hinge)[k]
+        what, rate = ("coordinate", "rate") if of == 0 else ("rate", "acceleration")
+        raise MechanicsError(
+            f'drive of hinge "{name}": at time {time:g} its {what} changes by {change[of, k]:g} per time, '
+            f"but its {rate} is {at[of + 1, k]:g}; give the derivative"
+        )

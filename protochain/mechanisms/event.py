@@ -1,0 +1,88 @@
+"""Events of a mechanism: what happens when a value of its state falls through zero."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from protochain import motion
+from protochain.errors import MechanicsError
+from protochain.mechanisms.bodies import State
+from protochain.mechanisms.elements import Named
+from protochain.motion import Equations, Phase
+
+
+class Happened(NamedTuple):
+    """An event that has happened.
+
+    Parameters
+    ----------
+    time : float
+        When.
+    name : str
+        Its name.
+    energy : float
+        Kinetic energy that its jump gave, negative if it took some.
+    """
+
+    time: float
+    name: str
+    energy: float
+
+
+@dataclass(frozen=True, eq=False)
+class Event(Named):
+    """Something that happens when a value falls through zero.
+
+    Parameters
+    ----------
+    name : str
+        Name.
+    value : callable
+        :class:`State` -> float, positive before the event.
+    jump : callable
+        :class:`State` -> velocities (n_v,) from which the motion goes on, or None if it goes on as it was.
+    passes : bool
+        Whether the motion goes on below zero, as past a mark; otherwise the value must rise again.
+
+    Raises
+    ------
+    MechanicsError
+        If the name is taken, or one is no function.
+    """
+
+    called: ClassVar[str] = "event"
+
+    value: Callable[..., float]
+    jump: Callable[..., Any]
+    passes: bool = False
+
+    def __post_init__(self) -> None:
+        for what in ("value", "jump"):
+            if not callable(getattr(self, what)):
+                raise MechanicsError(f"{self.said}: its {what} must be a function of the state")
+
+    def watched(self, state_of: Callable[[Phase], State], happened: list[Happened]) -> motion.Event:
+        """Return it for :func:`protochain.motion.march`; when it happens, it is added to the list."""
+
+        def value(at: Phase) -> float:
+            found = float(self.value(state_of(at)))
+            if np.isnan(found):
+                raise MechanicsError(f"{self.said}: its value is not a number at time {at.time:g}")
+            return found
+
+        def jump(system: Equations, at: Phase) -> Phase:
+            qd = self.jump(state_of(at))
+            after = at
+            if qd is not None:
+                qd = np.array(qd, dtype=float)
+                if qd.shape != (system.n_v,) or not np.all(np.isfinite(qd)):
+                    raise MechanicsError(
+                        f"{self.said}: its jump must give {system.n_v} finite velocities, or None to go on"
+                    )
+                after = system.with_velocities(at, qd)
+            happened.append(Happened(at.time, self.name, after.kinetic - at.kinetic))
+            return after
+
+        return motion.Event(self.name, value, jump, self.passes)

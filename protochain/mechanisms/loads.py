@@ -1,0 +1,161 @@
+"""Forces and moments on bodies, and torques at hinges: constants, or functions of time and state."""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from protochain.arrays import Floats, read_only
+from protochain.errors import MechanicsError
+from protochain.mechanisms.bodies import Bodies, State
+from protochain.mechanisms.checks import number, numbers
+from protochain.mechanisms.elements import Acting, Named
+from protochain.motion import Applied, Load
+from protochain.multibody import Frames
+
+
+@dataclass(frozen=True, eq=False)
+class AppliedForce(Named):
+    """Force at a point of a body, a moment, or both.
+
+    Parameters
+    ----------
+    name, body : str
+        Name, and that of the body.
+    at : (3,) array_like
+        Point of the body at which the force acts.
+    force, moment : (3,) array_like or callable, optional
+        Along world axes; or a function of the time, or of the time and the :class:`State`, that returns it.
+
+    Raises
+    ------
+    MechanicsError
+        If the name is taken, or nothing acts.
+    """
+
+    called: ClassVar[str] = "load"
+
+    body: str
+    at: ArrayLike = (0.0, 0.0, 0.0)
+    force: Any = None
+    moment: Any = None
+
+    def __post_init__(self) -> None:
+        if self.force is None and self.moment is None:
+            raise MechanicsError(f"{self.said}: nothing acts; give a force or a moment")
+        self.fix(
+            at=numbers(self.at, (3,), f"{self.said}: its point"),
+            force=_law(self.force, (3,), f"{self.said}: its force"),
+            moment=_law(self.moment, (3,), f"{self.said}: its moment"),
+        )
+
+    def bind(self, bodies: Bodies) -> Acting:
+        """Return it as a load.
+
+        Raises
+        ------
+        MechanicsError
+            If the body is not there, or the world.
+        """
+        b, said = bodies.number(self.body, self.said), f"{self.said}: its"
+        if b < 0:
+            raise MechanicsError(f"{self.said}: the world does not move; name a body")
+        point = bodies.inside(b, self.at)
+        force, by_force = _of_state(self.force)
+        moment, by_moment = _of_state(self.moment)
+
+        def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
+            def state() -> State:
+                return State(bodies, time, q, qd, frames)
+
+            wrenches = np.zeros((bodies.tree.n_bodies, 6))
+            if self.force is not None:
+                fx, fy, fz = numbers(force(time, state), (3,), f"{said} force").tolist()
+                x, y, z = (frames.rotation[b] @ point).tolist()
+                wrenches[b] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx, fx, fy, fz
+            if self.moment is not None:
+                wrenches[b, :3] += numbers(moment(time, state), (3,), f"{said} moment")
+            return Applied(wrenches)
+
+        return Acting(load=Load(applied, by_force or by_moment))
+
+
+@dataclass(frozen=True, eq=False)
+class HingeTorque(Named):
+    """Torque at a hinge, between parent and child; a force at a slide.
+
+    Parameters
+    ----------
+    name, hinge : str
+        Name, and that of the hinge.
+    value : float or callable
+        Torque, or a function of the time, or of the time and the :class:`State`, that returns it.
+
+    Raises
+    ------
+    MechanicsError
+        If the name is taken.
+    """
+
+    called: ClassVar[str] = "torque"
+
+    hinge: str
+    value: Any
+
+    def __post_init__(self) -> None:
+        self.fix(value=_law(self.value, (), f"{self.said}: its value"))
+
+    def bind(self, bodies: Bodies) -> Acting:
+        """Return it as a load.
+
+        Raises
+        ------
+        MechanicsError
+            If there is no such hinge, or it is fixed.
+        """
+        freedom = bodies.freedom(self.hinge, self.said)[1]
+        value, by_state = _of_state(self.value)
+
+        def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
+            torques = np.zeros(bodies.tree.n_v)
+            found = value(time, lambda: State(bodies, time, q, qd, frames))
+            torques[freedom] = number(found, f"{self.said}: its value")
+            return Applied(torques=torques)
+
+        return Acting(load=Load(applied, by_state), inside=True)
+
+
+def _law(value: Any, shape: tuple[int, ...], said: str) -> Any:
+    """Constants as checked numbers of a shape; a function, or None, as it is."""
+    if value is None or (callable(value) and _n_parameters(value)):
+        return value
+    if callable(value):
+        raise MechanicsError(f"{said}: give a callable of t, or of t and state")
+    return read_only(numbers(value, shape, said))
+
+
+def _of_state(value: Any) -> tuple[Callable[..., Any], bool]:
+    """A function of time and a maker of states, and whether it may depend on velocities."""
+    if not callable(value):
+        return (lambda time, state: value), False
+    if _n_parameters(value) == 1:
+        return (lambda time, state: value(time)), False
+    return (lambda time, state: value(time, state())), True
+
+
+def _n_parameters(value: Callable[..., Any]) -> int:
+    """How many arguments a callable takes: two or, if it cannot, one, or none of these."""
+    try:
+        signature = inspect.signature(value)
+    except (TypeError, ValueError):  # Some callables that are not of Python have no signature.
+        return 1
+    for n in (2, 1):
+        try:
+            signature.bind(*[None] * n)
+        except TypeError:
+            continue
+        return n
+    return 0

@@ -1,0 +1,106 @@
+"""Springs and dampers on hinges."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from protochain.arrays import Floats, Integers, read_only
+from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.checks import number
+from protochain.mechanisms.elements import Acting, Named, Rows
+from protochain.mechanisms.springs import DAMPING, REST, STIFFNESS, constants
+from protochain.multibody import Frames
+from protochain.multibody.algebra import kernel
+
+
+@dataclass(frozen=True, eq=False)
+class Torsion(Named):
+    """Spring, damper, or both, on a hinge: on its angle, or its slide; energy k (q - rest)^2 / 2.
+
+    Parameters
+    ----------
+    name, hinge : str
+        Name, and that of the hinge.
+    stiffness, damping : float
+        Torque per radian (force per length), and per rate.
+    rest : float, optional
+        Coordinate without torque; None is the coordinate as built.
+
+    Raises
+    ------
+    MechanicsError
+        If the name is taken, or a constant negative.
+    """
+
+    called: ClassVar[str] = "torsion"
+
+    hinge: str
+    stiffness: float = 0.0
+    rest: float | None = 0.0
+    damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.fix(**constants(self.stiffness, self.damping, self))
+        if self.rest is not None:
+            self.fix(rest=number(self.rest, f"{self.said}: its rest"))
+
+    def bind(self, bodies: Bodies) -> Acting:
+        """Return its torques.
+
+        Raises
+        ------
+        MechanicsError
+            If there is no such hinge, or it is fixed.
+        """
+        place, freedom = bodies.freedom(self.hinge, self.said)
+        rest = bodies.q[place] if self.rest is None else self.rest
+        row = Torsions(
+            read_only([place], np.int64),
+            read_only([freedom], np.int64),
+            read_only([(self.stiffness, rest, self.damping)]),
+        )
+        return Acting(row if self.stiffness else None, damping=row if self.damping else None, inside=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Torsions(Rows):
+    """Torsions, bound: torques -k (q - rest) and -c qd.
+
+    Parameters
+    ----------
+    coordinates, freedoms : (n,) int
+        Places of the hinges in q and in qd.
+    constants : (n, 3) float
+        Stiffness, coordinate at rest, damping.
+    """
+
+    coordinates: Integers
+    freedoms: Integers
+    constants: Floats
+
+    def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
+        """Add the torques of the springs."""
+        energy: float = _wind(self.coordinates, self.freedoms, self.constants, q, torques)
+        return energy
+
+    def resist(self, frames: Frames, twists: Floats, qd: Floats, wrenches: Floats, torques: Floats) -> None:
+        """Add the torques of the dampers."""
+        _slow(self.freedoms, self.constants, qd, torques)
+
+
+@kernel
+def _wind(coordinates: Integers, freedoms: Integers, constants: Floats, q: Floats, torques: Floats) -> float:
+    energy = 0.0
+    for i in range(len(coordinates)):
+        turn = q[coordinates[i]] - constants[i, REST]
+        pull = constants[i, STIFFNESS] * turn
+        energy += 0.5 * pull * turn
+        torques[freedoms[i]] -= pull
+    return energy
+
+
+@kernel
+def _slow(freedoms: Integers, constants: Floats, qd: Floats, torques: Floats) -> None:
+    for i in range(len(freedoms)):
+        torques[freedoms[i]] -= constants[i, DAMPING] * qd[freedoms[i]]
