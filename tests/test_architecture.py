@@ -37,6 +37,7 @@ LAYERS = [
     {"validation"},
     {"minimisers"},
     {"relaxation"},
+    {"lab"},
     {"analysis"},
     {"batches", "scenes"},
     {"cli"},
@@ -98,8 +99,10 @@ def test_imports_point_one_way(path):
         other = name.split(".")[1]
         assert other == own or layer(other) <= layer(own), f"{own} imports {other}"
         if own == "scenes":
-            below = {"analysis", "mechanisms", "motion", "multibody"}
+            below = {"analysis", "lab", "mechanisms", "motion", "multibody"}
             assert other in {own, *below} or layer(other) == 0, "scenes know nothing of proteins"
+        if own == "lab":
+            assert other == own or layer(other) == 0, "the laboratory knows neither proteins nor mechanics"
         if own == "multibody":
             assert other == own or layer(other) == 0, "multibody knows nothing of proteins or energies"
         if own == "motion":

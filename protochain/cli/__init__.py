@@ -16,14 +16,13 @@ import typer
 from typer.exceptions import TyperException
 
 from protochain.cli.batch import batch
-from protochain.cli.bench import bench
+from protochain.cli.bench import bench, scene
 from protochain.cli.compare import compare
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
 from protochain.cli.options import BAD_INPUT, fail, with_options
 from protochain.cli.relax import relax
 from protochain.cli.rmsd import rmsd
-from protochain.cli.scene import scene
 from protochain.cli.simulate import simulate
 from protochain.cli.terminal import in_commands
 from protochain.cli.validate import validate

@@ -14,6 +14,8 @@ from scipy.integrate import solve_ivp
 
 from protochain.arrays import Floats
 from protochain.errors import MechanicsError
+from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, work_table
+from protochain.lab.cost import exponent, timed
 from protochain.motion import DormandPrince
 from protochain.motion.bending import BendingSystem
 from protochain.multibody import HingeKind, Tree
@@ -21,19 +23,6 @@ from protochain.multibody.beams import Beam, beam
 from protochain.multibody.canonical import Route, canonical_rates, rates_of
 from protochain.multibody.flexible import Flexible, bend, elastic
 from protochain.multibody.flexible_dynamics import forward_dynamics, multiply_mass
-from protochain.scenes.scene import (
-    Check,
-    Extreme,
-    LeftOut,
-    Scene,
-    Work,
-    check,
-    exponent,
-    extreme,
-    left_out,
-    timed,
-    work_table,
-)  # fmt: skip
 
 STIFFNESS = 3.0
 ROUTES: tuple[Route, ...] = ("articulated", "blocks", "dense")
@@ -247,7 +236,7 @@ def _work(until: float) -> pd.DataFrame:
     for said, (rates, other) in forms.items():
         for tolerance in (1e-4, 1e-6, 1e-8, 1e-10):
             at, seconds = timed(partial(end_of, rates, np.concatenate([q, other]), until, tolerance))
-            rows.append(Work(said, f"{tolerance:g}", seconds, float(np.abs(at[:n] - exact).max())))
+            rows.append((said, f"{tolerance:g}", seconds, float(np.abs(at[:n] - exact).max())))
     return work_table(rows)
 
 

@@ -13,6 +13,8 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, work_table
+from protochain.lab.cost import timed
 from protochain.mechanisms import Beam, Mechanism, Model, add_beam, frequencies, state_matrix
 from protochain.motion import (
     DormandPrince,
@@ -22,18 +24,6 @@ from protochain.motion import (
     RungeKutta4,
     StepTooLargeError,
 )
-from protochain.scenes.scene import (
-    Check,
-    Extreme,
-    LeftOut,
-    Scene,
-    Work,
-    check,
-    extreme,
-    left_out,
-    timed,
-    work_table,
-)  # fmt: skip
 
 LENGTHS, TORQUES, START = (1.0, 0.8, 0.6), (60.0, 20.0, 5.0), (0.0, 0.3, 0.3)
 """m, N m, and rad from the link before, at the start."""
@@ -224,7 +214,7 @@ def _work(exact: Floats, quick: bool) -> pd.DataFrame:
     rows = []
     for n in (1, 2, 4) if quick else (1, 2, 4, 8):
         at, seconds = timed(partial(explicit, n, 0.86))
-        rows.append(Work("Kutta, longest step", _said(n), seconds, float(np.linalg.norm(at - exact))))
+        rows.append(("Kutta, longest step", _said(n), seconds, float(np.linalg.norm(at - exact))))
     steps = (0.02, 0.01) if quick else (0.02, 0.01, 0.005, 0.0025)
     for n in (1,) if quick else (1, 4, 8):
         model, tip = arm(n)
@@ -235,9 +225,9 @@ def _work(exact: Floats, quick: bool) -> pd.DataFrame:
                     with np.errstate(over="ignore", invalid="ignore"):
                         at, seconds = timed(partial(end_of, model, tip, integrator, h))
                 except StepTooLargeError:
-                    rows.append(Work(*row, np.nan, np.inf))
+                    rows.append((*row, np.nan, np.inf))
                     continue
-                rows.append(Work(*row, seconds, float(np.linalg.norm(at - exact))))
+                rows.append((*row, seconds, float(np.linalg.norm(at - exact))))
     return work_table(rows)
 
 
@@ -255,11 +245,11 @@ def _dampers(until: float) -> pd.DataFrame:
     model, tip = arm(4, damping=DAMPING)
     step = 0.9 * _damped_limit(4)
     exact, seconds = timed(partial(end_of, model, tip, RungeKutta4(), step, until))
-    rows = [Work("Kutta, longest step", f"{1e3 * step:.2g} ms", seconds, 0.0)]
+    rows = [("Kutta, longest step", f"{1e3 * step:.2g} ms", seconds, 0.0)]
     for said, integrator in (("midpoint", ImplicitMidpoint()), ("Rosenbrock", Rosenbrock())):
         for h in (0.01, 0.005, 0.0025):
             at, seconds = timed(partial(end_of, model, tip, integrator, h, until))
-            rows.append(Work(said, f"{1e3 * h:g} ms", seconds, float(np.linalg.norm(at - exact))))
+            rows.append((said, f"{1e3 * h:g} ms", seconds, float(np.linalg.norm(at - exact))))
     return work_table(rows)
 
 

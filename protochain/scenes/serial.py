@@ -14,8 +14,10 @@ from scipy.special import jn_zeros
 
 from protochain.analysis.studies.precision import solvers as precise
 from protochain.analysis.studies.stability.cells import Part, cases_of, run_case
-from protochain.analysis.studies.stability.solvers import ROUTES, backward_error
+from protochain.analysis.studies.stability.solvers import ROUTES
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, left_out, work_table
+from protochain.lab.cost import exponent, timed
 from protochain.motion import DormandPrince, System
 from protochain.multibody import (
     Frames,
@@ -29,18 +31,6 @@ from protochain.multibody import (
     solve_mass,
 )  # fmt: skip
 from protochain.multibody.articulated import Articulated, articulate, solve
-from protochain.scenes.scene import (
-    Check,
-    Extreme,
-    LeftOut,
-    Scene,
-    Work,
-    check,
-    exponent,
-    left_out,
-    timed,
-    work_table,
-)  # fmt: skip
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
 SERIAL = (
@@ -161,7 +151,7 @@ def _work(points: pd.DataFrame) -> pd.DataFrame:
     own = points[points["case"] == case]
     settings = own["parameter"].where(own["parameter"] != "", str(case))
     rows = zip(own["method"], settings, own["seconds"], own["error"], strict=True)
-    return work_table(Work(*row) for row in rows)
+    return work_table(rows)
 
 
 def _lengths(sizes: list[int]) -> pd.DataFrame:
@@ -175,7 +165,7 @@ def _lengths(sizes: list[int]) -> pd.DataFrame:
             call = partial(route, tree, frames, tau)
             x, seconds = timed(call, 20 if n < 10_000 else 3)
             row = {"bodies": n, "route": name, "seconds": seconds}
-            rows.append({**row, "backward_error_eps": backward_error(tree, frames, x, tau)})
+            rows.append({**row, "backward_error_eps": precise.backward_error(tree, frames, x, tau)})
     return pd.DataFrame(rows)
 
 
@@ -196,7 +186,7 @@ def _extremes(quick: bool) -> Iterator[Extreme]:
             continue
         cell = run_case("mechanics", case)
         detail = cell.message or f"error {cell.error:.3g}, bound {cell.bound:.3g}: {cell.oracle}"
-        yield Extreme(f"{case.name}: {case.parameters}", cell.verdict.value, detail)
+        yield Extreme(f"{case.name}: {case.parameters}", cell.verdict, detail)
 
 
 def _left_out(n: int) -> Iterator[LeftOut]:

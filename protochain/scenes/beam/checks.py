@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
+from protochain.lab.cases import Check, check
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.segments import Beam
 from protochain.motion import DormandPrince, RungeKutta4
@@ -24,7 +25,6 @@ from protochain.scenes.beam.parts import (
     spun,
     steady,
 )  # fmt: skip
-from protochain.scenes.scene import Check, check
 
 CONSISTENT = (0.09, 0.31, 0.51)
 LUMPED = (-0.06, -0.67, -1.8)

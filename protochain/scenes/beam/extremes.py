@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Extreme, LeftOut, check, extreme, left_out
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.segments import Beam, add_beam
@@ -25,7 +26,6 @@ from protochain.scenes.beam.parts import (
     spun,
     steady,
 )  # fmt: skip
-from protochain.scenes.scene import Check, Extreme, LeftOut, check, extreme, left_out
 
 REFUSED: tuple[tuple[str, dict[str, Any], str, str], ...] = (
     ("all of it rigid", {"rigid": 0.5}, "z", "leaves nothing to bend"),

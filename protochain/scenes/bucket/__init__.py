@@ -11,6 +11,8 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, LeftOut, Scene, check, left_out, work_table
+from protochain.lab.cost import exponent
 from protochain.mechanisms.pile_parts import Motion, Sleep
 from protochain.scenes.bucket import joints, trials
 from protochain.scenes.bucket.backhoe import backhoe, motion_of
@@ -26,7 +28,6 @@ from protochain.scenes.bucket.dig import (
     settle,
     soil,
 )  # fmt: skip
-from protochain.scenes.scene import Check, LeftOut, Scene, check, exponent, left_out, work_table
 
 __all__ = ["Dug", "Settled", "Site", "dig", "run", "settle"]
 

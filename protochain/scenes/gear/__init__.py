@@ -14,6 +14,8 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, work_table
+from protochain.lab.cost import exponent, timed
 from protochain.mechanisms import Model, Run
 from protochain.mechanisms.contact import Law, lankarani_nikravesh
 from protochain.motion import DormandPrince, Integrator, Rosenbrock, RungeKutta4
@@ -21,19 +23,6 @@ from protochain.scenes.gear.geometry import GearPair
 from protochain.scenes.gear.mesh import Gear, Meshing, gears
 from protochain.scenes.gear.oracle import reference
 from protochain.scenes.gear.quasi import at_rest, frequency, lag_of, near, stiff_flanks
-from protochain.scenes.scene import (
-    Check,
-    Extreme,
-    LeftOut,
-    Scene,
-    Work,
-    check,
-    exponent,
-    extreme,
-    left_out,
-    timed,
-    work_table,
-)  # fmt: skip
 
 __all__ = ["Gear", "GearPair", "run"]
 
@@ -264,11 +253,11 @@ def _work(gear: Gear, until: float, quick: bool) -> tuple[pd.DataFrame, list[Che
         ("Dormand-Prince", f"{t:g}", DormandPrince(t), 5e-5) for t in (1e-6, 1e-8, 1e-10, 1e-12)
     ]  # fmt: skip
     settings += [("ROS2", f"{h:g} s", Rosenbrock(), h) for h in (4e-6, 2e-6, 1e-6)[: 1 if quick else 3]]
-    rows = [Work(method, setting, *error(integrator, h)) for method, setting, integrator, h in settings]
-    best = min(row.error for row in rows)
+    rows = [(method, setting, *error(integrator, h)) for method, setting, integrator, h in settings]
+    best = min(error for *_, error in rows)
     source = "scipy's DOP853 at 1e-12, without trees or kernels"
     found = check("angles at the end, of the error at rest", best, 0.0, 1e-6, source, "absolute")
-    return work_table([*rows, Work("DOP853", "1e-12", seconds, np.nan)]), [found]
+    return work_table([*rows, ("DOP853", "1e-12", seconds, np.nan)]), [found]
 
 
 def _light(gear: Gear, quick: bool) -> pd.DataFrame:

@@ -5,9 +5,9 @@ it a mount holds a cradle on an axle with a spring and an equilibrator; in the c
 against recuperator and brake, rigid or of finite segments.
 """
 
+from protochain.lab.cases import Scene
 from protochain.scenes.gun import checks, study
 from protochain.scenes.gun.extremes import limits, without
-from protochain.scenes.scene import Scene
 
 
 def run(quick: bool = False) -> Scene:

@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, check, work_table
+from protochain.lab.cost import exponent, timed
 from protochain.mechanisms import frequencies, state_matrix
 from protochain.motion import (
     DormandPrince,
@@ -19,7 +21,6 @@ from protochain.motion import (
 )
 from protochain.scenes.gun.oracle import Planar
 from protochain.scenes.gun.parts import Gun, built
-from protochain.scenes.scene import Check, Work, check, exponent, timed, work_table
 
 FIXED = "no deck"
 MODES = "modal superposition, eigh"
@@ -146,9 +147,9 @@ def work(quick: bool) -> pd.DataFrame:
                 with np.errstate(over="ignore", invalid="ignore"):
                     end, seconds = timed(partial(found.end, integrator, h, until))
             except StepTooLargeError:
-                rows.append(Work(method + said, setting, np.nan, np.inf))
+                rows.append((method + said, setting, np.nan, np.inf))
                 continue
-            rows.append(Work(method + said, setting, seconds, _apart(end, exact)))
+            rows.append((method + said, setting, seconds, _apart(end, exact)))
     return work_table(rows)
 
 

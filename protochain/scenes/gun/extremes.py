@@ -6,10 +6,10 @@ from functools import partial
 import numpy as np
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Extreme, LeftOut, check, extreme, left_out
 from protochain.motion import DormandPrince, Integrator, Rosenbrock, RungeKutta4
 from protochain.scenes.gun.oracle import Planar
 from protochain.scenes.gun.parts import Gun, built
-from protochain.scenes.scene import Check, Extreme, LeftOut, check, extreme, left_out
 
 REFUSED: tuple[tuple[str, Gun, str], ...] = (
     ("no axle, no equilibrator", Gun(axle=0.0, balanced=False), "the gun falls"),

@@ -13,12 +13,13 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Scene, work_table
+from protochain.lab.cost import timed
 from protochain.motion import Integrator, Rosenbrock, RungeKutta4
 from protochain.scenes.beam.parts import at_rest
 from protochain.scenes.helicopter import checks, landing
 from protochain.scenes.helicopter.extremes import limits, without
 from protochain.scenes.helicopter.parts import BLADE, LEGS, Given
-from protochain.scenes.scene import Check, Scene, Work, timed, work_table
 
 FULL = Given(cells=6)
 TILT = 8.0
@@ -129,5 +130,5 @@ def _work(quick: bool) -> pd.DataFrame:
     for method, given, h, integrator in plans:
         value, seconds = timed(partial(flap, given, h, integrator), 1 if quick else 2)
         error = float(np.max(np.abs(value - exact)))
-        rows.append(Work(method, f"{given.cells} cells, {1e3 * h:g} ms", seconds, error))
+        rows.append((method, f"{given.cells} cells, {1e3 * h:g} ms", seconds, error))
     return work_table(rows)

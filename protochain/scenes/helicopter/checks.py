@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, check
 from protochain.mechanisms import Mechanism, Model, Run
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.modes import in_modes
@@ -18,7 +19,6 @@ from protochain.multibody.flexible_dynamics import forward_dynamics
 from protochain.scenes.beam.parts import extrapolated, ritz
 from protochain.scenes.helicopter import landing, resonance
 from protochain.scenes.helicopter.parts import BLADE, LEGS, MODES, RATE, WEIGHT, groups
-from protochain.scenes.scene import Check, check
 
 HAMMOND = "Hammond's equations, 1974"
 LINEAR = replace(LEGS, squared=0.0, friction=0.0)

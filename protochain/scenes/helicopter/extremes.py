@@ -8,6 +8,7 @@ import numpy as np
 from scipy.integrate import simpson
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Extreme, LeftOut, check, extreme, left_out
 from protochain.mechanisms.segments import Beam
 from protochain.motion import DormandPrince, Integrator, Rosenbrock
 from protochain.scenes.helicopter import landing, resonance
@@ -25,7 +26,6 @@ from protochain.scenes.helicopter.parts import (
     build,
     settled,
 )  # fmt: skip
-from protochain.scenes.scene import Check, Extreme, LeftOut, check, extreme, left_out
 
 BLOW = 0.004
 """s. For which a blade is struck."""

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from protochain.arrays import Floats
+from protochain.lab.cases import LeftOut, Scene, left_out, work_table
 from protochain.multibody import impact, mass_matrix, point_rows, row_matrix
 from protochain.multibody.articulated import articulate
 from protochain.scenes.impact import bounces, checks
@@ -16,7 +17,6 @@ from protochain.scenes.impact.extremes import extremes
 from protochain.scenes.impact.paths import path_checks, traces, work
 from protochain.scenes.impact.study import random_impacts
 from protochain.scenes.impact.systems import chain
-from protochain.scenes.scene import LeftOut, Scene, left_out, work_table
 
 IMPACTS, FEW = 100_000, 2000
 """Random impacts; of the quick scene."""

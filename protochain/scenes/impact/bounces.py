@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
+from protochain.lab.cases import Check, check
 from protochain.mechanisms import Model
 from protochain.motion import DormandPrince, Event, Phase, System, march
 from protochain.multibody import impact
 from protochain.scenes.impact.systems import Blow, G, dropped
-from protochain.scenes.scene import Check, check
 
 HEIGHT, KEPT = 1.0, 0.5
 """m; restitution."""

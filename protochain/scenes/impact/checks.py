@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, check
 from protochain.multibody import close_loops, impact, mass_matrix, point_rows, row_matrix
 from protochain.multibody.impulse import Order
 from protochain.multibody.impulse_points import Struck
 from protochain.scenes.impact.study import LAWS, random_points, random_pose
 from protochain.scenes.impact.systems import ball, cradle, rods, struck
-from protochain.scenes.scene import Check, check
 
 RODS = {
     0.7: {"newton": 1.5875, "poisson": 0.5169, "stronge": 0.5258},

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from protochain.lab.cases import Check, Extreme, check, extreme
 from protochain.multibody import (
     ContactPoint,
     HingeKind,
@@ -22,7 +23,6 @@ from protochain.scenes.impact import bounces
 from protochain.scenes.impact.paths import point_of
 from protochain.scenes.impact.study import LAWS, Kind, random_points, random_pose
 from protochain.scenes.impact.systems import UP, ball, box, chain, cradle, rods, struck
-from protochain.scenes.scene import Check, Extreme, check, extreme
 
 LIGHT = 1e-9
 """kg, against 1 kg."""

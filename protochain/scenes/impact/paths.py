@@ -8,11 +8,12 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Work, check
+from protochain.lab.cost import timed
 from protochain.mechanisms import Ball, Model, Plane, flores, real_restitution
 from protochain.multibody.impulse_path import POISSON, follow
 from protochain.multibody.impulse_points import Struck
 from protochain.scenes.impact.systems import TIP, UP, Blow, brick, rods, two_rods
-from protochain.scenes.scene import Check, Work, check, timed
 
 SMOOTH = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4)
 """Slip, relative to the speed of approach, below which smoothed friction falls off."""
@@ -112,29 +113,29 @@ def work(quick: bool) -> Iterator[Work]:
     size = float(np.linalg.norm(plane[1]))
     after, seconds = timed(partial(along, plane, 1e-10), repeats)
     error = abs(after[0] - exact[0]) + float(np.linalg.norm(after[1:]))
-    yield Work("rods: exact pieces", "", seconds, error / size)
+    yield ("rods: exact pieces", "", seconds, error / size)
     for smooth in SMOOTH[: 2 if quick else None]:
         after, seconds = timed(partial(velocities, plane, 1e-8, smooth))
         error = abs(after[0] - exact[0]) + float(np.linalg.norm(after[1:]))
-        yield Work("rods: smoothed friction, Radau", f"{smooth:g}", seconds, error / size)
+        yield ("rods: smoothed friction, Radau", f"{smooth:g}", seconds, error / size)
     for stiffness in STIFF[: 2 if quick else None]:
         (normal, expected), seconds = timed(partial(soft_floor, stiffness, 300), 2)
         error = abs(normal - expected) / size
-        yield Work("rods without friction: soft floor", f"{stiffness:g}", seconds, error)
+        yield ("rods without friction: soft floor", f"{stiffness:g}", seconds, error)
     reference = integrated(space, KEPT)[0]
     size = float(np.linalg.norm(space[1]))
     for tolerance in TOLERANCES:
         after, seconds = timed(partial(along, space, tolerance), repeats)
         error = float(np.linalg.norm(after - reference))
-        yield Work("brick: path, Dormand-Prince", f"{tolerance:g}", seconds, error / size)
+        yield ("brick: path, Dormand-Prince", f"{tolerance:g}", seconds, error / size)
     for tolerance in TOLERANCES[: 3 if quick else None]:
         after, seconds = timed(partial(velocities, space, tolerance))
         error = float(np.linalg.norm(after - reference))
-        yield Work("brick: du/dp, DOP853 of scipy", f"{tolerance:g}", seconds, error / size)
+        yield ("brick: du/dp, DOP853 of scipy", f"{tolerance:g}", seconds, error / size)
     for smooth in SMOOTH[: 2 if quick else None]:
         after, seconds = timed(partial(velocities, space, 1e-8, smooth))
         error = float(np.linalg.norm(after - reference))
-        yield Work("brick: smoothed friction, Radau", f"{smooth:g}", seconds, error / size)
+        yield ("brick: smoothed friction, Radau", f"{smooth:g}", seconds, error / size)
 
 
 def soft_floor(stiffness: float, steps: int) -> tuple[float, float]:

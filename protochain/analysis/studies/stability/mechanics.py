@@ -5,9 +5,10 @@ from functools import partial
 
 import numpy as np
 
+from protochain.analysis.studies.precision.solvers import backward_error, norm_of_mass
 from protochain.analysis.studies.stability import trees
 from protochain.analysis.studies.stability.cells import EPS, Case, Found, Part, case
-from protochain.analysis.studies.stability.solvers import ROUTES, backward_error, norm_of_mass
+from protochain.analysis.studies.stability.solvers import ROUTES
 from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import dihedral

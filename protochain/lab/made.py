@@ -13,14 +13,15 @@ def made(threads: str, libraries: Sequence[str] = ("openmm", "numpy", "scipy", "
     """Machine, threads, versions of the package, of Python and of some libraries, and commit."""
     versions = [f"{name} {version(name)}" for name in ("protochain", *libraries)]
     return {
-        "machine": f"{_processor()}, {processors()} processors, {platform.system()}",
+        "machine": f"{processor()}, {processors()} processors, {platform.system()}",
         "threads": threads,
         "versions": ", ".join([f"Python {platform.python_version()}", *versions]),
         "commit": _commit(),
     }
 
 
-def _processor() -> str:
+def processor() -> str:
+    """Name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -31,7 +32,7 @@ def _processor() -> str:
 
 def _commit() -> str:
     """Commit of the package's own repository, and whether it had changes; of an installed one, none."""
-    package = Path(__file__).parents[2]
+    package = Path(__file__).parents[1]
     if not (package.parent / ".git").exists():
         return "none: an installed package"
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from protochain.analysis.studies.scenes.cells import Answer, Both, Material, Scene
-from protochain.analysis.studies.scenes.energies import chains, counted, sizes_of, turned
+from protochain.analysis.studies.omissions.cells import Answer, Both, Material, Omission
+from protochain.analysis.studies.omissions.energies import chains, counted, sizes_of, turned
 from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose
@@ -199,10 +199,10 @@ def imports(material: Material) -> Both:
     )  # fmt: skip
 
 
-SCENES = (
-    Scene("ten chains, OBC2 and a cutoff", "all pairs of blocks", ten_chains),
-    Scene("closed loops", "the mass matrix", loops),
-    Scene("no velocities", "those of dynamics", no_velocities),
-    Scene("constant energy", "a thermostat of no friction", constant_energy),
-    Scene("protochain minimise", "all libraries loaded", imports),
+OMISSIONS = (
+    Omission("ten chains, OBC2 and a cutoff", "all pairs of blocks", ten_chains),
+    Omission("closed loops", "the mass matrix", loops),
+    Omission("no velocities", "those of dynamics", no_velocities),
+    Omission("constant energy", "a thermostat of no friction", constant_energy),
+    Omission("protochain minimise", "all libraries loaded", imports),
 )

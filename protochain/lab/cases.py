@@ -1,25 +1,91 @@
-"""What a scene is: checks against oracles, error against run time, extremes, and what it left out.
+"""Cases and how they are judged: checks against oracles, extremes, what is left out; a scene is made of them.
 
-A scene is a module with ``run(quick) -> Scene``. The helpers below make its parts: :func:`check` of a value
-and its oracle, :func:`extreme` of a call that may be refused, :func:`left_out` of two calls, :func:`timed`,
-:func:`work_table` and :func:`exponent`.
+A scene is a module with ``run(quick) -> Scene``. :func:`check` holds a value against its oracle,
+:func:`extreme` judges a call that may be refused, :func:`left_out` computes one answer twice.
 """
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, field
-from time import process_time
-from typing import Literal, NamedTuple, TypeVar
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 import pandas as pd
+from threadpoolctl import threadpool_limits
 
 from protochain.arrays import Floats
 from protochain.errors import ProtochainError
+from protochain.lab.cost import in_turn
+from protochain.lab.made import made
+from protochain.lab.report import Figure, draw_lines, save, table_of
+from protochain.storage import json_text
 
 Kind = Literal["relative", "absolute"]
-Outcome = Literal["right", "refused", "wrong"]
-_Result = TypeVar("_Result")
+
+
+class Outcome(StrEnum):
+    """How a case ended."""
+
+    RIGHT = "right"
+    REFUSED = "refused"
+    WRONG = "wrong"
+
+
+class Bounded(Protocol):
+    """What a case found: an error, and the largest that is allowed."""
+
+    @property
+    def error(self) -> float:
+        """Size of the error; NaN is wrong."""
+
+    @property
+    def bound(self) -> float:
+        """Largest that is allowed."""
+
+
+_Found = TypeVar("_Found", bound=Bounded)
+
+
+def within(error: float, bound: float) -> Outcome:
+    """Right or wrong, which NaN is, too."""
+    return Outcome.RIGHT if error <= bound else Outcome.WRONG
+
+
+def judged(call: Callable[[], _Found], refusal: str = "") -> tuple[Outcome, _Found | None, str]:
+    """Run a case: right, refused in the words expected, or wrong.
+
+    Parameters
+    ----------
+    call : callable
+        -> what it found; a ProtochainError is a refusal.
+    refusal : str
+        Pattern of the words of the refusal that is expected; without it an answer is.
+
+    Returns
+    -------
+    Outcome, found or None, str
+        With the words of the refusal, or why it is wrong, if that is not for its error. Wrong are errors
+        above the bound, NaN, a refusal where an answer is expected, an answer or another refusal where one
+        is, and exceptions of any other kind.
+    """
+    try:
+        # Extreme numbers overflow on the way; what comes of it is judged. BLAS on one thread, as in runs.
+        with np.errstate(all="ignore"), threadpool_limits(1, "blas"):
+            found = call()
+    except ProtochainError as error:
+        said = str(error)
+        if not refusal:
+            return Outcome.WRONG, None, f"refused where an answer is expected: {said}"
+        if "\n" in said or not re.search(refusal, said):
+            return Outcome.WRONG, None, f"refused otherwise than by {refusal!r}: {said}"
+        return Outcome.REFUSED, None, said
+    except Exception as error:  # whatever it is, the case is wrong and the others go on
+        return Outcome.WRONG, None, f"{type(error).__name__}: {error}"
+    if refusal:
+        return Outcome.WRONG, found, f"an answer where a refusal is expected: {refusal}"
+    return within(found.error, found.bound), found, ""
 
 
 @dataclass(frozen=True)
@@ -51,8 +117,7 @@ class Check:
     @property
     def right(self) -> bool:
         """Whether the error is within its bound."""
-        # Not "not error > bound": NaN is wrong.
-        return bool(self.error <= self.bound)
+        return within(self.error, self.bound) is Outcome.RIGHT
 
 
 @dataclass(frozen=True)
@@ -76,7 +141,7 @@ class Extreme:
     @property
     def right(self) -> bool:
         """Whether it is not wrong."""
-        return self.outcome != "wrong"
+        return self.outcome != Outcome.WRONG
 
 
 @dataclass(frozen=True)
@@ -101,26 +166,16 @@ class LeftOut:
     @property
     def right(self) -> bool:
         """Whether the answer is the same, within the bound."""
-        return bool(self.difference <= self.bound)
+        return within(self.difference, self.bound) is Outcome.RIGHT
 
 
-class Work(NamedTuple):
-    """A setting of a method: a point of the picture of error against run time.
+Work = tuple[str, str, float, float]
+"""Point of error against run time: method (a line of the picture), setting, processor seconds, error."""
 
-    Parameters
-    ----------
-    method, setting : str
-        A line of the picture, and a place on it.
-    seconds : float
-        Processor seconds, on one thread.
-    error : float
-        As the scene defines it.
-    """
 
-    method: str
-    setting: str
-    seconds: float
-    error: float
+def work_table(rows: Iterable[Work]) -> pd.DataFrame:
+    """Points of error against run time as the table of a :class:`Scene`."""
+    return pd.DataFrame(list(rows), columns=["method", "setting", "seconds", "error"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,16 +220,46 @@ class Scene:
 
     def frames(self) -> dict[str, pd.DataFrame]:
         """All tables by the names of their files: checks, work, extremes, left_out, and the scene's own."""
-        checks = _frame(self.checks, Check)
-        left_out = _frame(self.left_out, LeftOut)
+        checks, left_out = table_of(self.checks, Check), table_of(self.left_out, LeftOut)
         for table, rows in ((checks, self.checks), (left_out, self.left_out)):
             table["verdict"] = ["right" if row.right else "wrong" for row in rows]
-        own = {"checks": checks, "work": self.work, "extremes": _frame(self.extremes, Extreme)}
+        own = {"checks": checks, "work": self.work, "extremes": table_of(self.extremes, Extreme)}
         return {**own, "left_out": left_out, **self.tables}
 
 
-def _frame(rows: Iterable[Check | Extreme | LeftOut], kind: type) -> pd.DataFrame:
-    return pd.DataFrame([asdict(row) for row in rows], columns=list(kind.__annotations__))
+def plot_work(scene: Scene) -> Figure:
+    """Draw error against seconds, a line for each method.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its table ``work``.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Both axes are logarithmic; settings without a finite error are left out, and errors of nothing are
+        drawn at 1e-17.
+    """
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    ax = figure.subplots()
+    draw_lines(ax, scene.work, "seconds", least=1e-17)
+    ax.set(xlabel="processor seconds", ylabel=scene.error_of, title=scene.title)
+    return figure
+
+
+def write(scene: Scene, folder: Path) -> dict[str, str]:
+    """Write the tables of a scene, ``work.png`` and ``made.json`` to a folder.
+
+    Returns
+    -------
+    dict of str to str
+        Machine, threads, versions and commit.
+    """
+    record = made("1", ("numpy", "scipy", "numba"))
+    tables = {f"{name}.csv": table for name, table in scene.frames().items()}
+    save(folder, {**tables, "work.png": plot_work(scene), "made.json": json_text(record)})
+    return record
 
 
 def check(
@@ -213,39 +298,11 @@ def extreme(name: str, call: Callable[[], Check], refusal: str = "") -> Extreme:
     Returns
     -------
     Extreme
-        Wrong are errors above the bound, NaN, a refusal where an answer is expected, an answer or another
-        refusal where one is, and exceptions of any other kind.
+        As :func:`judged`, with error, bound and source of an answer.
     """
-    try:
-        # Extreme numbers overflow on the way; what comes of it is judged.
-        with np.errstate(all="ignore"):
-            found = call()
-    except ProtochainError as error:
-        said = str(error)
-        if not refusal:
-            return Extreme(name, "wrong", f"refused where an answer is expected: {said}")
-        if "\n" in said or not re.search(refusal, said):
-            return Extreme(name, "wrong", f"refused otherwise than by {refusal!r}: {said}")
-        return Extreme(name, "refused", said)
-    except Exception as error:  # whatever it is, the case is wrong and the others go on
-        return Extreme(name, "wrong", f"{type(error).__name__}: {error}")
-    detail = f"{found.kind} error {found.error:.3g}, bound {found.bound:.3g}: {found.source}"
-    if refusal:
-        return Extreme(name, "wrong", f"an answer where a refusal is expected ({refusal}); {detail}")
-    return Extreme(name, "right" if found.right else "wrong", detail)
-
-
-def timed(call: Callable[[], _Result], repeats: int = 1) -> tuple[_Result, float]:
-    """Result of a call, and its processor seconds: the least of some repeats.
-
-    What is compiled by the first call belongs in no timing: call it before, or give two repeats or more.
-    """
-    least = np.inf
-    for _ in range(repeats):
-        began = process_time()
-        result = call()
-        least = min(least, process_time() - began)
-    return result, float(least)
+    outcome, found, said = judged(call, refusal)
+    told = f"{found.kind} error {found.error:.3g}, bound {found.bound:.3g}: {found.source}" if found else ""
+    return Extreme(name, outcome, "; ".join(filter(None, (said, told))))
 
 
 def left_out(
@@ -273,39 +330,10 @@ def left_out(
     LeftOut
         With the ratio of both times and the relative difference, which is infinite if shapes differ.
     """
-    answers: list[Floats] = [np.empty(0), np.empty(0)]
-    least = [np.inf, np.inf]
-    for _ in range(repeats):
-        for k, call in enumerate((everything, less)):
-            answer, seconds = timed(call)
-            answers[k], least[k] = np.asarray(answer, float), min(least[k], seconds)
-    if answers[0].shape != answers[1].shape:
-        return LeftOut(what, least[0] / least[1], np.inf, bound)
-    difference = float(np.max(np.abs(answers[0] - answers[1]), initial=0.0))
-    size = float(np.max(np.abs(answers[0]), initial=0.0))
-    return LeftOut(what, least[0] / least[1], difference / size if difference != 0.0 else 0.0, bound)
-
-
-def work_table(rows: Iterable[Work | tuple[str, str, float, float]]) -> pd.DataFrame:
-    """Points of error against run time as the table of a :class:`Scene`."""
-    return pd.DataFrame([Work(*row) for row in rows], columns=list(Work._fields))
-
-
-def exponent(x: Floats | Iterable[float], y: Floats | Iterable[float]) -> float:
-    """Exponent p of y ~ x^p, by least squares of the logarithms.
-
-    Parameters
-    ----------
-    x, y : (k,) float
-        For example step and error, or size and seconds; points that are not positive and finite are left out.
-
-    Returns
-    -------
-    float
-        NaN of fewer than two points.
-    """
-    points = np.column_stack([np.asarray(list(x), float), np.asarray(list(y), float)])
-    points = np.log(points[np.all(np.isfinite(points) & (points > 0.0), axis=1)])
-    if len(np.unique(points[:, 0])) < 2:
-        return float("nan")
-    return float(np.polyfit(points[:, 0], points[:, 1], 1)[0])
+    full, short = in_turn((everything, less), turns=repeats)
+    a, b, ratio = np.asarray(full.result, float), np.asarray(short.result, float), full.least / short.least
+    if a.shape != b.shape:
+        return LeftOut(what, ratio, np.inf, bound)
+    difference = float(np.max(np.abs(a - b), initial=0.0))
+    size = float(np.max(np.abs(a), initial=0.0))
+    return LeftOut(what, ratio, difference / size if difference != 0.0 else 0.0, bound)
