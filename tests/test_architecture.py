@@ -47,6 +47,7 @@ OPEN = (
     "batches",
     "dynamics",
     "energies",
+    "lab",
     "mechanisms",
     "minimisers",
     "motion",

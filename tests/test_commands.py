@@ -17,7 +17,8 @@ from test_write import ring
 import protochain as pc
 from protochain.cli import app, main, options
 from protochain.errors import ProtochainError, WriteError
-from protochain.lab.cases import Extreme, Outcome, Scene, work_table
+from protochain.lab.cases import Extreme, Outcome, Scene
+from protochain.lab.report import work_table
 from protochain.setup import Setup
 from protochain.structure.write import as_text
 

@@ -15,8 +15,10 @@ from test_commands import run as command
 
 import protochain.scenes
 from protochain.errors import MechanicsError, ProtochainError
-from protochain.lab.cases import check, extreme, left_out, work_table
-from protochain.lab.cost import exponent, timed
+from protochain.lab.cases import check, extreme, left_out
+from protochain.lab.cost import timed
+from protochain.lab.fits import exponent
+from protochain.lab.report import work_table
 from protochain.multibody import kinetic_energy, pose
 from protochain.scenes import SCENES, Check, Extreme, LeftOut, Scene, plot_work, run, serial
 from protochain.scenes.beam.extremes import REFUSED

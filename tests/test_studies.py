@@ -18,7 +18,7 @@ from protochain.analysis.studies.precision import minimisers
 from protochain.analysis.studies.precision import solvers as precise
 from protochain.analysis.studies.stability import cells, dynamics, mechanics, page, solvers
 from protochain.cli import app
-from protochain.lab import made
+from protochain.lab import provenance
 from protochain.multibody import HingeKind, mass_matrix, pose, random_tree
 from protochain.processors import processors
 
@@ -182,14 +182,14 @@ def test_a_study_is_a_module_and_its_name(tmp_path, monkeypatch, capsys):
 
 
 def test_pages_say_how_they_were_made(monkeypatch):
-    said = made.made("2, which must agree")
+    said = provenance.made("2, which must agree")
     assert list(said) == ["machine", "threads", "versions", "commit"]
     assert said["threads"] == "2, which must agree" and f"{processors()} processors" in said["machine"]
     assert f"numpy {np.__version__}" in said["versions"] and "protochain " in said["versions"]
     head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
     if (ROOT / ".git").exists():
         assert said["commit"].removesuffix(" and changes") == head.stdout.strip()
-    monkeypatch.setattr(made.subprocess, "run", Mock(side_effect=FileNotFoundError))
-    assert made.made("1")["commit"] in ("unknown: git is not installed", "none: an installed package")
-    monkeypatch.setattr(made, "__file__", str(ROOT / "tests" / "lab" / "made.py"))
-    assert made.made("1")["commit"] == "none: an installed package"
+    monkeypatch.setattr(provenance.subprocess, "run", Mock(side_effect=FileNotFoundError))
+    assert provenance.made("1")["commit"] in ("unknown: git is not installed", "none: an installed package")
+    monkeypatch.setattr(provenance, "__file__", str(ROOT / "tests" / "protochain" / "lab" / "provenance.py"))
+    assert provenance.made("1")["commit"] == "none: an installed package"

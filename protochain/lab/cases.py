@@ -5,7 +5,7 @@ A scene is a module with ``run(quick) -> Scene``. :func:`check` holds a value ag
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from protochain.arrays import Floats
 from protochain.errors import ProtochainError
 from protochain.lab.cost import in_turn
-from protochain.lab.made import made
+from protochain.lab.provenance import made
 from protochain.lab.report import Figure, draw_lines, save, table_of
 from protochain.storage import json_text
 
@@ -169,15 +169,6 @@ class LeftOut:
         return within(self.difference, self.bound) is Outcome.RIGHT
 
 
-Work = tuple[str, str, float, float]
-"""Point of error against run time: method (a line of the picture), setting, processor seconds, error."""
-
-
-def work_table(rows: Iterable[Work]) -> pd.DataFrame:
-    """Points of error against run time as the table of a :class:`Scene`."""
-    return pd.DataFrame(list(rows), columns=["method", "setting", "seconds", "error"])
-
-
 @dataclass(frozen=True, eq=False)
 class Scene:
     """What a scene has found.
@@ -281,6 +272,11 @@ def check(
     if kind == "relative" and error != 0.0:
         error = error / abs(float(oracle)) if oracle != 0.0 else np.inf
     return Check(name, float(value), float(oracle), float(error), float(bound), source, kind)
+
+
+def vanishes(name: str, error: float, bound: float, source: str) -> Check:
+    """Hold an error, by its size, against nothing: :func:`check` of zero, absolute."""
+    return check(name, error, 0.0, bound, source, "absolute")
 
 
 def extreme(name: str, call: Callable[[], Check], refusal: str = "") -> Extreme:

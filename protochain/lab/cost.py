@@ -1,15 +1,11 @@
-"""What calls cost: seconds, taken in turn, and how they grow with a size."""
+"""What calls cost: seconds, taken in turn."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
 from time import perf_counter, process_time
 from typing import Any, TypeVar
-
-import numpy as np
-
-from protochain.arrays import Floats
 
 _Result = TypeVar("_Result")
 _SHORT, _MOST = 0.1, 1000
@@ -97,23 +93,3 @@ def cpu_seconds() -> float:
     """CPU time of this process and of those that it has waited for."""
     spent = os.times()
     return process_time() + spent.children_user + spent.children_system
-
-
-def exponent(x: Floats | Iterable[float], y: Floats | Iterable[float]) -> float:
-    """Exponent p of y ~ x^p, by least squares of the logarithms.
-
-    Parameters
-    ----------
-    x, y : (k,) float
-        For example step and error, or size and seconds; points that are not positive and finite are left out.
-
-    Returns
-    -------
-    float
-        NaN of fewer than two points.
-    """
-    points = np.column_stack([np.asarray(list(x), float), np.asarray(list(y), float)])
-    points = np.log(points[np.all(np.isfinite(points) & (points > 0.0), axis=1)])
-    if len(np.unique(points[:, 0])) < 2:
-        return float("nan")
-    return float(np.polyfit(points[:, 0], points[:, 1], 1)[0])

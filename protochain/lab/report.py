@@ -36,6 +36,15 @@ def plain(ax: Axes) -> None:
     ax.grid(True, which="major", alpha=0.25)
 
 
+Work = tuple[str, str, float, float]
+"""Point of error against run time: method (a line of the picture), setting, processor seconds, error."""
+
+
+def work_table(rows: Iterable[Work]) -> pd.DataFrame:
+    """Points of error against run time as the table of a scene."""
+    return pd.DataFrame(list(rows), columns=["method", "setting", "seconds", "error"])
+
+
 def draw_lines(
     ax: Axes, points: pd.DataFrame, x: str, y: str = "error", by: str = "method", least: float = 0.0
 ) -> None:

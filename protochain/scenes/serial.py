@@ -16,8 +16,10 @@ from protochain.analysis.studies.precision import solvers as precise
 from protochain.analysis.studies.stability.cells import Part, cases_of, run_case
 from protochain.analysis.studies.stability.solvers import ROUTES
 from protochain.arrays import Floats
-from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, left_out, work_table
-from protochain.lab.cost import exponent, timed
+from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, left_out, vanishes
+from protochain.lab.cost import timed
+from protochain.lab.fits import exponent
+from protochain.lab.report import work_table
 from protochain.motion import DormandPrince, System
 from protochain.multibody import (
     Frames,
@@ -65,17 +67,7 @@ def weight(tree: Tree, frames: Frames) -> tuple[float, Floats]:
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        Short chains only: some seconds.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: short chains only: some seconds."""
     points = pd.DataFrame([vars(point) for point in precise.measure(quick)])
     sizes = [n for n in (10, 100, 1000, 10_000, MOST_BODIES) if n <= 1000 or not quick]
     lengths = _lengths(sizes)
@@ -130,7 +122,7 @@ def _energy(n: int) -> Check:
         at = integrator.step(system, at, 0.05)
         drift, size = max(drift, abs(at.total - start)), max(size, at.kinetic)
     name = f"change of energy, {n} rods fall, of the kinetic energy"
-    return check(name, drift / size, 0.0, 1e-8, "the start", "absolute")
+    return vanishes(name, drift / size, 1e-8, "the start")
 
 
 def _round_trip(n: int) -> Check:
@@ -142,7 +134,7 @@ def _round_trip(n: int) -> Check:
     bias = float(np.linalg.norm(inverse_dynamics(tree, q, qd, np.zeros(tree.n_v))))
     error = float(np.linalg.norm(back - tau)) / (bias + float(np.linalg.norm(tau)))
     name = f"torques to accelerations and back, {n} random bodies"
-    return check(name, error, 0.0, 1e-12, "Newton-Euler", "absolute")
+    return vanishes(name, error, 1e-12, "Newton-Euler")
 
 
 def _work(points: pd.DataFrame) -> pd.DataFrame:

@@ -11,27 +11,19 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
-from protochain.lab.cases import Scene, work_table
-from protochain.lab.cost import exponent, timed
+from protochain.lab.cases import Scene
+from protochain.lab.cost import timed
+from protochain.lab.fits import exponent, extrapolated
+from protochain.lab.report import work_table
 from protochain.mechanisms.segments import Beam
 from protochain.multibody import multiply_mass, pose
 from protochain.scenes.beam import checks
 from protochain.scenes.beam.extremes import limits, without
-from protochain.scenes.beam.parts import ROOTS, UNIT, at_rest, built, extrapolated, lowest
+from protochain.scenes.beam.parts import ROOTS, UNIT, at_rest, built, lowest
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        Few cells and few rates: some seconds.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: few cells and few rates: some seconds."""
     trace, spinning = checks.spun_up(4 if quick else 8)
     rotating = checks.rotation((0.0, 6.0) if quick else tuple(checks.ROTATING))
     lengths = _lengths((10, 100, 1000) if quick else (10, 100, 1000, 10_000))

@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 from protochain.arrays import Floats
 from protochain.lab.cases import Check, Extreme, LeftOut, check, extreme, left_out
+from protochain.lab.fits import extrapolated
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.segments import Beam, add_beam
@@ -20,7 +21,6 @@ from protochain.scenes.beam.parts import (
     at_rest,
     built,
     deflections,
-    extrapolated,
     lowest,
     ritz,
     spun,

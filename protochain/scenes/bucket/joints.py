@@ -7,8 +7,8 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from protochain.arrays import Floats
-from protochain.lab.cases import Work
 from protochain.lab.cost import timed
+from protochain.lab.report import Work
 from protochain.mechanisms import Mechanism, Model
 from protochain.motion import StepTooLargeError
 from protochain.scenes.bucket.backhoe import BODIES, EDGE, GRAVITY, HINGES, backhoe

@@ -14,8 +14,10 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
-from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, work_table
-from protochain.lab.cost import exponent, timed
+from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, vanishes
+from protochain.lab.cost import timed
+from protochain.lab.fits import exponent
+from protochain.lab.report import work_table
 from protochain.mechanisms import Model, Run
 from protochain.mechanisms.contact import Law, lankarani_nikravesh
 from protochain.motion import DormandPrince, Integrator, Rosenbrock, RungeKutta4
@@ -36,17 +38,7 @@ PUBLISHED = "by hand, of the tip circles"
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        One base pitch instead of four.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: one base pitch instead of four."""
     gear = Gear()
     pitches = 1 if quick else 4
     traces = {"teeth on springs": _trace(gear, pitches), "rigid wheels": _trace(gear, pitches, rigid=True)}
@@ -183,7 +175,7 @@ def _moving(
     """Gears that turn, damped, against those at rest."""
     for name, trace in traces.items():
         audit = float(trace["audit"].iloc[0])
-        yield check(f"audit of energy, {name}", audit, 0.0, 1e-8, "energy less work is kept", "absolute")
+        yield vanishes(f"audit of energy, {name}", audit, 1e-8, "energy less work is kept")
     last = traces["teeth on springs"]
     last = last[last["pitches"] >= pitches - 1.0]
     rest = np.interp(last["pitches"] % 1.0, sweep["pitches"], sweep["lag"], period=1.0)
@@ -197,7 +189,7 @@ def _moving(
         "at rest, place by place",
     )
     energy = _undamped(gear, 2e-4)
-    yield check("change of energy without damping", energy, 0.0, 1e-8, "the start", "absolute")
+    yield vanishes("change of energy without damping", energy, 1e-8, "the start")
 
 
 def _undamped(gear: Gear, until: float) -> float:
@@ -256,7 +248,7 @@ def _work(gear: Gear, until: float, quick: bool) -> tuple[pd.DataFrame, list[Che
     rows = [(method, setting, *error(integrator, h)) for method, setting, integrator, h in settings]
     best = min(error for *_, error in rows)
     source = "scipy's DOP853 at 1e-12, without trees or kernels"
-    found = check("angles at the end, of the error at rest", best, 0.0, 1e-6, source, "absolute")
+    found = vanishes("angles at the end, of the error at rest", best, 1e-6, source)
     return work_table([*rows, ("DOP853", "1e-12", seconds, np.nan)]), [found]
 
 
@@ -304,7 +296,7 @@ def _extremes(gear: Gear) -> Iterator[Extreme]:
         return started(of, short).simulate(short, step, integrator)
 
     def audit(of: Gear, step: float = STEP) -> Check:
-        return check("audit", end(of, step).audit().energy, 0.0, 1e-6, "energy less work is kept", "absolute")
+        return vanishes("audit", end(of, step).audit().energy, 1e-6, "energy less work is kept")
 
     def swing(of: Gear, step: float = STEP, integrator: Integrator | None = None) -> Check:
         source = "teeth of steel, whose inertia changes little here"

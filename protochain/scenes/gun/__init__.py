@@ -11,17 +11,7 @@ from protochain.scenes.gun.extremes import limits, without
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        Two decks, two axles and short motions: some seconds.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: two decks, two axles and short motions: some seconds."""
     decks, convergence = checks.against_fixed_deck()
     cells, order = checks.by_cells((2, 4, 8) if quick else (4, 8, 16))
     isolation = study.isolation((1e6, 1e9), (1e6, 1e9), 0.2) if quick else study.isolation()

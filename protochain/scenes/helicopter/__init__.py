@@ -13,8 +13,10 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
-from protochain.lab.cases import Check, Scene, work_table
+from protochain.lab.cases import Check, Scene
 from protochain.lab.cost import timed
+from protochain.lab.fits import extrapolated
+from protochain.lab.report import work_table
 from protochain.motion import Integrator, Rosenbrock, RungeKutta4
 from protochain.scenes.beam.parts import at_rest
 from protochain.scenes.helicopter import checks, landing
@@ -27,17 +29,7 @@ TILT = 8.0
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        Few cells, cases and rates: some seconds.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: few cells, cases and rates: some seconds."""
     rates = (258.0,) if quick else tuple(np.arange(100.0, 401.0, 25.0))
     resonance, found = checks.ground_resonance(rates, 3 if quick else 12)
     sinks = landing.SINKS[-1:] if quick else landing.SINKS
@@ -118,7 +110,7 @@ def _work(quick: bool) -> pd.DataFrame:
 
     fine = 4 if quick else 12
     coarse, finer = (flap(segments(n), stable(n), RungeKutta4()) for n in (fine, 2 * fine))
-    exact = (4.0 * finer - coarse) / 3.0
+    exact = extrapolated(coarse, finer)
     plans: list[tuple[str, Given, float, Integrator]] = []
     for cells in (2, 4) if quick else (2, 4, 8, 16):
         bending = segments(cells)

@@ -8,8 +8,9 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 from protochain.arrays import Floats
-from protochain.lab.cases import Check, Work, check
+from protochain.lab.cases import Check, check
 from protochain.lab.cost import timed
+from protochain.lab.report import Work
 from protochain.mechanisms import Ball, Model, Plane, flores, real_restitution
 from protochain.multibody.impulse_path import POISSON, follow
 from protochain.multibody.impulse_points import Struck

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from protochain.analysis.studies.omissions import energies, runs
 from protochain.analysis.studies.omissions.cells import COUNTS, Material, Row, run_omission
 from protochain.analysis.viewer import template
-from protochain.lab.made import made
+from protochain.lab.provenance import made
 from protochain.lab.report import COLOURS, Figure, save, table_of
 from protochain.structure import from_sequence, load
 

@@ -24,7 +24,7 @@ from protochain.analysis.studies.precision import (
 from protochain.analysis.studies.precision.curves import Kind, plot, points_of, said
 from protochain.analysis.viewer import template
 from protochain.errors import ProtochainError
-from protochain.lab.made import made
+from protochain.lab.provenance import made
 from protochain.lab.report import save
 from protochain.processors import processors
 

@@ -7,7 +7,7 @@ import pandas as pd
 
 from protochain.analysis.viewer import template
 from protochain.lab.cases import Outcome
-from protochain.lab.made import made
+from protochain.lab.provenance import made
 from protochain.lab.report import Figure
 
 

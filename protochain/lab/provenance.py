@@ -16,7 +16,7 @@ def made(threads: str, libraries: Sequence[str] = ("openmm", "numpy", "scipy", "
         "machine": f"{processor()}, {processors()} processors, {platform.system()}",
         "threads": threads,
         "versions": ", ".join([f"Python {platform.python_version()}", *versions]),
-        "commit": _commit(),
+        "commit": commit(Path(__file__).parents[2], "protochain"),
     }
 
 
@@ -30,18 +30,30 @@ def processor() -> str:
     return names[0] if names else platform.machine()
 
 
-def _commit() -> str:
-    """Commit of the package's own repository, and whether it had changes; of an installed one, none."""
-    package = Path(__file__).parents[1]
-    if not (package.parent / ".git").exists():
+def commit(root: Path, *places: str) -> str:
+    """Short commit of a repository, and whether there are changes in places of it: git's, all by default.
+
+    Parameters
+    ----------
+    root : Path
+        Folder of the repository.
+    *places : str
+        Paths, as git takes them.
+
+    Returns
+    -------
+    str
+        Says so where it is no repository, or git is not installed.
+    """
+    if not (root / ".git").exists():
         return "none: an installed package"
 
     def git(*words: str) -> str:
-        done = subprocess.run(["git", *words], cwd=package, capture_output=True, text=True)
+        done = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True)
         return done.stdout.strip()
 
     try:
-        changed = git("status", "--porcelain", "--untracked-files=no", "--", ".")
+        changed = git("status", "--porcelain", "--untracked-files=no", "--", *(places or ["."]))
         return (git("rev-parse", "--short", "HEAD") or "unknown") + (" and changes" if changed else "")
     except OSError:
         return "unknown: git is not installed"
