@@ -14,7 +14,15 @@ _SHORT, _MOST = 0.1, 1000
 
 @dataclass(frozen=True)
 class Timed:
-    """Last result of a call, and the seconds of each."""
+    """Last result of a call, and the seconds of each.
+
+    Parameters
+    ----------
+    result : object
+        What the last call returned.
+    seconds : tuple of float
+        One for each call that counts.
+    """
 
     result: Any
     seconds: tuple[float, ...]

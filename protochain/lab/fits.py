@@ -8,7 +8,7 @@ from protochain.arrays import Floats
 
 
 def exponent(x: Floats | Iterable[float], y: Floats | Iterable[float]) -> float:
-    """Exponent p of y ~ x^p, by least squares of the logarithms.
+    """Fit the exponent p of y ~ x^p, by least squares of the logarithms.
 
     Parameters
     ----------
@@ -34,5 +34,7 @@ def extrapolated(coarse: Floats, fine: Floats) -> Floats:
 
 def order(coarse: Floats | float, middle: Floats | float, fine: Floats | float) -> float:
     """Order of the error of three values, each of twice as many cells as the one before."""
-    first, second = (np.linalg.norm(x) if np.ndim(x) else abs(x) for x in (middle - coarse, fine - middle))
+    first, second = (
+        float(np.linalg.norm(x) if np.ndim(x) else np.abs(x)) for x in (middle - coarse, fine - middle)
+    )
     return float(np.log2(first / second))

@@ -21,7 +21,13 @@ def made(threads: str, libraries: Sequence[str] = ("openmm", "numpy", "scipy", "
 
 
 def processor() -> str:
-    """Name of the processor."""
+    """Look up the name of the processor.
+
+    Returns
+    -------
+    str
+        As the system has it.
+    """
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -31,7 +37,7 @@ def processor() -> str:
 
 
 def commit(root: Path, *places: str) -> str:
-    """Short commit of a repository, and whether there are changes in places of it: git's, all by default.
+    """Ask git for the commit of a repository, and whether there are changes in places of it, all by default.
 
     Parameters
     ----------

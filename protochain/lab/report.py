@@ -50,8 +50,16 @@ def draw_lines(
 ) -> None:
     """Draw a line with marks for each method, both axes logarithmic.
 
-    Values that are not finite are left out, and so is what costs nothing; those below ``least`` are drawn
-    there.
+    Parameters
+    ----------
+    ax : matplotlib Axes
+        Where to draw.
+    points : pandas.DataFrame
+        Points of all methods.
+    x, y, by : str
+        Columns: cost, value, and method.
+    least : float
+        Where smaller values are drawn. Those that are not finite are left out, and so is what costs nothing.
     """
     styles = zip(cycle(COLOURS), cycle(_MARKERS), strict=False)
     for (method, own), (colour, marker) in zip(points.groupby(by, sort=False), styles, strict=False):
