@@ -20,6 +20,7 @@ from protochain.analysis.studies.omissions.cells import (
     difference,
     run_omission,
 )
+from protochain.analysis.studies.stability.energies import copies
 from protochain.cli import app
 from protochain.dynamics.settings import THERMOSTATS
 from protochain.dynamics.thermostats import Isolated, NoseHoover
@@ -154,11 +155,11 @@ def test_minimise_imports_nothing_of_plots_tables_pages_and_trajectories(tmp_pat
     assert not loaded & unneeded
 
 
-def test_ten_chains_are_ten_molecules():
-    s = runs.several("AAA", 10)
+@pytest.mark.parametrize("apart", [(0.0, 2.0, 0.5), (0.02, 0.0, 0.0)])
+def test_ten_chains_are_ten_molecules_side_by_side_or_one_upon_another(apart):
+    s = copies(pc.from_sequence("AAA"), 10, apart)
     alpha = s.positions[s.alpha_carbons].reshape(10, 3, 3)
-    apart = np.diff(alpha, axis=0)
-    assert np.allclose(apart, [0.0, 2.0, 0.0], atol=1e-9)
+    assert s.n_chains == 10 and np.allclose(np.diff(alpha, axis=0), apart, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -118,7 +118,7 @@ STARTS: dict[str, Callable[[], Structure]] = {
     "hydrogens missing": without_hydrogens,
     "a ring threaded": threaded,
     "through its own loop": knotted,
-    "two chains through one another": partial(copies, 2, 0.02),
+    "two chains through one another": lambda: copies(peptide("AAAA"), 2, (0.02, 0.0, 0.0)),
     "a hundred residues": hundred,
 }
 
