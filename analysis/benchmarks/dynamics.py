@@ -41,13 +41,10 @@ LARGEST = "1ake_A.pdb"
 THREADS = 2
 KT = 300.0 * constants.R / 1000.0
 MODELS = {
-    "phi psi chi": ("phi psi chi", None),
-    "+ omega": ("phi psi omega chi", None),
-    "+ rotors": ("phi psi chi rotors", None),
-    "+ rotors, 4 amu hydrogens": ("phi psi chi rotors", 4.0),
-    "+ angles": ("phi psi chi angles", None),
-    "all": ("phi psi omega chi rotors angles", None),
-}
+    "phi psi chi": ("phi psi chi", None), "+ omega": ("phi psi omega chi", None),
+    "+ rotors": ("phi psi chi rotors", None), "+ rotors, 4 amu hydrogens": ("phi psi chi rotors", 4.0),
+    "+ angles": ("phi psi chi angles", None), "all": ("phi psi omega chi rotors angles", None),
+}  # fmt: skip
 
 
 def at_a_minimum(path: Path, hinges: str, solvent: str = "obc2"):
@@ -77,15 +74,11 @@ def energy_error(options: argparse.Namespace) -> pd.DataFrame:
         total = m.trace["total_kj_mol"]
         rows.append(
             {
-                "integrator": name,
-                "step_fs": h,
-                "time_ps": ps,
-                "status": str(m.ending),
-                "error_kj_mol": total.std(),
-                "drift_kj_mol_ps_100_atoms": m.drift,
+                "integrator": name, "step_fs": h, "time_ps": ps, "status": str(m.ending),
+                "error_kj_mol": total.std(), "drift_kj_mol_ps_100_atoms": m.drift,
                 "ms_per_step": 1000 * m.seconds / max(1, m.n_steps),
             }
-        )
+        )  # fmt: skip
     return pd.DataFrame(rows)
 
 
@@ -163,16 +156,12 @@ def cost(options: argparse.Namespace) -> pd.DataFrame:
         whole, potential, bathed, isolated = one_step(chain, energy)
         rows.append(
             {
-                "structure": path.stem.split("_")[0],
-                "atoms": structure.n_atoms,
-                "hinges": chain.n_hinges,
-                "energy_ms": 1000 * whole,
-                "energy_and_torques_ms": 1000 * potential,
-                "rest_ms": 1000 * bathed,
-                "rest_without_langevin_ms": 1000 * isolated,
+                "structure": path.stem.split("_")[0], "atoms": structure.n_atoms, "hinges": chain.n_hinges,
+                "energy_ms": 1000 * whole, "energy_and_torques_ms": 1000 * potential,
+                "rest_ms": 1000 * bathed, "rest_without_langevin_ms": 1000 * isolated,
                 "rest_percent": 100 * bathed / potential,
             }
-        )
+        )  # fmt: skip
     return pd.DataFrame(rows)
 
 

@@ -150,13 +150,9 @@ def with_cutoff(threads: int, quick: bool) -> Iterator[dict[str, object]]:
 
 
 MOVING = (
-    ("phi psi", "all"),
-    ("phi psi chi", "all"),
-    ("phi psi chi omega rotors", "all"),
-    ("phi psi chi", "resid 10"),
-    ("phi psi chi", "resid 5:14 and not backbone"),
-    ("", "resid 10"),
-)
+    ("phi psi", "all"), ("phi psi chi", "all"), ("phi psi chi omega rotors", "all"),
+    ("phi psi chi", "resid 10"), ("phi psi chi", "resid 5:14 and not backbone"), ("", "resid 10"),
+)  # fmt: skip
 """Hinges, none for all atoms, and what moves."""
 
 

@@ -22,12 +22,9 @@ from pdbfixer import PDBFixer
 import protochain as pc
 
 CLOSED = (
-    "1ejg_crambin.pdb",
-    "3i40_insulin.pdb",
-    "1v6p_cobrotoxin_amber.pdb",
-    "5vav_cyclic.pdb",
+    "1ejg_crambin.pdb", "3i40_insulin.pdb", "1v6p_cobrotoxin_amber.pdb", "5vav_cyclic.pdb",
     "1a1p_compstatin.pdb",
-)
+)  # fmt: skip
 MEASURED = ("4pti_bpti.pdb", "1ubq_ubiquitin.pdb", "1hel_lysozyme.pdb", "1ake_A.pdb", "4jsv_2750.pdb")
 METHODS = ("kcm", "lbfgs", "md", "hybrid", "openmm")
 BUDGET = 3000
@@ -72,14 +69,11 @@ def speed(options: argparse.Namespace) -> pd.DataFrame:
                 theirs.append(perf_counter() - began)
         rows.append(
             {
-                "structure": path.stem,
-                "residues": s.n_residues,
-                "atoms": s.n_atoms,
-                "seconds": min(ours),
+                "structure": path.stem, "residues": s.n_residues, "atoms": s.n_atoms, "seconds": min(ours),
                 "openmm_seconds": min(theirs) if theirs else np.nan,
                 "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
             }
-        )
+        )  # fmt: skip
     return pd.DataFrame(rows)
 
 

@@ -73,15 +73,12 @@ def write(
     path.parent.mkdir(parents=True, exist_ok=True)
     table.to_csv(path, index=False)
     row = {
-        "table": path.name,
-        "command": command(by),
-        "commit": COMMIT,
-        "machine": f"{lab.processor()}, {len(os.sched_getaffinity(0))} cores",
-        "threads": threads,
+        "table": path.name, "command": command(by), "commit": COMMIT,
+        "machine": f"{lab.processor()}, {len(os.sched_getaffinity(0))} cores", "threads": threads,
         "load": round(os.getloadavg()[1], 1),
         "versions": ", ".join(f"{name} {found}" for name in LIBRARIES if (found := _version(name))),
         "inputs": " ".join(Path(str(given)).name for given in inputs),
-    }
+    }  # fmt: skip
     record = path.parent / RECORD
     rows = pd.read_csv(record, dtype=str) if record.exists() else pd.DataFrame(columns=list(row))
     rows = pd.concat([rows[rows["table"] != path.name], pd.DataFrame([row], dtype=str)])

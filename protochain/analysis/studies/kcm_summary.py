@@ -22,14 +22,11 @@ still have some energy to lose."""
 FEW = 5
 """Starts below which nothing is concluded."""
 PAIRS: Mapping[str, tuple[str, str]] = {
-    "KCM and dynamics": ("kcm-0.005", "md-10"),
-    "angle": ("kcm-0.005", "kcm-0.01"),
-    "rule": ("kcm-0.005", "kcm-adaptive"),
-    "metric": ("kcm-adaptive", "kcm-metric"),
-    "friction 100": ("kcm-metric", "md-100"),
-    "friction 10": ("kcm-metric", "md-10"),
+    "KCM and dynamics": ("kcm-0.005", "md-10"), "angle": ("kcm-0.005", "kcm-0.01"),
+    "rule": ("kcm-0.005", "kcm-adaptive"), "metric": ("kcm-adaptive", "kcm-metric"),
+    "friction 100": ("kcm-metric", "md-100"), "friction 10": ("kcm-metric", "md-10"),
     "friction 1": ("kcm-metric", "md-1"),
-}
+}  # fmt: skip
 """What two methods differ in. The control, KCM in the metric of masses, is overdamped motion of the chain: it
 differs from KCM with the same rule by the metric alone, and from dynamics by the inertia that friction, per
 ps, leaves."""

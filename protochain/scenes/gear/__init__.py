@@ -103,14 +103,10 @@ def _trace(gear: Gear, pitches: int, rigid: bool = False) -> pd.DataFrame:
     one, other = (model.bodies.freedom(f"wheel {k}")[0] for k in (0, 1))
     force = gear.torque / gear.pair.wheels[0].base
     return pd.DataFrame({
-        "time": moved.time,
-        "pitches": moved.q[:, one] * gear.pair.wheels[0].base / gear.pair.base_pitch,
-        "lag": lags(moved, gear),
-        "pairs": [int(np.sum(pairs[:, 2] > 0.0)) for pairs in pressing],
-        "force": [pairs[:, 2].max(initial=0.0) / force for pairs in pressing],
-        "driving": moved.qd[:, one],
-        "driven": moved.qd[:, other],
-        "audit": moved.audit().energy,
+        "time": moved.time, "pitches": moved.q[:, one] * gear.pair.wheels[0].base / gear.pair.base_pitch,
+        "lag": lags(moved, gear), "pairs": [int(np.sum(pairs[:, 2] > 0.0)) for pairs in pressing],
+        "force": [pairs[:, 2].max(initial=0.0) / force for pairs in pressing], "driving": moved.qd[:, one],
+        "driven": moved.qd[:, other], "audit": moved.audit().energy,
     })  # fmt: skip
 
 

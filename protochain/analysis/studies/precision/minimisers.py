@@ -78,16 +78,12 @@ def measure(structure: Structure, most: int = _MOST) -> tuple[pd.DataFrame, pd.D
         traces.append(solution.trace.assign(structure=structure.name, method=method))
         ends.append(
             {
-                "structure": structure.name,
-                "residues": structure.n_residues,
-                "method": method,
-                "status": str(solution.status),
-                "energy_end_reference_kj_mol": solution.end.energy,
-                "ca_rmsd_angstrom": solution.ca_rmsd_angstrom,
-                "evaluations": solution.n_evaluations,
+                "structure": structure.name, "residues": structure.n_residues, "method": method,
+                "status": str(solution.status), "energy_end_reference_kj_mol": solution.end.energy,
+                "ca_rmsd_angstrom": solution.ca_rmsd_angstrom, "evaluations": solution.n_evaluations,
                 "seconds": solution.seconds,
             }
-        )
+        )  # fmt: skip
     return pd.concat(traces), pd.DataFrame(ends)
 
 

@@ -66,13 +66,10 @@ def conjugate_gradients(steps: int, tree: Tree, frames: Frames, tau: Floats) -> 
 
 
 SOLVERS: dict[str, Solver] = {
-    "dense Cholesky": dense,
-    "dense, refined": partial(refined, dense),
-    "articulated": solve_mass,
-    "articulated, refined": partial(refined, solve_mass),
-    "Fixman, unrefined": fixman_once,
+    "dense Cholesky": dense, "dense, refined": partial(refined, dense), "articulated": solve_mass,
+    "articulated, refined": partial(refined, solve_mass), "Fixman, unrefined": fixman_once,
     "Fixman": partial(solve_mass, method="fixman"),
-}
+}  # fmt: skip
 
 
 def posed(n: int, root: HingeKind = HingeKind.FREE) -> tuple[Tree, Frames, Floats]:
