@@ -17,9 +17,9 @@ from threadpoolctl import threadpool_limits
 
 from protochain.arrays import Floats
 from protochain.errors import ProtochainError
-from protochain.lab.cost import in_turn
+from protochain.lab.cost import in_turn, timed
 from protochain.lab.provenance import made
-from protochain.lab.report import Figure, draw_lines, save, table_of
+from protochain.lab.report import Figure, Work, draw_lines, save, table_of
 from protochain.storage import json_text
 
 Kind = Literal["relative", "absolute"]
@@ -46,6 +46,7 @@ class Bounded(Protocol):
 
 
 _Found = TypeVar("_Found", bound=Bounded)
+_Result = TypeVar("_Result")
 
 
 def within(error: float, bound: float) -> Outcome:
@@ -54,21 +55,11 @@ def within(error: float, bound: float) -> Outcome:
 
 
 def judged(call: Callable[[], _Found], refusal: str = "") -> tuple[Outcome, _Found | None, str]:
-    """Run a case: right, refused in the words expected, or wrong.
+    """Run a case: how it ended, what it found, and the words of a refusal or why else it is wrong.
 
-    Parameters
-    ----------
-    call : callable
-        -> what it found; a ProtochainError is a refusal.
-    refusal : str
-        Pattern of the words of the refusal that is expected; without it an answer is.
-
-    Returns
-    -------
-    Outcome, found or None, str
-        With the words of the refusal, or why it is wrong, if that is not for its error. Wrong are errors
-        above the bound, NaN, a refusal where an answer is expected, an answer or another refusal where one
-        is, and exceptions of any other kind.
+    A ProtochainError is a refusal, which is right if ``refusal``, a pattern, is in its one line. Wrong are
+    errors above the bound, NaN, a refusal where an answer is expected, an answer or another refusal where
+    one is, and exceptions of any other kind.
     """
     try:
         # Extreme numbers overflow on the way; what comes of it is judged. BLAS on one thread, as in runs.
@@ -240,13 +231,7 @@ def plot_work(scene: Scene) -> Figure:
 
 
 def write(scene: Scene, folder: Path) -> dict[str, str]:
-    """Write the tables of a scene, ``work.png`` and ``made.json`` to a folder.
-
-    Returns
-    -------
-    dict of str to str
-        Machine, threads, versions and commit.
-    """
+    """Write the tables of a scene, ``work.png`` and ``made.json`` to a folder; return what is in the last."""
     record = made("1", ("numpy", "scipy", "numba"))
     tables = {f"{name}.csv": table for name, table in scene.frames().items()}
     save(folder, {**tables, "work.png": plot_work(scene), "made.json": json_text(record)})
@@ -256,17 +241,9 @@ def write(scene: Scene, folder: Path) -> dict[str, str]:
 def check(
     name: str, value: float, oracle: float, bound: float, source: str, kind: Kind = "relative"
 ) -> Check:
-    """Hold a value against its oracle.
+    """Hold a value against its oracle: the parts of a :class:`Check`, but its error.
 
-    Parameters
-    ----------
-    name, value, oracle, bound, source, kind
-        As of :class:`Check`.
-
-    Returns
-    -------
-    Check
-        With its error. A relative one of an oracle of zero is infinite, or zero if the value is, too.
+    A relative one of an oracle of zero is infinite, or zero if the value is, too.
     """
     error = abs(float(value) - float(oracle))
     if kind == "relative" and error != 0.0:
@@ -280,25 +257,29 @@ def vanishes(name: str, error: float, bound: float, source: str) -> Check:
 
 
 def extreme(name: str, call: Callable[[], Check], refusal: str = "") -> Extreme:
-    """Run an extreme case: right, refused in the words expected, or wrong.
-
-    Parameters
-    ----------
-    name : str
-        The case.
-    call : callable
-        -> the :class:`Check` of its answer; a ProtochainError is a refusal.
-    refusal : str
-        Pattern of the words of the refusal that is expected; without it an answer is.
-
-    Returns
-    -------
-    Extreme
-        As :func:`judged`, with error, bound and source of an answer.
-    """
+    """Run an extreme case, as :func:`judged` does; with error, bound and source of an answer."""
     outcome, found, said = judged(call, refusal)
     told = f"{found.kind} error {found.error:.3g}, bound {found.bound:.3g}: {found.source}" if found else ""
     return Extreme(name, outcome, "; ".join(filter(None, (said, told))))
+
+
+def tried(
+    method: str,
+    setting: str,
+    call: Callable[[], _Result],
+    error: Callable[[_Result], float],
+    repeats: int = 1,
+) -> Work:
+    """Time a setting of a method, by the least of some repeats: a point of error against run time.
+
+    ``error`` is of the result; where the call is refused it is infinite, and there is no time.
+    """
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            found, seconds = timed(call, repeats)
+    except ProtochainError:
+        return method, setting, np.nan, np.inf
+    return method, setting, seconds, float(error(found))
 
 
 def left_out(
@@ -308,23 +289,10 @@ def left_out(
     bound: float,
     repeats: int = 3,
 ) -> LeftOut:
-    """Compute an answer with everything and with less, timed in turn.
+    """Compute an answer, a number or an array, with everything and with less: both in turn, so many times.
 
-    Parameters
-    ----------
-    what : str
-        What is left out.
-    everything, less : callable
-        -> the answer, a number or an array.
-    bound : float
-        Largest difference allowed, relative to the largest number of the answer.
-    repeats : int
-        How often each is called; the least processor seconds count.
-
-    Returns
-    -------
-    LeftOut
-        With the ratio of both times and the relative difference, which is infinite if shapes differ.
+    The difference is relative to the largest number of the answer, and infinite if shapes differ; of times
+    the least count.
     """
     full, short = in_turn((everything, less), turns=repeats)
     a, b, ratio = np.asarray(full.result, float), np.asarray(short.result, float), full.least / short.least

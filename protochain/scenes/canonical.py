@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 
 from protochain.arrays import Floats
 from protochain.errors import MechanicsError
-from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, vanishes
+from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, tried, vanishes
 from protochain.lab.cost import timed
 from protochain.lab.fits import exponent
 from protochain.lab.report import work_table
@@ -227,8 +227,8 @@ def _work(until: float) -> pd.DataFrame:
     rows = []
     for said, (rates, other) in forms.items():
         for tolerance in (1e-4, 1e-6, 1e-8, 1e-10):
-            at, seconds = timed(partial(end_of, rates, np.concatenate([q, other]), until, tolerance))
-            rows.append((said, f"{tolerance:g}", seconds, float(np.abs(at[:n] - exact).max())))
+            end = partial(end_of, rates, np.concatenate([q, other]), until, tolerance)
+            rows.append(tried(said, f"{tolerance:g}", end, lambda at: np.abs(at[:n] - exact).max()))
     return work_table(rows)
 
 

@@ -13,8 +13,7 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
-from protochain.lab.cases import Check, Scene
-from protochain.lab.cost import timed
+from protochain.lab.cases import Check, Scene, tried
 from protochain.lab.fits import extrapolated
 from protochain.lab.report import work_table
 from protochain.motion import Integrator, Rosenbrock, RungeKutta4
@@ -118,9 +117,10 @@ def _work(quick: bool) -> pd.DataFrame:
         plans.append(("modes, Runge-Kutta", replace(bending, modes=True), 2e-3, RungeKutta4()))
         if cells < (4 if quick else 8):
             plans.append(("segments, Rosenbrock", bending, 2e-3, Rosenbrock()))
-    rows = []
-    for method, given, h, integrator in plans:
-        value, seconds = timed(partial(flap, given, h, integrator), 1 if quick else 2)
-        error = float(np.max(np.abs(value - exact)))
-        rows.append((method, f"{given.cells} cells, {1e3 * h:g} ms", seconds, error))
-    return work_table(rows)
+    return work_table(
+        tried(
+            method, f"{given.cells} cells, {1e3 * h:g} ms", partial(flap, given, h, integrator),
+            lambda value: np.max(np.abs(value - exact)), 1 if quick else 2,
+        )
+        for method, given, h, integrator in plans
+    )  # fmt: skip

@@ -258,8 +258,8 @@ def copies(s: Structure, n: int, apart: ArrayLike = (0.0, 2.0, 0.0)) -> Structur
         path.write_text("\n".join([*text, "END", ""]))
         many = load(path)
     # Moved once they are read, for a file in which one chain lies upon another is refused.
-    k = np.repeat(np.arange(n), many.n_atoms // n)
-    return many.with_positions(many.positions + k[:, None] * (np.asarray(apart) - beside))
+    numbers = np.repeat(np.arange(n), many.n_atoms // n)[:, None]
+    return many.with_positions(many.positions + numbers * (np.asarray(apart) - beside))
 
 
 def large(how: str, solvent: str, threads: int) -> Found:
