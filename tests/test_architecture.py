@@ -38,6 +38,7 @@ LAYERS = [
     {"validation"},
     {"minimisers"},
     {"relaxation"},
+    {"lab"},
     {"analysis"},
     {"batches", "scenes"},
     {"cli"},
@@ -47,6 +48,7 @@ OPEN = (
     "batches",
     "dynamics",
     "energies",
+    "lab",
     "mechanisms",
     "minimisers",
     "motion",
@@ -99,8 +101,10 @@ def test_imports_point_one_way(path):
         other = name.split(".")[1]
         assert other == own or layer(other) <= layer(own), f"{own} imports {other}"
         if own == "scenes":
-            below = {"analysis", "mechanisms", "motion", "multibody"}
+            below = {"analysis", "lab", "mechanisms", "motion", "multibody"}
             assert other in {own, *below} or layer(other) == 0, "scenes know nothing of proteins"
+        if own == "lab":
+            assert other == own or layer(other) == 0, "the laboratory knows neither proteins nor mechanics"
         if own == "multibody":
             assert other == own or layer(other) == 0, "multibody knows nothing of proteins or energies"
         if own == "motion":

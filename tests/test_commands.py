@@ -17,6 +17,8 @@ from test_write import ring
 import protochain as pc
 from protochain.cli import app, main, options
 from protochain.errors import Argument, ProtochainError, WriteError
+from protochain.lab.cases import Extreme, Outcome, Scene
+from protochain.lab.report import work_table
 from protochain.residues import Residue
 from protochain.setup import Setup
 from protochain.structure.repairs import EVERYTHING, Kind, Repair
@@ -76,7 +78,7 @@ COMMANDS = {
     },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
     "bench": {
-        "name": "all", "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "only": None,
+        "name": None, "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "only": None,
         "threads": None, "minutes": None, "jobs": None, "starts": None, "evaluations": None,
     },
     "scene": {"name": None, **OUTPUT, "quick": False, **AS_JSON},
@@ -390,25 +392,41 @@ def test_rmsd_ends_by_how_many_were_measured(chosen, status, monkeypatch, tmp_pa
     assert len(asked) == 2
 
 
-def test_bench_runs_the_studies_it_is_asked_for(monkeypatch, tmp_path, capsys):
+def test_bench_runs_the_studies_and_scenes_it_is_asked_for(monkeypatch, tmp_path, capsys):
     ran = []
 
-    def study(name):
-        if name == "odd":
-            raise ProtochainError("odd: no")
-        return SimpleNamespace(
-            run=lambda *given: ran.append((name, *given)) or [pd.DataFrame({"a": [1], "b": ["x"]})]
-        )
+    def module(name, found):
+        own = SimpleNamespace(run=lambda *given: ran.append((name, *given)) or found)
+        monkeypatch.setitem(sys.modules, f"protochain.{name}", own)
 
-    monkeypatch.setattr("protochain.analysis.studies.study", study)
-    monkeypatch.setattr("protochain.analysis.studies.STUDIES", ("one", "two"))
+    for name in ("one", "two"):
+        module(f"analysis.studies.{name}", [pd.DataFrame({"a": [1], "b": ["x"]})])
+    bad = Extreme("odd", Outcome.WRONG, "so")
+    module("scenes.three", Scene("three", "a scene", (), work_table([]), (bad,)))
+    monkeypatch.setattr("protochain.analysis.studies.STUDIES", {"one": "first", "two": "second"})
+    monkeypatch.setattr("protochain.scenes.SCENES", {"three": "third"})
+    assert run("bench") == 0 and capsys.readouterr().out == "one    first\ntwo    second\nthree  third\n"
     out = tmp_path / "out"
-    assert run("bench", "-o", out) == 0 and ran == [("one", out / "one", ()), ("two", out / "two", ())]
-    assert capsys.readouterr().out == 2 * " a b\n 1 x\n\n" + f"written: tables and plots in {out}\n"
-    assert run("bench", "two", "a.pdb", "-o", out) == 0 and ran[2:] == [("two", out, [Path("a.pdb")])]
-    assert refusal("bench", "odd") == "odd: no"
+    studied = "analysis.studies"
+    assert run("bench", "all", "-o", out) == 1
+    assert ran == [(f"{studied}.{name}", out / name, []) for name in ("one", "two")] + [
+        ("scenes.three", False)
+    ]
+    said = capsys.readouterr()
+    assert said.out.startswith(2 * " a b\n 1 x\n\n" + f"written: tables and plots in {out}\nthree: a scene")
+    assert said.err.endswith(f"scene three: wrong: odd; the tables in {out / 'three'} say how\n")
+    assert run("bench", "two", "a.pdb", "-o", out) == 0 and ran[3:] == [
+        (f"{studied}.two", out, [Path("a.pdb")])
+    ]
+    assert run("bench", "three", "--quick", "-o", out) == 1 and ran[4:] == [("scenes.three", True)]
+    assert (out / "checks.csv").exists()
+    assert refusal("bench", "odd") == "there is no study or scene 'odd'; choose from one, two, three"
+    for words in (("a.pdb",), ("--jobs", "2")):
+        assert refusal("bench", "three", *words).startswith(
+            "three: a scene takes no files, and of the options"
+        )
     (tmp_path / "file").write_text("")
-    assert "is not a folder" in refusal("bench", "-o", tmp_path / "file") and len(ran) == 3
+    assert "is not a folder" in refusal("bench", "two", "-o", tmp_path / "file") and len(ran) == 5
 
 
 READ = {

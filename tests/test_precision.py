@@ -99,7 +99,7 @@ def test_lists_have_their_margin_back():
 
 
 def test_cutoffs_err_less_the_longer_they_are_and_not_at_all_against_the_same():
-    table = curves.table_of("e", energies._cutoffs("GAGAGAG", "vacuum", (0.8, 1.5)))
+    table = curves.points_of("e", energies._cutoffs("GAGAGAG", "vacuum", (0.8, 1.5)))
     own = table[table["method"] == "native"].set_index(["case", "parameter"])["error"]
     every, same = own["vacuum, against all pairs"], own["vacuum, against the same cutoff"]
     assert every["0.8 nm"] > every["1.5 nm"] > 1e-3 > 1e-9 > every["all pairs"]
@@ -193,7 +193,7 @@ def test_minimisers_are_points_of_the_same_table():
         for cost, per in (("evaluations", 10.0), ("seconds", 0.1))
         for above, median in zip(minimisers.ABOVE, (scale * per, 2 * scale * per, np.inf), strict=True)
     ]
-    table = curves.table_of("minimisers", minimisers.points(pd.DataFrame(rows), 4))
+    table = curves.points_of("minimisers", minimisers.points(pd.DataFrame(rows), 4))
     assert table["case"].tolist() == 3 * ["torsions only"] + 3 * ["all atoms free"]
     assert table["error"].tolist() == 2 * [100.0, 10.0, np.inf]
     assert table["evaluations"].tolist()[:2] == [10.0, 20.0] and table["seconds"].tolist()[4] == 1.0
@@ -215,7 +215,8 @@ def test_a_sentence_and_a_page_say_what_the_numbers_are(tmp_path, monkeypatch):
     (shown,) = precision.run(tmp_path, quick=True, only=["own"])
     assert len(shown) == 5
     table = pd.read_csv(tmp_path / "curves.csv")
-    assert tuple(table.columns) == curves.COLUMNS and table["kind"].unique().tolist() == ["own"]
+    assert list(table.columns) == ["kind", *curves.Point.__annotations__]
+    assert table["kind"].unique().tolist() == ["own"]
     assert (tmp_path / "own.png").stat().st_size > 10_000
     said = curves.said(table)
     assert said[0] == (

@@ -15,10 +15,13 @@ from test_commands import run as command
 
 import protochain.scenes
 from protochain.errors import MechanicsError, ProtochainError
+from protochain.lab.cases import check, extreme, left_out, tried, vanishes
+from protochain.lab.cost import in_turn, timed
+from protochain.lab.fits import exponent, extrapolated, order
+from protochain.lab.report import work_table
 from protochain.multibody import kinetic_energy, pose
 from protochain.scenes import SCENES, Check, Extreme, LeftOut, Scene, plot_work, run, serial
 from protochain.scenes.beam.extremes import REFUSED
-from protochain.scenes.scene import check, exponent, extreme, left_out, timed, work_table
 
 
 def some(checks=(), extremes=(), left=()):
@@ -78,7 +81,17 @@ def test_the_least_time_and_the_exponent_of_a_line():
     calls = []
     result, seconds = timed(lambda: calls.append(1) or len(calls), repeats=4)
     assert result == 4 and 0.0 <= seconds < np.inf
+    made = []
+    # Two in a row of each, of which the first counts only where it is slow, or the first of all.
+    ticks = iter(np.arange(100.0))
+    both = in_turn([lambda: made.append("a"), lambda: made.append("b")], turns=3, row=2, clock=lambda: 0.0)
+    assert "".join(made) == "abaabbaabb" and [len(each.seconds) for each in both] == [3, 3]
+    slow = in_turn([lambda: made.append("c")], turns=2, row=5, clock=lambda: next(ticks))
+    assert made.count("c") == 2 and slow[0].seconds == (1.0, 1.0) and slow[0].least == slow[0].median == 1.0
     h = np.array([0.1, 0.05, 0.02, 0.01])
+    assert extrapolated(1.0 + h, 1.0 + 0.25 * h) == pytest.approx(np.ones(4), rel=1e-15)
+    assert order(*(1.0 + 0.3 / n**2 for n in (4, 8, 16))) == pytest.approx(2.0)
+    assert order(*(np.array([1.0, 2.0]) + 0.3 / n**2 for n in (4, 8, 16))) == pytest.approx(2.0)
     assert exponent(h, 3.0 * h**4) == pytest.approx(4.0)
     assert exponent([*h, 0.005, 0.002], [*(3.0 * h**-1.5), 0.0, np.nan]) == pytest.approx(-1.5)
     assert np.isnan(exponent([1.0, 1.0], [1.0, 2.0])) and np.isnan(exponent([1.0], [1.0]))
@@ -103,6 +116,17 @@ def test_a_scene_names_what_is_wrong_and_has_a_table_for_each_file():
     ]
 
 
+def test_a_point_of_work_has_its_error_and_what_is_refused_an_infinite_one():
+    def refuses():
+        raise MechanicsError("too long")
+
+    method, setting, seconds, error = tried("a", "h", lambda: 2.0, lambda found: found - 1.5)
+    assert (method, setting, error) == ("a", "h", 0.5) and 0.0 <= seconds < 1.0
+    _, _, seconds, error = tried("a", "h", refuses, float)
+    assert np.isnan(seconds) and error == np.inf
+    assert vanishes("k", -1e-3, 1e-2, "one") == Check("k", -1e-3, 0.0, 1e-3, 1e-2, "one", "absolute")
+
+
 @pytest.fixture
 def scenes(monkeypatch):
     """Make the command run scenes of one's own: by name, a function of quick."""
@@ -119,7 +143,7 @@ def scenes(monkeypatch):
 def test_every_scene_has_a_line_and_a_module():
     folder = ROOT / "protochain" / "scenes"
     modules = {path.stem for path in folder.iterdir() if path.is_dir() or path.suffix == ".py"}
-    assert modules - {"__init__", "__pycache__", "scene", "folder"} == set(SCENES)
+    assert modules - {"__init__", "__pycache__"} == set(SCENES)
     for name, line in SCENES.items():
         assert 20 < len(line) < 90 and "\n" not in line
         assert callable(import_module(f"protochain.scenes.{name}").run)

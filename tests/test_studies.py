@@ -13,10 +13,12 @@ from scipy.linalg import eigh
 
 import protochain as pc
 from protochain.analysis import studies
-from protochain.analysis.studies import made, stability, study
+from protochain.analysis.studies import stability, study
 from protochain.analysis.studies.precision import minimisers
+from protochain.analysis.studies.precision import solvers as precise
 from protochain.analysis.studies.stability import cells, dynamics, mechanics, page, solvers
 from protochain.cli import app
+from protochain.lab import provenance
 from protochain.multibody import HingeKind, mass_matrix, pose, random_tree
 from protochain.processors import processors
 
@@ -68,7 +70,7 @@ def test_the_grid_counts_what_it_found(tmp_path, monkeypatch):
         cells.Case("limits", "long", lambda threads: cells.Found(0, 0, ""), cells.Part.FULL),
     )
     monkeypatch.setattr(mechanics, "CASES", table)
-    run = cells.table_of(cells.run_cells(["mechanics"], cells.Part.QUICK, (1, 2)))
+    run = cells.ordered(cells.run_cells(["mechanics"], cells.Part.QUICK, (1, 2)))
     verdicts = ["right", *["wrong"] * 3, "refused", "refused", *["wrong"] * 6, "right"]
     assert run["verdict"].tolist() == verdicts
     messages = run["message"].tolist()
@@ -80,9 +82,8 @@ def test_the_grid_counts_what_it_found(tmp_path, monkeypatch):
     assert messages[8].startswith("an answer where a refusal is expected") and not messages[10]
     assert "2 threads: right, error 0.5," in messages[9] and messages[11].startswith("not the same by")
     assert run["threads"].tolist() == [*["1 2"] * 12, "1"]
-    stability.write_page(run, tmp_path / "report.html", (1, 2))
-    page = (tmp_path / "report.html").read_text()
-    assert page.count('<span class="wrong" title') == 9 and page.count('<span class="refused" title') == 2
+    text = page.rendered(run, (1, 2))
+    assert text.count('<span class="wrong" title') == 9 and text.count('<span class="refused" title') == 2
     monkeypatch.setattr(cells, "ROWS", ("mechanics",))
     monkeypatch.setattr(stability, "processors", lambda: 1)
     asked = ["bench", "stability", "--quick", "--rows", "mechanics", "-o", str(tmp_path)]
@@ -158,10 +159,10 @@ def test_the_norm_and_the_error_are_those_of_the_dense_matrix():
     frames, tau = pose(tree, random.uniform(-3, 3, tree.n_q)), random.normal(size=tree.n_v)
     mass = mass_matrix(tree, frames)
     norm = eigh(mass, eigvals_only=True)[-1]
-    assert 0.9 * norm < solvers.norm_of_mass(tree, frames) <= norm * (1 + 1e-12)
+    assert 0.9 * norm < precise.norm_of_mass(tree, frames) <= norm * (1 + 1e-12)
     x = np.linalg.solve(mass, tau) * (1 + 1e-6)
     expected = np.linalg.norm(mass @ x - tau) / (norm * np.linalg.norm(x) + np.linalg.norm(tau))
-    measured = solvers.backward_error(tree, frames, x, tau) * np.finfo(float).eps
+    measured = precise.backward_error(tree, frames, x, tau) * np.finfo(float).eps
     assert measured == pytest.approx(expected, rel=0.1)
 
 
@@ -175,20 +176,20 @@ def test_a_study_that_is_not_there_is_named():
 def test_a_study_is_a_module_and_its_name(tmp_path, monkeypatch, capsys):
     mine = SimpleNamespace(run=lambda output, inputs: iter([pd.DataFrame({"measured": [len(inputs)]})]))
     monkeypatch.setitem(sys.modules, "protochain.analysis.studies.mine", mine)
-    monkeypatch.setattr(studies, "STUDIES", (*studies.STUDIES, "mine"))
+    monkeypatch.setitem(studies.STUDIES, "mine", "one's own")
     assert app(["bench", "mine", "a.pdb", "-o", str(tmp_path)], standalone_mode=False) == 0
     assert capsys.readouterr().out.split()[:2] == ["measured", "1"]
 
 
 def test_pages_say_how_they_were_made(monkeypatch):
-    said = made.made("2, which must agree")
+    said = provenance.made("2, which must agree")
     assert list(said) == ["machine", "threads", "versions", "commit"]
     assert said["threads"] == "2, which must agree" and f"{processors()} processors" in said["machine"]
     assert f"numpy {np.__version__}" in said["versions"] and "protochain " in said["versions"]
     head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
     if (ROOT / ".git").exists():
         assert said["commit"].removesuffix(" and changes") == head.stdout.strip()
-    monkeypatch.setattr(made.subprocess, "run", Mock(side_effect=FileNotFoundError))
-    assert made.made("1")["commit"] in ("unknown: git is not installed", "none: an installed package")
-    monkeypatch.setattr(made, "__file__", str(ROOT / "tests" / "site" / "analysis" / "studies" / "made.py"))
-    assert made.made("1")["commit"] == "none: an installed package"
+    monkeypatch.setattr(provenance.subprocess, "run", Mock(side_effect=FileNotFoundError))
+    assert provenance.made("1")["commit"] in ("unknown: git is not installed", "none: an installed package")
+    monkeypatch.setattr(provenance, "__file__", str(ROOT / "tests" / "protochain" / "lab" / "provenance.py"))
+    assert provenance.made("1")["commit"] == "none: an installed package"

@@ -161,12 +161,9 @@ JOBS = (
     Job("dipeptide", f"{HERE}/dipeptide.py -o DIR", 45),
     Job("batch", f"{HERE}/batch.py --more MORE -o DIR", 4),
     Job(
-        "scenes", "protochain bench scenes structures/1hel.pdb -o DIR", 5,
-        "protochain bench scenes structures/1l2y.pdb --quick -o DIR",
-        {
-            "scenes.csv": ("scenes.csv", ()), "features.csv": ("scenes_features.csv", ()),
-            "scenes.png": ("scenes.png", ()),
-        },
+        "omissions", "protochain bench omissions structures/1hel.pdb -o DIR", 5,
+        "protochain bench omissions structures/1l2y.pdb --quick -o DIR",
+        {"omissions.csv": ("scenes.csv", ()), "omissions.png": ("scenes.png", ())},
     ),
     Job(
         "stability", "protochain bench stability -o DIR", 25, "protochain bench stability --quick -o DIR",

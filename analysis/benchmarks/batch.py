@@ -106,15 +106,12 @@ def costs_of(done: pc.Batch) -> pd.DataFrame:
         return sum(path.stat().st_size for path in paths) / structures / 1024
 
     row = {
-        "structures": structures,
-        "residues": good["n_residues"].mean(),
-        "seconds_preparation": good["seconds_preparation"].mean(),
-        "seconds": good["seconds"].mean(),
-        "kb_summary": kilobytes([folder / "summary.csv"]),
-        "kb_traces": kilobytes([folder / "traces.csv"]),
+        "structures": structures, "residues": good["n_residues"].mean(),
+        "seconds_preparation": good["seconds_preparation"].mean(), "seconds": good["seconds"].mean(),
+        "kb_summary": kilobytes([folder / "summary.csv"]), "kb_traces": kilobytes([folder / "traces.csv"]),
         "kb_structure": kilobytes(folder.glob("*.pdb")),
         "kb_page": kilobytes((folder / "pages").glob("*.html")),
-    }
+    }  # fmt: skip
     return pd.DataFrame([row])
 
 

@@ -69,9 +69,9 @@ def problem_of(chain: pc.Chain, energy, budget: int) -> Problem:
     )
 
 
-def enkephalin(quick: bool) -> pd.DataFrame:
+def enkephalin(options: argparse.Namespace) -> pd.DataFrame:
     """Where each setting ends from random starts, a row for each start."""
-    starts, most = (1, 100) if quick else (STARTS, BUDGET)
+    starts, most = (1, 100) if options.quick else (STARTS, BUDGET)
     structure = pc.from_sequence("YGGFM")
     energy = pc.energy(structure, threads=1)
     settings = {f"kcm, {step:g} rad": Descent(KCM(), Fixed(step)) for step in STEPS}
@@ -124,12 +124,12 @@ def dense_hessian(problem: Problem, at) -> np.ndarray:
     return 0.5 * (np.array(rows) + np.transpose(rows))
 
 
-def angles(quick: bool) -> pd.DataFrame:
+def angles(options: argparse.Namespace) -> pd.DataFrame:
     """What KCM with a fixed angle leaves in extended Met-enkephalin, and how soon it is near."""
     structure = pc.from_sequence("YGGFM")
     chain, energy = pc.build_chain(structure), pc.energy(structure, threads=1)
     rows = []
-    for angle in ANGLES[: 1 if quick else None]:
+    for angle in ANGLES[: 1 if options.quick else None]:
         problem, points = problem_of(chain, energy, 10_000), []
         run(problem, pc.kcm(angle).runs[0].method, chain.q0, 1e-9, 500, points.append)
         polish = problem_of(chain, energy, 10_000)
@@ -173,10 +173,10 @@ def scipy_evaluations(problem: Problem, q: np.ndarray) -> float:
     return need[0] if need else np.inf
 
 
-def evaluations(quick: bool) -> pd.DataFrame:
+def evaluations(options: argparse.Namespace) -> pd.DataFrame:
     """What every torsion method needs to 1 kJ/mol/rad on the samples; infinite if more than allowed."""
     rows = []
-    for name in NAMES[: 1 if quick else None]:
+    for name in NAMES[: 1 if options.quick else None]:
         structure = pc.load(SAMPLES / f"{name}.pdb")
         chain, energy = pc.build_chain(structure), pc.energy(structure, threads=1)
         # Free roots turn on a group of their own, which scipy does not know.
@@ -200,14 +200,12 @@ def parser() -> argparse.ArgumentParser:
 
 def main() -> None:
     options = parser().parse_args()
-    for name in options.studies or STUDIES:
-        table = STUDIES[name](options.quick)
-        print(f"\n{STUDIES[name].__doc__}\n\n{table.to_string(index=False)}", flush=True)
-        if options.output:
-            of = [f"{each}.pdb" for each in NAMES] if name == "evaluations" else ["YGGFM"]
-            made.write(table, options.output / f"compliance_{name}.csv", of)
-            if name == "starts":
-                draw(table, options.output)
+    samples = [f"{each}.pdb" for each in NAMES]
+    found = made.study(
+        options, STUDIES, "compliance", lambda n, _: samples if n == "evaluations" else ["YGGFM"]
+    )
+    if options.output and "starts" in found:
+        draw(found["starts"], options.output)
 
 
 if __name__ == "__main__":

@@ -156,20 +156,13 @@ def row(method: str, runs: list[np.ndarray], basin: str, exact: float) -> dict[s
     by_seeds = float(shares.std(ddof=1) / np.sqrt(len(shares))) if len(shares) > 1 else 0.0
     error = max(by_blocks, by_seeds)
     return {
-        "method": method,
-        "basin": basin,
-        "seeds": len(runs),
-        "samples": inside.size,
-        "share_percent": 100 * shares.mean(),
-        "error_percent": 100 * error,
-        "error_by_blocks_percent": 100 * by_blocks,
-        "error_by_seeds_percent": 100 * by_seeds,
-        "samples_per_independent_one": each,
-        "lowest_seed_percent": 100 * shares.min(),
-        "highest_seed_percent": 100 * shares.max(),
-        "quadrature_percent": 100 * exact,
+        "method": method, "basin": basin, "seeds": len(runs), "samples": inside.size,
+        "share_percent": 100 * shares.mean(), "error_percent": 100 * error,
+        "error_by_blocks_percent": 100 * by_blocks, "error_by_seeds_percent": 100 * by_seeds,
+        "samples_per_independent_one": each, "lowest_seed_percent": 100 * shares.min(),
+        "highest_seed_percent": 100 * shares.max(), "quadrature_percent": 100 * exact,
         "errors_from_quadrature": (shares.mean() - exact) / error if error > 0.0 else np.nan,
-    }
+    }  # fmt: skip
 
 
 def draw(surfaces: dict[str, np.ndarray], path: Path) -> None:

@@ -8,7 +8,7 @@ dynamics_STUDY.csv, and drawn where a picture says more. The largest structure, 
 
 import argparse
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from time import perf_counter
 
@@ -22,6 +22,7 @@ from openmm import unit
 from scipy import constants
 
 import protochain as pc
+from protochain import lab
 from protochain.dynamics import (
     Isolated,
     Langevin,
@@ -40,13 +41,10 @@ LARGEST = "1ake_A.pdb"
 THREADS = 2
 KT = 300.0 * constants.R / 1000.0
 MODELS = {
-    "phi psi chi": ("phi psi chi", None),
-    "+ omega": ("phi psi omega chi", None),
-    "+ rotors": ("phi psi chi rotors", None),
-    "+ rotors, 4 amu hydrogens": ("phi psi chi rotors", 4.0),
-    "+ angles": ("phi psi chi angles", None),
-    "all": ("phi psi omega chi rotors angles", None),
-}
+    "phi psi chi": ("phi psi chi", None), "+ omega": ("phi psi omega chi", None),
+    "+ rotors": ("phi psi chi rotors", None), "+ rotors, 4 amu hydrogens": ("phi psi chi rotors", 4.0),
+    "+ angles": ("phi psi chi angles", None), "all": ("phi psi omega chi rotors angles", None),
+}  # fmt: skip
 
 
 def at_a_minimum(path: Path, hinges: str, solvent: str = "obc2"):
@@ -57,7 +55,7 @@ def at_a_minimum(path: Path, hinges: str, solvent: str = "obc2"):
     return chain, energy, pc.minimise(chain, energy, "lbfgs", 10.0, max_evaluations=1500).q
 
 
-def energy_error(quick: bool, more: Path) -> pd.DataFrame:
+def energy_error(options: argparse.Namespace) -> pd.DataFrame:
     """Constant energy, Trp-cage: error and cost by integrator and time step, 100 ps at 2 fs."""
     chain, energy, q = at_a_minimum(SAMPLES / "1l2y.pdb", "phi psi chi")
     warm = pc.simulate(chain, energy, q, n_steps=2500, friction=10.0, seed=1)
@@ -65,7 +63,7 @@ def energy_error(quick: bool, more: Path) -> pd.DataFrame:
     runs += [("lobatto", h, 10.0) for h in (0.5, 1.0, 2.0, 4.0, 8.0)]
     runs += [("midpoint", h, 1.0) for h in (4.0, 8.0)] + [("rk4", h, 2.0) for h in (1.0, 2.0, 4.0, 8.0)]
     runs += [("dormand-prince", h, 2.0) for h in (4.0,)] + [("leapfrog", 2.0, 100.0)]
-    if quick:
+    if options.quick:
         runs = [(name, h, ps / 20) for name, h, ps in runs]
     rows = []
     for name, h, ps in runs:
@@ -76,23 +74,19 @@ def energy_error(quick: bool, more: Path) -> pd.DataFrame:
         total = m.trace["total_kj_mol"]
         rows.append(
             {
-                "integrator": name,
-                "step_fs": h,
-                "time_ps": ps,
-                "status": str(m.ending),
-                "error_kj_mol": total.std(),
-                "drift_kj_mol_ps_100_atoms": m.drift,
+                "integrator": name, "step_fs": h, "time_ps": ps, "status": str(m.ending),
+                "error_kj_mol": total.std(), "drift_kj_mol_ps_100_atoms": m.drift,
                 "ms_per_step": 1000 * m.seconds / max(1, m.n_steps),
             }
-        )
+        )  # fmt: skip
     return pd.DataFrame(rows)
 
 
-def largest_steps(quick: bool, more: Path) -> pd.DataFrame:
+def largest_steps(options: argparse.Namespace) -> pd.DataFrame:
     """Largest step of 10 ps at constant energy and 300 K within the drift allowed, and within stability."""
     rows = []
-    models = {name: MODELS[name] for name in list(MODELS)[: 1 if quick else None]}
-    ps = 0.2 if quick else 10.0
+    models = {name: MODELS[name] for name in list(MODELS)[: 1 if options.quick else None]}
+    ps = 0.2 if options.quick else 10.0
     for name, (hinges, hydrogen_mass) in models.items():
         chain, energy, q = at_a_minimum(SAMPLES / "1l2y.pdb", hinges)
         warm = pc.simulate(
@@ -121,16 +115,10 @@ def largest_steps(quick: bool, more: Path) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def median_seconds(function: Callable[[], object], n: int, repeats: int = 7) -> float:
-    """Median over repeats of the mean time of n calls."""
+def median_seconds(function: Callable[[], object]) -> float:
+    """Median time of some calls."""
     function()
-    times = []
-    for _ in range(repeats):
-        began = perf_counter()
-        for _ in range(n):
-            function()
-        times.append((perf_counter() - began) / n)
-    return float(np.median(times))
+    return lab.in_turn([function], turns=70, clock=perf_counter)[0].median
 
 
 def one_step(chain: pc.Chain, energy) -> tuple[float, float, float, float]:
@@ -151,33 +139,29 @@ def one_step(chain: pc.Chain, energy) -> tuple[float, float, float, float]:
         return lambda: advance(propagator, now)
 
     return (
-        median_seconds(lambda: energy(x), 10),
-        median_seconds(lambda: system.potential(at.q, at.factors), 10),
-        median_seconds(step(Langevin(KT)), 10),
-        median_seconds(step(Isolated()), 10),
+        median_seconds(lambda: energy(x)),
+        median_seconds(lambda: system.potential(at.q, at.factors)),
+        median_seconds(step(Langevin(KT))),
+        median_seconds(step(Isolated())),
     )
 
 
-def cost(quick: bool, more: Path) -> pd.DataFrame:
+def cost(options: argparse.Namespace) -> pd.DataFrame:
     """Cost of a whole step of 4 fs, beyond the energy and its torques."""
     rows = []
-    for path in sizes(("1l2y", "4pti", "1ubq", "1hel"), quick, more):
+    for path in sizes(("1l2y", "4pti", "1ubq", "1hel"), options):
         structure = pc.load(path)
         chain = pc.build_chain(structure, root="free")
         energy = pc.energy(structure, threads=THREADS)
         whole, potential, bathed, isolated = one_step(chain, energy)
         rows.append(
             {
-                "structure": path.stem.split("_")[0],
-                "atoms": structure.n_atoms,
-                "hinges": chain.n_hinges,
-                "energy_ms": 1000 * whole,
-                "energy_and_torques_ms": 1000 * potential,
-                "rest_ms": 1000 * bathed,
-                "rest_without_langevin_ms": 1000 * isolated,
+                "structure": path.stem.split("_")[0], "atoms": structure.n_atoms, "hinges": chain.n_hinges,
+                "energy_ms": 1000 * whole, "energy_and_torques_ms": 1000 * potential,
+                "rest_ms": 1000 * bathed, "rest_without_langevin_ms": 1000 * isolated,
                 "rest_percent": 100 * bathed / potential,
             }
-        )
+        )  # fmt: skip
     return pd.DataFrame(rows)
 
 
@@ -198,11 +182,11 @@ def openmm_ns_per_day(system: openmm.System, x: np.ndarray, seconds: float) -> f
     return 86.4 * steps * 0.002 / (perf_counter() - began)
 
 
-def speed(quick: bool, more: Path) -> pd.DataFrame:
+def speed(options: argparse.Namespace) -> pd.DataFrame:
     """Nanoseconds a day: OpenMM at 2 fs, ours at 2, 4, 8 fs; ratios to the quicker of OpenMM's two OBC2."""
     rows = []
-    seconds = 0.5 if quick else 20.0
-    for path in sizes(("1l2y", "1ubq"), quick, more):
+    seconds = 0.5 if options.quick else 20.0
+    for path in sizes(("1l2y", "1ubq"), options):
         for solvent in ("obc2", "gbn2"):
             chain, energy, q = at_a_minimum(path, "phi psi chi", solvent)
             x = pc.pose(chain, q).x
@@ -228,31 +212,23 @@ def speed(quick: bool, more: Path) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def markdown(table: pd.DataFrame) -> str:
-    """Table as README shows it."""
-    cells = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in table.to_numpy(object)]
-    lines = [list(table.columns), ["---"] + ["--:"] * (len(table.columns) - 1), *cells]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
 def draw(table: pd.DataFrame, path: Path) -> None:
     """Energy error against time step and against cost."""
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained", sharey=True)
     sound = table[(table["status"] == "completed") & (table["time_ps"] < 100)]
-    for marker, (name, part) in zip("os^Dv", sound.groupby("integrator", sort=False), strict=False):
-        axes[0].loglog(part["step_fs"], part["error_kj_mol"], marker=marker, label=name)
-        axes[1].loglog(part["ms_per_step"] / part["step_fs"], part["error_kj_mol"], marker=marker, label=name)
+    sound = sound.assign(seconds_per_ps=sound["ms_per_step"] / sound["step_fs"])
+    for ax, column in zip(axes, ("step_fs", "seconds_per_ps"), strict=True):
+        lab.draw_lines(ax, sound, column, "error_kj_mol", "integrator")
     axes[0].set(xlabel="time step, fs", ylabel="standard deviation of the energy, kJ/mol")
     axes[1].set(xlabel="run time, s per ps")
-    axes[0].legend(frameon=False)
     figure.suptitle("Trp-cage at constant energy, 300 K: error against step and run time")
     figure.savefig(path, dpi=150)
 
 
-def sizes(samples: tuple[str, ...], quick: bool, more: Path) -> list[Path]:
+def sizes(samples: tuple[str, ...], options: argparse.Namespace) -> list[Path]:
     """Files of growing size; the smallest alone if it has to be quick."""
-    files = [SAMPLES / f"{name}.pdb" for name in samples] + [more / LARGEST]
-    return files[:1] if quick else files
+    files = [SAMPLES / f"{name}.pdb" for name in samples] + [options.more / LARGEST]
+    return files[:1] if options.quick else files
 
 
 STUDIES = {"energy": energy_error, "steps": largest_steps, "cost": cost, "speed": speed}
@@ -264,14 +240,13 @@ def parser() -> argparse.ArgumentParser:
 
 def main() -> None:
     options = parser().parse_args()
-    for name in options.studies or STUDIES:
-        table = STUDIES[name](options.quick, options.more)
-        print(f"\n{STUDIES[name].__doc__}\n\n{markdown(table)}", flush=True)
-        if options.output:
-            of = table["structure"].unique() if "structure" in table else ["1l2y"]
-            made.write(table, options.output / f"dynamics_{name}.csv", of, THREADS)
-            if name == "energy":
-                draw(table, options.output / "dynamics_energy.png")
+
+    def of(_: str, table: pd.DataFrame) -> Iterable[object]:
+        return table["structure"].unique() if "structure" in table else ["1l2y"]
+
+    found = made.study(options, STUDIES, "dynamics", of, THREADS)
+    if options.output and "energy" in found:
+        draw(found["energy"], options.output / "dynamics_energy.png")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ import argparse
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import cycle
-from statistics import median
 from time import perf_counter
 
 import made
@@ -24,6 +23,7 @@ from made import SAMPLES
 from openmm import app, unit
 
 import protochain as pc
+from protochain import lab
 from protochain.energies import Energy, NativeEnergy, OpenMMEnergy
 
 DEFAULT = ("1l2y", "4pti", "1ubq", "1hel")
@@ -37,16 +37,8 @@ def medians(calls: dict[str, Callable[[], object]], seconds: float = 1.5) -> dic
 
     Three calls a turn, the first uncounted: idle threads of the other engine still spin during it.
     """
-    times: dict[str, list[float]] = {name: [] for name in calls}
-    began = perf_counter()
-    while perf_counter() - began < seconds * len(calls) or len(times[next(iter(calls))]) < 6:
-        for name, call in calls.items():
-            call()
-            for _ in range(2):
-                start = perf_counter()
-                call()
-                times[name].append(perf_counter() - start)
-    return {name: 1e3 * median(taken) for name, taken in times.items()}
+    found = lab.in_turn(list(calls.values()), seconds * len(calls), 3, 3, perf_counter)
+    return {name: 1e3 * each.median for name, each in zip(calls, found, strict=True)}
 
 
 def copies(s: pc.Structure, n: int) -> tuple[app.Topology, np.ndarray]:
@@ -158,13 +150,9 @@ def with_cutoff(threads: int, quick: bool) -> Iterator[dict[str, object]]:
 
 
 MOVING = (
-    ("phi psi", "all"),
-    ("phi psi chi", "all"),
-    ("phi psi chi omega rotors", "all"),
-    ("phi psi chi", "resid 10"),
-    ("phi psi chi", "resid 5:14 and not backbone"),
-    ("", "resid 10"),
-)
+    ("phi psi", "all"), ("phi psi chi", "all"), ("phi psi chi omega rotors", "all"),
+    ("phi psi chi", "resid 10"), ("phi psi chi", "resid 5:14 and not backbone"), ("", "resid 10"),
+)  # fmt: skip
 """Hinges, none for all atoms, and what moves."""
 
 

@@ -15,7 +15,6 @@ from time import perf_counter
 import made
 import numpy as np
 import pandas as pd
-from dynamics import markdown
 from made import SAMPLES
 from openmm import app
 from pdbfixer import PDBFixer
@@ -23,20 +22,17 @@ from pdbfixer import PDBFixer
 import protochain as pc
 
 CLOSED = (
-    "1ejg_crambin.pdb",
-    "3i40_insulin.pdb",
-    "1v6p_cobrotoxin_amber.pdb",
-    "5vav_cyclic.pdb",
+    "1ejg_crambin.pdb", "3i40_insulin.pdb", "1v6p_cobrotoxin_amber.pdb", "5vav_cyclic.pdb",
     "1a1p_compstatin.pdb",
-)
+)  # fmt: skip
 MEASURED = ("4pti_bpti.pdb", "1ubq_ubiquitin.pdb", "1hel_lysozyme.pdb", "1ake_A.pdb", "4jsv_2750.pdb")
 METHODS = ("kcm", "lbfgs", "md", "hybrid", "openmm")
 BUDGET = 3000
 
 
-def table(folder: Path, quick: bool) -> pd.DataFrame:
+def table(options: argparse.Namespace) -> pd.DataFrame:
     """Files: what each is taken as, or which line refuses it."""
-    rows = []
+    rows, folder = [], options.more
     for path in sorted(folder.rglob("*")):
         if path.suffix not in (".pdb", ".cif"):
             continue
@@ -57,11 +53,11 @@ def table(folder: Path, quick: bool) -> pd.DataFrame:
     return pd.DataFrame(rows).fillna("")
 
 
-def speed(folder: Path, quick: bool) -> pd.DataFrame:
+def speed(options: argparse.Namespace) -> pd.DataFrame:
     """Seconds of preparation, warm, against PDBFixer and Modeller.addHydrogens; memory in all so far."""
     rows = []
-    for name in ("4pti.pdb",) if quick else MEASURED:
-        path = folder / name
+    for name in ("4pti.pdb",) if options.quick else MEASURED:
+        path = options.more / name
         ours, theirs = [], []
         for _ in range(3):
             began = perf_counter()
@@ -73,14 +69,11 @@ def speed(folder: Path, quick: bool) -> pd.DataFrame:
                 theirs.append(perf_counter() - began)
         rows.append(
             {
-                "structure": path.stem,
-                "residues": s.n_residues,
-                "atoms": s.n_atoms,
-                "seconds": min(ours),
+                "structure": path.stem, "residues": s.n_residues, "atoms": s.n_atoms, "seconds": min(ours),
                 "openmm_seconds": min(theirs) if theirs else np.nan,
                 "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
             }
-        )
+        )  # fmt: skip
     return pd.DataFrame(rows)
 
 
@@ -94,11 +87,11 @@ def _by_openmm(path: Path) -> None:
     modeller.addHydrogens(app.ForceField("amber14/protein.ff14SB.xml"), pH=7.0)
 
 
-def closures(folder: Path, quick: bool) -> pd.DataFrame:
+def closures(options: argparse.Namespace) -> pd.DataFrame:
     """Lengths of the bonds that close loops, before and after each method, OBC2."""
     rows = []
-    for name in ("1ejg.pdb",) if quick else CLOSED:
-        s = pc.load(folder / name)
+    for name in ("1ejg.pdb",) if options.quick else CLOSED:
+        s = pc.load(options.more / name)
         chain, energy = pc.build_chain(s), pc.energy(s)
         first, second = chain.loops.T
         row: dict[str, object] = {
@@ -107,7 +100,7 @@ def closures(folder: Path, quick: bool) -> pd.DataFrame:
             **_lengths("start", s.positions, first, second),
         }
         for method in METHODS:
-            r = pc.minimise(chain, energy, method, 1.0, 100 if quick else BUDGET)
+            r = pc.minimise(chain, energy, method, 1.0, 100 if options.quick else BUDGET)
             row |= _lengths(method, r.x, first, second)
         rows.append(row)
     return pd.DataFrame(rows)
@@ -126,13 +119,10 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main() -> None:
+    named = {"speed": MEASURED, "closures": CLOSED}
     options = parser().parse_args()
-    for name in options.studies or STUDIES:
-        found = STUDIES[name](SAMPLES if options.quick else options.more, options.quick)
-        print(f"\n{STUDIES[name].__doc__}\n\n{markdown(found)}", flush=True)
-        if options.output:
-            of = {"speed": MEASURED, "closures": CLOSED}.get(name, ())
-            made.write(found, options.output / f"files_{name}.csv", of)
+    options.more = SAMPLES if options.quick else options.more
+    made.study(options, STUDIES, "files", lambda name, _: named.get(name, ()))
 
 
 if __name__ == "__main__":

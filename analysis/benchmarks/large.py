@@ -25,6 +25,7 @@ import numpy as np
 import pandas as pd
 
 import protochain as pc
+from protochain import lab
 
 GAP = 3.0
 """angstrom between the boxes around two copies."""
@@ -99,8 +100,7 @@ def prepared(path: Path, options: argparse.Namespace) -> dict[str, object]:
 def exponents(table: pd.DataFrame) -> pd.DataFrame:
     """Slopes of the seconds with the atoms, in logarithms."""
     timed = [name for name in table if name.endswith("_s")]
-    logs = np.log(table["atoms"].to_numpy(float))
-    slopes = [np.polyfit(logs, np.log(table[name].to_numpy(float)), 1)[0] for name in timed]
+    slopes = [lab.exponent(table["atoms"], table[name]) for name in timed]
     return pd.DataFrame({"seconds_of": timed, "exponent": slopes})
 
 

@@ -2,15 +2,15 @@
 
 import argparse
 import os
-import platform
 import shlex
-import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import pandas as pd
+
+from protochain import lab
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "structures"
@@ -34,6 +34,30 @@ def parser(text: str, studies: Iterable[str] = (), more: bool = False) -> argpar
     return own
 
 
+def study(
+    options: argparse.Namespace,
+    tables: Mapping[str, Callable[[argparse.Namespace], pd.DataFrame]],
+    stem: str,
+    inputs: Callable[[str, pd.DataFrame], Iterable[object]],
+    threads: int = 1,
+) -> dict[str, pd.DataFrame]:
+    """Make the tables that are asked for, all by default; print each, and write it as STEM_NAME.csv."""
+    made = {}
+    for name in options.studies or tables:
+        made[name] = table = tables[name](options)
+        print(f"\n{tables[name].__doc__}\n\n{markdown(table)}", flush=True)
+        if options.output:
+            write(table, options.output / f"{stem}_{name}.csv", inputs(name, table), threads)
+    return made
+
+
+def markdown(table: pd.DataFrame) -> str:
+    """Table as README shows it."""
+    cells = [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in row] for row in table.to_numpy(object)]
+    lines = [list(table.columns), ["---"] + ["--:"] * (len(table.columns) - 1), *cells]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
 def write(
     table: pd.DataFrame,
     path: Path,
@@ -49,15 +73,12 @@ def write(
     path.parent.mkdir(parents=True, exist_ok=True)
     table.to_csv(path, index=False)
     row = {
-        "table": path.name,
-        "command": command(by),
-        "commit": COMMIT,
-        "machine": f"{processor()}, {len(os.sched_getaffinity(0))} cores",
-        "threads": threads,
+        "table": path.name, "command": command(by), "commit": COMMIT,
+        "machine": f"{lab.processor()}, {len(os.sched_getaffinity(0))} cores", "threads": threads,
         "load": round(os.getloadavg()[1], 1),
         "versions": ", ".join(f"{name} {found}" for name in LIBRARIES if (found := _version(name))),
         "inputs": " ".join(Path(str(given)).name for given in inputs),
-    }
+    }  # fmt: skip
     record = path.parent / RECORD
     rows = pd.read_csv(record, dtype=str) if record.exists() else pd.DataFrame(columns=list(row))
     rows = pd.concat([rows[rows["table"] != path.name], pd.DataFrame([row], dtype=str)])
@@ -94,23 +115,8 @@ def _version(name: str) -> str:
 
 
 def commit() -> str:
-    """Commit of the tree, by git."""
-
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True)
-        return done.stdout.strip()
-
-    changed = git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!analysis/results", ":!*.md")
-    return (git("rev-parse", "--short", "HEAD") or "none") + (" and changes" if changed else "")
-
-
-def processor() -> str:
-    """Name of the processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), "unknown")
+    """Commit of the tree, by git; results and pages may change meanwhile."""
+    return lab.commit(ROOT, ".", ":!analysis/results", ":!*.md")
 
 
 COMMIT = commit()

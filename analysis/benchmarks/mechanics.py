@@ -11,7 +11,6 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from statistics import median
 from time import perf_counter
 
 import made
@@ -19,6 +18,7 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 
+from protochain import lab
 from protochain.multibody import HingeKind, Tree, forward_dynamics, pose, random_tree, solve_mass
 
 try:
@@ -32,16 +32,10 @@ LONG, SHORT = (100, 1000, 10_000, 100_000), (100, 400, 800)
 
 def medians(calls: dict[str, Callable[[], object]], seconds: float = 1.0) -> dict[str, float]:
     """Return the median time of each call, taken in turn so that a slow moment of the machine strikes all."""
-    times: dict[str, list[float]] = {name: [] for name in calls}
     for call in calls.values():
         call()
-    began = perf_counter()
-    while perf_counter() - began < seconds * len(calls) or len(times[next(iter(calls))]) < 5:
-        for name, call in calls.items():
-            start = perf_counter()
-            call()
-            times[name].append(perf_counter() - start)
-    return {name: median(taken) for name, taken in times.items()}
+    found = lab.in_turn(list(calls.values()), seconds * len(calls), 5, clock=perf_counter)
+    return {name: each.median for name, each in zip(calls, found, strict=True)}
 
 
 def pinocchio_aba(tree: Tree, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> Callable[[], object]:

@@ -11,7 +11,6 @@ native energy, on the same atoms and for the same pairs; ratio: lists over cells
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from time import process_time
 
 import made
 import numpy as np
@@ -21,6 +20,7 @@ from scipy.spatial import cKDTree
 
 import protochain as pc
 import protochain.energies
+from protochain import lab
 from protochain.mechanisms import box_tree, overlapping, touching
 
 native = protochain.energies.native.neighbours
@@ -38,13 +38,8 @@ def least(calls: dict[object, Callable[[], object]], repeats: int) -> dict[objec
     """Least seconds of each call; all are made in turn, after one that compiles."""
     for call in calls.values():
         call()
-    seconds = dict.fromkeys(calls, np.inf)
-    for _ in range(repeats):
-        for key, call in calls.items():
-            began = process_time()
-            call()
-            seconds[key] = min(seconds[key], process_time() - began)
-    return seconds
+    found = lab.in_turn(list(calls.values()), turns=repeats)
+    return {key: each.least for key, each in zip(calls, found, strict=True)}
 
 
 def pile(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -87,8 +82,7 @@ def scaling(sizes: tuple[int, ...], repeats: int) -> pd.DataFrame:
         for row in table.itertuples()
     ]
     powers = table.groupby("search").apply(
-        lambda own: np.polyfit(np.log(own["bodies"]), np.log(own["bodies"] * own["ns_each"]), 1)[0],
-        include_groups=False,
+        lambda own: lab.exponent(own["bodies"], own["bodies"] * own["ns_each"]), include_groups=False
     )
     return table.assign(exponent=table["search"].map(powers))
 

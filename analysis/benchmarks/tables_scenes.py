@@ -1,4 +1,4 @@
-"""Tables of what scenes leave out, of what features cost that are not used, and of searches for contacts."""
+"""Tables of what runs leave out, of searches for contacts, and of scenes."""
 
 from pathlib import Path
 
@@ -40,16 +40,6 @@ def scenes_short(results: Path) -> str:
     """Some scenes, for the README."""
     rows = pd.read_csv(results / "scenes.csv")
     return of_rows(rows[rows["scene"].isin(SHORT)], *_COLUMNS)
-
-
-@table("scenes-features")
-def scenes_features(results: Path) -> str:
-    """Cost of features where they are not used."""
-    return of_rows(
-        pd.read_csv(results / "scenes_features.csv"),
-        ("feature", "{feature}"), ("of", "{of}"), ("as it is, ms", "{here_ms:.3f}"),
-        ("cannot be called, ms", "{without_ms:.3f}"), ("cost", "{percent:+.2f} %"),
-    )  # fmt: skip
 
 
 @table("search")

@@ -30,15 +30,9 @@ BURST = 0.1
 COPIES = 4
 """Of ubiquitin, for the largest size: 4924 atoms."""
 FIELDS = (
-    "structure",
-    "atoms",
-    "cores_busy",
-    "one_thread_ms",
-    "two_threads_ms",
-    "ratio",
-    "one_cpu_ms",
+    "structure", "atoms", "cores_busy", "one_thread_ms", "two_threads_ms", "ratio", "one_cpu_ms",
     "two_cpu_ms",
-)
+)  # fmt: skip
 
 
 @contextmanager

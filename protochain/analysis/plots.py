@@ -1,6 +1,5 @@
 """Figures of a comparison: safe for colour-blind readers, and readable in grey by line style."""
 
-import io
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from typing import Any
@@ -13,24 +12,13 @@ from matplotlib.ticker import MaxNLocator
 
 from protochain.arrays import Floats
 from protochain.errors import ProtochainError
+from protochain.lab.report import COLOURS, DASHES, Figure, plain
 from protochain.validation.ramachandran import ALLOWED, FAVOURED, tables
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's palette, dark colours first."""
-_DASHES = ("-", "--", "-.", ":")
 _LOG_FROM = 1e4
 """kJ/mol. A larger drop, as from a relieved clash, would hide all else on a linear axis."""
 _SAME = 0.1
 """kJ/mol above the lowest, where curves end on a logarithmic axis: less is the same minimum."""
-
-
-class Figure(PlainFigure):
-    """Figure that notebooks show without pyplot, which would keep every figure in memory."""
-
-    def _repr_png_(self) -> bytes:
-        buffer = io.BytesIO()
-        self.savefig(buffer, format="png", dpi=100)
-        return buffer.getvalue()
 
 
 def plot_energy(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
@@ -167,7 +155,7 @@ def _styles(methods: Iterable[str]) -> Styles:
     """Colour and line style of each method, the same in every figure of a comparison."""
     return {
         method: {"color": colour, "linestyle": dash, "label": method}
-        for method, colour, dash in zip(methods, cycle(COLOURS), cycle(_DASHES))
+        for method, colour, dash in zip(methods, cycle(COLOURS), cycle(DASHES))
     }
 
 
@@ -308,12 +296,6 @@ def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> 
         return _titled(axes, ax, f"{_plain_text(title)}: {said}")
     figure: PlainFigure = axes[0].figure
     return figure
-
-
-def plain(ax: Axes) -> None:
-    """Keep the left and bottom axes only, with a faint grid."""
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.grid(True, which="major", alpha=0.25)
 
 
 def _plain_text(text: str) -> str:

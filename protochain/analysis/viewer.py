@@ -8,7 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, Template
 
-from protochain.analysis.plots import COLOURS
+from protochain.lab.report import COLOURS
 from protochain.minimisers import Solution
 from protochain.minimisers.record import heading
 from protochain.structure import Structure, as_structure

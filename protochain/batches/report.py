@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from protochain.analysis.plots import COLOURS, panels, plain
+from protochain.analysis.plots import panels
 from protochain.analysis.report import data_url
 from protochain.analysis.viewer import template
+from protochain.lab.report import COLOURS, plain
 from protochain.minimisers.record import heading
 from protochain.storage import write_atomically
 from protochain.structure.losses import told

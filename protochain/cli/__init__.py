@@ -16,7 +16,7 @@ from typer.exceptions import TyperException
 from typer.main import get_command
 
 from protochain.cli.batch import batch
-from protochain.cli.bench import bench
+from protochain.cli.bench import bench, scene
 from protochain.cli.compare import compare
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
@@ -24,7 +24,6 @@ from protochain.cli.options import BAD_INPUT, RENAMED, as_option, fail
 from protochain.cli.printable import Printable
 from protochain.cli.relax import relax
 from protochain.cli.rmsd import rmsd
-from protochain.cli.scene import scene
 from protochain.cli.simulate import simulate
 from protochain.cli.validate import validate
 from protochain.errors import Argument, ProtochainError, WriteError

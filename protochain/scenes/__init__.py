@@ -10,8 +10,7 @@ from importlib import import_module
 from threadpoolctl import threadpool_limits
 
 from protochain.errors import ProtochainError
-from protochain.scenes.folder import plot_work
-from protochain.scenes.scene import Check, Extreme, LeftOut, Scene
+from protochain.lab.cases import Check, Extreme, LeftOut, Scene, plot_work
 
 __all__ = ["SCENES", "Check", "Extreme", "LeftOut", "Scene", "plot_work", "run"]
 

@@ -14,6 +14,10 @@ from scipy.integrate import solve_ivp
 
 from protochain.arrays import Floats
 from protochain.errors import MechanicsError
+from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, tried, vanishes
+from protochain.lab.cost import timed
+from protochain.lab.fits import exponent
+from protochain.lab.report import work_table
 from protochain.motion import DormandPrince
 from protochain.motion.bending import BendingSystem
 from protochain.multibody import HingeKind, Tree
@@ -21,19 +25,6 @@ from protochain.multibody.beams import Beam, beam
 from protochain.multibody.canonical import Route, canonical_rates, rates_of
 from protochain.multibody.flexible import Flexible, bend, elastic
 from protochain.multibody.flexible_dynamics import forward_dynamics, multiply_mass
-from protochain.scenes.scene import (
-    Check,
-    Extreme,
-    LeftOut,
-    Scene,
-    Work,
-    check,
-    exponent,
-    extreme,
-    left_out,
-    timed,
-    work_table,
-)  # fmt: skip
 
 STIFFNESS = 3.0
 ROUTES: tuple[Route, ...] = ("articulated", "blocks", "dense")
@@ -147,17 +138,7 @@ def end_of(rates: Rates, start: Floats, until: float, tolerance: float) -> Float
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        Chains of up to 30 links for a moment: some seconds.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: chains of up to 30 links for a moment: some seconds."""
     sizes = (3, 30) if quick else (3, 10, 30, 100, 300)
     costs = _costs(sizes)
     return Scene(
@@ -180,14 +161,14 @@ def _motion(until: float) -> Iterator[Check]:
     source = "equations by hand, DOP853 at 1e-12"
     for said, state in (("momenta", np.append(found[:4], rates)), ("accelerations", other)):
         off = float(np.abs(state - exact).max())
-        yield check(f"two links by {said}: q and qd", off, 0.0, 1e-8, source, "absolute")
+        yield vanishes(f"two links by {said}: q and qd", off, 1e-8, source)
     ten = chain(10)
     q, qd = started(ten)
     p = multiply_mass(ten, bend(ten, q), qd)
     found = end_of(canonical(ten), np.concatenate([q, p]), 0.5 * until, 1e-9)
     n = ten.n_v
     spun = float(np.abs(found[n] - p[0]) / np.abs(p).max())
-    yield check("momentum of the free hinge, ten links", spun, 0.0, 1e-13, "it is cyclic", "absolute")
+    yield vanishes("momentum of the free hinge, ten links", spun, 1e-13, "it is cyclic")
     bent = bend(ten, found[:n])
     kinetic = 0.5 * float(found[n:] @ rates_of(ten, bent, found[n:]))
     total = kinetic + elastic(ten, found[:n])[0]
@@ -228,7 +209,7 @@ def _agreement(costs: pd.DataFrame, sizes: tuple[int, ...]) -> Iterator[Check]:
     for route in ROUTES:
         worst = float(costs.loc[costs["route"] == route, "error_eps"].max())
         name = f"rates of momenta, {route}: backward error in eps, up to {sizes[-1]} links"
-        yield check(name, worst, 0.0, 100.0, "M x by Newton and Euler", "absolute")
+        yield vanishes(name, worst, 100.0, "M x by Newton and Euler")
     if len(sizes) > 2:
         own = costs[(costs["route"] == "articulated") & (costs["links"] >= 30)]
         grown = exponent(own["links"], own["seconds"])
@@ -246,8 +227,8 @@ def _work(until: float) -> pd.DataFrame:
     rows = []
     for said, (rates, other) in forms.items():
         for tolerance in (1e-4, 1e-6, 1e-8, 1e-10):
-            at, seconds = timed(partial(end_of, rates, np.concatenate([q, other]), until, tolerance))
-            rows.append(Work(said, f"{tolerance:g}", seconds, float(np.abs(at[:n] - exact).max())))
+            end = partial(end_of, rates, np.concatenate([q, other]), until, tolerance)
+            rows.append(tried(said, f"{tolerance:g}", end, lambda at: np.abs(at[:n] - exact).max()))
     return work_table(rows)
 
 
@@ -261,7 +242,7 @@ def _both(flexible: Flexible, until: float, bound: float, quick: float = 1.0) ->
         for rates, other in ((accelerated(flexible), qd), (canonical(flexible), p))
     ]
     off = float(np.abs(ends[0] - ends[1]).max())
-    return check("q", off, 0.0, bound, "accelerations against momenta", "absolute")
+    return vanishes("q", off, bound, "accelerations against momenta")
 
 
 def _rigid(factor: float) -> Check:
@@ -271,7 +252,7 @@ def _rigid(factor: float) -> Check:
         q, qd = started(flexible)
         off.append(end_of(accelerated(flexible), np.concatenate([q, qd]), 0.02, 1e-10)[:2])
     error = float(np.abs(off[0] - off[1]).max())
-    return check("angles", error, 0.0, 10.0 / factor, "rigid links", "absolute")
+    return vanishes("angles", error, 10.0 / factor, "rigid links")
 
 
 def _driven() -> Check:

@@ -13,6 +13,10 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, tried, vanishes
+from protochain.lab.cost import timed
+from protochain.lab.fits import extrapolated, order
+from protochain.lab.report import work_table
 from protochain.mechanisms import Beam, Mechanism, Model, add_beam, frequencies, state_matrix
 from protochain.motion import (
     DormandPrince,
@@ -20,20 +24,7 @@ from protochain.motion import (
     Integrator,
     Rosenbrock,
     RungeKutta4,
-    StepTooLargeError,
 )
-from protochain.scenes.scene import (
-    Check,
-    Extreme,
-    LeftOut,
-    Scene,
-    Work,
-    check,
-    extreme,
-    left_out,
-    timed,
-    work_table,
-)  # fmt: skip
 
 LENGTHS, TORQUES, START = (1.0, 0.8, 0.6), (60.0, 20.0, 5.0), (0.0, 0.3, 0.3)
 """m, N m, and rad from the link before, at the start."""
@@ -51,6 +42,7 @@ STABLE = 2.8
 EXUDYN = (1.301284, 1.573364)
 """m. End of the arm after a second, by Exudyn 1.13.6: four ANCF cable elements a link, with EA of the steel,
 4000 steps of the generalised-alpha method; with 2000 steps, or three elements, the same to 4e-6."""
+IMPLICIT: dict[str, Integrator] = {"midpoint": ImplicitMidpoint(), "Rosenbrock": Rosenbrock()}
 Tip = tuple[str, tuple[float, float, float]]
 
 
@@ -110,11 +102,6 @@ def explicit(cells: int, share: float = 0.43, **more: Any) -> Floats:
     return end_of(model, tip, RungeKutta4(), share * STABLE / frequencies(model)[-1])
 
 
-def extrapolated(coarse: Floats, fine: Floats) -> Floats:
-    """Limit of values whose error falls as 1/n^2, from two of them with twice as many cells."""
-    return (4.0 * fine - coarse) / 3.0
-
-
 def rigid_arm() -> Floats:
     """End of the arm with rigid links, from its equations in absolute angles, by DOP853 (scipy)."""
     length, n = np.array(LENGTHS), len(LENGTHS)
@@ -139,17 +126,7 @@ def rigid_arm() -> Floats:
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        Up to four cells a link: some seconds.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: up to four cells a link: some seconds."""
     numbers = (1, 2, 4) if quick else (1, 2, 4, 8)
     ends = {n: explicit(n, 0.86 if quick else 0.43) for n in numbers}
     exact = extrapolated(ends[numbers[-2]], ends[numbers[-1]])
@@ -171,13 +148,12 @@ def run(quick: bool = False) -> Scene:
 
 def _checks(ends: dict[int, Floats], exact: Floats, quick: bool) -> Iterator[Check]:
     a, b, c = list(ends.values())[-3:]
-    order = float(np.log2(np.linalg.norm(b - a) / np.linalg.norm(c - b)))
     numbers = list(ends)[-3:]
     name = "order of the error in cells, {}, {} and {}".format(*numbers)
-    yield check(name, order, 2.0, 0.1, "1/n^2", "absolute")
+    yield check(name, order(a, b, c), 2.0, 0.1, "1/n^2", "absolute")
     off = float(np.linalg.norm(exact - extrapolated(a, b)))
     name = "limit from the last two, and from the two before, m"
-    yield check(name, off, 0.0, 1e-4 if quick else 1e-5, "1/n^2", "absolute")
+    yield vanishes(name, off, 1e-4 if quick else 1e-5, "1/n^2")
     for k, axis in enumerate("xy"):
         source = "Exudyn: ANCF cables, generalised alpha"
         yield check(f"end of the arm, {axis}, m", exact[k], EXUDYN[k], 1e-5, source, "absolute")
@@ -189,7 +165,7 @@ def _checks(ends: dict[int, Floats], exact: Floats, quick: bool) -> Iterator[Che
     model, tip = arm(2)
     until = 0.2 * UNTIL if quick else UNTIL
     error = model.simulate(until, 0.05, DormandPrince(1e-9)).audit().energy
-    yield check("energy that is no work of the motors", error, 0.0, 1e-8, "their work", "absolute")
+    yield vanishes("energy that is no work of the motors", error, 1e-8, "their work")
 
 
 def _by_share(shares: tuple[float, ...]) -> tuple[pd.DataFrame, list[Check]]:
@@ -198,9 +174,8 @@ def _by_share(shares: tuple[float, ...]) -> tuple[pd.DataFrame, list[Check]]:
     for share in shares:
         ends = [explicit(n, 0.86, rigid=share) for n in (1, 2, 4)]
         at = extrapolated(*ends[1:])
-        order = np.log2(np.linalg.norm(ends[1] - ends[0]) / np.linalg.norm(ends[2] - ends[1]))
         moved = float(np.linalg.norm(at - rows[0][1:3])) if rows else 0.0
-        rows.append((share, *at, moved, order))
+        rows.append((share, *at, moved, order(*ends)))
     table = pd.DataFrame(rows, columns=["rigid", "x", "y", "moved", "order"])
     name = f"order of the error in cells, ends of {100 * shares[-1]:g} %"
     return table, [check(name, table["order"].iloc[-1], 2.0, 0.1, "1/n^2", "absolute")]
@@ -221,24 +196,21 @@ def _motion(cells: int) -> pd.DataFrame:
 
 
 def _work(exact: Floats, quick: bool) -> pd.DataFrame:
-    rows = []
-    for n in (1, 2, 4) if quick else (1, 2, 4, 8):
-        at, seconds = timed(partial(explicit, n, 0.86))
-        rows.append(Work("Kutta, longest step", _said(n), seconds, float(np.linalg.norm(at - exact))))
+    apart = partial(_apart, exact)
+    numbers = (1, 2, 4) if quick else (1, 2, 4, 8)
+    rows = [tried("Kutta, longest step", _said(n), partial(explicit, n, 0.86), apart) for n in numbers]
     steps = (0.02, 0.01) if quick else (0.02, 0.01, 0.005, 0.0025)
     for n in (1,) if quick else (1, 4, 8):
         model, tip = arm(n)
-        for said, integrator in (("midpoint", ImplicitMidpoint()), ("Rosenbrock", Rosenbrock())):
+        for said, integrator in IMPLICIT.items():
             for h in steps:
-                row = f"{said}, {_said(n)}", f"{1e3 * h:g} ms"
-                try:
-                    with np.errstate(over="ignore", invalid="ignore"):
-                        at, seconds = timed(partial(end_of, model, tip, integrator, h))
-                except StepTooLargeError:
-                    rows.append(Work(*row, np.nan, np.inf))
-                    continue
-                rows.append(Work(*row, seconds, float(np.linalg.norm(at - exact))))
+                end = partial(end_of, model, tip, integrator, h)
+                rows.append(tried(f"{said}, {_said(n)}", f"{1e3 * h:g} ms", end, apart))
     return work_table(rows)
+
+
+def _apart(exact: Floats, at: Floats) -> float:
+    return float(np.linalg.norm(at - exact))
 
 
 def _said(cells: int) -> str:
@@ -255,11 +227,11 @@ def _dampers(until: float) -> pd.DataFrame:
     model, tip = arm(4, damping=DAMPING)
     step = 0.9 * _damped_limit(4)
     exact, seconds = timed(partial(end_of, model, tip, RungeKutta4(), step, until))
-    rows = [Work("Kutta, longest step", f"{1e3 * step:.2g} ms", seconds, 0.0)]
-    for said, integrator in (("midpoint", ImplicitMidpoint()), ("Rosenbrock", Rosenbrock())):
+    rows = [("Kutta, longest step", f"{1e3 * step:.2g} ms", seconds, 0.0)]
+    for said, integrator in IMPLICIT.items():
         for h in (0.01, 0.005, 0.0025):
-            at, seconds = timed(partial(end_of, model, tip, integrator, h, until))
-            rows.append(Work(said, f"{1e3 * h:g} ms", seconds, float(np.linalg.norm(at - exact))))
+            end = partial(end_of, model, tip, integrator, h, until)
+            rows.append(tried(said, f"{1e3 * h:g} ms", end, partial(_apart, exact)))
     return work_table(rows)
 
 
@@ -267,7 +239,7 @@ def _damped(share: float) -> Check:
     """Run of Kutta's method with dampers and a step of this share of the longest."""
     model, _ = arm(3, damping=DAMPING)
     run = model.simulate(0.05, share * _damped_limit(3), RungeKutta4())
-    return check("energy", run.audit().energy, 0.0, 1e-2, "work and dissipation", "absolute")
+    return vanishes("energy", run.audit().energy, 1e-2, "work and dissipation")
 
 
 def _stiff(factor: float) -> Check:
@@ -276,21 +248,21 @@ def _stiff(factor: float) -> Check:
     at = end_of(model, tip, Rosenbrock(), 0.001)
     off = float(np.linalg.norm(at - rigid_arm()))
     # What bends for the steel itself is 0.03 m; and the error of the steps.
-    return check("end, m", off, 0.0, 0.05 / factor + 1e-5, "rigid links, DOP853", "absolute")
+    return vanishes("end, m", off, 0.05 / factor + 1e-5, "rigid links, DOP853")
 
 
 def _heavy(payload: float) -> Check:
     """Arm with a payload that hardly moves, against the motors' work."""
     model, _ = arm(1, payload=payload)
     error = model.simulate(0.2, 0.01, DormandPrince(1e-9)).audit().energy
-    return check("energy", error, 0.0, 1e-7, "work of the motors", "absolute")
+    return vanishes("energy", error, 1e-7, "work of the motors")
 
 
 def _unmoved() -> Check:
     model, tip = arm(4, torque=0.0)
     start = model.state().point(*tip)[:2]
     off = float(np.linalg.norm(end_of(model, tip, ImplicitMidpoint(), 0.01, 0.1) - start))
-    return check("end, m", off, 0.0, 1e-12, "the start", "absolute")
+    return vanishes("end, m", off, 1e-12, "the start")
 
 
 def _many(cells: int) -> Check:
@@ -299,13 +271,13 @@ def _many(cells: int) -> Check:
     at = end_of(model, tip, Rosenbrock(), 0.002, 0.02)
     coarse, rest = arm(4)
     other = end_of(coarse, rest, Rosenbrock(), 0.002, 0.02)
-    return check("end, m", float(np.linalg.norm(at - other)), 0.0, 1e-5, "four cells", "absolute")
+    return vanishes("end, m", float(np.linalg.norm(at - other)), 1e-5, "four cells")
 
 
 def _too_long() -> Check:
     model, _ = arm(2)
     run = model.simulate(UNTIL, 3.0 * STABLE / frequencies(model)[-1], RungeKutta4())
-    return check("energy", run.audit().energy, 0.0, 1e-2, "work", "absolute")
+    return vanishes("energy", run.audit().energy, 1e-2, "work")
 
 
 def _extremes(quick: bool) -> Iterator[Extreme]:

@@ -14,8 +14,12 @@ from scipy.special import jn_zeros
 
 from protochain.analysis.studies.precision import solvers as precise
 from protochain.analysis.studies.stability.cells import Part, cases_of, run_case
-from protochain.analysis.studies.stability.solvers import ROUTES, backward_error
+from protochain.analysis.studies.stability.solvers import ROUTES
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, left_out, vanishes
+from protochain.lab.cost import timed
+from protochain.lab.fits import exponent
+from protochain.lab.report import work_table
 from protochain.motion import DormandPrince, System
 from protochain.multibody import (
     Frames,
@@ -29,18 +33,6 @@ from protochain.multibody import (
     solve_mass,
 )  # fmt: skip
 from protochain.multibody.articulated import Articulated, articulate, solve
-from protochain.scenes.scene import (
-    Check,
-    Extreme,
-    LeftOut,
-    Scene,
-    Work,
-    check,
-    exponent,
-    left_out,
-    timed,
-    work_table,
-)  # fmt: skip
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
 SERIAL = (
@@ -75,17 +67,7 @@ def weight(tree: Tree, frames: Frames) -> tuple[float, Floats]:
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        Short chains only: some seconds.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: short chains only: some seconds."""
     points = pd.DataFrame([vars(point) for point in precise.measure(quick)])
     sizes = [n for n in (10, 100, 1000, 10_000, MOST_BODIES) if n <= 1000 or not quick]
     lengths = _lengths(sizes)
@@ -140,7 +122,7 @@ def _energy(n: int) -> Check:
         at = integrator.step(system, at, 0.05)
         drift, size = max(drift, abs(at.total - start)), max(size, at.kinetic)
     name = f"change of energy, {n} rods fall, of the kinetic energy"
-    return check(name, drift / size, 0.0, 1e-8, "the start", "absolute")
+    return vanishes(name, drift / size, 1e-8, "the start")
 
 
 def _round_trip(n: int) -> Check:
@@ -152,7 +134,7 @@ def _round_trip(n: int) -> Check:
     bias = float(np.linalg.norm(inverse_dynamics(tree, q, qd, np.zeros(tree.n_v))))
     error = float(np.linalg.norm(back - tau)) / (bias + float(np.linalg.norm(tau)))
     name = f"torques to accelerations and back, {n} random bodies"
-    return check(name, error, 0.0, 1e-12, "Newton-Euler", "absolute")
+    return vanishes(name, error, 1e-12, "Newton-Euler")
 
 
 def _work(points: pd.DataFrame) -> pd.DataFrame:
@@ -161,7 +143,7 @@ def _work(points: pd.DataFrame) -> pd.DataFrame:
     own = points[points["case"] == case]
     settings = own["parameter"].where(own["parameter"] != "", str(case))
     rows = zip(own["method"], settings, own["seconds"], own["error"], strict=True)
-    return work_table(Work(*row) for row in rows)
+    return work_table(rows)
 
 
 def _lengths(sizes: list[int]) -> pd.DataFrame:
@@ -175,7 +157,7 @@ def _lengths(sizes: list[int]) -> pd.DataFrame:
             call = partial(route, tree, frames, tau)
             x, seconds = timed(call, 20 if n < 10_000 else 3)
             row = {"bodies": n, "route": name, "seconds": seconds}
-            rows.append({**row, "backward_error_eps": backward_error(tree, frames, x, tau)})
+            rows.append({**row, "backward_error_eps": precise.backward_error(tree, frames, x, tau)})
     return pd.DataFrame(rows)
 
 
@@ -196,7 +178,7 @@ def _extremes(quick: bool) -> Iterator[Extreme]:
             continue
         cell = run_case("mechanics", case)
         detail = cell.message or f"error {cell.error:.3g}, bound {cell.bound:.3g}: {cell.oracle}"
-        yield Extreme(f"{case.name}: {case.parameters}", cell.verdict.value, detail)
+        yield Extreme(f"{case.name}: {case.parameters}", cell.verdict, detail)
 
 
 def _left_out(n: int) -> Iterator[LeftOut]:

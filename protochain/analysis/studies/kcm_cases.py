@@ -185,21 +185,13 @@ def measured(case: Case, method: str, most: int) -> dict[str, Any]:
         return {**row, "status": f"refused: {error}"}
     structure = start.chain.structure
     return {
-        **row,
-        "residues": structure.n_residues,
-        "atoms": structure.n_atoms,
-        "hinges": start.chain.n_hinges,
-        "status": str(raw.status),
-        "evaluations": raw.n_evaluations,
-        "seconds": round(raw.seconds, 4),
-        "energy_start_kj_mol": raw.start.energy,
-        **_end(raw, case, ""),
-        "polish_status": str(polished.status),
+        **row, "residues": structure.n_residues, "atoms": structure.n_atoms, "hinges": start.chain.n_hinges,
+        "status": str(raw.status), "evaluations": raw.n_evaluations, "seconds": round(raw.seconds, 4),
+        "energy_start_kj_mol": raw.start.energy, **_end(raw, case, ""), "polish_status": str(polished.status),
         "polish_evaluations": polished.n_evaluations,
-        "lowest_eigenvalue_kj_mol_rad2": polished.lowest_eigenvalue,
-        **_end(polished, case, "polished_"),
+        "lowest_eigenvalue_kj_mol_rad2": polished.lowest_eigenvalue, **_end(polished, case, "polished_"),
         **_lowest_at(raw),
-    }
+    }  # fmt: skip
 
 
 def _end(solution: Solution, case: Case, prefix: str) -> dict[str, Any]:

@@ -5,8 +5,8 @@ from itertools import cycle
 import numpy as np
 import pandas as pd
 
-from protochain.analysis.plots import COLOURS, Figure, plain
 from protochain.analysis.studies.kcm_cases import AT, METHODS
+from protochain.lab.report import COLOURS, DASHES, Figure, plain
 
 _LEAST = 1e-3
 """kJ/mol, where curves end on the logarithmic axis."""
@@ -29,7 +29,7 @@ def plot_traces(found: pd.DataFrame) -> Figure:
         "dynamics, friction per ps": [name for name in METHODS if name.startswith("md-")],
     }
     for axis, (title, methods) in zip(axes, families.items(), strict=True):
-        for name, colour, dash in zip(methods, cycle(COLOURS), cycle(("-", "--", "-.", ":")), strict=False):
+        for name, colour, dash in zip(methods, cycle(COLOURS), cycle(DASHES), strict=False):
             own = found[found["method"] == name]
             if len(own):
                 above = [(own[f"energy_at_{n}"] - own["lowest_kj_mol"]).median() for n in AT]

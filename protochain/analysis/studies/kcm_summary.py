@@ -1,7 +1,6 @@
 """Summary of the study of KCM against dynamics: tables, figures and answers, from its table of runs alone."""
 
 from collections.abc import Iterator, Mapping
-from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from scipy.stats import binomtest, bootstrap
 
 from protochain.analysis.studies.kcm_cases import KEY, METHODS
 from protochain.analysis.studies.kcm_plots import plot_shares, plot_traces
-from protochain.storage import write_atomically
+from protochain.lab.report import save
 from protochain.structure.superpose import rmsd_angstrom
 
 START = ["protein", "model", "solvent", "start", "seed", "max_evaluations"]
@@ -23,14 +22,11 @@ still have some energy to lose."""
 FEW = 5
 """Starts below which nothing is concluded."""
 PAIRS: Mapping[str, tuple[str, str]] = {
-    "KCM and dynamics": ("kcm-0.005", "md-10"),
-    "angle": ("kcm-0.005", "kcm-0.01"),
-    "rule": ("kcm-0.005", "kcm-adaptive"),
-    "metric": ("kcm-adaptive", "kcm-metric"),
-    "friction 100": ("kcm-metric", "md-100"),
-    "friction 10": ("kcm-metric", "md-10"),
+    "KCM and dynamics": ("kcm-0.005", "md-10"), "angle": ("kcm-0.005", "kcm-0.01"),
+    "rule": ("kcm-0.005", "kcm-adaptive"), "metric": ("kcm-adaptive", "kcm-metric"),
+    "friction 100": ("kcm-metric", "md-100"), "friction 10": ("kcm-metric", "md-10"),
     "friction 1": ("kcm-metric", "md-1"),
-}
+}  # fmt: skip
 """What two methods differ in. The control, KCM in the metric of masses, is overdamped motion of the chain: it
 differs from KCM with the same rule by the metric alone, and from dynamics by the inertia that friction, per
 ps, leaves."""
@@ -54,17 +50,15 @@ def write(output: Path, runs: pd.DataFrame, planned: set[tuple[Any, ...]]) -> It
     tables = {"ends": by_method, "cost": cost(done), "deposited": deposited(done)}
     if not pairs.empty:
         tables |= {"shares": shares(pairs), "contrasts": contrasts(pairs)}
-    for name, table in tables.items():
-        write_atomically(output / f"{name}.csv", partial(table.to_csv, index=False))
-    write_atomically(output / "traces.png", partial(plot_traces(_above(_complete(done))).savefig, dpi=150))
+    save(output, {f"{name}.csv": table for name, table in tables.items()})
+    save(output, {"traces.png": plot_traces(_above(_complete(done)))})
     if not pairs.empty:
-        write_atomically(output / "shares.png", partial(plot_shares(tables["shares"]).savefig, dpi=150))
+        save(output, {"shares.png": plot_shares(tables["shares"])})
     lines = [counts(runs, planned), *unfinished(done)]
     lines += (
         answers(tables["contrasts"]) if "contrasts" in tables else ["No two methods have run from one start."]
     )
-    text = page(lines, tables)
-    write_atomically(output / "summary.md", lambda path: path.write_text(text, encoding="utf-8"))
+    save(output, {"summary.md": page(lines, tables)})
     yield tables["cost"]
     if "contrasts" in tables:
         yield tables["contrasts"]

@@ -11,26 +11,19 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Scene
+from protochain.lab.cost import timed
+from protochain.lab.fits import exponent, extrapolated
+from protochain.lab.report import work_table
 from protochain.mechanisms.segments import Beam
 from protochain.multibody import multiply_mass, pose
 from protochain.scenes.beam import checks
 from protochain.scenes.beam.extremes import limits, without
-from protochain.scenes.beam.parts import ROOTS, UNIT, at_rest, built, extrapolated, lowest
-from protochain.scenes.scene import Scene, Work, exponent, timed, work_table
+from protochain.scenes.beam.parts import ROOTS, UNIT, at_rest, built, lowest
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        Few cells and few rates: some seconds.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: few cells and few rates: some seconds."""
     trace, spinning = checks.spun_up(4 if quick else 8)
     rotating = checks.rotation((0.0, 6.0) if quick else tuple(checks.ROTATING))
     lengths = _lengths((10, 100, 1000) if quick else (10, 100, 1000, 10_000))
@@ -56,11 +49,11 @@ def _work(numbers: tuple[int, ...]) -> pd.DataFrame:
             found, seconds = timed(partial(at_rest, beam, n), 3)
             found = found[:3]
             error = float(np.max(np.abs(found / ROOTS**2 - 1.0)))
-            rows.append(Work("lumped" if lumped else "consistent", f"{n} cells", seconds, error))
+            rows.append(("lumped" if lumped else "consistent", f"{n} cells", seconds, error))
             if before is not None:
                 error = float(np.max(np.abs(extrapolated(before[0], found) / ROOTS**2 - 1.0)))
                 said = "lumped, extrapolated" if lumped else "consistent, extrapolated"
-                rows.append(Work(said, f"{n // 2} and {n} cells", seconds + before[1], error))
+                rows.append((said, f"{n // 2} and {n} cells", seconds + before[1], error))
             before = found, seconds
     return work_table(rows)
 

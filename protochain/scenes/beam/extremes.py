@@ -8,6 +8,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Extreme, LeftOut, check, extreme, left_out
+from protochain.lab.fits import extrapolated
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.segments import Beam, add_beam
@@ -19,13 +21,11 @@ from protochain.scenes.beam.parts import (
     at_rest,
     built,
     deflections,
-    extrapolated,
     lowest,
     ritz,
     spun,
     steady,
 )  # fmt: skip
-from protochain.scenes.scene import Check, Extreme, LeftOut, check, extreme, left_out
 
 REFUSED: tuple[tuple[str, dict[str, Any], str, str], ...] = (
     ("all of it rigid", {"rigid": 0.5}, "z", "leaves nothing to bend"),

@@ -73,11 +73,6 @@ def _stiffness(beam: Beam, cells: int) -> float:
     return beam.stiffness("z") * cells / ((1.0 - 2.0 * beam.rigid) * beam.length)
 
 
-def extrapolated(coarse: Floats, fine: Floats) -> Floats:
-    """Limit of values whose error falls as 1/n^2, from two of them with twice as many cells."""
-    return (4.0 * fine - coarse) / 3.0
-
-
 @cache
 def ritz(rate: float, count: int = 40) -> tuple[float, ...]:
     """Flap frequencies of a clamped beam that rotates, by Ritz in x^2 times Legendre's polynomials."""

@@ -7,10 +7,11 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from protochain.arrays import Floats
+from protochain.lab.cost import timed
+from protochain.lab.report import Work
 from protochain.mechanisms import Mechanism, Model
 from protochain.motion import StepTooLargeError
 from protochain.scenes.bucket.backhoe import BODIES, EDGE, GRAVITY, HINGES, backhoe
-from protochain.scenes.scene import Work, timed
 
 ANGLES = np.array([-0.6, 1.2, -0.3])
 """Of the hinges at the start."""
@@ -69,13 +70,13 @@ def compare(stiffnesses: tuple[float, ...]) -> tuple[pd.DataFrame, list[Work]]:
     rows, work = [], []
     for h in (1e-2, 5e-3, 2.5e-3):
         found, seconds = timed(partial(edge_of, hinged, h))
-        work.append(Work("hinges", f"{1e3 * h:g} ms", seconds, _apart(found, exact)))
+        work.append(("hinges", f"{1e3 * h:g} ms", seconds, _apart(found, exact)))
     for k in stiffnesses:
         model = on_bushings(k).build()
         step = SHORTEST_ARC / fastest(k)
         found, seconds = timed(partial(edge_of, model, step))
         error = _apart(found, exact)
-        work.append(Work("bushings", f"{k:g} N/m", seconds, error))
+        work.append(("bushings", f"{k:g} N/m", seconds, error))
         rows.append({"stiffness": k, "error": error, "step": longest_step(model, step), "seconds": seconds})
     return pd.DataFrame(rows), work
 

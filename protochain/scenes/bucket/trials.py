@@ -6,11 +6,12 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
+from protochain.lab.cases import Check, Extreme, check, extreme
+from protochain.lab.cost import timed
 from protochain.mechanisms.pile import Pile
 from protochain.mechanisms.pile_parts import Law
 from protochain.mechanisms.search import touching
 from protochain.scenes.bucket.dig import DENSITY, FRICTION, PITCH, SIDE, STIFFNESS
-from protochain.scenes.scene import Check, Extreme, check, extreme, timed
 
 FREE_FALL = 9.81
 MASS = DENSITY * SIDE**3

@@ -14,6 +14,10 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, vanishes
+from protochain.lab.cost import timed
+from protochain.lab.fits import exponent
+from protochain.lab.report import work_table
 from protochain.mechanisms import Model, Run
 from protochain.mechanisms.contact import Law, lankarani_nikravesh
 from protochain.motion import DormandPrince, Integrator, Rosenbrock, RungeKutta4
@@ -21,19 +25,6 @@ from protochain.scenes.gear.geometry import GearPair
 from protochain.scenes.gear.mesh import Gear, Meshing, gears
 from protochain.scenes.gear.oracle import reference
 from protochain.scenes.gear.quasi import at_rest, frequency, lag_of, near, stiff_flanks
-from protochain.scenes.scene import (
-    Check,
-    Extreme,
-    LeftOut,
-    Scene,
-    Work,
-    check,
-    exponent,
-    extreme,
-    left_out,
-    timed,
-    work_table,
-)  # fmt: skip
 
 __all__ = ["Gear", "GearPair", "run"]
 
@@ -47,17 +38,7 @@ PUBLISHED = "by hand, of the tip circles"
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        One base pitch instead of four.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: one base pitch instead of four."""
     gear = Gear()
     pitches = 1 if quick else 4
     traces = {"teeth on springs": _trace(gear, pitches), "rigid wheels": _trace(gear, pitches, rigid=True)}
@@ -122,14 +103,10 @@ def _trace(gear: Gear, pitches: int, rigid: bool = False) -> pd.DataFrame:
     one, other = (model.bodies.freedom(f"wheel {k}")[0] for k in (0, 1))
     force = gear.torque / gear.pair.wheels[0].base
     return pd.DataFrame({
-        "time": moved.time,
-        "pitches": moved.q[:, one] * gear.pair.wheels[0].base / gear.pair.base_pitch,
-        "lag": lags(moved, gear),
-        "pairs": [int(np.sum(pairs[:, 2] > 0.0)) for pairs in pressing],
-        "force": [pairs[:, 2].max(initial=0.0) / force for pairs in pressing],
-        "driving": moved.qd[:, one],
-        "driven": moved.qd[:, other],
-        "audit": moved.audit().energy,
+        "time": moved.time, "pitches": moved.q[:, one] * gear.pair.wheels[0].base / gear.pair.base_pitch,
+        "lag": lags(moved, gear), "pairs": [int(np.sum(pairs[:, 2] > 0.0)) for pairs in pressing],
+        "force": [pairs[:, 2].max(initial=0.0) / force for pairs in pressing], "driving": moved.qd[:, one],
+        "driven": moved.qd[:, other], "audit": moved.audit().energy,
     })  # fmt: skip
 
 
@@ -194,7 +171,7 @@ def _moving(
     """Gears that turn, damped, against those at rest."""
     for name, trace in traces.items():
         audit = float(trace["audit"].iloc[0])
-        yield check(f"audit of energy, {name}", audit, 0.0, 1e-8, "energy less work is kept", "absolute")
+        yield vanishes(f"audit of energy, {name}", audit, 1e-8, "energy less work is kept")
     last = traces["teeth on springs"]
     last = last[last["pitches"] >= pitches - 1.0]
     rest = np.interp(last["pitches"] % 1.0, sweep["pitches"], sweep["lag"], period=1.0)
@@ -208,7 +185,7 @@ def _moving(
         "at rest, place by place",
     )
     energy = _undamped(gear, 2e-4)
-    yield check("change of energy without damping", energy, 0.0, 1e-8, "the start", "absolute")
+    yield vanishes("change of energy without damping", energy, 1e-8, "the start")
 
 
 def _undamped(gear: Gear, until: float) -> float:
@@ -264,11 +241,11 @@ def _work(gear: Gear, until: float, quick: bool) -> tuple[pd.DataFrame, list[Che
         ("Dormand-Prince", f"{t:g}", DormandPrince(t), 5e-5) for t in (1e-6, 1e-8, 1e-10, 1e-12)
     ]  # fmt: skip
     settings += [("ROS2", f"{h:g} s", Rosenbrock(), h) for h in (4e-6, 2e-6, 1e-6)[: 1 if quick else 3]]
-    rows = [Work(method, setting, *error(integrator, h)) for method, setting, integrator, h in settings]
-    best = min(row.error for row in rows)
+    rows = [(method, setting, *error(integrator, h)) for method, setting, integrator, h in settings]
+    best = min(error for *_, error in rows)
     source = "scipy's DOP853 at 1e-12, without trees or kernels"
-    found = check("angles at the end, of the error at rest", best, 0.0, 1e-6, source, "absolute")
-    return work_table([*rows, Work("DOP853", "1e-12", seconds, np.nan)]), [found]
+    found = vanishes("angles at the end, of the error at rest", best, 1e-6, source)
+    return work_table([*rows, ("DOP853", "1e-12", seconds, np.nan)]), [found]
 
 
 def _light(gear: Gear, quick: bool) -> pd.DataFrame:
@@ -315,7 +292,7 @@ def _extremes(gear: Gear) -> Iterator[Extreme]:
         return started(of, short).simulate(short, step, integrator)
 
     def audit(of: Gear, step: float = STEP) -> Check:
-        return check("audit", end(of, step).audit().energy, 0.0, 1e-6, "energy less work is kept", "absolute")
+        return vanishes("audit", end(of, step).audit().energy, 1e-6, "energy less work is kept")
 
     def swing(of: Gear, step: float = STEP, integrator: Integrator | None = None) -> Check:
         source = "teeth of steel, whose inertia changes little here"

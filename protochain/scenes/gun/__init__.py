@@ -5,23 +5,13 @@ it a mount holds a cradle on an axle with a spring and an equilibrator; in the c
 against recuperator and brake, rigid or of finite segments.
 """
 
+from protochain.lab.cases import Scene
 from protochain.scenes.gun import checks, study
 from protochain.scenes.gun.extremes import limits, without
-from protochain.scenes.scene import Scene
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        Two decks, two axles and short motions: some seconds.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: two decks, two axles and short motions: some seconds."""
     decks, convergence = checks.against_fixed_deck()
     cells, order = checks.by_cells((2, 4, 8) if quick else (4, 8, 16))
     isolation = study.isolation((1e6, 1e9), (1e6, 1e9), 0.2) if quick else study.isolation()

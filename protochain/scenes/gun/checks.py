@@ -8,18 +8,13 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, check, tried, vanishes
+from protochain.lab.fits import exponent, order
+from protochain.lab.report import work_table
 from protochain.mechanisms import frequencies, state_matrix
-from protochain.motion import (
-    DormandPrince,
-    ImplicitMidpoint,
-    Integrator,
-    Rosenbrock,
-    RungeKutta4,
-    StepTooLargeError,
-)
+from protochain.motion import DormandPrince, ImplicitMidpoint, Integrator, Rosenbrock, RungeKutta4
 from protochain.scenes.gun.oracle import Planar
 from protochain.scenes.gun.parts import Gun, built
-from protochain.scenes.scene import Check, Work, check, exponent, timed, work_table
 
 FIXED = "no deck"
 MODES = "modal superposition, eigh"
@@ -40,7 +35,7 @@ def against_equations(quick: bool) -> Iterator[Check]:
     for said, gun, until in cases:
         found, planar = built(gun), Planar(gun)
         off = np.max(np.abs(found.muzzle_at(found.start) - planar.muzzle(planar.standing)))
-        yield check(f"muzzle before the shot, {said}", off, 0.0, 1e-9, "scipy's root", "absolute")
+        yield vanishes(f"muzzle before the shot, {said}", off, 1e-9, "scipy's root")
         end = found.end(DormandPrince(1e-11), 0.01, until)
         for value, oracle, unit in zip(end, planar.moved(np.array([until]))[0], UNITS, strict=True):
             yield check(f"muzzle after {until:g} s, {said}: {unit}", value, oracle, 2e-8, EXACT, "absolute")
@@ -58,13 +53,12 @@ def against_modes(cells: int, charges: tuple[float, ...] = (1e-2, 3e-3, 1e-3)) -
         errors.append(np.max(np.abs(ends - moved), axis=0) / np.max(np.abs(moved), axis=0))
     said = f"{cells} cells" if cells else "rigid barrel"
     w_found = frequencies(found.model, found.start)
-    yield check(
-        f"frequencies, {said}: largest relative error", np.max(np.abs(w_found / w - 1.0)), 0.0, 1e-8, MODES,
-        "absolute",
+    yield vanishes(
+        f"frequencies, {said}: largest relative error", np.max(np.abs(w_found / w - 1.0)), 1e-8, MODES,
     )  # fmt: skip
     for error, unit in zip(errors[-1], UNITS, strict=True):
         name = f"muzzle by a thousandth of the charge, {said}: {unit.split(',')[0]}, relative error"
-        yield check(name, error, 0.0, 5e-3, MODES, "absolute")
+        yield vanishes(name, error, 5e-3, MODES)
     order = exponent(charges, np.array(errors)[:, 2])
     yield check(f"order of that error in the charge, {said}", order, 1.0, 0.02, "small motions", "absolute")
 
@@ -99,9 +93,9 @@ def energies(quick: bool) -> Iterator[Check]:
         run = still.model.simulate(0.1 if quick else 0.3, 0.01, DormandPrince(1e-11), start=start)
         said = f"{cells} cells" if cells else "rigid barrel"
         error = run.audit().energy
-        yield check(f"energy, let go without dampers, {said}", error, 0.0, 1e-8, "the start", "absolute")
+        yield vanishes(f"energy, let go without dampers, {said}", error, 1e-8, "the start")
         shot = built(Gun(cells=cells)).run(0.05 if quick else 0.3, 1e-10, 0.01).audit().energy
-        yield check(f"energy that is no work, one shot, {said}", shot, 0.0, 1e-8, "work", "absolute")
+        yield vanishes(f"energy that is no work, one shot, {said}", shot, 1e-8, "work")
 
 
 def by_cells(numbers: tuple[int, ...]) -> tuple[pd.DataFrame, list[Check]]:
@@ -115,10 +109,8 @@ def by_cells(numbers: tuple[int, ...]) -> tuple[pd.DataFrame, list[Check]]:
     table = pd.DataFrame(rows, columns=["cells", "elevation", "frequency"])
     found = []
     for what in ("elevation", "frequency"):
-        a, b, c = table[what].tail(3)
         name = "order of the error in cells, {}, {} and {}: {}".format(*numbers[-3:], what)
-        order = float(np.log2((b - a) / (c - b)))
-        found.append(check(name, order, 2.0, 0.15, "1/n^2", "absolute"))
+        found.append(check(name, order(*table[what].tail(3)), 2.0, 0.15, "1/n^2", "absolute"))
     return table, found
 
 
@@ -142,13 +134,8 @@ def work(quick: bool) -> pd.DataFrame:
             *(("Rosenbrock", Rosenbrock(), *each) for each in implicit[:most]),
         ]  # fmt: skip
         for method, integrator, setting, h in settings:
-            try:
-                with np.errstate(over="ignore", invalid="ignore"):
-                    end, seconds = timed(partial(found.end, integrator, h, until))
-            except StepTooLargeError:
-                rows.append(Work(method + said, setting, np.nan, np.inf))
-                continue
-            rows.append(Work(method + said, setting, seconds, _apart(end, exact)))
+            end = partial(found.end, integrator, h, until)
+            rows.append(tried(method + said, setting, end, partial(_apart, exact)))
     return work_table(rows)
 
 

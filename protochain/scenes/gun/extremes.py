@@ -6,10 +6,10 @@ from functools import partial
 import numpy as np
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Extreme, LeftOut, check, extreme, left_out, vanishes
 from protochain.motion import DormandPrince, Integrator, Rosenbrock, RungeKutta4
 from protochain.scenes.gun.oracle import Planar
 from protochain.scenes.gun.parts import Gun, built
-from protochain.scenes.scene import Check, Extreme, LeftOut, check, extreme, left_out
 
 REFUSED: tuple[tuple[str, Gun, str], ...] = (
     ("no axle, no equilibrator", Gun(axle=0.0, balanced=False), "the gun falls"),
@@ -32,7 +32,7 @@ def _beside(
 ) -> Check:
     """Muzzle of a gun beside that of another, by the same integrator."""
     off = np.linalg.norm((_end(gun, integrator, step) - _end(other, integrator, step))[:2])
-    return check("muzzle, m", float(off), 0.0, bound, source, "absolute")
+    return vanishes("muzzle, m", float(off), bound, source)
 
 
 def _bent() -> Check:
@@ -40,25 +40,25 @@ def _bent() -> Check:
     gun, until = Gun(cells=8, bending=1e-3), 0.02
     found = _end(gun, DormandPrince(1e-10), until=until)
     off = np.linalg.norm(found - np.array(Planar(gun).moved(np.array([until]))[0]))
-    return check("muzzle, m", float(off), 0.0, 1e-8, "equations in absolute angles, DOP853", "absolute")
+    return vanishes("muzzle, m", float(off), 1e-8, "equations in absolute angles, DOP853")
 
 
 def _undamped() -> Check:
     error = built(Gun(damped=0.0)).run(0.1, 1e-10).audit().energy
-    return check("energy", error, 0.0, 1e-8, "work of the powder", "absolute")
+    return vanishes("energy", error, 1e-8, "work of the powder")
 
 
 def _unfired() -> Check:
     found = built(Gun(charge=0.0))
     off = found.end(EXPLICIT, 0.01, 0.1) - found.muzzle_at(found.start)
-    return check("muzzle, m", float(np.max(np.abs(off))), 0.0, 1e-10, "where it stood", "absolute")
+    return vanishes("muzzle, m", float(np.max(np.abs(off))), 1e-10, "where it stood")
 
 
 def _too_long() -> Check:
     """Steps that are stable for the tube as it is, for one that is a million times as stiff."""
     found = built(Gun(cells=8, bending=1e6))
     run = found.model.simulate(0.05, 2e-4, RungeKutta4(), start=found.start)
-    return check("energy", run.audit().energy, 0.0, 1e-2, "work", "absolute")
+    return vanishes("energy", run.audit().energy, 1e-2, "work")
 
 
 def _freedoms(gun: Gun) -> Check:

@@ -13,12 +13,14 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Scene, tried
+from protochain.lab.fits import extrapolated
+from protochain.lab.report import work_table
 from protochain.motion import Integrator, Rosenbrock, RungeKutta4
 from protochain.scenes.beam.parts import at_rest
 from protochain.scenes.helicopter import checks, landing
 from protochain.scenes.helicopter.extremes import limits, without
 from protochain.scenes.helicopter.parts import BLADE, LEGS, Given
-from protochain.scenes.scene import Check, Scene, Work, timed, work_table
 
 FULL = Given(cells=6)
 TILT = 8.0
@@ -26,17 +28,7 @@ TILT = 8.0
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        Few cells, cases and rates: some seconds.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: few cells, cases and rates: some seconds."""
     rates = (258.0,) if quick else tuple(np.arange(100.0, 401.0, 25.0))
     resonance, found = checks.ground_resonance(rates, 3 if quick else 12)
     sinks = landing.SINKS[-1:] if quick else landing.SINKS
@@ -117,7 +109,7 @@ def _work(quick: bool) -> pd.DataFrame:
 
     fine = 4 if quick else 12
     coarse, finer = (flap(segments(n), stable(n), RungeKutta4()) for n in (fine, 2 * fine))
-    exact = (4.0 * finer - coarse) / 3.0
+    exact = extrapolated(coarse, finer)
     plans: list[tuple[str, Given, float, Integrator]] = []
     for cells in (2, 4) if quick else (2, 4, 8, 16):
         bending = segments(cells)
@@ -125,9 +117,10 @@ def _work(quick: bool) -> pd.DataFrame:
         plans.append(("modes, Runge-Kutta", replace(bending, modes=True), 2e-3, RungeKutta4()))
         if cells < (4 if quick else 8):
             plans.append(("segments, Rosenbrock", bending, 2e-3, Rosenbrock()))
-    rows = []
-    for method, given, h, integrator in plans:
-        value, seconds = timed(partial(flap, given, h, integrator), 1 if quick else 2)
-        error = float(np.max(np.abs(value - exact)))
-        rows.append(Work(method, f"{given.cells} cells, {1e3 * h:g} ms", seconds, error))
-    return work_table(rows)
+    return work_table(
+        tried(
+            method, f"{given.cells} cells, {1e3 * h:g} ms", partial(flap, given, h, integrator),
+            lambda value: np.max(np.abs(value - exact)), 1 if quick else 2,
+        )
+        for method, given, h, integrator in plans
+    )  # fmt: skip

@@ -7,6 +7,8 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, check, vanishes
+from protochain.lab.fits import extrapolated
 from protochain.mechanisms import Mechanism, Model, Run
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.modes import in_modes
@@ -15,10 +17,9 @@ from protochain.multibody import HingeKind, Tree
 from protochain.multibody import beams as shapes_of_beams
 from protochain.multibody.flexible import Flexible, elastic
 from protochain.multibody.flexible_dynamics import forward_dynamics
-from protochain.scenes.beam.parts import extrapolated, ritz
+from protochain.scenes.beam.parts import ritz
 from protochain.scenes.helicopter import landing, resonance
 from protochain.scenes.helicopter.parts import BLADE, LEGS, MODES, RATE, WEIGHT, groups
-from protochain.scenes.scene import Check, check
 
 HAMMOND = "Hammond's equations, 1974"
 LINEAR = replace(LEGS, squared=0.0, friction=0.0)
@@ -55,7 +56,7 @@ def ground_resonance(rates: tuple[float, ...], turns: int = 12) -> tuple[pd.Data
             rows.append((rpm, damped, growths[-1], turned[-1], np.max(np.abs(turned - growths))))
     table = pd.DataFrame(rows, columns=["rpm", "dampers", "growth", "simulated", "error"])
     said = f"growth of all motions by Floquet, {len(rates)} rates, largest error, 1/s"
-    found.append(check(said, float(table["error"].max()), 0.0, 1e-4, HAMMOND, "absolute"))
+    found.append(vanishes(said, float(table["error"].max()), 1e-4, HAMMOND))
     return table, found
 
 
@@ -81,7 +82,7 @@ def _alike(said: str, found: Floats, exact: Floats, bound: float, source: str) -
     most = float(np.max(exact[on]))
     yield check(f"{said}: largest force of the legs, N", float(np.max(found[on])), most, bound, source)
     worst = float(np.max(np.abs(found[on] - exact[on]))) / most
-    yield check(f"{said}: force over time, of the largest", worst, 0.0, bound, source, "absolute")
+    yield vanishes(f"{said}: force over time, of the largest", worst, bound, source)
 
 
 def flight() -> Iterator[Check]:
@@ -182,4 +183,4 @@ def blades(cells: int) -> Iterator[Check]:
 
 def balance(name: str, run: Run, bound: float) -> Check:
     """Energy less work, which must not change."""
-    return check(f"energy that is no work, {name}", run.audit().energy, 0.0, bound, "the work", "absolute")
+    return vanishes(f"energy that is no work, {name}", run.audit().energy, bound, "the work")

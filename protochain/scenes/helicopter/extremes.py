@@ -8,6 +8,7 @@ import numpy as np
 from scipy.integrate import simpson
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, Extreme, LeftOut, check, extreme, left_out, vanishes
 from protochain.mechanisms.segments import Beam
 from protochain.motion import DormandPrince, Integrator, Rosenbrock
 from protochain.scenes.helicopter import landing, resonance
@@ -25,7 +26,6 @@ from protochain.scenes.helicopter.parts import (
     build,
     settled,
 )  # fmt: skip
-from protochain.scenes.scene import Check, Extreme, LeftOut, check, extreme, left_out
 
 BLOW = 0.004
 """s. For which a blade is struck."""
@@ -42,7 +42,7 @@ def _turning(factor: float, rate: float, cells: int, bound: float = 1e-3) -> Che
     found = [frequencies_about(thin, rate, cells, axis) for axis in "yyzx"]
     near = [each[np.argmin(np.abs(each - w))] for each, w in zip(found, exact, strict=True)]
     worst = float(np.max(np.abs(np.array(near) / exact - 1.0)))
-    return check("frequencies", worst, 0.0, bound, "Ritz", "absolute")
+    return vanishes("frequencies", worst, bound, "Ritz")
 
 
 def _climb(given: Given, until: float, h: float, integrator: Integrator | None) -> Floats:
@@ -56,7 +56,7 @@ def _with_stiff_blades(integrator: Integrator | None) -> Check:
     given = replace(landing.RIGID, cells=2, modes=False, beam=stiffer(1e6))
     found, exact = (_climb(each, 0.1, 2e-3, integrator) for each in (given, landing.RIGID))
     worst = float(np.max(np.abs(found - exact)) / np.max(exact))
-    return check("climb", worst, 0.0, 1e-4, "rigid blades", "absolute")
+    return vanishes("climb", worst, 1e-4, "rigid blades")
 
 
 def _legs(given: Given, sink: float, until: float, h: float) -> Floats:
@@ -74,7 +74,7 @@ def _bare(legs: Legs, sink: float, until: float, h: float) -> Check:
     left = np.flatnonzero(exact[1:] <= 0.0)
     on = slice(0, left[0] if len(left) else None)
     worst = float(np.max(np.abs(found - exact)[on]) / np.max(exact[on]))
-    return check("legs", worst, 0.0, 1e-4, "damped oscillator", "absolute")
+    return vanishes("legs", worst, 1e-4, "damped oscillator")
 
 
 def _rebounds() -> Check:
@@ -136,7 +136,7 @@ def _standing(speed: float, until: float) -> Check:
     run = model.simulate(until, 1e-3, every=10, start=model.system.at(start.q, qd))
     angle = np.abs(np.sum(run.q[:, at], axis=1))
     grown = float(np.max(angle[-40:]) / np.max(angle[:40]))
-    return check("lag", grown, 0.0, 0.9, "decay", "absolute")
+    return vanishes("lag", grown, 0.9, "decay")
 
 
 def limits(quick: bool) -> Iterator[Extreme]:

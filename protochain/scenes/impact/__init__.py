@@ -9,6 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from protochain.arrays import Floats
+from protochain.lab.cases import LeftOut, Scene, left_out
+from protochain.lab.report import work_table
 from protochain.multibody import impact, mass_matrix, point_rows, row_matrix
 from protochain.multibody.articulated import articulate
 from protochain.scenes.impact import bounces, checks
@@ -16,24 +18,13 @@ from protochain.scenes.impact.extremes import extremes
 from protochain.scenes.impact.paths import path_checks, traces, work
 from protochain.scenes.impact.study import random_impacts
 from protochain.scenes.impact.systems import chain
-from protochain.scenes.scene import LeftOut, Scene, left_out, work_table
 
 IMPACTS, FEW = 100_000, 2000
 """Random impacts; of the quick scene."""
 
 
 def run(quick: bool = False) -> Scene:
-    """Run the scene.
-
-    Parameters
-    ----------
-    quick : bool
-        Fewer random impacts, short chains: some seconds.
-
-    Returns
-    -------
-    Scene
-    """
+    """Run the scene; quick: fewer random impacts, short chains: some seconds."""
     gains = random_impacts(FEW if quick else IMPACTS, 0)
     bounced, end = bounces.bounce(bounces.ball(), ends=True)
     found = (

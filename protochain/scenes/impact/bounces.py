@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
+from protochain.lab.cases import Check, check, vanishes
 from protochain.mechanisms import Model
 from protochain.motion import DormandPrince, Event, Phase, System, march
 from protochain.multibody import impact
 from protochain.scenes.impact.systems import Blow, G, dropped
-from protochain.scenes.scene import Check, check
 
 HEIGHT, KEPT = 1.0, 0.5
 """m; restitution."""
@@ -67,7 +67,7 @@ def bounce_checks(table: pd.DataFrame, end: float) -> Iterator[Check]:
     yield check("end of the bounces, s", end, fall * (1.0 + KEPT) / (1.0 - KEPT), 1e-11, source)
     times = fall * (1.0 + 2.0 * np.cumsum([0.0, *(KEPT ** np.arange(1.0, len(table)))]))
     worst = float(np.max(np.abs(table["time"] - times)))
-    yield check(f"times of {len(table)} bounces, s", worst, 0.0, 1e-10, source, "absolute")
+    yield vanishes(f"times of {len(table)} bounces, s", worst, 1e-10, source)
 
 
 def ball() -> Model:

@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, check, vanishes
 from protochain.multibody import close_loops, impact, mass_matrix, point_rows, row_matrix
 from protochain.multibody.impulse import Order
 from protochain.multibody.impulse_points import Struck
 from protochain.scenes.impact.study import LAWS, random_points, random_pose
 from protochain.scenes.impact.systems import ball, cradle, rods, struck
-from protochain.scenes.scene import Check, check
 
 RODS = {
     0.7: {"newton": 1.5875, "poisson": 0.5169, "stronge": 0.5258},
@@ -48,11 +48,11 @@ def _cradles() -> Iterator[Check]:
     model, blows = cradle((1.0,) * 5, (1.0, 1.0, 0.0, 0.0, 0.0), 1.0)
     after, _ = struck(model, blows, "stronge", "in turn")
     worst = float(np.abs(after.qd - [0.0, 0.0, 0.0, 1.0, 1.0]).max())
-    yield check("Newton's cradle, two balls in, two out, m/s", worst, 0.0, 1e-13, source, "absolute")
+    yield vanishes("Newton's cradle, two balls in, two out, m/s", worst, 1e-13, source)
     model, blows = cradle((1.0,) * 3, (1.0, 0.0, 0.0), 1.0)
     after, _ = struck(model, blows)
     worst = float(np.abs(after.qd - np.array([-1.0, 2.0, 2.0]) / 3.0).max())
-    yield check("three balls at once, m/s", worst, 0.0, 1e-13, "twice the compression", "absolute")
+    yield vanishes("three balls at once, m/s", worst, 1e-13, "twice the compression")
 
 
 def cradle_table() -> pd.DataFrame:
@@ -77,7 +77,7 @@ def _ball() -> Iterator[Check]:
         size = np.linalg.norm(slip)
         expected = velocity[:2] - slip / size * min(mu * 1.6 * 2.0, 2.0 / 7.0 * size)
         worst = float(np.abs(after.qd[3:5] - expected).max())
-        yield check(f"a ball with spin {name}, m/s", worst, 0.0, 1e-13, "Coulomb, by hand", "absolute")
+        yield vanishes(f"a ball with spin {name}, m/s", worst, 1e-13, "Coulomb, by hand")
 
 
 def random_checks(n: int) -> Iterator[Check]:
@@ -101,9 +101,9 @@ def random_checks(n: int) -> Iterator[Check]:
         dense = max(dense, float(np.abs(of.w - g @ whole[:, : len(m)] @ g.T).max() / np.abs(g @ g.T).max()))
         found = [impact(posed.factors, qd, [replace(points[0], friction=0.0)], law, loops).qd for law in LAWS]
         apart = max(apart, *(_apart(each, found[0]) for each in found))
-    yield check(f"W of {n} points of trees with loops", dense, 0.0, 1e-9, "the mass matrix", "absolute")
-    yield check(f"loops of {n} trees close", closed, 0.0, 1e-8, "Karush, Kuhn, Tucker", "absolute")
-    yield check(f"laws of {n} impacts without friction", apart, 0.0, 1e-9, "they are one", "absolute")
+    yield vanishes(f"W of {n} points of trees with loops", dense, 1e-9, "the mass matrix")
+    yield vanishes(f"loops of {n} trees close", closed, 1e-8, "Karush, Kuhn, Tucker")
+    yield vanishes(f"laws of {n} impacts without friction", apart, 1e-9, "they are one")
 
 
 def _apart(x: Floats, y: Floats) -> float:
@@ -115,11 +115,11 @@ def gain_checks(gains: pd.DataFrame) -> Iterator[Check]:
     own = {law: gains[(gains["law"] == law) & (gains["points"] == 1)] for law in LAWS}
     for law in ("poisson", "stronge"):
         name = f"{own[law]['impacts'].sum()} impacts of one point that add energy, {law}"
-        yield check(name, own[law]["gained"].sum(), 0.0, 0.0, "none may", "absolute")
+        yield vanishes(name, own[law]["gained"].sum(), 0.0, "none may")
     for order in ("together", "in turn"):
         many = gains[(gains["order"] == order) & (gains["points"] > 1)]
         name = f"{many['impacts'].sum()} impacts of 2 to 4 points {order} that add energy"
-        yield check(name, many["gained"].sum(), 0.0, 0.0, "none may", "absolute")
+        yield vanishes(name, many["gained"].sum(), 0.0, "none may")
     found = own["newton"][own["newton"]["in"] == "plane"]
     share = found["gained"].sum() / found["impacts"].sum()
     yield check("share of plane ones that add energy, newton", share, 0.05, 0.04, "some do", "absolute")

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from protochain.lab.cases import Check, Extreme, check, extreme, vanishes
 from protochain.multibody import (
     ContactPoint,
     HingeKind,
@@ -22,7 +23,6 @@ from protochain.scenes.impact import bounces
 from protochain.scenes.impact.paths import point_of
 from protochain.scenes.impact.study import LAWS, Kind, random_points, random_pose
 from protochain.scenes.impact.systems import UP, ball, box, chain, cradle, rods, struck
-from protochain.scenes.scene import Check, Extreme, check, extreme
 
 LIGHT = 1e-9
 """kg, against 1 kg."""
@@ -62,19 +62,19 @@ def extremes(quick: bool) -> Iterator[Extreme]:
 def _leaves(law: Law, e: float, mu: float) -> Check:
     model, blow = rods(mu, e)
     after, _ = struck(model, [blow], law)
-    return check("normal velocity after", after.after[0, 2], 0.0, 1e-15, "it stays", "absolute")
+    return vanishes("normal velocity after", after.after[0, 2], 1e-15, "it stays")
 
 
 def _keeps(law: Law) -> Check:
     model, blow = rods(0.0, 1.0)
     after, before = struck(model, [blow], law)
-    return check("change of energy", after.work / before, 0.0, 1e-14, "none is lost", "absolute")
+    return vanishes("change of energy", after.work / before, 1e-14, "none is lost")
 
 
 def _grips(law: Law) -> Check:
     model, blow = rods(10.0)
     after, _ = struck(model, [blow], law)
-    return check("slip after", after.after[0, 0], 0.0, 1e-14, "it sticks", "absolute")
+    return vanishes("slip after", after.after[0, 0], 1e-14, "it sticks")
 
 
 def _light_rod(law: Law) -> Check:
@@ -92,7 +92,7 @@ def _light_rod(law: Law) -> Check:
     exact = g @ inverse @ g.T
     apart = np.abs(w[:2, :2] - exact).max() / np.abs(exact).max()
     energy = kinetic_energy(model.tree, model.state().frames, after.qd) / before - 1.0 - after.work / before
-    return check("W and energy", max(apart, abs(energy)), 0.0, 1e-12, "double pendulum by hand", "absolute")
+    return vanishes("W and energy", max(apart, abs(energy)), 1e-12, "double pendulum by hand")
 
 
 def _two_balls(law: Law, first: float, second: float) -> Check:
@@ -120,7 +120,7 @@ def _flat(side: int, mu: float) -> Check:
     after, _ = struck(model, blows)
     expected = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.6])
     worst = float(np.abs(after.qd - expected).max())
-    return check("velocities after", worst, 0.0, 1e-9, "a flat fall goes straight up", "absolute")
+    return vanishes("velocities after", worst, 1e-9, "a flat fall goes straight up")
 
 
 def _in_turn_without_end() -> Check:
@@ -139,7 +139,7 @@ def _long(quick: bool) -> Check:
     g = row_matrix(factors.tree, factors.frames, rows)
     dense = np.linalg.solve(mass_matrix(factors.tree, factors.frames), g.T @ found.impulse[0])
     worst = float(np.abs(found.qd - qd - dense).max() / np.abs(dense).max())
-    return check("velocities after", worst, 0.0, 1e-7, "the mass matrix, as a matrix", "absolute")
+    return vanishes("velocities after", worst, 1e-7, "the mass matrix, as a matrix")
 
 
 def _ended() -> Check:
@@ -162,7 +162,7 @@ def _jammed(law: Law) -> Check:
     tree = _slider(driven=False)
     point = ContactPoint("slope", (-1, 0), np.zeros(3), np.array([1.0, 0.0, 1.0]), 2.0, 0.5)
     after = impact(articulate(tree, pose(tree, np.zeros(1))), np.array([-1.0]), [point], law)
-    return check("velocity after", after.qd[0], 0.0, 1e-14, "it sticks and can go nowhere", "absolute")
+    return vanishes("velocity after", after.qd[0], 1e-14, "it sticks and can go nowhere")
 
 
 def _piston() -> Check:

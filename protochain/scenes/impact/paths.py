@@ -8,11 +8,12 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 from protochain.arrays import Floats
+from protochain.lab.cases import Check, check, tried
+from protochain.lab.report import Work
 from protochain.mechanisms import Ball, Model, Plane, flores, real_restitution
 from protochain.multibody.impulse_path import POISSON, follow
 from protochain.multibody.impulse_points import Struck
 from protochain.scenes.impact.systems import TIP, UP, Blow, brick, rods, two_rods
-from protochain.scenes.scene import Check, Work, check, timed
 
 SMOOTH = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4)
 """Slip, relative to the speed of approach, below which smoothed friction falls off."""
@@ -107,34 +108,30 @@ def velocities(point: Point, tolerance: float, smooth: float = 0.0) -> Floats:
 def work(quick: bool) -> Iterator[Work]:
     """Error of the velocities after, relative to those before, against seconds."""
     plane, space = point_of(*rods(0.7)), point_of(*brick())
-    exact = rods_by_hand()
-    repeats = 20 if quick else 200
-    size = float(np.linalg.norm(plane[1]))
-    after, seconds = timed(partial(along, plane, 1e-10), repeats)
-    error = abs(after[0] - exact[0]) + float(np.linalg.norm(after[1:]))
-    yield Work("rods: exact pieces", "", seconds, error / size)
-    for smooth in SMOOTH[: 2 if quick else None]:
-        after, seconds = timed(partial(velocities, plane, 1e-8, smooth))
-        error = abs(after[0] - exact[0]) + float(np.linalg.norm(after[1:]))
-        yield Work("rods: smoothed friction, Radau", f"{smooth:g}", seconds, error / size)
-    for stiffness in STIFF[: 2 if quick else None]:
-        (normal, expected), seconds = timed(partial(soft_floor, stiffness, 300), 2)
-        error = abs(normal - expected) / size
-        yield Work("rods without friction: soft floor", f"{stiffness:g}", seconds, error)
-    reference = integrated(space, KEPT)[0]
-    size = float(np.linalg.norm(space[1]))
-    for tolerance in TOLERANCES:
-        after, seconds = timed(partial(along, space, tolerance), repeats)
-        error = float(np.linalg.norm(after - reference))
-        yield Work("brick: path, Dormand-Prince", f"{tolerance:g}", seconds, error / size)
-    for tolerance in TOLERANCES[: 3 if quick else None]:
-        after, seconds = timed(partial(velocities, space, tolerance))
-        error = float(np.linalg.norm(after - reference))
-        yield Work("brick: du/dp, DOP853 of scipy", f"{tolerance:g}", seconds, error / size)
-    for smooth in SMOOTH[: 2 if quick else None]:
-        after, seconds = timed(partial(velocities, space, 1e-8, smooth))
-        error = float(np.linalg.norm(after - reference))
-        yield Work("brick: smoothed friction, Radau", f"{smooth:g}", seconds, error / size)
+    exact, reference = rods_by_hand(), integrated(space, KEPT)[0]
+    fast, slow = float(np.linalg.norm(plane[1])), float(np.linalg.norm(space[1]))
+    repeats, few, more = (20, 2, 3) if quick else (200, None, None)
+
+    def of_rods(after: Floats) -> float:
+        return (abs(after[0] - exact[0]) + float(np.linalg.norm(after[1:]))) / fast
+
+    def of_brick(after: Floats) -> float:
+        return float(np.linalg.norm(after - reference)) / slow
+
+    ways = [("rods: exact pieces", "", partial(along, plane, 1e-10), of_rods, repeats)]
+    said = "rods: smoothed friction, Radau"
+    ways += [(said, f"{w:g}", partial(velocities, plane, 1e-8, w), of_rods, 1) for w in SMOOTH[:few]]
+    yield from (tried(*way) for way in ways)
+    for k in STIFF[:few]:
+        floor, said = partial(soft_floor, k, 300), "rods without friction: soft floor"
+        yield tried(said, f"{k:g}", floor, lambda ends: abs(ends[0] - ends[1]) / fast, 2)
+    said = "brick: path, Dormand-Prince"
+    ways = [(said, f"{t:g}", partial(along, space, t), of_brick, repeats) for t in TOLERANCES]
+    said = "brick: du/dp, DOP853 of scipy"
+    ways += [(said, f"{t:g}", partial(velocities, space, t), of_brick, 1) for t in TOLERANCES[:more]]
+    said = "brick: smoothed friction, Radau"
+    ways += [(said, f"{w:g}", partial(velocities, space, 1e-8, w), of_brick, 1) for w in SMOOTH[:few]]
+    yield from (tried(*way) for way in ways)
 
 
 def soft_floor(stiffness: float, steps: int) -> tuple[float, float]:

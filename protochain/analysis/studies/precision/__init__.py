@@ -4,8 +4,8 @@ Each kind is a file with ``measure``, which yields the points of its curve, and 
 tables, pictures and page are common. Minimisers have tables and a picture of their own besides.
 """
 
-from collections.abc import Iterator, Sequence
-from functools import partial
+from base64 import b64encode
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -21,10 +21,12 @@ from protochain.analysis.studies.precision import (
     sampling,
     solvers,
 )  # fmt: skip
-from protochain.analysis.studies.precision.curves import Kind, plot, said, table_of
-from protochain.analysis.studies.precision.page import write_page
+from protochain.analysis.studies.precision.curves import Kind, plot, points_of, said
+from protochain.analysis.viewer import template
 from protochain.errors import ProtochainError
-from protochain.storage import write_atomically
+from protochain.lab.provenance import made
+from protochain.lab.report import save
+from protochain.processors import processors
 
 KINDS = {
     "solvers": Kind(
@@ -102,7 +104,7 @@ def run(
             raise ProtochainError(f"precision: there is no kind {name!r}; choose from {', '.join(KINDS)}")
     if inputs and "minimisers" not in only:
         raise ProtochainError("precision: only minimisers read files; give none, or add minimisers to --only")
-    tables = {}
+    tables: dict[str, pd.DataFrame] = {}
     for name in only:
         kind = KINDS[name]
         if name == "minimisers":
@@ -110,19 +112,28 @@ def run(
             for needed in minimisers.run(output, inputs, quick):
                 yield needed
             structures = len(inputs) or (1 if quick else len(minimisers.PEPTIDES))
-            tables[name] = table_of(name, minimisers.points(needed, structures))
+            tables[name] = points_of(name, minimisers.points(needed, structures))
         else:
             # BLAS on one thread, as in runs.
             with threadpool_limits(1, "blas"):
-                tables[name] = table_of(name, kind.measure(quick))
+                tables[name] = points_of(name, kind.measure(quick))
             yield tables[name].drop(columns=["kind", "held_against", "n"])
-            picture = plot(tables[name], kind.title)
-            write_atomically(output / f"{name}.png", partial(picture.savefig, dpi=120))
-        write_atomically(output / f"{name}.csv", partial(tables[name].to_csv, index=False))
+            save(output, {f"{name}.png": plot(tables[name], kind.title)})
         every = pd.concat(tables.values(), ignore_index=True)
-        write_atomically(output / "curves.csv", partial(every.to_csv, index=False))
-        write_page(
-            output,
-            [(each, KINDS[each].title, KINDS[each].measured, said(tables[each])) for each in tables],
-            tables,
-        )
+        save(output, {f"{name}.csv": tables[name], "curves.csv": every, "report.html": _page(output, tables)})
+
+
+def _page(folder: Path, tables: Mapping[str, pd.DataFrame]) -> str:
+    """Page of the curves: each with its picture, with what it says, and with its points."""
+    parts = [
+        {
+            "name": name, "kind": KINDS[name], "said": said(points), "points": points.to_dict("records"),
+            "picture": _data_url(folder / f"{'precision' if name == 'minimisers' else name}.png"),
+        }
+        for name, points in tables.items()
+    ]  # fmt: skip
+    return template("curves.html").render(parts=parts, made=made(f"1, of minimisers {processors()}"))
+
+
+def _data_url(path: Path) -> str:
+    return f"data:image/png;base64,{b64encode(path.read_bytes()).decode()}" if path.exists() else ""

@@ -6,13 +6,14 @@ from time import process_time
 
 import numpy as np
 
-from protochain.analysis.studies.precision.curves import Point, least_seconds
+from protochain.analysis.studies.precision.curves import Point
 from protochain.analysis.studies.precision.extended import DIGITS, WIDE, wide_cholesky, wide_mass, wide_solve
 from protochain.analysis.studies.precision.peptides import KT
 from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose
 from protochain.dynamics import Closure, Leapfrog, Phase, StepTooLargeError, System
+from protochain.lab.cost import least_seconds
 from protochain.motion.system import Drifted
 from protochain.multibody import (
     Frames,

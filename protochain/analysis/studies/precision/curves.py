@@ -1,17 +1,14 @@
 """What a curve is: points of error against cost, their table, their picture and what they say."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
-from itertools import cycle
-from time import process_time
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from matplotlib.ticker import NullFormatter
 
-from protochain.analysis.plots import COLOURS, Figure, plain
+from protochain.lab.report import Figure, draw_lines, table_of
 
-_MARKERS = "osD^vPX*<>"
 _LEAST = 1e-21
 """Where an error of nothing is drawn, on a logarithmic axis."""
 
@@ -51,9 +48,6 @@ class Point:
     n: int
 
 
-COLUMNS = ("kind", *(field.name for field in fields(Point)))
-
-
 @dataclass(frozen=True)
 class Kind:
     """Something that approximates or iterates.
@@ -73,20 +67,11 @@ class Kind:
     measure: Callable[[bool], Iterable[Point]]
 
 
-def table_of(name: str, points: Iterable[Point]) -> pd.DataFrame:
+def points_of(name: str, points: Iterable[Point]) -> pd.DataFrame:
     """Points of a kind as a table."""
-    return pd.DataFrame([{"kind": name, **asdict(point)} for point in points], columns=list(COLUMNS))
-
-
-def least_seconds(call: Callable[[], object], most: float = 0.2) -> float:
-    """Least processor seconds of a call, of at least three and for as long as this; the first not counted."""
-    call()
-    times: list[float] = []
-    while len(times) < 3 or (sum(times) < most and len(times) < 1000):
-        began = process_time()
-        call()
-        times.append(process_time() - began)
-    return min(times)
+    table = table_of(points, Point)
+    table.insert(0, "kind", name)
+    return table
 
 
 def said(table: pd.DataFrame) -> list[str]:
@@ -147,19 +132,10 @@ def plot(table: pd.DataFrame, title: str) -> Figure:
             if cost == "evaluations" and case not in counted:
                 ax.set_visible(False)
                 continue
-            styles = zip(cycle(COLOURS), cycle(_MARKERS), strict=False)
-            for (method, of), (colour, marker) in zip(
-                points.groupby("method", sort=False), styles, strict=False
-            ):
-                shown = of[np.isfinite(of["error"]) & (of[cost] > 0)]
-                error = shown["error"].clip(lower=_LEAST)
-                ax.plot(shown[cost], error, color=colour, marker=marker, markersize=4, label=str(method))
+            draw_lines(ax, points, cost, least=_LEAST)
             unit = points["unit"].iloc[0]
-            ax.set(xscale="log", yscale="log", xlabel=cost, title=str(case))
-            ax.set_ylabel("relative error" if unit == "1" else f"error, {unit}")
+            ax.set(title=str(case), ylabel="relative error" if unit == "1" else f"error, {unit}")
             ax.xaxis.set_minor_formatter(NullFormatter())
-            plain(ax)
-        row[0].legend(frameon=False, fontsize=7)
     figure.suptitle(title)
     return figure
 

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from protochain.analysis.studies.precision.curves import Point, least_seconds
+from protochain.analysis.studies.precision.curves import Point
 from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import pose
 from protochain.energies import Energy, NativeEnergy, OpenMMEnergy, build_system, energy
 from protochain.energies.native import neighbours
+from protochain.lab.cost import least_seconds
 from protochain.multibody import integrate
 from protochain.structure import from_sequence
 

@@ -5,10 +5,11 @@ from functools import partial
 
 import numpy as np
 
-from protochain.analysis.studies.precision.curves import Point, least_seconds
+from protochain.analysis.studies.precision.curves import Point
 from protochain.analysis.studies.precision.differences import extrapolated
 from protochain.analysis.studies.precision.peptides import Peptide, peptide
 from protochain.arrays import Floats
+from protochain.lab.cost import least_seconds
 from protochain.multibody import integrate
 
 Torque = Callable[[float], Floats]

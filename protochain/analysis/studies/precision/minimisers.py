@@ -6,7 +6,6 @@ except OpenMM's.
 """
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from itertools import cycle
 from pathlib import Path
 
@@ -14,12 +13,11 @@ import numpy as np
 import pandas as pd
 
 from protochain import defaults
-from protochain.analysis.plots import COLOURS, Figure, plain
 from protochain.analysis.studies.precision.curves import Point
 from protochain.articulate import build_chain
 from protochain.energies import energy
+from protochain.lab.report import COLOURS, DASHES, Figure, plain, save
 from protochain.minimisers import RECIPES, minimise
-from protochain.storage import write_atomically
 from protochain.structure import Structure, from_sequence, load
 
 METHODS = (
@@ -59,14 +57,11 @@ def run(output: Path, inputs: Sequence[Path] = (), quick: bool = False) -> Itera
         trace, end = measure(structure, _QUICK if quick else _MOST)
         traces.append(trace)
         ends.append(end)
-        for stem, parts in (("traces", traces), ("ends", ends)):
-            table = pd.concat(parts, ignore_index=True)
-            write_atomically(output / f"{stem}.csv", partial(table.to_csv, index=False))
+        save(output, {"traces.csv": pd.concat(traces), "ends.csv": pd.concat(ends)})
         yield end
     all_traces, all_ends = pd.concat(traces), pd.concat(ends)
     needed = work(all_traces, all_ends)
-    write_atomically(output / "precision.csv", partial(needed.to_csv, index=False))
-    write_atomically(output / "precision.png", partial(plot(all_traces, all_ends).savefig, dpi=150))
+    save(output, {"precision.csv": needed, "precision.png": plot(all_traces, all_ends)})
     yield needed
 
 
@@ -83,16 +78,12 @@ def measure(structure: Structure, most: int = _MOST) -> tuple[pd.DataFrame, pd.D
         traces.append(solution.trace.assign(structure=structure.name, method=method))
         ends.append(
             {
-                "structure": structure.name,
-                "residues": structure.n_residues,
-                "method": method,
-                "status": str(solution.status),
-                "energy_end_reference_kj_mol": solution.end.energy,
-                "ca_rmsd_angstrom": solution.ca_rmsd_angstrom,
-                "evaluations": solution.n_evaluations,
+                "structure": structure.name, "residues": structure.n_residues, "method": method,
+                "status": str(solution.status), "energy_end_reference_kj_mol": solution.end.energy,
+                "ca_rmsd_angstrom": solution.ca_rmsd_angstrom, "evaluations": solution.n_evaluations,
                 "seconds": solution.seconds,
             }
-        )
+        )  # fmt: skip
     return pd.concat(traces), pd.DataFrame(ends)
 
 
@@ -146,7 +137,7 @@ def plot(traces: pd.DataFrame, ends: pd.DataFrame) -> Figure:
     ):
         methods = [m for m in traces["method"].unique() if RECIPES[m].keeps_geometry == in_torsions]
         for ax, cost in zip(row, ("evaluations", "seconds"), strict=True):
-            for method, colour, dash in zip(methods, cycle(COLOURS), cycle(("-", "--", "-.", ":"))):
+            for method, colour, dash in zip(methods, cycle(COLOURS), cycle(DASHES)):
                 own = traces[traces["method"] == method]
                 grid = np.geomspace(1.0 if cost == "evaluations" else 1e-3, own[cost].max(), 200)
                 curve = np.median(

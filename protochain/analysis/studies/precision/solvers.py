@@ -6,10 +6,10 @@ from functools import partial
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from protochain.analysis.studies.precision.curves import Point, least_seconds
+from protochain.analysis.studies.precision.curves import Point
 from protochain.analysis.studies.precision.extended import DIGITS, wide_mass
-from protochain.analysis.studies.stability.solvers import backward_error
 from protochain.arrays import Floats
+from protochain.lab.cost import least_seconds
 from protochain.multibody import (
     Frames,
     HingeKind,
@@ -66,13 +66,10 @@ def conjugate_gradients(steps: int, tree: Tree, frames: Frames, tau: Floats) -> 
 
 
 SOLVERS: dict[str, Solver] = {
-    "dense Cholesky": dense,
-    "dense, refined": partial(refined, dense),
-    "articulated": solve_mass,
-    "articulated, refined": partial(refined, solve_mass),
-    "Fixman, unrefined": fixman_once,
+    "dense Cholesky": dense, "dense, refined": partial(refined, dense), "articulated": solve_mass,
+    "articulated, refined": partial(refined, solve_mass), "Fixman, unrefined": fixman_once,
     "Fixman": partial(solve_mass, method="fixman"),
-}
+}  # fmt: skip
 
 
 def posed(n: int, root: HingeKind = HingeKind.FREE) -> tuple[Tree, Frames, Floats]:
@@ -80,6 +77,27 @@ def posed(n: int, root: HingeKind = HingeKind.FREE) -> tuple[Tree, Frames, Float
     tree = random_tree(n, n, 0.0, root)
     rng = np.random.default_rng(n)
     return tree, pose(tree, rng.uniform(-3, 3, tree.n_q)), rng.normal(size=tree.n_v)
+
+
+def norm_of_mass(tree: Tree, frames: Frames) -> float:
+    """Largest eigenvalue of M, approached from below by the power method."""
+    x = np.random.default_rng(1).normal(size=tree.n_v)
+    for _ in range(10):
+        x = multiply_mass(tree, frames, x / np.linalg.norm(x))
+    return float(np.linalg.norm(x))
+
+
+def backward_error(tree: Tree, frames: Frames, x: Floats, tau: Floats) -> float:
+    """Backward error |M x - tau| / (|M| |x| + |tau|) of x as M^-1 tau, in units of machine precision.
+
+    With M x by Newton-Euler and |M| by the power method: O(n), so that long chains need no dense matrix.
+    """
+    residual = np.linalg.norm(multiply_mass(tree, frames, x) - tau)
+    return float(
+        residual
+        / (norm_of_mass(tree, frames) * np.linalg.norm(x) + np.linalg.norm(tau))
+        / np.finfo(float).eps
+    )
 
 
 def measure(quick: bool) -> Iterator[Point]:

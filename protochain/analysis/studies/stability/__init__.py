@@ -5,17 +5,16 @@ error and run time of M^-1 tau (:mod:`.solvers`).
 """
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 
 import pandas as pd
 
-from protochain.analysis.studies.stability.cells import ROWS, Part, cases_of, run_cells, table_of
-from protochain.analysis.studies.stability.page import counts, picture, write_page
+from protochain.analysis.studies.stability.cells import ROWS, Part, cases_of, ordered, run_cells
+from protochain.analysis.studies.stability.page import counts, picture, rendered
 from protochain.analysis.studies.stability.solvers import write_solvers
 from protochain.errors import ProtochainError
+from protochain.lab.report import save
 from protochain.processors import processors
-from protochain.storage import write_atomically
 
 
 def run(
@@ -62,10 +61,8 @@ def run(
     part = Part.QUICK if quick else Part.FULL
     for row in rows:
         cases_of(row, part)
-    table = table_of(run_cells(rows, part, counted, workers or processors()))
-    write_atomically(output / "cells.csv", lambda to: table.to_csv(to, index=False))
-    write_atomically(output / "grid.png", partial(picture(table).savefig, dpi=110))
-    write_page(table, output / "report.html", counted)
+    table = ordered(run_cells(rows, part, counted, workers or processors()))
+    save(output, {"cells.csv": table, "grid.png": picture(table), "report.html": rendered(table, counted)})
     yield counts(table)
     yield table.loc[
         table["verdict"] == "wrong", ["row", "case", "parameters", "verdict", "error", "bound", "message"]

@@ -5,13 +5,11 @@ and how large it may be; the line says whether an answer is expected or a refusa
 runner does the rest, with every number of threads that it is given.
 """
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field, replace
-from enum import IntEnum, StrEnum
-from functools import partial
+from enum import IntEnum
 from importlib import import_module
 from multiprocessing import get_context
 from time import perf_counter
@@ -19,9 +17,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from threadpoolctl import threadpool_limits
 
 from protochain.errors import ProtochainError
+from protochain.lab.cases import Outcome, judged
+from protochain.lab.report import table_of
 
 EPS = float(np.finfo(float).eps)
 ROWS = ("mechanics", "springs", "energies", "minimisers", "dynamics")
@@ -33,14 +32,6 @@ class Part(IntEnum):
     TESTED = 0
     QUICK = 1
     FULL = 2
-
-
-class Verdict(StrEnum):
-    """How a cell ended."""
-
-    RIGHT = "right"
-    REFUSED = "refused"
-    WRONG = "wrong"
 
 
 @dataclass(frozen=True)
@@ -110,7 +101,7 @@ class Cell:
     row: str
     case: str
     parameters: str
-    verdict: Verdict
+    verdict: Outcome
     error: float = np.nan
     bound: float = np.nan
     oracle: str = ""
@@ -135,7 +126,7 @@ def run_case(row: str, case: Case, threads: Sequence[int] = (1,)) -> Cell:
             f"{n} threads: {cell.verdict}, error {cell.error:.17g}, {cell.message}"
             for n, cell in zip(used, cells, strict=True)
         )
-        found = replace(found, verdict=Verdict.WRONG, message=f"not the same by threads: {both}")
+        found = replace(found, verdict=Outcome.WRONG, message=f"not the same by threads: {both}")
     return replace(found, threads=" ".join(map(str, used)), seconds=perf_counter() - began)
 
 
@@ -144,26 +135,10 @@ def _plain(cell: Cell) -> dict[str, Any]:
 
 
 def _judged(row: str, case: Case, threads: int) -> Cell:
-    cell = partial(Cell, row, case.name, case.parameters)
-    try:
-        # Extreme numbers overflow on the way; what comes of it is judged. BLAS on one thread, as in runs.
-        with np.errstate(all="ignore"), threadpool_limits(1, "blas"):
-            found = case.check(threads)
-    except ProtochainError as error:
-        said = str(error)
-        if not case.refusal:
-            return cell(Verdict.WRONG, message=f"refused where an answer is expected: {said}")
-        if "\n" in said or not re.search(case.refusal, said):
-            return cell(Verdict.WRONG, message=f"refused otherwise than by {case.refusal!r}: {said}")
-        return cell(Verdict.REFUSED, message=said)
-    except Exception as error:  # whatever it is, the cell is wrong and the grid goes on
-        return cell(Verdict.WRONG, message=f"{type(error).__name__}: {error}")
-    # Not "error > bound": NaN is wrong.
-    right = found.error <= found.bound and not case.refusal
-    told = asdict(found)
-    if case.refusal:
-        told["message"] = f"an answer where a refusal is expected: {case.refusal}; {found.message}"
-    return cell(Verdict.RIGHT if right else Verdict.WRONG, **told)
+    verdict, found, said = judged(lambda: case.check(threads), case.refusal)
+    told = asdict(found) if found else {}
+    message = "; ".join(filter(None, (said, told.pop("message", ""))))
+    return Cell(row, case.name, case.parameters, verdict, **told, message=message)
 
 
 def cases_of(row: str, part: Part = Part.FULL) -> list[tuple[int, Case]]:
@@ -202,17 +177,16 @@ def run_cells(
                 row, i = futures[future]
                 lost = import_module(f"{__package__}.{row}").CASES[i]
                 message = f"its process died, or another's; run it again by itself: --rows {row}"
-                yield Cell(row, lost.name, lost.parameters, Verdict.WRONG, message=message)
+                yield Cell(row, lost.name, lost.parameters, Outcome.WRONG, message=message)
 
 
 def _run(row: str, i: int, threads: Sequence[int]) -> Cell:
     return run_case(row, import_module(f"{__package__}.{row}").CASES[i], threads)
 
 
-def table_of(cells: Iterable[Cell]) -> pd.DataFrame:
+def ordered(cells: Iterable[Cell]) -> pd.DataFrame:
     """Cells as a table, in the order of the tables of cases whatever order they ended in."""
     order = {
         (row, each.name, each.parameters): (k, i) for k, row in enumerate(ROWS) for i, each in cases_of(row)
     }
-    rows = sorted(cells, key=lambda cell: order[cell.row, cell.case, cell.parameters])
-    return pd.DataFrame([asdict(cell) for cell in rows], columns=list(Cell.__annotations__))
+    return table_of(sorted(cells, key=lambda cell: order[cell.row, cell.case, cell.parameters]), Cell)

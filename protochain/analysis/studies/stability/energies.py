@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from protochain.analysis.studies.stability.cells import EPS, Case, Found, Part
 from protochain.arrays import Floats
@@ -16,7 +17,8 @@ from protochain.dynamics import simulate
 from protochain.energies import Energy, energy
 from protochain.errors import ProtochainError
 from protochain.minimisers import Status, minimise
-from protochain.structure import Structure, from_sequence, load, save
+from protochain.structure import Structure, from_sequence, load
+from protochain.structure.write import as_text
 
 REFERENCE = "OpenMM's Reference platform, double precision"
 SOLVENTS = ("vacuum", "obc2", "gbn2")
@@ -46,9 +48,17 @@ def differs(ours: Energy, x: Floats, at: Floats | None = None) -> Found:
     """Difference of energy and forces from the Reference platform, relative to the size of their parts."""
     value, forces = ours(x)
     expected, theirs = ours.reference(x if at is None else at)
-    parts = sum(abs(part) for part in ours.parts(x)[0].values())
-    error = max(abs(value - expected) / parts, float(np.abs(forces - theirs).max() / np.abs(theirs).max()))
-    return Found(error, _rounded(x), REFERENCE)
+    return Found(_apart(value - expected, forces, theirs, _parts(ours, x)), _rounded(x), REFERENCE)
+
+
+def _parts(ours: Energy, x: Floats) -> float:
+    """Sum of the sizes of an energy's parts."""
+    return sum(abs(part) for part in ours.parts(x)[0].values())
+
+
+def _apart(value: float, forces: Floats, expected: Floats, parts: float) -> float:
+    """Difference of energies relative to their parts, or of forces relative to the largest."""
+    return max(abs(value) / parts, float(np.abs(forces - expected).max() / np.abs(expected).max()))
 
 
 def _rounded(x: Floats) -> float:
@@ -98,8 +108,8 @@ def shifted(shift: float, solvent: str, threads: int) -> Found:
     x = s.positions + np.array([shift, -shift, 0.5 * shift])
     back = x - np.array([shift, -shift, 0.5 * shift])
     (value, forces), (expected, theirs) = ours(x), ours(back)
-    parts = sum(abs(part) for part in ours.parts(back)[0].values())
-    error = max(abs(value - expected) / parts, float(np.abs(forces - theirs).max() / np.abs(theirs).max()))
+    parts = _parts(ours, back)
+    error = _apart(value - expected, forces, theirs, parts)
     at_home = ours(s.positions)[0]
     lost = abs(value - at_home) / parts / EPS
     note = f"{np.log10(max(lost, 1.0)):.1f} digits lost to the rounding of positions"
@@ -116,7 +126,7 @@ def turned(shift: float, solvent: str, threads: int) -> Found:
     (value, forces), (expected, theirs) = ours(x), ours(s.positions)
     largest = np.abs(theirs).max()
     error = float(np.abs(forces - theirs @ turn.T).max() / largest)
-    error = max(error, abs(value - expected) / sum(abs(p) for p in ours.parts(x)[0].values()))
+    error = max(error, abs(value - expected) / _parts(ours, x))
     # A spring of a bond, of 5e5 kJ/mol/nm^2, feels the rounding of its atoms' positions.
     return Found(error, 1e-10 + 10 * 5e5 * EPS * (abs(shift) + 3.0) / largest, "the copy as it was")
 
@@ -128,20 +138,26 @@ def scaled(scale: float, solvent: str, threads: int) -> Found:
     return differs(ours, middle + scale * (s.positions - middle))
 
 
-def off_line(off: float, solvent: str, threads: int) -> Found:
-    """Force on C of a residue whose N, CA and C are almost on a line, against differences."""
-    s, ours = peptide("GAG"), energy_of("GAG", solvent, threads)
-    n, ca, c = (atom(s, 2, name) for name in ("N", "CA", "C"))
+def on_a_line(s: Structure, off: float) -> tuple[Floats, Floats, Floats]:
+    """Positions with N, CA and C of the second residue this far (relative) off a line; along it, across."""
     x = s.positions.copy()
+    n, ca, c = (atom(s, 2, name) for name in ("N", "CA", "C"))
     along = (x[ca] - x[n]) / np.linalg.norm(x[ca] - x[n])
     across = np.cross(along, [0.3, 0.2, 0.9])
     across /= np.linalg.norm(across)
     x[c] = x[ca] + 0.15 * (along + off * across)
+    return x, along, across
+
+
+def off_line(off: float, solvent: str, threads: int) -> Found:
+    """Force on C of a residue whose N, CA and C are almost on a line, against differences."""
+    s, ours = peptide("GAG"), energy_of("GAG", solvent, threads)
+    x, along, across = on_a_line(s, off)
+    c = atom(s, 2, "C")
     value, forces = ours(x)
     if off < 1e-9:
         # The dihedral is rounding error; the force, which is its inverse, is bounded.
-        finite = np.isfinite(value) and np.isfinite(forces).all()
-        return Found(0.0 if finite else np.nan, 0.0, "finite: energy and forces")
+        return _finite(value, forces)
     h = 1e-3 * 0.15 * off
     # Across both: the direction in which the dihedral turns.
     way = np.cross(along, across)
@@ -160,6 +176,11 @@ def _moved(x: Floats, i: int, by: Floats) -> Floats:
     return x
 
 
+def _finite(value: float, forces: Floats, note: str = "") -> Found:
+    finite = np.isfinite(value) and np.isfinite(forces).all()
+    return Found(0.0 if finite else np.nan, 0.0, "finite: energy and forces", note)
+
+
 def coincident(what: str, solvent: str, threads: int) -> Found:
     """Bonded atoms on one point, or all atoms in a plane, on a line or a point: all is finite."""
     s, ours = peptide("GAG"), energy_of("GAG", solvent, threads)
@@ -171,8 +192,7 @@ def coincident(what: str, solvent: str, threads: int) -> Found:
     else:
         x[:, : {"a plane": 1, "a line": 2, "a point": 3}[what]] = 0.0
     value, forces = ours(x)
-    finite = np.isfinite(value) and np.isfinite(forces).all()
-    return Found(0.0 if finite else np.nan, 0.0, "finite: energy and forces", f"{value:.3g} kJ/mol")
+    return _finite(value, forces, f"{value:.3g} kJ/mol")
 
 
 def denormal(solvent: str, threads: int) -> Found:
@@ -223,21 +243,23 @@ def left_out(distance: float, solvent: str, threads: int) -> Found:
     return Found(error, 1e-10 + 1e5 * 1e2 * EPS / np.abs(expected).max(), REFERENCE)
 
 
-def copies(n: int, apart: float) -> Structure:
-    """Copies of a peptide, as chains of one file, each this far (nm) from the last."""
-    s = peptide("GA" if n > 2 else "AAAA")
+def copies(s: Structure, n: int, apart: ArrayLike = (0.0, 2.0, 0.0)) -> Structure:
+    """Copies of an extended peptide as chains of one structure, each this far (nm) from the last."""
+    beside = np.array([0.0, 2.0, 0.0])
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "copies.pdb"
-        save(s, path)
-        atoms = [line for line in path.read_text().splitlines() if line.startswith("ATOM")]
+        path = Path(folder) / f"{n}_chains.pdb"
+        atoms = [line for line in as_text(s, ".pdb").splitlines() if line.startswith("ATOM")]
         text = []
         for k, chain in enumerate("ABCDEFGHIJ"[:n]):
             for line in atoms:
-                at = float(line[30:38]) + 10.0 * apart * k
-                text.append(f"{line[:21]}{chain}{line[22:30]}{at:8.3f}{line[38:]}")
+                y = float(line[38:46]) + 10.0 * beside[1] * k
+                text.append(f"{line[:21]}{chain}{line[22:38]}{y:8.3f}{line[46:]}")
             text.append("TER")
         path.write_text("\n".join([*text, "END", ""]))
-        return load(path)
+        many = load(path)
+    # Moved once they are read, for a file in which one chain lies upon another is refused.
+    numbers = np.repeat(np.arange(n), many.n_atoms // n)[:, None]
+    return many.with_positions(many.positions + numbers * (np.asarray(apart) - beside))
 
 
 def large(how: str, solvent: str, threads: int) -> Found:
@@ -253,13 +275,12 @@ def large(how: str, solvent: str, threads: int) -> Found:
 
 def ten_chains(apart: float, solvent: str, threads: int) -> Found:
     """Ten copies of a peptide on top of one another, or this far (nm) apart."""
-    ten = copies(10, apart)
+    ten = copies(peptide("GA"), 10, (apart, 0.0, 0.0))
     ours = energy(ten, solvent=solvent, engine="native", cutoff=None, threads=threads)
     if apart:
         return differs(ours, ten.positions)
     value, forces = ours(ten.positions)
-    finite = np.isfinite(value) and np.isfinite(forces).all()
-    return Found(0.0 if finite else np.nan, 0.0, "finite: energy and forces", f"{value:.3g} kJ/mol")
+    return _finite(value, forces, f"{value:.3g} kJ/mol")
 
 
 def refuses(attempt: Callable[[int], Any], threads: int) -> Found:

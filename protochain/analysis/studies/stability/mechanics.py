@@ -5,16 +5,18 @@ from functools import partial
 
 import numpy as np
 
+from protochain.analysis.studies.precision.extended import wide_frames
+from protochain.analysis.studies.precision.solvers import backward_error, norm_of_mass
 from protochain.analysis.studies.stability import trees
 from protochain.analysis.studies.stability.cells import EPS, Case, Found, Part, case
-from protochain.analysis.studies.stability.solvers import ROUTES, backward_error, norm_of_mass
+from protochain.analysis.studies.stability.energies import on_a_line, peptide
+from protochain.analysis.studies.stability.solvers import ROUTES
 from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import dihedral
 from protochain.chain import pose as pose_of_chain
 from protochain.multibody import (
     Frames,
-    HingeKind,
     Method,
     Rows,
     Tree,
@@ -30,7 +32,6 @@ from protochain.multibody import (
     solve_closed,
     solve_mass,
 )  # fmt: skip
-from protochain.structure import from_sequence
 
 Build = Callable[[], Tree]
 BACKWARD = 100.0
@@ -144,7 +145,7 @@ def grown(build: Build) -> Found:
     """Growth of round-off in positions along a chain, against extended precision."""
     tree = build()
     q = np.random.default_rng(7).uniform(-3, 3, tree.n_q)
-    _, at = _frames_in_extended_precision(tree, q)
+    _, at = wide_frames(tree, q)
     error = float(np.abs(pose(tree, q).origin - at).max())
     depth = _depth(tree)
     # Each body on the way rounds a position and turns all beyond it by an eps or so: 10 eps times the sum of
@@ -160,45 +161,16 @@ def _depth(tree: Tree) -> int:
     return int(depth.max())
 
 
-def _frames_in_extended_precision(tree: Tree, q: Floats) -> tuple[np.ndarray, np.ndarray]:
-    wide = np.longdouble
-    turn, at = np.zeros((tree.n_bodies, 3, 3), wide), np.zeros((tree.n_bodies, 3), wide)
-    for b, p in enumerate(tree.parent):
-        above, origin = (turn[p], at[p]) if p >= 0 else (np.eye(3, dtype=wide), np.zeros(3, wide))
-        at[b] = origin + above @ tree.offset[b].astype(wide)
-        k = tree.q_start[b]
-        if tree.kind[b] == HingeKind.FREE:
-            w, x, y, z = q[k : k + 4].astype(wide) / np.sqrt(np.sum(q[k : k + 4].astype(wide) ** 2))
-            own = np.array(
-                [
-                    [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                    [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                    [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-                ]
-            )
-            at[b] += q[k + 4 : k + 7]
-        else:
-            c, s = np.cos(wide(q[k])), np.sin(wide(q[k]))
-            own = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=wide)
-        turn[b] = above @ tree.placement[b].astype(wide) @ own
-    return turn, at
-
-
 def _loops(n: int, loops: int, redundant: bool) -> tuple[Tree, Frames, Floats, Rows]:
     tree, frames, tau = _posed(partial(trees.chain, n))
     pairs = [(k * n // loops, (k + 1) * n // loops - 1) for k in range(loops)]
     if redundant:
         pairs.append(pairs[0])
-    made = []
-    for a, b in pairs:
-        middle = 0.5 * (frames.origin[a] + frames.origin[b])
-        made.append(point_rows(frames, (a, b), np.array([middle, middle])))
-    return (
-        tree,
-        frames,
-        tau,
-        Rows(np.concatenate([rows.body for rows in made]), np.concatenate([rows.wrench for rows in made])),
-    )
+    made = [
+        point_rows(frames, pair, np.tile(frames.origin[list(pair)].mean(axis=0), (2, 1))) for pair in pairs
+    ]
+    both = (np.concatenate([getattr(rows, name) for rows in made]) for name in ("body", "wrench"))
+    return tree, frames, tau, Rows(*both)
 
 
 def closed(n: int, loops: int, method: Method, redundant: bool = False) -> Found:
@@ -241,13 +213,8 @@ def angle_of(off_line: float) -> Found:
 
 def straightened(off_line: float) -> Found:
     """Error of the atoms of a chain with N, CA and C of one residue almost on a line."""
-    s = from_sequence("GAG")
-    residue = s.atom_residue == 1
-    n, ca, c = (int(np.flatnonzero(residue & (s.atom_name == name))[0]) for name in ("N", "CA", "C"))
-    x = s.positions.copy()
-    along = (x[ca] - x[n]) / np.linalg.norm(x[ca] - x[n])
-    across = np.cross(along, [0.3, 0.2, 0.9])
-    x[c] = x[ca] + 0.15 * (along + off_line * across / np.linalg.norm(across))
+    s = peptide("GAG")
+    x = on_a_line(s, off_line)[0]
     made = build_chain(s.with_positions(x))
     error = float(np.abs(pose_of_chain(made, made.q0).x - x).max())
     # Positions are those given whatever the dihedral, since the frames are made of it: some eps of a few nm

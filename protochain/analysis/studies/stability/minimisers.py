@@ -110,17 +110,14 @@ def knotted() -> Structure:
 
 
 STARTS: dict[str, Callable[[], Structure]] = {
-    "extended": extended,
-    **{f"flat, {d:g} degrees": partial(flat, d) for d in (0.0, 180.0)},
+    "extended": extended, **{f"flat, {d:g} degrees": partial(flat, d) for d in (0.0, 180.0)},
     **{f"moved by {a:g} angstrom": partial(shaken, a) for a in (0.05, 0.25, 1.0, 2.0)},
     **{f"turned by {d:g} degrees": partial(turned, d) for d in (5.0, 45.0, 180.0)},
-    "hydrogens on one point": on_one_point,
-    "hydrogens missing": without_hydrogens,
-    "a ring threaded": threaded,
-    "through its own loop": knotted,
-    "two chains through one another": partial(copies, 2, 0.02),
+    "hydrogens on one point": on_one_point, "hydrogens missing": without_hydrogens,
+    "a ring threaded": threaded, "through its own loop": knotted,
+    "two chains through one another": lambda: copies(peptide("AAAA"), 2, (0.02, 0.0, 0.0)),
     "a hundred residues": hundred,
-}
+}  # fmt: skip
 
 
 @cache

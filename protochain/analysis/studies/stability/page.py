@@ -1,50 +1,43 @@
 """Page of the grid: cells coloured by verdict, with what each was held against; and its picture."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from protochain.analysis.plots import Figure
-from protochain.analysis.studies.made import made
-from protochain.analysis.studies.stability.cells import Verdict
 from protochain.analysis.viewer import template
-from protochain.storage import write_atomically
+from protochain.lab.cases import Outcome
+from protochain.lab.provenance import made
+from protochain.lab.report import Figure
 
 
 def counts(table: pd.DataFrame) -> pd.DataFrame:
     """Numbers of cells by row and verdict, and the seconds they took."""
     rows = [
         {"row": row, "cells": len(cells)}
-        | {str(verdict): int((cells["verdict"] == verdict).sum()) for verdict in Verdict}
+        | {str(verdict): int((cells["verdict"] == verdict).sum()) for verdict in Outcome}
         | {"seconds": round(float(cells["seconds"].sum()), 1)}
         for row, cells in table.groupby("row", sort=False)
     ]
     return pd.DataFrame(rows)
 
 
-def write_page(table: pd.DataFrame, path: Path, threads: Sequence[int]) -> None:
-    """Write the page: one square for each cell, in the rows of the grid, and all cells as a table."""
+def rendered(table: pd.DataFrame, threads: Sequence[int]) -> str:
+    """Return the page: one square for each cell, in the rows of the grid, and all cells as a table."""
     grid = [
-        {
-            "row": row,
-            "cases": [(name, cells.to_dict("records")) for name, cells in own.groupby("case", sort=False)],
-        }
+        (row, [(name, cells.to_dict("records")) for name, cells in own.groupby("case", sort=False)])
         for row, own in table.groupby("row", sort=False)
     ]
     must_agree = f"{', '.join(map(str, threads))}, which must agree"
-    text = template("grid.html").render(
-        grid=grid, counts=counts(table), cells=table.to_dict("records"), total=len(table),
-        made=made(must_agree),
-    )  # fmt: skip
-    write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
+    return template("grid.html").render(
+        grid=grid, counts=counts(table), cells=table.to_dict("records"), made=made(must_agree)
+    )
 
 
 _STYLES = {
-    Verdict.RIGHT: ("#0072B2", "o", 9),
-    Verdict.REFUSED: ("#B8860B", "_", 40),
-    Verdict.WRONG: ("#CC0000", "x", 40),
+    Outcome.RIGHT: ("#0072B2", "o", 9),
+    Outcome.REFUSED: ("#B8860B", "_", 40),
+    Outcome.WRONG: ("#CC0000", "x", 40),
 }
 _LEAST = 1e-8
 """Of the bound: errors below are drawn there."""
@@ -64,12 +57,12 @@ def picture(table: pd.DataFrame) -> Figure:
     x = np.clip(share, _LEAST, 1e2)
     for verdict, (colour, marker, size) in _STYLES.items():
         own = (table["verdict"] == verdict).to_numpy()
-        at = x[own] if verdict is Verdict.RIGHT else np.full(own.sum(), 10.0)
+        at = x[own] if verdict is Outcome.RIGHT else np.full(own.sum(), 10.0)
         label = f"{verdict}: {own.sum()}"
         ax.scatter(at, y[own], s=size, c=colour, marker=marker, linewidths=1.2, label=label)
-    for k, n in enumerate(np.bincount(y[(table["verdict"] == Verdict.REFUSED).to_numpy()])):
+    for k, n in enumerate(np.bincount(y[(table["verdict"] == Outcome.REFUSED).to_numpy()])):
         if n:
-            ax.text(16.0, k, str(n), fontsize=7, va="center", color=_STYLES[Verdict.REFUSED][0])
+            ax.text(16.0, k, str(n), fontsize=7, va="center", color=_STYLES[Outcome.REFUSED][0])
     ax.axvline(1.0, color="black", lw=0.8)
     ax.set_xscale("log")
     ax.set_xlim(0.5 * _LEAST, 50)

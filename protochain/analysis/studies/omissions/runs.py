@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from protochain.analysis.studies.scenes.cells import Answer, Both, Material, Scene
-from protochain.analysis.studies.scenes.energies import chains, counted, sizes_of, turned
+from protochain.analysis.studies.omissions.cells import Answer, Both, Material, Omission
+from protochain.analysis.studies.omissions.energies import chains, counted, sizes_of, turned
+from protochain.analysis.studies.stability.energies import copies
 from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose
@@ -26,14 +27,12 @@ from protochain.minimisers.spaces import Torsions
 from protochain.motion.leapfrog import Leapfrog
 from protochain.multibody import Frames, mass_matrix, operational_inverse, row_matrix
 from protochain.multibody import pose as frames_of
-from protochain.structure import Structure, from_sequence, load
+from protochain.structure import from_sequence
 from protochain.structure.write import as_text
 from protochain.subprocesses import own_python
 from protochain.units import MOLAR_GAS
 
 PEPTIDE, CHAINS = "AAAAAAAAAA", 10
-_APART = 2.0
-"""nm between neighbouring chains, along y: across an extended chain."""
 _TIME_STEP, _KELVIN = 0.001, 300.0
 """ps; K."""
 _LOADED = ("matplotlib.figure", "pandas", "jinja2", "mdtraj", "MDAnalysis")
@@ -137,27 +136,8 @@ def between_ends(chain: Chain) -> Closure:
 
 
 def ten_chains(material: Material) -> Both:
-    """Ten peptides side by side."""
-    return chains(several(PEPTIDE, CHAINS))
-
-
-@cache
-def several(sequence: str, n: int) -> Structure:
-    """Copies of an extended peptide as chains of one structure."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / f"{n}_chains.pdb"
-        text = as_text(from_sequence(sequence), ".pdb")
-        lines = [line for line in text.splitlines() if line.startswith("ATOM")]
-        copies = []
-        for k in range(n):
-            away = 10.0 * _APART * k
-            copies += [
-                f"{line[:21]}{chr(ord('A') + k)}{line[22:38]}{float(line[38:46]) + away:8.3f}{line[46:]}"
-                for line in lines
-            ]
-            copies.append("TER")
-        path.write_text("\n".join([*copies, "END", ""]))
-        return load(path)
+    """Ten peptides side by side, across an extended chain."""
+    return chains(copies(from_sequence(PEPTIDE), CHAINS))
 
 
 _RUN = """
@@ -199,10 +179,10 @@ def imports(material: Material) -> Both:
     )  # fmt: skip
 
 
-SCENES = (
-    Scene("ten chains, OBC2 and a cutoff", "all pairs of blocks", ten_chains),
-    Scene("closed loops", "the mass matrix", loops),
-    Scene("no velocities", "those of dynamics", no_velocities),
-    Scene("constant energy", "a thermostat of no friction", constant_energy),
-    Scene("protochain minimise", "all libraries loaded", imports),
+OMISSIONS = (
+    Omission("ten chains, OBC2 and a cutoff", "all pairs of blocks", ten_chains),
+    Omission("closed loops", "the mass matrix", loops),
+    Omission("no velocities", "those of dynamics", no_velocities),
+    Omission("constant energy", "a thermostat of no friction", constant_energy),
+    Omission("protochain minimise", "all libraries loaded", imports),
 )

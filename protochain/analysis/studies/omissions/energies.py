@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from protochain.analysis.studies.scenes.cells import Answer, Both, Counted, Material, Scene, native
+from protochain.analysis.studies.omissions.cells import Answer, Both, Counted, Material, Omission, native
 from protochain.arrays import Floats, Integers
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose, pull_back
@@ -253,27 +253,31 @@ def side_chains(m: Material) -> str:
     return f"({residues(m.structure, 4, 10)}) and not backbone"
 
 
-SCENES = (
-    Scene("backbone only, vacuum", "all terms", lambda m: constants(m, "vacuum", "phi psi", "all")),
-    Scene("backbone only, OBC2", "all terms", lambda m: constants(m, "obc2", "phi psi", "all"), False),
-    Scene("all hinges, vacuum", "all terms", lambda m: constants(m, "vacuum", "phi psi chi", "all")),
-    Scene("tenth residue, vacuum", "all hinges", lambda m: region(m, "vacuum", near_end(m))),
-    Scene("tenth residue, OBC2", "all hinges", lambda m: region(m, "obc2", near_end(m))),
-    Scene("middle residue, vacuum", "all hinges", lambda m: region(m, "vacuum", in_the_middle(m)), False),
-    Scene("side chains of 10 residues, vacuum", "all hinges", lambda m: region(m, "vacuum", side_chains(m))),
-    Scene(
+OMISSIONS = (
+    Omission("backbone only, vacuum", "all terms", lambda m: constants(m, "vacuum", "phi psi", "all")),
+    Omission("backbone only, OBC2", "all terms", lambda m: constants(m, "obc2", "phi psi", "all"), False),
+    Omission("all hinges, vacuum", "all terms", lambda m: constants(m, "vacuum", "phi psi chi", "all")),
+    Omission("tenth residue, vacuum", "all hinges", lambda m: region(m, "vacuum", near_end(m))),
+    Omission("tenth residue, OBC2", "all hinges", lambda m: region(m, "obc2", near_end(m))),
+    Omission(
+        "middle residue, vacuum", "all hinges", lambda m: region(m, "vacuum", in_the_middle(m)), False
+    ),
+    Omission(
+        "side chains of 10 residues, vacuum", "all hinges", lambda m: region(m, "vacuum", side_chains(m))
+    ),
+    Omission(
         "side chains of 10 residues, OBC2", "all hinges", lambda m: region(m, "obc2", side_chains(m)), False
     ),
-    Scene(
+    Omission(
         "atoms of the middle residue, vacuum", "all terms",
         lambda m: atoms_of_region(m, "vacuum", in_the_middle(m)),
     ),
-    Scene(
+    Omission(
         "atoms of the middle residue, OBC2", "all terms",
         lambda m: atoms_of_region(m, "obc2", in_the_middle(m)), False,
     ),
-    Scene("vacuum", "a solvent of no charge", vacuum),
-    Scene("generalised Born, OBC2", "necks of no height", born),
-    Scene("all atoms, OBC2", "sweeps over the chain too", all_atoms),
-    Scene("kept waters, vacuum", "all terms", kept),
+    Omission("vacuum", "a solvent of no charge", vacuum),
+    Omission("generalised Born, OBC2", "necks of no height", born),
+    Omission("all atoms, OBC2", "sweeps over the chain too", all_atoms),
+    Omission("kept waters, vacuum", "all terms", kept),
 )  # fmt: skip

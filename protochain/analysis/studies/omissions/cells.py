@@ -1,17 +1,16 @@
-"""A scene: one answer computed with everything, and with what is not needed left out.
+"""An omission: one answer computed with everything, and with what is not needed left out.
 
 The two are held against each other at several points and timed in turn, by CPU time and the least of many,
 so that what else the machine does strikes neither. What was left out is counted from the energy's own lists
 and by the calls into the mechanics of trees.
 """
 
-import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from math import ceil
 from pathlib import Path
-from time import perf_counter, process_time
 from types import FrameType
 from typing import Any
 
@@ -21,6 +20,8 @@ from protochain.arrays import Floats
 from protochain.energies import Energy, energy
 from protochain.energies.native import NativeEnergy
 from protochain.errors import ProtochainError
+from protochain.lab.cases import Outcome, within
+from protochain.lab.cost import cpu_seconds, in_turn
 from protochain.structure import Structure
 
 SAME = 1e-12
@@ -62,7 +63,7 @@ class Both:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What scenes are made of.
+    """What omissions are tried on.
 
     Parameters
     ----------
@@ -94,12 +95,12 @@ def native(made: Energy) -> NativeEnergy:
         If another engine was chosen for it.
     """
     if not isinstance(made, NativeEnergy):
-        raise ProtochainError(f"scenes: needs the native engine, and the energy is by {made.engine}")
+        raise ProtochainError(f"omissions: needs the native engine, and the energy is by {made.engine}")
     return made
 
 
 @dataclass(frozen=True)
-class Scene:
+class Omission:
     """One representative run.
 
     Parameters
@@ -107,7 +108,7 @@ class Scene:
     name, against : str
         What runs, and what "everything" is.
     make : callable
-        Material -> both ways; None if the material has not what the scene needs.
+        Material -> both ways; None if the material has not what it takes.
     in_quick : bool
         Whether ``--quick`` has it.
     """
@@ -120,13 +121,13 @@ class Scene:
 
 @dataclass(frozen=True)
 class Row:
-    """Result of a scene: a line of ``scenes.csv``."""
+    """A line of ``omissions.csv``."""
 
     scene: str
     against: str
     structure: str
     atoms: int
-    verdict: str
+    verdict: Outcome
     error: float = np.nan
     bound: float = SAME
     proof: str = ""
@@ -142,28 +143,26 @@ class Row:
     message: str = ""
 
 
-def run_scene(scene: Scene, material: Material, seconds: float) -> Row | None:
-    """Compute both ways, compare, count and time; None if the material has not what the scene needs."""
+def run_omission(omission: Omission, material: Material, seconds: float) -> Row | None:
+    """Compute both ways, compare, count and time; None if the material has not what it takes."""
     named: dict[str, Any] = {
-        "scene": scene.name, "against": scene.against, "structure": material.structure.name,
+        "scene": omission.name, "against": omission.against, "structure": material.structure.name,
         "atoms": material.structure.n_atoms,
     }  # fmt: skip
     try:
-        both = scene.make(material)
+        both = omission.make(material)
         if both is None:
             return None
         error, counted = _compared(both)
-        counts: dict[str, Any] = dict(counted)
-        times = least([lambda: both.everything(both.points[0]), lambda: both.less(both.points[0])], seconds)
+        ways = [partial(call, both.points[0]) for call in (both.everything, both.less)]
+        # Some in a row, as runs do: after the other call, caches hold what that one used.
+        all_of_it, less = in_turn(ways, seconds, min(ceil(1 + seconds), 3), 4, cpu_seconds)
     except Exception as failure:  # whatever it is, the cell is wrong and the others go on
-        return Row(**named, verdict="wrong", message=f"{type(failure).__name__}: {failure}")
-    everything, less = (1e3 * taken for taken in times)
-    # Not "error > bound": NaN is wrong.
-    verdict = "right" if error <= SAME else "wrong"
+        return Row(**named, verdict=Outcome.WRONG, message=f"{type(failure).__name__}: {failure}")
     proof = "bits" if error == 0.0 else f"{SAME:g} at {len(both.points)} point{'s' * (len(both.points) > 1)}"
     return Row(
-        **named, verdict=verdict, error=error, proof=proof, everything_ms=everything, left_out_ms=less,
-        ratio=everything / less, **counts, message=both.what,
+        **named, verdict=within(error, SAME), error=error, proof=proof, everything_ms=1e3 * all_of_it.least,
+        left_out_ms=1e3 * less.least, ratio=all_of_it.least / less.least, **counted, message=both.what,
     )  # fmt: skip
 
 
@@ -176,7 +175,7 @@ def difference(a: Answer, b: Answer, sizes: Sequence[float]) -> float:
         If the answers have not the same shapes.
     """
     if [np.shape(part) for part in a] != [np.shape(part) for part in b] or len(a) != len(sizes):
-        raise ProtochainError("scenes: answers of different shapes")
+        raise ProtochainError("omissions: answers of different shapes")
     each = [
         float(np.max(np.abs(np.subtract(one, other)), initial=0.0)) / size
         for one, other, size in zip(a, b, sizes, strict=True)
@@ -184,31 +183,7 @@ def difference(a: Answer, b: Answer, sizes: Sequence[float]) -> float:
     return float(np.max(each))
 
 
-_IN_A_ROW, _SHORT = 4, 0.1
-"""Calls in a row, if they take less than so many seconds."""
-
-
-def least(calls: Sequence[Callable[[], object]], seconds: float) -> list[float]:
-    """Least CPU time of each call in s, taken in turn for so many seconds, or up to three times."""
-    best, turns, began = [np.inf] * len(calls), 0, perf_counter()
-    while turns < min(1 + seconds, 3) or perf_counter() - began < seconds:
-        for i, call in enumerate(calls):
-            # Some in a row, as runs do: after the other call, caches hold what that one used.
-            for _ in range(_IN_A_ROW if best[i] < _SHORT else 1):
-                start = cpu_seconds()
-                call()
-                best[i] = min(best[i], cpu_seconds() - start)
-        turns += 1
-    return best
-
-
-def cpu_seconds() -> float:
-    """CPU time of this process and of those that it has waited for."""
-    spent = os.times()
-    return process_time() + spent.children_user + spent.children_system
-
-
-def _compared(both: Both) -> tuple[float, dict[str, int]]:
+def _compared(both: Both) -> tuple[float, dict[str, Any]]:
     """Largest error at all points; counts of everything minus those with things left out, at the first."""
     first, counted, answers = both.points[0], [], []
     for call, count in zip((both.everything, both.less), both.counts, strict=True):

@@ -13,14 +13,21 @@ def made(threads: str, libraries: Sequence[str] = ("openmm", "numpy", "scipy", "
     """Machine, threads, versions of the package, of Python and of some libraries, and commit."""
     versions = [f"{name} {version(name)}" for name in ("protochain", *libraries)]
     return {
-        "machine": f"{_processor()}, {processors()} processors, {platform.system()}",
+        "machine": f"{processor()}, {processors()} processors, {platform.system()}",
         "threads": threads,
         "versions": ", ".join([f"Python {platform.python_version()}", *versions]),
-        "commit": _commit(),
+        "commit": commit(Path(__file__).parents[2], "protochain"),
     }
 
 
-def _processor() -> str:
+def processor() -> str:
+    """Look up the name of the processor.
+
+    Returns
+    -------
+    str
+        As the system has it.
+    """
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -29,18 +36,30 @@ def _processor() -> str:
     return names[0] if names else platform.machine()
 
 
-def _commit() -> str:
-    """Commit of the package's own repository, and whether it had changes; of an installed one, none."""
-    package = Path(__file__).parents[2]
-    if not (package.parent / ".git").exists():
+def commit(root: Path, *places: str) -> str:
+    """Ask git for the commit of a repository, and whether there are changes in places of it, all by default.
+
+    Parameters
+    ----------
+    root : Path
+        Folder of the repository.
+    *places : str
+        Paths, as git takes them.
+
+    Returns
+    -------
+    str
+        Says so where it is no repository, or git is not installed.
+    """
+    if not (root / ".git").exists():
         return "none: an installed package"
 
     def git(*words: str) -> str:
-        done = subprocess.run(["git", *words], cwd=package, capture_output=True, text=True)
+        done = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True)
         return done.stdout.strip()
 
     try:
-        changed = git("status", "--porcelain", "--untracked-files=no", "--", ".")
+        changed = git("status", "--porcelain", "--untracked-files=no", "--", *(places or ["."]))
         return (git("rev-parse", "--short", "HEAD") or "unknown") + (" and changes" if changed else "")
     except OSError:
         return "unknown: git is not installed"
