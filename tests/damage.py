@@ -521,8 +521,8 @@ def saved(array: np.ndarray) -> bytes:
 # Files beside structures.
 
 MANIFEST = (
-    "path,method,tolerance,max_evaluations,seed,ph\n"
-    "in/ala10.pdb,lbfgs,1.0,3,0,7\nin/1l2y.pdb,cartesian,10.0,3,1,6.5\n"
+    "path,methods,tolerance,max_evaluations,seed,ph\n"
+    "ala10.pdb,lbfgs,1.0,3,0,7\n1l2y.pdb,cartesian,10.0,3,1,6.5\n"
 )
 
 
@@ -591,7 +591,7 @@ COMMANDS = (
 )
 """Words before the file, weight, words after it."""
 BESIDE = ("in/ala10.pdb", "in/1l2y.pdb")
-MODELLED = (("--model", "2"), ("--model", "all"), ("--chain", "A"), ("--keep", "all"), ("--strict",), ("--altloc", "B"))
+MODELLED = (("--model", "2"), ("--chain", "A"), ("--keep", "all"), ("--strict",), ("--altloc", "B"))
 
 
 def beside() -> dict[str, bytes]:
@@ -609,8 +609,7 @@ def reading(kind: str, seed: int, name: str, data: bytes, is_large: bool, rng: R
     if first[0] == "simulate" and rng.random() < 0.5:
         words.append("--no-relax")
     if first[0] not in ("rmsd",) and rng.random() < 0.2:
-        more = rng.choice(MODELLED)
-        words += () if first[0] in ("info", "simulate") and "all" in more[1:] and more[0] == "--model" else more
+        words += rng.choice(MODELLED)
     if rng.random() < 0.6:
         words.append("--json")
     return Case(kind, seed, tuple(words), beside() | {path: data}, (path,))
@@ -660,6 +659,8 @@ def forcefield_case(kind: str, seed: int) -> Case:
     return Case(kind, seed, words, beside() | {"in/own.xml": data}, ("in/own.xml", "in/ala10.pdb"))
 
 
+Made = Callable[[str], Mapping[str, bytes]]
+"""Name in MADE to files."""
 METHODS = ("cartesian", "lbfgs", "kcm", "newton", "hybrid")
 MINIMISED = ("minimise", "in/ala10.pdb", "-o", "out.pdb", "--max-evaluations", "3", *THREADS)
 SIMULATED = ("simulate", "in/ala10.pdb", "--every", "1", "--checkpoint-every", "1", "--no-relax", "-o", "sim", *THREADS)
@@ -672,17 +673,17 @@ MADE = {
 """Commands whose files are then damaged."""
 
 
-def checkpoint_case(kind: str, seed: int, made: Mapping[str, Mapping[str, bytes]]) -> Case:
+def checkpoint_case(kind: str, seed: int, made: Made) -> Case:
     rng = Rng(f"{kind} {seed}")
     method = rng.choice(METHODS)
-    data = rng.choice((broken, arrays, arrays, arrays))(made[f"checkpoint {method}"]["state.npz"], rng)
+    data = rng.choice((broken, arrays, arrays, arrays))(made(f"checkpoint {method}")["state.npz"], rng)
     words = (*MINIMISED, "--method", method, "--resume", "state.npz", "--max-evaluations", "5", "--json")
     return Case(kind, seed, words, beside() | {"state.npz": data}, ("state.npz",))
 
 
-def simulation_case(kind: str, seed: int, made: Mapping[str, Mapping[str, bytes]]) -> Case:
+def simulation_case(kind: str, seed: int, made: Made) -> Case:
     rng = Rng(f"{kind} {seed}")
-    files = {name: data for name, data in made["simulation"].items() if name.startswith("sim/")}
+    files = {name: data for name, data in made("simulation").items() if name.startswith("sim/")}
     name = rng.choice(sorted(files))
     if name.endswith(".npz"):
         files[name] = rng.choice((broken, arrays, arrays))(files[name], rng)
@@ -695,9 +696,9 @@ def simulation_case(kind: str, seed: int, made: Mapping[str, Mapping[str, bytes]
     return Case(kind, seed, words, beside() | files, ("sim",), tuple(files))
 
 
-def batch_case(kind: str, seed: int, made: Mapping[str, Mapping[str, bytes]]) -> Case:
+def batch_case(kind: str, seed: int, made: Made) -> Case:
     rng = Rng(f"{kind} {seed}")
-    files = {name: data for name, data in made["batch"].items() if name.startswith("b/")}
+    files = {name: data for name, data in made("batch").items() if name.startswith("b/")}
     name = rng.choice(("b/summary.csv", "b/traces.csv", "b/settings.json", "b/summary.parquet"))
     files[name] = broken(files[name], rng)
     return Case(kind, seed, (*BATCHED, "--resume"), beside() | files, ("b",), tuple(files))
@@ -749,10 +750,14 @@ FILES |= {
     "packed files": (2.0, packed_case),
     "manifests": (1.0, manifest_case),
     "force fields": (1.0, forcefield_case),
+}
+OF_MADE = {
     "checkpoints": (1.0, checkpoint_case),
     "simulations, to go on with": (1.0, simulation_case),
     "batches, to go on with": (0.15, batch_case),
 }
+"""Of what commands have made; such a maker is called with :data:`Made`, too."""
+FILES |= OF_MADE
 
 FILES_BY_WEIGHT = {kind: weight for kind, (weight, _) in FILES.items()}
 
@@ -870,6 +875,8 @@ def given(parameter: object, rng: Rng) -> str:
     name, kind = parameter.name, parameter.bare_type
     if name in STRINGS and rng.random() < 0.7:
         return rng.choice(STRINGS[name])
+    if kind in (int, float) and rng.random() < 0.4:
+        return rng.choice(("1", "2", "3"))
     if kind is int:
         return rng.choice(COUNTS if name in WORK else COUNTS + HUGE)
     if kind is float:

@@ -18,14 +18,16 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from multiprocessing import get_context
 from pathlib import Path
+from types import ModuleType
 
 import damage
 import gemmi
-from damage import FILES, MADE, OPTIONS, Case
+from damage import FILES, MADE, OF_MADE, OPTIONS, Case
 
 import protochain as pc
 from protochain import cli
@@ -123,6 +125,8 @@ def _alone(call: Callable[[], object], folder: Path, seconds: int, output: int, 
         warnings.resetwarnings()
         for category in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
             warnings.simplefilter("ignore", category)
+        # Processes that commands start would read the file of this one's main module.
+        sys.modules["__main__"] = ModuleType("__main__")
         call()
         code = 0
     except SystemExit as ended:
@@ -148,13 +152,17 @@ def ran(
     case: Case, folder: Path, call: Callable[[tuple[str, ...]], object] = command, seconds: int = SECONDS
 ) -> Ran:
     """Put the files of a case into an empty folder and run its command there."""
-    for name, data in case.files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+    _put(case.files, folder)
     before = contents(folder)
     status, output, errors = split_off(lambda: call(case.words), folder, seconds)
     return Ran(status, output, errors, before, contents(folder))
+
+
+def _put(files: Mapping[str, bytes], folder: Path) -> None:
+    for name, data in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
 
 
 def faults(case: Case, end: Ran) -> list[str]:
@@ -213,7 +221,8 @@ def _of_refusal(case: Case, lines: list[str], new: list[str]) -> list[str]:
         found.append(f"{len(said)} lines of refusal")
     if any(not line.startswith(tuple(f"{word}: " for word in case.words)) for line in notes):
         found.append("other lines")
-    if case.named and said and not any(name in said[-1] for name in case.named):
+    # What is wrong with a prepared structure is told by its name, the stem of its file's.
+    if case.named and said and not any(Path(name).name.split(".")[0] in said[-1] for name in case.named):
         found.append("file not named")
     # What was asked for beside the table of refusals.
     if new and case.words[0] not in SEVERAL:
@@ -273,47 +282,43 @@ def _read_again(name: str, n_atoms: object) -> None:
 
 # All cases.
 
-_made: dict[str, dict[str, bytes]] = {}
+READY = (
+    ("info", "in/ala10.pdb", "--threads", "1"),
+    ("validate", "in/ala10.pdb"),
+    ("rmsd", "in/ala10.pdb", "in/ala10.pdb"),
+    ("relax", "in/ala10.pdb", "-o", "out.pdb", "--max-iterations", "3", "--threads", "1"),
+    ("minimise", "in/ala10.pdb", "-o", "out.pdb", "--max-evaluations", "3", "--threads", "1"),
+    ("minimise", "in/ala10.pdb", "-o", "out.pdb", "--max-evaluations", "3", "--threads", "1", "--method", "lbfgs"),
+)
+"""Commands that load what most cases need; one thread, for a process split off has none of the others."""
 
 
 def warm_up() -> None:
-    """Import all that commands need, make the files that are later damaged, and keep no threads."""
-    commands = [*MADE.values()]
-    commands += [
-        ("info", *damage.BESIDE[:1], "--threads", "1"), ("validate", *damage.BESIDE[1:]),
-        ("rmsd", *damage.BESIDE[:1], *damage.BESIDE[:1]),
-        ("relax", *damage.BESIDE[:1], "-o", "out.pdb", "--max-iterations", "3", "--threads", "1"),
-        ("minimise", *damage.BESIDE[:1], "-o", "out.pdb", "--max-evaluations", "3", "--threads", "1"),
-    ]  # fmt: skip
-    names = [*MADE, *("",) * 5]
-    with tempfile.TemporaryDirectory() as scratch:
-        for k, (name, words) in enumerate(zip(names, commands, strict=True)):
-            folder = Path(scratch) / str(k)
-            folder.mkdir()
-            end = ran(Case(name, 0, tuple(words), damage.beside()), folder)
-            if end.status not in DONE:
-                raise RuntimeError(f"{' '.join(words)}: {end.errors.decode()}")
-            if name:
-                _made[name] = {path: data for path, data in end.after.items() if data is not None}
-        place = os.getcwd()  # noqa: PTH109
-        folder = Path(scratch) / "here"
-        (folder / "in").mkdir(parents=True)
-        for name, data in damage.beside().items():
-            (folder / name).write_bytes(data)
-        saved, handler = (sys.stdout, sys.stderr), signal.getsignal(signal.SIGTERM)
-        for words in commands[len(MADE) :]:
-            os.chdir(folder)
-            try:
-                with open(os.devnull, "w") as nowhere:  # noqa: PTH123
-                    sys.stdout = sys.stderr = nowhere
+    """Import and load in this process what commands need."""
+    place, streams, handler = Path.cwd(), (sys.stdout, sys.stderr), signal.getsignal(signal.SIGTERM)
+    with tempfile.TemporaryDirectory() as scratch, open(os.devnull, "w") as nowhere:  # noqa: PTH123
+        _put(damage.beside(), Path(scratch))
+        os.chdir(scratch)
+        try:
+            sys.stdout = sys.stderr = nowhere
+            for words in READY:
+                with suppress(SystemExit):
                     command(words)
-            except SystemExit:
-                pass
-            finally:
-                sys.stdout, sys.stderr = saved
-                os.chdir(place)
-        signal.signal(signal.SIGTERM, handler)
+        finally:
+            sys.stdout, sys.stderr = streams
+            os.chdir(place)
+            signal.signal(signal.SIGTERM, handler)
     gc.freeze()
+
+
+@cache
+def made(name: str) -> dict[str, bytes]:
+    """Files that a command of MADE leaves."""
+    with tempfile.TemporaryDirectory() as scratch:
+        end = ran(Case(name, 0, MADE[name], damage.beside()), Path(scratch))
+    if end.status not in DONE:
+        raise RuntimeError(f"{' '.join(MADE[name])}: {end.errors.decode()}")
+    return {path: data for path, data in end.after.items() if data is not None}
 
 
 def case_of(kind: str, seed: int) -> Case:
@@ -321,8 +326,7 @@ def case_of(kind: str, seed: int) -> Case:
     if kind in OPTIONS:
         return damage.options(kind, seed)
     make = FILES[kind][1]
-    needs = make in (damage.checkpoint_case, damage.simulation_case, damage.batch_case)
-    return make(kind, seed, _made) if needs else make(kind, seed)
+    return make(kind, seed, made) if kind in OF_MADE else make(kind, seed)
 
 
 def judged(kind: str, seed: int) -> Outcome:

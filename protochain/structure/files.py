@@ -40,6 +40,10 @@ _COORDINATE_COLUMNS = 54
 _USED = slice(12, 66)
 """Columns of an atom record, from its name to its B factor."""
 _RECORDS = ("ATOM", "HETATM", "ANISOU", "SIGATM", "SIGUIJ")
+_HEAVIEST = 111
+"""Atomic number of the last element that OpenMM knows."""
+_QUOTED = 300
+"""Characters of gemmi's reason that are told: it quotes whole tokens."""
 _FARTHEST = 1e5
 """Angstrom. Larger coordinates are refused."""
 
@@ -97,9 +101,12 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool, str]:
         raise
     except (RuntimeError, ValueError, IndexError) as error:
         reason = " ".join(str(error).replace("string:", "line ").split())
+        if len(reason) > _QUOTED:
+            reason = f"{reason[: _QUOTED // 2]} ... {reason[-_QUOTED // 2 :]}"
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
     overlooked += chains_told_apart(structure)
     structure.merge_chain_parts()
+    _without_oddities(structure)
     check(structure, source)
     overlooked += told_apart(structure, source)
     return structure, overlooked, ends, records
@@ -285,7 +292,7 @@ def _corrected(text: str, source: str, overlooked: list[str]) -> str:
         line = _of_three_letters(line)
         _refuse_odd_numbers(line, i + 1, source)
         element = line[76:78].strip()
-        if element and not gemmi.Element(element).atomic_number:
+        if element and not 0 < gemmi.Element(element).atomic_number <= _HEAVIEST:
             strange.append(i + 1)
             line = line[:76].rstrip()
         if not _CHARGE.fullmatch(line[78:80].strip()):
@@ -344,6 +351,16 @@ def _refuse_odd_numbers(line: str, number: int, source: str) -> None:
 
 def _is_hybrid36(given: str) -> bool:
     return len(given) == 4 and given[0].isalpha() and given.isalnum() and given.isascii()
+
+
+def _without_oddities(structure: gemmi.Structure) -> None:
+    """Make blank what gemmi makes of an empty insertion code, a NUL, and unknown what no force field has."""
+    for model in structure:
+        for place in model.all():
+            if place.residue.seqid.icode == "\0":
+                place.residue.seqid.icode = " "
+            if place.atom.element.atomic_number > _HEAVIEST:
+                place.atom.element = gemmi.Element("X")
 
 
 def check(structure: gemmi.Structure, source: str) -> None:

@@ -352,7 +352,12 @@ class _Reader:
     def _add_unbroken(self, run: list[Member]) -> None:
         """Split a chain where residues are not bonded; a bond across a gap would be far too long."""
         part: list[Member] = []
+        strays = _strays(run)
+        for member in strays:
+            self._add([member])
         for member in run:
+            if any(member is stray for stray in strays):
+                continue
             if part:
                 gap = _gap(part[-1], member)
                 if gap >= PEPTIDE_BREAK and _is_torn(part[-1], member, gap):
@@ -432,6 +437,25 @@ def _gap(last: Member, first: Member) -> float:
     if end is None or start is None or last.name in ("NME", "NH2") or first.name == "ACE":
         return np.inf
     return float(end.pos.dist(start.pos))
+
+
+def _strays(run: list[Member]) -> list[Member]:
+    """Single residues, bonded to none, that stand between two that are bonded to each other."""
+    starts = [
+        i
+        for i in range(1, len(run))
+        if (gap := _gap(run[i - 1], run[i])) >= PEPTIDE_BREAK and not _is_torn(run[i - 1], run[i], gap)
+    ]
+    found: list[Member] = []
+    for k, start in enumerate(starts):
+        # Ends of the pieces of one residue that follow one another from here on.
+        for i, end in enumerate(starts[k + 1 :], start + 1):
+            if end != i:
+                break
+            if _gap(run[start - 1], run[end]) < PEPTIDE_BREAK:
+                found += run[start:end]
+                break
+    return found
 
 
 def _is_torn(last: Member, first: Member, gap: float) -> bool:
