@@ -1,4 +1,4 @@
-"""Damaged files, by kind and seed, each with a command that reads it; odd sets of options, by command and seed.
+"""Damaged files, by kind and seed, each with a command that reads it; odd options, by command and seed.
 
 ``case(kind, seed)`` is the same wherever ../shared is the same. Restraints are options, not files.
 """
@@ -196,7 +196,9 @@ def characters(lines: Lines, rng: Rng) -> Lines:
 
 
 def line_ends(lines: Lines, rng: Rng) -> Lines:
-    ends = rng.choice((("\r\n",), ("\r",), ("\n", "\r\n", "\r"), ("\n", "\x0b", "\x0c"), ("\n\n", " \n"), ("\n\r",)))
+    ends = rng.choice(
+        (("\r\n",), ("\r",), ("\n", "\r\n", "\r"), ("\n", "\x0b", "\x0c"), ("\n\n", " \n"), ("\n\r",))
+    )
     text = "".join(line + rng.choice(ends) for line in lines)
     return [text + rng.choice(("", "\x1a", "\0" * 512, "\n" * 500))]
 
@@ -234,7 +236,25 @@ def moved(line: str, rng: Rng) -> str:
 
 
 def atoms_renamed(line: str, rng: Rng) -> str:
-    names = ("CA", "N", "C", "O", "OXT", "CB", "HA", "1HB", "SG", "ZN", "X", "", "H1", "D", "CA'", "HO5'", "XX1")
+    names = (
+        "CA",
+        "N",
+        "C",
+        "O",
+        "OXT",
+        "CB",
+        "HA",
+        "1HB",
+        "SG",
+        "ZN",
+        "X",
+        "",
+        "H1",
+        "D",
+        "CA'",
+        "HO5'",
+        "XX1",
+    )
     return put(line, "name", f" {rng.choice(names):<3}")
 
 
@@ -250,7 +270,9 @@ def occupancies(line: str, rng: Rng) -> str:
 def elements(line: str, rng: Rng) -> str:
     if rng.random() < 0.5:
         return put(line, "charge", rng.choice(("1+", "9-", "+1", "-", "99", "xx", "2-", "+")))
-    return put(line, "element", rng.choice(("C", "H", "D", "ZN", "X", "XX", "FE", "c", "1", "U", "Og", "??", "NA")))
+    return put(
+        line, "element", rng.choice(("C", "H", "D", "ZN", "X", "XX", "FE", "c", "1", "U", "Og", "??", "NA"))
+    )
 
 
 def models(lines: Lines, rng: Rng) -> Lines:
@@ -329,7 +351,7 @@ def bonds(lines: Lines, rng: Rng) -> Lines:
             "CONECT" + a[6:11] + b[6:11] * rng.choice((1, 2, 4, 9)),
             f"CONECT{rng.choice(ODD):>5}{rng.choice(ODD):>5}",
             f"LINK        {end()}               {end()}  {symmetry} {length}",
-            f"SSBOND{rng.randrange(99):4} CYS {a[21]} {a[22:27]}   CYS {b[21]} {b[22:27]}{symmetry:>34} {length}",
+            f"SSBOND{rng.randrange(99):4} CYS {a[21]} {a[22:27]}   CYS {b[21]} {b[22:27]}{symmetry:>34}",
             f"SSBOND   1 CYS {a[21]} {rng.choice(ODD):>4}    CYS {b[21]} {rng.choice(ODD):>4}",
             f"CISPEP{rng.randrange(99):4} {a[17:20]} {a[21:27]}   {b[17:20]} {b[21:27]}",
         ))  # fmt: skip
@@ -375,12 +397,16 @@ def tokens(change: Callable[[str, Rng], str]) -> Callable[[Lines, Rng], Lines]:
 
 
 def quotes(token: str, rng: Rng) -> str:
-    shape = rng.choice(("'{}", '"{}', "'{}'", '"{}"', "{}'", "\n;{}\n;\n", "\n;{}", "#{}", "'{} {}'", "{}'x", "$_{}", "[{}"))
+    shape = rng.choice(
+        ("'{}", '"{}', "'{}'", '"{}"', "{}'", "\n;{}\n;\n", "\n;{}", "#{}", "'{} {}'", "{}'x", "$_{}", "[{}")
+    )
     return shape.replace("{}", token)
 
 
 def words_over(token: str, rng: Rng) -> str:
-    return rng.choice((*ODD[:-4], "loop_", "data_x", "save_", "stop_", "global_", "_atom_site.x", "_x", "data_"))
+    return rng.choice(
+        (*ODD[:-4], "loop_", "data_x", "save_", "stop_", "global_", "_atom_site.x", "_x", "data_")
+    )
 
 
 def loop_values(lines: Lines, rng: Rng) -> Lines:
@@ -390,7 +416,7 @@ def loop_values(lines: Lines, rng: Rng) -> Lines:
     def change(line: str) -> str:
         parts = line.split(" ")
         k = rng.randrange(len(parts))
-        return " ".join(rng.choice((parts[:k] + parts[k + 1 :], parts[:k] + ["7"] + parts[k:])))
+        return " ".join(rng.choice((parts[:k] + parts[k + 1 :], [*parts[:k], "7", *parts[k:]])))
 
     return [change(line) if chosen(k) else line for k, line in enumerate(lines)]
 
@@ -432,7 +458,9 @@ def cif_categories(lines: Lines, rng: Rng) -> Lines:
 def cif_keywords(lines: Lines, rng: Rng) -> Lines:
     text = "\n".join(lines)
     old = rng.choice(("loop_", "data_", "_atom_site.", "ATOM", "#", "\n", " ", "A", "?", "."))
-    new = rng.choice(("", "LOOP_", "data_", "data_x\ndata_x\n", "save_x", "?", "HETATM", "_atom_site.id", "\t", "\0"))
+    new = rng.choice(
+        ("", "LOOP_", "data_", "data_x\ndata_x\n", "save_x", "?", "HETATM", "_atom_site.id", "\t", "\0")
+    )
     return text.replace(old, new, rng.choice((1, 1, 3, -1))).split("\n")
 
 
@@ -530,16 +558,21 @@ def manifest(text: str, rng: Rng) -> str:
     lines = text.split("\n")
     columns = rng.choice((
         "", "path", "path,path", "path,model", "path,keep,chains", "Path", "path,nonsense", "path,workers",
-        "path,disulfide", "path,methods", "\ufeffpath,seed", "path;seed", '"path,seed', "path,max_evaluations",
+        "path,disulfide", "path,methods", "\ufeffpath,seed", "path;seed", '"path,seed',
+        "path,max_evaluations",
     ))  # fmt: skip
     if rng.random() < 0.4:
         lines[0] = columns
     for _ in range(rng.choice((0, 1, 3))):
         k = rng.randrange(len(lines))
         cells = lines[k].split(",")
-        cells[rng.randrange(len(cells))] = rng.choice((*ODD, "missing.pdb", "in", "../in/ala10.pdb", "/dev/null", "in/*"))
+        cells[rng.randrange(len(cells))] = rng.choice(
+            (*ODD, "missing.pdb", "in", "../in/ala10.pdb", "/dev/null", "in/*")
+        )
         lines[k] = ",".join(cells)
-    change = rng.choice((dropped, doubled, swapped, cut_lines, characters, line_ends, loop_values, lambda x, _: x))
+    change = rng.choice(
+        (dropped, doubled, swapped, cut_lines, characters, line_ends, loop_values, lambda x, _: x)
+    )
     return "\n".join(change(lines, rng))
 
 
@@ -572,8 +605,12 @@ def attributes(text: str, rng: Rng) -> Lines:
 
 
 def elements_renamed(text: str, rng: Rng) -> Lines:
-    name = rng.choice(("Residue", "Atom", "Bond", "HarmonicBondForce", "NonbondedForce", "Type", "AtomTypes", "ForceField"))
-    new = rng.choice(("Residues", "", "Script", "atom", "CustomNonbondedForce", "Patch", "Include", "InitializationScript"))
+    name = rng.choice(
+        ("Residue", "Atom", "Bond", "HarmonicBondForce", "NonbondedForce", "Type", "AtomTypes", "ForceField")
+    )
+    new = rng.choice(
+        ("Residues", "", "Script", "atom", "CustomNonbondedForce", "Patch", "Include", "InitializationScript")
+    )
     return re.sub(rf"(</?){name}\b", rf"\1{new}", text, count=rng.choice((1, 2, 0))).split("\n")
 
 
@@ -616,7 +653,10 @@ def reading(kind: str, seed: int, name: str, data: bytes, is_large: bool, rng: R
 
 
 def text_case(
-    kind: str, seed: int, source: Callable[[Rng], tuple[str, bytes, bool]], change: Callable[[Lines, Rng], Lines]
+    kind: str,
+    seed: int,
+    source: Callable[[Rng], tuple[str, bytes, bool]],
+    change: Callable[[Lines, Rng], Lines],
 ) -> Case:
     rng = Rng(f"{kind} {seed}")
     name, data, is_large = source(rng)
@@ -625,7 +665,10 @@ def text_case(
 
 
 def bytes_case(
-    kind: str, seed: int, source: Callable[[Rng], tuple[str, bytes, bool]], change: Callable[[bytes, Rng], bytes]
+    kind: str,
+    seed: int,
+    source: Callable[[Rng], tuple[str, bytes, bool]],
+    change: Callable[[bytes, Rng], bytes],
 ) -> Case:
     rng = Rng(f"{kind} {seed}")
     name, data, is_large = source(rng)
@@ -663,10 +706,24 @@ Made = Callable[[str], Mapping[str, bytes]]
 """Name in MADE to files."""
 METHODS = ("cartesian", "lbfgs", "kcm", "newton", "hybrid")
 MINIMISED = ("minimise", "in/ala10.pdb", "-o", "out.pdb", "--max-evaluations", "3", *THREADS)
-SIMULATED = ("simulate", "in/ala10.pdb", "--every", "1", "--checkpoint-every", "1", "--no-relax", "-o", "sim", *THREADS)
+SIMULATED = (
+    "simulate",
+    "in/ala10.pdb",
+    "--every",
+    "1",
+    "--checkpoint-every",
+    "1",
+    "--no-relax",
+    "-o",
+    "sim",
+    *THREADS,
+)
 BATCHED = ("batch", "in/ala10.pdb", "--max-evaluations", "3", "--workers", "1", "-o", "b")
 MADE = {
-    **{f"checkpoint {method}": (*MINIMISED, "--method", method, "--checkpoint", "state.npz") for method in METHODS},
+    **{
+        f"checkpoint {method}": (*MINIMISED, "--method", method, "--checkpoint", "state.npz")
+        for method in METHODS
+    },
     "simulation": (*SIMULATED, "--steps", "3"),
     "batch": BATCHED,
 }
@@ -678,7 +735,7 @@ def checkpoint_case(kind: str, seed: int, made: Made) -> Case:
     method = rng.choice(METHODS)
     data = rng.choice((broken, arrays, arrays, arrays))(made(f"checkpoint {method}")["state.npz"], rng)
     words = (*MINIMISED, "--method", method, "--resume", "state.npz", "--max-evaluations", "5", "--json")
-    return Case(kind, seed, words, beside() | {"state.npz": data}, ("state.npz",))
+    return Case(kind, seed, words, beside() | {"state.npz": data}, ("state.npz", "in/ala10.pdb"))
 
 
 def simulation_case(kind: str, seed: int, made: Made) -> Case:
@@ -708,7 +765,9 @@ FILES: dict[str, tuple[float, Callable[..., Case]]] = {}
 """Kind: (weight, what makes a case of kind and seed, and of the files of MADE if it damages those)."""
 
 
-def _text(kind: str, change: Callable[[Lines, Rng], Lines], *where: Callable[[Rng], tuple[str, bytes, bool]]) -> None:
+def _text(
+    kind: str, change: Callable[[Lines, Rng], Lines], *where: Callable[[Rng], tuple[str, bytes, bool]]
+) -> None:
     for source in where or (pdb,):
         name = f"{'mmCIF' if source is cif else 'PDB'}, {kind}"
         FILES[name] = (1.0, lambda kind, seed, source=source: text_case(kind, seed, source, change))
@@ -763,23 +822,45 @@ FILES_BY_WEIGHT = {kind: weight for kind, (weight, _) in FILES.items()}
 
 # Options.
 
-NUMBERS = ("0", "-1", "1", "0.5", "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "", " ", "1,5", "\u0661", "abc", "7", "1e3")
+NUMBERS = (
+    "0",
+    "-1",
+    "1",
+    "0.5",
+    "nan",
+    "inf",
+    "-inf",
+    "1e308",
+    "-1e308",
+    "1e-320",
+    "",
+    " ",
+    "1,5",
+    "\u0661",
+    "abc",
+    "7",
+    "1e3",
+)
 COUNTS = ("0", "-1", "1", "2", "3", "nan", "1.5", "", " ", "1e3", "abc", "\u0663")
 HUGE = ("2147483648", "9223372036854775808", "99999999999999999999999")
 WORDS = (
-    "", " ", "\u00e9", "\u6771\u4eac", "\x1b[31mred", "a\nb", "nan", "-1", "x" * 300, "[bold]", "%s {0}", "../..",
+    "", " ", "\u00e9", "\u6771\u4eac", "\x1b[31mred", "a\nb", "nan", "-1", "x" * 300, "[bold]", "%s {0}",
+    "../..",
     "\udcff", "all", "none", ",", "a,b", "'", "(", "\0"[:0] + "*", "1", "A",
 )  # fmt: skip
 PATHS = (
-    "in/ala10.pdb", "in/1l2y.pdb", "in", "missing.pdb", "no/such/x.pdb", "", " ", "\u00e4 \u03bb.pdb", "out.pdb",
+    "in/ala10.pdb", "in/1l2y.pdb", "in", "missing.pdb", "no/such/x.pdb", "", " ", "\u00e4 \u03bb.pdb",
+    "out.pdb",
     "out.cif", "out.npz", "out.csv", "out.html", "out.dcd", "out.xtc", "out", "in/ala10.pdb/x", "/dev/null",
     "/proc/x.pdb", "x" * 300, "new\nline.pdb", "-", "out\udcff.pdb", "~", "out.pdb.gz", ".", "in/list.csv",
     "in/text.txt", "in/[1].pdb", "*.pdb", "in/*.pdb",
 )  # fmt: skip
 STRINGS = {
-    "hinges": ("phi psi", "phi psi chi omega", "phi psi chi rotors", "angles", "phi phi", "chi", "PHI", "phi,psi"),
+    "hinges": ("phi psi", "phi psi chi omega", "phi psi chi rotors", "angles", "phi phi", "chi", "PHI",
+    "phi,psi"),
     "move": ("resid 5:20", "sidechain", "all", "resid 2:4", "name CA", "interface", "protein and", "not all"),
-    "forcefield": ("amber14", "amber99sb", "amber99sbildn", "amber19", "in/text.txt", "amber14,amber99sb", "in"),
+    "forcefield": ("amber14", "amber99sb", "amber99sbildn", "amber19", "in/text.txt", "amber14,amber99sb",
+    "in"),
     "solvent": ("vacuum", "obc2", "gbn2", "OBC2", "water"),
     "engine": ("auto", "native", "openmm", "gpu"),
     "cutoff": ("auto", "none", "1", "0.1", "0", "-1", "inf", "nan", "1e308", "2 nm"),
@@ -788,7 +869,8 @@ STRINGS = {
     "altloc": ("A", "B", "AB"),
     "keep": ("near", "none", "all", "water", "ions", "ligands", "HOH,ZN", "near,none"),
     "disulfide": ("A:3-A:40", "A:1-A:2", "A:1-A:1", "none", "A:1:SG-A:2:SG", "A:1"),
-    "method": ("cartesian", "hybrid", "lbfgs", "newton", "kcm", "openmm", "kcm-metric", "md", "annealing", "LBFGS"),
+    "method": ("cartesian", "hybrid", "lbfgs", "newton", "kcm", "openmm", "kcm-metric", "md", "annealing",
+    "LBFGS"),
     "methods": ("lbfgs", "kcm,lbfgs", "cartesian", "relax", "lbfgs,lbfgs", "relax,lbfgs", "lbfgs,"),
     "restrain": ("1000 100 0", "1000", "0", "-1", "nan", "1e308", "1,2", "10 x"),
     "thermostat": ("langevin", "nose-hoover", "rescale", "hmc", "none"),
@@ -806,7 +888,8 @@ STRINGS = {
     "rows": ("nothing",), "only": ("nothing",), "scheduler": ("nonsense", "tcp://127.0.0.1:1", ""),
 }  # fmt: skip
 WORK = {
-    "steps", "max_evaluations", "max_iterations", "max_outer_iterations", "starts", "repeats", "workers", "jobs",
+    "steps", "max_evaluations", "max_iterations", "max_outer_iterations", "starts", "repeats", "workers",
+    "jobs",
     "trajectory_length", "evaluations", "threads",
 }  # fmt: skip
 """Options that cost time or processes, which huge values are allowed to."""
@@ -827,7 +910,8 @@ OPTIONS = {
 }  # fmt: skip
 """Command: weight."""
 ARGUMENTS = {
-    "rmsd": ("in/ala10.pdb", "in/1l2y.pdb"), "build": ("AAA",), "bench": ("nonsense",), "scene": ("nonsense",),
+    "rmsd": ("in/ala10.pdb", "in/1l2y.pdb"), "build": ("AAA",), "bench": ("nonsense",),
+    "scene": ("nonsense",),
 }  # fmt: skip
 
 
@@ -846,7 +930,13 @@ def options(command: str, seed: int) -> Case:
     argument = list(ARGUMENTS.get(command, ("in/ala10.pdb",)))
     if rng.random() < 0.15:
         # A study or scene that is known would run for minutes.
-        text = STRINGS.get("sequence", ()) if command == "build" else () if command in ("bench", "scene") else PATHS
+        text = (
+            STRINGS.get("sequence", ())
+            if command == "build"
+            else ()
+            if command in ("bench", "scene")
+            else PATHS
+        )
         argument[-1] = rng.choice((*text, *WORDS[:8]))
     if command != "bench":
         argument = argument * rng.choice((1, 1, 1, 1, 1, 1, 1, 1, 2)) if rng.random() > 0.03 else []
@@ -863,9 +953,12 @@ def options(command: str, seed: int) -> Case:
             flag = next(each for each in every if each.name == name).opts[-1]
             words += [flag] if bound is None else [flag, bound]
     if rng.random() < 0.03:
-        words.insert(rng.randrange(len(words) + 1), rng.choice(("--nonsense", "-x", "--", "-", "--json=1", "--help")))
+        words.insert(
+            rng.randrange(len(words) + 1), rng.choice(("--nonsense", "-x", "--", "-", "--json=1", "--help"))
+        )
     files = beside() | {
-        "in/list.csv": MANIFEST.encode(), "in/text.txt": b"some text\n", "in/[1].pdb": beside()["in/ala10.pdb"],
+        "in/list.csv": MANIFEST.encode(), "in/text.txt": b"some text\n",
+        "in/[1].pdb": beside()["in/ala10.pdb"],
     }  # fmt: skip
     return Case(f"options of {command}", seed, tuple(words), files, (), tuple(outputs))
 

@@ -3,8 +3,8 @@
     python analysis/benchmarks/fuzz.py [-o DIR] [--quick] [--files 5000] [--options 2000]
     python analysis/benchmarks/fuzz.py --only "PDB, models" --seed 17
 
-Cases are made by kind and seed (tests/damage.py), run in processes split off one that has loaded all, and judged
-(tests/judge.py); a row a kind. The second form runs one case and prints all of it.
+Cases are made by kind and seed (tests/damage.py), run in processes split off one that has loaded all, and
+judged (tests/judge.py); a row a kind. The second form runs one case and prints all of it.
 """
 
 import argparse

@@ -42,8 +42,8 @@ _USED = slice(12, 66)
 _RECORDS = ("ATOM", "HETATM", "ANISOU", "SIGATM", "SIGUIJ")
 _HEAVIEST = 111
 """Atomic number of the last element that OpenMM knows."""
-_QUOTED = 300
-"""Characters of gemmi's reason that are told: it quotes whole tokens."""
+_UNKNOWN = "UNL"
+"""Name of the PDB for ligands of unknown kind; mmCIF has no empty names."""
 _FARTHEST = 1e5
 """Angstrom. Larger coordinates are refused."""
 
@@ -101,8 +101,6 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[str], bool, str]:
         raise
     except (RuntimeError, ValueError, IndexError) as error:
         reason = " ".join(str(error).replace("string:", "line ").split())
-        if len(reason) > _QUOTED:
-            reason = f"{reason[: _QUOTED // 2]} ... {reason[-_QUOTED // 2 :]}"
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
     overlooked += chains_told_apart(structure)
     structure.merge_chain_parts()
@@ -354,9 +352,11 @@ def _is_hybrid36(given: str) -> bool:
 
 
 def _without_oddities(structure: gemmi.Structure) -> None:
-    """Make blank what gemmi makes of an empty insertion code, a NUL, and unknown what no force field has."""
+    """Correct what others would fail at: empty names and insertion codes (NUL to gemmi), odd elements."""
     for model in structure:
         for place in model.all():
+            if not place.residue.name.strip():
+                place.residue.name = _UNKNOWN
             if place.residue.seqid.icode == "\0":
                 place.residue.seqid.icode = " "
             if place.atom.element.atomic_number > _HEAVIEST:

@@ -39,6 +39,8 @@ PEPTIDE_BREAK = 2.0
 PEPTIDE_TORN = 3.0
 """Angstrom: C and N of consecutive numbers are bonded up to here, as in models whose bonds are off. Atoms of
 two chain ends do not come that near: C and N that are not bonded touch at 3.25."""
+_MOST_STRAYS = 10
+"""Residues in a row that may stand in another place of the file than in the chain."""
 SMALLEST_RING = 4
 """Fewest residues of a head-to-tail cyclic peptide."""
 _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.ConnectionType.MetalC)
@@ -352,11 +354,11 @@ class _Reader:
     def _add_unbroken(self, run: list[Member]) -> None:
         """Split a chain where residues are not bonded; a bond across a gap would be far too long."""
         part: list[Member] = []
-        strays = _strays(run)
-        for member in strays:
+        strays = {id(member): member for member in _strays(run)}
+        for member in strays.values():
             self._add([member])
         for member in run:
-            if any(member is stray for stray in strays):
+            if id(member) in strays:
                 continue
             if part:
                 gap = _gap(part[-1], member)
@@ -446,16 +448,16 @@ def _strays(run: list[Member]) -> list[Member]:
         for i in range(1, len(run))
         if (gap := _gap(run[i - 1], run[i])) >= PEPTIDE_BREAK and not _is_torn(run[i - 1], run[i], gap)
     ]
-    found: list[Member] = []
+    found: set[int] = set()
     for k, start in enumerate(starts):
         # Ends of the pieces of one residue that follow one another from here on.
-        for i, end in enumerate(starts[k + 1 :], start + 1):
+        for i, end in enumerate(starts[k + 1 : k + 1 + _MOST_STRAYS], start + 1):
             if end != i:
                 break
             if _gap(run[start - 1], run[end]) < PEPTIDE_BREAK:
-                found += run[start:end]
+                found.update(range(start, end))
                 break
-    return found
+    return [run[i] for i in sorted(found)]
 
 
 def _is_torn(last: Member, first: Member, gap: float) -> bool:
