@@ -136,7 +136,7 @@ def cutoff_of(value: Any, name: str) -> Any:
         distance = float(value) if isinstance(value, str) else float(number(value, name))
     except ValueError:
         distance = 0.0
-    if not 0.0 < distance < float("inf"):
+    if not 0.0 < distance <= LONGEST_CUTOFF:
         raise refused(name, shown(value), "give a distance in nm, auto, or none")
     if distance < SHORTEST_CUTOFF:
         raise refused(
@@ -147,6 +147,8 @@ def cutoff_of(value: Any, name: str) -> Any:
     return distance
 
 
+LONGEST_CUTOFF = 1e6
+"""nm. Structures are smaller; reaction fields take the cube."""
 SHORTEST_CUTOFF = 0.5
 """nm. Atoms three bonds apart, which no cutoff leaves out, and the minima of all Lennard-Jones pairs (0.40 of
 two sulphurs) lie within, and so do the neighbours that make most of a Born radius. Below, energies mean

@@ -250,6 +250,9 @@ def test_patterns_are_of_files_in_order(here):
     with pytest.raises(pc.ProtochainError) as refusal:
         names([])
     assert str(refusal.value) == "no structures found; give files, folders or patterns"
+    Path("list.csv").write_text("path\n")
+    with pytest.raises(pc.ProtochainError, match=r"^list\.csv: no structures found; "):
+        find_jobs([], BatchSettings(), Path("list.csv"))
 
 
 def test_a_list_on_standard_input_has_a_name_on_each_line(here, monkeypatch):

@@ -93,6 +93,15 @@ def test_an_mmcif_file_of_the_archive_ends_in_a_hash(tmp_path):
     assert files._is_cif("\n  \n# data_a\n") is False and files._is_cif("ATOM data_a") is False
 
 
+def test_what_gemmi_makes_of_odd_values_is_made_usual(tmp_path):
+    """An empty insertion code is a NUL, no force field has oganesson, and mmCIF has no empty names."""
+    text = LOOP + "_atom_site.pdbx_PDB_ins_code\n" + ROW.replace(" C ", " Og ", 1).rstrip() + " ''\n#"
+    atom = parsed(tmp_path, text)[0][0][0][0]
+    assert (atom.seqid.icode, atom[0].element.name) == (" ", "X")
+    nameless = parsed(tmp_path, f"{ATOM[:17]}   {ATOM[20:]}\n{END}")[0][0][0][0]
+    assert nameless.name == "UNL"
+
+
 @pytest.mark.parametrize("packed", [False, True])
 def test_a_text_is_as_large_as_the_limit_and_no_larger(packed, tmp_path, monkeypatch):
     assert files._BYTES == 512 * 1024 * 1024
@@ -185,10 +194,12 @@ def test_elements_and_charges_that_are_none_are_left_out():
     plain = ATOM[:66]
     same = [f"{plain:76s}{end}" for end in (" C2+", " C+2", " C+", " C -", " C", "CA1-")]
     assert corrected(*same) == (same, [])
-    lines, overlooked = corrected("REMARK", same[0], f"{plain:76s}QQ2+", ATOM, f"{plain:74s}12QQ")
-    assert lines == ["REMARK", same[0], plain, ATOM, f"{plain:74s}12"]
+    lines, overlooked = corrected(
+        "REMARK", same[0], f"{plain:76s}QQ2+", ATOM, f"{plain:74s}12QQ", f"{plain:76s}OG"
+    )
+    assert lines == ["REMARK", same[0], plain, ATOM, f"{plain:74s}12", plain]
     assert overlooked == [
-        "columns 77-78 of 2 atom records, from line 3 on, hold no element: elements derived from atom names"
+        "columns 77-78 of 3 atom records, from line 3 on, hold no element: elements derived from atom names"
     ]
     assert corrected(f"{plain:76s} C2A", f"{plain:76s} C 5") == ([f"{plain:76s} C"] * 2, [])
 

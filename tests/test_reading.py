@@ -289,6 +289,16 @@ def apart(gap, second):
     ]
 
 
+@pytest.mark.parametrize("strays", [(5,), (5, 9)])
+def test_residues_that_stand_elsewhere_in_the_file_do_not_break_a_chain(strays):
+    """Two that are bonded have no charged ends, whatever stands between them."""
+    far = [residue("ALA", number, 50.0 * number) for number in strays]
+    draft = taken(*alanines(2), *far, *(residue("ALA", number) for number in (3, 4)))
+    assert names(draft) == [["ALA1", "ALA2", "ALA3", "ALA4"]]
+    assert dict(draft.left_out) == {"ALA": len(strays)}
+    assert not any("broken" in line for line in draft.repairs)
+
+
 @pytest.mark.parametrize(("gap", "broken"), [(1.999, False), (2.0, True)])
 def test_a_chain_breaks_where_c_and_n_are_two_angstrom_apart(gap, broken):
     far = apart(gap, 4)

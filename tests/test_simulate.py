@@ -373,9 +373,25 @@ def test_a_checkpoint_fits_one_simulation_only(small, tmp_path):
     moved = pc.build_chain(c.structure.with_positions(pc.pose(c, q + 0.1).x))
     with pytest.raises(pc.ProtochainError, match="start"):
         simulate(moved, e, n_steps=40, every=10, output=tmp_path, resume=True)
-    (tmp_path / "trajectory.dcd").write_bytes(b"cut")
-    with pytest.raises(pc.ProtochainError, match="lost frames"):
-        simulate(*small, n_steps=40, every=10, output=tmp_path, resume=True)
+    for name, text, said in (
+        ("trajectory.dcd", b"cut", "trajectory.dcd: cannot be continued"),
+        ("trajectory.dcd", None, "trajectory.dcd: has lost frames"),
+        ("log.csv", b"step\n0\n", "log.csv: rows before the checkpoint are missing"),
+        ("log.csv", b"\xff", "log.csv: damaged log"),
+        ("log.csv", b"other", "log.csv: damaged log"),
+    ):
+        path = tmp_path / name
+        whole = path.read_bytes()
+        if text is None:
+            path.unlink()
+        else:
+            path.write_bytes(text + whole[len(text) :] if "damaged" in said else text)
+        before = {each.name: each.read_bytes() for each in tmp_path.iterdir()}
+        with pytest.raises(pc.ProtochainError, match=said):
+            simulate(*small, n_steps=40, every=10, output=tmp_path, resume=True)
+        # A run that is refused leaves its folder as it was.
+        assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == before
+        path.write_bytes(whole)
     again = simulate(*small, n_steps=40, every=10, output=tmp_path, force=True)
     assert len(again.trace) == 5
     with pytest.raises(pc.ProtochainError, match="no checkpoint"):

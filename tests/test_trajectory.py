@@ -107,12 +107,24 @@ def test_a_file_that_lost_frames_is_refused(suffix, tmp_path):
     file.close()
     with file.part.open("r+b") as stream:
         stream.truncate(told[1][1] - 1)
-    said = f"{tmp_path}/a.part{suffix}: has lost frames since its checkpoint; start the run anew"
-    for _ in range(2):
+    for there in (file.part, path):
         with pytest.raises(pc.ProtochainError) as refused:
             TrajectoryFile(path, S, kept=told[1])
-        assert str(refused.value) == said
+        assert str(refused.value) == f"{there}: has lost frames since its checkpoint; start the run anew"
         file.part.unlink(missing_ok=True)
+
+
+def test_what_is_no_dcd_file_of_the_structure_is_refused_before_it_is_cut(tmp_path):
+    path = tmp_path / "a.dcd"
+    file, told = wrote(path, 2)
+    file.finish()
+    whole = path.read_bytes()
+    for damaged in (b"X" + whole[1:], whole[:4] + b"DROC" + whole[8:], b"\0" * len(whole)):
+        path.write_bytes(damaged)
+        with pytest.raises(pc.ProtochainError) as refused:
+            TrajectoryFile(path, S, kept=told[1])
+        assert str(refused.value).startswith(f"{path}: cannot be continued (")
+        assert path.read_bytes() == damaged and list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("suffix", [".dcd", ".xtc"])

@@ -121,6 +121,7 @@ JOBS = (
     Job("files-speed", f"{HERE}/files.py speed --more MORE -o DIR", 2),
     Job("files-closures", f"{HERE}/files.py closures --more MORE -o DIR", 5),
     Job("kinds", f"{HERE}/kinds.py -o DIR", 15),
+    Job("fuzz", f"{HERE}/fuzz.py -o DIR", 20),
     Job("race", f"{HERE}/race.py --forces gbsa,vacuum {RACED} -o DIR", 6),
     Job("race-custom", f"{HERE}/race.py --forces obc2 {RACED_CUSTOM} -o DIR", 15),
     Job("near", f"{HERE}/near.py {SAMPLES} {SMALL} {LARGER} --models {RELAXED} --made 7 -o DIR", 60),

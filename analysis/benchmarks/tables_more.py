@@ -351,6 +351,21 @@ def mutants(results: Path) -> str:
     )  # fmt: skip
 
 
+@table("fuzz")
+def fuzz(results: Path) -> str:
+    """What became of damaged files and odd options."""
+    rows = pd.read_csv(results / "fuzz.csv")
+    made_of = rows["kind"].str.extract("^(PDB|mmCIF|options)", expand=False)
+    group = made_of.replace({"PDB": "PDB files", "mmCIF": "mmCIF files", "options": "sets of options"})
+    sums = rows.groupby(group.fillna(rows["kind"]), sort=False)[["files", "taken", "refused", "faults"]].sum()
+    sums.loc["all"] = sums.sum()
+    return of_rows(
+        sums.rename_axis("group").reset_index(),
+        ("damaged", "{group}"), ("number", "{files}"), ("taken", "{taken}"),
+        ("refused, in one line", "{refused}"), ("faults", "{faults}"),
+    )  # fmt: skip
+
+
 @table("kinds")
 def kinds(results: Path) -> str:
     """What became of the kinds of file, by family."""

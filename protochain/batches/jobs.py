@@ -315,7 +315,8 @@ def find_jobs(
                 f"{path}: lies in the folder for the results; give them a folder of their own"
             )
     if not found:
-        raise ProtochainError("no structures found; give files, folders or patterns")
+        where = f"{manifest}: " if manifest else ""
+        raise ProtochainError(f"{where}no structures found; give files, folders or patterns")
     if not any(each.path.exists() for each in found):
         raise ProtochainError(f"{found[0].path}: not found, nor any other structure; check the names")
     usual = BatchSettings().values()

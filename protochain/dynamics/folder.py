@@ -137,7 +137,12 @@ class Folder:
         self._writer.writeheader()
 
     def reopen(
-        self, tree: Tree, structure: Structure, frame_interval: float, first: Callable[[Phase], Bath]
+        self,
+        tree: Tree,
+        structure: Structure,
+        frame_interval: float,
+        first: Callable[[Phase], Bath],
+        columns_of: Callable[[State, Floats], list[str]],
     ) -> tuple[State, list[dict[str, float]], Floats]:
         """Open the files of an earlier run and truncate them to its last checkpoint.
 
@@ -147,6 +152,8 @@ class Folder:
         frame_interval : float, ps
         first : callable
             Bath of the run's thermostat at its start.
+        columns_of : callable
+            Columns of the log, of a state and the positions (na, 3) at the start.
 
         Returns
         -------
@@ -163,20 +170,27 @@ class Folder:
             listed = arrays["lists_at"]
             lists_at = fitting(arrays, "lists_at", (structure.n_atoms if len(listed) else 0, 3))
         self.stored = values
-        if not self.log_part.exists() and self.log.exists():
-            self.log.replace(self.log_part)
-        if not self.log_part.exists() or self.log_part.stat().st_size < values["log_bytes"]:
-            raise ProtochainError(f"{self.log_part}: rows before the checkpoint are missing; ", *_AGAIN)
-        with undamaged(self.path):
-            reader = csv.DictReader(self.log_part.read_bytes()[: values["log_bytes"]].decode().splitlines())
+        # All is read before any file is changed: a run that is refused leaves its folder as it was.
+        log = self.log_part if self.log_part.exists() else self.log
+        text = log.read_bytes()[: values["log_bytes"]] if log.exists() else b""
+        if len(text) < values["log_bytes"]:
+            raise ProtochainError(f"{log}: rows before the checkpoint are missing; ", *_AGAIN)
+        columns = columns_of(state, self.start)
+        try:
+            reader = csv.DictReader(text.decode().splitlines())
             rows = [{name: float(value) for name, value in row.items()} for row in reader]
+            if list(reader.fieldnames or ()) != columns:
+                raise ValueError("other columns")
+        except (TypeError, ValueError, csv.Error) as error:
+            raise ProtochainError(f"{log}: damaged log ({error}); ", *_AGAIN) from None
         self._frames = TrajectoryFile(
             self.trajectory, structure, frame_interval, (values["frames"], values["trajectory_bytes"])
         )
+        log.replace(self.log_part)
         self._file = self.log_part.open("r+", newline="", encoding="utf-8")
         self._file.truncate(values["log_bytes"])
         self._file.seek(0, os.SEEK_END)
-        self._writer = csv.DictWriter(self._file, list(reader.fieldnames or ()))
+        self._writer = csv.DictWriter(self._file, columns)
         return state, rows, lists_at
 
     def append(self, row: Mapping[str, float], x: Floats) -> None:

@@ -388,14 +388,18 @@ def _simulate(
 def _start(run: _Run, folder: Folder | None, resume: bool) -> tuple[State, Floats, list[dict[str, float]]]:
     """First state, positions (na, 3) at step 0, and rows logged so far; create or reopen the files."""
     interval = run.settings.every * run.settings.time_step
+
+    def columns(state: State, origin: Floats) -> list[str]:
+        return list(run.row(state, origin)[0])
+
     if folder and resume:
         first = run.propagator.thermostat.init
-        state, rows, lists_at = folder.reopen(run.chain.tree, run.chain.structure, interval, first)
+        state, rows, lists_at = folder.reopen(run.chain.tree, run.chain.structure, interval, first, columns)
         if len(lists_at):
             run.varying.list_at(lists_at)
         return state, folder.start, rows
     state = initial(run.propagator, run.q)
     origin = place_atoms(run.chain, state.at.factors.frames)
     if folder:
-        folder.open(run.chain.structure, origin, interval, list(run.row(state, origin)[0]))
+        folder.open(run.chain.structure, origin, interval, columns(state, origin))
     return state, origin, []

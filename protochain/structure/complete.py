@@ -158,7 +158,13 @@ def _phi(part: Part, i: int) -> float:
 
 def _check_backbone(draft: Draft, member: Member) -> None:
     """Refuse a backbone from which nothing can be built."""
-    n, alpha, c = (np.array(a.pos.tolist()) for name in residues.BACKBONE if (a := member.atom(name)))
+    places = {a.name: np.array(a.pos.tolist()) for a in member.atoms if a.name in residues.BACKBONE}
+    for name in residues.BACKBONE:
+        if name not in places:  # As after its conversion to a parent, which has no such element there.
+            raise StructureError(
+                f"{draft.source}: {member}: atom {name} missing; build it, or remove the residue"
+            )
+    n, alpha, c = (places[name] for name in residues.BACKBONE)
     if np.linalg.norm(np.cross(n - alpha, c - alpha)) < _FLAT:
         raise StructureError(f"{draft.source}: {member}: N, CA and C are collinear; correct the coordinates")
 

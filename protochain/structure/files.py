@@ -46,6 +46,10 @@ _USED = slice(12, 66)
 _RECORDS = ("ATOM", "HETATM", "ANISOU", "SIGATM", "SIGUIJ")
 _LONGEST_NAME = 80
 """Letters of the name of a chain, residue or atom; longer ones are refused: messages quote them."""
+_HEAVIEST = 111
+"""Atomic number of the last element that OpenMM knows."""
+_UNKNOWN = "UNL"
+"""Name of the PDB for ligands of unknown kind; mmCIF has no empty names."""
 _FARTHEST = 1e5
 """Angstrom. Larger coordinates are refused."""
 
@@ -106,6 +110,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
     overlooked += chains_told_apart(structure)
     structure.merge_chain_parts()
+    _without_oddities(structure)
     check(structure, source)
     overlooked += told_apart(structure, source)
     return structure, overlooked, ends, records
@@ -304,7 +309,7 @@ def _corrected(text: str, source: str, overlooked: list[Repair]) -> str:
         line = _of_three_letters(line)
         _refuse_odd_numbers(line, i + 1, source)
         element = line[76:78].strip()
-        if element and not gemmi.Element(element).atomic_number:
+        if element and not 0 < gemmi.Element(element).atomic_number <= _HEAVIEST:
             strange.append(i + 1)
             line = line[:76].rstrip()
         if not _CHARGE.fullmatch(line[78:80].strip()):
@@ -357,6 +362,18 @@ def _refuse_odd_numbers(line: str, number: int, source: str) -> None:
 
 def _is_hybrid36(given: str) -> bool:
     return len(given) == 4 and given[0].isalpha() and given.isalnum() and given.isascii()
+
+
+def _without_oddities(structure: gemmi.Structure) -> None:
+    """Correct what others would fail at: empty names and insertion codes (NUL to gemmi), odd elements."""
+    for model in structure:
+        for place in model.all():
+            if not place.residue.name.strip():
+                place.residue.name = _UNKNOWN
+            if place.residue.seqid.icode == "\0":
+                place.residue.seqid.icode = " "
+            if place.atom.element.atomic_number > _HEAVIEST:
+                place.atom.element = gemmi.Element("X")
 
 
 def check(structure: gemmi.Structure, source: str) -> None:

@@ -42,6 +42,8 @@ PEPTIDE_BREAK = 2.0
 PEPTIDE_TORN = 3.0
 """Angstrom: C and N of consecutive numbers are bonded up to here, as in models whose bonds are off. Atoms of
 two chain ends do not come that near: C and N that are not bonded touch at 3.25."""
+_MOST_STRAYS = 10
+"""Residues in a row that may stand in another place of the file than in the chain."""
 SMALLEST_RING = 4
 """Fewest residues of a head-to-tail cyclic peptide."""
 _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.ConnectionType.MetalC)
@@ -352,7 +354,12 @@ class _Reader:
     def _add_unbroken(self, run: list[Member]) -> None:
         """Split a chain where residues are not bonded; a bond across a gap would be far too long."""
         part: list[Member] = []
+        strays = {id(member): member for member in _strays(run)}
+        for member in strays.values():
+            self._add([member])
         for member in run:
+            if id(member) in strays:
+                continue
             if part:
                 gap = _gap(part[-1], member)
                 if gap >= PEPTIDE_BREAK and _is_torn(part[-1], member, gap):
@@ -437,6 +444,25 @@ def _gap(last: Member, first: Member) -> float:
     if end is None or start is None or last.name in ("NME", "NH2") or first.name == "ACE":
         return np.inf
     return float(end.pos.dist(start.pos))
+
+
+def _strays(run: list[Member]) -> list[Member]:
+    """Single residues, bonded to none, that stand between two that are bonded to each other."""
+    starts = [
+        i
+        for i in range(1, len(run))
+        if (gap := _gap(run[i - 1], run[i])) >= PEPTIDE_BREAK and not _is_torn(run[i - 1], run[i], gap)
+    ]
+    found: set[int] = set()
+    for k, start in enumerate(starts):
+        # Ends of the pieces of one residue that follow one another from here on.
+        for i, end in enumerate(starts[k + 1 : k + 1 + _MOST_STRAYS], start + 1):
+            if end != i:
+                break
+            if _gap(run[start - 1], run[end]) < PEPTIDE_BREAK:
+                found.update(range(start, end))
+                break
+    return [run[i] for i in sorted(found)]
 
 
 def _is_torn(last: Member, first: Member, gap: float) -> bool:

@@ -87,6 +87,7 @@ class TrajectoryFile:
         if kept is None:
             self.part.unlink(missing_ok=True)
         else:
+            self._check_header(structure)
             self._cut(*kept)
         self._file: Any = None
         try:
@@ -106,11 +107,26 @@ class TrajectoryFile:
             self.part.touch()
             self._writer = app.XTCFile(str(self.part), structure.topology, **settings)
 
+    def _there(self) -> Path:
+        """File to continue: under its final name, if the run had ended."""
+        return self.part if self.part.exists() else self.path
+
+    def _check_header(self, structure: Structure) -> None:
+        """Refuse what is no DCD file of the structure before it is cut."""
+        there = self._there()
+        if there.suffix.lower() != ".dcd" or not there.exists():
+            return
+        try:
+            with there.open("rb") as file:
+                app.DCDFile(file, structure.topology, 0.0, append=True)
+        except (ValueError, struct.error, OSError) as error:
+            raise StructureError(f"{there}: cannot be continued ({error}); start the run anew") from None
+
     def _cut(self, n_frames: int, n_bytes: int) -> None:
-        if not self.part.exists() and self.path.exists():
-            self.path.replace(self.part)
-        if not self.part.exists() or self.part.stat().st_size < n_bytes:
-            raise StructureError(f"{self.part}: has lost frames since its checkpoint; start the run anew")
+        there = self._there()
+        if not there.exists() or there.stat().st_size < n_bytes:
+            raise StructureError(f"{there}: has lost frames since its checkpoint; start the run anew")
+        there.replace(self.part)
         with self.part.open("r+b") as file:
             file.truncate(n_bytes)
             if self.path.suffix.lower() == ".dcd":
