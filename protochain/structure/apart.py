@@ -21,7 +21,7 @@ _SAME_PLACE = 0.5
 _UPON, _SHARE = 1.0, 0.5
 """Angstrom: a chain lies upon another if this share of its C-alphas is this near to C-alphas of that one."""
 _CROWD, _CROWDED = 4.0, (200_000, 20)
-"""Angstrom; pairs of heavy atoms this near that any file may have, and more for each atom. Packed well, an atom
+"""Angstrom; pairs of heavy atoms this near that any file may have, and more for each atom: packed well, one
 has six. What is looked at later, overlaps of atoms and who hides whom, grows with the square of crowds."""
 _IDS = ascii_uppercase + ascii_lowercase + digits
 

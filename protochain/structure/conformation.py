@@ -59,8 +59,8 @@ def check_altloc(model: gemmi.Model, asked: str, source: str) -> None:
         raise StructureError(f"{source}: has no alternate location {asked!r}: {there}; change or omit altloc")
 
 
-def without_nan(model: gemmi.Model) -> list[str]:
-    """Put 0 for occupancies and B factors that are no numbers, and return what was done.
+def without_nan(model: gemmi.Model) -> int:
+    """Put 0 for occupancies and B factors that are no numbers, and return of how many atoms.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def without_nan(model: gemmi.Model) -> list[str]:
         if not (isfinite(atom.occ) and isfinite(atom.b_iso)):
             n += 1
             atom.occ, atom.b_iso = (value if isfinite(value) else 0.0 for value in (atom.occ, atom.b_iso))
-    return [f"occupancy or B factor of {counted(n, 'atom')} is no number: taken as 0"] if n else []
+    return n
 
 
 def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:

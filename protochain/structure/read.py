@@ -122,7 +122,8 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     draft.header = take_header(structure, draft.header)
     model = choose_model(draft, structure, reading.model)
     check_altloc(model, reading.altloc, draft.source)
-    draft.repairs += without_nan(model)
+    if atoms := without_nan(model):
+        draft.note(Kind.NOT_A_NUMBER, count=atoms)
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections

@@ -55,6 +55,7 @@ class Kind(Enum):
 
     # Of the file.
     LOWER_CASE = Words("{count:n atom record} in lower case read as upper case")
+    NOT_A_NUMBER = Words("occupancy or B factor of {count:n atom} is no number: taken as 0")
     NO_ELEMENT = Words(
         "columns 77-78 of {count:n atom record}, from line {line} on, hold no element: elements derived from "
         "atom names"

@@ -262,7 +262,7 @@ def _has_free_dot(structure: Structure, tree: cKDTree, pairs: Integers, share: F
     dot, rank = np.nonzero(others < tree.n)
     hide(dot, others[dot, rank])
     left = np.flatnonzero(~hidden)
-    count = tree.query_ball_point(dots[left], farthest, return_length=True)
+    count = np.asarray(tree.query_ball_point(dots[left], farthest, return_length=True))
     portion = _PORTION * _DOTS * _NEAREST
     ends = np.searchsorted(np.cumsum(count), range(portion, int(count.sum()), portion))
     for some in np.split(left, ends):
