@@ -205,6 +205,7 @@ def supervise(job: Job, folder: Path, threads: int, time_limit: float) -> list[R
         if child is not None:
             child.kill()
         child = _here.child = Child(threads)
-        children: _Children = getattr(_here, "children", _Children())
-        children.add(child)
+        children: _Children | None = getattr(_here, "children", None)
+        if children is not None:
+            children.add(child)
     return child.do(job, folder, time_limit)
