@@ -204,8 +204,8 @@ def supervise(job: Job, folder: Path, threads: int, time_limit: float) -> list[R
     if child is None or not child.is_alive or child.threads != threads:
         if child is not None:
             child.kill()
-        child = Child(threads)
-        _here.child = child
-        children: _Children = getattr(_here, "children", _Children())
-        children.add(child)
+        child = _here.child = Child(threads)
+        children: _Children | None = getattr(_here, "children", None)
+        if children is not None:
+            children.add(child)
     return child.do(job, folder, time_limit)
