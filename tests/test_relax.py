@@ -4,6 +4,7 @@ import copy
 import pickle
 import signal
 from dataclasses import replace
+from pathlib import Path
 
 import gemmi
 import models
@@ -292,6 +293,11 @@ def test_molecules_beside_the_protein_stand_still():
 )
 def test_names_of_results(given, named, tmp_path):
     assert relaxed_name(tmp_path / given) == named
+
+
+def test_a_result_of_standard_input_has_a_name(monkeypatch):
+    monkeypatch.setattr("protochain.relaxation.names.format_of", lambda source: "PDB")
+    assert relaxed_name(Path("-")) == "stdin.relaxed.pdb"
 
 
 def test_a_result_is_a_value(relaxed, damaged):

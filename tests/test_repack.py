@@ -1,5 +1,6 @@
 """Side chains put into the best of their rotamers."""
 
+import importlib
 from itertools import product
 
 import numpy as np
@@ -346,6 +347,27 @@ def test_by_default_those_turn_that_are_in_the_way():
     found = repacked(given)
     assert not len(near_pairs(found, found.positions, OVERLAP)[0])
     assert len(troubled(found)) < len(troubled(given))
+
+
+def test_the_next_round_looks_where_the_last_put_side_chains(monkeypatch):
+    """One put onto another that was far from it: then that may turn, too."""
+    s, seen = load("1l2y.pdb"), []
+    module, x = importlib.import_module("protochain.relaxation.repack"), s.positions.copy()
+    side = [(s.atom_residue == r) & ~np.isin(s.atom_name, module._STAYING) for r in (0, 15)]
+    x[side[0]] += x[side[1]].mean(axis=0) - x[side[0]].mean(axis=0)
+
+    def settled(structure, terms, turning):
+        seen.append({arm.residue for arm in turning})
+        return x, ()
+
+    for name, made in (
+        ("_settled", settled),
+        ("_terms", lambda *_: True),
+        ("troubled", lambda _: np.array([0])),
+    ):
+        monkeypatch.setattr(module, name, made)
+    repacked(s)
+    assert seen[0] == {0} and seen[1] >= {0, 15}
 
 
 def test_threaded_rings_are_freed():
