@@ -49,6 +49,7 @@ def test_a_table_has_a_row_for_each_record_and_their_messages_below(
     terminal.print_table([first, second])
     *table, message, other = lines_of(capsys)
     assert (message, other) == (f"{method}: [red]stopped", "own: not 12 done")
+    assert max(map(len, table)) <= max(terminal._WIDTH, columns)
     at = next(k for k, line in enumerate(table) if values[0] in line)
     for column, value in zip(SHOWN[2:], values[1:], strict=True):
         assert column.short_text(value) in table[at].split(), column.key
