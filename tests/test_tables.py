@@ -14,7 +14,7 @@ from protochain.analysis.plots import COLOURS
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.page import HEIGHT, WIDTH, curves, write_page
 from protochain.batches.report import WORST, plot_distribution, statistics, worst_first, write_report
-from protochain.batches.table import COLUMNS, INTEGERS, TRACE_COLUMNS, Tables, read_table
+from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables, read_table
 from protochain.minimisers import record
 
 TWO = BatchSettings(methods=("lbfgs", "kcm"))
@@ -196,18 +196,27 @@ def test_a_new_batch_without_a_row_leaves_nothing_whatever_is_missing_already(tm
 
 def test_names_that_look_like_numbers_stay_text_and_counts_stay_whole(tmp_path):
     path = tmp_path / "summary.csv"
-    text, integers = ("structure", "message", "key", "repairs", "left_out", "output"), INTEGERS
-    names = (*text, *integers)
-    path.write_text(
-        ",".join([*names, "seconds"]) + "\n" + "007," * len(names) + "1.50\n" + "," * len(names) + "\n"
-    )
+    counts = [name for name in COLUMNS if name.startswith("n_")]
+    whole = [*counts, "iterations", "evaluations", "seed", "threads", "model"]
+    text = [
+        "structure",
+        "message",
+        "key",
+        "repairs",
+        "left_out",
+        "constant_terms",
+        "restraint_kj_mol_nm2",
+        "output",
+    ]
+    names = (*text, *whole)
+    path.write_text(f"{','.join(names)},seconds\n" + "007," * len(names) + "1.50\n" + "," * len(names) + "\n")
     table = read_table(path)
-    assert table.loc[0, list(text)].tolist() == ["007"] * len(text) and table.loc[0, "seconds"] == 1.5
+    assert table.loc[0, text].tolist() == ["007"] * len(text) and table.loc[0, "seconds"] == 1.5
     # Whole numbers remain whole beside a failure, which has none; also in Parquet.
-    assert table.loc[0, list(integers)].tolist() == [7] * len(integers) and table.loc[1].isna().all()
+    assert table.loc[0, whole].tolist() == [7] * len(whole) and table.loc[1].isna().all()
     table.to_parquet(tmp_path / "table.parquet", index=False)
     for each in (table, pd.read_parquet(tmp_path / "table.parquet")):
-        assert {str(each[name].dtype) for name in integers} == {"Int64"}
+        assert {str(each[name].dtype) for name in whole} == {"Int64"}
 
 
 def points(*values):
