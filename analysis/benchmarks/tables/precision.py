@@ -36,7 +36,7 @@ def curves_short(points: pd.DataFrame) -> str:
         point = of[of["parameter"] == parameter].iloc[-1] if parameter is not None else of.iloc[-1]
         shown = _shown(point["error"], point["unit"])
         rows.append([named.format(**point), f"`{kind}`", shown, point["held_against"]])
-    return markdown(("what", "kind", "error", "held against"), rows)
+    return markdown(("what", "kind", "error", "compared with"), rows)
 
 
 @table("curves", "precision_curves.csv")
