@@ -28,7 +28,7 @@ TOLERANCE = 1.0
 compared (:func:`protochain.compare`, many starts)."""
 TOLERANCE_IN_ALL_ATOMS = 10.0
 """kJ/mol/nm, OpenMM's default, of a minimisation by itself: its end is near the start, and lower by nearly as
-much as the minimum. The curve is in analysis/README.md."""
+much as the minimum. The curve is in analysis/docs/measured/minimisers.md."""
 MAX_EVALUATIONS = 5000
 SEED = 0
 PRESET = "predicted"

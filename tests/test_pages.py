@@ -14,32 +14,25 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import MORE_STRUCTURES, ROOT
-from test_docs import COMMANDS, options_of
+from test_docs import COMMANDS, blocks
 from typer.exceptions import TyperException
 
 from protochain.analysis.studies import STUDIES
+from protochain.scenes import SCENES
 
 FOLDER = ROOT / "analysis" / "benchmarks"
 sys.path.insert(0, str(FOLDER))
 import made  # noqa: E402
 import pages  # noqa: E402
 import tables  # noqa: E402
-import tables_more  # noqa: E402
+from tables import minimisers  # noqa: E402
 
 benchmarks = importlib.import_module("all")
-HELPERS = {
-    "all", "made", "pages", "relax_openmm", "tables", "tables_curves", "tables_kcm", "tables_more",
-    "tables_near", "tables_scenes",
-}  # fmt: skip
+HELPERS = {"all", "made", "pages", "relax_openmm"}
 NOTEBOOKS = sorted((ROOT / "analysis" / "notebooks").glob("*.ipynb"))
-TEXTS = {
-    str(page.relative_to(ROOT)): re.sub(
-        r"<!-- table made -->.*?<!-- end -->", "", page.read_text(), flags=re.S
-    )
-    for page in sorted({*pages.PAGES, *(ROOT / "analysis" / "docs").glob("*.md")})
-}
-"""Of pages, but for the list of past commands, which were true at their commits."""
-TEXTS |= {
+MADE = re.compile(r"<!-- table made -->.*?<!-- end -->", re.DOTALL)
+"""Past commands, which were true at their commits."""
+TEXTS = {str(page.relative_to(ROOT)): MADE.sub("", page.read_text()) for page in pages.PAGES} | {
     path.name: "\n".join("".join(cell["source"]) for cell in json.loads(path.read_text())["cells"])
     for path in NOTEBOOKS
 }
@@ -53,15 +46,18 @@ SCRIPTS = sorted(
 PROGRAM = sorted(
     {
         found.strip()
-        for text in TEXTS.values()
+        for name, text in TEXTS.items()
+        if name != "analysis/docs/commands.md"  # Synopses: tests/test_docs.py.
         for code in (
             *re.findall(r"^```\n(.*?)^```$", text, flags=re.M | re.S),
-            *re.findall(r"`([^`\n]+)`", text),
+            *(" ".join(span.split()) for span in re.findall(r"`([^`]+)`", pages.FENCED.sub("", text))),
         )
-        for found in re.findall(r"^(protochain [a-z]+[^\n#]*)", code, flags=re.M)
+        for found in re.findall(r"^(?:.*(?:&&|\|) )?(protochain [a-z]+[^\n#]*)", code, flags=re.M)
     }
 )
+"""Commands of the program, in blocks and in the text."""
 every_job = pytest.mark.parametrize("job", benchmarks.JOBS, ids=lambda job: job.name)
+every_page = pytest.mark.parametrize("page", pages.PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 
 
 def accepted(script, words):
@@ -73,100 +69,97 @@ def accepted(script, words):
     return False
 
 
-@pytest.mark.parametrize("page", pages.PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@every_page
 def test_tables_of_a_page_are_those_of_the_results(page):
     text = page.read_text()
     assert pages.rendered(text, pages.RESULTS) == text
 
 
-def test_every_table_is_used():
+def test_every_table_is_used_and_has_results():
     used = {name for page in pages.PAGES for _, name, _, _ in pages.MARKED.findall(page.read_text())}
     assert used == set(tables.TABLES)
+    assert all(make(pages.RESULTS) for make in tables.TABLES.values())
 
 
-def test_every_table_of_numbers_is_made_from_results():
-    """But of synopses, words and names, and the two of KCM's own study."""
-    for name in ("README.md", "analysis/README.md"):
-        typed = pages.MARKED.sub("", TEXTS[name])
-        for block in re.findall(r"^\|.*\n\|[-:| ]+\|\n((?:\|.*\n)+)", typed, re.M):
-            cells = [cell.strip() for row in block.splitlines() for cell in row.strip("|").split("|")]
-            numbers = [cell for cell in cells if re.fullmatch(r"[-+]?[\d.,]+( ?%|x)?", cell)]
-            assert numbers == [], f"{name}: typed numbers {numbers[:5]}"
+@every_page
+def test_every_table_of_numbers_is_made_from_results(page):
+    """But of synopses, words and names."""
+    typed = pages.MARKED.sub("", page.read_text())
+    for block in re.findall(r"^\|.*\n\|[-:| ]+\|\n((?:\|.*\n)+)", typed, re.M):
+        rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in block.splitlines()]
+        numbers = [cell for row in rows for cell in row[1:] if re.fullmatch(r"[-+]?[\d.,]+( ?%|x)?", cell)]
+        assert numbers == [], f"typed numbers {numbers[:5]}"
 
 
-def test_a_table_follows_its_results():
-    text = "before\n<!-- table race-medians -->\nstale\n<!-- end -->\nafter\n"
-    new = pages.rendered(text, pages.RESULTS)
-    assert new.startswith("before\n<!-- table race-medians -->\n") and new.endswith("<!-- end -->\nafter\n")
-    assert "stale" not in new and "GBSAOBCForce" in new
+def test_the_contents_list_every_page_and_section():
+    contents = (ROOT / "analysis" / "README.md").read_text()
+    for page in pages.DOCS.rglob("*.md"):
+        place = page.relative_to(ROOT / "analysis")
+        for line in pages.FENCED.sub("", page.read_text()).splitlines():
+            if re.match("## ", line):
+                assert f"]({place}#{pages.anchor(line[3:])})" in contents, line
+        assert f"]({place})" in contents, place
+
+
+def test_pages_say_which_tables_are_of_the_undamped_metric():
+    """Beside each such table, until it is measured again."""
+    for page in pages.PAGES:
+        text = page.read_text()
+        for name in ("precision", "race-medians", "race-short", "metric"):
+            before, found, _ = text.partition(f"<!-- table {name} -->")
+            if found:
+                assert re.search(
+                    "`cartesian`.*damped", before.rpartition("\n\n")[0].rpartition("\n\n")[2], re.S
+                )
+
+
+def test_the_readme_tests_as_ci_does():
+    (tested,) = [line for line in (ROOT / ".ci" / "run").read_text().splitlines() if "pytest" in line]
+    (quoted,) = [
+        line for block in blocks(ROOT / "README.md", "") for line in block.splitlines() if "pytest" in line
+    ]
+    assert quoted.endswith(tested.replace("pip install -q", "pip install"))
+
+
+def test_a_table_follows_its_results(tmp_path):
+    """New results change it, and nothing around it; without them it stays."""
+    text = "before\n<!-- table mechanics-scaling -->\nstale\n<!-- end -->\nafter\n"
+    assert pages.rendered(text, tmp_path) == text
+    for ns in (130.0, 250.0):
+        row = {"hinges": [100], "ns_per_hinge": [ns], "bytes_per_hinge": [np.nan]}
+        pd.DataFrame(row).to_csv(tmp_path / "mechanics_scaling.csv", index=False)
+        lines = pages.rendered(text, tmp_path).splitlines()
+        assert [lines[0], lines[-1]] == ["before", "after"] and "stale" not in lines
+        assert [cell.strip() for cell in lines[4].split("|")[1:-1]] == ["100", f"{ns:.0f}", "-"]
     with pytest.raises(KeyError):
         pages.rendered("<!-- table nothing -->\n<!-- end -->", pages.RESULTS)
 
 
-def test_a_table_without_results_is_left_alone(tmp_path):
-    text = "<!-- table threads -->\n| typed |\n<!-- end -->\n<!-- table mechanics -->\nstale\n<!-- end -->\n"
-    pd.DataFrame(
-        {
-            "hinges": [100],
-            "forward_us": [10.0],
-            "pinocchio_us": [25.0],
-            "dart_us": [np.nan],
-            "solve_us": [5.0],
-        }
-    ).to_csv(tmp_path / "mechanics.csv", index=False)
-    new = pages.rendered(text, tmp_path)
-    assert "| typed |" in new and "stale" not in new
-    assert "| 100 | 10.0 | 25.0 (2.50x) | - | 5.0 | 25.0 (5.00x) |\n" in new
-    assert pages.without_results(text, tmp_path) == ["threads"]
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
+def test_what_was_not_reached_has_no_ratio(value):
+    assert tables.ratio(value) == "never"
 
 
-def test_markdown_aligns_numbers_right():
-    assert tables.markdown(("a", "b"), [("x", 1)]) == "| a | b |\n|---|--:|\n| x | 1 |\n"
+@pytest.mark.parametrize("value", [0.0123, 0.62, 0.994, 0.996, 5.0, 9.94, 9.96, 133.4])
+def test_a_ratio_is_shown_to_two_digits(value):
+    shown = tables.ratio(value)
+    assert shown.endswith("x") and float(shown[:-1]) == pytest.approx(value, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("value", "shown"),
-    [
-        (0.0, "never"),
-        (float("nan"), "never"),
-        (0.62, "0.62x"),
-        (5.0, "5.0x"),
-        (9.94, "9.9x"),
-        (9.96, "10x"),
-        (133.4, "133x"),
-    ],
-)
-def test_ratios_are_quoted_with_two_digits(value, shown):
-    assert tables.ratio(value) == shown
-
-
-def test_costs_of_minimisers_are_quoted_with_quartiles(tmp_path):
-    levels = [(m, c, a) for m in (*tables.TORSIONS, *tables.CARTESIAN) for c in ("evaluations", "seconds")
-              for a in (100.0, 10.0, 1.0)]  # fmt: skip
-    rows = pd.DataFrame(levels, columns=["method", "cost", "above_kj_mol_per_100_residues"])
-    rows = rows.assign(first_quartile=12.0, median=23.46, third_quartile=np.inf)
-    rows.loc[rows["method"] == "kcm", ["first_quartile", "median"]] = np.inf
-    rows.to_csv(tmp_path / "precision.csv", index=False)
-    ends = pd.DataFrame({"method": [m for m in (*tables.TORSIONS, *tables.CARTESIAN) for _ in range(2)]})
-    ends = ends.assign(
-        status=["converged", "budget"] * 9, ca_rmsd_angstrom=[0.5, 0.7] * 9, structure=["a", "b"] * 9,
-        residues=50, energy_end_reference_kj_mol=-10.0,
-    )  # fmt: skip
-    # 0.4 kJ/mol of 50 residues are 0.8 of a hundred; those that move all atoms have their own lowest.
-    higher = {("lbfgs", "a"): 0.4, ("lbfgs", "b"): 0.6, ("hybrid", "a"): -9.0}
-    for (method, structure), rise in higher.items():
+def test_the_lowest_ends_are_those_of_each_kind():
+    """Within 1 kJ/mol per 100 residues; methods that move all atoms have their own lowest."""
+    methods = ("lbfgs", "newton", "hybrid", "openmm")
+    ends = pd.DataFrame([{"method": m, "structure": s, "residues": 50, "energy_end_reference_kj_mol": -10.0}
+                         for m in methods for s in "ab"])  # fmt: skip
+    # 0.4 kJ/mol of 50 residues are 0.8 of a hundred.
+    for (method, structure), rise in {
+        ("lbfgs", "a"): 0.4,
+        ("lbfgs", "b"): 0.6,
+        ("hybrid", "a"): -9.0,
+    }.items():
         its = (ends["method"] == method) & (ends["structure"] == structure)
         ends.loc[its, "energy_end_reference_kj_mol"] += rise
-    ends.to_csv(tmp_path / "precision_ends.csv", index=False)
-    long, short = tables.TABLES["precision"](tmp_path), tables.TABLES["precision-short"](tmp_path)
-    assert (
-        "| `lbfgs` | 23 (12 to never) | 23 (12 to never) | 23 (12 to never) | 1 of 2 | 1 | 0.60 |\n" in long
-    )
-    assert "| `lbfgs` | 23.5 (12.0 to never) | 23.5" in long
-    assert "| `kcm` | never | never | never | 1 of 2 | 2 | 0.60 |\n" in long
-    assert [row.split("|")[6].strip() for row in long.splitlines()[9:12]] == ["1", "2", "1"]
-    assert short.splitlines()[2] == "| evaluations | never | 23 | 23 | 23 | 23 | 23 | 23 |"
-    assert short.splitlines()[4] == "| converged |" + " 1 of 2 |" * 7
+    assert dict(minimisers.lowest(ends)) == {"lbfgs": 1, "newton": 2, "hybrid": 2, "openmm": 1}
 
 
 @pytest.mark.parametrize("quoted", SCRIPTS)
@@ -183,22 +176,25 @@ def test_commands_that_are_quoted_exist(quoted):
 
 
 @pytest.mark.parametrize("quoted", PROGRAM)
-def test_commands_of_the_program_that_are_quoted_exist(quoted):
-    _, command, *words = quoted.replace("[", " ").replace("]", " ").split()
+def test_commands_of_the_program_that_are_quoted_are_parsed(quoted):
+    _, command, *words = shlex.split(re.split(r" [<>|] ", quoted)[0])
     assert command in COMMANDS
-    options = {word for word in words if re.fullmatch(r"--?[a-z][\w-]*", word)}
-    assert options <= options_of(command)
+    if words:
+        COMMANDS[command].make_context(command, [word for word in words if word != "..."])
     if command == "bench" and words:
-        assert set(words[0].split("|")) <= {*STUDIES}
+        assert words[0] in {*STUDIES, *SCENES}
 
 
 def test_pages_quote_commands_that_make_their_tables():
     """Each is a command of the one table, or its beginning; "..." or FILES stand for names of files."""
     known = [job.command for job in benchmarks.JOBS]
-    for name in ("README.md", "analysis/README.md", "analysis/docs/cluster.md", "analysis/docs/theory.md"):
-        for quoted in re.findall(r"`(python analysis/benchmarks/[^`]+|protochain bench [^`]+)`", TEXTS[name]):
+    for page in pages.PAGES:
+        text = pages.MARKED.sub("", page.read_text())
+        for quoted in re.findall(
+            r"`(python analysis/benchmarks/[^`]+|protochain bench [^`]+-o DIR[^`]*)`", text
+        ):
             quoted = " ".join(quoted.split())
-            if quoted.split()[1] == "analysis/benchmarks/all.py":
+            if quoted.split()[1] in ("analysis/benchmarks/all.py", "analysis/benchmarks/pages.py"):
                 continue
             if "..." in quoted or "FILES" in quoted:
                 first, last = re.split(r" \S+ \.\.\. | FILES ", quoted)
@@ -248,20 +244,23 @@ def all_py(*words):
 
 
 def test_all_makes_a_table_and_the_page_that_quotes_it(tmp_path):
-    done = all_py("--quick", "--only", "mechanics", "-o", str(tmp_path))
+    done = all_py("--quick", "--only", "search", "-o", str(tmp_path))
     assert done.returncode == 0, done.stderr
     record = pd.read_csv(tmp_path / "made.csv", dtype=str, keep_default_na=False).set_index("table")
-    assert list(record.index) == ["mechanics.csv", "mechanics_scaling.csv"]
-    row = record.loc["mechanics.csv"]
-    assert row["command"] == "python analysis/benchmarks/mechanics.py -o DIR --quick"
-    assert (
-        row["commit"] and "numpy" in row["versions"] and "cores" in row["machine"] and float(row["load"]) >= 0
-    )
-    table = pd.read_csv(tmp_path / "mechanics.csv")
-    page = (tmp_path / "pages" / "analysis" / "README.md").read_text()
-    for r in table.itertuples():
-        assert f"| {r.hinges} | {r.forward_us:.1f} | " in page
-    assert (tmp_path / "pages" / "README.md").exists()
+    assert list(record.index) == ["search.csv", "search_lists.csv"]
+    row = record.loc["search.csv"]
+    assert row["command"] == "python analysis/benchmarks/search.py -o DIR --quick"
+    assert row["commit"] and row["versions"] and row["machine"] and float(row["load"]) >= 0
+    for page in pages.PAGES:
+        assert (tmp_path / "pages" / page.relative_to(ROOT)).exists()
+    page = (tmp_path / "pages" / "analysis" / "docs" / "measured" / "mechanics.md").read_text()
+    (shown,) = [found for _, name, found, _ in pages.MARKED.findall(page) if name == "search"]
+    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in shown.splitlines()]
+    sizes = [int(cell.replace(",", "")) for cell in cells[0][1:-1]]
+    measured = pd.read_csv(tmp_path / "search.csv").pivot(index="search", columns="bodies", values="ns_each")
+    assert {row[0] for row in cells[2:]} == set(measured.index)
+    for name, *values, _ in cells[2:]:
+        assert [float(value) for value in values] == pytest.approx(measured.loc[name, sizes], abs=0.51)
 
 
 def test_all_goes_on_after_a_failure_and_says_so(tmp_path, monkeypatch, capfd):
@@ -336,7 +335,3 @@ def test_the_dipeptide_is_capped_alanine():
     structure = importlib.import_module("dipeptide").molecule()
     assert list(structure.residue_name) == ["ACE", "ALA", "NME"]
     assert structure.n_atoms == 22
-
-
-def test_modules_of_tables_share_one_register():
-    assert tables_more.table is tables.table

@@ -1,29 +1,24 @@
-"""Tables of a batch, their text to the letter; the pages drawn from them."""
+"""Tables of a batch: which rows are there, in what order, and what is drawn from them."""
 
+import csv
 import os
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import noted
 from matplotlib.image import imread
 
 import protochain as pc
+from protochain.analysis.plots import COLOURS
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.page import HEIGHT, WIDTH, curves, write_page
-from protochain.batches.report import plot_distribution, statistics, worst_first, write_report
-from protochain.batches.table import CIRCUMSTANCES, COLUMNS, TRACE_COLUMNS, Tables, read_table
-from protochain.lab.report import COLOURS
+from protochain.batches.report import WORST, plot_distribution, statistics, worst_first, write_report
+from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables, read_table
 from protochain.minimisers import record
 
 TWO = BatchSettings(methods=("lbfgs", "kcm"))
 JOBS = [Job(name, Path(f"/in/{name}.pdb"), TWO, f"key-{name}") for name in ("one", "two", "three")]
-HEADER = ",".join(COLUMNS) + "\n"
-TRACE_HEADER = (
-    "structure,method,iteration,evaluations,seconds,energy_kj_mol,"
-    "max_torque_kj_mol_rad,ca_rmsd_angstrom,key\n"
-)
 
 
 def line(job, method, status="refused", message="why", key=None, seconds="0.0"):
@@ -36,7 +31,15 @@ def line(job, method, status="refused", message="why", key=None, seconds="0.0"):
 
 
 def point(job, method, iteration=0):
-    return f"{job.name},{method},{iteration},1,0.5,-1.0,2.0,0.25,{job.key}\n"
+    """A row of traces.csv."""
+    cells = dict.fromkeys(TRACE_COLUMNS, "0.5") | {
+        "structure": job.name, "method": method, "iteration": str(iteration), "key": job.key,
+    }  # fmt: skip
+    return ",".join(cells.values()) + "\n"
+
+
+def header(columns):
+    return ",".join(columns) + "\n"
 
 
 def rows(job, status="refused", n_points=1):
@@ -55,37 +58,50 @@ def tables(tmp_path):
     made.close()
 
 
-def texts(tables):
-    return tables.summary.read_text(), tables.traces.read_text()
+def read(path, columns):
+    """Rows of a table as text, whose header is these columns."""
+    first, *rows = csv.reader(path.read_text().splitlines())
+    assert tuple(first) == columns
+    return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
-def test_columns_are_those_of_a_record_and_of_a_batch():
-    more = (
-        "ca_rmsd_to_openmm_angstrom", "n_starts", "energy_median_kj_mol", "energy_highest_kj_mol",
-        "n_within_1_kj_mol_of_lowest", "seconds_preparation", "input", "model", "output", "key",
-    )  # fmt: skip
-    assert (*(column.key for column in record.COLUMNS), *more) == COLUMNS
-    assert ",".join(TRACE_COLUMNS) + "\n" == TRACE_HEADER
-    assert CIRCUMSTANCES == ("killed", "time-limit", "interrupted")
+def runs(tables):
+    """Structure and method of each row of summary.csv."""
+    return [(row["structure"], row["method"]) for row in read(tables.summary, COLUMNS)]
+
+
+def steps(tables):
+    """Structure, method and iteration of each row of traces.csv."""
+    rows = read(tables.traces, TRACE_COLUMNS)
+    return [(row["structure"], row["method"], int(row["iteration"])) for row in rows]
+
+
+def test_columns_of_a_batch_hold_those_of_a_record():
+    keys = [column.key for column in record.COLUMNS]
+    assert list(COLUMNS[: len(keys)]) == keys and len({*COLUMNS}) == len(COLUMNS)
+    # What tells the rows of a structure, on resuming, and where its files are.
+    assert {"structure", "method", "status", "key", "input", "model", "output"} <= {*COLUMNS}
+    assert {"structure", "method", "iteration", "key"} <= {*TRACE_COLUMNS}
 
 
 def test_rows_are_appended_after_a_header_and_sorted_by_job_and_method(tables):
-    assert texts(tables) == (HEADER, TRACE_HEADER)
+    assert runs(tables) == steps(tables) == []
     one, two, three = JOBS
     tables.append(rows(two, n_points=2))
     tables.append(reversed(rows(one)))
-    summary, traces = texts(tables)
-    assert summary == HEADER + "".join(
-        line(*each) for each in ((two, "lbfgs"), (two, "kcm"), (one, "kcm"), (one, "lbfgs"))
-    )
-    points = [(two, "lbfgs"), (two, "lbfgs", 1), (two, "kcm"), (two, "kcm", 1), (one, "kcm"), (one, "lbfgs")]
-    assert traces == TRACE_HEADER + "".join(point(*each) for each in points)
+    assert runs(tables) == [("two", "lbfgs"), ("two", "kcm"), ("one", "kcm"), ("one", "lbfgs")]
+    of_two = [("two", method, k) for method in ("lbfgs", "kcm") for k in (0, 1)]
+    assert steps(tables) == [*of_two, ("one", "kcm", 0), ("one", "lbfgs", 0)]
+    written = read(tables.summary, COLUMNS)[0]
+    given = failure(two, "lbfgs", "refused", "why").record
+    assert {name: written[name] for name in given} == {name: str(value) for name, value in given.items()}
+    trace = read(tables.traces, TRACE_COLUMNS)[1]
+    point_given = rows(two, n_points=2)[0].trace[1]
+    assert all(float(trace[name]) == value for name, value in point_given.items() if name in trace)
     # Rows of what is not asked about come last.
     tables.sort([three, one])
-    summary, traces = texts(tables)
-    order = ((one, "lbfgs"), (one, "kcm"), (two, "lbfgs"), (two, "kcm"))
-    assert summary == HEADER + "".join(line(*each) for each in order)
-    assert traces == TRACE_HEADER + "".join(point(*points[k]) for k in (5, 4, 0, 1, 2, 3))
+    assert runs(tables) == [("one", "lbfgs"), ("one", "kcm"), ("two", "lbfgs"), ("two", "kcm")]
+    assert steps(tables) == [("one", "lbfgs", 0), ("one", "kcm", 0), *of_two]
 
 
 def test_files_are_closed_after_each_append(tables, monkeypatch):
@@ -113,11 +129,12 @@ def test_resuming_keeps_whole_rows_of_the_same_input_with_their_traces(tables):
         line(three, "lbfgs", key="old"), line(three, "kcm", key="old"),  # of another content
         line(stranger, "lbfgs", "killed"),  # not asked about
     ]  # fmt: skip
-    tables.summary.write_text(HEADER + "".join(summary) + line(three, "lbfgs")[:-5])
+    tables.summary.write_text(header(COLUMNS) + "".join(summary) + line(three, "lbfgs")[:-5])
     traces = [point(job, "lbfgs") for job in (two, one, stranger, three)]
-    tables.traces.write_text(TRACE_HEADER + "".join(traces) + "one,lbfgs\n" + point(one, "kcm")[:-1])
+    tables.traces.write_text(header(TRACE_COLUMNS) + "".join(traces) + "one,lbfgs\n" + point(one, "kcm")[:-1])
     assert tables.finished(JOBS) == {("one", "key-one")}
-    assert texts(tables) == (HEADER + "".join(summary[:2]) + summary[5], TRACE_HEADER + "".join(traces[1:3]))
+    assert tables.summary.read_text() == header(COLUMNS) + "".join(summary[:2]) + summary[5]
+    assert tables.traces.read_text() == header(TRACE_COLUMNS) + "".join(traces[1:3])
 
 
 @pytest.mark.parametrize("status", ["killed", "time-limit", "interrupted", "refused", "error", "budget"])
@@ -126,8 +143,7 @@ def test_what_circumstances_ended_is_done_again(status, tables):
     tables.append([rows(one)[0], failure(one, "kcm", status, "why")])
     again = status in ("killed", "time-limit", "interrupted")
     assert tables.finished([one]) == (set() if again else {one.identity})
-    assert texts(tables)[0].count("\n") == (1 if again else 3)
-    assert texts(tables)[1].count("\n") == (1 if again else 2)
+    assert len(runs(tables)) == (0 if again else 2) and len(steps(tables)) == (0 if again else 1)
 
 
 def test_bytes_that_are_no_text_spoil_their_own_row_only(tables):
@@ -146,12 +162,11 @@ def test_a_folder_is_of_one_batch_at_a_time(tables):
     for resume in (True, False):
         with pytest.raises(pc.ProtochainError) as refusal:
             Tables(folder, resume)
-        assert str(refusal.value) == f"{folder}: another batch is writing to this folder; give another"
+        assert str(refusal.value).startswith(f"{folder}: ")
     tables.close()
     with pytest.raises(pc.ProtochainError) as refusal:
         Tables(folder, resume=False)
-    said = f"{folder / 'summary.csv'}: holds a batch; resume=True continues it, or give another folder"
-    assert str(refusal.value) == said
+    assert str(refusal.value).startswith(f"{folder / 'summary.csv'}: ") and "resume" in str(refusal.value)
     # The refusal leaves no lock behind.
     Tables(folder, resume=True).close()
 
@@ -159,13 +174,13 @@ def test_a_folder_is_of_one_batch_at_a_time(tables):
 def test_a_folder_or_table_of_something_else_is_refused(tmp_path):
     file = tmp_path / "file"
     file.write_text("")
-    with pytest.raises(pc.ProtochainError, match="is not a folder"):
+    with pytest.raises(pc.ProtochainError, match=str(file)):
         Tables(file / "out", resume=False)
     (tmp_path / "summary.csv").write_text("structure,method\na,b\n")
     other = Tables(tmp_path, resume=True)
     with pytest.raises(pc.ProtochainError) as refusal:
         other.finished([])
-    assert str(refusal.value) == f"{other.summary}: is not a table of a batch; give another folder"
+    assert str(refusal.value).startswith(f"{other.summary}: ")
     other.close()
 
 
@@ -181,24 +196,27 @@ def test_a_new_batch_without_a_row_leaves_nothing_whatever_is_missing_already(tm
 
 def test_names_that_look_like_numbers_stay_text_and_counts_stay_whole(tmp_path):
     path = tmp_path / "summary.csv"
-    text = ("structure", "message", "key", "repairs", "left_out", "constant_terms", "restraint_kj_mol_nm2",
-            "output")  # fmt: skip
-    integers = (
-        "iteration", "iterations", "evaluations", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges",
-        "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
-    )  # fmt: skip
-    names = (*text, *integers)
-    path.write_text(
-        ",".join([*names, "seconds"]) + "\n" + "007," * len(names) + "1.50\n" + "," * len(names) + "\n"
-    )
+    counts = [name for name in COLUMNS if name.startswith("n_")]
+    whole = [*counts, "iterations", "evaluations", "seed", "threads", "model"]
+    text = [
+        "structure",
+        "message",
+        "key",
+        "repairs",
+        "left_out",
+        "constant_terms",
+        "restraint_kj_mol_nm2",
+        "output",
+    ]
+    names = (*text, *whole)
+    path.write_text(f"{','.join(names)},seconds\n" + "007," * len(names) + "1.50\n" + "," * len(names) + "\n")
     table = read_table(path)
-    assert table.loc[0, list(text)].tolist() == ["007"] * len(text) and table.loc[0, "seconds"] == 1.5
+    assert table.loc[0, text].tolist() == ["007"] * len(text) and table.loc[0, "seconds"] == 1.5
     # Whole numbers remain whole beside a failure, which has none; also in Parquet.
-    assert table.loc[0, list(integers)].tolist() == [7] * len(integers) and table.loc[1].isna().all()
+    assert table.loc[0, whole].tolist() == [7] * len(whole) and table.loc[1].isna().all()
     table.to_parquet(tmp_path / "table.parquet", index=False)
     for each in (table, pd.read_parquet(tmp_path / "table.parquet")):
-        assert {str(each[name].dtype) for name in integers} == {"Int64"}
-    assert set(integers) - {"iteration"} < set(COLUMNS)
+        assert {str(each[name].dtype) for name in whole} == {"Int64"}
 
 
 def points(*values):
@@ -206,22 +224,29 @@ def points(*values):
 
 
 def test_curves_are_scaled_to_all_runs_together():
-    assert (WIDTH, HEIGHT) == (640, 240)
+    energies = {
+        "kcm": ((0, 8.0), (10, 6.0), (100, 7.0)),
+        "lbfgs": ((1, 4.0), (20, np.nan), (1000, 0.0), (9999, np.inf)),
+    }
     drawn = curves(
         [
-            Row({"method": "kcm"}, points((0, 8.0), (10, 6.0), (100, 7.0))),
-            Row({"method": "lbfgs"}, points((1, 4.0), (20, np.nan), (1000, 0.0), (9999, np.inf))),
+            *(Row({"method": method}, points(*given)) for method, given in energies.items()),
             Row({"method": "none"}, points((1, np.nan))),
             Row({"method": "nothing"}, []),
         ]
     )
-    assert drawn == {
-        "low": 0.0, "high": 8.0, "most": 1000,
-        "lines": {"kcm": "0.0,0.0 213.3,60.0 426.7,60.0", "lbfgs": "0.0,120.0 640.0,240.0"},
-    }  # fmt: skip
-    assert curves([Row({"method": "none"}, points((1, np.nan)))]) == {"lines": {}}
+    assert (drawn["low"], drawn["high"], drawn["most"]) == (0.0, 8.0, 1000)
+    assert set(drawn["lines"]) == set(energies)
+    for method, line in drawn["lines"].items():
+        at = np.array([[float(value) for value in pair.split(",")] for pair in line.split()])
+        finite = [(n, e) for n, e in energies[method] if np.isfinite(e)]
+        # Thousand evaluations are the width, by their logarithm; the lowest energy so far, downward.
+        across = [np.log10(max(n, 1)) / 3 * WIDTH for n, _ in finite]
+        down = [(8.0 - min(e for _, e in finite[: k + 1])) / 8.0 * HEIGHT for k in range(len(finite))]
+        assert at == pytest.approx(np.column_stack([across, down]), abs=0.06)
+    assert not curves([Row({"method": "none"}, points((1, np.nan)))])["lines"]
     # One point is neither wide nor high.
-    assert curves([Row({"method": "kcm"}, points((1, 5.0)))])["lines"] == {"kcm": "0.0,0.0"}
+    assert curves([Row({"method": "kcm"}, points((1, 5.0)))])["lines"]["kcm"].split(",") == ["0.0", "0.0"]
 
 
 def test_a_structures_page_is_written_with_its_curves_and_repairs(tmp_path):
@@ -229,8 +254,10 @@ def test_a_structures_page_is_written_with_its_curves_and_repairs(tmp_path):
     row = Row(failure(JOBS[0], "kcm", "budget", "used up").record, points((1, 4.0), (100, 0.0)))
     write_page(tmp_path, JOBS[0], [row], [noted("<CB>")])
     page = (tmp_path / "pages" / "one.html").read_text()
-    for text in ("&lt;CB&gt;", "used up", 'points="0.0,0.0 640.0,240.0"', "640", "240", "one"):
-        assert text in page
+    drawn = curves([row])["lines"]["kcm"]
+    assert all(
+        text in page for text in ("&lt;CB&gt;", "used up", drawn, f"{WIDTH}", f"{HEIGHT}", "one")
+    )
     assert [path.name for path in (tmp_path / "pages").iterdir()] == ["one.html"]
 
 
@@ -290,18 +317,11 @@ def test_a_distribution_rises_to_all_structures():
     assert (
         first.get_ydata().tolist() == pytest.approx([100 / 3, 200 / 3, 100.0]) and second.get_ydata() == 100.0
     )
-    assert first.get_drawstyle() == "steps-post" and (first.get_label(), second.get_label()) == (
-        "kcm",
-        "lbfgs",
-    )
-    assert (first.get_linestyle(), second.get_linestyle()) == ("-", "--")
-    assert (first.get_color(), second.get_color()) == COLOURS[:2]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("seconds", "structures up to this value, %")
-    assert ax.get_ylim() == (0, 101) and ax.get_legend() is not None and not ax.get_legend().get_frame_on()
+    assert [line.get_label() for line in (first, second)] == ["kcm", "lbfgs"] and ax.get_legend() is not None
+    assert ax.get_xlabel() == "seconds" and ax.get_ylim()[1] >= 100
+    # Lines that share a colour differ in their dashes.
     many = plot_distribution(pd.Series(np.arange(9.0)), pd.Series(list("abcdefghi")), "").axes[0].lines
-    assert [each.get_color() for each in many] == [*COLOURS, *COLOURS[:2]]
-    assert [each.get_linestyle() for each in many] == ["-", "--", "-.", ":", "-", "--", "-.", ":", "-"]
-    assert figure.get_size_inches().tolist() == [5.2, 3.6] and figure.get_layout_engine() is not None
+    assert len({(line.get_color(), line.get_linestyle()) for line in many}) == len(many) > len(COLOURS)
     nothing = plot_distribution(values[2:3], methods[2:3], "").axes[0]
     assert not nothing.lines and nothing.get_legend() is None
 
@@ -325,11 +345,13 @@ def test_the_report_shows_each_row_and_links_the_pages_there_are(tmp_path):
     assert "<td>0.625</td><td>-30.000</td><td>5.000</td>" in "".join(
         part.strip() for part in page.split("\n")
     )
-    assert page.count("data:image/png;base64,") == 3 and "rows; all are in summary.csv" not in page
+    assert page.count("data:image/png;base64,") == 3
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "statistics.csv"), statistics(results()))
     assert len({(tmp_path / f"{stem}.png").read_bytes() for stem in ("energy", "rmsd", "seconds")}) == 3
-    assert imread(tmp_path / "energy.png").shape[:2] == (540, 780)
-    large = pd.concat([results()] * 51, ignore_index=True)
+    assert imread(tmp_path / "energy.png").std() > 0
+    shown = page.count(">said<")
+    assert shown == len(results())
+    large = pd.concat([results()] * (WORST // 4 + 1), ignore_index=True)
     write_report(tmp_path, large, summary)
     page = (tmp_path / "report.html").read_text()
-    assert "200 of 204 rows; all are in summary.csv" in page and page.count('class="text">said</td>') == 200
+    assert page.count(">said<") == WORST < len(large) and f"{WORST} of {len(large)} rows" in page

@@ -1,12 +1,22 @@
-"""What the commands print, to the letter."""
+"""What the commands print: every number, every message as it is, and nothing cut off."""
 
 from types import SimpleNamespace
 
 import pandas as pd
 import pytest
+from test_terminal import numbers
 
 from protochain.cli import terminal
 from protochain.minimisers.record import SHOWN
+
+KEYS = [column.key for column in SHOWN]
+LARGE = ("interrupted", 123456.781, -98765.432, 1234.561, 12345.671, 12.341, 5000, 1234.561)
+SMALL = ("clash", 1.0, -1.0, 0.001, 0.004999, 12.341, 5000, 100.0)
+BATCH = ("structure", "method", "status", "output", "message", "ca_rmsd_angstrom", "seconds")
+
+
+def lines_of(capsys):
+    return capsys.readouterr().out.splitlines()
 
 
 def test_a_simulation_is_summed_up_in_a_few_lines(capsys):
@@ -17,74 +27,46 @@ def test_a_simulation_is_summed_up_in_a_few_lines(capsys):
         "frame": "where it was",
     }  # fmt: skip
     terminal.print_simulation(record)
+    first, *_, last = lines = lines_of(capsys)
+    assert first.startswith("x: completed") and last.endswith(" d") and "where it was" in lines[-2]
+    shown = [12.34, 301.26, 0.01234, 1.234, 2.345, 30.5]
+    text = "\n".join(lines).replace("100 atoms", "atoms")
+    assert numbers(text) == pytest.approx(shown, rel=0.03)
     terminal.print_simulation(record | {"accepted": 0.456})
-    lines = [
-        "x: completed, 12.3 ns/day",
-        "temperature 301.3 K over the second half, conserved energy drifts 0.012 kJ/mol/ps for 100 atoms{}",
-        "C-alpha RMSD to the start 1.23 angstrom",
-        "to the input 2.35, as filed 30.50: where it was",
-        "written: d",
-    ]
-    text = "\n".join(lines) + "\n"
-    assert capsys.readouterr().out == text.format("") + text.format(", 46 % of trajectories kept")
+    assert 46.0 in numbers(capsys.readouterr().out) and 46.0 not in numbers(text)
 
 
-KEYS = [column.key for column in SHOWN]
-TABLE = """\
-                                            torque  force                      
-                             start      end kJ/mol kJ/mol     RMSD             
-       method      status   kJ/mol   kJ/mol   /rad    /nm angstrom evals time s
-kcm-stiffness interrupted 123456.8 -98765.4 1234.6  12346    12.34  5000 1234.6
-          own   converged        -        -      -      -        -     -      -
-kcm-stiffness: [red]stopped
-own: not 12 done
-"""  # noqa: W291
-WIDE = """\
-method    status start kJ/mol end kJ/mol torque kJ/mol/rad force kJ/mol/nm RMSD angstrom evals time s
-    md     clash         1.00      -1.00             1e-03           5e-03         12.34  5000 100.00
-   own converged            -          -                 -               -             -     -      -
-md: [red]stopped
-own: not 12 done
-"""
-LONG = """\
-                                             torque  force                      
-                              start      end kJ/mol kJ/mol     RMSD             
-        method      status   kJ/mol   kJ/mol   /rad    /nm angstrom evals time s
-module.of.ones interrupted 123456.8 -98765.4 1234.6  12346    12.34  5000 1234.6
-   .own:Method                                                                  
-           own   converged        -        -      -      -        -     -      -
-module.of.ones.own:Method: [red]stopped
-own: not 12 done
-"""  # noqa: W291
-LARGE = ("interrupted", 123456.781, -98765.432, 1234.561, 12345.671, 12.341, 5000, 1234.561)
-SMALL = ("clash", 1.0, -1.0, 0.001, 0.004999, 12.341, 5000, 100.0)
-
-
-@pytest.mark.parametrize(
-    ("columns", "method", "values", "table"),
-    [
-        (80, "kcm-stiffness", LARGE, TABLE), (60, "kcm-stiffness", LARGE, TABLE),
-        (120, "md", SMALL, WIDE), (80, "module.of.ones.own:Method", LARGE, LONG),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("method", ["md", "kcm-stiffness", "module.of.ones.own:Method"])
+@pytest.mark.parametrize("columns", [60, 80, 120])
+@pytest.mark.parametrize("values", [LARGE, SMALL], ids=["large", "small"])
 def test_a_table_has_a_row_for_each_record_and_their_messages_below(
-    columns, method, values, table, capsys, monkeypatch
+    columns, method, values, capsys, monkeypatch
 ):
     """Headings wrap at blanks, names anywhere; numbers are whole though the terminal has no room."""
     monkeypatch.setenv("COLUMNS", str(columns))
     first = dict(zip(KEYS, (method, *values), strict=True)) | {"message": "[red]stopped"}
     second = dict.fromkeys(KEYS) | {"method": "own", "status": "converged", "message": "not 12 done"}
     terminal.print_table([first, second])
-    assert capsys.readouterr().out == table
+    *table, message, other = lines_of(capsys)
+    assert (message, other) == (f"{method}: [red]stopped", "own: not 12 done")
+    assert max(map(len, table)) <= max(terminal._WIDTH, columns)
+    at = next(k for k, line in enumerate(table) if values[0] in line)
+    for column, value in zip(SHOWN[2:], values[1:], strict=True):
+        assert column.short_text(value) in table[at].split(), column.key
+    assert table[-1].split() == ["own", "converged", *["-"] * len(values[1:])]
+    assert "".join(line.split()[0] for line in table[at:-1] if line.split()) == method
+    headings = " ".join(" ".join(table[:at]).replace("/", " ").split())
+    for column in SHOWN:
+        for word in (column.short or column.heading).split():
+            assert word in headings
 
 
 @pytest.mark.parametrize(("output", "said"), [("d/a.pdb", "d/a.pdb"), ("-", "standard output")])
 def test_a_result_is_said_with_both_distances_from_its_start(output, said, capsys):
     record = {"ca_rmsd_angstrom": 1.234, "ca_rmsd_as_filed_angstrom": 20.5, "frame": "where it was"}
     terminal.print_written(record | {"output": output})
-    assert capsys.readouterr().out == (
-        f"C-alpha RMSD 1.23 angstrom, as filed 20.50: where it was\nwritten: {said}\n"
-    )
+    distances, written = lines_of(capsys)
+    assert numbers(distances) == [1.23, 20.5] and "where it was" in distances and written.endswith(said)
 
 
 def test_jobs_are_listed_with_methods_and_path(capsys):
@@ -94,10 +76,8 @@ def test_jobs_are_listed_with_methods_and_path(capsys):
     ]
     terminal.print_jobs(jobs)
     told = capsys.readouterr()
-    assert told.out == "a  kcm,md  in/a.pdb\nb  kcm,md  in/b.pdb\n" and told.err == "2 structures\n"
-
-
-BATCH = ("structure", "method", "status", "output", "message", "ca_rmsd_angstrom", "seconds")
+    assert [line.split() for line in told.out.splitlines()] == [[n, "kcm,md", f"in/{n}.pdb"] for n in "ab"]
+    assert numbers(told.err) == [2]
 
 
 def summary(n_failed):
@@ -106,7 +86,7 @@ def summary(n_failed):
         dict(zip(BATCH, (s, m, status, output, "", r, t), strict=True))
         for s, m, status, output, r, t in (
             ("a", "md", "converged", "a.pdb", 1.0, 2.0), ("b", "md", "converged", "b.pdb", 2.0, 3.0),
-            ("c", "md", "budget", "c.pdb", 6.0, 7.0), ("a", "kcm", "stalled", "a.pdb", 0.125, 9.0),
+            ("c", "md", "budget", "c.pdb", 6.0, 7.0), ("a", "kcm", "stalled", "a.pdb", 0.25, 9.0),
         )
     ]  # fmt: skip
     for k in range(n_failed):
@@ -116,39 +96,36 @@ def summary(n_failed):
     return pd.DataFrame(rows)
 
 
-def test_a_batch_is_summed_up_by_method_and_lists_ten_failures(capsys):
-    terminal.print_batch(summary(10), "out/report.html")
-    lines = capsys.readouterr().out.splitlines()
-    assert lines == [
-        "md: 10 refused, 2 converged, 1 budget; medians: RMSD 2.00 angstrom, 3.00 s",
-        "kcm: 10 refused, 1 stalled; medians: RMSD 0.12 angstrom, 9.00 s",
-        "none: 10 refused",
-        *(f"f{k}: refused: [b]{k}: why" for k in range(10)),
-        "written: out/report.html and the tables, structures and pages beside it",
-    ]
-    terminal.print_batch(summary(12), "r" * 100)
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[-2:] == [
-        "and 2 more, in the table", f"written: {'r' * 100} and the tables, structures and pages beside it",
-    ]  # fmt: skip
-    assert sum(": refused: " in line for line in lines) == 10
-    long = summary(1).tail(1).assign(message="w " * 90)
-    terminal.print_batch(long, "r")
-    assert f"f0: refused: {'w ' * 90}".rstrip() in [
-        line.rstrip() for line in capsys.readouterr().out.splitlines()
-    ]
+@pytest.mark.parametrize("failed", [0, 1, terminal._SHOWN_FAILURES, terminal._SHOWN_FAILURES + 2])
+def test_a_batch_is_summed_up_by_method_and_lists_some_failures(failed, capsys):
+    terminal.print_batch(summary(failed), "r" * 100)
+    lines = lines_of(capsys)
+    md, kcm, *others = (line for line in lines if line.startswith(("md: ", "kcm: ", "none: ")))
+    # How many of each status, the most frequent first, then the medians.
+    counts = sorted([failed, 2, 1] if failed else [2, 1], reverse=True)
+    assert numbers(md) == [*counts, 2.0, 3.0]
+    assert numbers(kcm) == [*([failed] if failed else []), 1, 0.25, 9.0]
+    assert [numbers(line) for line in others] == ([[failed]] if failed else [])
+    listed = [line for line in lines if "[b]" in line]
+    assert listed == [line for k in range(failed) for line in lines if line.startswith(f"f{k}: ")]
+    assert len(listed) == min(failed, terminal._SHOWN_FAILURES) and "r" * 100 in lines[-1]
+    if failed > len(listed):
+        assert numbers(lines[-2]) == [failed - len(listed)]
+
+
+def test_a_long_message_of_a_batch_is_not_wrapped(capsys):
+    terminal.print_batch(summary(1).tail(1).assign(message="w " * 90), "r")
+    assert any(line.count("w ") >= 89 for line in lines_of(capsys))
 
 
 def test_many_starts_are_summed_up_in_a_line(capsys):
-    terminal.print_distribution(
-        {
-            "n_starts": 5, "energy_lowest_kj_mol": -3.0, "energy_median_kj_mol": 0.125,
-            "energy_highest_kj_mol": 9.0, "n_within_1_kj_mol_of_lowest": 2,
-        }
-    )  # fmt: skip
-    assert capsys.readouterr().out == (
-        "5 starts: lowest -3.00, median 0.12, highest 9.00 kJ/mol; 2 within 1 kJ/mol of the lowest\n"
-    )
+    told = {
+        "n_starts": 5, "energy_lowest_kj_mol": -3.0, "energy_median_kj_mol": 0.25,
+        "energy_highest_kj_mol": 9.0, "n_within_1_kj_mol_of_lowest": 2,
+    }  # fmt: skip
+    terminal.print_distribution(told)
+    (line,) = lines_of(capsys)
+    assert numbers(line.replace("within 1", "within")) == list(told.values())
 
 
 def test_deviations_are_a_table_with_failures_below(capsys, monkeypatch):
@@ -160,17 +137,15 @@ def test_deviations_are_a_table_with_failures_below(capsys, monkeypatch):
     }  # fmt: skip
     bad = {"file": "b", "message": f"[b] 12 {'w ' * 90}end"}
     terminal.print_deviations([good, bad, good | {"tm_score": None, "file": "c"}])
-    lines = capsys.readouterr().out.splitlines()
-    cells = [line.split() for line in lines]
-    assert cells[0] == ["file", "model", "RMSD", "angstrom", "TM-score", "matched", "residues", "chains"]
-    assert cells[1] == ["[b]a.pdb", "3", "1.235", "0.5679", "12", "(76", "%)", "by", "numbers", "A:B"]
-    assert cells[2] == ["c", "3", "1.235", "-", "12", "(76", "%)", "by", "numbers", "A:B"]
-    assert lines[3] == bad["message"] and len(lines) == 4
-    # Files to the left in 24 columns, numbers to the right, nothing at the edges.
-    assert lines[1].index("3 ") == 24 + 1 + 4 and len(lines[1]) == len(lines[2])
-    assert all(line == line.strip() for line in lines[1:3])
+    heading, *rows, message = lines_of(capsys)
+    assert message == bad["message"] and len(rows) == 2
+    for row, file, score in zip(rows, ("[b]a.pdb", "c"), ([0.56789], []), strict=True):
+        assert row.split()[0] == file and row.split()[-1] == "A:B" and "numbers" in row
+        shown = [3, 1.23456, *score, 12, 75.6]
+        assert numbers(row.removeprefix(file)) == pytest.approx(shown, rel=0.01)
+    assert " - " in rows[1] and len(rows[0]) == len(rows[1]) == len(heading)
     terminal.print_deviations([bad])
-    assert capsys.readouterr().out == f"{bad['message']}\n"
+    assert lines_of(capsys) == [bad["message"]]
 
 
 def test_messages_are_printed_as_they_are_in_colour_too(capsys, monkeypatch):
@@ -182,6 +157,6 @@ def test_messages_are_printed_as_they_are_in_colour_too(capsys, monkeypatch):
     terminal.print_table([dict.fromkeys(KEYS) | {"method": "x", "message": message}])
     terminal.print_batch(summary(3), "r")
     terminal.print_deviations([{"message": message}])
-    lines = capsys.readouterr().out.splitlines()
-    assert {f"x: {message}", message, "f0: refused: [b]0: why", "none: 3 refused"} <= set(lines)
-    assert "md: 3 refused, 2 converged, 1 budget; medians: RMSD 2.00 angstrom, 3.00 s" in lines
+    lines = lines_of(capsys)
+    assert {f"x: {message}", message} <= set(lines) and any(line.endswith("[b]0: why") for line in lines)
+    assert not any("\x1b" in line for line in lines if line.startswith(("md: ", "f0: ", "x: ")))

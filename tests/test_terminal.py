@@ -33,14 +33,24 @@ def clock(monkeypatch):
     return clock
 
 
+def numbers(text):
+    """All numbers of a text, in its order."""
+    return [float(found) for found in re.findall(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?", text)]
+
+
+def seconds_of(text):
+    """A time with its unit, as a number of seconds with the last digit's half as the error."""
+    value, unit = re.search(r"([\d.]+) (s|min|h)\b", text).groups()
+    each = {"s": 1.0, "min": 60.0, "h": 3600.0}[unit]
+    return pytest.approx(float(value) * each, abs=0.5 * each * (0.1 if "." in value else 1.0))
+
+
 class Bar:
     """Stands for rich's Progress; remembers what it is told."""
 
     made = ()
 
     def __init__(self, *columns, console, disable):
-        self.columns = [type(column).__name__ for column in columns]
-        self.formats = [getattr(column, "text_format", "") for column in columns]
         self.console, self.disable = console, disable
         self.added, self.updates, self.tasks = [], [], [SimpleNamespace(speed=None)]
         Bar.made = (*Bar.made, self)
@@ -77,41 +87,36 @@ def test_the_bar_of_a_run_shows_stage_evaluations_energy_torque_and_time_left(ba
     with terminal.run_progress("lbfgs", 500, seen.append) as watch:
         made = bar()
         assert made.disable and made.console.stderr
-        assert made.added == [("lbfgs", {"total": typical, "now": "", "left": ""})]
 
-        def shown(seconds, told):
+        def shown(seconds, told, *given):
             clock.now = seconds
-            told()
+            told(*given)
             *_, last = made.updates
-            assert last.pop("total") == (500 if last["completed"] >= typical else typical)
-            return tuple(last.values())
+            assert last["total"] == (500 if last["completed"] >= typical else typical)
+            assert last["description"].startswith("lbfgs")
+            return last
 
-        def told(evaluations, torque=1234.5):
-            return lambda: watch(row(evaluations, torque), evaluations)
+        def evaluated(n, torque=1234.5):
+            watch(row(n, torque), n)
 
-        energy = "-1234.50 kJ/mol"
-        assert shown(0.0, told(20.0)) == (
-            "lbfgs", 20.0, f"20 evaluations, {energy}, torque 1.23e+03 kJ/mol/rad", "",
-        )  # fmt: skip
+        first = shown(0.0, evaluated, 20.0)
+        assert first["completed"] == 20 and numbers(first["now"])[:2] == [20.0, -1234.5]
+        assert numbers(first["now"])[2] == pytest.approx(1234.5, rel=0.01) and first["left"] == ""
         # One a second: of 150, 126 are left.
-        at_stage = watch.at_stage
-        assert shown(4.0, lambda: at_stage("parting", 24)) == (
-            "lbfgs: parting", 24, "24 evaluations", "about 2 min left",
-        )  # fmt: skip
-        now = f"60 evaluations, {energy}"
-        assert shown(40.0, told(60.0, float("nan"))) == ("lbfgs: parting", 60.0, now, "about 90 s left")
+        staged = shown(4.0, watch.at_stage, "parting", 24)
+        assert "parting" in staged["description"] and numbers(staged["now"]) == [24.0]
+        assert seconds_of(staged["left"]) == 126
+        without = shown(40.0, evaluated, 60.0, float("nan"))
+        assert numbers(without["now"]) == [60.0, -1234.5] and seconds_of(without["left"]) == 90
         # The energy stays until the next stage begins.
-        assert shown(50.0, lambda: at_stage("parting", 70)) == ("lbfgs: parting", 70, now, "about 80 s left")
-        assert shown(60.0, lambda: at_stage("next", 80)) == (
-            "lbfgs: next", 80, "80 evaluations", "about 70 s left",
-        )  # fmt: skip
+        assert shown(50.0, watch.at_stage, "parting", 70)["now"] == without["now"]
+        following = shown(60.0, watch.at_stage, "next", 80)
+        assert "next" in following["description"] and numbers(following["now"]) == [80.0]
         # Two seconds each from the first on, and none is typical any more.
-        *_, left = shown(260.0, told(150.0))
-        assert left == "at most 12 min left"
+        assert seconds_of(shown(260.0, evaluated, 150.0)["left"]) == 2 * 350
         # The next of many starts is timed by itself.
-        assert shown(300.0, told(10.0))[3] == "" and shown(301.0, told(60.0))[3] == "about 2 s left"
-    assert made.columns == ["TextColumn", "BarColumn", "TextColumn", "TextColumn"]
-    assert made.formats == ["{task.description}", "", "{task.fields[now]}", "{task.fields[left]}"]
+        assert shown(300.0, evaluated, 10.0)["left"] == ""
+        assert seconds_of(shown(301.0, evaluated, 60.0)["left"]) == 90 / 50
     assert made.added[-1] == "closed" and seen == [20.0, 60.0, 150.0, 10.0, 60.0]
 
 
@@ -123,16 +128,11 @@ def test_the_bar_of_a_simulation_shows_time_temperature_speed_and_time_left(bar,
         clock.now = 2.0
         watch(now | {"step": 400}, None)
         made = bar()
-    assert made.columns == ["TextColumn", "BarColumn", "TextColumn", "TextColumn"]
-    assert made.formats == ["{task.description}", "", "{task.fields[now]}", "{task.fields[left]}"]
-    assert made.added[0] == ("x", {"total": 1000, "now": "", "left": ""})
-    assert made.disable and made.console.stderr
-    both = {"description": "x", "total": 1000}
-    assert made.updates == [
-        both | {"completed": 200, "now": "1.0 ps, 300 K", "left": ""},
-        both | {"completed": 400, "now": "1.0 ps, 300 K, 43.2 ns/day", "left": "about 6 s left"},
-    ]
-    assert made.added[-1] == "closed"
+    assert made.disable and made.console.stderr and made.added[-1] == "closed"
+    first, second = made.updates
+    assert [(each["completed"], each["total"]) for each in (first, second)] == [(200, 1000), (400, 1000)]
+    assert numbers(first["now"]) == [1.0, 300.0] and first["left"] == ""
+    assert numbers(second["now"]) == [1.0, 300.0, 43.2] and seconds_of(second["left"]) == 6.0
 
 
 def test_the_bar_of_a_batch_shows_counts_and_the_dashboard_once(bar, capsys):
@@ -142,14 +142,12 @@ def test_the_bar_of_a_batch_shows_counts_and_the_dashboard_once(bar, capsys):
             watch(BatchProgress(10, 4, 1, 3, 60.0, "http://x:8787", line))
         watch(BatchProgress(10, 4, 1, 3, 60.0, "http://other"))
         made = bar()
-    assert made.columns == ["BarColumn", "TextColumn", "TimeRemainingColumn"]
-    assert made.formats == ["", "{task.fields[now]}", ""] and made.disable and made.console.stderr
-    assert made.added == [("", {"total": None, "now": "starting workers"}), "closed"]
-    assert made.updates == [
-        {"total": 10, "completed": 3, "now": "3 of 10, 0 failed, 0/min"},
-        *[{"total": 10, "completed": 7, "now": "7 of 10, 1 failed, 4/min"}] * 3,
-    ]
-    assert capsys.readouterr().err == "dashboard: http://x:8787\n[7 of 10] [b]a: 'odd' 12\n"
+    assert made.disable and made.console.stderr and made.added[-1] == "closed"
+    assert [(each["completed"], each["total"]) for each in made.updates] == [(3, 10), *[(7, 10)] * 3]
+    # Done, of all, failed, a minute.
+    assert [numbers(each["now"]) for each in made.updates] == [[3, 10, 0, 0], *[[7, 10, 1, 4]] * 3]
+    dashboard, done = capsys.readouterr().err.splitlines()
+    assert "http://x:8787" in dashboard and done.endswith("[b]a: 'odd' 12") and numbers(done)[:2] == [7, 10]
 
 
 def test_lines_beside_a_bar_are_printed_as_they_are_in_colour_too(bar, clock, capsys, monkeypatch):
@@ -161,10 +159,9 @@ def test_lines_beside_a_bar_are_printed_as_they_are_in_colour_too(bar, clock, ca
         watch(BatchProgress(10, 4, 1, 3, 60.0, "http://x:8787", "[b]a: 'odd' 12 and more"))
     with terminal.run_progress("lbfgs", 9) as watch:
         watch.at_warning("'odd' 12 [b]")
-    assert capsys.readouterr().err.splitlines() == [
-        "dashboard: http://x:8787", "[7 of 10] [b]a: 'odd' 12 and more",
-        "lbfgs: 'odd' 12 [b]",
-    ]  # fmt: skip
+    lines = capsys.readouterr().err.splitlines()
+    for line, told in zip(lines, ("http://x:8787", "[b]a: 'odd' 12 and more", "'odd' 12 [b]"), strict=True):
+        assert told in line
 
 
 def test_a_terminal_gets_a_bar_and_no_lines(bar, clock, monkeypatch, capsys):
@@ -178,12 +175,9 @@ def test_a_terminal_gets_a_bar_and_no_lines(bar, clock, monkeypatch, capsys):
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize(
-    ("seconds", "said"),
-    [(0.4, "0 s"), (99.4, "99 s"), (100.0, "2 min"), (5999.0, "100 min"), (6000.0, "1.7 h")],
-)
-def test_times_are_in_seconds_minutes_or_hours(seconds, said):
-    assert terminal._clock(seconds) == said
+@pytest.mark.parametrize("seconds", [0.4, 99.4, 100.0, 5999.0, 6000.0, 1e5])
+def test_times_are_in_seconds_minutes_or_hours(seconds):
+    assert seconds == seconds_of(terminal._clock(seconds)) and len(terminal._clock(seconds)) <= 7
 
 
 def test_without_a_terminal_a_line_comes_every_minute(clock, capsys, monkeypatch):
@@ -195,10 +189,11 @@ def test_without_a_terminal_a_line_comes_every_minute(clock, capsys, monkeypatch
             watch(row(k, 3.0 if k < 100 else float("nan")), None)
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 6
-    assert re.match(r"hybrid: torsions: (29|30) evaluations, -1234.50 kJ/mol, torque 3 kJ", lines[0])
+    evaluations, energy, torque, *_ = numbers(lines[0])
+    assert "torsions" in lines[0] and (evaluations in (29, 30), energy, torque) == (True, -1234.5, 3.0)
     # 470 evaluations of the 500 that such runs take are left, at two seconds each.
-    assert lines[0].endswith("about 16 min left")
-    assert re.match("hybrid: all atoms: (179|180) evaluations", lines[-1]) and "torque" not in lines[-1]
+    assert 2 * (500 - evaluations) == seconds_of(lines[0])
+    assert "all atoms" in lines[-1] and numbers(lines[-1])[0] in (179, 180) and "torque" not in lines[-1]
 
 
 def test_beyond_what_is_typical_the_time_left_is_that_to_the_last_evaluation(clock, capsys):
@@ -206,17 +201,19 @@ def test_beyond_what_is_typical_the_time_left_is_that_to_the_last_evaluation(clo
         for k in (1, 501):
             clock.now = float(k)
             watch(row(k), None)
-    assert capsys.readouterr().err.strip().endswith("at most 8 min left")
+    assert seconds_of(capsys.readouterr().err) == 499
 
 
-def test_an_interrupt_is_answered_in_words_at_once(clock, capsys):
-    with terminal.run_progress("lbfgs", 1000) as watch:
-        watch.at_stage("torsions", 3)
-        watch.at_stage("interrupted", 4)
-    assert capsys.readouterr().err == "lbfgs: interrupted; the best so far will be written\n"
-    with terminal.run_progress("lbfgs", 1000, writes=False) as watch:
-        watch.at_stage("interrupted", 4)
-    assert capsys.readouterr().err == "lbfgs: interrupted\n"
+def test_an_interrupt_is_answered_at_once_and_says_what_will_be_written(clock, capsys):
+    said = []
+    for writes in (True, False):
+        with terminal.run_progress("lbfgs", 1000, writes=writes) as watch:
+            watch.at_stage("torsions", 3)
+            watch.at_stage("interrupted", 4)
+            (line,) = capsys.readouterr().err.splitlines()
+            said.append(line)
+    assert all("lbfgs" in line and "interrupted" in line for line in said)
+    assert "written" in said[0] and "written" not in said[1]
 
 
 def test_on_a_terminal_the_bar_names_the_stage_and_the_time_left(clock, monkeypatch):
@@ -243,23 +240,24 @@ def test_on_a_terminal_the_bar_names_the_stage_and_the_time_left(clock, monkeypa
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue())
     for stage in ("parting overlaps", "held by springs", "all atoms", "judging the end"):
         assert f"hybrid: {stage}" in plain, stage
-    assert re.search(r"hybrid: parting overlaps .* \d+ evaluations +about \d+ (s|min) left", plain)
-    assert re.search(r"hybrid: held by springs .* kJ/mol +about \d+ (s|min) left", plain)
+    assert re.search(r"parting overlaps .* \d+ evaluations .* \d+ (s|min)", plain)
+    assert re.search(r"held by springs .* kJ/mol .* \d+ (s|min)", plain)
 
 
 def test_what_is_wrong_with_a_start_is_printed(capsys):
     assert not terminal.print_outlook("a.pdb", chain("1l2y.pdb").structure, "hybrid")
     assert capsys.readouterr().err == ""
     assert terminal.print_outlook("a.pdb", crowded().structure, "hybrid")
-    first, last = capsys.readouterr().err.splitlines()
-    assert re.match(r"a\.pdb: \d+ pairs of atoms overlap; violations in \d+ residues: ", first)
-    assert last.startswith("a.pdb: hybrid: parts overlaps") and last.endswith("; relax keeps the fold")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines and all(line.startswith("a.pdb: ") for line in lines)
+    assert "relax" in lines[-1] and "pc." not in "".join(lines)
 
 
 def test_a_run_that_strays_says_so_at_once(clock, capsys):
     with terminal.run_progress("hybrid", 1000) as watch:
         watch.at_warning("2.1 angstrom from a start; relax keeps the fold")
-        assert capsys.readouterr().err == "hybrid: 2.1 angstrom from a start; relax keeps the fold\n"
+        (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("hybrid: ") and line.endswith("2.1 angstrom from a start; relax keeps the fold")
 
 
 def test_a_long_run_says_so_before_it_begins(monkeypatch, capsys):
@@ -267,15 +265,13 @@ def test_a_long_run_says_so_before_it_begins(monkeypatch, capsys):
     terminal.foretell("1l2y.pdb", c, e, 100, 5000)
     assert capsys.readouterr().err == ""
     monkeypatch.setattr(terminal, "_LONG", 0.0)
-    terminal.foretell("1l2y.pdb", c, e, 100, 5000)
-    said = capsys.readouterr().err
-    assert re.fullmatch(
-        r"1l2y\.pdb: 304 atoms, [\d.e-]+ s an energy, typically 100 of at most 5000 evaluations: "
-        r"about \d+ s\n",
-        said,
-    )
-    terminal.foretell("1l2y.pdb", c, e, 5000, 5000)
-    assert "s an energy, at most 5000 evaluations: about" in capsys.readouterr().err
+    for evaluations in (100, 5000):
+        terminal.foretell("1l2y.pdb", c, e, evaluations, 5000)
+        (line,) = capsys.readouterr().err.splitlines()
+        atoms, each, *counts, seconds = numbers(line.removeprefix("1l2y.pdb: "))
+        assert atoms == c.n_atoms and counts == ([100, 5000] if evaluations < 5000 else [5000])
+        # Two digits of one energy, and whole seconds.
+        assert seconds == pytest.approx(each * evaluations, rel=0.05, abs=0.5)
 
 
 def test_one_slow_energy_makes_no_run_long(monkeypatch, capsys):
@@ -290,14 +286,13 @@ def test_one_slow_energy_makes_no_run_long(monkeypatch, capsys):
     assert capsys.readouterr().err == "" and clock.waits == [9.0]
     clock.waits = [0.0, 2.0, 1.0, 3.0, 1.5, 9.0, 9.0]
     terminal.foretell("1l2y.pdb", chain("1l2y.pdb"), slow, 100, 5000)
-    assert "1 s an energy" in capsys.readouterr().err and clock.waits == [9.0]
+    assert 1.0 in numbers(capsys.readouterr().err.removeprefix("1l2y.pdb")) and clock.waits == [9.0]
 
 
 def test_what_is_typical_is_within_what_is_allowed():
     for method in METHODS:
         typical = terminal.typical_evaluations(method, 5000)
         assert typical == (recipe_of(method).typical or 5000) and terminal.typical_evaluations(method, 7) == 7
-    assert terminal.typical_evaluations("hybrid", 5000) == 100
 
 
 def test_a_batch_says_a_line_for_each_structure(tmp_path, capsys):
@@ -306,14 +301,11 @@ def test_a_batch_says_a_line_for_each_structure(tmp_path, capsys):
     path.write_text("nothing")
     (job,) = find_jobs([path], BatchSettings(("lbfgs", "kcm")))
     failed = [failure(job, method, "refused", "a.pdb: holds no atoms") for method in ("lbfgs", "kcm")]
-    assert api._line(failed) == "a: refused: a.pdb: holds no atoms"
+    assert api._line(failed).startswith("a: ") and api._line(failed).count("a.pdb: holds no atoms") == 1
     done = {
         "structure": "a", "method": "lbfgs", "status": "converged", "output": "a.lbfgs.pdb", "seconds": 1.26,
-        "energy_end_reference_kj_mol": -12.345, "ca_rmsd_angstrom": 0.456, "message": "converged: ...",
+        "energy_end_reference_kj_mol": -12.341, "ca_rmsd_angstrom": 0.456, "message": "converged: ...",
     }  # fmt: skip
-    kept = "a: lbfgs converged, -12.35 kJ/mol, RMSD 0.46 angstrom, 1.3 s"
     line = api._line([Row(done, []), failed[1]])
-    assert line in (
-        f"{kept}; refused: a.pdb: holds no atoms",
-        f"{kept.replace('.35', '.34')}; refused: a.pdb: holds no atoms",
-    )
+    assert line.startswith("a: ") and "lbfgs converged" in line and line.endswith("a.pdb: holds no atoms")
+    assert numbers(line) == [-12.34, 0.46, 1.3]

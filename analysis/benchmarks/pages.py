@@ -1,30 +1,49 @@
-"""The tables of README.md and analysis/README.md, from the tables of analysis/results.
+"""The tables of the pages, from the tables of analysis/results.
 
     python analysis/benchmarks/pages.py [--check]
 
 A table or paragraph of a page stands between `<!-- table NAME -->` and `<!-- end -->`, and is made anew by
-the function of that name in tables.py or tables_*.py; where its results are not there, it is left as it is.
-With --check nothing is written, and the exit status is 1 if a page and its results differ.
+what has that name in tables/; where its results are not there, it is left as it is. With --check nothing is
+written, and the exit status is 1 if a page and its results differ.
 """
 
 import argparse
 import importlib
+import pkgutil
 import re
 import sys
 from pathlib import Path
 
-from made import RESULTS, ROOT
+import tables
+from made import DOCS, RESULTS, ROOT
 from tables import TABLES
 
-# They register their tables.
-for _path in sorted(Path(__file__).parent.glob("tables_*.py")):
-    importlib.import_module(_path.stem)
+for _topic in pkgutil.iter_modules(tables.__path__):
+    importlib.import_module(f"tables.{_topic.name}")
 
-PAGES = tuple(
-    ROOT / name
-    for name in ("README.md", "analysis/README.md", "analysis/docs/cluster.md", "analysis/docs/theory.md")
-)
+FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+PAGES = (ROOT / "README.md", *sorted((ROOT / "analysis").rglob("*.md")))
 MARKED = re.compile(r"(<!-- table ([\w-]+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+GUIDES = ("proteins", "cluster", "files", "python", "commands", "mechanisms", "theory")
+"""Pages of analysis/docs in the order of the contents; those of measured/ follow, by name."""
+
+
+@tables.table("contents")
+def contents() -> str:
+    """Pages of analysis/docs with their sections."""
+    measured = sorted((DOCS / "measured").glob("*.md"), key=lambda page: (page.stem == "made", page.name))
+    lines = []
+    for page in (*(DOCS / f"{name}.md" for name in GUIDES), *measured):
+        title, *sections = re.findall(r"^##? (.*)$", FENCED.sub("", page.read_text()), re.MULTILINE)
+        place = page.relative_to(DOCS.parent)
+        linked = (f"[{name}]({place}#{anchor(name)})" for name in sections)
+        lines.append(f"- **[{title}]({place})**: {', '.join(linked)}\n")
+    return "".join(lines)
+
+
+def anchor(heading: str) -> str:
+    """What GitHub makes of a heading."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-")
 
 
 def rendered(page: str, results: Path) -> str:
@@ -43,17 +62,6 @@ def rendered(page: str, results: Path) -> str:
             return found[0]
 
     return MARKED.sub(one, page)
-
-
-def without_results(page: str, results: Path) -> list[str]:
-    """Names of the tables of a page that are typed, for their results are not there."""
-    names = []
-    for _, name, _, _ in MARKED.findall(page):
-        try:
-            TABLES[name](results)
-        except FileNotFoundError:
-            names.append(name)
-    return names
 
 
 def write(results: Path = RESULTS, root: Path = ROOT) -> list[Path]:
@@ -77,11 +85,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main() -> None:
-    options = parser().parse_args()
-    for page in PAGES:
-        for name in without_results(page.read_text(), RESULTS):
-            print(f"{page.relative_to(ROOT)}: {name} has no results, and is as typed")
-    if not options.check:
+    if not parser().parse_args().check:
         for page in write():
             print(f"{page.relative_to(ROOT)}: made from analysis/results")
         return

@@ -1,11 +1,9 @@
 """Tables of the curves of error against run time; errors only, which no other work on the machine changes."""
 
-from pathlib import Path
-
 import pandas as pd
+
 from tables import markdown, table
 
-TABLE = "precision_curves.csv"
 USED = (
     ("solvers", "M x = tau, {n} freedoms", "300 bodies", "articulated", ""),
     ("energies", "forces, all pairs, {n} atoms", "obc2, against all pairs", "native", "all pairs"),
@@ -24,31 +22,27 @@ USED = (
 """Kind, how it is named, how its case begins, method, and parameter: the last of several by default."""
 
 
-def _points(results: Path) -> pd.DataFrame:
-    return pd.read_csv(results / TABLE).fillna({"parameter": ""})
-
-
 def _shown(error: float, unit: str) -> str:
     return f"{error:.1e}" + {"1": ", relative"}.get(unit, f" {unit}")
 
 
-@table("curves-short")
-def curves_short(results: Path) -> str:
+@table("curves-short", "precision_curves.csv")
+def curves_short(points: pd.DataFrame) -> str:
     """Errors of what is used by default."""
-    points, rows = _points(results), []
+    points, rows = points.fillna({"parameter": ""}), []
     for kind, named, case, method, parameter in USED:
         of = points[(points["kind"] == kind) & points["case"].str.startswith(case)]
         of = of[of["method"] == method]
         point = of[of["parameter"] == parameter].iloc[-1] if parameter is not None else of.iloc[-1]
         shown = _shown(point["error"], point["unit"])
         rows.append([named.format(**point), f"`{kind}`", shown, point["held_against"]])
-    return markdown(("what", "kind", "error", "held against"), rows)
+    return markdown(("what", "kind", "error", "compared with"), rows)
 
 
-@table("curves")
-def curves(results: Path) -> str:
+@table("curves", "precision_curves.csv")
+def curves(points: pd.DataFrame) -> str:
     """Least error of each method, by case."""
-    points, rows = _points(results), []
+    points, rows = points.fillna({"parameter": ""}), []
     for (kind, case), of in points.groupby(["kind", "case"], sort=False):
         largest = of[of["n"] == of["n"].max()]
         least = largest.loc[largest.groupby("method", sort=False)["error"].idxmin()]

@@ -1,0 +1,45 @@
+"""Speed of the energy, and what a run leaves out."""
+
+import pandas as pd
+
+from tables import SOLVENTS, ratio_of, table_of_rows
+
+COUNTED = ("terms", "pairs", "bodies", "sweeps", "lists", "imports")
+
+table_of_rows(
+    "engines", "engines.csv",
+    ("structure", "{structure}"), ("atoms", "{atoms}"), ("OpenMM's force", "{solvent}"),
+    ("OpenMM CPU ms", "{openmm_ms:.2f}"), ("native ms", "{native_ms:.2f}"), ("ratio", ratio_of("ratio")),
+    ("ns per pair", "{ns_a_pair:.2f}"), ("times the lower bound", "{times_the_floor:.1f}"),
+)  # fmt: skip
+table_of_rows(
+    "engines-cutoff", "engines_cutoff.csv",
+    ("atoms", "{atoms:.0f}"), ("cutoff 1.0 nm, vacuum: us per atom", "{vacuum_us_an_atom:.2f}"),
+    ("OBC2: us per atom", "{obc2_us_an_atom:.2f}"), ("OBC2, new lists", "{anew_us_an_atom:.2f}"),
+)  # fmt: skip
+table_of_rows(
+    "engines-moving", "engines_moving.csv",
+    ("structure", "{structure}"), ("solvent", lambda r: SOLVENTS[r["solvent"]]), ("hinges", "{hinges}"),
+    ("moves", "{move}"), ("freedoms", "{freedoms}"), ("all ms", "{all_ms:.2f}"),
+    ("moving terms ms", "{moving_ms:.2f}"), ("ratio", "{ratio:.2f}"), ("sweeps ms", "{sweeps_ms:.3f}"),
+    ("share", "{sweeps_percent:.1f} %"),
+)  # fmt: skip
+table_of_rows(
+    "threads", "threads.csv",
+    ("structure", "{structure}"), ("atoms", "{atoms}"), ("cores busy with other work", "{cores_busy}"),
+    ("one thread ms", "{one_thread_ms:.2f}"), ("two ms", "{two_threads_ms:.2f}"),
+    ("two over one", "{ratio:.2f}"),
+)  # fmt: skip
+
+
+def _left_out(row: pd.Series) -> str:
+    """What a run leaves out, counted."""
+    return ", ".join(f"{row[name]:,} {name}" for name in COUNTED if row[name]) or row["message"]
+
+
+table_of_rows(
+    "scenes", "scenes.csv",
+    ("run", "{scene}"), ("with", "{against}"), ("ms", "{everything_ms:.3g}"),
+    ("left out, ms", "{left_out_ms:.3g}"), ("ratio", "{ratio:.2f}"),
+    ("error", lambda r: f"{r['error']:.0e}" if r["error"] else "bits"), ("left out", _left_out),
+)  # fmt: skip

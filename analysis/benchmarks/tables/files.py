@@ -1,0 +1,126 @@
+"""Preparing files, kinds of file, start-up, large structures and batches."""
+
+import pandas as pd
+
+from tables import Cell, markdown, of_rows, paragraph, table, table_of_rows
+
+table_of_rows(
+    "files-speed", "files_speed.csv",
+    ("structure", lambda r: r["structure"].replace("_A", ", chain A").split("_")[0]),
+    ("residues", "{residues}"), ("atoms", "{atoms}"), ("seconds", "{seconds:.2f}"),
+    ("PDBFixer and addHydrogens", "{openmm_seconds:.2f}"),
+)  # fmt: skip
+
+
+def _lengths(name: str) -> Cell:
+    """Column of ranges of bond lengths."""
+
+    def shown(row: pd.Series) -> str:
+        low, high = (f"{row[f'{name}_{which}_angstrom']:.3f}" for which in ("shortest", "longest"))
+        return low if low == high else f"{low} to {high}"
+
+    return shown
+
+
+table_of_rows(
+    "files-closures", "files_closures.csv",
+    ("structure", lambda r: r["structure"].replace("_", ", ")), ("loops", "{loops}"),
+    ("start", _lengths("start")),
+    *((f"`{name}`", _lengths(name)) for name in ("kcm", "lbfgs", "md", "hybrid", "openmm")),
+)  # fmt: skip
+
+EQUAL = 1e-6
+"""Relative difference of energies that count as equal."""
+
+
+def _differences(rows: pd.DataFrame) -> pd.Series:
+    """Energies read again against those written, relative, of both formats."""
+    return pd.concat([pd.to_numeric(rows[f"difference_{name}"]) for name in ("pdb", "mmcif")]).dropna()
+
+
+@table("kinds", "kinds.csv", keep_default_na=False)
+def kinds(rows: pd.DataFrame) -> str:
+    """What became of the kinds of file, by family."""
+
+    def line(family: str, own: pd.DataFrame) -> tuple[object, ...]:
+        apart = _differences(own)
+        return (
+            family, len(own), (own["refusal"] != "").sum(), (own["lost"] != "").sum(),
+            (own["lost_not_said"] > 0).sum(), (own["names_changed"] != "").sum(), len(apart),
+            (apart <= EQUAL).sum(), (own["faults"] > 0).sum(),
+        )  # fmt: skip
+
+    heads = (
+        "family", "kinds", "refused, in one line", "with atoms lost", "of them not reported",
+        "with names changed", "energies read again", "of them equal to 1e-6", "with faults",
+    )  # fmt: skip
+    lines = [line(str(family), own) for family, own in rows.groupby("family", sort=False)]
+    return markdown(heads, [*lines, line("all", rows)])
+
+
+@table("kinds-words", "kinds.csv", keep_default_na=False)
+def kinds_words(rows: pd.DataFrame) -> str:
+    """What the kinds of file say in all."""
+    made, taken = rows["origin"] == "made", rows["refusal"] == ""
+    drift = pd.to_numeric(rows["metal_drift_angstrom"]).max()
+    turned = (rows["hands_changed"] != "").sum()
+    return paragraph(
+        f"{made.sum()} kinds made by recipes and {(~made).sum()} real files: {taken.sum()} accepted,",
+        f"{(~taken).sum()} refused. Relative differences of energies read again are at most",
+        f"{_differences(rows).max():.0e}; C-alphas change hand in {turned} files; metals move by at most",
+        f"{drift:.2f} angstrom.",
+    )
+
+
+table_of_rows(
+    "startup", "startup.csv",
+    ("command", "`{command}`"), ("state", "{state}"), ("s", "{seconds:.1f}"), ("CPU s", "{cpu_seconds:.1f}"),
+)  # fmt: skip
+
+
+@table("large", "large.csv", "large_exponents.csv")
+def large(rows: pd.DataFrame, slopes: pd.DataFrame) -> str:
+    """Copies of one structure side by side, minimised in all atoms."""
+    shown = of_rows(
+        rows,
+        ("atoms", "{atoms}"), ("prepared s", "{prepare_s:.2f}"), ("an energy s", "{energy_s:.3f}"),
+        ("evaluations", "{evaluations}"), ("minimisation s", "{minimise_s:.1f}"),
+        ("whole command s", "{shell_s:.0f}"), ("memory MB", "{memory_mb:.0f}"), ("status", "{status}"),
+    )  # fmt: skip
+    exponent = slopes.set_index("seconds_of")["exponent"]
+    said = paragraph(
+        f"Exponents of time in the number of atoms: preparation {exponent['prepare_s']:.2f}, an energy "
+        f"{exponent['energy_s']:.2f}, the minimisation {exponent['minimise_s']:.2f}."
+    )
+    return f"{shown}\n{said}"
+
+
+table_of_rows(
+    "batch", "batch.csv",
+    ("workers", "{workers:.0f}"), ("structures", "{structures:.0f}"),
+    ("of them broken", "{without_result:.0f}"), ("structures per second", "{a_second:.2f}"),
+    ("ratio", lambda r: "" if r["ratio"] == 1 else f"{r['ratio']:.2f}x"),
+    ("MB of the client after the first structure", "{client_mb_first:.0f}"),
+    ("after the last", "{client_mb_last:.0f}"),
+)  # fmt: skip
+table_of_rows(
+    "batch-costs", "batch_costs.csv",
+    ("structures", "{structures:.0f}"), ("mean residues", "{residues:.0f}"),
+    ("preparation s", "{seconds_preparation:.2f}"), ("`lbfgs` s", "{seconds:.2f}"),
+    ("KB per result", "{kb_structure:.0f}"), ("KB per page", "{kb_page:.1f}"),
+    ("KB in `summary.csv`", "{kb_summary:.1f}"), ("KB in `traces.csv`", "{kb_traces:.1f}"),
+)  # fmt: skip
+
+
+@table("fuzz", "fuzz.csv")
+def fuzz(rows: pd.DataFrame) -> str:
+    """What became of damaged files and odd options."""
+    made_of = rows["kind"].str.extract("^(PDB|mmCIF|options)", expand=False)
+    group = made_of.replace({"PDB": "PDB files", "mmCIF": "mmCIF files", "options": "sets of options"})
+    sums = rows.groupby(group.fillna(rows["kind"]), sort=False)[["files", "taken", "refused", "faults"]].sum()
+    sums.loc["all"] = sums.sum()
+    return of_rows(
+        sums.rename_axis("group").reset_index(),
+        ("damaged", "{group}"), ("number", "{files}"), ("taken", "{taken}"),
+        ("refused, in one line", "{refused}"), ("faults", "{faults}"),
+    )  # fmt: skip
