@@ -125,13 +125,13 @@ def balls_of(bodies: Bodies, balls: Sequence[Ball], asking: str) -> Balls:
     """
     if not balls:
         raise MechanicsError(f"{asking}: give at least one ball")
-    owners = [bodies.number(ball.body, asking) for ball in balls]
+    own = [bodies.number(ball.body, asking) for ball in balls]
     centres = [numbers(ball.at, (3,), f"{asking}: the centre of a ball") for ball in balls]
     radius = np.array([ball.radius for ball in balls], dtype=float)
     if not (np.isfinite(radius) & (radius >= 0.0)).all():
         raise MechanicsError(f"{asking}: the radius of a ball must be finite and not negative")
-    at = [bodies.inside(b, centre) for b, centre in zip(owners, centres, strict=True)]
-    return Balls(read_only(owners, np.int64), read_only(at), read_only(radius))
+    at = [bodies.inside(b, centre) for b, centre in zip(own, centres, strict=True)]
+    return Balls(read_only(own, np.int64), read_only(at), read_only(radius))
 
 
 @dataclass(frozen=True, eq=False)

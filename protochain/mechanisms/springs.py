@@ -50,10 +50,12 @@ class Spring(Between):
         Name.
     a, b : tuple of str and (3,) array_like
         Body, or "world", and a point of it.
-    stiffness, damping : float
-        Force per length, and force per speed, along the line.
+    stiffness : float
+        Force per length.
     rest : float, optional
         Length without force; by default the length as built.
+    damping : float
+        Force per speed, along the line.
 
     Raises
     ------

@@ -22,10 +22,12 @@ class Torsion(Named):
     ----------
     name, hinge : str
         Name, and that of the hinge.
-    stiffness, damping : float
-        Torque per radian (force per length), and per rate.
+    stiffness : float
+        Torque per radian (force per length).
     rest : float, optional
         Coordinate without torque; None is the coordinate as built.
+    damping : float
+        Torque per rate.
 
     Raises
     ------

@@ -339,8 +339,14 @@ class System(Equations):
 
     Parameters
     ----------
+    tree : Tree
+        Rigid bodies.
+    potential : callable
+        Energy and torques at q.
     constraint : Constraint, optional
         Constraint for the leapfrog; other integrators ignore it.
+    loads, drive : tuple of Load, and callable, optional
+        As of :class:`Equations`.
     """
 
     constraint: Constraint | None = None
