@@ -452,6 +452,9 @@ def test_a_name_of_thousands_of_letters_is_cut_where_it_is_refused(tmp_path):
 def test_an_entity_that_names_a_chain_twice_is_one():
     st = gemmi.read_structure(str(STRUCTURES / "1l2y.pdb"))
     st.setup_entities()
+    st.entities[0].entity_type = gemmi.EntityType.NonPolymer
+    for residue in st[0][0]:
+        residue.entity_type = gemmi.EntityType.NonPolymer
     st.entities[0].subchains = [*st.entities[0].subchains] * 2
     settle(st, whole=True)
     assert st.entities[0].subchains == ["Axp"]
