@@ -160,3 +160,13 @@ def test_an_added_hydrogen_has_the_b_factor_of_its_atom(name):
     hydrogens = added(s)
     assert np.array_equal(s.b_factor[hydrogens], s.b_factor[[of[h] for h in hydrogens.tolist()]])
     assert len(set(s.b_factor[hydrogens])) > 10
+
+
+def test_hydrogens_beyond_a_parents_room_are_placed_too():
+    """A carbon with five, of which one is there: as files with stray hydrogens have them."""
+    x = np.full((6, 3), np.nan)
+    x[:3] = [[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [-0.04, 0.1, 0.0]]
+    bonds = np.array([[0, 1], [0, 2], [0, 3], [0, 4], [0, 5]])
+    placed = place_hydrogens(x, ["C", "C", "H", "H", "H", "H"], np.zeros(6), bonds)
+    assert np.allclose(np.linalg.norm(placed[3:], axis=1), 0.109, atol=1e-6)
+    assert np.array_equal(placed[:3], x[:3])

@@ -3,11 +3,13 @@
 import gemmi
 import numpy as np
 import pytest
-from conftest import sentences
+from conftest import STRUCTURES, sentences
 
 import protochain as pc
 from protochain.structure import read as module
+from protochain.structure.apart import _copies
 from protochain.structure.draft import Draft, atom
+from protochain.structure.header import settle
 from protochain.structure.read import Reading, read, read_structure
 from protochain.structure.templates import archive_parent
 
@@ -403,3 +405,68 @@ def test_a_name_comes_from_the_file_and_an_end_is_missed(tmp_path, monkeypatch):
         monkeypatch.setattr("sys.stdin", stream)
         draft = read("-")
     assert (draft.name, draft.source) == ("stdin", "standard input")
+
+
+def test_an_occupancy_that_is_no_number_is_no_choice(tmp_path):
+    """Of two locations the one with an occupancy is taken."""
+    lines = [line for line in (STRUCTURES / "1ejg.pdb").read_text().splitlines() if line.startswith("ATOM")]
+    own = [k for k, line in enumerate(lines) if line[16] == "A" and line[22:26] == "  22"]
+    assert own
+    for k in own:
+        lines[k] = f"{lines[k][:54]}   nan{lines[k][60:]}"
+    (tmp_path / "x.pdb").write_text("\n".join([*lines, "END", ""]))
+    s = pc.load(tmp_path / "x.pdb")
+    assert s.residue_name[21] == "SER" and np.isfinite(s.occupancy).all()
+    assert f"occupancy or B factor of {len(own)} atoms is no number: taken as 0" in s.repairs
+
+
+def test_atoms_upon_one_another_beyond_measure_are_refused(tmp_path):
+    """A thousand times what is usual; the file itself is small."""
+    text = [line for line in (STRUCTURES / "1l2y.pdb").read_text().split("ENDMDL")[0].splitlines()]
+    at = "HETATM 1000 ZN    ZN B{:4}      11.000  11.000  11.000  1.00  0.00          ZN"
+    text = [line for line in text if line.startswith("ATOM")] + [at.format(k) for k in range(1, 1001)]
+    (tmp_path / "x.pdb").write_text("\n".join([*text, "END", ""]))
+    with pytest.raises(pc.ProtochainError, match="lie upon one another: [0-9]+ pairs"):
+        pc.load(tmp_path / "x.pdb")
+
+
+class _Named:
+    """An atom that counts how often it is asked for its name."""
+
+    asked = 0
+
+    def has_altloc(self):
+        return False
+
+    @property
+    def name(self):
+        _Named.asked += 1
+        return "O"
+
+
+def test_atoms_that_share_a_name_are_each_looked_at_once():
+    copies = _copies([_Named() for _ in range(300)])
+    assert [len(each) for each in copies] == [1] * 300
+    assert _Named.asked <= 3 * 300
+
+
+def test_a_name_of_thousands_of_letters_is_cut_where_it_is_refused(tmp_path):
+    document = gemmi.cif.read(str(STRUCTURES / "1ubq.cif"))
+    column = document.sole_block().find_loop("_atom_site.auth_asym_id")
+    for k in range(len(column)):
+        column[k] = 50_000 * "Q"
+    document.write_file(str(tmp_path / "x.cif"))
+    with pytest.raises(pc.ProtochainError, match="has 50000 letters") as caught:
+        pc.load(tmp_path / "x.cif")
+    assert len(str(caught.value)) < 300 + len(str(tmp_path))
+
+
+def test_an_entity_that_names_a_chain_twice_is_one():
+    st = gemmi.read_structure(str(STRUCTURES / "1l2y.pdb"))
+    st.setup_entities()
+    st.entities[0].entity_type = gemmi.EntityType.NonPolymer
+    for residue in st[0][0]:
+        residue.entity_type = gemmi.EntityType.NonPolymer
+    st.entities[0].subchains = [*st.entities[0].subchains] * 2
+    settle(st, whole=True)
+    assert st.entities[0].subchains == ["Axp"]

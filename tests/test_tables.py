@@ -255,9 +255,7 @@ def test_a_structures_page_is_written_with_its_curves_and_repairs(tmp_path):
     write_page(tmp_path, JOBS[0], [row], [noted("<CB>")])
     page = (tmp_path / "pages" / "one.html").read_text()
     drawn = curves([row])["lines"]["kcm"]
-    assert all(
-        text in page for text in ("&lt;CB&gt;", "used up", drawn, f"{WIDTH}", f"{HEIGHT}", "one")
-    )
+    assert all(text in page for text in ("&lt;CB&gt;", "used up", drawn, f"{WIDTH}", f"{HEIGHT}", "one"))
     assert [path.name for path in (tmp_path / "pages").iterdir()] == ["one.html"]
 
 

@@ -80,7 +80,7 @@ def build(
     """Build an extended all-atom chain from a sequence."""
     from protochain.storage import check_writable
     from protochain.structure import from_sequence, save
-    from protochain.structure.write import as_text, check_format
+    from protochain.structure.write import as_text, check_format, common_suffix
 
     printed = str(output) == STANDARD_OUTPUT
     if not printed:
@@ -88,7 +88,7 @@ def build(
         check_writable(output)
     structure = from_sequence(sequence)
     if printed:
-        sys.stdout.write(as_text(structure, ".pdb"))
+        sys.stdout.write(as_text(structure, common_suffix([structure])))
     else:
         save(structure, output)
     size = f"{counted(structure.n_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}"

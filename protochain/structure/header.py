@@ -77,7 +77,7 @@ def settle(out: gemmi.Structure, *, whole: bool) -> None:
                 there.setdefault(residue.subchain, []).append(residue)
     kept = []
     for entity in out.entities:
-        entity.subchains = [each for each in entity.subchains if each in there]
+        entity.subchains = [each for each in dict.fromkeys(entity.subchains) if each in there]
         if entity.subchains and _fits(entity, there):
             kept.append(entity)
             for each in entity.subchains:
