@@ -322,7 +322,7 @@ def test_a_result_says_how_it_was_made(tmp_path, monkeypatch):
     assert (row["inputs"], row["threads"]) == ("1l2y.pdb", "2")
     head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
     assert row["commit"] == made.COMMIT
-    assert made.commit().removesuffix(" and changes") == (head.stdout.strip() or "none")
+    assert made.commit().removesuffix(" and changes") == (head.stdout.strip() or "none: an installed package")
     assert pd.read_csv(tmp_path / "race.csv")["a"].tolist() == [2]
 
 

@@ -22,7 +22,6 @@ from openmm import unit
 from scipy import constants
 
 import protochain as pc
-from protochain import lab
 from protochain.dynamics import (
     Isolated,
     Langevin,
@@ -35,6 +34,7 @@ from protochain.dynamics import (
     chain_potential,
 )  # fmt: skip
 from protochain.energies import build_system, constrain_hydrogens
+from protochain.lab import draw_lines, in_turn
 from protochain.multibody import sample_velocities
 
 LARGEST = "1ake_A.pdb"
@@ -118,7 +118,7 @@ def largest_steps(options: argparse.Namespace) -> pd.DataFrame:
 def median_seconds(function: Callable[[], object]) -> float:
     """Median time of some calls."""
     function()
-    return lab.in_turn([function], turns=70, clock=perf_counter)[0].median
+    return in_turn([function], turns=70, clock=perf_counter)[0].median
 
 
 def one_step(chain: pc.Chain, energy) -> tuple[float, float, float, float]:
@@ -218,7 +218,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     sound = table[(table["status"] == "completed") & (table["time_ps"] < 100)]
     sound = sound.assign(seconds_per_ps=sound["ms_per_step"] / sound["step_fs"])
     for ax, column in zip(axes, ("step_fs", "seconds_per_ps"), strict=True):
-        lab.draw_lines(ax, sound, column, "error_kj_mol", "integrator")
+        draw_lines(ax, sound, column, "error_kj_mol", "integrator")
     axes[0].set(xlabel="time step, fs", ylabel="standard deviation of the energy, kJ/mol")
     axes[1].set(xlabel="run time, s per ps")
     figure.suptitle("Trp-cage at constant energy, 300 K: error against step and run time")

@@ -23,8 +23,8 @@ from made import SAMPLES
 from openmm import app, unit
 
 import protochain as pc
-from protochain import lab
 from protochain.energies import Energy, NativeEnergy, OpenMMEnergy
+from protochain.lab import in_turn
 
 DEFAULT = ("1l2y", "4pti", "1ubq", "1hel")
 COPIES = 4
@@ -37,7 +37,7 @@ def medians(calls: dict[str, Callable[[], object]], seconds: float = 1.5) -> dic
 
     Three calls a turn, the first uncounted: idle threads of the other engine still spin during it.
     """
-    found = lab.in_turn(list(calls.values()), seconds * len(calls), 3, 3, perf_counter)
+    found = in_turn(list(calls.values()), seconds * len(calls), 3, 3, perf_counter)
     return {name: 1e3 * each.median for name, each in zip(calls, found, strict=True)}
 
 

@@ -25,7 +25,7 @@ import numpy as np
 import pandas as pd
 
 import protochain as pc
-from protochain import lab
+from protochain.lab import exponent
 
 GAP = 3.0
 """angstrom between the boxes around two copies."""
@@ -100,7 +100,7 @@ def prepared(path: Path, options: argparse.Namespace) -> dict[str, object]:
 def exponents(table: pd.DataFrame) -> pd.DataFrame:
     """Slopes of the seconds with the atoms, in logarithms."""
     timed = [name for name in table if name.endswith("_s")]
-    slopes = [lab.exponent(table["atoms"], table[name]) for name in timed]
+    slopes = [exponent(table["atoms"], table[name]) for name in timed]
     return pd.DataFrame({"seconds_of": timed, "exponent": slopes})
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from protochain import lab
+from protochain.lab import commit as commit_of
+from protochain.lab import processor
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "structures"
@@ -74,7 +75,7 @@ def write(
     table.to_csv(path, index=False)
     row = {
         "table": path.name, "command": command(by), "commit": COMMIT,
-        "machine": f"{lab.processor()}, {len(os.sched_getaffinity(0))} cores", "threads": threads,
+        "machine": f"{processor()}, {len(os.sched_getaffinity(0))} cores", "threads": threads,
         "load": round(os.getloadavg()[1], 1),
         "versions": ", ".join(f"{name} {found}" for name in LIBRARIES if (found := _version(name))),
         "inputs": " ".join(Path(str(given)).name for given in inputs),
@@ -116,7 +117,7 @@ def _version(name: str) -> str:
 
 def commit() -> str:
     """Commit of the tree, by git; results and pages may change meanwhile."""
-    return lab.commit(ROOT, ".", ":!analysis/results", ":!*.md")
+    return commit_of(ROOT, ".", ":!analysis/results", ":!*.md")
 
 
 COMMIT = commit()

@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 
-from protochain import lab
+from protochain.lab import in_turn
 from protochain.multibody import HingeKind, Tree, forward_dynamics, pose, random_tree, solve_mass
 
 try:
@@ -34,7 +34,7 @@ def medians(calls: dict[str, Callable[[], object]], seconds: float = 1.0) -> dic
     """Return the median time of each call, taken in turn so that a slow moment of the machine strikes all."""
     for call in calls.values():
         call()
-    found = lab.in_turn(list(calls.values()), seconds * len(calls), 5, clock=perf_counter)
+    found = in_turn(list(calls.values()), seconds * len(calls), 5, clock=perf_counter)
     return {name: each.median for name, each in zip(calls, found, strict=True)}
 
 

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 import protochain as pc
 import protochain.energies
-from protochain import lab
+from protochain.lab import exponent, in_turn
 from protochain.mechanisms import box_tree, overlapping, touching
 
 native = protochain.energies.native.neighbours
@@ -38,7 +38,7 @@ def least(calls: dict[object, Callable[[], object]], repeats: int) -> dict[objec
     """Least seconds of each call; all are made in turn, after one that compiles."""
     for call in calls.values():
         call()
-    found = lab.in_turn(list(calls.values()), turns=repeats)
+    found = in_turn(list(calls.values()), turns=repeats)
     return {key: each.least for key, each in zip(calls, found, strict=True)}
 
 
@@ -82,7 +82,7 @@ def scaling(sizes: tuple[int, ...], repeats: int) -> pd.DataFrame:
         for row in table.itertuples()
     ]
     powers = table.groupby("search").apply(
-        lambda own: lab.exponent(own["bodies"], own["bodies"] * own["ns_each"]), include_groups=False
+        lambda own: exponent(own["bodies"], own["bodies"] * own["ns_each"]), include_groups=False
     )
     return table.assign(exponent=table["search"].map(powers))
 

@@ -18,6 +18,7 @@ PACKAGES = (
     "batches",
     "dynamics",
     "energies",
+    "lab",
     "mechanisms",
     "minimisers",
     "motion",
