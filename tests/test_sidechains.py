@@ -8,8 +8,9 @@ from conftest import STRUCTURES, load
 
 import protochain as pc
 from protochain import residues
+from protochain.markup import listed
 from protochain.structure import packing, relief, turning
-from protochain.structure.chirality import centres, changed_hands, hand, listed, volume, wrong_hands
+from protochain.structure.chirality import centres, changed_hands, hand, volume, wrong_hands
 from protochain.structure.draft import Member, atom
 from protochain.structure.packing import Choices, Site, choosable, packed, wrapped
 from protochain.structure.read import read
