@@ -1,6 +1,7 @@
 """The rules of CONTRIBUTING.md that a machine can check."""
 
 import ast
+import functools
 import importlib
 import inspect
 from graphlib import TopologicalSorter
@@ -145,6 +146,7 @@ READ = {
 """Methods, of texts and of patterns, that look into a text; ``split()`` alone only joins lines."""
 
 
+@functools.cache
 def refusals():
     """Names of the exceptions of the package, all of whose texts are its own."""
     bases = {

@@ -8,8 +8,9 @@ from conftest import STRUCTURES, load
 
 import protochain as pc
 from protochain import residues
+from protochain.markup import listed
 from protochain.structure import packing, relief, turning
-from protochain.structure.chirality import centres, changed_hands, hand, listed, volume, wrong_hands
+from protochain.structure.chirality import centres, changed_hands, hand, volume, wrong_hands
 from protochain.structure.draft import Member, atom
 from protochain.structure.packing import Choices, Site, choosable, packed, wrapped
 from protochain.structure.read import read
@@ -500,7 +501,7 @@ def test_wrong_hands_are_those_that_a_name_does_not_say():
     left, right = made("ALA", L_ALANINE, 1), made("ALA", mirrored(L_ALANINE), 2)
     d_left, d_right = made("ALA", L_ALANINE, 3, is_d=True), made("ALA", mirrored(L_ALANINE), 4, is_d=True)
     glycine = made("GLY", {"CA": [0, 0, 0]}, 5)
-    assert wrong_hands([left, right, d_left, d_right, glycine]) == [
+    assert [str(atom) for atom in wrong_hands([left, right, d_left, d_right, glycine])] == [
         "CA of residue 2 ALA of chain A", "CA of residue 3 DAL of chain A",
     ]  # fmt: skip
     assert listed([]) == "" and listed(list("abcdef")) == "a, b, c, d, e, f"

@@ -163,7 +163,10 @@ def test_atoms_are_renamed_once_and_never_to_a_name_that_is_there():
         atoms = [atom(name, name[0], [0.0, 0.0, 0.0]) for name in names]
         return rename(atoms, known), [each.name for each in atoms]
 
-    assert renamed("CD", "HN", "1H", "CA", "QX") == (["CD to CD1", "HN to H"], ["CD1", "H", "1H", "CA", "QX"])
+    assert renamed("CD", "HN", "1H", "CA", "QX") == (
+        [("CD", "CD1"), ("HN", "H")],
+        ["CD1", "H", "1H", "CA", "QX"],
+    )
     assert renamed("CD", "CD1") == ([], ["CD", "CD1"])
 
 
