@@ -136,8 +136,10 @@ class BodyError(MechanicsError):
     def __init__(self, body: int, fault: str) -> None:
         super().__init__(int(body), fault)
 
-    def __str__(self) -> str:
-        return f"body {self.args[0]}: {self.args[1]}"
+    @property
+    def parts(self) -> tuple[object, ...]:
+        """The line in parts."""
+        return (f"body {self.args[0]}: {self.args[1]}",)
 
     def by_name(self, names: Sequence[str]) -> MechanicsError:
         """Return the same error with the name of the body in place of its number."""

@@ -7,7 +7,6 @@ import gemmi
 import numpy as np
 
 from protochain.errors import StructureError
-from protochain.markup import counted
 
 
 @dataclass(frozen=True, eq=False)
