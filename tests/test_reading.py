@@ -417,16 +417,16 @@ def test_an_occupancy_that_is_no_number_is_no_choice(tmp_path):
     (tmp_path / "x.pdb").write_text("\n".join([*lines, "END", ""]))
     s = pc.load(tmp_path / "x.pdb")
     assert s.residue_name[21] == "SER" and np.isfinite(s.occupancy).all()
-    assert f"occupancy or B factor of {len(own)} atoms is no number: taken as 0" in s.repairs
+    assert f"occupancy or B factor of {len(own)} atoms is no number: taken as 0" in sentences(s)
 
 
 def test_atoms_upon_one_another_beyond_measure_are_refused(tmp_path):
     """A thousand times what is usual; the file itself is small."""
-    text = [line for line in (STRUCTURES / "1l2y.pdb").read_text().split("ENDMDL")[0].splitlines()]
+    text = (STRUCTURES / "1l2y.pdb").read_text().split("ENDMDL")[0].splitlines()
     at = "HETATM 1000 ZN    ZN B{:4}      11.000  11.000  11.000  1.00  0.00          ZN"
     text = [line for line in text if line.startswith("ATOM")] + [at.format(k) for k in range(1, 1001)]
     (tmp_path / "x.pdb").write_text("\n".join([*text, "END", ""]))
-    with pytest.raises(pc.ProtochainError, match="lie upon one another: [0-9]+ pairs"):
+    with pytest.raises(pc.ProtochainError, match=r"lie upon one another: [0-9]+ pairs"):
         pc.load(tmp_path / "x.pdb")
 
 

@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import noted
 from matplotlib.image import imread
 
 import protochain as pc
-from protochain.analysis.plots import COLOURS
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.page import HEIGHT, WIDTH, curves, write_page
 from protochain.batches.report import WORST, plot_distribution, statistics, worst_first, write_report
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables, read_table
+from protochain.lab.report import COLOURS
 from protochain.minimisers import record
 
 TWO = BatchSettings(methods=("lbfgs", "kcm"))

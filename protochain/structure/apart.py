@@ -90,8 +90,8 @@ def refuse_crowds(atoms: Sequence[gemmi.Atom], source: str) -> None:
     if pairs > least + more * tree.n:
         raise StructureError(
             f"{source}: its atoms lie upon one another: {pairs} pairs of heavy atoms are nearer than "
-            f"{_CROWD:g} angstrom, where some {6 * tree.n} are usual; give fewer chains or molecules, or correct "
-            "positions"
+            f"{_CROWD:g} angstrom, where some {6 * tree.n} are usual; give fewer chains or molecules, or "
+            "correct positions"
         )
 
 
