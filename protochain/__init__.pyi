@@ -1,4 +1,3 @@
-from . import multibody as multibody
 from .analysis import Comparison as Comparison
 from .analysis import compare as compare
 from .analysis.bars import progress as progress
@@ -16,13 +15,14 @@ from .chain import mass_matrix as mass_matrix
 from .chain import pose as pose
 from .chain import pull_back as pull_back
 from .chain import solve_mass as solve_mass
+from .core.errors import ProtochainError as ProtochainError
 from .dynamics import HingeSpring as HingeSpring
 from .dynamics import Pull as Pull
 from .dynamics import Simulation as Simulation
 from .dynamics import simulate as simulate
 from .energies import energy as energy
 from .energies.convert import to_ase as to_ase
-from .errors import ProtochainError as ProtochainError
+from .mechanics import multibody as multibody
 from .minimisers import Solution as Solution
 from .minimisers import Starts as Starts
 from .minimisers import Status as Status

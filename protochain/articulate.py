@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from protochain import defaults
-from protochain.arrays import Floats, Integers, read_only
 from protochain.chain import Chain, dihedral
-from protochain.checks import checked, kinds, quantity, selection, text
-from protochain.errors import Argument, ChainError
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.checks import checked, kinds, quantity, selection, text
+from protochain.core.errors import Argument, ChainError
 from protochain.hinges import HINGES, Hinge, components, cross_links, find_hinges, turning_hinges
-from protochain.multibody import Frames, HingeKind, Tree, rigid_bodies
+from protochain.mechanics.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 from protochain.structure.select import moving as moving_atoms

@@ -6,12 +6,22 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain import multibody
-from protochain.arrays import Floats, Integers, Value, floats, frozen, read_only
-from protochain.checks import instance
+from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
+from protochain.core.checks import instance
 from protochain.hinges import Hinge
-from protochain.multibody import Frames, Tree
-from protochain.multibody.algebra import add, add_pair, cross, kernel, matrix, put, subtract, turned, vector
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import Frames, Tree
+from protochain.mechanics.multibody.algebra import (
+    add,
+    add_pair,
+    cross,
+    kernel,
+    matrix,
+    put,
+    subtract,
+    turned,
+    vector,
+)
 from protochain.structure.model import Structure
 
 _ON_HINGE = 1e-9
@@ -200,7 +210,7 @@ def mass_matrix(chain: Chain, pose: Pose) -> Floats:
     Returns
     -------
     (n_v, n_v) float, amu nm^2
-        M by the composite-rigid-body algorithm; see :func:`protochain.multibody.mass_matrix`.
+        M by the composite-rigid-body algorithm; see :func:`protochain.mechanics.multibody.mass_matrix`.
     """
     return multibody.mass_matrix(_chain(chain, "chain").tree, _pose(pose, "pose").frames)
 
@@ -215,7 +225,7 @@ def solve_mass(chain: Chain, pose: Pose, tau: Floats, method: multibody.Method =
     tau : (n_v,) float, kJ/mol/rad
         Torques.
     method : str
-        ``articulated`` or ``fixman``; see :func:`protochain.multibody.solve_mass`.
+        ``articulated`` or ``fixman``; see :func:`protochain.mechanics.multibody.solve_mass`.
 
     Returns
     -------
@@ -233,7 +243,7 @@ def log_det_mass(chain: Chain, pose: Pose, method: multibody.Method = "articulat
     chain, pose : Chain, Pose
         Chain of rigid bodies, and its pose at q.
     method : str
-        ``articulated`` or ``fixman``; see :func:`protochain.multibody.log_det_mass`.
+        ``articulated`` or ``fixman``; see :func:`protochain.mechanics.multibody.log_det_mass`.
 
     Returns
     -------

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
-from protochain.arrays import Floats, Integers, read_only
 from protochain.chain import Chain
-from protochain.residues import VAN_DER_WAALS
+from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.linkage import COVALENT_SLACK, is_metal, usual_length
 from protochain.structure.model import Structure
-from protochain.units import ANGSTROM_PER_NM
+from protochain.structure.residues import VAN_DER_WAALS
 
 OVERLAP = 0.5
 """Nonbonded atoms closer than this fraction of the sum of their van der Waals radii overlap. Hydrogen bonds

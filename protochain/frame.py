@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from protochain.arrays import Floats, frozen
 from protochain.chain import Chain
+from protochain.core.arrays import Floats, frozen
 from protochain.energies.protocol import Energy
 from protochain.structure.model import Structure
 from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angstrom

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from protochain import residues
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
+from protochain.structure import residues
 from protochain.structure.model import Structure
 
 HINGES = ("phi", "psi", "omega", "chi", "rotors", "angles")

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from protochain import defaults
-from protochain.checks import (
+from protochain.core import defaults
+from protochain.core.checks import (
     NO_BONDS,
     Bond,
     bonds,
@@ -21,8 +21,8 @@ from protochain.checks import (
     text,
     words,
 )
-from protochain.errors import ProtochainError, refused
-from protochain.settings import Settings, setting
+from protochain.core.errors import ProtochainError, refused
+from protochain.core.settings import Settings, setting
 
 if TYPE_CHECKING:
     from protochain.chain import Chain

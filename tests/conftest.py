@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import protochain as pc
-from protochain import interrupts
-from protochain.multibody import Tree
+from protochain.core import interrupts
+from protochain.mechanics.multibody import Tree
 from protochain.structure.repairs import Kind, Repair
 
 ROOT = Path(__file__).parent.parent

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 
 import protochain as pc
 from protochain.cli.relaxing import print_relaxed
-from protochain.relaxation.hands import Hands
+from protochain.relaxation.chirality_restraint import Hands
 from protochain.validation.omega import omegas
 
 PLACE = 0.01

@@ -19,12 +19,12 @@ LONG = 0.25
 """s of a processor. Shorter ones are listed only if the run calls them itself."""
 HEAD = """\
 # Kernels of `protochain relax` and `minimise` by default, in the order in which helpers compile them: module,
-# name, types of arguments as protochain.ahead.type_of reads them. Written by tests/kernels.py.
+# name, types of arguments as protochain.core.compile_helpers.type_of reads them. Written by tests/kernels.py.
 """
 RUN = """
 import sys
 from time import process_time
-from protochain import ahead, compilation
+from protochain.core import compile_helpers, compilation
 from protochain.cli import main
 
 found, inside = [], []
@@ -43,7 +43,7 @@ def compiled(kernel, by_numba, types):
         inside.pop()
         mine[2] = process_time() - began
         try:
-            mine[0] = ahead.entry_of(kernel, tuple(types))
+            mine[0] = compile_helpers.entry_of(kernel, tuple(types))
         except KeyError:
             pass
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import protochain as pc
-from protochain.residues import CHI
+from protochain.structure.residues import CHI
 
 RINGS = {
     "PHE": (("CG", "CD1", "CE1", "CZ", "CE2", "CD2"),),

@@ -44,8 +44,11 @@ FOLDERS = {
     "analysis": (["analysis/deviation.py", "analysis/quality.py"], []),
     "write": ([f"structure/{name}.py" for name in ("write", "header", "records", "springs")], []),
     "relaxation": (["relaxation"], ["repack"]),
-    "mechanics": (["multibody", "chain.py"], ["multibody", "mass", "chain", "massless", "flexible"]),
-    "motion": (["motion"], ["motion", "driven", "bending"]),
+    "mechanics": (
+        ["mechanics/multibody", "chain.py"],
+        ["multibody", "mass", "chain", "massless", "flexible"],
+    ),
+    "motion": (["mechanics/motion"], ["motion", "driven", "bending"]),
     "dynamics": (["dynamics"], ["dynamics"]),
     "mechanisms": (["mechanisms"], ["mechanisms", "contact", "boxes", "pile", "search", "segments"]),
     "kernels": (["energies/native"], ["native", "energy"]),

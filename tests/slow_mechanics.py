@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from protochain.multibody import Frames, HingeKind, Tree, random_tree
+from protochain.mechanics.multibody import Frames, HingeKind, Tree, random_tree
 
 KINDS = (HingeKind.REVOLUTE, HingeKind.PRISMATIC, HingeKind.SCREW, HingeKind.FIXED)
 N_TREES = 100

@@ -5,16 +5,16 @@ import pytest
 from conftest import chain
 
 import protochain as pc
-from protochain import multibody
 from protochain.chain import pose
+from protochain.mechanics import multibody
+from protochain.mechanics.motion.leapfrog import Leapfrog
+from protochain.mechanics.motion.system import Phase, StepTooLargeError, System
+from protochain.mechanics.multibody.articulated import articulate
 from protochain.minimisers import annealing
 from protochain.minimisers.annealing import LONGEST_TURN, Annealing, AnnealingState
 from protochain.minimisers.problem import Problem
 from protochain.minimisers.restraints import Tethers
 from protochain.minimisers.spaces import ROOT_LEVER, Torsions
-from protochain.motion.leapfrog import Leapfrog
-from protochain.motion.system import Phase, StepTooLargeError, System
-from protochain.multibody.articulated import articulate
 
 R = 8.31446261815324e-3
 """kJ/mol/K, CODATA."""

@@ -24,10 +24,10 @@ from protochain.batches.settings import keep_settings
 from protochain.batches.supervise import Child
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables
 from protochain.batches.task import run
-from protochain.defaults import METHOD
-from protochain.errors import WriteError
+from protochain.core.defaults import METHOD
+from protochain.core.errors import WriteError
+from protochain.core.storage import json_text
 from protochain.minimisers import record
-from protochain.storage import json_text
 
 CUT = "ATOM      1  N   ALA A   1      11.104   6.134  -6.504  1.00  0.00           N\n"
 EVIL = "<script>alert(1)</script>"

@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 from test_canonical import two_links
 from test_flexible import SPUN, on_a_hub, some
 
-from protochain.errors import MechanicsError
-from protochain.motion import (
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import (
     Applied,
     DormandPrince,
     Event,
@@ -20,10 +20,10 @@ from protochain.motion import (
     RungeKutta4,
     march,
 )  # fmt: skip
-from protochain.motion.bending import BendingSystem
-from protochain.multibody import random_tree
-from protochain.multibody.flexible import bend
-from protochain.multibody.flexible_dynamics import momenta
+from protochain.mechanics.motion.bending import BendingSystem
+from protochain.mechanics.multibody import random_tree
+from protochain.mechanics.multibody.flexible import bend
+from protochain.mechanics.multibody.flexible_dynamics import momenta
 from protochain.scenes.canonical import by_hand
 
 START = np.array([0.3, 0.9, 0.05, -0.04]), np.array([2.0, -3.0, 0.5, 0.4])

@@ -6,7 +6,7 @@ from scipy.optimize import lsq_linear
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from protochain.errors import MechanicsError
+from protochain.core.errors import MechanicsError
 from protochain.mechanisms.box_kernels import FACES, STEEPEST
 from protochain.mechanisms.boxes import Box, touch_boxes, touch_plane
 

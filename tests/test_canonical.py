@@ -7,12 +7,12 @@ import pytest
 from scipy.integrate import solve_ivp
 from test_flexible import some
 
-from protochain.errors import MechanicsError
-from protochain.multibody import HingeKind, Tree
-from protochain.multibody.beams import Beam, beam
-from protochain.multibody.canonical import canonical_rates, rates_of
-from protochain.multibody.flexible import Flexible, bend, elastic
-from protochain.multibody.flexible_dynamics import forward_dynamics, mass_matrix, momenta
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.multibody import HingeKind, Tree
+from protochain.mechanics.multibody.beams import Beam, beam
+from protochain.mechanics.multibody.canonical import canonical_rates, rates_of
+from protochain.mechanics.multibody.flexible import Flexible, bend, elastic
+from protochain.mechanics.multibody.flexible_dynamics import forward_dynamics, mass_matrix, momenta
 from protochain.scenes import run
 from protochain.scenes.canonical import by_hand
 

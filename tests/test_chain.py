@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.chain import dihedral
+from protochain.mechanics.multibody import HingeKind, integrate
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.spaces import ROOT_LEVER, Torsions
-from protochain.multibody import HingeKind, integrate
 
 ALL_HINGES = "phi psi omega chi rotors"
 

@@ -8,6 +8,7 @@ import pytest
 from quadratics import Flat, positive
 
 import protochain as pc
+from protochain.core.storage import read_arrays, write_arrays
 from protochain.minimisers.checkpoint import _plain, load_checkpoint, save_checkpoint
 from protochain.minimisers.descent import Descent, DescentState
 from protochain.minimisers.lbfgs import LBFGS
@@ -17,7 +18,6 @@ from protochain.minimisers.problem import Evaluation, Tally
 from protochain.minimisers.spaces import Positions
 from protochain.minimisers.stages import Stage, Waypoint
 from protochain.minimisers.steps import StrongWolfe
-from protochain.storage import read_arrays, write_arrays
 
 
 def point(k):

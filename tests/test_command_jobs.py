@@ -15,7 +15,7 @@ from test_commands import refusal, run
 
 import protochain as pc
 from protochain.batches import BatchSettings
-from protochain.relaxation import Relaxing
+from protochain.relaxation import RelaxSettings
 from protochain.setup import Setup
 
 pytestmark = pytest.mark.usefixtures("interruptible")
@@ -214,7 +214,7 @@ def test_batch_hands_its_options_on(batched, capsys):
         "time_limit": 3600.0,
         "methods": ("cartesian",), "tolerance": None, "max_rmsd": math.inf, "max_evaluations": 5000,
         "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
-        "setup": Setup(), "relaxing": Relaxing(),
+        "setup": Setup(), "relaxing": RelaxSettings(),
     }  # fmt: skip
     assert capsys.readouterr().out == "done 1 'page'\n"
     options = (
@@ -233,7 +233,7 @@ def test_batch_hands_its_options_on(batched, capsys):
         "methods": ("md", "kcm"), "tolerance": 5.0, "max_rmsd": 7.0, "max_evaluations": 6, "seed": 8,
         "restraint": "5 0", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": False,
         "setup": Setup(ph=5.0),
-        "relaxing": Relaxing("crystal", "", 5.0, 9.0, 8, 7, "resid 3", False, True),
+        "relaxing": RelaxSettings("crystal", "", 5.0, 9.0, 8, 7, "resid 3", False, True),
     }  # fmt: skip
     assert capsys.readouterr().out == '{"a": 1}\n'
     assert run("batch", "a", "--starts", 9, "--spread", 90, "--hop", 300) == 0

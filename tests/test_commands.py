@@ -16,12 +16,12 @@ from test_write import ring
 
 import protochain as pc
 from protochain.cli import app, main, options
-from protochain.errors import Argument, ProtochainError, WriteError
+from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.lab.cases import Extreme, Outcome, Scene
 from protochain.lab.report import work_table
-from protochain.residues import Residue
 from protochain.setup import Setup
 from protochain.structure.repairs import EVERYTHING, Kind, Repair
+from protochain.structure.residues import Residue
 from protochain.structure.write import as_text
 
 SETUP = {

@@ -9,10 +9,10 @@ from conftest import PDB_ROUNDING_NM, STRUCTURES, chain, energy, load, noted
 from openmm import app, unit
 
 import protochain as pc
-from protochain import defaults
 from protochain.analysis import report
 from protochain.analysis.viewer import library
 from protochain.cli.terminal import print_table
+from protochain.core import defaults
 from protochain.minimisers import RECIPES
 from protochain.minimisers.record import COLUMNS, Column, heading
 from protochain.structure.trajectory import TrajectoryFile

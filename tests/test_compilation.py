@@ -16,12 +16,12 @@ from filelock import FileLock
 from numba import types
 from numba.core.caching import FunctionCache
 
-from protochain import ahead, compilation
-from protochain.compilation import njit
-from protochain.subprocesses import own_python
+from protochain.core import compilation, compile_helpers
+from protochain.core.compilation import njit
+from protochain.core.subprocesses import own_python
 
 CALLEE = """
-from protochain.compilation import njit
+from protochain.core.compilation import njit
 
 @njit(cache=True)
 def part(x):
@@ -30,7 +30,7 @@ def part(x):
 CALLER = """
 import sys
 import numpy as np
-from protochain.compilation import njit
+from protochain.core.compilation import njit
 from callee_{name} import part
 FACTOR = {factor}
 TABLE = np.full(3, {entry})
@@ -115,7 +115,7 @@ def test_two_processes_compile_a_kernel_once(sources, tmp_path):
 @pytest.mark.parametrize("ending", [".nbi", ".nbc"])
 def test_damaged_files_are_written_anew(sources, tmp_path, monkeypatch, ending):
     monkeypatch.setattr(compilation._SETTINGS, "CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setenv(ahead._HELPER, "1")
+    monkeypatch.setenv(compile_helpers._HELPER, "1")
     path = sources(name="damaged")
     assert load(path).whole(1.0) == 4.0
     (kept,) = (tmp_path / "cache").rglob(f"caller_damaged.whole*{ending}")
@@ -159,7 +159,7 @@ def test_without_a_home_and_beside_read_only_sources_it_goes_to_the_temporary_fo
 
 
 def test_where_nothing_can_be_kept_it_compiles_all_the_same(caplog, monkeypatch):
-    monkeypatch.delenv(ahead._HELPER, raising=False)
+    monkeypatch.delenv(compile_helpers._HELPER, raising=False)
     compilation._announce.cache_clear()
     scope = {}
     exec(compile("def double(x):\n    return 2 * x", "no such file", "exec"), scope)
@@ -183,7 +183,7 @@ def test_garbage_is_collected_again_after_compiling():
 def listed(sources, tmp_path, monkeypatch):
     """A list of kernels of one's own, and their module."""
     monkeypatch.setattr(compilation._SETTINGS, "CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setenv(ahead._HELPER, "1")
+    monkeypatch.setenv(compile_helpers._HELPER, "1")
     module = load(sources(name="listed"))
     (tmp_path / "list").write_text(
         "# a comment\n"
@@ -194,14 +194,14 @@ def listed(sources, tmp_path, monkeypatch):
         "caller_listed whole f\n"
         "callee_listed part i\n"
     )
-    monkeypatch.setattr(ahead, "_LIST", tmp_path / "list")
-    ahead.entries.cache_clear()
+    monkeypatch.setattr(compile_helpers, "_LIST", tmp_path / "list")
+    compile_helpers.entries.cache_clear()
     yield module
-    ahead.entries.cache_clear()
+    compile_helpers.entries.cache_clear()
 
 
 def test_a_helper_compiles_what_is_listed_and_leaves_out_the_rest(listed, tmp_path):
-    ahead.help_out()
+    compile_helpers.help_out()
     assert listed.whole.signatures == [(types.float64,)]
     assert (types.int64,) in listed.part.signatures
     again = load(tmp_path / "caller_listed.py").whole
@@ -213,7 +213,7 @@ def test_a_helper_leaves_out_what_another_process_has_in_hand(listed):
     Path(place).parent.mkdir(parents=True, exist_ok=True)
     with FileLock(place):
         began = time.monotonic()
-        ahead.help_out()
+        compile_helpers.help_out()
         assert time.monotonic() - began < compilation.PATIENCE / 2
     assert not listed.whole.signatures and (types.int64,) in listed.part.signatures
 
@@ -221,36 +221,36 @@ def test_a_helper_leaves_out_what_another_process_has_in_hand(listed):
 def test_helpers_are_called_once_for_a_listed_kernel_and_end_with_the_caller(listed, tmp_path, monkeypatch):
     started, ends = [], []
     popen = lambda command, **options: started.append((command, options["env"])) or "a helper"  # noqa: E731
-    monkeypatch.setattr(ahead, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=-3))
-    monkeypatch.setattr(ahead.atexit, "register", lambda end, helper: ends.append((end, helper)))
-    monkeypatch.setattr(ahead, "_cores", lambda: 3)
-    monkeypatch.setattr(ahead, "_HELD", [])
-    ahead.call_helpers("caller_listed whole", tmp_path)
+    monkeypatch.setattr(compile_helpers, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=-3))
+    monkeypatch.setattr(compile_helpers.atexit, "register", lambda end, helper: ends.append((end, helper)))
+    monkeypatch.setattr(compile_helpers, "_cores", lambda: 3)
+    monkeypatch.setattr(compile_helpers, "_HELD", [])
+    compile_helpers.call_helpers("caller_listed whole", tmp_path)
     assert not started  # A helper itself.
-    monkeypatch.delenv(ahead._HELPER)
-    ahead.call_helpers("caller_listed other", tmp_path)
+    monkeypatch.delenv(compile_helpers._HELPER)
+    compile_helpers.call_helpers("caller_listed other", tmp_path)
     assert not started
     with FileLock(tmp_path / "helpers.lock", is_singleton=False):
-        ahead.call_helpers("caller_listed whole", tmp_path)
+        compile_helpers.call_helpers("caller_listed whole", tmp_path)
     assert not started  # Another process has helpers.
-    ahead.call_helpers("caller_listed whole", tmp_path)
-    ahead.call_helpers("callee_listed part", tmp_path)
-    assert [env[ahead._HELPER] for _, env in started] == ["1", "2"]
-    assert started[0][0][0] == sys.executable and ends == [(ahead._end, "a helper")] * 2
-    ahead._HELD[0].release()
+    compile_helpers.call_helpers("caller_listed whole", tmp_path)
+    compile_helpers.call_helpers("callee_listed part", tmp_path)
+    assert [env[compile_helpers._HELPER] for _, env in started] == ["1", "2"]
+    assert started[0][0][0] == sys.executable and ends == [(compile_helpers._end, "a helper")] * 2
+    compile_helpers._HELD[0].release()
 
 
-@pytest.mark.parametrize(("cores", "helpers"), [(1, 0), (2, 1), (64, ahead.MOST)])
+@pytest.mark.parametrize(("cores", "helpers"), [(1, 0), (2, 1), (64, compile_helpers.MOST)])
 def test_helpers_leave_a_core_to_the_run(listed, tmp_path, monkeypatch, cores, helpers):
     started = []
-    monkeypatch.setattr(ahead.subprocess, "Popen", lambda *_, **__: started.append(1))
-    monkeypatch.setattr(ahead.atexit, "register", lambda *_: None)
-    monkeypatch.setattr(ahead, "_cores", lambda: cores)
-    monkeypatch.setattr(ahead, "_HELD", [])
-    monkeypatch.delenv(ahead._HELPER)
-    ahead.call_helpers("caller_listed whole", tmp_path)
+    monkeypatch.setattr(compile_helpers.subprocess, "Popen", lambda *_, **__: started.append(1))
+    monkeypatch.setattr(compile_helpers.atexit, "register", lambda *_: None)
+    monkeypatch.setattr(compile_helpers, "_cores", lambda: cores)
+    monkeypatch.setattr(compile_helpers, "_HELD", [])
+    monkeypatch.delenv(compile_helpers._HELPER)
+    compile_helpers.call_helpers("caller_listed whole", tmp_path)
     assert len(started) == helpers
-    for lock in ahead._HELD:
+    for lock in compile_helpers._HELD:
         lock.release()
 
 
@@ -258,12 +258,12 @@ def test_helpers_leave_a_core_to_the_run(listed, tmp_path, monkeypatch, cores, h
     "text", ["f", "i", "b", "f2r", "b1", "f1s", "f3rs", "n", "(i,i)", "(f2,(i1r,b),n)", "()"]
 )
 def test_types_are_written_as_they_are_read(text):
-    assert ahead.text_of(ahead.type_of(text)) == text
+    assert compile_helpers.text_of(compile_helpers.type_of(text)) == text
 
 
 def test_types_are_those_of_arrays():
     def of(array):
-        return ahead.text_of(types.misc.unliteral(__import__("numba").typeof(array)))
+        return compile_helpers.text_of(types.misc.unliteral(__import__("numba").typeof(array)))
 
     locked = np.zeros((2, 3))
     locked.flags.writeable = False
@@ -272,8 +272,8 @@ def test_types_are_those_of_arrays():
 
 
 def test_the_list_is_of_kernels_that_there_are():
-    kernels = list(ahead._kernels())
-    assert len(kernels) == len(ahead.entries()) == len(set(ahead.entries())) > 20
+    kernels = list(compile_helpers._kernels())
+    assert len(kernels) == len(compile_helpers.entries()) == len(set(compile_helpers.entries())) > 20
     for kernel, of in kernels:
         assert isinstance(kernel._cache, compilation.Store)
         assert len(of) == kernel.py_func.__code__.co_argcount, kernel
@@ -281,14 +281,14 @@ def test_the_list_is_of_kernels_that_there_are():
 
 RUN = """
 import sys
-from protochain import ahead
+from protochain.core import compile_helpers
 from protochain.cli import main
 sys.argv = ["protochain", *{arguments}]
 try:
     main()
 except SystemExit as end:
     assert not end.code
-print(*ahead.loaded(), sep="\\n")
+print(*compile_helpers.loaded(), sep="\\n")
 """
 
 
@@ -301,13 +301,13 @@ def test_the_list_has_all_that_a_run_by_default_calls(command, tmp_path):
     for _ in range(2):
         run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     called = {line for line in run.stdout.splitlines() if line.startswith("protochain.")}
-    assert called <= set(ahead.entries())
+    assert called <= set(compile_helpers.entries())
 
 
 @pytest.mark.slow
 def test_no_bit_depends_on_which_process_compiled(tmp_path):
     found = []
-    for name, surroundings in (("helped", {}), ("alone", {ahead._HELPER: "0"}), ("helped", {})):
+    for name, surroundings in (("helped", {}), ("alone", {compile_helpers._HELPER: "0"}), ("helped", {})):
         output = tmp_path / f"{len(found)}.pdb"
         command = ["minimise", str(STRUCTURES / "1l2y.pdb"), "-o", str(output), "--trace", f"{output}.csv"]
         alone = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / name)} | surroundings
@@ -321,7 +321,7 @@ def test_no_bit_depends_on_which_process_compiled(tmp_path):
 
 LOADED = """
 import numpy as np
-from protochain.compilation import njit
+from protochain.core.compilation import njit
 
 @njit(cache=True)
 def loaded(x):
@@ -358,7 +358,9 @@ def test_nothing_of_the_current_folder_is_run_or_trusted(tmp_path):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('the trap ran')")
     trap = tmp_path / "trap"
     (tmp_path / ".numba_config.yaml").write_text(f"cache_dir: {trap}\n")
-    program = "import gemmi, protochain.compilation; from numba import config; print(repr(config.CACHE_DIR))"
+    program = (
+        "import gemmi, protochain.core.compilation; from numba import config; print(repr(config.CACHE_DIR))"
+    )
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
 
     def seen(**more):

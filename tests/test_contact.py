@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import approx_fprime, minimize
 
-from protochain import multibody
-from protochain.errors import MechanicsError
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import DormandPrince
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.contact import (
     Contact,
@@ -20,7 +21,6 @@ from protochain.mechanisms.contact import (
 from protochain.mechanisms.contact_forces import Anchors
 from protochain.mechanisms.shapes import Ball, Plane, Surface, Touches
 from protochain.mechanisms.triangles import nearest
-from protochain.motion import DormandPrince
 
 G = 9.81
 IMPACT = 1e-5

@@ -9,9 +9,9 @@ from conftest import chain, energy, load
 from scipy.spatial.distance import cdist
 
 import protochain as pc
-from protochain import multibody
 from protochain.chain import pose
 from protochain.energies.native.terms import compile_system
+from protochain.mechanics import multibody
 from protochain.minimisers import curvature
 from protochain.minimisers.cholesky import elimination_order
 from protochain.minimisers.curvature import COUPLED, FLOOR, REACH, near_terms

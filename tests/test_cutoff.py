@@ -9,8 +9,8 @@ from conftest import NATIVE_ENERGY, NATIVE_FORCE, load
 from openmm import app, unit
 
 import protochain as pc
-from protochain import defaults
-from protochain.errors import ProtochainError
+from protochain.core import defaults
+from protochain.core.errors import ProtochainError
 from protochain.setup import Setup
 
 

@@ -10,9 +10,9 @@ from scipy.optimize import minimize
 from scipy.sparse.csgraph import shortest_path
 
 import protochain as pc
-from protochain import multibody
 from protochain.chain import pose
 from protochain.contacts import joined, near_pairs, radii
+from protochain.mechanics import multibody
 from protochain.minimisers import KCM, LBFGS, RECIPES, Descent, Fire, Newton, StrongWolfe, springs
 from protochain.minimisers.kcm import by_largest, by_length, by_sign
 from protochain.minimisers.loop import Stop, run

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from slow_mechanics import any_tree, random_q
 from test_mass_engines import KINDS, pinocchio_acceleration, state
 
-from protochain import multibody
-from protochain.errors import MechanicsError
-from protochain.motion import (
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import (
     Applied,
     DormandPrince,
     Event,
@@ -23,7 +23,7 @@ from protochain.motion import (
     System,
     march,
 )  # fmt: skip
-from protochain.multibody import (
+from protochain.mechanics.multibody import (
     HingeKind,
     Tree,
     forward_dynamics,
@@ -41,7 +41,7 @@ from protochain.multibody import (
     solve_closed,
     solve_mass,
 )  # fmt: skip
-from protochain.multibody.articulated import articulate, solve
+from protochain.mechanics.multibody.articulated import articulate, solve
 
 G = 9.81
 LENGTH, MASS, INERTIA = 0.7, 2.0, 0.05

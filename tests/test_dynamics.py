@@ -9,7 +9,7 @@ from conftest import REVERSED, ROUND_OFF
 from scipy.spatial.transform import Rotation
 from scipy.stats import gamma, kstest
 
-from protochain import multibody
+from protochain.core.errors import MechanicsError
 from protochain.dynamics import (
     DormandPrince,
     HybridMonteCarlo,
@@ -25,13 +25,13 @@ from protochain.dynamics import (
     remove_com_motion,
 )  # fmt: skip
 from protochain.dynamics.loop import noise
-from protochain.errors import MechanicsError
-from protochain.motion import lobatto
-from protochain.motion.correction import correct
-from protochain.motion.leapfrog import put_end_momenta
-from protochain.multibody import HingeKind, Tree, random_tree, rigid_bodies
-from protochain.multibody.hamilton import momenta, put_momenta
-from protochain.multibody.rotations import displacement_rates, tangent, tangent_inverse, turn_by
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import lobatto
+from protochain.mechanics.motion.correction import correct
+from protochain.mechanics.motion.leapfrog import put_end_momenta
+from protochain.mechanics.multibody import HingeKind, Tree, random_tree, rigid_bodies
+from protochain.mechanics.multibody.hamilton import momenta, put_momenta
+from protochain.mechanics.multibody.rotations import displacement_rates, tangent, tangent_inverse, turn_by
 
 KINDS = (HingeKind.REVOLUTE, HingeKind.PRISMATIC, HingeKind.SCREW)
 SYMPLECTIC = [Leapfrog(), Leapfrog(lobatto.drift), ImplicitMidpoint(1e-13)]

@@ -17,9 +17,9 @@ from conftest import MORE_STRUCTURES, ROOT, STRUCTURES, energy, load, sentences,
 from pdbfixer.pdbfixer import substitutions
 
 import protochain as pc
-from protochain import residues
 from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.task import run
+from protochain.structure import residues
 from protochain.structure.files import parse
 from protochain.structure.losses import Why
 from protochain.structure.read import model_numbers

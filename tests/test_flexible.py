@@ -8,13 +8,13 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from slow_mechanics import random_q
 
-from protochain import multibody
-from protochain.errors import MechanicsError
-from protochain.multibody import HingeKind, Tree, random_tree
-from protochain.multibody.beams import Beam, beam, clamped, clamped_roots
-from protochain.multibody.flexible import Flexible, bend, elastic, integrate
-from protochain.multibody.flexible_algebra import tangent_rate
-from protochain.multibody.flexible_dynamics import (
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import HingeKind, Tree, random_tree
+from protochain.mechanics.multibody.beams import Beam, beam, clamped, clamped_roots
+from protochain.mechanics.multibody.flexible import Flexible, bend, elastic, integrate
+from protochain.mechanics.multibody.flexible_algebra import tangent_rate
+from protochain.mechanics.multibody.flexible_dynamics import (
     forward_dynamics,
     inverse_dynamics,
     jacobian,
@@ -23,7 +23,7 @@ from protochain.multibody.flexible_dynamics import (
     pull_back,
     solve,
 )  # fmt: skip
-from protochain.multibody.rotations import tangent
+from protochain.mechanics.multibody.rotations import tangent
 
 KINDS = (HingeKind.REVOLUTE, HingeKind.PRISMATIC, HingeKind.SCREW, HingeKind.FIXED)
 

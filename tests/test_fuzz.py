@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import protochain as pc
-from protochain.processors import processors
+from protochain.core.processors import processors
 
 LONGEST_SECONDS = 10.0
 

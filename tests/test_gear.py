@@ -5,9 +5,9 @@ import pytest
 from scipy.optimize import approx_fprime
 from scipy.spatial import cKDTree
 
-from protochain.errors import MechanicsError
-from protochain.motion import System
-from protochain.multibody import kinetic_energy, pose
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import System
+from protochain.mechanics.multibody import kinetic_energy, pose
 from protochain.scenes import run
 from protochain.scenes.gear import flanks_of, started
 from protochain.scenes.gear.geometry import GearPair, outer, overlap

@@ -9,10 +9,10 @@ import pytest
 from conftest import MORE_STRUCTURES, STRUCTURES, load, sentences, shared
 
 import protochain as pc
-from protochain import residues
 from protochain.contacts import near_pairs
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.verdict import Status, verdict
+from protochain.structure import residues
 from protochain.structure.prepare import prepare
 from protochain.structure.read import read
 

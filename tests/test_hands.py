@@ -7,12 +7,12 @@ from conftest import SAMPLES, load, sentences, shared
 
 import protochain as pc
 from protochain.minimisers.loop import Stop
-from protochain.relaxation.hands import Hands
+from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.presets import PRESETS
 from protochain.relaxation.rounds import Ended, Relaxer, Round
-from protochain.residues import Residue
 from protochain.structure.chirality import chiral_atoms, wrong_atoms
 from protochain.structure.repairs import Kind
+from protochain.structure.residues import Residue
 
 BACKBONE = ("N", "CA", "C", "O", "OXT", "H", "H1", "H2", "H3")
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from protochain.errors import MechanicsError
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, Rosenbrock, RungeKutta4
+from protochain.mechanics.multibody import integrate, mass_matrix, pose
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.modes import in_modes
 from protochain.mechanisms.segments import Beam, add_beam
-from protochain.motion import DormandPrince, ImplicitMidpoint, Leapfrog, Rosenbrock, RungeKutta4
-from protochain.multibody import integrate, mass_matrix, pose
 from protochain.scenes import run
 from protochain.scenes.helicopter import landing, resonance
 from protochain.scenes.helicopter.legs import Legs

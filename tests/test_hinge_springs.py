@@ -12,7 +12,6 @@ from scipy.linalg import expm
 from scipy.stats import gamma, kstest
 
 import protochain as pc
-from protochain import multibody
 from protochain.dynamics import (
     DormandPrince,
     Isolated,
@@ -28,8 +27,9 @@ from protochain.dynamics import (
 )
 from protochain.dynamics.hinge_springs import Dampers, dampers, hinge_springs
 from protochain.dynamics.loop import noise
-from protochain.motion import Applied, Load
-from protochain.multibody import HingeKind, random_tree
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import Applied, Load
+from protochain.mechanics.multibody import HingeKind, random_tree
 
 COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]
 KT = 2.5

@@ -9,10 +9,10 @@ from conftest import ROUND_OFF, chain
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from protochain.core.errors import MechanicsError
 from protochain.dynamics import closure_of
-from protochain.errors import MechanicsError
-from protochain.motion import DormandPrince, Event, System, march
-from protochain.multibody import (
+from protochain.mechanics.motion import DormandPrince, Event, System, march
+from protochain.mechanics.multibody import (
     ContactPoint,
     HingeKind,
     Rows,
@@ -30,11 +30,11 @@ from protochain.multibody import (
     solve_closed,
     velocities,
 )  # fmt: skip
-from protochain.multibody.articulated import articulate
-from protochain.multibody.complementarity import restitute
-from protochain.multibody.hamilton import momenta
-from protochain.multibody.impulse import _together
-from protochain.multibody.impulse_path import follow
+from protochain.mechanics.multibody.articulated import articulate
+from protochain.mechanics.multibody.complementarity import restitute
+from protochain.mechanics.multibody.hamilton import momenta
+from protochain.mechanics.multibody.impulse import _together
+from protochain.mechanics.multibody.impulse_path import follow
 
 LAWS = ("newton", "poisson", "stronge")
 UP = (0.0, 0.0, 1.0)

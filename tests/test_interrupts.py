@@ -18,7 +18,7 @@ from test_minimise import signals  # noqa: F401 (a fixture)
 
 import protochain as pc
 from protochain import cli
-from protochain.interrupts import answering, held_interrupts, open_to_interrupts
+from protochain.core.interrupts import answering, held_interrupts, open_to_interrupts
 from protochain.minimisers import Status
 from protochain.minimisers.problem import Problem
 from protochain.minimisers.spaces import Torsions

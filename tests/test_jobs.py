@@ -16,7 +16,7 @@ from conftest import STRUCTURES
 
 import protochain as pc
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, listed, origin
-from protochain.relaxation import Relaxing
+from protochain.relaxation import RelaxSettings
 
 PLAIN = {
     "methods": ("cartesian",), "tolerance": None, "max_rmsd": float("inf"), "max_evaluations": 5000,
@@ -69,8 +69,8 @@ def test_settings_that_results_do_not_depend_on_are_not_recorded():
 def test_one_tolerance_is_that_of_all_methods():
     for settings in (
         BatchSettings(("relax", "lbfgs"), tolerance=5.0),
-        BatchSettings(("relax", "lbfgs"), relaxing=Relaxing(tolerance=5.0)),
-        BatchSettings(("relax", "lbfgs"), relaxing=Relaxing(tolerance=7.0)).changed(tolerance=5.0),
+        BatchSettings(("relax", "lbfgs"), relaxing=RelaxSettings(tolerance=5.0)),
+        BatchSettings(("relax", "lbfgs"), relaxing=RelaxSettings(tolerance=7.0)).changed(tolerance=5.0),
         BatchSettings(("relax", "lbfgs")).read({"tolerance": "5"}),
     ):
         assert settings.tolerance == settings.relaxing.tolerance == 5.0
@@ -106,7 +106,7 @@ def test_a_manifest_has_the_settings_of_relax():
         "forcefield": "amber19", "tolerance": "3",
     }  # fmt: skip
     own = BatchSettings().read(row)
-    assert own.relaxing == Relaxing("crystal", "", 3.0, 200.0, 9, 2, "resid 3", False, True)
+    assert own.relaxing == RelaxSettings("crystal", "", 3.0, 200.0, 9, 2, "resid 3", False, True)
     assert own.setup == pc.Setup(chains=("A",), forcefield="amber19") and own.methods == ("relax",)
     for cells, said in (
         ({"preset": "weak"}, "preset 'weak' is not known; choose from predicted, crystal, design"),

@@ -15,8 +15,8 @@ from slow_mechanics import (
     slow_mass_matrix,
 )
 
-from protochain.errors import MechanicsError, ProtochainError
-from protochain.multibody import (
+from protochain.core.errors import MechanicsError, ProtochainError
+from protochain.mechanics.multibody import (
     HingeKind,
     Rows,
     Tree,
@@ -43,8 +43,8 @@ from protochain.multibody import (
     solve_mass,
     velocities,
 )
-from protochain.multibody.operational import row_loads
-from protochain.multibody.small import cholesky
+from protochain.mechanics.multibody.operational import row_loads
+from protochain.mechanics.multibody.small import cholesky
 
 METHODS = ("articulated", "fixman")
 TREES = [seed for seed in range(N_TREES) if any_tree(seed).n_v]

@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from protochain.multibody import (
+from protochain.mechanics.multibody import (
     HingeKind,
     Tree,
     forward_dynamics,

@@ -7,9 +7,16 @@ import pytest
 from scipy.integrate import solve_ivp
 from slow_mechanics import slow_mass_matrix
 
-from protochain.errors import MechanicsError
-from protochain.motion import DormandPrince, ImplicitMidpoint, Leapfrog, Rosenbrock, RungeKutta4, System
-from protochain.multibody import (
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import (
+    DormandPrince,
+    ImplicitMidpoint,
+    Leapfrog,
+    Rosenbrock,
+    RungeKutta4,
+    System,
+)
+from protochain.mechanics.multibody import (
     HingeKind,
     Tree,
     centre_of_mass,

@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.analysis.deviation import deviation, rmsd_table
-from protochain.errors import OnlyAlphaError, StructureError
-from protochain.residues import STANDARD
+from protochain.core.errors import OnlyAlphaError, StructureError
 from protochain.structure import matching as module
 from protochain.structure.matching import match, tm_score
+from protochain.structure.residues import STANDARD
 from protochain.structure.superpose import rmsd
 
 NAMES = {letter: name for name, letter in STANDARD.items()} | {"w": "HOH", "x": "HYP"}

@@ -7,15 +7,15 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from test_docs import GUIDE, blocks
 
-from protochain import multibody
-from protochain.errors import MechanicsError
-from protochain.mechanisms import Acting, Bushing, Mechanism, Named, Spring, State, Torsion
-from protochain.mechanisms.elements import Sum
-from protochain.motion import (
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import (
     Applied,
     DormandPrince,
     Load,
 )  # fmt: skip
+from protochain.mechanisms import Acting, Bushing, Mechanism, Named, Spring, State, Torsion
+from protochain.mechanisms.elements import Sum
 
 G = 9.81
 DOWN = (0.0, 0.0, -G)

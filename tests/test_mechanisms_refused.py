@@ -8,9 +8,8 @@ import pytest
 from conftest import AUDITED
 from test_mechanisms import DOWN, G, pendulum
 
-from protochain.errors import MechanicsError
-from protochain.mechanisms import Mechanism
-from protochain.motion import (
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import (
     Applied,
     DormandPrince,
     ImplicitMidpoint,
@@ -20,6 +19,7 @@ from protochain.motion import (
     RungeKutta4,
     StepTooLargeError,
 )  # fmt: skip
+from protochain.mechanisms import Mechanism
 
 ORIGIN = (0, 0, 0)
 
@@ -266,7 +266,7 @@ def test_a_damper_of_any_stiffness_is_right_by_rosenbrock(damping):
 
 def test_substeps_without_end_are_refused(monkeypatch):
     """A stiff damper keeps explicit substeps short, however little moves; the true number takes seconds."""
-    monkeypatch.setattr("protochain.motion.substeps._MOST", 1000)
+    monkeypatch.setattr("protochain.mechanics.motion.substeps._MOST", 1000)
     model = oscillator(0.0, 1.0, damping=1e8, qd=1.0)
     with pytest.raises(StepTooLargeError, match=r"1000 substeps make only 0\.000\d of .*Rosenbrock\(\)"):
         model.simulate(0.1, 0.1, DormandPrince())

@@ -13,7 +13,7 @@ import protochain as pc
 from protochain.batches import cluster
 from protochain.batches.jobs import BatchSettings, find_jobs
 from protochain.cli import as_said, main
-from protochain.errors import Angle, Argument, ProtochainError, WriteError
+from protochain.core.errors import Angle, Argument, ProtochainError, WriteError
 
 SAMPLE = STRUCTURES / "ala10.pdb"
 

@@ -276,7 +276,7 @@ def test_a_signal_after_the_last_step_changes_nothing(signals, monkeypatch, tmp_
     assert output.exists()
 
 
-@pytest.mark.filterwarnings("ignore::protochain.errors.StrayWarning")
+@pytest.mark.filterwarnings("ignore::protochain.core.errors.StrayWarning")
 @pytest.mark.parametrize("method", METHODS)
 def test_atoms_on_top_of_one_another_give_no_nan_and_a_verdict_that_names_them(method):
     c = chain("1l2y.pdb")
@@ -305,7 +305,7 @@ def test_atoms_on_top_of_one_another_give_no_nan_and_a_verdict_that_names_them(m
     assert longer.end.energy < r.start.energy and np.isfinite(longer.trace["energy_kj_mol"]).all()
 
 
-@pytest.mark.filterwarnings("ignore::protochain.errors.StrayWarning")
+@pytest.mark.filterwarnings("ignore::protochain.core.errors.StrayWarning")
 @pytest.mark.parametrize("method", METHODS)
 def test_atoms_at_one_point_end_in_a_verdict(method):
     s = load("ala10.pdb")

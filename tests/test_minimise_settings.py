@@ -9,8 +9,8 @@ import pytest
 from conftest import chain
 
 import protochain as pc
-from protochain import defaults
 from protochain.chain import pose
+from protochain.core import defaults
 from protochain.frame import Frame
 from protochain.minimisers import RECIPES, Solution, Status, api
 from protochain.minimisers.api import Minimisation

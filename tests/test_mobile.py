@@ -7,11 +7,11 @@ import pytest
 from conftest import NATIVE_FORCE, STRUCTURES, sentences
 
 import protochain as pc
-from protochain.multibody import HingeKind
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.mechanics.multibody import HingeKind
 from protochain.structure.draft import Member
 from protochain.structure.recognise import recognised
 from protochain.structure.templates import Template
-from protochain.units import ANGSTROM_PER_NM
 
 TYPES = {"C1": ("lig-C1", "C"), "C2": ("lig-C2", "C"), "O1": ("lig-O", "O"), "HO1": ("lig-H", "H")}
 CHARGE = {"C1": 0.05, "C2": 0.2, "O1": -0.65, "HO1": 0.4}

@@ -9,9 +9,9 @@ import pytest
 from conftest import ROUND_OFF
 from scipy.integrate import solve_ivp
 
-from protochain import multibody
-from protochain.errors import MechanicsError
-from protochain.motion import (
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import (
     Applied,
     DormandPrince,
     Event,
@@ -24,7 +24,7 @@ from protochain.motion import (
     System,
     march,
 )  # fmt: skip
-from protochain.multibody import HingeKind, Tree, random_tree
+from protochain.mechanics.multibody import HingeKind, Tree, random_tree
 
 G = 9.81
 LENGTH, MASS = 0.7, 2.0
@@ -381,7 +381,7 @@ def test_march_ends_at_its_time_and_keeps_the_bare_integrators_bits():
 
 
 def test_motion_knows_nothing_of_proteins():
-    code = "import sys, protochain.motion; print(list(sys.modules))"
+    code = "import sys, protochain.mechanics.motion; print(list(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "openmm" not in loaded
     for part in ("structure", "energies", "chain", "dynamics", "minimisers"):

@@ -8,8 +8,8 @@ from conftest import ROUND_OFF, round_off
 from scipy.spatial.transform import Rotation
 from slow_mechanics import N_TREES, any_tree, random_q, slow_frames, slow_jacobian
 
-from protochain.errors import MechanicsError, ProtochainError
-from protochain.multibody import (
+from protochain.core.errors import MechanicsError, ProtochainError
+from protochain.mechanics.multibody import (
     HingeKind,
     Tree,
     integrate,
@@ -20,7 +20,7 @@ from protochain.multibody import (
     rigid_bodies,
     velocities,
 )
-from protochain.multibody.trigonometry import cosines_and_sines
+from protochain.mechanics.multibody.trigonometry import cosines_and_sines
 
 
 @pytest.mark.parametrize("seed", range(N_TREES))

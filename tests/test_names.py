@@ -6,9 +6,9 @@ import pytest
 from conftest import PDB_ROUNDING_NM, STRUCTURES, load, sentences, shared
 
 import protochain as pc
-from protochain.relaxation.hands import Hands
-from protochain.residues import D_NAMES
+from protochain.relaxation.chirality_restraint import Hands
 from protochain.structure.losses import Why
+from protochain.structure.residues import D_NAMES
 from protochain.structure.write import as_text
 
 BACKBONE = ("N", "CA", "C", "O")

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.validation.cbeta import LIMIT, cbeta_deviations
-from protochain.validation.found import Found
+from protochain.validation.findings import Found
 from protochain.validation.layout import dihedrals, layout
 from protochain.validation.omega import omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran, score, tables

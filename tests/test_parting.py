@@ -11,17 +11,17 @@ from test_descent import crowded
 
 import protochain as pc
 from protochain.contacts import overlaps
+from protochain.core.errors import StrayWarning
 from protochain.energies.bonded import bonded_part
-from protochain.errors import StrayWarning
 from protochain.minimisers import RECIPES, Stop, springs, verdict
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.metrics import Damped
-from protochain.minimisers.outlook import FAR, Straying, how_far, is_crowded, outlook, strayed
 from protochain.minimisers.parting import parting_in_all_atoms, parting_in_torsions
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.restraints import Bound, SoftRepulsion
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import walk
+from protochain.minimisers.start_warnings import FAR, Straying, how_far, is_crowded, outlook, strayed
 from protochain.minimisers.unthread import Push, push_of
 from protochain.structure.chirality import changed_hands
 from protochain.structure.superpose import rmsd_angstrom

@@ -6,7 +6,7 @@ import pytest
 from conftest import SAMPLES, load, shared
 
 import protochain as pc
-from protochain.relaxation.planes import Planes
+from protochain.relaxation.planarity_restraint import Planes
 from protochain.validation import violations
 
 ANGLE = np.radians(75.0)

@@ -30,7 +30,7 @@ from protochain.analysis.studies.precision.peptides import KT, peptide
 from protochain.cli import app
 from protochain.energies import build_system
 from protochain.energies.native import neighbours
-from protochain.multibody import HingeKind, integrate, mass_matrix, pose, random_tree
+from protochain.mechanics.multibody import HingeKind, integrate, mass_matrix, pose, random_tree
 
 
 def tree_at(n=7, seed=3):

@@ -9,12 +9,12 @@ from conftest import noted, shared
 
 import protochain as pc
 from protochain.cli.options import as_option
-from protochain.residues import Residue
 from protochain.structure.bridges import disulfides
 from protochain.structure.conformation import likeliest, same_place
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.protonate import protonate
 from protochain.structure.repairs import EVERYTHING, Kind, Repair, summarised
+from protochain.structure.residues import Residue
 from protochain.structure.templates import templates
 
 

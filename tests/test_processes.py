@@ -19,7 +19,7 @@ from protochain.batches.cluster import Processes, Workers, at_work
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables
-from protochain.subprocesses import own_python
+from protochain.core.subprocesses import own_python
 
 OWN = version("protochain")
 

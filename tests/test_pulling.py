@@ -12,7 +12,7 @@ from conftest import ROUND_OFF, STRUCTURES, chain, energy, load, shared
 from scipy.integrate import solve_ivp
 
 import protochain as pc
-from protochain import multibody
+from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import (
     Isolated,
     Langevin,
@@ -25,9 +25,9 @@ from protochain.dynamics import (
 )
 from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring
 from protochain.dynamics.settings import INTEGRATORS
-from protochain.multibody import HingeKind, Tree
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.structure.select import atoms_at
-from protochain.units import MOLAR_GAS
 
 COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]
 ENDS = "A:1:N-A:10:C"

@@ -5,11 +5,11 @@ import pytest
 from conftest import LEFT_OUT, NATIVE_ENERGY, ROUND_OFF_NM, load
 
 import protochain as pc
-from protochain import multibody
 from protochain.energies.native.evaluate import touched
 from protochain.energies.native.evaluation import Evaluation, Workspace
 from protochain.energies.native.layout import W
 from protochain.energies.native.neighbours import SKIN, block_groups, make_lists, partners
+from protochain.mechanics import multibody
 
 SETTINGS = {
     "vacuum": {"solvent": "vacuum"},

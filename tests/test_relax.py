@@ -17,13 +17,13 @@ import protochain as pc
 from protochain.contacts import joined, overlaps
 from protochain.energies import OpenMMEnergy, build_system
 from protochain.minimisers.loop import Stop
-from protochain.relaxation import PRESETS, PROTOCOLS, Relaxing, rounds
+from protochain.relaxation import PRESETS, PROTOCOLS, RelaxSettings, rounds
 from protochain.relaxation.api import _spoiled, relax_structure
 from protochain.relaxation.names import relaxed_name
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.rounds import Relaxer
-from protochain.residues import VAN_DER_WAALS
 from protochain.structure.chirality import wrong_atoms
+from protochain.structure.residues import VAN_DER_WAALS
 from protochain.validation import threaded_rings, violations
 
 STIFF = 4184.0
@@ -98,7 +98,7 @@ def test_each_preset_holds_what_its_table_says():
 
 
 def test_stiffness_and_tolerance_replace_those_of_the_preset():
-    own = Relaxing("crystal", stiffness=2092.0, tolerance=3.0).strength
+    own = RelaxSettings("crystal", stiffness=2092.0, tolerance=3.0).strength
     assert own.backbone == pytest.approx((2092.0,)) and own.side_chains == pytest.approx((500.0,))
     assert own.tolerance == 3.0
 
@@ -153,7 +153,7 @@ def test_the_round_with_the_fewest_left_is_the_result(monkeypatch):
         return replace(violations(s), per_residue=np.arange(s.n_residues) < next(left))
 
     monkeypatch.setattr(rounds, "violations", found)
-    result = relax_structure(s, energy("1l2y.pdb"), Relaxing(max_iterations=1))
+    result = relax_structure(s, energy("1l2y.pdb"), RelaxSettings(max_iterations=1))
     assert len(result.rounds) == 3 and result.best == 1
     assert [each.violations for each in result.rounds] == [3, 1, 2]
 
@@ -255,7 +255,7 @@ def test_a_file_keeps_what_it_says_of_itself(tmp_path):
     """Two chains, B factors, SEQRES: as in the input; hydrogens only if they are asked for."""
     r = pc.relax(pc.load(shared("3i40_insulin.pdb"), keep="none"), threads=1, max_iterations=2)
     r.save(tmp_path / "with.pdb")
-    replace(r, settings=Relaxing(keep_hydrogens=False)).save(tmp_path / "without.cif")
+    replace(r, settings=RelaxSettings(keep_hydrogens=False)).save(tmp_path / "without.cif")
     given = gemmi.read_structure(str(shared("3i40_insulin.pdb")))
     for name in ("with.pdb", "without.cif"):
         made = gemmi.read_structure(str(tmp_path / name))
@@ -320,7 +320,7 @@ def test_an_interrupt_keeps_the_best_so_far(monkeypatch):
             raise KeyboardInterrupt
 
     monkeypatch.setattr("protochain.relaxation.api._Trace.__call__", interrupted)
-    r = relax_structure(s, energy("1l2y.pdb"), Relaxing())
+    r = relax_structure(s, energy("1l2y.pdb"), RelaxSettings())
     assert r.status is pc.Status.INTERRUPTED and len(r.rounds) == 1
     assert r.energy_end <= r.energy_start
     assert Stop.INTERRUPTED in rounds._FINAL
@@ -336,7 +336,7 @@ def test_a_signal_between_two_rounds_keeps_the_first(monkeypatch):
         return found
 
     monkeypatch.setattr(rounds, "violations", interrupted)
-    r = relax_structure(s, energy("1l2y.pdb"), Relaxing())
+    r = relax_structure(s, energy("1l2y.pdb"), RelaxSettings())
     first, second = r.rounds
     assert first.evaluations > 1 and second.evaluations == r.best == 0 and r.energy_end < r.energy_start
 

@@ -9,7 +9,7 @@ from oracles import bond_lengths
 import protochain as pc
 from protochain.contacts import overlaps
 from protochain.minimisers.loop import Stop
-from protochain.relaxation.hands import Hands
+from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.presets import PRESETS
 from protochain.relaxation.rounds import Ended, Relaxer, Round, _Work, mendable
 from protochain.validation import measures, threaded_rings, violations

@@ -9,15 +9,15 @@ from conftest import load, sentences, shared
 from models import planted_rings
 
 import protochain as pc
-from protochain import residues
 from protochain.cli import app
 from protochain.contacts import OVERLAP, near_pairs
+from protochain.core.errors import StructureError
 from protochain.energies.native.implicit import COULOMB
-from protochain.errors import StructureError
 from protochain.relaxation.arms import arms
 from protochain.relaxation.assignment import best
 from protochain.relaxation.repack import repacked, troubled
 from protochain.relaxation.rotamer_energies import Interactions
+from protochain.structure import residues
 from protochain.structure.packing import wrapped
 from protochain.structure.sidechains import dihedral
 from protochain.structure.turning import turned

@@ -10,7 +10,6 @@ from conftest import ROOT, load
 from scipy.stats import gamma, kstest
 
 import protochain as pc
-from protochain import multibody
 from protochain.dynamics import (
     Closure,
     HybridMonteCarlo,
@@ -29,7 +28,8 @@ from protochain.dynamics import (
     simulate,
     total,
 )  # fmt: skip
-from protochain.multibody import HingeKind, Tree, random_tree, rigid_bodies
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import HingeKind, Tree, random_tree, rigid_bodies
 
 KT = 2.5
 KINDS = (HingeKind.REVOLUTE, HingeKind.PRISMATIC, HingeKind.SCREW)

@@ -19,8 +19,8 @@ from protochain.analysis.folder import clear
 from protochain.batches import table as tables
 from protochain.cli import main
 from protochain.cli.minimise import _frames
-from protochain.errors import WriteError
-from protochain.storage import claimed, read_arrays, write_arrays, write_atomically
+from protochain.core.errors import WriteError
+from protochain.core.storage import claimed, read_arrays, write_arrays, write_atomically
 from protochain.structure.trajectory import TrajectoryFile
 
 SAMPLE = STRUCTURES / "ala10.pdb"

@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 from scipy.integrate import quad
 
-from protochain.errors import MechanicsError
-from protochain.motion import DormandPrince
-from protochain.multibody import mass_matrix, pose
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import DormandPrince
+from protochain.mechanics.multibody import mass_matrix, pose
 from protochain.scenes import run
 from protochain.scenes.gun import parts, study
 from protochain.scenes.gun.extremes import REFUSED

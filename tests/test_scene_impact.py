@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from protochain.errors import MechanicsError
-from protochain.multibody import impact, kinetic_energy
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.multibody import impact, kinetic_energy
 from protochain.scenes import run
 from protochain.scenes.impact import bounces, checks, paths, systems
 from protochain.scenes.impact.study import KINDS, each_alone, random_impacts, random_points, random_pose

@@ -5,7 +5,7 @@ import pytest
 from conftest import load
 from scipy.spatial import cKDTree
 
-from protochain.errors import MechanicsError
+from protochain.core.errors import MechanicsError
 from protochain.mechanisms.search import LEAF, box_tree, overlapping, touching
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from protochain.errors import MechanicsError
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import DormandPrince
+from protochain.mechanics.multibody import centre_of_mass, pose
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.linear import frequencies, state_matrix
 from protochain.mechanisms.segments import Beam, add_beam
-from protochain.motion import DormandPrince
-from protochain.multibody import centre_of_mass, pose
 
 ROOTS = np.array([1.87510407, 4.69409113, 7.85475744])
 """Of cos b cosh b = -1."""

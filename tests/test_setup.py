@@ -10,9 +10,9 @@ import typer.main
 from conftest import ROOT, STRUCTURES, load
 
 import protochain as pc
-from protochain import defaults
 from protochain.batches import BatchSettings, Processes
 from protochain.cli import app
+from protochain.core import defaults
 from protochain.energies.shared import shared_energy
 
 COMMANDS = typer.main.get_command(app).commands

@@ -7,9 +7,8 @@ import pytest
 from conftest import STRUCTURES, load
 
 import protochain as pc
-from protochain import residues
-from protochain.markup import listed
-from protochain.structure import packing, relief, turning
+from protochain.core.markup import listed
+from protochain.structure import packing, relief, residues, turning
 from protochain.structure.chirality import centres, changed_hands, hand, volume, wrong_hands
 from protochain.structure.draft import Member, atom
 from protochain.structure.packing import Choices, Site, choosable, packed, wrapped

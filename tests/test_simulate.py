@@ -15,10 +15,10 @@ from conftest import ROOT, ROUND_OFF_NM, STRUCTURES, chain, energy, load
 from scipy.stats import kstest
 
 import protochain as pc
-from protochain import multibody
 from protochain.contacts import overlaps
 from protochain.dynamics import Leapfrog, Simulation, StepTooLargeError, System, closure_of, simulate
-from protochain.multibody import HingeKind, random_tree
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import HingeKind, random_tree
 from protochain.structure.superpose import rmsd
 
 COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]

@@ -7,8 +7,8 @@ import pytest
 from conftest import chain, load
 
 import protochain as pc
-from protochain import multibody
 from protochain.chain import pose, pull_back
+from protochain.mechanics import multibody
 from protochain.minimisers import RECIPES, springs
 from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.problem import evaluate

@@ -5,11 +5,11 @@ from conftest import PDB_ROUNDING_NM, STRUCTURES, load, sentences, shared
 
 import protochain as pc
 from protochain.chain import dihedral
-from protochain.errors import WriteError
-from protochain.storage import write_atomically
+from protochain.core.errors import WriteError
+from protochain.core.storage import write_atomically
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.read import read
 from protochain.structure.write import as_text
-from protochain.units import ANGSTROM_PER_NM
 
 OXYGEN_NM = 0.02
 """Of a carboxylate of ideal geometry, built on an experiment's three other atoms."""
@@ -315,7 +315,7 @@ def test_a_cut_file_is_refused_wherever_it_was_cut(name, tmp_path):
 def test_every_amino_acid_is_built_with_standard_geometry():
     sequence = "ACDEFGHIKLMNPQRSTVWY"
     s = pc.from_sequence(sequence.lower())
-    from protochain.residues import STANDARD
+    from protochain.structure.residues import STANDARD
 
     assert "".join(STANDARD[name] for name in s.residue_name) == sequence
     assert set(s.residue_chain) == {"A"} and list(s.residue_number) == [str(i) for i in range(1, 21)]

@@ -18,9 +18,9 @@ from protochain.analysis.studies.precision import minimisers
 from protochain.analysis.studies.precision import solvers as precise
 from protochain.analysis.studies.stability import cells, dynamics, mechanics, page, solvers
 from protochain.cli import app
+from protochain.core.processors import processors
 from protochain.lab import provenance
-from protochain.multibody import HingeKind, mass_matrix, pose, random_tree
-from protochain.processors import processors
+from protochain.mechanics.multibody import HingeKind, mass_matrix, pose, random_tree
 
 
 def test_precision_counts_what_it_took(tmp_path, monkeypatch):

@@ -17,8 +17,8 @@ from protochain.batches import api, cluster, supervise, task
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import Child, ChildError
 from protochain.batches.thinning import thinned
+from protochain.core.subprocesses import own_python
 from protochain.minimisers.api import minimise
-from protochain.subprocesses import own_python
 
 ALA = STRUCTURES / "ala10.pdb"
 

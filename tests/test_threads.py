@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from conftest import energy, load
 
-from protochain import processors as door
-from protochain.compilation import njit
+from protochain.core import processors as door
+from protochain.core.compilation import njit
 from protochain.energies.native import evaluation
 from protochain.energies.native.atomic import add, replace
 from protochain.energies.native.atomic import load as look

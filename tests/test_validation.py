@@ -18,7 +18,7 @@ from test_quality import molecule
 import protochain as pc
 from protochain.cli import app
 from protochain.validation import LIKENESS, MEASURES, Validation, measures
-from protochain.validation.found import Found
+from protochain.validation.findings import Found
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,7 @@ from protochain.dynamics import (
 )  # fmt: skip
 from protochain.energies import build_system, constrain_hydrogens
 from protochain.lab import draw_lines, in_turn
-from protochain.multibody import sample_velocities
+from protochain.mechanics.multibody import sample_velocities
 
 LARGEST = "1ake_A.pdb"
 THREADS = 2

@@ -19,7 +19,7 @@ import pandas as pd
 import pinocchio as pin
 
 from protochain.lab import in_turn
-from protochain.multibody import HingeKind, Tree, forward_dynamics, pose, random_tree, solve_mass
+from protochain.mechanics.multibody import HingeKind, Tree, forward_dynamics, pose, random_tree, solve_mass
 
 try:
     import dartpy

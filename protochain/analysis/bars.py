@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from protochain.arrays import Floats, Watcher
+from protochain.core.arrays import Floats, Watcher
 
 _SHOWN = {
     "energy_kj_mol": "{:.1f} kJ/mol",

@@ -4,14 +4,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, TypedDict, Unpack
 
-from protochain import defaults
 from protochain.analysis.comparison import Comparison
-from protochain.arrays import Watcher
 from protochain.articulate import as_chain
-from protochain.checks import checked, function, integer, several
+from protochain.core import defaults
+from protochain.core.arrays import Watcher
+from protochain.core.checks import checked, function, integer, several
+from protochain.core.errors import ProtochainError
+from protochain.core.interrupts import held_interrupts
 from protochain.energies import as_energy
-from protochain.errors import ProtochainError
-from protochain.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Recipe, Solution, Status, recipe_of
 from protochain.minimisers.api import Minimisation, minimise_from, refuse_further
 from protochain.minimisers.start import Start

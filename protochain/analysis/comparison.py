@@ -17,7 +17,7 @@ from protochain.analysis.deviation import deviation
 from protochain.analysis.quality import quality
 from protochain.analysis.spread import spreads
 from protochain.analysis.work import at_equal_cost, work_to_reach
-from protochain.errors import ProtochainError
+from protochain.core.errors import ProtochainError
 from protochain.minimisers import Solution
 from protochain.minimisers.record import SHOWN, flat
 from protochain.minimisers.solution import TRACE_COLUMNS, alpha_residues

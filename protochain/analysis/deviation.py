@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from protochain.arrays import Floats, Integers
-from protochain.checks import checked, selection
-from protochain.errors import ProtochainError, StructureError
+from protochain.core.arrays import Floats, Integers
+from protochain.core.checks import checked, selection
+from protochain.core.errors import ProtochainError, StructureError
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure import Structure
 from protochain.structure.matching import Match, match, measurable, models_of, tm_score
 from protochain.structure.select import select
 from protochain.structure.superpose import motion
-from protochain.units import ANGSTROM_PER_NM
 
 ALPHA = "name CA"
 """Selection of the C-alpha atoms, in MDAnalysis syntax."""

@@ -4,8 +4,8 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from protochain.errors import Argument, ProtochainError
-from protochain.storage import check_writable
+from protochain.core.errors import Argument, ProtochainError
+from protochain.core.storage import check_writable
 
 TABLES = ("summary", "equal_cost", "work", "spread", "displacement", "traces", "quality")
 FIGURES = ("energy", "work_precision", "torque", "rmsd", "displacement", "ramachandran")

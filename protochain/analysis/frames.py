@@ -5,10 +5,10 @@ from typing import Any
 import pandas as pd
 from MDAnalysis.analysis.base import AnalysisBase
 
-from protochain import defaults
 from protochain.chain import pose
+from protochain.core import defaults
+from protochain.core.errors import ProtochainError
 from protochain.energies.shared import shared_energy
-from protochain.errors import ProtochainError
 from protochain.minimisers import minimise, recipe_of
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.verdict import Judgement, judge

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as PlainFigure
 from matplotlib.ticker import MaxNLocator
 
-from protochain.arrays import Floats
-from protochain.errors import ProtochainError
+from protochain.core.arrays import Floats
+from protochain.core.errors import ProtochainError
 from protochain.lab.report import COLOURS, DASHES, Figure, plain
 from protochain.validation.ramachandran import ALLOWED, FAVOURED, tables
 

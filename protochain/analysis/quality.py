@@ -6,14 +6,14 @@ import mdtraj
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers
 from protochain.chain import Chain
-from protochain.checks import checked, instance
 from protochain.contacts import overlaps
+from protochain.core.arrays import Floats, Integers
+from protochain.core.checks import checked, instance
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.minimisers import Solution
 from protochain.structure import Structure, as_structure, ca_rmsd
 from protochain.structure.matching import tm_score
-from protochain.units import ANGSTROM_PER_NM
 from protochain.validation import measures
 
 

@@ -12,11 +12,11 @@ import numpy as np
 from protochain.analysis.plots import plot_displacement
 from protochain.analysis.report import data_url
 from protochain.analysis.viewer import scene, superposed, template
+from protochain.core.storage import write_atomically
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.relaxation import Relaxation
 from protochain.relaxation.record import before_and_after
-from protochain.storage import write_atomically
 from protochain.structure.losses import told
-from protochain.units import ANGSTROM_PER_NM
 
 _FULL_RED = 2.0
 """Angstrom of displacement from which on the colour is the same; less where little moved as far."""

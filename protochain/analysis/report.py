@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 from protochain.analysis.folder import clear
 from protochain.analysis.viewer import scene, template
-from protochain.errors import Argument, WriteError
+from protochain.core.errors import Argument, WriteError
+from protochain.core.storage import write_atomically
 from protochain.minimisers.record import SHOWN
-from protochain.storage import write_atomically
 from protochain.structure import save
 from protochain.structure.losses import told
 

@@ -13,7 +13,6 @@ from queue import SimpleQueue
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from protochain import defaults
 from protochain.batches.cluster import Processes, Workers, at_work
 from protochain.batches.jobs import (
     NAMES,
@@ -27,10 +26,11 @@ from protochain.batches.jobs import (
 from protochain.batches.settings import keep_settings
 from protochain.batches.supervise import supervise
 from protochain.batches.table import SUMMARY, Tables, earlier_rows, read_table
-from protochain.checks import checked, flag, function, number, path, several
-from protochain.errors import ProtochainError
-from protochain.interrupts import held_interrupts
-from protochain.storage import json_text, write_atomically
+from protochain.core import defaults
+from protochain.core.checks import checked, flag, function, number, path, several
+from protochain.core.errors import ProtochainError
+from protochain.core.interrupts import held_interrupts
+from protochain.core.storage import json_text, write_atomically
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -145,7 +145,7 @@ def batch(
         Called with a :class:`protochain.batches.BatchProgress` after each structure.
     **settings
         Fields of :class:`protochain.batches.BatchSettings` (``max_evaluations``, ``seed`` ...), of
-        :class:`protochain.relaxation.Relaxing` (``preset``, ``repack`` ...), of
+        :class:`protochain.relaxation.RelaxSettings` (``preset``, ``repack`` ...), of
         :class:`protochain.Setup` (``solvent="gbn2"``, ``model="all"`` ...), and of
         :class:`protochain.batches.Processes` (``workers``, ``scheduler``, ``threads``, ``time_limit``).
 

@@ -8,11 +8,11 @@ from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from protochain import defaults
 from protochain.batches.supervise import crew
-from protochain.checks import check_fields, integer, number, optional, text
-from protochain.errors import Argument, ProtochainError
-from protochain.processors import processors
+from protochain.core import defaults
+from protochain.core.checks import check_fields, integer, number, optional, text
+from protochain.core.errors import Argument, ProtochainError
+from protochain.core.processors import processors
 
 if TYPE_CHECKING:
     from distributed import Client

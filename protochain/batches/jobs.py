@@ -13,20 +13,20 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from protochain import defaults
 from protochain.batches.naming import Earlier, Wanted, absolute, named_apart
-from protochain.checks import check_fields, force_field_parts, instance, several
-from protochain.errors import ProtochainError
+from protochain.core import defaults
+from protochain.core.checks import check_fields, force_field_parts, instance, several
+from protochain.core.errors import ProtochainError
+from protochain.core.settings import Setting, setting, settings_of
+from protochain.core.storage import regular
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.recipes import recipe_of
-from protochain.minimisers.settings import Minimising, Starting
+from protochain.minimisers.settings import MinimiseSettings, StartSettings
 from protochain.minimisers.starts import refuse_held
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.settings import NAMES as OF_RELAXING
-from protochain.relaxation.settings import WITHOUT, Relaxing
-from protochain.settings import Setting, setting, settings_of
+from protochain.relaxation.settings import WITHOUT, RelaxSettings
 from protochain.setup import ALL_MODELS, Setup, models_asked
-from protochain.storage import regular
 from protochain.structure.files import format_of
 from protochain.structure.prepare import user_files
 from protochain.structure.read import model_numbers
@@ -35,7 +35,7 @@ _GLOB = frozenset("*?[")
 
 
 @dataclass(frozen=True)
-class BatchSettings(Starting, Minimising):
+class BatchSettings(StartSettings, MinimiseSettings):
     """How each structure of a batch is prepared, and what is done to it.
 
     Parameters
@@ -44,12 +44,12 @@ class BatchSettings(Starting, Minimising):
         Run one after the other from the same start: those of :func:`protochain.minimise`, and ``relax``.
     setup : Setup
         How the structure is prepared; its ``threads`` are those of the batch.
-    relaxing : Relaxing
+    relaxing : RelaxSettings
         How ``relax`` does it; its tolerance is that of the batch, where one is given.
 
     **settings
-        Fields of :class:`protochain.minimisers.settings.Minimising`, of which the tolerance is also that of
-        ``relax``, and of :class:`protochain.minimisers.settings.Starting`: with several starts, each method
+        Fields of ``settings.MinimiseSettings``, of which the tolerance is also that of
+        ``relax``, and of ``settings.StartSettings``: with several starts, each method
         is run as by :func:`protochain.explore`, and its best end is kept.
 
     Raises
@@ -60,12 +60,12 @@ class BatchSettings(Starting, Minimising):
 
     methods: tuple[str, ...] = setting((defaults.METHOD,), "", several)
     setup: Setup = field(default_factory=Setup)
-    relaxing: Relaxing = field(default_factory=Relaxing)
+    relaxing: RelaxSettings = field(default_factory=RelaxSettings)
 
     def __post_init__(self) -> None:
         check_fields(
             self, setup=instance(Setup, "protochain.Setup()"),
-            relaxing=instance(Relaxing, "protochain.relaxation.Relaxing()"),
+            relaxing=instance(RelaxSettings, "protochain.relaxation.RelaxSettings()"),
         )  # fmt: skip
         super().__post_init__()
         tolerance = self.relaxing.tolerance if self.tolerance is None else self.tolerance
@@ -79,7 +79,7 @@ class BatchSettings(Starting, Minimising):
             raise ProtochainError(
                 f"methods {', '.join(self.methods)}: two have one name; their files would too"
             )
-        minimising = {each.name: getattr(self, each.name) for each in fields(Minimising)}
+        minimising = {each.name: getattr(self, each.name) for each in fields(MinimiseSettings)}
         for recipe in recipes:
             Minimisation(recipe, **minimising)
         if self.n_starts > 1:
@@ -161,7 +161,7 @@ def _truth(text: str) -> bool:
 _NO_VALUES = ("setup", "relaxing", "threads")
 _OF_SETUP = tuple(each.name for each in fields(Setup))
 _OF_RELAXING = frozenset(OF_RELAXING) - {"tolerance"}
-_OF_MINIMISING = frozenset(each.name for kind in (Minimising, Starting) for each in fields(kind))
+_OF_MINIMISING = frozenset(each.name for kind in (MinimiseSettings, StartSettings) for each in fields(kind))
 _OF_MINIMISING = (_OF_MINIMISING - {"tolerance"}) | {*WITHOUT}
 NAMES = tuple(dict.fromkeys((*(each.name for each in fields(BatchSettings)), *OF_RELAXING, *_OF_SETUP)))
 """Settings of a batch's structures, by the names of their fields."""
@@ -176,7 +176,7 @@ def _reader(its: Setting) -> Callable[[str], Any]:
 _READERS: Mapping[Any, Callable[[str], Any]] = {bool: _truth, int: int, float: float}
 _SETTINGS = {
     name: its
-    for kind in (BatchSettings, Relaxing, Setup)
+    for kind in (BatchSettings, RelaxSettings, Setup)
     for name, its in settings_of(kind)
     # A list of structures may not decide that the code in a force-field file is run.
     if name not in (*_NO_VALUES, "trust_forcefield")

@@ -9,9 +9,9 @@ from jinja2 import Template
 
 from protochain.batches.jobs import Job, Row
 from protochain.batches.relaxed import SHOWN_RELAXED
+from protochain.core.storage import write_atomically
 from protochain.minimisers.record import SHOWN
 from protochain.relaxation.record import METHOD as RELAX
-from protochain.storage import write_atomically
 from protochain.structure.losses import told
 from protochain.structure.repairs import Repair
 

@@ -8,7 +8,7 @@ from protochain.batches.api import Batch, BatchProgress, run_batch
 from protochain.batches.cluster import Processes
 from protochain.batches.jobs import BatchSettings
 from protochain.relaxation.record import METHOD as RELAX
-from protochain.relaxation.settings import Relaxing
+from protochain.relaxation.settings import RelaxSettings
 from protochain.setup import Setup
 
 NAME = "relaxed"
@@ -17,7 +17,7 @@ NAME = "relaxed"
 def relax_files(
     inputs: Iterable[str | Path],
     output: str | Path,
-    relaxing: Relaxing | None = None,
+    relaxing: RelaxSettings | None = None,
     setup: Setup | None = None,
     *,
     manifest: str | Path | None = None,
@@ -33,7 +33,7 @@ def relax_files(
         Files, folders, patterns.
     output : path-like
         Folder for the structures, ``relaxed.csv`` with a row for each, and pages.
-    relaxing : Relaxing, optional
+    relaxing : RelaxSettings, optional
         How firmly, and how far.
     setup : Setup, optional
         How structures are read, and their energy. Its threads are those of each structure; one by default.
@@ -60,7 +60,7 @@ def relax_files(
     setup = setup or Setup()
     if setup.threads is not None:
         processes = {"threads": setup.threads} | processes
-    settings = BatchSettings((RELAX,), setup=setup, relaxing=relaxing or Relaxing())
+    settings = BatchSettings((RELAX,), setup=setup, relaxing=relaxing or RelaxSettings())
     return run_batch(
         list(inputs), settings, Path(output), Path(manifest) if manifest else None, resume,
         Processes(**processes), watch, NAME,

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from protochain.analysis.plots import panels
 from protochain.analysis.report import data_url
 from protochain.analysis.viewer import template
+from protochain.core.storage import write_atomically
 from protochain.lab.report import COLOURS, plain
 from protochain.minimisers.record import heading
-from protochain.storage import write_atomically
 from protochain.structure.losses import told
 
 if TYPE_CHECKING:

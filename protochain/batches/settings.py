@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from protochain.batches.jobs import BatchSettings, Job
-from protochain.errors import ProtochainError
-from protochain.storage import write_atomically
+from protochain.core.errors import ProtochainError
+from protochain.core.storage import write_atomically
 from protochain.structure.prepare import user_files
 
 NAME = "settings.json"

@@ -16,8 +16,8 @@ from typing import IO, Any
 
 from protochain.batches.child import DONE
 from protochain.batches.jobs import Job, Row, failure
-from protochain.interrupts import held_interrupts
-from protochain.subprocesses import own_python
+from protochain.core.interrupts import held_interrupts
+from protochain.core.subprocesses import own_python
 
 _START = 600.0
 """s. Time for a child to import and, on a new installation, to compile; several may compile at once."""

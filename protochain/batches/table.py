@@ -16,10 +16,10 @@ from protochain.batches import relaxed
 from protochain.batches.jobs import Job, Row, origin
 from protochain.batches.naming import Earlier
 from protochain.batches.settings import NAME as SETTINGS
-from protochain.errors import Argument, ProtochainError, WriteError
+from protochain.core.errors import Argument, ProtochainError, WriteError
+from protochain.core.storage import check_writable, write_atomically, writing
 from protochain.minimisers import record
 from protochain.relaxation.record import METHOD as RELAX
-from protochain.storage import check_writable, write_atomically, writing
 from protochain.validation import MEASURES
 
 if TYPE_CHECKING:

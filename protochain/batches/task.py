@@ -10,17 +10,17 @@ from protochain.batches.jobs import BatchSettings, Job, Row, failure, origin
 from protochain.batches.naming import output_stem
 from protochain.batches.page import write_page
 from protochain.batches.thinning import thinned
-from protochain.errors import ProtochainError, WriteError
+from protochain.core.errors import ProtochainError, WriteError
+from protochain.core.storage import regular
 from protochain.relaxation.names import suffix_of
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.setup import Setup
-from protochain.storage import regular
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from protochain.arrays import Floats
     from protochain.chain import Chain
+    from protochain.core.arrays import Floats
     from protochain.energies import Energy
     from protochain.minimisers import Solution
     from protochain.relaxation import Relaxation

@@ -26,7 +26,7 @@ from protochain.cli.relax import relax
 from protochain.cli.rmsd import rmsd
 from protochain.cli.simulate import simulate
 from protochain.cli.validate import validate
-from protochain.errors import Argument, ProtochainError, WriteError
+from protochain.core.errors import Argument, ProtochainError, WriteError
 
 __all__ = ["main"]
 

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from protochain import defaults
-from protochain.checks import words
 from protochain.cli.options import (
     CONVERGED,
     FAILED,
@@ -20,8 +18,10 @@ from protochain.cli.options import (
     with_settings,
 )
 from protochain.cli.terminal import batch_progress, print_batch, print_jobs
-from protochain.minimisers.settings import Minimising, Starting
-from protochain.relaxation.settings import Relaxing
+from protochain.core import defaults
+from protochain.core.checks import words
+from protochain.minimisers.settings import MinimiseSettings, StartSettings
+from protochain.relaxation.settings import RelaxSettings
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -58,9 +58,9 @@ def batch(
     dry_run: DryRun = False,
     as_json: AsJson = False,
     *,
-    minimising: Minimising,
-    starting: Starting,
-    relaxing: Relaxing,
+    minimising: MinimiseSettings,
+    starting: StartSettings,
+    relaxing: RelaxSettings,
     setup: Setup,
 ) -> None:
     """Minimise or relax many structures in many processes; a failure is reported and stops no other."""

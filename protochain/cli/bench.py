@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protochain.checks import words
 from protochain.cli.options import CONVERGED, AsJson, fail
 from protochain.cli.printable import printer
+from protochain.core.checks import words
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -59,8 +59,8 @@ def bench(
 
     Cases are right, refused or wrong; one that is wrong fails the command.
     """
+    from protochain.core.storage import check_writable
     from protochain.scenes import SCENES
-    from protochain.storage import check_writable
 
     if name is None:
         from protochain.analysis.studies import STUDIES
@@ -77,7 +77,7 @@ def bench(
     if name not in SCENES:
         wrong += _studies(name, inputs or [], output, given | ({"quick": True} if quick else {}))
     elif given or inputs:
-        from protochain.errors import ProtochainError
+        from protochain.core.errors import ProtochainError
 
         raise ProtochainError(f"{name}: a scene takes no files, and of the options only -o and --quick")
     for each in SCENES if name == "all" else [name] if name in SCENES else []:
@@ -88,8 +88,8 @@ def bench(
 def _studies(name: str, inputs: Sequence[Path], output: Path, given: dict[str, Any]) -> list[str]:
     """Run a study, or all; say what is wrong."""
     from protochain.analysis.studies import STUDIES, study
-    from protochain.errors import ProtochainError
-    from protochain.markup import counted
+    from protochain.core.errors import ProtochainError
+    from protochain.core.markup import counted
     from protochain.scenes import SCENES
 
     if name not in (*STUDIES, "all"):
@@ -130,8 +130,8 @@ def scene(
 
     Scenes are mechanisms of all kinds, not proteins, on the same mechanics. What is wrong fails the command.
     """
+    from protochain.core.storage import check_writable
     from protochain.scenes import SCENES, check_name
-    from protochain.storage import check_writable
 
     if name is None:
         _list(SCENES, as_json)
@@ -145,9 +145,9 @@ def scene(
 
 def _scene(name: str, folder: Path, quick: bool, as_json: bool = False) -> list[str]:
     """Run a scene, write its folder, print what it has found; say what is wrong."""
+    from protochain.core.storage import json_text
     from protochain.lab.cases import write
     from protochain.scenes import run
-    from protochain.storage import json_text
 
     if not quick:
         print(f"scene {name}: may take two minutes; --quick takes some seconds", file=sys.stderr)
@@ -167,7 +167,7 @@ def _scene(name: str, folder: Path, quick: bool, as_json: bool = False) -> list[
 
 
 def _list(lines: dict[str, str], as_json: bool = False) -> None:
-    from protochain.storage import json_text
+    from protochain.core.storage import json_text
 
     width = max(map(len, lines))
     listed = "\n".join(f"{name:<{width}}  {line}" for name, line in lines.items())

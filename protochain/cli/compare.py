@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from protochain import defaults
-from protochain.checks import words
 from protochain.cli.options import (
     CONVERGED,
     UNCONVERGED,
@@ -26,13 +24,15 @@ from protochain.cli.options import (
     with_settings,
 )
 from protochain.cli.terminal import foretell, print_table, run_progress, typical_evaluations
-from protochain.errors import ProtochainError
-from protochain.interrupts import held_interrupts
-from protochain.minimisers.settings import Minimising
+from protochain.core import defaults
+from protochain.core.checks import words
+from protochain.core.errors import ProtochainError
+from protochain.core.interrupts import held_interrupts
+from protochain.minimisers.settings import MinimiseSettings
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
-    from protochain.arrays import Watcher
+    from protochain.core.arrays import Watcher
 
 
 @with_settings(minimising="tolerance restraint max_rmsd", setup="move")
@@ -56,13 +56,13 @@ def compare(
     as_json: AsJson = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the comparison in DIR.")] = False,
     *,
-    minimising: Minimising,
+    minimising: MinimiseSettings,
     setup: Setup,
 ) -> None:
     """Minimise one structure by several methods; write tables, plots, structures and report.html."""
     from protochain.analysis import compare as run
     from protochain.analysis.folder import check_folder, files_of
-    from protochain.storage import claimed
+    from protochain.core.storage import claimed
     from protochain.structure import load
 
     most = minimising.max_evaluations

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, as_option, with_settings
-from protochain.markup import counted
+from protochain.core.markup import counted
 from protochain.setup import Setup
 
 
@@ -78,7 +78,7 @@ def build(
     ],
 ) -> None:
     """Build an extended all-atom chain from a sequence."""
-    from protochain.storage import check_writable
+    from protochain.core.storage import check_writable
     from protochain.structure import from_sequence, save
     from protochain.structure.write import as_text, check_format, common_suffix
 

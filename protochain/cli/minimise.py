@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
-from protochain import defaults
 from protochain.cli.options import (
     CONVERGED,
     STANDARD_OUTPUT,
@@ -37,9 +36,10 @@ from protochain.cli.terminal import (
     run_progress,
     typical_evaluations,
 )
-from protochain.errors import ProtochainError, WriteError, WriteWarning
-from protochain.interrupts import held_interrupts
-from protochain.minimisers.settings import Minimising, Saving, Starting
+from protochain.core import defaults
+from protochain.core.errors import ProtochainError, WriteError, WriteWarning
+from protochain.core.interrupts import held_interrupts
+from protochain.minimisers.settings import CheckpointSettings, MinimiseSettings, StartSettings
 from protochain.setup import ALL_MODELS, Setup, models_asked
 
 if TYPE_CHECKING:
@@ -80,9 +80,9 @@ def minimise(
     as_json: AsJson = False,
     force: Force = False,
     *,
-    minimising: Minimising,
-    saving: Saving,
-    starting: Starting,
+    minimising: MinimiseSettings,
+    saving: CheckpointSettings,
+    starting: StartSettings,
     setup: Setup,
 ) -> None:
     """Minimise the energy of one structure."""
@@ -191,7 +191,7 @@ class _Writer:
 
         A full disk loses only what does not fit; ``lost`` are the lines that say so.
         """
-        from protochain.storage import write_atomically
+        from protochain.core.storage import write_atomically
 
         self.done.append(solution)
         if not self.one_file:

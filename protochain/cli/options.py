@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from protochain import defaults
-from protochain.errors import Angle, Argument, ProtochainError
-from protochain.markup import counted
-from protochain.settings import Setting, settings_of
+from protochain.core import defaults
+from protochain.core.errors import Angle, Argument, ProtochainError
+from protochain.core.markup import counted
+from protochain.core.settings import Setting, settings_of
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -213,7 +213,7 @@ def check_outputs(inputs: Sequence[Path], outputs: Sequence[Path], force: bool |
     force : bool, optional
         Whether ``--force`` was given; None for a command that has no such option.
     """
-    from protochain.storage import check_writable
+    from protochain.core.storage import check_writable
 
     outputs = [path for path in outputs if str(path) != STANDARD_OUTPUT]
     for output, count in Counter(path.absolute() for path in outputs).items():

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protochain import defaults
 from protochain.cli.options import (
     CONVERGED,
     FAILED,
@@ -23,8 +22,9 @@ from protochain.cli.options import (
     inputs_of,
     with_settings,
 )
-from protochain.errors import ProtochainError
-from protochain.relaxation.settings import Relaxing
+from protochain.core import defaults
+from protochain.core.errors import ProtochainError
+from protochain.relaxation.settings import RelaxSettings
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def relax(
     as_json: AsJson = False,
     force: Force = False,
     *,
-    relaxing: Relaxing,
+    relaxing: RelaxSettings,
     setup: Setup,
 ) -> None:
     """Make predicted models clean: overlaps and broken bonds gone, the fold kept.
@@ -95,7 +95,7 @@ def _is_one_file(given: str) -> bool:
 def _one(
     source: Path,
     output: Path | None,
-    relaxing: Relaxing,
+    relaxing: RelaxSettings,
     setup: Setup,
     report: Path | None,
     as_json: bool,
@@ -103,7 +103,7 @@ def _one(
 ) -> int:
     """Relax one file; return the exit status."""
     from protochain.cli.relaxing import print_relaxed, progress, tell_plan
-    from protochain.interrupts import held_interrupts
+    from protochain.core.interrupts import held_interrupts
     from protochain.relaxation.api import relax_structure
     from protochain.relaxation.names import relaxed_name
     from protochain.structure.write import check_fits, check_format
@@ -161,7 +161,7 @@ def _write(result: "Relaxation", output: Path, source: Path) -> None:
 
 def _write_report(result: "Relaxation", record: dict[str, Any], report: Path | None) -> str:
     """Write the page; return why it could not be written, which loses nothing else."""
-    from protochain.errors import WriteError
+    from protochain.core.errors import WriteError
 
     if report is None:
         return ""
@@ -178,7 +178,7 @@ def _several(
     inputs: list[str],
     output: Path | None,
     manifest: Path | None,
-    relaxing: Relaxing,
+    relaxing: RelaxSettings,
     setup: Setup,
     processes: dict[str, Any],
     as_json: bool,

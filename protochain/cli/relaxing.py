@@ -8,14 +8,14 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from protochain import defaults
 from protochain.cli.options import print_changes, print_lost, said_of_move
-from protochain.markup import counted
+from protochain.core import defaults
+from protochain.core.markup import counted
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from protochain.arrays import Watcher
+    from protochain.core.arrays import Watcher
     from protochain.energies import Energy
     from protochain.relaxation import Relaxation
     from protochain.structure import Structure
@@ -62,7 +62,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
 
 def _wrong_hands(structure: "Structure") -> list[str]:
     """What will become of chiral atoms of the wrong hand, in words."""
-    from protochain.relaxation.hands import Hands
+    from protochain.relaxation.chirality_restraint import Hands
 
     wrong = Hands.of(structure).wrong(structure.positions)
     n = len(wrong)

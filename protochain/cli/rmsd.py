@@ -31,7 +31,7 @@ def rmsd(
     Files of C-alpha atoms only are measured too.
     """
     from protochain.analysis.deviation import rmsd_table
-    from protochain.storage import write_atomically
+    from protochain.core.storage import write_atomically
 
     if output:
         check_outputs([reference, *models], [output])

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protochain import defaults
 from protochain.cli.options import (
     CONVERGED,
     UNCONVERGED,
@@ -29,13 +28,14 @@ from protochain.cli.terminal import (
     simulation_progress,
     typical_evaluations,
 )
-from protochain.errors import refused
-from protochain.interrupts import held_interrupts
+from protochain.core import defaults
+from protochain.core.errors import refused
+from protochain.core.interrupts import held_interrupts
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
-    from protochain.arrays import Floats
     from protochain.chain import Chain
+    from protochain.core.arrays import Floats
     from protochain.dynamics import Simulation
     from protochain.energies import Energy
 
@@ -162,7 +162,7 @@ def _beside(
     pull: str | None, stiffness: float, speed: float, hinge_springs: list[str] | None
 ) -> dict[str, Any]:
     """Settings of what acts beside the force field."""
-    from protochain.checks import ends
+    from protochain.core.checks import ends
     from protochain.dynamics.settings import HingeSpring, Pull
 
     return {

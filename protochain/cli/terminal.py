@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from protochain.arrays import Watcher
     from protochain.batches.api import BatchProgress
     from protochain.batches.jobs import Job
     from protochain.chain import Chain
+    from protochain.core.arrays import Watcher
     from protochain.energies import Energy
     from protochain.minimisers import Recipe
     from protochain.structure import Structure
@@ -179,8 +179,8 @@ def typical_evaluations(method: "str | Recipe", max_evaluations: int) -> int:
 
 def print_outlook(source: object, structure: "Structure", method: "str | Recipe") -> bool:
     """Say on standard error what is wrong with a start and what will be done; return whether anything is."""
-    from protochain.minimisers.outlook import outlook
     from protochain.minimisers.recipes import recipe_of
+    from protochain.minimisers.start_warnings import outlook
 
     lines = outlook(structure, recipe_of(method))
     for line in lines:

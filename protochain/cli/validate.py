@@ -10,8 +10,8 @@ import typer
 
 from protochain.cli.options import BAD_INPUT, CONVERGED, AsJson, check_outputs, inputs_of, with_settings
 from protochain.cli.printable import printer
-from protochain.errors import ProtochainError
-from protochain.markup import counted
+from protochain.core.errors import ProtochainError
+from protochain.core.markup import counted
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def validate(
 
     Heavy atoms are measured where the file has them; those that are missing, and hydrogens, are added first.
     """
-    from protochain.storage import write_atomically
+    from protochain.core.storage import write_atomically
     from protochain.structure.matching import measurable
 
     outputs = [path for path in (csv, residues) if path]

@@ -16,10 +16,10 @@ from protochain.dynamics.thermostats import (
     Rescaling,
     Thermostat,
 )  # fmt: skip
-from protochain.motion.leapfrog import Leapfrog
-from protochain.motion.midpoint import ImplicitMidpoint
-from protochain.motion.runge_kutta import DormandPrince, RungeKutta4
-from protochain.motion.system import Phase, StepTooLargeError, System, total
+from protochain.mechanics.motion.leapfrog import Leapfrog
+from protochain.mechanics.motion.midpoint import ImplicitMidpoint
+from protochain.mechanics.motion.runge_kutta import DormandPrince, RungeKutta4
+from protochain.mechanics.motion.system import Phase, StepTooLargeError, System, total
 
 __all__ = [
     "Closure", "DormandPrince", "Ending", "HingeSpring", "HybridMonteCarlo", "ImplicitMidpoint", "Isolated",

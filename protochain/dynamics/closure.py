@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 
-from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, pose
-from protochain.errors import ChainError
-from protochain.motion.system import Drift, Drifted, Phase, StepTooLargeError
-from protochain.multibody import (
+from protochain.core.arrays import Floats, Integers
+from protochain.core.errors import ChainError
+from protochain.mechanics.motion.system import Drift, Drifted, Phase, StepTooLargeError
+from protochain.mechanics.multibody import (
     Frames,
     Rows,
     Tree,
@@ -19,11 +19,11 @@ from protochain.multibody import (
     solve_closed,
     velocities,
 )  # fmt: skip
-from protochain.multibody.articulated import Articulated, solve
-from protochain.multibody.hamilton import turning_gradient
-from protochain.multibody.loops import factor_closed
-from protochain.multibody.newton_euler import momenta_of_bodies
-from protochain.multibody.operational import row_loads
+from protochain.mechanics.multibody.articulated import Articulated, solve
+from protochain.mechanics.multibody.hamilton import turning_gradient
+from protochain.mechanics.multibody.loops import factor_closed
+from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
+from protochain.mechanics.multibody.operational import row_loads
 
 CLOSED_NM = 1e-12
 """Largest error of a distance after a step: some hundred times the rounding error of coordinates."""

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from protochain import multibody
-from protochain.arrays import Floats
-from protochain.multibody import Frames, HingeKind, Tree
+from protochain.core.arrays import Floats
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import Frames, HingeKind, Tree
 
 
 def has_free_roots(tree: Tree) -> bool:

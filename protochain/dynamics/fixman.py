@@ -1,11 +1,11 @@
 """Fixman's potential: with it rigid bonds and angles sample torsions as stiff springs would."""
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.dynamics.closure import Closure
-from protochain.motion.system import Potential
-from protochain.multibody import articulated
-from protochain.multibody.articulated import Articulated
-from protochain.multibody.operational import gradient_of_log_det
+from protochain.mechanics.motion.system import Potential
+from protochain.mechanics.multibody import articulated
+from protochain.mechanics.multibody.articulated import Articulated
+from protochain.mechanics.multibody.operational import gradient_of_log_det
 
 
 def fixman(thermal_energy: float, closure: Closure | None = None) -> Potential:

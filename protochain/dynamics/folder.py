@@ -10,14 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats, frozen
+from protochain.core.arrays import Floats, frozen
+from protochain.core.errors import Argument, ProtochainError, StructureError, WriteError
+from protochain.core.storage import (
+    check_writable,
+    fitting,
+    read_arrays,
+    write_arrays,
+    write_atomically,
+    writing,
+)
 from protochain.dynamics.loop import State
 from protochain.dynamics.thermostats import Bath
-from protochain.errors import Argument, ProtochainError, StructureError, WriteError
-from protochain.motion.system import Phase
-from protochain.multibody import Frames, Tree, pose
-from protochain.multibody.articulated import Articulated, articulate
-from protochain.storage import check_writable, fitting, read_arrays, write_arrays, write_atomically, writing
+from protochain.mechanics.motion.system import Phase
+from protochain.mechanics.multibody import Frames, Tree, pose
+from protochain.mechanics.multibody.articulated import Articulated, articulate
 from protochain.structure import Structure
 from protochain.structure.trajectory import TrajectoryFile, check_trajectory
 from protochain.structure.write import check_fits

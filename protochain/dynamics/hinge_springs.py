@@ -6,13 +6,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
 from protochain.chain import Chain
+from protochain.core.arrays import Floats, Integers
+from protochain.core.errors import ChainError
 from protochain.dynamics.settings import HingeSpring
-from protochain.errors import ChainError
 from protochain.hinges import Hinge
-from protochain.motion.system import Phase, System
-from protochain.multibody.articulated import Articulated, solve
+from protochain.mechanics.motion.system import Phase, System
+from protochain.mechanics.multibody.articulated import Articulated, solve
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,14 +6,14 @@ from enum import StrEnum
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.core.errors import MechanicsError
+from protochain.core.interrupts import held_interrupts
 from protochain.dynamics.com_motion import remove_com_motion
 from protochain.dynamics.hinge_springs import Dampers
 from protochain.dynamics.thermostats import Bath, Thermostat
-from protochain.errors import MechanicsError
-from protochain.interrupts import held_interrupts
-from protochain.motion.system import Integrator, Phase, StepTooLargeError, System
-from protochain.multibody import sample_velocities
+from protochain.mechanics.motion.system import Integrator, Phase, StepTooLargeError, System
+from protochain.mechanics.multibody import sample_velocities
 
 COM_REMOVAL_STEPS = 100
 """Steps between removals of the centre-of-mass motion that rounding builds up."""

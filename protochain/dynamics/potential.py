@@ -1,10 +1,10 @@
 """Potential of a chain in a force field, as integrators see it."""
 
-from protochain.arrays import Floats
 from protochain.chain import Chain, Pose, place_atoms, pull_back
+from protochain.core.arrays import Floats
 from protochain.energies.protocol import Energy
-from protochain.motion.system import Potential
-from protochain.multibody.articulated import Articulated
+from protochain.mechanics.motion.system import Potential
+from protochain.mechanics.multibody.articulated import Articulated
 
 
 def chain_potential(chain: Chain, energy: Energy) -> Potential:

@@ -4,14 +4,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from protochain import multibody
-from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, pose
+from protochain.core.arrays import Floats, Integers
+from protochain.core.errors import ChainError
 from protochain.dynamics.settings import Pull
-from protochain.errors import ChainError
-from protochain.motion.system import Applied, Load, Phase, System
-from protochain.multibody import Frames, HingeKind, Tree
-from protochain.multibody.articulated import Articulated, solve
+from protochain.mechanics import multibody
+from protochain.mechanics.motion.system import Applied, Load, Phase, System
+from protochain.mechanics.multibody import Frames, HingeKind, Tree
+from protochain.mechanics.multibody.articulated import Articulated, solve
 from protochain.structure.model import Structure
 from protochain.structure.select import atoms_at
 

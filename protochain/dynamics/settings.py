@@ -6,17 +6,17 @@ from typing import Any, Self
 
 import numpy as np
 
-from protochain import defaults
-from protochain.checks import check_fields, ends, number, quantity, shown, text
+from protochain.core import defaults
+from protochain.core.checks import check_fields, ends, number, quantity, shown, text
+from protochain.core.errors import Argument, ProtochainError, refused
+from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import thermostats
-from protochain.errors import Argument, ProtochainError, refused
 from protochain.hinges import HINGES
-from protochain.motion import lobatto
-from protochain.motion.leapfrog import Leapfrog
-from protochain.motion.midpoint import ImplicitMidpoint
-from protochain.motion.runge_kutta import DormandPrince, RungeKutta4
-from protochain.motion.system import Integrator
-from protochain.units import MOLAR_GAS
+from protochain.mechanics.motion import lobatto
+from protochain.mechanics.motion.leapfrog import Leapfrog
+from protochain.mechanics.motion.midpoint import ImplicitMidpoint
+from protochain.mechanics.motion.runge_kutta import DormandPrince, RungeKutta4
+from protochain.mechanics.motion.system import Integrator
 
 INTEGRATORS: dict[str, Integrator] = {
     "leapfrog": Leapfrog(),

@@ -12,11 +12,15 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain import defaults
-from protochain.arrays import Floats, Watcher, floats
 from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, place_atoms
-from protochain.checks import WATCHER, checked, flag, integer, path, quantity, text
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Watcher, floats
+from protochain.core.checks import WATCHER, checked, flag, integer, path, quantity, text
+from protochain.core.errors import Argument, ProtochainError
+from protochain.core.interrupts import held_interrupts
+from protochain.core.markup import listed
+from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import has_free_roots
 from protochain.dynamics.fixman import fixman
@@ -37,15 +41,11 @@ from protochain.dynamics.settings import (
 from protochain.dynamics.simulation import Simulation, said_of
 from protochain.energies import Energy, as_energy
 from protochain.energies.custom import EnergyFunction
-from protochain.errors import Argument, ProtochainError
 from protochain.frame import Frame, frame_of
-from protochain.interrupts import held_interrupts
-from protochain.markup import listed
-from protochain.motion.system import Phase, StepTooLargeError, System, total
-from protochain.multibody import HingeKind
+from protochain.mechanics.motion.system import Phase, StepTooLargeError, System, total
+from protochain.mechanics.multibody import HingeKind
 from protochain.structure.chirality import changed_hands
 from protochain.structure.superpose import rmsd_angstrom
-from protochain.units import MOLAR_GAS
 
 
 @checked(

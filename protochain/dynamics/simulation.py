@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.arrays import Floats
 from protochain.chain import Chain, place_atoms
 from protochain.contacts import overlaps
+from protochain.core.arrays import Floats
+from protochain.core.markup import counted
 from protochain.dynamics.loop import Ending, State
 from protochain.dynamics.settings import THERMOSTATS, SimulationSettings
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
-from protochain.markup import counted
 from protochain.structure import Structure, save
 from protochain.structure.losses import far_molecules, lost_atoms, n_lost
 

@@ -5,10 +5,10 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from protochain import defaults
-from protochain.arrays import Floats, read_only
-from protochain.motion.system import Phase, System
-from protochain.multibody.articulated import sample
+from protochain.core import defaults
+from protochain.core.arrays import Floats, read_only
+from protochain.mechanics.motion.system import Phase, System
+from protochain.mechanics.multibody.articulated import sample
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING, Any
 
+from protochain.core.errors import ProtochainError
 from protochain.energies.custom import as_energy
-from protochain.errors import ProtochainError
 from protochain.structure.convert import as_structure
 
 if TYPE_CHECKING:

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from protochain.arrays import Floats, Integers
-from protochain.checks import plain, shown
+from protochain.core.arrays import Floats, Integers
+from protochain.core.checks import plain, shown
+from protochain.core.errors import ProtochainError
 from protochain.energies.factory import energy
 from protochain.energies.protocol import Energy, check_is_of
-from protochain.errors import ProtochainError
 from protochain.structure.model import Structure
 
 EnergyFunction = Callable[[Floats], tuple[float, ArrayLike]]

@@ -17,9 +17,9 @@ from openmm import app
 from scipy.sparse import coo_array
 from scipy.spatial import KDTree
 
-from protochain.arrays import Integers
+from protochain.core.arrays import Integers
+from protochain.core.errors import ForceFieldError
 from protochain.energies.native.terms import TIES
-from protochain.errors import ForceFieldError
 from protochain.structure.linkage import is_metal
 from protochain.structure.model import Structure, Tie
 

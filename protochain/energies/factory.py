@@ -10,8 +10,8 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from protochain import defaults
-from protochain.checks import (
+from protochain.core import defaults
+from protochain.core.checks import (
     checked,
     cutoff_of,
     file_name,
@@ -22,14 +22,14 @@ from protochain.checks import (
     optional,
     text,
 )
+from protochain.core.errors import ForceFieldError
+from protochain.core.storage import regular
 from protochain.energies.elements import create_system
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.implicit import COULOMB, COULOMB_CUSTOM, OBC_OFFSET
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 from protochain.energies.untrusted import check_passive
-from protochain.errors import ForceFieldError
-from protochain.storage import regular
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 from protochain.structure.templates import CONVERT, NO_OPENMM, NO_XML, SMIRNOFF

@@ -11,8 +11,8 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from protochain.arrays import Floats, Integers, floats
-from protochain.processors import processors
+from protochain.core.arrays import Floats, Integers, floats
+from protochain.core.processors import processors
 
 _LIGHT = 1.5
 """amu. Atoms lighter than this are hydrogens."""

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
-from protochain.arrays import Floats, Integers
-from protochain.errors import ProtochainError
+from protochain.core.arrays import Floats, Integers
+from protochain.core.errors import ProtochainError
 from protochain.structure.model import Structure
 
 

@@ -21,7 +21,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-from protochain.errors import Argument, ForceFieldError
+from protochain.core.errors import Argument, ForceFieldError
 
 ACTIVE = ("Script", "InitializationScript", "Include")
 EVALUATED = ("useDispersionCorrection",)

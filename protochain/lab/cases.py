@@ -15,12 +15,12 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from protochain.arrays import Floats
-from protochain.errors import ProtochainError
+from protochain.core.arrays import Floats
+from protochain.core.errors import ProtochainError
+from protochain.core.storage import json_text
 from protochain.lab.cost import in_turn, timed
 from protochain.lab.provenance import made
 from protochain.lab.report import Figure, Work, draw_lines, save, table_of
-from protochain.storage import json_text
 
 Kind = Literal["relative", "absolute"]
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 
 
 def exponent(x: Floats | Iterable[float], y: Floats | Iterable[float]) -> float:

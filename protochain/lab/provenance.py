@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
-from protochain.processors import processors
+from protochain.core.processors import processors
 
 
 def made(threads: str, libraries: Sequence[str] = ("openmm", "numpy", "scipy", "numba")) -> dict[str, str]:

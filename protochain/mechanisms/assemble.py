@@ -7,14 +7,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain.arrays import Floats, Integers, read_only
-from protochain.checks import shown
-from protochain.errors import BodyError, MechanicsError
+from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.checks import shown
+from protochain.core.errors import BodyError, MechanicsError
+from protochain.mechanics.multibody import HingeKind, Tree
+from protochain.mechanics.multibody.tree import NO_INERTIA
 from protochain.mechanisms.bodies import WORLD, Bodies
 from protochain.mechanisms.checks import direction, not_negative, number, numbers
 from protochain.mechanisms.elements import Named
-from protochain.multibody import HingeKind, Tree
-from protochain.multibody.tree import NO_INERTIA
 
 KINDS = {
     "revolute": HingeKind.REVOLUTE,

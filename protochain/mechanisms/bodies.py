@@ -7,11 +7,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain import multibody
-from protochain.arrays import Floats
-from protochain.errors import MechanicsError
-from protochain.multibody import Frames, Tree
-from protochain.multibody.articulated import Articulated, articulate
+from protochain.core.arrays import Floats
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import Frames, Tree
+from protochain.mechanics.multibody.articulated import Articulated, articulate
 
 WORLD = "world"
 

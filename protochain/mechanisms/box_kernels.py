@@ -2,8 +2,18 @@
 
 import numpy as np
 
-from protochain.arrays import Floats
-from protochain.multibody.algebra import Matrix, Vector, add, cross, dot, kernel, scale, subtract, turned_back
+from protochain.core.arrays import Floats
+from protochain.mechanics.multibody.algebra import (
+    Matrix,
+    Vector,
+    add,
+    cross,
+    dot,
+    kernel,
+    scale,
+    subtract,
+    turned_back,
+)
 
 MOST_POINTS = 8
 """Points of one contact: corners of a rectangle cut by four lines, or corners of a box below a plane."""

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain.arrays import Floats, floats
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats, floats
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.multibody.algebra import Matrix, Vector
 from protochain.mechanisms.box_kernels import MOST_POINTS, box_on_box, box_on_plane
-from protochain.multibody.algebra import Matrix, Vector
 
 
 class Touch(NamedTuple):

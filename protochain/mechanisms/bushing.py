@@ -5,14 +5,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers, read_only
-from protochain.errors import MechanicsError
-from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import not_negative
-from protochain.mechanisms.elements import Acting, Between, Rows
-from protochain.mechanisms.springs import end_of, push, speed_of
-from protochain.multibody import Frames
-from protochain.multibody.algebra import (
+from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.multibody import Frames
+from protochain.mechanics.multibody.algebra import (
     Matrix,
     Vector,
     add,
@@ -26,8 +22,12 @@ from protochain.multibody.algebra import (
     turned_back,
     vector,
 )  # fmt: skip
-from protochain.multibody.kinematics import WORLD
-from protochain.multibody.rotations import tangent_inverse
+from protochain.mechanics.multibody.kinematics import WORLD
+from protochain.mechanics.multibody.rotations import tangent_inverse
+from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.checks import not_negative
+from protochain.mechanisms.elements import Acting, Between, Rows
+from protochain.mechanisms.springs import end_of, push, speed_of
 
 HALF_A_TURN = 3.1
 """rad. Largest rotation of a bushing: at pi its rotation vector jumps to the other side."""

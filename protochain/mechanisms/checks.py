@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats
-from protochain.checks import shown
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats
+from protochain.core.checks import shown
+from protochain.core.errors import MechanicsError
 
 _KINDS = {
     (): "a number",

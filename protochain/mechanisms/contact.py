@@ -7,13 +7,13 @@ from typing import ClassVar
 import numpy as np
 from scipy.optimize import brentq
 
-from protochain.arrays import read_only
-from protochain.errors import MechanicsError
+from protochain.core.arrays import read_only
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import Load
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.contact_forces import ContactForces
 from protochain.mechanisms.elements import Acting, Named
 from protochain.mechanisms.shapes import Ball, Other, finder
-from protochain.motion import Load
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain import multibody
-from protochain.arrays import Floats, Integers
-from protochain.mechanisms.shapes import Finder, OnPlane, Touches
-from protochain.mechanisms.springs import end_of, push, speed_of
-from protochain.motion import Applied, Phase
-from protochain.multibody import Frames, Tree
-from protochain.multibody.algebra import (
+from protochain.core.arrays import Floats, Integers
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import Applied, Phase
+from protochain.mechanics.multibody import Frames, Tree
+from protochain.mechanics.multibody.algebra import (
     ZERO,
     Vector,
     add,
@@ -23,6 +21,8 @@ from protochain.multibody.algebra import (
     turned_back,
     vector,
 )  # fmt: skip
+from protochain.mechanisms.shapes import Finder, OnPlane, Touches
+from protochain.mechanisms.springs import end_of, push, speed_of
 
 STIFFNESS, EXPONENT, DAMPING, FRICTION, SPRING, DASHPOT = range(6)
 """Constants of a contact."""

@@ -6,12 +6,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from protochain.arrays import Floats
-from protochain.checks import shown
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats
+from protochain.core.checks import shown
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import Drive
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.elements import Named
-from protochain.motion import Drive
 
 
 @dataclass(frozen=True, eq=False)

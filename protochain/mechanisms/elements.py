@@ -7,14 +7,12 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain import multibody
-from protochain.arrays import Floats, Integers, read_only
-from protochain.errors import MechanicsError
-from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import numbers
-from protochain.motion import Applied, Load, Phase
-from protochain.multibody import Frames, Tree
-from protochain.multibody.algebra import (
+from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import Applied, Load, Phase
+from protochain.mechanics.multibody import Frames, Tree
+from protochain.mechanics.multibody.algebra import (
     add_pair,
     cross,
     dot,
@@ -25,8 +23,10 @@ from protochain.multibody.algebra import (
     vector,
     vector_at,
 )
-from protochain.multibody.articulated import Articulated
-from protochain.multibody.tree import FIRST_MOMENT, MASS
+from protochain.mechanics.multibody.articulated import Articulated
+from protochain.mechanics.multibody.tree import FIRST_MOMENT, MASS
+from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.checks import numbers
 
 Point = tuple[str, ArrayLike]
 """Name of a body, or "world", and a point in its axes."""

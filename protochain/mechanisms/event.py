@@ -6,11 +6,11 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from protochain import motion
-from protochain.errors import MechanicsError
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import motion
+from protochain.mechanics.motion import Equations, Phase
 from protochain.mechanisms.bodies import State
 from protochain.mechanisms.elements import Named
-from protochain.motion import Equations, Phase
 
 
 class Happened(NamedTuple):
@@ -64,7 +64,7 @@ class Event(Named):
                 raise MechanicsError(f"{self.said}: its {what} must be a function of the state")
 
     def watched(self, state_of: Callable[[Phase], State], happened: list[Happened]) -> motion.Event:
-        """Return it for :func:`protochain.motion.march`; when it happens, it is added to the list."""
+        """Return it for ``motion.march``; when it happens, it is added to the list."""
 
         def value(at: Phase) -> float:
             found = float(self.value(state_of(at)))

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from protochain import multibody
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import Phase
 from protochain.mechanisms.model import Model
-from protochain.motion import Phase
 
 _NUDGE = 1e-5
 """Displacement for the derivatives by central differences, in radians and sizes of the tree: the cube root of

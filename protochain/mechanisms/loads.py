@@ -8,13 +8,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain.arrays import Floats, read_only
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats, read_only
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import Applied, Load
+from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.bodies import Bodies, State
 from protochain.mechanisms.checks import number, numbers
 from protochain.mechanisms.elements import Acting, Named
-from protochain.motion import Applied, Load
-from protochain.multibody import Frames
 
 
 @dataclass(frozen=True, eq=False)

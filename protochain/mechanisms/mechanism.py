@@ -6,9 +6,9 @@ from typing import Any, Concatenate, ParamSpec
 
 from numpy.typing import ArrayLike
 
-from protochain.arrays import read_only
-from protochain.checks import shown
-from protochain.errors import MechanicsError
+from protochain.core.arrays import read_only
+from protochain.core.checks import shown
+from protochain.core.errors import MechanicsError
 from protochain.mechanisms.assemble import NOWHERE, Body, Hinge, assemble
 from protochain.mechanisms.bodies import WORLD
 from protochain.mechanisms.bushing import Bushing

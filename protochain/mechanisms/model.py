@@ -8,16 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain import multibody
-from protochain.arrays import Floats, read_only
-from protochain.checks import shown
-from protochain.defaults import BALANCE
-from protochain.errors import BodyError, MechanicsError
-from protochain.mechanisms.bodies import Bodies, State
-from protochain.mechanisms.drives import Driven, check_drive, drive_of
-from protochain.mechanisms.elements import Acting, Conservative, Gravity, Memory, Sum, damping, joined
-from protochain.mechanisms.event import Event, Happened
-from protochain.motion import (
+from protochain.core.arrays import Floats, read_only
+from protochain.core.checks import shown
+from protochain.core.defaults import BALANCE
+from protochain.core.errors import BodyError, MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import (
     Drive,
     Equations,
     Integrator,
@@ -29,8 +25,12 @@ from protochain.motion import (
     System,
     march,
 )  # fmt: skip
-from protochain.multibody import HingeKind, Tree
-from protochain.multibody.newton_euler import momenta_of_bodies
+from protochain.mechanics.multibody import HingeKind, Tree
+from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
+from protochain.mechanisms.bodies import Bodies, State
+from protochain.mechanisms.drives import Driven, check_drive, drive_of
+from protochain.mechanisms.elements import Acting, Conservative, Gravity, Memory, Sum, damping, joined
+from protochain.mechanisms.event import Event, Happened
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -145,7 +145,7 @@ class Model:
         time_step : float
             Longest step.
         integrator : Integrator, optional
-            By default :class:`protochain.motion.RungeKutta4`. ``DormandPrince()`` keeps a tolerance;
+            By default ``motion.RungeKutta4``. ``DormandPrince()`` keeps a tolerance;
             ``Rosenbrock()`` takes any damper, however stiff, and damps vibrations that its step does not
             resolve; ``ImplicitMidpoint()`` keeps their energy, not their phase.
         every : int
@@ -455,7 +455,7 @@ class _Simulation:
         return kinetic, kinetic + potential - float(work @ self.counted) - jumps
 
     def without_events(self, until: float) -> Phase:
-        """Take steps as :func:`protochain.motion.march` does, in a loop that costs a hundredth of a step."""
+        """Take steps as ``motion.march`` does, in a loop that costs a hundredth of a step."""
         system, step, h, every = self.model.system, self.integrator.step, self.time_step, self.every
         append, at, count, look = self.rows.append, self.start, 0, every * _LOOK
         # Rounding of times adds up to less than a step: until near the end nothing need be compared.

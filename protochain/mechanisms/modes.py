@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, eigh
 
-from protochain import multibody
-from protochain.arrays import Floats, read_only
-from protochain.checks import shown
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats, read_only
+from protochain.core.checks import shown
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import Equations
 from protochain.mechanisms.elements import Sum
 from protochain.mechanisms.model import Model
 from protochain.mechanisms.springs import STIFFNESS
 from protochain.mechanisms.torsion import Torsions
-from protochain.motion import Equations
 
 _PARALLEL = 1e-9
 """Largest part of the start's velocities that no shape has, of their size."""

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain.arrays import Floats, Integers, Value, floats, frozen, read_only
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion.system import StepTooLargeError
 from protochain.mechanisms.boxes import check_boxes
 from protochain.mechanisms.pile_contact import N_MEMORY
 from protochain.mechanisms.pile_kernels import (
@@ -28,7 +29,6 @@ from protochain.mechanisms.pile_kernels import (
 )  # fmt: skip
 from protochain.mechanisms.pile_parts import Heap, Law, Motion, Plates, Sleep
 from protochain.mechanisms.search import in_order, touching
-from protochain.motion.system import StepTooLargeError
 
 SKIN = 0.15
 """How far apart cubes may be that are on a list, in edges. Longer lists last longer."""

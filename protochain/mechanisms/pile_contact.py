@@ -2,9 +2,20 @@
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.mechanics.multibody.algebra import (
+    Matrix,
+    Vector,
+    add,
+    cross,
+    dot,
+    kernel,
+    put,
+    scale,
+    subtract,
+    vector,
+)
 from protochain.mechanisms.box_kernels import axis_normal, best_axis, box_on_axis
-from protochain.multibody.algebra import Matrix, Vector, add, cross, dot, kernel, put, scale, subtract, vector
 
 NORMAL, TANGENT, DAMPING, FRICTION, PREFER, DEEPEST, STILL, JOLT, PATIENCE = range(9)
 """Of ``law``: stiffnesses, damping ratio, friction, length by which faces are preferred, deepest contact in

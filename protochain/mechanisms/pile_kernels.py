@@ -8,7 +8,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
+from protochain.mechanics.multibody.algebra import (
+    Matrix,
+    Vector,
+    add,
+    dot,
+    kernel,
+    put,
+    scale,
+    subtract,
+    turned,
+    vector,
+)
 from protochain.mechanisms.box_kernels import box_on_plane
 from protochain.mechanisms.pile_contact import (
     BACK,
@@ -28,18 +40,6 @@ from protochain.mechanisms.pile_contact import (
     meet,
     memory_used,
     respond,
-)
-from protochain.multibody.algebra import (
-    Matrix,
-    Vector,
-    add,
-    dot,
-    kernel,
-    put,
-    scale,
-    subtract,
-    turned,
-    vector,
 )
 
 DONE, LISTS, TOO_DEEP, TOO_FAST = range(4)

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers, Value, floats, read_only
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats, Integers, Value, floats, read_only
+from protochain.core.errors import MechanicsError
 from protochain.mechanisms.boxes import check_boxes
 from protochain.mechanisms.pile_contact import DAMPED, RUBBED, SLEPT, STORED, WORK
 

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers, Value, floats, frozen
-from protochain.compilation import njit
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats, Integers, Value, floats, frozen
+from protochain.core.compilation import njit
+from protochain.core.errors import MechanicsError
 
 MOST_CELLS = 2**20
 """Cells along an axis, so that the number of a cell fits into an integer."""

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats
-from protochain.checks import shown
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats
+from protochain.core.checks import shown
+from protochain.core.errors import MechanicsError
 from protochain.mechanisms.bodies import WORLD
 from protochain.mechanisms.checks import not_negative
 from protochain.mechanisms.mechanism import Mechanism

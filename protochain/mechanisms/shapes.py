@@ -7,15 +7,15 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain.arrays import Floats, Integers, read_only
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.multibody import Frames
+from protochain.mechanics.multibody.algebra import dot, kernel, put, scale, subtract, vector, vector_at
 from protochain.mechanisms.bodies import WORLD, Bodies
 from protochain.mechanisms.checks import numbers
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.springs import end_of
 from protochain.mechanisms.triangles import least_distances
-from protochain.multibody import Frames
-from protochain.multibody.algebra import dot, kernel, put, scale, subtract, vector, vector_at
 
 
 @dataclass(frozen=True)

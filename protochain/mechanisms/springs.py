@@ -5,13 +5,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers, read_only
-from protochain.errors import MechanicsError
-from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import not_negative
-from protochain.mechanisms.elements import Acting, Between, Named, Rows
-from protochain.multibody import Frames
-from protochain.multibody.algebra import (
+from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.multibody import Frames
+from protochain.mechanics.multibody.algebra import (
     Vector,
     add,
     add_pair,
@@ -25,7 +22,10 @@ from protochain.multibody.algebra import (
     turned,
     vector,
 )  # fmt: skip
-from protochain.multibody.kinematics import WORLD
+from protochain.mechanics.multibody.kinematics import WORLD
+from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.checks import not_negative
+from protochain.mechanisms.elements import Acting, Between, Named, Rows
 
 STIFFNESS, REST, DAMPING = range(3)
 """Columns of ``constants``."""

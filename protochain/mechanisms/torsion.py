@@ -5,13 +5,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers, read_only
+from protochain.core.arrays import Floats, Integers, read_only
+from protochain.mechanics.multibody import Frames
+from protochain.mechanics.multibody.algebra import kernel
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.checks import number
 from protochain.mechanisms.elements import Acting, Named, Rows
 from protochain.mechanisms.springs import DAMPING, REST, STIFFNESS, constants
-from protochain.multibody import Frames
-from protochain.multibody.algebra import kernel
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
-from protochain.multibody.algebra import Vector, add, dot, kernel, scale, subtract
+from protochain.core.arrays import Floats, Integers
+from protochain.mechanics.multibody.algebra import Vector, add, dot, kernel, scale, subtract
 
 SAME = 1e-9
 """Distance of two points that count as one, relative to the ball."""

@@ -4,16 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain import multibody
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.loop import noise
 from protochain.dynamics.thermostats import Langevin
+from protochain.mechanics import multibody
+from protochain.mechanics.motion.leapfrog import Leapfrog
+from protochain.mechanics.motion.system import Phase, StepTooLargeError, System
+from protochain.mechanics.multibody.articulated import Articulated, articulate, solve
 from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.spaces import Torsions
-from protochain.motion.leapfrog import Leapfrog
-from protochain.motion.system import Phase, StepTooLargeError, System
-from protochain.multibody.articulated import Articulated, articulate, solve
-from protochain.units import MOLAR_GAS
 
 LONGEST_TURN = 0.1
 """rad. Largest turn of a freedom in one step; overlaps would otherwise throw the chain apart."""

@@ -12,29 +12,29 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain import defaults
-from protochain.arrays import Floats, Watcher, read_only
 from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose
-from protochain.checks import WATCHER, checked, refuse_misplaced
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Watcher, read_only
+from protochain.core.checks import WATCHER, checked, refuse_misplaced
+from protochain.core.errors import ProtochainError, WriteError, WriteWarning
+from protochain.core.interrupts import held_interrupts, open_to_interrupts
+from protochain.core.markup import listed
 from protochain.energies import as_energy
-from protochain.errors import ProtochainError, WriteError, WriteWarning
 from protochain.frame import Frame, frame_of
-from protochain.interrupts import held_interrupts, open_to_interrupts
-from protochain.markup import listed
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import minimise_by_openmm
-from protochain.minimisers.outlook import Straying
 from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.saddle import with_curvature
-from protochain.minimisers.settings import Minimising, Saving
+from protochain.minimisers.settings import CheckpointSettings, MinimiseSettings
 from protochain.minimisers.solution import Recorder, Solution, trace_of
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import Outcome, Stage, walk
 from protochain.minimisers.start import Start
+from protochain.minimisers.start_warnings import Straying
 from protochain.minimisers.verdict import judge, rebuilt, verdict
 from protochain.validation.fixed import fixed_faults
 from protochain.validation.omega import twisted_bonds
@@ -101,7 +101,7 @@ def minimise(
         trajectory. Its method ``at_stage``, if it has one, is called with the stage (``parting overlaps``,
         ``held by springs``, ``interrupted`` ...) and the evaluations so far; ``at_warning`` with
         a line once a run from a start with overlaps is 2 angstrom (C-alpha RMSD) away, or else
-        :class:`protochain.errors.StrayWarning` says so. The message of a result that far away always does.
+        ``errors.StrayWarning`` says so. The message of a result that far away always does.
     **options
         ``restraint`` : float, sequence of float (kJ/mol/nm^2), or callable. Springs from the heavy atoms to
         their initial positions: one strength after the other, each until it converges; a final 0 releases
@@ -145,7 +145,7 @@ minimize = minimise
 
 
 @dataclass(frozen=True)
-class Minimisation(Saving, Minimising):
+class Minimisation(CheckpointSettings, MinimiseSettings):
     """A minimisation by a recipe.
 
     Raises

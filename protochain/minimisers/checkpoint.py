@@ -8,14 +8,14 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from protochain.arrays import Floats
-from protochain.errors import ProtochainError
+from protochain.core.arrays import Floats
+from protochain.core.errors import ProtochainError
+from protochain.core.storage import fitting, read_arrays, write_arrays
 from protochain.minimisers.descent import DescentState
 from protochain.minimisers.loop import Snapshot, Unstarted
 from protochain.minimisers.metrics import Preconditioner
 from protochain.minimisers.problem import Evaluation, Tally
 from protochain.minimisers.stages import Stage, Waypoint
-from protochain.storage import fitting, read_arrays, write_arrays
 
 _KINDS = (Waypoint, Snapshot, Tally, Unstarted)
 """Classes of every checkpoint; the others are the states that the method names."""

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import splu
 
-from protochain.arrays import Floats, Integers
-from protochain.multibody.algebra import kernel
+from protochain.core.arrays import Floats, Integers
+from protochain.mechanics.multibody.algebra import kernel
 
 MOST_WORK = 300
 """Products of blocks for each pair, beyond which another order is sought; with one of their own proteins

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.energies.native.neighbours import partners
 from protochain.energies.native.reading import UnsupportedForceError
 from protochain.energies.native.terms import Bonded, Terms, compile_system

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.minimisers.metrics import Euclidean, Metric, Preconditioner, Solve
 from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.steps import Rule

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.minimisers.metrics import Mass, Metric, Preconditioner
 from protochain.minimisers.problem import Evaluation, Problem
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Protocol
 
-from protochain.arrays import Floats
-from protochain.interrupts import held_interrupts
+from protochain.core.arrays import Floats
+from protochain.core.interrupts import held_interrupts
 from protochain.minimisers.problem import BudgetSpentError, Evaluation, Problem, Tally
 
 

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.minimisers.problem import Evaluation, Space
 
 Solve = Callable[[Floats], Floats]

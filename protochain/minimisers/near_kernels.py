@@ -6,9 +6,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.energies.native.neighbours import wider
-from protochain.multibody.algebra import Vector, add, cross, dot, kernel, scale, subtract, vector
+from protochain.mechanics.multibody.algebra import Vector, add, cross, dot, kernel, scale, subtract, vector
 
 STIFFEST = 1e6
 """kJ/mol/nm^2, of one pair: twice the stiffest bond. Atoms that overlap would leave no digits for others."""

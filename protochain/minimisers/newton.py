@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.minimisers.descent import Direction
 from protochain.minimisers.metrics import Metric, Solve, Stiffness
 from protochain.minimisers.problem import Evaluation, Problem

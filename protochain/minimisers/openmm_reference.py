@@ -6,10 +6,10 @@ from functools import partial
 import numpy as np
 import openmm
 
-from protochain.arrays import Floats
 from protochain.chain import Chain
+from protochain.core.arrays import Floats
+from protochain.core.interrupts import held_interrupts
 from protochain.energies import Energy, OpenMMEnergy, constrain_hydrogens
-from protochain.interrupts import held_interrupts
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.recipes import SINGLE_PRECISION_ENDS, Recipe
 from protochain.minimisers.spaces import spaces

@@ -11,8 +11,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, read_only
 from protochain.contacts import near_pairs, overlaps
+from protochain.core.arrays import Floats, read_only
 from protochain.energies.bonded import bonded_part
 from protochain.energies.protocol import Energy
 from protochain.minimisers.descent import Descent

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 
 Force = Callable[[Floats], tuple[float, Floats]]
 """Positions (na, 3) in nm -> energy in kJ/mol and forces (na, 3) in kJ/mol/nm."""

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from protochain import defaults
-from protochain.arrays import Floats
 from protochain.chain import Chain
-from protochain.checks import number
 from protochain.contacts import overlaps
+from protochain.core import defaults
+from protochain.core.arrays import Floats
+from protochain.core.checks import number
+from protochain.core.errors import ProtochainError
 from protochain.energies.protocol import Energy
-from protochain.errors import ProtochainError
 from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from protochain import defaults
 from protochain.articulate import turned_atoms
+from protochain.core import defaults
 from protochain.structure.losses import far_molecules, lost_atoms, n_lost
-from protochain.validation.found import MEASURES
+from protochain.validation.findings import MEASURES
 
 UNITS = {
     "_kj_mol_rad": "kJ/mol/rad", "_kj_mol_rad2": "kJ/mol/rad^2",

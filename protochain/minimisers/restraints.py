@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
 from protochain.contacts import near_pairs
+from protochain.core.arrays import Floats, Integers
+from protochain.core.errors import refused
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies.custom import answer, check_forces, name_of
-from protochain.errors import refused
 from protochain.minimisers.problem import Force
 from protochain.structure import Structure
 from protochain.structure.superpose import superpose
-from protochain.units import ANGSTROM_PER_NM
 
 SOFT_SHARE = 0.7
 """Range of soft repulsion, as a share of the contact distance; hydrogen bonds are longer."""

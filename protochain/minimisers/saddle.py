@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from protochain import multibody
-from protochain.arrays import Floats
 from protochain.chain import Pose
 from protochain.contacts import near_pairs
-from protochain.interrupts import answering
+from protochain.core.arrays import Floats
+from protochain.core.interrupts import answering
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import HingeKind
 from protochain.minimisers import springs
 from protochain.minimisers.loop import Ending, Stop
 from protochain.minimisers.metrics import Preconditioner, Solve
 from protochain.minimisers.problem import Evaluation, Problem, Space
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import Stage
-from protochain.multibody import HingeKind
 from protochain.structure.model import Structure
 
 TURN = 1e-4

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from protochain import defaults
-from protochain.checks import anything, flag, integer, number, optional, path
-from protochain.errors import Angle, Argument, ProtochainError, refused
-from protochain.settings import Settings, setting
+from protochain.core import defaults
+from protochain.core.checks import anything, flag, integer, number, optional, path
+from protochain.core.errors import Angle, Argument, ProtochainError, refused
+from protochain.core.settings import Settings, setting
 
 
 @dataclass(frozen=True, kw_only=True)
-class Minimising(Settings):
+class MinimiseSettings(Settings):
     """How far a minimisation goes, and what holds it; for the meanings see :func:`protochain.minimise`.
 
     Raises
@@ -58,7 +58,7 @@ class Minimising(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Saving(Settings):
+class CheckpointSettings(Settings):
     """Where the state of a run is written, and read, so that it can go on."""
 
     checkpoint: str | Path | None = setting(
@@ -68,7 +68,7 @@ class Saving(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Starting(Settings):
+class StartSettings(Settings):
     """Many starts; for the meanings see :func:`protochain.explore`.
 
     Raises

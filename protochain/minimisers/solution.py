@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers, Value, Watcher
 from protochain.chain import Chain
+from protochain.core.arrays import Floats, Integers, Value, Watcher
+from protochain.core.errors import StrayWarning
+from protochain.core.markup import facts
 from protochain.energies.protocol import Energy
-from protochain.errors import StrayWarning
 from protochain.frame import Frame
-from protochain.markup import facts
-from protochain.minimisers.outlook import how_far
 from protochain.minimisers.recipes import Recipe
 from protochain.minimisers.record import record
 from protochain.minimisers.restraints import Hold
+from protochain.minimisers.start_warnings import how_far
 from protochain.minimisers.verdict import Judgement, Status
 from protochain.structure import Structure, save
 from protochain.structure.superpose import displacements, rmsd_angstrom

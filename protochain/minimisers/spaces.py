@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from protochain import multibody
-from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, Pose, pose, pull_back, solve_mass
-from protochain.interrupts import answering
+from protochain.core.arrays import Floats, Integers
+from protochain.core.interrupts import answering
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import HingeKind
 from protochain.minimisers import curvature, springs
 from protochain.minimisers.curvature import NearTerms
 from protochain.minimisers.problem import Evaluation, Placement
-from protochain.multibody import HingeKind
 from protochain.structure.model import Structure
 
 ROOT_LEVER = 0.1

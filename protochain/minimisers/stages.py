@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats
 from protochain.chain import Chain
+from protochain.core.arrays import Floats
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Ending, Method, Snapshot, Stop, Unstarted, run

@@ -8,10 +8,10 @@ import numpy as np
 from protochain.chain import Chain, Pose, pose
 from protochain.energies.protocol import Energy
 from protochain.minimisers.curvature import near_terms
-from protochain.minimisers.outlook import is_crowded
 from protochain.minimisers.problem import Evaluation, Problem, evaluate
 from protochain.minimisers.recipes import Recipe
 from protochain.minimisers.spaces import Cartesian, Torsions, spaces
+from protochain.minimisers.start_warnings import is_crowded
 from protochain.minimisers.verdict import Judgement, judge
 
 

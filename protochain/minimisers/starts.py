@@ -7,23 +7,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain import defaults
-from protochain.arrays import read_only
 from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, pose
-from protochain.checks import WATCHER, checked, function, integer, number, quantity
+from protochain.core import defaults
+from protochain.core.arrays import read_only
+from protochain.core.checks import WATCHER, checked, function, integer, number, quantity
+from protochain.core.errors import Argument, ProtochainError
+from protochain.core.interrupts import held_interrupts
+from protochain.core.units import MOLAR_GAS
 from protochain.energies import as_energy
-from protochain.errors import Argument, ProtochainError
-from protochain.interrupts import held_interrupts
 from protochain.minimisers.api import minimise
 from protochain.minimisers.restraints import Hold
-from protochain.minimisers.settings import Minimising, Starting
+from protochain.minimisers.settings import MinimiseSettings, StartSettings
 from protochain.minimisers.solution import Solution
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import parting, walk
 from protochain.minimisers.verdict import OTHER_ISOMER, Status
 from protochain.structure.superpose import rmsd
-from protochain.units import MOLAR_GAS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -167,8 +167,8 @@ def explore(
     ProtochainError
         If a setting is invalid.
     """
-    Minimising(seed=seed)
-    Starting(n_starts=n_starts, spread=spread, hop_temperature=hop_temperature)
+    MinimiseSettings(seed=seed)
+    StartSettings(n_starts=n_starts, spread=spread, hop_temperature=hop_temperature)
     refuse_held(settings.get("restraint", ()), settings.get("max_rmsd", np.inf))
     settings["tolerance"] = defaults.TOLERANCE if tolerance is None else tolerance
     chain = as_chain(chain)

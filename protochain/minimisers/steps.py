@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.optimize import line_search
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.minimisers.problem import Evaluation, Problem
 
 SMALLEST = 1e-8

@@ -8,10 +8,10 @@ summed from the leaves inward for every body; O(nb^2) in all, whatever the numbe
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
 from protochain.chain import Chain, Pose
-from protochain.multibody import velocities
-from protochain.multibody.algebra import kernel
+from protochain.core.arrays import Floats, Integers
+from protochain.mechanics.multibody import velocities
+from protochain.mechanics.multibody.algebra import kernel
 
 Term = tuple[Integers, Floats, Floats]
 """Atoms (n, k), gradients (n, k, 3) and stiffness (n,) of some lengths or angles."""

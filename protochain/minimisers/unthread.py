@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers, read_only
+from protochain.core.arrays import Floats, Integers, read_only
 from protochain.minimisers.problem import Force, Placement
 from protochain.minimisers.restraints import SoftRepulsion, Sum
 from protochain.minimisers.stages import Stage

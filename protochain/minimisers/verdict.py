@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
-from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain, Pose
 from protochain.contacts import overlaps
+from protochain.core.arrays import Floats
+from protochain.core.interrupts import answering
+from protochain.core.markup import listed
 from protochain.energies.protocol import Energy
-from protochain.interrupts import answering
-from protochain.markup import listed
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces

@@ -4,4 +4,4 @@ from .presets import PROTOCOLS as PROTOCOLS
 from .presets import Preset as Preset
 from .result import Relaxation as Relaxation
 from .rounds import Round as Round
-from .settings import Relaxing as Relaxing
+from .settings import RelaxSettings as RelaxSettings

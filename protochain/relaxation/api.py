@@ -7,21 +7,21 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from protochain import defaults
-from protochain.arrays import Floats, Integers, Watcher, read_only
-from protochain.checks import WATCHER, checked
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Integers, Watcher, read_only
+from protochain.core.checks import WATCHER, checked
+from protochain.core.interrupts import answering, held_interrupts
+from protochain.core.markup import listed
 from protochain.energies import Energy
 from protochain.frame import Frame
-from protochain.interrupts import answering, held_interrupts
-from protochain.markup import listed
 from protochain.minimisers.problem import Evaluation, Force
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.verdict import Status, verdict
-from protochain.relaxation.hands import Hands
+from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
 from protochain.relaxation.rounds import Ended, Phase, Relaxer, fewest_left, mendable
-from protochain.relaxation.settings import Relaxing, split
+from protochain.relaxation.settings import RelaxSettings, split
 from protochain.structure import Structure
 from protochain.structure.select import moving, select
 from protochain.validation import threaded_rings, violations
@@ -47,12 +47,12 @@ def relax(
     source : Structure, path, or anything that :func:`protochain.as_structure` takes
         Structure to relax.
     preset : str
-        ``predicted``, ``crystal`` or ``design``; see :class:`protochain.relaxation.Relaxing`.
+        ``predicted``, ``crystal`` or ``design``; see :class:`protochain.relaxation.RelaxSettings`.
     watch : callable, optional
         Called with a row of the trace and the positions of each point, to show progress. Its method
         ``at_stage``, if it has one, is called with what is done, and the evaluations so far.
     **options
-        Further fields of :class:`protochain.relaxation.Relaxing` (``protocol``, ``tolerance``, ``stiffness``,
+        Further fields of ``RelaxSettings`` (``protocol``, ``tolerance``, ``stiffness``,
         ``max_iterations``, ``max_outer_iterations``, ``exclude``, ``keep_hydrogens``, ``repack``) and of
         :class:`protochain.Setup` (``forcefield``, ``solvent``, ``threads``, ``keep`` ...). With ``move``, a
         selection as of :func:`protochain.build_chain` (``sidechain``, ``interface``), all other atoms stay
@@ -77,7 +77,7 @@ def relax(
 def relax_structure(
     structure: Structure,
     energy: Energy,
-    settings: Relaxing,
+    settings: RelaxSettings,
     watch: Watcher | None = None,
     move: str = defaults.MOVE,
 ) -> Relaxation:
@@ -146,7 +146,7 @@ def _excluded(structure: Structure, exclude: str) -> NDArray[np.bool_]:
     return free
 
 
-def _held_by(mobile: NDArray[np.bool_], settings: Relaxing) -> str:
+def _held_by(mobile: NDArray[np.bool_], settings: RelaxSettings) -> str:
     if not mobile.all():
         return "atoms that stand still"
     return "springs to the start" if settings.strength.backbone[-1] > 0.0 else ""
@@ -176,7 +176,7 @@ def _judged(
 
 
 def _verdict(
-    structure: Structure, energy: Energy, settings: Relaxing, end: Ended, force: float
+    structure: Structure, energy: Energy, settings: RelaxSettings, end: Ended, force: float
 ) -> tuple[Status, str]:
     tolerance = settings.strength.tolerance
     by = NATIVE if energy.is_exact else REFERENCE

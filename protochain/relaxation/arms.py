@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain import residues
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.relaxation.rotamer_energies import Rotamers
+from protochain.structure import residues
 from protochain.structure.chirality import volume
 from protochain.structure.model import Structure
 from protochain.structure.packing import WIDTH, wrapped

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.relaxation.reduction import SLIGHT, Part, bounded, undominated
 
 _LARGEST = 1_000_000

@@ -7,8 +7,8 @@ from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any
 
-from protochain.arrays import Floats
 from protochain.contacts import overlaps
+from protochain.core.arrays import Floats
 from protochain.structure.losses import far_molecules, lost_atoms, n_lost
 from protochain.validation import MEASURES
 from protochain.validation.fixed import fixed_counts

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
-from protochain.compilation import njit
+from protochain.core.arrays import Floats, Integers
+from protochain.core.compilation import njit
 
 Pairs = dict[tuple[int, int], Floats]
 """Tables (n_i, n_j) of sites i < j that interact."""

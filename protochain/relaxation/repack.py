@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers
 from protochain.contacts import near_pairs
+from protochain.core.arrays import Floats, Integers
+from protochain.core.errors import StructureError
 from protochain.energies import Energy, NativeEnergy, UnsupportedForceError
 from protochain.energies import energy as energy_of
 from protochain.energies.native.terms import Terms, compile_system
-from protochain.errors import StructureError
 from protochain.relaxation.arms import Arm, arms
 from protochain.relaxation.assignment import best
 from protochain.relaxation.rotamer_energies import Interactions

@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain import defaults
-from protochain.arrays import Floats, Value
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Value
+from protochain.core.markup import counted, facts
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
-from protochain.markup import counted, facts
 from protochain.minimisers.solution import alpha_residues
 from protochain.minimisers.verdict import Status
-from protochain.relaxation.hands import Hands
+from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.record import COLUMNS, METHOD
 from protochain.relaxation.rounds import Round
-from protochain.relaxation.settings import Relaxing
+from protochain.relaxation.settings import RelaxSettings
 from protochain.structure import Structure, save
 from protochain.structure.repairs import Kind, Repair, summarised
 from protochain.structure.superpose import displacements
-from protochain.units import ANGSTROM_PER_NM
 from protochain.validation import MEASURES, measures
 from protochain.validation.omega import PLANAR
 
@@ -51,7 +51,7 @@ class Relaxation(Value):
         The input, as it was prepared.
     x : (na, 3) float, nm
         Positions at the end, in the frame of the start.
-    settings : Relaxing
+    settings : RelaxSettings
         How it was relaxed.
     energy_function : Energy
         What was minimised, with springs.
@@ -85,7 +85,7 @@ class Relaxation(Value):
 
     start: Structure
     x: Floats
-    settings: Relaxing
+    settings: RelaxSettings
     energy_function: Energy
     rounds: tuple[Round, ...]
     best: int

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.arrays import Floats, Integers
-from protochain.compilation import njit
+from protochain.core.arrays import Floats, Integers
+from protochain.core.compilation import njit
 from protochain.energies.native.terms import Bonded, Terms
 from protochain.structure.sidechains import dihedral
 

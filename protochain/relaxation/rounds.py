@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers, read_only
 from protochain.contacts import near_pairs, overlapping
+from protochain.core.arrays import Floats, Integers, read_only
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers.curvature import near_terms
@@ -27,9 +27,9 @@ from protochain.minimisers.restraints import SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import PATIENCE, lowest
 from protochain.minimisers.steps import StrongWolfe
-from protochain.relaxation.hands import Hands
+from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
-from protochain.relaxation.planes import Planes
+from protochain.relaxation.planarity_restraint import Planes
 from protochain.relaxation.presets import Preset
 from protochain.structure import Structure
 from protochain.validation import threaded_rings, violations

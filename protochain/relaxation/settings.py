@@ -4,16 +4,16 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from protochain import defaults
-from protochain.checks import flag, integer, number, optional, text
-from protochain.errors import Argument, ProtochainError, refused
+from protochain.core import defaults
+from protochain.core.checks import flag, integer, number, optional, text
+from protochain.core.errors import Argument, ProtochainError, refused
+from protochain.core.settings import Settings, setting
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
-from protochain.settings import Settings, setting
 from protochain.setup import Setup
 
 
 @dataclass(frozen=True)
-class Relaxing(Settings):
+class RelaxSettings(Settings):
     """How a structure is relaxed.
 
     Parameters
@@ -137,10 +137,10 @@ class Relaxing(Settings):
         )
 
 
-NAMES = tuple(each.name for each in fields(Relaxing))
+NAMES = tuple(each.name for each in fields(RelaxSettings))
 
 
-def split(options: dict[str, Any]) -> tuple[Relaxing, Setup]:
+def split(options: dict[str, Any]) -> tuple[RelaxSettings, Setup]:
     """Split options into the settings of a relaxation and those of a setup.
 
     Raises
@@ -152,7 +152,7 @@ def split(options: dict[str, Any]) -> tuple[Relaxing, Setup]:
     unknown = next((name for name in options if name not in (*NAMES, *of_setup)), None)
     if unknown is not None:
         raise ProtochainError(f"relax has no option {unknown!r}; it takes {', '.join((*NAMES, *of_setup))}")
-    relaxing = Relaxing(**{name: value for name, value in options.items() if name in NAMES})
+    relaxing = RelaxSettings(**{name: value for name, value in options.items() if name in NAMES})
     return relaxing, relaxing.setup(
         Setup(**{name: value for name, value in options.items() if name in of_setup})
     )

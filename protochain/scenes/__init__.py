@@ -9,7 +9,7 @@ from importlib import import_module
 
 from threadpoolctl import threadpool_limits
 
-from protochain.errors import ProtochainError
+from protochain.core.errors import ProtochainError
 from protochain.lab.cases import Check, Extreme, LeftOut, Scene, plot_work
 
 __all__ = ["SCENES", "Check", "Extreme", "LeftOut", "Scene", "plot_work", "run"]

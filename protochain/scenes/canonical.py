@@ -12,19 +12,19 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import solve_ivp
 
-from protochain.arrays import Floats
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats
+from protochain.core.errors import MechanicsError
 from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, tried, vanishes
 from protochain.lab.cost import timed
 from protochain.lab.fits import exponent
 from protochain.lab.report import work_table
-from protochain.motion import DormandPrince
-from protochain.motion.bending import BendingSystem
-from protochain.multibody import HingeKind, Tree
-from protochain.multibody.beams import Beam, beam
-from protochain.multibody.canonical import Route, canonical_rates, rates_of
-from protochain.multibody.flexible import Flexible, bend, elastic
-from protochain.multibody.flexible_dynamics import forward_dynamics, multiply_mass
+from protochain.mechanics.motion import DormandPrince
+from protochain.mechanics.motion.bending import BendingSystem
+from protochain.mechanics.multibody import HingeKind, Tree
+from protochain.mechanics.multibody.beams import Beam, beam
+from protochain.mechanics.multibody.canonical import Route, canonical_rates, rates_of
+from protochain.mechanics.multibody.flexible import Flexible, bend, elastic
+from protochain.mechanics.multibody.flexible_dynamics import forward_dynamics, multiply_mass
 
 STIFFNESS = 3.0
 ROUTES: tuple[Route, ...] = ("articulated", "blocks", "dense")

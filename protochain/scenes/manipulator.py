@@ -12,19 +12,19 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import solve_ivp
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, tried, vanishes
 from protochain.lab.cost import timed
 from protochain.lab.fits import extrapolated, order
 from protochain.lab.report import work_table
-from protochain.mechanisms import Beam, Mechanism, Model, add_beam, frequencies, state_matrix
-from protochain.motion import (
+from protochain.mechanics.motion import (
     DormandPrince,
     ImplicitMidpoint,
     Integrator,
     Rosenbrock,
     RungeKutta4,
 )
+from protochain.mechanisms import Beam, Mechanism, Model, add_beam, frequencies, state_matrix
 
 LENGTHS, TORQUES, START = (1.0, 0.8, 0.6), (60.0, 20.0, 5.0), (0.0, 0.3, 0.3)
 """m, N m, and rad from the link before, at the start."""

@@ -15,13 +15,13 @@ from scipy.special import jn_zeros
 from protochain.analysis.studies.precision import solvers as precise
 from protochain.analysis.studies.stability.cells import Part, cases_of, run_case
 from protochain.analysis.studies.stability.solvers import ROUTES
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, left_out, vanishes
 from protochain.lab.cost import timed
 from protochain.lab.fits import exponent
 from protochain.lab.report import work_table
-from protochain.motion import DormandPrince, System
-from protochain.multibody import (
+from protochain.mechanics.motion import DormandPrince, System
+from protochain.mechanics.multibody import (
     Frames,
     HingeKind,
     Tree,
@@ -32,7 +32,7 @@ from protochain.multibody import (
     pull_back,
     solve_mass,
 )  # fmt: skip
-from protochain.multibody.articulated import Articulated, articulate, solve
+from protochain.mechanics.multibody.articulated import Articulated, articulate, solve
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
 SERIAL = (

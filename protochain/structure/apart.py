@@ -9,9 +9,9 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.errors import StructureError
-from protochain.residues import BLANK, Residue
+from protochain.core.errors import StructureError
 from protochain.structure.repairs import Kind, Repair
+from protochain.structure.residues import BLANK, Residue
 
 _NOT_BONDED = 2.0
 """Angstrom: copies of a residue are different ones if no atom lies this near to its namesake."""

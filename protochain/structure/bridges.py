@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from scipy.spatial import KDTree
 
-from protochain.checks import NO_BONDS, Bond
-from protochain.errors import Argument, StructureError
+from protochain.core.checks import NO_BONDS, Bond
+from protochain.core.errors import Argument, StructureError
 from protochain.structure.draft import Draft, Member
 from protochain.structure.repairs import Kind
 

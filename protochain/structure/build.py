@@ -1,8 +1,8 @@
 """Extended all-atom chains of standard geometry, built from sequences."""
 
-from protochain import residues
-from protochain.checks import text
-from protochain.errors import StructureError
+from protochain.core.checks import text
+from protochain.core.errors import StructureError
+from protochain.structure import residues
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.model import Structure
 from protochain.structure.prepare import prepare

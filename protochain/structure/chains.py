@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from protochain.arrays import Floats, Integers, Value
+from protochain.core.arrays import Floats, Integers, Value
 from protochain.structure.superpose import motion_of
 
 _ROUNDS = 20

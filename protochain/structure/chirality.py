@@ -6,11 +6,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers
-from protochain.residues import Atom
+from protochain.core.arrays import Floats, Integers
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.draft import Member
 from protochain.structure.model import Structure
-from protochain.units import ANGSTROM_PER_NM
+from protochain.structure.residues import Atom
 
 WELL_FORMED = 2.2e-3
 """nm^3. Volume at a C-alpha below which its hand may be noise; 2.5e-3 in ideal residues."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import gemmi
 
-from protochain.errors import StructureError
+from protochain.core.errors import StructureError
 from protochain.structure.apart import refuse_copies
 from protochain.structure.draft import Draft
 from protochain.structure.repairs import Kind

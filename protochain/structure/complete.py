@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import gemmi
 import numpy as np
 
-from protochain import residues
-from protochain.arrays import Floats
-from protochain.errors import StructureError
+from protochain.core.arrays import Floats
+from protochain.core.errors import StructureError
+from protochain.structure import residues
 from protochain.structure.chirality import centres, hand, wrong_hands
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.losses import Why

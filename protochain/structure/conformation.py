@@ -6,7 +6,7 @@ from math import isfinite
 import gemmi
 import numpy as np
 
-from protochain.errors import StructureError
+from protochain.core.errors import StructureError
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,17 +8,17 @@ import gemmi
 import numpy as np
 from openmm import app, unit
 
-from protochain import defaults
-from protochain.arrays import Floats, floats
-from protochain.checks import plain, shown
-from protochain.errors import StructureError
+from protochain.core import defaults
+from protochain.core.arrays import Floats, floats
+from protochain.core.checks import plain, shown
+from protochain.core.errors import StructureError
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.draft import Draft, atom
 from protochain.structure.files import check
 from protochain.structure.model import Structure
 from protochain.structure.prepare import load, prepare, user_files
 from protochain.structure.protonate import check_ph
 from protochain.structure.read import Reading, read_structure
-from protochain.units import ANGSTROM_PER_NM
 
 if TYPE_CHECKING:
     import MDAnalysis

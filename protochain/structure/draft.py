@@ -8,7 +8,7 @@ from typing import Any
 
 import gemmi
 
-from protochain import residues
+from protochain.structure import residues
 from protochain.structure.header import NO_LABEL, Label
 from protochain.structure.losses import Loss, Why
 from protochain.structure.repairs import Kind, Repair

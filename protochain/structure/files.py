@@ -15,9 +15,9 @@ from typing import Any, BinaryIO
 
 import gemmi
 
-from protochain.errors import StructureError
-from protochain.markup import excerpt
-from protochain.storage import regular
+from protochain.core.errors import StructureError
+from protochain.core.markup import excerpt
+from protochain.core.storage import regular
 from protochain.structure.apart import chains_told_apart, told_apart
 from protochain.structure.records import of_cif, of_pdb
 from protochain.structure.repairs import Kind, Repair

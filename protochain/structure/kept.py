@@ -11,8 +11,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from protochain import defaults, residues
-from protochain.errors import StructureError
+from protochain.core import defaults
+from protochain.core.errors import StructureError
+from protochain.structure import residues
 from protochain.structure.draft import Draft, Member, Part
 from protochain.structure.losses import Why
 from protochain.structure.recognise import recognised

@@ -13,9 +13,9 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.arrays import Floats
-from protochain.residues import Atom
+from protochain.core.arrays import Floats
 from protochain.structure.draft import Draft, Member
+from protochain.structure.residues import Atom
 
 COVALENT_SLACK = 0.3
 """Angstrom by which atoms that are bonded may be nearer, or further apart, than the sum of their covalent

@@ -6,7 +6,7 @@ from enum import StrEnum
 from textwrap import shorten
 from typing import Any
 
-from protochain import defaults
+from protochain.core import defaults
 from protochain.structure.repairs import EVERYTHING, Say
 
 _WIDTH = 200

@@ -9,15 +9,15 @@ import gemmi
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from protochain.arrays import Floats, Integers, Value
-from protochain.errors import OnlyAlphaError, ProtochainError, StructureError
-from protochain.residues import STANDARD
+from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.errors import OnlyAlphaError, ProtochainError, StructureError
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.chains import PairSums, least_deviation
 from protochain.structure.convert import as_structure
 from protochain.structure.files import STANDARD_INPUT, parse
 from protochain.structure.model import Structure
+from protochain.structure.residues import STANDARD
 from protochain.structure.trace import alpha_trace
-from protochain.units import ANGSTROM_PER_NM
 
 _RELATED = 0.3
 """Of the positions of an alignment, gaps between them included: identity from which on sequences are related.

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers, Neighbours, Value, neighbours, read_only
-from protochain.errors import StructureError
-from protochain.markup import facts
-from protochain.residues import Atom, Residue, name_in_file
+from protochain.core.arrays import Floats, Integers, Neighbours, Value, neighbours, read_only
+from protochain.core.errors import StructureError
+from protochain.core.markup import facts
 from protochain.structure.header import Label
 from protochain.structure.losses import Loss
 from protochain.structure.repairs import Repair, summarised
+from protochain.structure.residues import Atom, Residue, name_in_file
 
 
 @dataclass(frozen=True)

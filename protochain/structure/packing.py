@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.structure.draft import Member
 from protochain.structure.sidechains import Places, conformers, fixed_chi, grown, ideal
 

@@ -11,12 +11,13 @@ import gemmi
 import numpy as np
 from openmm import app
 
-from protochain import defaults
-from protochain.arrays import Floats, Integers
-from protochain.checks import bonds as bonds_of
-from protochain.checks import checked, file_name, force_field_parts, words
-from protochain.checks import path as as_path
-from protochain.errors import StructureError
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Integers
+from protochain.core.checks import bonds as bonds_of
+from protochain.core.checks import checked, file_name, force_field_parts, words
+from protochain.core.checks import path as as_path
+from protochain.core.errors import StructureError
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
 from protochain.structure.complete import add_heavy_atoms
 from protochain.structure.draft import Draft, Member, Part
@@ -28,7 +29,6 @@ from protochain.structure.read import Reading, read
 from protochain.structure.relief import relieved
 from protochain.structure.sites import find_links, moves, settle_mobile, stated_beside, stated_ties, ties
 from protochain.structure.templates import Template, templates
-from protochain.units import ANGSTROM_PER_NM
 
 
 @checked()

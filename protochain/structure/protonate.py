@@ -6,9 +6,9 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain import residues
-from protochain.checks import number
-from protochain.errors import StructureError
+from protochain.core.checks import number
+from protochain.core.errors import StructureError
+from protochain.structure import residues
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.repairs import Kind
 from protochain.structure.templates import Template, rename

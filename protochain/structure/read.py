@@ -12,10 +12,10 @@ from typing import Any
 import gemmi
 import numpy as np
 
-from protochain import residues
-from protochain.checks import check_fields, flag, integer, optional, text, words
-from protochain.errors import Argument, OnlyAlphaError, StructureError
-from protochain.markup import counted, listed
+from protochain.core.checks import check_fields, flag, integer, optional, text, words
+from protochain.core.errors import Argument, OnlyAlphaError, StructureError
+from protochain.core.markup import counted, listed
+from protochain.structure import residues
 from protochain.structure.apart import refuse_crowds
 from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.choose import choose_chains, choose_model

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain import residues
-from protochain.arrays import Floats, Integers, neighbours
+from protochain.core.arrays import Floats, Integers, neighbours
+from protochain.structure import residues
 from protochain.structure.chirality import hand
 from protochain.structure.draft import Member
 from protochain.structure.packing import WIDTH, wrapped

@@ -8,10 +8,10 @@ from string import Formatter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from protochain.arrays import Value
-from protochain.errors import Argument
-from protochain.markup import counted, listed
-from protochain.residues import Atom
+from protochain.core.arrays import Value
+from protochain.core.errors import Argument
+from protochain.core.markup import counted, listed
+from protochain.structure.residues import Atom
 
 _SHOWN = 8
 """Places named in a line that tells many changes."""
@@ -229,7 +229,7 @@ class Repair(Value):
     ----------
     kind : Kind
     facts : mapping
-        What the words of the kind name, and more: ``residue`` (a :class:`protochain.residues.Residue`),
+        What the words of the kind name, and more: ``residue`` (a ``residues.Residue``),
         ``atoms``, ``count``, ``length`` (angstrom), ...
     """
 

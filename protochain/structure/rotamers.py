@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from protochain.arrays import Floats, read_only
+from protochain.core.arrays import Floats, read_only
 
 _DEGREES = {"p": 62.0, "t": 180.0, "m": -65.0}
 
@@ -51,7 +51,7 @@ def rotamers(residue: str) -> tuple[Floats, Floats]:
     Returns
     -------
     (n, n_chi) float, rad
-        chi1, chi2, ... as :data:`protochain.residues.CHI` defines them, of the L-amino acid.
+        chi1, chi2, ... as :data:`protochain.structure.residues.CHI` defines them, of the L-amino acid.
     (n,) float
         Frequencies, whose sum is 1.
 

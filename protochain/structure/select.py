@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain import defaults
-from protochain.arrays import Integers
-from protochain.errors import StructureError
+from protochain.core import defaults
+from protochain.core.arrays import Integers
+from protochain.core.errors import StructureError
 from protochain.structure.convert import to_mdanalysis
 from protochain.structure.model import Structure
 

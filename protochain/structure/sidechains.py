@@ -11,8 +11,8 @@ from functools import cache
 import numpy as np
 from scipy.optimize import least_squares
 
-from protochain import residues
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.structure import residues
 from protochain.structure.rotamers import rotamers
 
 Places = dict[str, Floats]

@@ -12,7 +12,7 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.arrays import Floats, Integers, neighbours
+from protochain.core.arrays import Floats, Integers, neighbours
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.kept import JOINED
 from protochain.structure.linkage import COVALENT_SLACK, Link, told_apart, usual_length

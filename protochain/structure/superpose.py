@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats, floats
-from protochain.errors import ProtochainError
+from protochain.core.arrays import Floats, floats
+from protochain.core.errors import ProtochainError
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
-from protochain.units import ANGSTROM_PER_NM
 
 
 def superpose(x: Floats, reference: Floats) -> Floats:

@@ -13,8 +13,8 @@ import gemmi
 from openmm import app
 from pdbfixer.pdbfixer import substitutions
 
-from protochain.errors import StructureError
-from protochain.residues import CAPS, LINKED, NUCLEOTIDES, STANDARD, STATE_PARENT
+from protochain.core.errors import StructureError
+from protochain.structure.residues import CAPS, LINKED, NUCLEOTIDES, STANDARD, STATE_PARENT
 
 _DATA = Path(app.__file__).parent / "data"
 PROTEIN = _DATA / "amber14" / "protein.ff14SB.xml"

@@ -4,12 +4,12 @@ import gemmi
 import numpy as np
 from openmm import app
 
-from protochain import residues
-from protochain.errors import StructureError
+from protochain.core.errors import StructureError
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure import residues
 from protochain.structure.conformation import likeliest, same_place
 from protochain.structure.model import Structure
 from protochain.structure.read import standard_parent
-from protochain.units import ANGSTROM_PER_NM
 
 
 def alpha_trace(parsed: gemmi.Structure, source: str, model: int) -> Structure:

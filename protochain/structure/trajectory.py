@@ -10,9 +10,9 @@ from typing import Any, Self
 
 from openmm import app
 
-from protochain.arrays import Floats
-from protochain.errors import StructureError, WriteError
-from protochain.storage import check_writable, writing
+from protochain.core.arrays import Floats
+from protochain.core.errors import StructureError, WriteError
+from protochain.core.storage import check_writable, writing
 from protochain.structure.model import Structure
 
 _DCD_COUNT = 8

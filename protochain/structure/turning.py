@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.structure.sidechains import dihedral, unit
 
 

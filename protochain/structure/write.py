@@ -8,19 +8,19 @@ from typing import Any
 import gemmi
 import numpy as np
 
-from protochain.checks import flag
-from protochain.checks import path as as_path
-from protochain.errors import StructureError
-from protochain.residues import NUCLEOTIDES
-from protochain.storage import write_atomically
+from protochain.core.checks import flag
+from protochain.core.checks import path as as_path
+from protochain.core.errors import StructureError
+from protochain.core.storage import write_atomically
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.convert import as_structure
 from protochain.structure.files import PACKINGS, SUFFIXES, format_of, split_name
 from protochain.structure.header import NO_LABEL, Label, settle, with_header
 from protochain.structure.linkage import is_metal
 from protochain.structure.model import Structure
 from protochain.structure.records import cif_rows, orders, pdb_lines, put, with_names
+from protochain.structure.residues import NUCLEOTIDES
 from protochain.structure.springs import CATEGORY, Spring, as_remarks, as_rows, of_structure
-from protochain.units import ANGSTROM_PER_NM
 
 _REMARK_WIDTH = 68
 _PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999

@@ -2,7 +2,7 @@
 
 from protochain.validation.api import measures, validate
 from protochain.validation.clashes import Clashes, clashes
-from protochain.validation.found import MEASURES
+from protochain.validation.findings import MEASURES
 from protochain.validation.likeness import LIKENESS, likeness
 from protochain.validation.result import Validation
 from protochain.validation.rings import ThreadedRing, threaded_rings

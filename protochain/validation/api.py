@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats, floats
+from protochain.core.arrays import Floats, floats
 from protochain.structure.convert import as_structure
 from protochain.structure.matching import measurable
-from protochain.validation.found import MEASURES, Found
+from protochain.validation.findings import MEASURES, Found
 from protochain.validation.likeness import likeness
 from protochain.validation.result import Validation
 

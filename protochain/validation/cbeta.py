@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure
-from protochain.units import ANGSTROM_PER_NM
 from protochain.validation.layout import NONE, layout
 
 LIMIT = 0.25

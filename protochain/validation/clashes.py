@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.arrays import Floats, Integers, Value, floats, read_only
 from protochain.contacts import joined
+from protochain.core.arrays import Floats, Integers, Value, floats, read_only
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure
-from protochain.units import ANGSTROM_PER_NM
 from protochain.validation.rings import rings
 
 OVERLAP = 0.4

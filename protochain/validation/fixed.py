@@ -11,13 +11,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from protochain.arrays import Floats, Integers
 from protochain.contacts import neighbourhood, radii
-from protochain.markup import listed
-from protochain.residues import NUCLEOTIDES
+from protochain.core.arrays import Floats, Integers
+from protochain.core.markup import listed
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure
+from protochain.structure.residues import NUCLEOTIDES
 from protochain.structure.templates import DNA, RNA, templates
-from protochain.units import ANGSTROM_PER_NM
 from protochain.validation.strain import bond_lengths
 
 _BROKEN = 0.03

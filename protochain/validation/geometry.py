@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers, frozen, read_only
-from protochain.residues import STANDARD, STATE_PARENT
+from protochain.core.arrays import Floats, Integers, frozen, read_only
 from protochain.structure.model import Structure
+from protochain.structure.residues import STANDARD, STATE_PARENT
 
 WIDTH = 14
 """Heavy atoms of the largest amino acid, without the second oxygen of a terminus."""

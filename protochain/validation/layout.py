@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers, read_only
-from protochain.residues import BACKBONE
+from protochain.core.arrays import Floats, Integers, read_only
 from protochain.structure.model import Structure
+from protochain.structure.residues import BACKBONE
 
 NONE = -1
 """Index where there is no such atom or residue."""

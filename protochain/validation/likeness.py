@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.arrays import Floats, Integers, Value, read_only
-from protochain.residues import STANDARD
+from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.matching import Match, match, tm_score
 from protochain.structure.model import Structure
+from protochain.structure.residues import STANDARD
 from protochain.structure.superpose import rmsd_angstrom
-from protochain.units import ANGSTROM_PER_NM
 from protochain.validation.layout import NONE, layout
 
 RADIUS = 15.0

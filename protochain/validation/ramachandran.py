@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers, read_only
-from protochain.residues import STANDARD
+from protochain.core.arrays import Floats, Integers, read_only
 from protochain.structure.model import Structure
+from protochain.structure.residues import STANDARD
 from protochain.validation.layout import NONE, layout, peptides
 
 CLASSES = ("general", "glycine", "cis_proline", "trans_proline", "pre_proline", "ile_val")

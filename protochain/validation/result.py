@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from protochain.arrays import Value
-from protochain.markup import facts
+from protochain.core.arrays import Value
+from protochain.core.markup import facts
 from protochain.structure.model import Structure
 from protochain.structure.repairs import Kind
-from protochain.validation.found import MEASURES
+from protochain.validation.findings import MEASURES
 from protochain.validation.likeness import LIKENESS
 from protochain.validation.violations import Violations
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.arrays import Floats, Integers, Neighbours, floats, neighbours, read_only
+from protochain.core.arrays import Floats, Integers, Neighbours, floats, neighbours, read_only
 from protochain.structure.model import Structure
 
 LARGEST = 20

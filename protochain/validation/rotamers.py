@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.arrays import Floats, Integers
-from protochain.residues import CHI
+from protochain.core.arrays import Floats, Integers
 from protochain.structure.model import Structure
+from protochain.structure.residues import CHI
 from protochain.validation.layout import NONE, dihedrals, layout
 
 _LIMITS = {

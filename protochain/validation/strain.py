@@ -8,10 +8,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers, Value, floats, read_only
+from protochain.core.arrays import Floats, Integers, Value, floats, read_only
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure
 from protochain.structure.templates import PROTEIN, Template, standard_name, templates
-from protochain.units import ANGSTROM_PER_NM
 
 BEYOND = 4.0
 """Standard deviations."""

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.arrays import Floats, Integers, Value, floats, read_only
+from protochain.core.arrays import Floats, Integers, Value, floats, read_only
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure
-from protochain.units import ANGSTROM_PER_NM
 from protochain.validation.geometry import TYPES, distances, places, slots
 
 _SIGMAS = 12.0

@@ -1,4 +1,4 @@
-"""Relaxing predicted models."""
+"""RelaxSettings predicted models."""
 
 import pandas as pd
 from made import RECORD

@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import Any
 
-from protochain.errors import ProtochainError
+from protochain.core.errors import ProtochainError
 
 STUDIES = {
     "precision": "error against run time of everything that approximates or iterates",

@@ -17,8 +17,8 @@ import pandas as pd
 
 from protochain.analysis.studies import kcm_cases, kcm_summary
 from protochain.analysis.studies.kcm_cases import METHODS, MODELS, MOST, N_STARTS, SOLVENTS, Case, measured
-from protochain.errors import ProtochainError
-from protochain.storage import writing
+from protochain.core.errors import ProtochainError
+from protochain.core.storage import writing
 
 MINUTES = 60.0
 QUICK: dict[str, Any] = {"peptides": ("met-enkephalin", "ala10"), "starts": 1, "evaluations": 1500}

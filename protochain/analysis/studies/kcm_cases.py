@@ -16,12 +16,12 @@ from typing import Any
 import gemmi
 import numpy as np
 
-from protochain import defaults
-from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose
+from protochain.core import defaults
+from protochain.core.arrays import Floats
+from protochain.core.errors import ProtochainError, StrayWarning
 from protochain.energies import energy
-from protochain.errors import ProtochainError, StrayWarning
 from protochain.minimisers import RECIPES, Recipe, Run, Solution, Status
 from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.api import Minimisation, minimise_from

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.energies.native.layout import Share, W, part, scalar, shared
 from protochain.energies.native.pairs import CLOSEST, difference, push
 

@@ -8,7 +8,7 @@ without logarithm or root. The few nearer pairs come from a list.
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.energies.native.layout import (
     BORN,
     FX,

@@ -10,7 +10,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from protochain.arrays import Floats, Integers, floats, read_only
+from protochain.core.arrays import Floats, Integers, floats, read_only
 from protochain.energies.native.evaluate import Layout, lists_of
 from protochain.energies.native.evaluation import Evaluation, Workspace
 from protochain.energies.native.neighbours import Lists, partners

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.energies.native.layout import (
     CHARGE,
     CHUNKS,

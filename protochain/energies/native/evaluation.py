@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.energies.native.atomic import TICK
 from protochain.energies.native.evaluate import Layout, touched
 from protochain.energies.native.helpers import Helpers, Worth, helpers

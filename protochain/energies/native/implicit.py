@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import openmm
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.energies.native.neck import REACH
 from protochain.energies.native.reading import UnsupportedForceError, bare, plain
 

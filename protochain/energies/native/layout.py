@@ -10,8 +10,8 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from protochain.arrays import Floats
-from protochain.compilation import njit
+from protochain.core.arrays import Floats
+from protochain.core.compilation import njit
 
 W = 32
 """Atoms in a block. Wider ones waste more on padding, narrower ones more on sums along rows."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 
 _HERMITE = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]])
 """Coefficients of 1, u, u^2, u^3 from values at 0 and 1 and slopes at 0 and 1."""

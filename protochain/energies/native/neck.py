@@ -3,7 +3,7 @@
 Mongan, Simmerling, McCammon, Case, Onufriev, J. Chem. Theory Comput. 3:156 (2007).
 """
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.energies.native.layout import (
     FX,
     FY,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.energies.native.layout import W, scalar
 from protochain.energies.native.pairs import difference
 

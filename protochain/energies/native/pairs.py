@@ -7,7 +7,7 @@ then corrected one by one.
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.energies.native.layout import (
     CHARGE,
     FX,

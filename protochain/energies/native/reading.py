@@ -4,7 +4,7 @@ from typing import Any
 
 from openmm import unit
 
-from protochain.errors import ForceFieldError
+from protochain.core.errors import ForceFieldError
 
 
 class UnsupportedForceError(ForceFieldError):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
 from protochain.energies.native import bonded, born, neck, pairs
 from protochain.energies.native.atomic import add, give_way, load, pause, replace, ticks
 from protochain.energies.native.layout import (

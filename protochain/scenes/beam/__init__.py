@@ -10,13 +10,13 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Scene
 from protochain.lab.cost import timed
 from protochain.lab.fits import exponent, extrapolated
 from protochain.lab.report import work_table
+from protochain.mechanics.multibody import multiply_mass, pose
 from protochain.mechanisms.segments import Beam
-from protochain.multibody import multiply_mass, pose
 from protochain.scenes.beam import checks
 from protochain.scenes.beam.extremes import limits, without
 from protochain.scenes.beam.parts import ROOTS, UNIT, at_rest, built, lowest

@@ -7,9 +7,9 @@ import pandas as pd
 
 from protochain.lab.cases import Check, check, vanishes
 from protochain.lab.fits import extrapolated
+from protochain.mechanics.motion import DormandPrince, RungeKutta4
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.segments import Beam
-from protochain.motion import DormandPrince, RungeKutta4
 from protochain.scenes.beam.parts import (
     EULER,
     ROOTS,

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, Extreme, LeftOut, check, extreme, left_out
 from protochain.lab.fits import extrapolated
+from protochain.mechanics.motion import Rosenbrock, RungeKutta4
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.segments import Beam, add_beam
-from protochain.motion import Rosenbrock, RungeKutta4
 from protochain.scenes.beam.parts import (
     EULER,
     ROOTS,

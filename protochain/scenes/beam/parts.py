@@ -8,10 +8,10 @@ import numpy as np
 from numpy.polynomial import Legendre
 from scipy.linalg import eigh, eigvalsh
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.mechanics.multibody import mass_matrix, multiply_mass, pose
 from protochain.mechanisms import Mechanism, Model
 from protochain.mechanisms.segments import Beam, add_beam
-from protochain.multibody import mass_matrix, multiply_mass, pose
 
 UNIT = Beam(length=1.0, mass=1.0, bending=1.0)
 ROOTS = np.array([1.8751040687119611, 4.6940911329741746, 7.8547574382376126])

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, LeftOut, Scene, check, left_out, vanishes
 from protochain.lab.fits import exponent
 from protochain.lab.report import work_table

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from protochain import multibody
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.mechanics import multibody
 from protochain.mechanisms import Mechanism, Model
 from protochain.mechanisms.pile_parts import Motion, Plates
 

@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.mechanics.motion import Applied, Load
+from protochain.mechanics.multibody import Frames
 from protochain.mechanisms import Model
 from protochain.mechanisms.pile import Pile
 from protochain.mechanisms.pile_parts import Heap, Law, Plates, Sleep
-from protochain.motion import Applied, Load
-from protochain.multibody import Frames
 from protochain.scenes.bucket.backhoe import (
     BODIES,
     EDGE,

@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cost import timed
 from protochain.lab.report import Work
+from protochain.mechanics.motion import StepTooLargeError
 from protochain.mechanisms import Mechanism, Model
-from protochain.motion import StepTooLargeError
 from protochain.scenes.bucket.backhoe import BODIES, EDGE, GRAVITY, HINGES, backhoe
 
 ANGLES = np.array([-0.6, 1.2, -0.3])

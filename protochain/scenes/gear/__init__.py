@@ -13,14 +13,14 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, vanishes
 from protochain.lab.cost import timed
 from protochain.lab.fits import exponent
 from protochain.lab.report import work_table
+from protochain.mechanics.motion import DormandPrince, Integrator, Rosenbrock, RungeKutta4
 from protochain.mechanisms import Model, Run
 from protochain.mechanisms.contact import Law, lankarani_nikravesh
-from protochain.motion import DormandPrince, Integrator, Rosenbrock, RungeKutta4
 from protochain.scenes.gear.geometry import GearPair
 from protochain.scenes.gear.mesh import Gear, Meshing, gears
 from protochain.scenes.gear.oracle import reference

@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from protochain.errors import MechanicsError
-from protochain.multibody.algebra import kernel
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.multibody.algebra import kernel
 
 STEEL = 7850.0
 """kg/m^3."""

@@ -7,13 +7,13 @@ from types import MappingProxyType
 
 import numpy as np
 
-from protochain.arrays import Floats, Integers, read_only
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import Applied, Load
+from protochain.mechanics.multibody import Frames
+from protochain.mechanics.multibody.algebra import kernel
 from protochain.mechanisms import Acting, Bodies, Mechanism, Model
 from protochain.mechanisms.contact import Law, lankarani_nikravesh
-from protochain.motion import Applied, Load
-from protochain.multibody import Frames
-from protochain.multibody.algebra import kernel
 from protochain.scenes.gear.geometry import STEEL, GearPair, overlap
 
 NO_TOOTH = -1

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.scenes.gear.geometry import Wheel
 from protochain.scenes.gear.mesh import Gear
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import brentq, root
 
-from protochain import multibody
-from protochain.arrays import Floats
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
 from protochain.mechanisms import Model
 from protochain.mechanisms.contact import Law
 from protochain.scenes.gear.geometry import overlap

@@ -7,12 +7,12 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, check, tried, vanishes
 from protochain.lab.fits import exponent, order
 from protochain.lab.report import work_table
+from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Integrator, Rosenbrock, RungeKutta4
 from protochain.mechanisms import frequencies, state_matrix
-from protochain.motion import DormandPrince, ImplicitMidpoint, Integrator, Rosenbrock, RungeKutta4
 from protochain.scenes.gun.oracle import Planar
 from protochain.scenes.gun.parts import Gun, built
 

@@ -5,9 +5,9 @@ from functools import partial
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, Extreme, LeftOut, check, extreme, left_out, vanishes
-from protochain.motion import DormandPrince, Integrator, Rosenbrock, RungeKutta4
+from protochain.mechanics.motion import DormandPrince, Integrator, Rosenbrock, RungeKutta4
 from protochain.scenes.gun.oracle import Planar
 from protochain.scenes.gun.parts import Gun, built
 

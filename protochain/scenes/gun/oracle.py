@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 from scipy.optimize import root
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.scenes.gun import parts
 from protochain.scenes.gun.parts import Gun
 

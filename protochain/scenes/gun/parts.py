@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import DormandPrince, Integrator, Phase
 from protochain.mechanisms import Beam, Mechanism, Model, Run, State, add_beam
-from protochain.motion import DormandPrince, Integrator, Phase
 
 GRAVITY = 9.81
 """m/s^2."""

@@ -12,11 +12,11 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, Scene, tried
 from protochain.lab.fits import extrapolated
 from protochain.lab.report import work_table
-from protochain.motion import Integrator, Rosenbrock, RungeKutta4
+from protochain.mechanics.motion import Integrator, Rosenbrock, RungeKutta4
 from protochain.scenes.beam.parts import at_rest
 from protochain.scenes.helicopter import checks, landing
 from protochain.scenes.helicopter.extremes import limits, without

@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, check, vanishes
 from protochain.lab.fits import extrapolated
+from protochain.mechanics.multibody import HingeKind, Tree
+from protochain.mechanics.multibody import beams as shapes_of_beams
+from protochain.mechanics.multibody.flexible import Flexible, elastic
+from protochain.mechanics.multibody.flexible_dynamics import forward_dynamics
 from protochain.mechanisms import Mechanism, Model, Run
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.modes import in_modes
 from protochain.mechanisms.segments import Beam, add_beam
-from protochain.multibody import HingeKind, Tree
-from protochain.multibody import beams as shapes_of_beams
-from protochain.multibody.flexible import Flexible, elastic
-from protochain.multibody.flexible_dynamics import forward_dynamics
 from protochain.scenes.beam.parts import ritz
 from protochain.scenes.helicopter import landing, resonance
 from protochain.scenes.helicopter.parts import BLADE, LEGS, MODES, RATE, WEIGHT, groups

@@ -7,10 +7,10 @@ from functools import partial
 import numpy as np
 from scipy.integrate import simpson
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, Extreme, LeftOut, check, extreme, left_out, vanishes
+from protochain.mechanics.motion import DormandPrince, Integrator, Rosenbrock
 from protochain.mechanisms.segments import Beam
-from protochain.motion import DormandPrince, Integrator, Rosenbrock
 from protochain.scenes.helicopter import landing, resonance
 from protochain.scenes.helicopter.checks import LINEAR, RIGID, THIN, exactly, frequencies_about
 from protochain.scenes.helicopter.legs import Legs

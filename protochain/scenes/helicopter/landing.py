@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import expm
 
-from protochain import multibody
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import Integrator
 from protochain.mechanisms import Run, State
-from protochain.motion import Integrator
 from protochain.scenes.helicopter.lift import Motion
 from protochain.scenes.helicopter.parts import (
     BLADE_MASS,

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain import multibody
-from protochain.arrays import Floats
-from protochain.errors import MechanicsError
+from protochain.core.arrays import Floats
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import Applied, Load
+from protochain.mechanics.multibody import Frames
+from protochain.mechanics.multibody.algebra import kernel, vector
 from protochain.mechanisms import Acting, Bodies, State
 from protochain.mechanisms.springs import end_of, push, speed_of
-from protochain.motion import Applied, Load
-from protochain.multibody import Frames
-from protochain.multibody.algebra import kernel, vector
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain import multibody
-from protochain.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import Applied, Load
+from protochain.mechanics.multibody import Frames
+from protochain.mechanics.multibody.algebra import dot, kernel, scale, vector
 from protochain.mechanisms import Acting, Bodies
 from protochain.mechanisms.springs import end_of, push, speed_of
-from protochain.motion import Applied, Load
-from protochain.multibody import Frames
-from protochain.multibody.algebra import dot, kernel, scale, vector
 
 Motion = Callable[[float], float]
 

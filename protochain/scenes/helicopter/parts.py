@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from protochain import multibody
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import Phase
 from protochain.mechanisms import Mechanism, Model
 from protochain.mechanisms.modes import in_modes
 from protochain.mechanisms.segments import Beam, Segments, add_beam
-from protochain.motion import Phase
 from protochain.scenes.helicopter.legs import Legs
 from protochain.scenes.helicopter.lift import Lift, Motion, Strip
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.mechanics.motion import Phase
 from protochain.mechanisms import Mechanism, Model
-from protochain.motion import Phase
 
 RPM = 2.0 * np.pi / 60.0
 

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import LeftOut, Scene, left_out
 from protochain.lab.report import work_table
-from protochain.multibody import impact, mass_matrix, point_rows, row_matrix
-from protochain.multibody.articulated import articulate
+from protochain.mechanics.multibody import impact, mass_matrix, point_rows, row_matrix
+from protochain.mechanics.multibody.articulated import articulate
 from protochain.scenes.impact import bounces, checks
 from protochain.scenes.impact.extremes import extremes
 from protochain.scenes.impact.paths import path_checks, traces, work

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 
 from protochain.lab.cases import Check, check, vanishes
+from protochain.mechanics.motion import DormandPrince, Event, Phase, System, march
+from protochain.mechanics.multibody import impact
 from protochain.mechanisms import Model
-from protochain.motion import DormandPrince, Event, Phase, System, march
-from protochain.multibody import impact
 from protochain.scenes.impact.systems import Blow, G, dropped
 
 HEIGHT, KEPT = 1.0, 0.5

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, check, vanishes
-from protochain.multibody import close_loops, impact, mass_matrix, point_rows, row_matrix
-from protochain.multibody.impulse import Order
-from protochain.multibody.impulse_points import Struck
+from protochain.mechanics.multibody import close_loops, impact, mass_matrix, point_rows, row_matrix
+from protochain.mechanics.multibody.impulse import Order
+from protochain.mechanics.multibody.impulse_points import Struck
 from protochain.scenes.impact.study import LAWS, random_points, random_pose
 from protochain.scenes.impact.systems import ball, cradle, rods, struck
 

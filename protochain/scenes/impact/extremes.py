@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from protochain.lab.cases import Check, Extreme, check, extreme, vanishes
-from protochain.multibody import (
+from protochain.mechanics.multibody import (
     ContactPoint,
     HingeKind,
     Tree,
@@ -17,8 +17,8 @@ from protochain.multibody import (
     pose,
     row_matrix,
 )  # fmt: skip
-from protochain.multibody.articulated import articulate
-from protochain.multibody.impulse import Law
+from protochain.mechanics.multibody.articulated import articulate
+from protochain.mechanics.multibody.impulse import Law
 from protochain.scenes.impact import bounces
 from protochain.scenes.impact.paths import point_of
 from protochain.scenes.impact.study import LAWS, Kind, random_points, random_pose

@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import solve_ivp
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, check, tried
 from protochain.lab.report import Work
+from protochain.mechanics.multibody.impulse_path import POISSON, follow
+from protochain.mechanics.multibody.impulse_points import Struck
 from protochain.mechanisms import Ball, Model, Plane, flores, real_restitution
-from protochain.multibody.impulse_path import POISSON, follow
-from protochain.multibody.impulse_points import Struck
 from protochain.scenes.impact.systems import TIP, UP, Blow, brick, rods, two_rods
 
 SMOOTH = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4)

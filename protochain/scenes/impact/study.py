@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from protochain.arrays import Floats
-from protochain.defaults import IMPACT_TOLERANCE
-from protochain.errors import MechanicsError
-from protochain.multibody import (
+from protochain.core.arrays import Floats
+from protochain.core.defaults import IMPACT_TOLERANCE
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.multibody import (
     ContactPoint,
     HingeKind,
     Rows,
@@ -25,10 +25,10 @@ from protochain.multibody import (
     random_tree,
     velocities,
 )  # fmt: skip
-from protochain.multibody.articulated import Articulated, articulate
-from protochain.multibody.impulse import Law, Order
-from protochain.multibody.impulse_path import DONE, follow
-from protochain.multibody.impulse_points import Struck
+from protochain.mechanics.multibody.articulated import Articulated, articulate
+from protochain.mechanics.multibody.impulse import Law, Order
+from protochain.mechanics.multibody.impulse_path import DONE, follow
+from protochain.mechanics.multibody.impulse_points import Struck
 
 GAIN = 1e-9
 """Of the kinetic energy: what counts as gained. Curved pieces have errors of 1e-10."""
@@ -47,7 +47,7 @@ class Kind(NamedTuple):
     points : int
         Number of points.
     law, order : str
-        As of :func:`protochain.multibody.impact`.
+        As of :func:`protochain.mechanics.multibody.impact`.
     share : float
         Of all impacts.
     """

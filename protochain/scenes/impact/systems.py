@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.mechanics.multibody import ContactPoint, Impact, Tree, impact, random_tree
+from protochain.mechanics.multibody.articulated import Articulated, articulate
+from protochain.mechanics.multibody.impulse import Law, Order
+from protochain.mechanics.multibody.kinematics import pose
 from protochain.mechanisms import Mechanism, Model, State
-from protochain.multibody import ContactPoint, Impact, Tree, impact, random_tree
-from protochain.multibody.articulated import Articulated, articulate
-from protochain.multibody.impulse import Law, Order
-from protochain.multibody.kinematics import pose
 
 UP = (0.0, 0.0, 1.0)
 G = 9.81
@@ -63,7 +63,7 @@ def struck(
     blows : sequence of Blow
         Where.
     law, order : str
-        As of :func:`protochain.multibody.impact`.
+        As of :func:`protochain.mechanics.multibody.impact`.
 
     Returns
     -------

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
+from protochain.core.errors import ProtochainError
 from protochain.energies import Energy, energy
 from protochain.energies.native import NativeEnergy
-from protochain.errors import ProtochainError
 from protochain.lab.cases import Outcome, within
 from protochain.lab.cost import cpu_seconds, in_turn
 from protochain.structure import Structure
@@ -189,7 +189,7 @@ def _compared(both: Both) -> tuple[float, dict[str, Any]]:
     for call, count in zip((both.everything, both.less), both.counts, strict=True):
         # The first call may derive what later ones use again: its sweeps are no part of an evaluation.
         answers.append(call(first))
-        sweeps = calls_of("protochain.multibody", partial(call, first))
+        sweeps = calls_of("protochain.mechanics.multibody", partial(call, first))
         counted.append({"sweeps": sweeps, **count()})
     errors = [difference(answers[0], answers[1], both.sizes(first))]
     errors += [difference(both.everything(at), both.less(at), both.sizes(at)) for at in both.points[1:]]

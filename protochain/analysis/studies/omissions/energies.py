@@ -7,18 +7,18 @@ from functools import partial
 import numpy as np
 
 from protochain.analysis.studies.omissions.cells import Answer, Both, Counted, Material, Omission, native
-from protochain.arrays import Floats, Integers
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose, pull_back
+from protochain.core.arrays import Floats, Integers
 from protochain.energies import NativeEnergy, energy
 from protochain.energies.native.evaluate import Layout, lists_of
 from protochain.energies.native.evaluation import Evaluation, Workspace
 from protochain.energies.native.implicit import Necks
 from protochain.energies.native.neighbours import Lists, partners
 from protochain.energies.native.terms import Terms
+from protochain.mechanics.multibody import integrate
 from protochain.minimisers.problem import Space, evaluate
 from protochain.minimisers.spaces import Cartesian, Torsions
-from protochain.multibody import integrate
 from protochain.structure import Structure, load
 
 TURN, SHIFT = 0.005, 0.001

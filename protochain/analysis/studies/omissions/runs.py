@@ -13,24 +13,24 @@ import numpy as np
 from protochain.analysis.studies.omissions.cells import Answer, Both, Material, Omission
 from protochain.analysis.studies.omissions.energies import chains, counted, sizes_of, turned
 from protochain.analysis.studies.stability.energies import copies
-from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose
+from protochain.core.arrays import Floats
+from protochain.core.errors import ProtochainError
+from protochain.core.subprocesses import own_python
+from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import Closure, System, chain_potential
 from protochain.dynamics.closure import closure_of
 from protochain.dynamics.loop import Propagator, State, advance, initial
 from protochain.dynamics.thermostats import Isolated, Langevin
-from protochain.errors import ProtochainError
+from protochain.mechanics.motion.leapfrog import Leapfrog
+from protochain.mechanics.multibody import Frames, mass_matrix, operational_inverse, row_matrix
+from protochain.mechanics.multibody import pose as frames_of
 from protochain.minimisers import minimise
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.spaces import Torsions
-from protochain.motion.leapfrog import Leapfrog
-from protochain.multibody import Frames, mass_matrix, operational_inverse, row_matrix
-from protochain.multibody import pose as frames_of
 from protochain.structure import from_sequence
 from protochain.structure.write import as_text
-from protochain.subprocesses import own_python
-from protochain.units import MOLAR_GAS
 
 PEPTIDE, CHAINS = "AAAAAAAAAA", 10
 _TIME_STEP, _KELVIN = 0.001, 300.0

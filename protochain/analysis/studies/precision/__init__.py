@@ -23,10 +23,10 @@ from protochain.analysis.studies.precision import (
 )  # fmt: skip
 from protochain.analysis.studies.precision.curves import Kind, plot, points_of, said
 from protochain.analysis.viewer import template
-from protochain.errors import ProtochainError
+from protochain.core.errors import ProtochainError
+from protochain.core.processors import processors
 from protochain.lab.provenance import made
 from protochain.lab.report import save
-from protochain.processors import processors
 
 KINDS = {
     "solvers": Kind(

@@ -9,13 +9,13 @@ import numpy as np
 from protochain.analysis.studies.precision.curves import Point
 from protochain.analysis.studies.precision.extended import DIGITS, WIDE, wide_cholesky, wide_mass, wide_solve
 from protochain.analysis.studies.precision.peptides import KT
-from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose
+from protochain.core.arrays import Floats
 from protochain.dynamics import Closure, Leapfrog, Phase, StepTooLargeError, System
 from protochain.lab.cost import least_seconds
-from protochain.motion.system import Drifted
-from protochain.multibody import (
+from protochain.mechanics.motion.system import Drifted
+from protochain.mechanics.multibody import (
     Frames,
     Rows,
     Tree,

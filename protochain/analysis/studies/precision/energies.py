@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from protochain.analysis.studies.precision.curves import Point
-from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import pose
+from protochain.core.arrays import Floats
 from protochain.energies import Energy, NativeEnergy, OpenMMEnergy, build_system, energy
 from protochain.energies.native import neighbours
 from protochain.lab.cost import least_seconds
-from protochain.multibody import integrate
+from protochain.mechanics.multibody import integrate
 from protochain.structure import from_sequence
 
 CUTOFFS = (0.8, 1.0, 1.2, 1.5, 2.0, 2.5, 3.0)

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from protochain.multibody import Frames, HingeKind, Tree
+from protochain.mechanics.multibody import Frames, HingeKind, Tree
 
 WIDE = np.longdouble
 _REFINEMENTS = 3

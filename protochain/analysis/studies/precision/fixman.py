@@ -8,9 +8,9 @@ import numpy as np
 from protochain.analysis.studies.precision.curves import Point
 from protochain.analysis.studies.precision.differences import extrapolated
 from protochain.analysis.studies.precision.extended import DIGITS, WIDE, wide_frames, wide_mass
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cost import least_seconds
-from protochain.multibody import (
+from protochain.mechanics.multibody import (
     HingeKind,
     Tree,
     log_det_gradient,

@@ -8,9 +8,9 @@ import numpy as np
 from protochain.analysis.studies.precision.curves import Point
 from protochain.analysis.studies.precision.differences import extrapolated
 from protochain.analysis.studies.precision.peptides import Peptide, peptide
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cost import least_seconds
-from protochain.multibody import integrate
+from protochain.mechanics.multibody import integrate
 
 Torque = Callable[[float], Floats]
 """Distance along a direction -> minus the torques there."""

@@ -14,8 +14,8 @@ from protochain.dynamics import (
     RungeKutta4,
     StepTooLargeError,
 )  # fmt: skip
-from protochain.motion.lobatto import drift as lobatto_drift
-from protochain.motion.system import Integrator
+from protochain.mechanics.motion.lobatto import drift as lobatto_drift
+from protochain.mechanics.motion.system import Integrator
 
 FIXED: dict[str, Integrator] = {
     "leapfrog": Leapfrog(),

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from protochain import defaults
 from protochain.analysis.studies.precision.curves import Point
 from protochain.articulate import build_chain
+from protochain.core import defaults
 from protochain.energies import energy
 from protochain.lab.report import COLOURS, DASHES, Figure, plain, save
 from protochain.minimisers import RECIPES, minimise

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain
+from protochain.core.arrays import Floats
+from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import System, chain_potential
 from protochain.energies import energy
+from protochain.mechanics.multibody import pose, sample_velocities
+from protochain.mechanics.multibody.articulated import Articulated
 from protochain.minimisers import minimise
-from protochain.multibody import pose, sample_velocities
-from protochain.multibody.articulated import Articulated
 from protochain.structure import from_sequence
-from protochain.units import MOLAR_GAS
 
 KT = 300.0 * MOLAR_GAS
 """kJ/mol."""

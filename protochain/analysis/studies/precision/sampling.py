@@ -8,6 +8,7 @@ import numpy as np
 
 from protochain.analysis.studies.precision.curves import Point
 from protochain.analysis.studies.precision.peptides import KT, Peptide, peptide
+from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import (
     HybridMonteCarlo,
     Langevin,
@@ -18,8 +19,7 @@ from protochain.dynamics import (
     advance,
     initial,
 )  # fmt: skip
-from protochain.multibody.articulated import log_det
-from protochain.units import MOLAR_GAS
+from protochain.mechanics.multibody.articulated import log_det
 
 BINS = 12
 _FRICTION = 10.0

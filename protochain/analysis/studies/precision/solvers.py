@@ -8,9 +8,9 @@ from scipy.linalg import cho_factor, cho_solve
 
 from protochain.analysis.studies.precision.curves import Point
 from protochain.analysis.studies.precision.extended import DIGITS, wide_mass
-from protochain.arrays import Floats
+from protochain.core.arrays import Floats
 from protochain.lab.cost import least_seconds
-from protochain.multibody import (
+from protochain.mechanics.multibody import (
     Frames,
     HingeKind,
     Tree,
@@ -20,7 +20,7 @@ from protochain.multibody import (
     random_tree,
     solve_mass,
 )  # fmt: skip
-from protochain.multibody.fixman import eliminate, respond, soft_rates
+from protochain.mechanics.multibody.fixman import eliminate, respond, soft_rates
 
 Solver = Callable[[Tree, Frames, Floats], Floats]
 

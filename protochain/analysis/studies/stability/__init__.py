@@ -12,9 +12,9 @@ import pandas as pd
 from protochain.analysis.studies.stability.cells import ROWS, Part, cases_of, ordered, run_cells
 from protochain.analysis.studies.stability.page import counts, picture, rendered
 from protochain.analysis.studies.stability.solvers import write_solvers
-from protochain.errors import ProtochainError
+from protochain.core.errors import ProtochainError
+from protochain.core.processors import processors
 from protochain.lab.report import save
-from protochain.processors import processors
 
 
 def run(

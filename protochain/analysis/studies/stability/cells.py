@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from protochain.errors import ProtochainError
+from protochain.core.errors import ProtochainError
 from protochain.lab.cases import Outcome, judged
 from protochain.lab.report import table_of
 

@@ -12,19 +12,19 @@ from scipy.stats import gamma, kstest
 
 from protochain.analysis.studies.stability.cells import EPS, Case, Found, Part, case
 from protochain.analysis.studies.stability.energies import peptide
-from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose, pull_back
+from protochain.core.arrays import Floats
+from protochain.core.errors import ProtochainError
+from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import Closure, Leapfrog, Simulation, System, chain_potential, simulate
 from protochain.dynamics.settings import INTEGRATORS
 from protochain.energies import Energy, energy
-from protochain.errors import ProtochainError
+from protochain.mechanics.motion.system import Phase
+from protochain.mechanics.multibody import HingeKind, Tree, centre_of_mass, mass_matrix, momentum, random_tree
+from protochain.mechanics.multibody import pose as frames_of
+from protochain.mechanics.multibody.articulated import Articulated
 from protochain.minimisers import minimise
-from protochain.motion.system import Phase
-from protochain.multibody import HingeKind, Tree, centre_of_mass, mass_matrix, momentum, random_tree
-from protochain.multibody import pose as frames_of
-from protochain.multibody.articulated import Articulated
-from protochain.units import MOLAR_GAS
 
 
 @cache

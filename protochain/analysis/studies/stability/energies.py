@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.analysis.studies.stability.cells import EPS, Case, Found, Part
-from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Pose, pose, pull_back
+from protochain.core.arrays import Floats
+from protochain.core.errors import ProtochainError
 from protochain.dynamics import simulate
 from protochain.energies import Energy, energy
-from protochain.errors import ProtochainError
 from protochain.minimisers import Status, minimise
 from protochain.structure import Structure, from_sequence, load
 from protochain.structure.write import as_text

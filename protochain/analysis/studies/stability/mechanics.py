@@ -11,11 +11,11 @@ from protochain.analysis.studies.stability import trees
 from protochain.analysis.studies.stability.cells import EPS, Case, Found, Part, case
 from protochain.analysis.studies.stability.energies import on_a_line, peptide
 from protochain.analysis.studies.stability.solvers import ROUTES
-from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import dihedral
 from protochain.chain import pose as pose_of_chain
-from protochain.multibody import (
+from protochain.core.arrays import Floats
+from protochain.mechanics.multibody import (
     Frames,
     Method,
     Rows,

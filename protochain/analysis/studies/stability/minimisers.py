@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from protochain.analysis.studies.stability.cells import Case, Found, Part, case
 from protochain.analysis.studies.stability.energies import atom, copies, peptide
-from protochain.arrays import Floats
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose, pull_back
+from protochain.core.arrays import Floats
 from protochain.energies import Energy, energy
 from protochain.minimisers import Solution, Status, minimise
 from protochain.minimisers.recipes import recipe_of

@@ -14,7 +14,7 @@ import pandas as pd
 from protochain.analysis.studies.precision.solvers import SOLVERS, Solver, backward_error, dense, posed
 from protochain.lab.cost import in_turn
 from protochain.lab.report import Figure, draw_lines, save
-from protochain.multibody import HingeKind, multiply_mass, solve_mass
+from protochain.mechanics.multibody import HingeKind, multiply_mass, solve_mass
 
 DENSE_UP_TO = 3000
 REPEATS = 200

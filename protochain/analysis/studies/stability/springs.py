@@ -13,8 +13,8 @@ import numpy as np
 from scipy.linalg import eigh
 
 from protochain.analysis.studies.stability.cells import Case, Found, Part, case
-from protochain.arrays import Floats
 from protochain.articulate import build_chain
+from protochain.core.arrays import Floats
 from protochain.dynamics import (
     DormandPrince,
     ImplicitMidpoint,
@@ -23,10 +23,10 @@ from protochain.dynamics import (
     StepTooLargeError,
     System,
 )  # fmt: skip
-from protochain.motion.lobatto import drift as lobatto_drift
-from protochain.motion.system import Integrator
-from protochain.multibody import mass_matrix, pose
-from protochain.multibody.articulated import Articulated
+from protochain.mechanics.motion.lobatto import drift as lobatto_drift
+from protochain.mechanics.motion.system import Integrator
+from protochain.mechanics.multibody import mass_matrix, pose
+from protochain.mechanics.multibody.articulated import Articulated
 from protochain.structure import from_sequence
 
 SOFT = 10.0

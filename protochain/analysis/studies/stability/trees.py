@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from protochain.arrays import Floats
-from protochain.multibody import HingeKind, Tree, random_tree, rigid_bodies
+from protochain.core.arrays import Floats
+from protochain.mechanics.multibody import HingeKind, Tree, random_tree, rigid_bodies
 
 
 def beads(n: int, shared: bool, angle: float = 70.0) -> Tree:

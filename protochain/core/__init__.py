@@ -1,0 +1,1 @@
+"""What all parts share: units, errors, checks, settings, storage, compilation, processes."""

@@ -1,0 +1,85 @@
+"""Array types shared by all modules, read-only copies and views of arrays, and values that hold them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from protochain.core.checks import plain
+from protochain.core.errors import ProtochainError
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+Neighbours = tuple[tuple[int, ...], ...]
+
+Watcher = Callable[[Mapping[str, float], Floats], None]
+"""Callback of a run: receives each row of its log, and the positions (na, 3) the row belongs to."""
+
+
+class Value:
+    """Base of frozen dataclasses: copied and pickled by fields, with read-only arrays, without caches."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Fields by which to make it anew."""
+        given = [getattr(self, each.name) for each in fields(self)]  # type: ignore[arg-type]  # its subclasses are dataclasses
+        made = [dict(value) if isinstance(value, MappingProxyType) else value for value in given]
+        return _remade, (type(self), *made)
+
+
+def _remade(kind: type, *values: Any) -> Any:
+    for value in values:
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+    return kind(*values)
+
+
+def read_only(array: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
+    """Return a contiguous read-only copy."""
+    frozen: NDArray[Any] = np.array(array, dtype=dtype, order="C")
+    frozen.flags.writeable = False
+    return frozen
+
+
+def neighbours(pairs: Integers, n: int) -> Neighbours:
+    """For each of n things, those that pairs (m, 2) of indices join to it, in their order."""
+    near: list[list[int]] = [[] for _ in range(n)]
+    for i, j in pairs.tolist():
+        near[i].append(j)
+        near[j].append(i)
+    return tuple(map(tuple, near))
+
+
+def frozen(array: Floats) -> Floats:
+    """Make an array without other owners read-only, and return it."""
+    array.flags.writeable = False
+    return array
+
+
+def floats(values: ArrayLike, shape: tuple[int, ...], name: str, unit: str = "") -> Floats:
+    """Return a contiguous read-only float64 view of values that have the given shape.
+
+    A Quantity of OpenMM is converted to the unit, where one is given.
+
+    Kernels do not check shapes. And numba compiles writable and read-only arrays separately, but may call
+    either code for either, whichever was compiled first: rounding would depend on earlier calls.
+
+    Raises
+    ------
+    ProtochainError
+        If the shape is another; the message names the array and both shapes. If they are no numbers.
+    """
+    if hasattr(values, "value_in_unit"):
+        if not unit:
+            raise ProtochainError(f"{name} has a unit; give numbers, without a unit")
+        values = plain(values, unit, name)
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ProtochainError(f"{name}: give an array of numbers of shape {shape}") from None
+    if array.shape != shape:
+        raise ProtochainError(f"{name} has shape {array.shape}, not {shape}")
+    return frozen(array.view())

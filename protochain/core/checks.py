@@ -1,0 +1,325 @@
+"""Arguments of public calls, converted or refused once, in one line that names them.
+
+A check takes a value and the name of its argument, and returns the value that the function works with.
+"""
+
+import inspect
+import re
+import sys
+from collections.abc import Callable, Iterable
+from functools import wraps
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any, Literal, ParamSpec, TypeVar
+
+from protochain.core.errors import Argument, ProtochainError, refused
+
+Check = Callable[[Any, str], Any]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Decorate a function whose arguments of these names are checked before a call; defaults are not."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        signature = inspect.signature(function)
+        usual = {name: parameter.default for name, parameter in signature.parameters.items()}
+        (more,) = [n for n, p in signature.parameters.items() if p.kind is p.VAR_KEYWORD] or [""]
+
+        @wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            try:
+                bound = signature.bind(*args, **kwargs)
+            except TypeError:
+                # A chain given twice, as the first argument and by name, is meant as a name of chains.
+                taken = signature.parameters.keys() - {*list(signature.parameters)[: len(args)]}
+                for name in kwargs.keys() - taken:
+                    refuse_misplaced(function.__name__, name)
+                raise
+            for given in (bound.arguments, bound.arguments.get(more, {})):
+                for name, check in checks.items():
+                    if name in given and given[name] is not usual.get(name, inspect.Parameter.empty):
+                        given[name] = check(given[name], name)
+            return function(*bound.args, **bound.kwargs)
+
+        return call
+
+    return decorate
+
+
+def refuse_misplaced(call: str, name: str) -> None:
+    """Refuse an option that another call takes, and say which; do nothing about others.
+
+    Raises
+    ------
+    ProtochainError
+        Naming both.
+    """
+    place = next((place for place, names in _TAKEN_BY.items() if name in names.split()), None)
+    if name == "chain" or place:
+        takes = (
+            f"{place.format(name)} takes it" if place else "pc.load(file, chains='A') takes chains of a file"
+        )
+        raise ProtochainError(f"{call} has no option {name!r}; {takes}")
+
+
+_TAKEN_BY = {
+    "pc.load(file, {}=...)": "model altloc keep disulfide ph strict chains",
+    "pc.build_chain(structure, {}=...)": "hinges root move hydrogen_mass",
+    "pc.energy(structure, {}=...)": "forcefield solvent engine cutoff threads trust_forcefield system",
+}
+"""Options of a run that are decided before it, by the calls that take them."""
+
+
+def check_fields(of: Any, **checks: Check) -> None:
+    """Check fields of a frozen dataclass in its ``__post_init__``; set them to what the checks return."""
+    for name, check in checks.items():
+        object.__setattr__(of, name, check(getattr(of, name), name))
+
+
+def anything(value: Any, name: str) -> Any:
+    """Return a value as it is: it is checked where it is used."""
+    return value
+
+
+def number(value: Any, name: str) -> float:
+    """Return a real number as it is."""
+    if isinstance(value, Real) and not isinstance(value, bool):
+        return value  # type: ignore[return-value]  # numpy's numbers, too
+    raise refused(name, shown(value), _instead(value, "a number"))
+
+
+def integer(value: Any, name: str) -> int:
+    """Return a whole number as an int, also one that is given as 1e4."""
+    if isinstance(value, Real) and not isinstance(value, bool) and float(value).is_integer():
+        return int(value) if isinstance(value, Integral) else round(float(value))
+    raise refused(name, shown(value), _instead(value, "a whole number"))
+
+
+def quantity(unit: str) -> Check:
+    """Check for a number, or a Quantity of OpenMM, which is converted: ``kelvin``, ``1/picosecond``."""
+
+    def check(value: Any, name: str) -> float:
+        return number(plain(value, unit, name), name)
+
+    return check
+
+
+def plain(value: Any, unit: str, name: str) -> Any:
+    """Return the number or array of a Quantity of OpenMM in a unit; anything else as it is."""
+    if not hasattr(value, "value_in_unit"):
+        return value
+    # Its module is loaded, or there would be no Quantity; others need not import it.
+    units = sys.modules["openmm.unit"]
+    above, *below = (getattr(units, name) if name != "1" else units.dimensionless for name in unit.split("/"))
+    wanted = above
+    for each in below:
+        wanted /= each
+    try:
+        return value.value_in_unit(wanted)
+    except TypeError:
+        raise ProtochainError(Argument(name), f" is in {value.unit}; give it in {unit}") from None
+
+
+def optional(check: Check) -> Check:
+    """Check that leaves None as it is."""
+    return lambda value, name: None if value is None else check(value, name)
+
+
+def cutoff_of(value: Any, name: str) -> Any:
+    """Return a distance in nm, also one in a text; "auto"; or None, for no cutoff, also as "none"."""
+    if value in ("auto", "none", None):
+        return None if value == "none" else value
+    try:
+        distance = float(value) if isinstance(value, str) else float(number(value, name))
+    except ValueError:
+        distance = 0.0
+    if not 0.0 < distance <= LONGEST_CUTOFF:
+        raise refused(name, shown(value), "give a distance in nm, auto, or none")
+    if distance < SHORTEST_CUTOFF:
+        raise refused(
+            name,
+            f"{distance:g} nm",
+            f"cuts off atoms that touch; give {SHORTEST_CUTOFF:g} nm or more, or none",
+        )
+    return distance
+
+
+LONGEST_CUTOFF = 1e6
+"""nm. Structures are smaller; reaction fields take the cube."""
+SHORTEST_CUTOFF = 0.5
+"""nm. Atoms three bonds apart, which no cutoff leaves out, and the minima of all Lennard-Jones pairs (0.40 of
+two sulphurs) lie within, and so do the neighbours that make most of a Born radius. Below, energies mean
+nothing: forces on Trp-cage are off by an eighth at 0.5, a quarter at 0.4, two thirds at 0.3, all at 0.1."""
+
+
+def text(value: Any, name: str) -> str:
+    """Return a text as it is."""
+    if isinstance(value, str):
+        return value
+    raise refused(name, shown(value), "give a text")
+
+
+def selection(value: Any, name: str) -> str:
+    """Return a text that selects atoms."""
+    if text(value, name).strip():
+        return str(value)
+    raise refused(name, shown(value), "selects nothing; give a selection, as 'resid 5:20', or all")
+
+
+def flag(value: Any, name: str) -> bool:
+    """Return True or False as a bool."""
+    if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
+        return bool(value)
+    raise refused(name, shown(value), "give True or False")
+
+
+def path(value: Any, name: str) -> Path:
+    """Return the path of a file."""
+    try:
+        return Path(value)
+    except TypeError:
+        raise refused(name, shown(value), "give the path of a file") from None
+
+
+def file_name(value: Any, name: str) -> str:
+    """Return a name, or the path of a file as text."""
+    return text(str(value) if isinstance(value, Path) else value, name)
+
+
+def force_field_parts(given: str) -> list[str]:
+    """Names and paths of a force field that is given in parts, with commas between."""
+    return [given] if Path(given).exists() else [name.strip() for name in given.split(",") if name.strip()]
+
+
+NO_BONDS: Literal["none"] = "none"
+"""Word that drops the bonds that are found."""
+
+Bond = tuple[str, str] | Literal["none"]
+"""Two places, as ``("A:3", "A:40")``; or that word."""
+
+
+def bonds(given: Any, name: str) -> tuple[Bond, ...]:
+    """Read bonds, each ``("A:3", "A:40")``, ``"A:3-A:40"`` or ``"none"``, or all in one text with commas.
+
+    None is no bond. An empty sequence, which once was what ``"none"`` is, is refused.
+    """
+    if given is None:
+        return ()
+    each = words(given, name) if isinstance(given, str) else given
+    if not isinstance(each, Iterable):
+        raise refused(name, shown(given), "give pairs, as [('A:3', 'A:40')]")
+    read = tuple(bond if bond == NO_BONDS else _pair(bond, name) for bond in each)
+    if not read:
+        remedy = "names no bond; leave it out, or ", Argument(name, NO_BONDS), " drops those found"
+        raise refused(name, shown(given), *remedy)
+    return read
+
+
+def _pair(bond: Any, name: str) -> tuple[str, str]:
+    """Read ``A:3-A:40``, where numbers may be negative, or a pair of places."""
+    if isinstance(bond, str):
+        found = re.fullmatch(r"(\S*:-?\d+\w?)-(\S*:-?\d+\w?)", bond)
+        if found:
+            return found[1], found[2]
+    elif isinstance(bond, tuple | list) and len(bond) == 2 and all(isinstance(end, str) for end in bond):
+        return bond[0], bond[1]
+    raise refused(name, shown(bond), "give chain:number-chain:number, as A:3-A:40")
+
+
+def ends(given: Any, name: str) -> tuple[str, str]:
+    """Read two places: ``("A:1:N", "A:20:C")``, ``"A:1:N-A:20:C"``, or any two with `` - `` between."""
+    if isinstance(given, str):
+        found = re.fullmatch(rf"({_PLACE})-({_PLACE})", given.strip())
+        parts = tuple(part.strip() for part in given.split(" - "))
+        read = found.groups() if found else parts
+    else:
+        read = tuple(given) if isinstance(given, tuple | list) else ()
+    if len(read) == 2 and all(isinstance(end, str) and end.strip() for end in read):
+        return read[0].strip(), read[1].strip()
+    raise refused(name, shown(given), "give two atoms, as A:1:N-A:20:C, or two selections with ' - ' between")
+
+
+_PLACE = r"\S*?:-?\d+\w?(?::[^\s:]+?)?"
+"""A residue, or an atom of it."""
+
+
+def words(value: str | Iterable[str], name: str = "keep") -> tuple[str, ...]:
+    """Split a text at its commas; leave a sequence of words as it is."""
+    split = value.split(",") if isinstance(value, str) else _listed(value, name)
+    return tuple(word.strip() for word in split if word.strip())
+
+
+def several(value: Any, name: str) -> tuple[Any, ...]:
+    """Return a sequence of anything as a tuple; a text is split at its commas, one object stands alone."""
+    if isinstance(value, str):
+        return words(value, name)
+    return tuple(value) if isinstance(value, Iterable) else (value,)
+
+
+def kinds(value: str | Iterable[str], name: str) -> str:
+    """Return words, given as one text or as a sequence, as one text with blanks between."""
+    return " ".join(re.split(r"[,\s]+", value.strip()) if isinstance(value, str) else _listed(value, name))
+
+
+def function(*parameters: str) -> Check:
+    """Check for a callable of parameters that bear these names in the message; None stays as it is."""
+
+    def check(value: Any, name: str) -> Any:
+        if value is None or (callable(value) and _takes(value, len(parameters))):
+            return value
+        given = getattr(value, "__qualname__", None) or shown(value)
+        raise refused(name, given, f"give a callable of {', '.join(parameters)}")
+
+    return check
+
+
+WATCHER = function("row", "x")
+"""Check for what is called with each row of a log and its positions."""
+
+
+def instance(kind: type, remedy: str) -> Check:
+    """Check for an object of a class; ``remedy`` says how one is made."""
+
+    def check(value: Any, name: str) -> Any:
+        if isinstance(value, kind):
+            return value
+        raise refused(name, shown(value), f"give a {kind.__name__}, as of {remedy}")
+
+    return check
+
+
+def _listed(value: Any, name: str) -> list[str]:
+    found = list(value) if isinstance(value, Iterable) else [value]
+    strange = next((each for each in found if not isinstance(each, str)), None)
+    if strange is not None or not isinstance(value, Iterable):
+        raise refused(name, shown(value), "give words, as one text or a list")
+    return found
+
+
+def _takes(value: Any, n: int) -> bool:
+    try:
+        inspect.signature(value).bind(*[None] * n)
+    except TypeError:
+        return False
+    except ValueError:  # Some callables that are not of Python have no signature.
+        return True
+    return True
+
+
+def shown(value: Any) -> str:
+    """Return a value as it is shown in a message: short, and on one line."""
+    said = " ".join(repr(value).split())
+    return said if len(said) <= 60 else f"of type {type(value).__name__}"
+
+
+def _instead(value: Any, wanted: str) -> str:
+    """What to give instead of a value; numbers in a text are shown without their quotes."""
+    bare = value.strip() if isinstance(value, str) else ""
+    try:
+        float(bare)
+    except ValueError:
+        return f"give {wanted}"
+    return f"give {wanted}, not a text: {bare}"

@@ -1,0 +1,303 @@
+"""The compiler of all kernels, with its settings, which numba keeps for the whole process, and its cache.
+
+Numba's own cache sees changes of a kernel's own file only, stops a program that can write nowhere, and may
+mix up files where two processes compile one kernel at once. Here a kernel is compiled anew if anything has
+changed that it is made of, by one process while others wait for it, and is kept where there is room.
+"""
+
+import gc
+import hashlib
+import logging
+import os
+import stat
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache, cached_property, partial
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+from numba import config
+from numba import njit as _njit
+from numba.core.caching import FunctionCache
+from numba.core.codegen import get_host_cpu_features
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.runtime.nrt import rtsys
+
+from protochain.core import compile_helpers
+
+__all__ = ["njit"]
+
+_LOG = logging.getLogger(__name__)
+_SETTINGS: Any = config
+# Numba also takes settings from a file of this name in the current folder, with them the folder of compiled
+# code, which is unpickled and run: that of somebody's structures is not to be trusted. The environment is.
+_SETTINGS._config_fname = os.devnull
+_SETTINGS.reload_config()
+# LLVM's superword-level vectoriser, off by default in numba, makes sweeps 1.4 times faster. Code rounds
+# differently with and without it: set later than the first kernel is compiled, as by a module that not every
+# program imports first, it would make results depend on the order of imports and calls.
+_SETTINGS.SLP_VECTORIZE = 1
+
+
+def _wide() -> None:
+    """Use vectors of eight doubles where the processor has them, though LLVM prefers four on most of these.
+
+    It makes the pairs' kernels 1.3 to 1.5 times faster. NUMBA_CPU_NAME or NUMBA_CPU_FEATURES, if set, decide.
+    """
+    features = get_host_cpu_features()
+    if _SETTINGS.CPU_NAME is None and _SETTINGS.CPU_FEATURES is None and "+avx512f" in features:
+        _SETTINGS.CPU_FEATURES = features + ",-prefer-256-bit"
+
+
+_wide()
+
+PATIENCE = 120.0
+"""s. Longest wait for a kernel that another process compiles; then it is compiled here too."""
+
+
+def njit(function: Callable[..., Any] | None = None, *, cache: bool = False, **options: Any) -> Any:
+    """Compile a function when it is first called, as ``numba.njit`` does; keep it if ``cache``."""
+    if function is None:
+        return partial(njit, cache=cache, **options)
+    # Nothing takes the address of a kernel: the wrapper for that would cost a twentieth of the time.
+    by_options: Any = _njit
+    kernel = by_options(no_cfunc_wrapper=True, **options)(function)
+    if cache:
+        kernel._cache = Store(function)
+        by_numba = kernel.compile
+        kernel.compile = lambda signature: _compile(kernel, by_numba, signature)
+    return kernel
+
+
+def _compile(kernel: Any, by_numba: Callable[[Any], Any], signature: Any) -> Any:
+    """Compile a kernel, or load it, once it is sure that no other process is compiling it."""
+    store = kernel._cache
+    if tuple(signature) in kernel.overloads or store.has(signature, kernel.targetctx):
+        return by_numba(signature)
+    # Its own lock first: a thread that waits for it must not hold what the compiling one needs.
+    with global_compiler_lock, store.alone():
+        if not store.has(signature, kernel.targetctx):
+            _announce(store.kept)
+            if store.kept:
+                compile_helpers.call_helpers(
+                    f"{kernel.py_func.__module__} {kernel.py_func.__qualname__}", Path(store.cache_path)
+                )
+        with _without_collection():
+            return by_numba(signature)
+
+
+class Store:
+    """Cache of one kernel, which numba asks for compiled code; made on first use."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self._enabled = True
+
+    @cached_property
+    def _files(self) -> Any:
+        """Numba's cache of files, None if there is no folder for them."""
+        for folder in _folders(Path(self._function.__code__.co_filename).parent):
+            before, _SETTINGS.CACHE_DIR = _SETTINGS.CACHE_DIR, folder
+            try:
+                files = FunctionCache(self._function)
+            except (RuntimeError, OSError):
+                continue
+            finally:
+                _SETTINGS.CACHE_DIR = before
+            files._cache_file._source_stamp = _stamp(self._function)
+            return files
+        return None
+
+    @property
+    def kept(self) -> bool:
+        """Whether there is a folder for compiled code."""
+        return self._files is not None
+
+    @property
+    def cache_path(self) -> str:
+        """Folder of the files."""
+        return str(self._files.cache_path) if self.kept else ""
+
+    def has(self, signature: Any, context: Any) -> bool:
+        """Whether compiled code is there; numba's context tells the processor."""
+        if not (self._enabled and self.kept):
+            return False
+        key = self._files._index_key(signature, context.codegen())
+        try:
+            name = self._files._cache_file._load_index().get(key)
+        except Exception:  # A damaged file may raise anything; it is written anew.
+            return False
+        return name is not None and (Path(self.cache_path) / name).exists()
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """Compiled code, or None."""
+        # Numba would also tell its compiler of all functions that it knows, for a tenth of a second; where it
+        # compiles, it does so anyway. Loaded code needs no more than its memory manager.
+        rtsys.initialize(context)
+        if self._enabled and self.kept:
+            with suppress(Exception):  # As above.
+                return self._files._load_overload(signature, context)
+        return None
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Keep compiled code; a full disk only loses it."""
+        if self._enabled and self.kept:
+            try:
+                self._files.save_overload(signature, compiled)
+            except OSError as error:
+                _LOG.info("%s: compiled code not kept (%s)", self.cache_path, error.strerror)
+            except Exception:
+                # The index is damaged.
+                with suppress(OSError):
+                    self._files.flush()
+                    self._files.save_overload(signature, compiled)
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Hold this kernel, so that no other process compiles it too."""
+        from filelock import Timeout
+
+        with ExitStack() as held:
+            if self.kept:
+                # Not all file systems have locks: then the code is compiled twice, and no file half written.
+                with suppress(Timeout, OSError, RuntimeError):
+                    held.enter_context(self._lock.acquire(PATIENCE, poll_interval=0.02))
+            yield
+
+    def try_alone(self) -> bool:
+        """Hold this kernel, unless another process does."""
+        from filelock import Timeout
+
+        try:
+            self._lock.acquire(0)
+        except (Timeout, OSError, RuntimeError):
+            return False
+        return True
+
+    def release(self) -> None:
+        """End what :meth:`try_alone` began."""
+        self._lock.release()
+
+    @cached_property
+    def _lock(self) -> Any:
+        from filelock import FileLock
+
+        return FileLock(Path(self.cache_path) / f"{self._files._impl.filename_base}.lock")
+
+    def enable(self) -> None:
+        """Use the cache."""
+        self._enabled = True
+
+    def disable(self) -> None:
+        """Compile without it."""
+        self._enabled = False
+
+    def flush(self) -> None:
+        """Forget what was compiled."""
+        if self.kept:
+            self._files.flush()
+
+
+def _folders(source: Path) -> Iterator[str]:
+    """Folders for compiled code, as numba has them in its settings; none, "", stands for its own choice.
+
+    Numba takes, in this order, NUMBA_CACHE_DIR, __pycache__ beside the source, the user's cache.
+    """
+    # Without a home numba would make a folder named ~ where the program runs.
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~")  # noqa: PTH111  # pathlib raises then
+    beside = source / "__pycache__"
+    writable = os.access(beside if beside.exists() else source, os.W_OK)
+    if _SETTINGS.CACHE_DIR or writable or Path(home).is_absolute():
+        yield _SETTINGS.CACHE_DIR
+    own = _temporary()
+    if own:
+        yield own
+
+
+@cache
+def _temporary() -> str:
+    """Folder for temporary files that is this user's alone, because what is loaded from it is run."""
+    try:
+        own = Path(tempfile.gettempdir()) / f"protochain-{getattr(os, 'getuid', lambda: 'kernels')()}"
+        own.mkdir(mode=0o700, exist_ok=True)
+        found = own.lstat()
+        mine = not hasattr(os, "getuid") or (found.st_uid == os.getuid() and not found.st_mode & 0o077)
+        return str(own) if stat.S_ISDIR(found.st_mode) and mine else ""
+    except OSError:
+        return ""
+
+
+def _stamp(function: Callable[..., Any]) -> str:
+    """Digest of all that a kernel is made of: its file, those of kernels that it calls, and constants."""
+    digest = hashlib.sha256(repr(_SETTINGS.SLP_VECTORIZE).encode())
+    files: set[str] = set()
+    constants: set[str] = set()
+    _collect(function, files, constants, set())
+    for file in sorted(files):
+        digest.update(_digest_of(file))
+    for constant in sorted(constants):
+        digest.update(constant.encode())
+    return digest.hexdigest()
+
+
+@cache
+def _digest_of(file: str) -> bytes:
+    try:
+        return hashlib.sha256(Path(file).read_bytes()).digest()
+    except OSError:
+        return file.encode()
+
+
+def _collect(function: Any, files: set[str], constants: set[str], seen: set[Any]) -> None:
+    """Add what a function is made of, and the functions it calls."""
+    if function in seen:
+        return
+    seen.add(function)
+    files.add(function.__code__.co_filename)
+    names = _names(function.__code__)
+    found = [(name, function.__globals__[name]) for name in names if name in function.__globals__]
+    for _, module in list(found):
+        if isinstance(module, ModuleType) and module.__name__.startswith("protochain"):
+            found += [(name, getattr(module, name)) for name in names if hasattr(module, name)]
+    for name, value in found:
+        # Kernels, intrinsics, and functions that numba compiles in place.
+        called = getattr(value, "py_func", None) or getattr(value, "_defn", None) or value
+        if isinstance(called, FunctionType) and called.__module__.split(".")[0] not in ("numba", "numpy"):
+            _collect(called, files, constants, seen)
+        elif isinstance(value, np.ndarray):
+            constants.add(f"{name} {value.dtype} {value.shape} {value.tobytes().hex()}")
+        elif isinstance(value, int | float | str | tuple):
+            constants.add(f"{name} {value!r}")
+
+
+def _names(code: CodeType) -> set[str]:
+    """Global names and attributes that code reads, with that of functions inside."""
+    return set(code.co_names).union(*(_names(c) for c in code.co_consts if isinstance(c, CodeType)))
+
+
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """Compile without garbage collection, which takes a tenth of the time and finds little."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
+@cache
+def _announce(kept: bool) -> None:
+    """Say what the first run waits for."""
+    if compile_helpers.is_helper():
+        return
+    if kept:
+        _LOG.warning("compiling kernels for this machine; this happens once")
+    else:
+        _LOG.warning(
+            "compiling kernels, as in every run: no folder can keep them; set NUMBA_CACHE_DIR to one that can"
+        )

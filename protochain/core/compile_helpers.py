@@ -1,0 +1,168 @@
+"""Helpers that compile kernels ahead: processes beside the first run on a machine.
+
+Numba compiles on one core. The run compiles kernels in the order in which it needs them, helpers begin at
+the other end, and each leaves out what another has in hand. ``kernels.txt`` lists the kernels of a run by
+default, with their types; one that is missing there, or has other types now, is compiled by the run itself.
+"""
+
+import atexit
+import importlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from protochain.core.subprocesses import own_python
+
+MOST = 3
+"""Helpers. More would wait for one another's kernels."""
+_LIST = Path(__file__).with_name("kernels.txt")
+_HELPER = "PROTOCHAIN_HELPER"
+"""Environment variable that tells a process which helper it is."""
+
+_HELD: list[Any] = []
+"""Lock of the process that has helpers, until it ends."""
+
+
+def is_helper() -> bool:
+    """Whether this process is one."""
+    return _HELPER in os.environ
+
+
+def call_helpers(missing: str, folder: Path) -> None:
+    """Start helpers, the first time that a kernel of the list, ``module name``, must be compiled.
+
+    Of several processes with one folder of compiled code, only the first has helpers.
+    """
+    if not (is_helper() or _HELD) and any(entry.startswith(f"{missing} ") for entry in entries()):
+        _start(folder / "helpers.lock")
+
+
+def _start(place: Path) -> None:
+    """Start helpers, one on each other core, which end with this process at the latest."""
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(place)
+    try:
+        lock.acquire(0)
+    except (Timeout, OSError, RuntimeError):
+        return
+    _HELD.append(lock)
+    python = Path(sys.executable or "")
+    # Not a program that has Python inside.
+    if getattr(sys, "frozen", False) or not python.name.startswith("python"):
+        return
+    for number in range(1, min(_cores() - 1, MOST) + 1):
+        try:
+            helper = subprocess.Popen(
+                own_python("from protochain.core.compile_helpers import help_out; help_out()"),
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                env=os.environ | {_HELPER: str(number)}, start_new_session=True,
+            )  # fmt: skip
+        except OSError:
+            return
+        atexit.register(_end, helper)
+
+
+def _end(helper: "subprocess.Popen[bytes]") -> None:
+    helper.kill()
+    helper.wait()
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@cache
+def entries() -> tuple[str, ...]:
+    """Lines of the list: module, name and types of a kernel, in the order in which helpers compile them."""
+    return tuple(line for line in _LIST.read_text().splitlines() if line and not line.startswith("#"))
+
+
+def help_out() -> None:
+    """Compile the kernels of the list that no other process has compiled or begun."""
+    caller = os.getppid()
+    for kernel, types in _kernels():
+        if os.getppid() != caller:
+            return
+        store = kernel._cache
+        if not store.kept or store.has(types, kernel.targetctx) or not store.try_alone():
+            continue
+        try:
+            kernel.compile(types)
+        except Exception:  # Another kernel now than the list says: the run will compile it.
+            continue
+        finally:
+            store.release()
+
+
+def _kernels() -> Iterator[tuple[Any, tuple[Any, ...]]]:
+    for entry in entries():
+        module, name, *types = entry.split()
+        try:
+            yield getattr(importlib.import_module(module), name), tuple(map(type_of, types))
+        except (ImportError, AttributeError, KeyError, ValueError):  # The list is of other kernels.
+            continue
+
+
+def type_of(text: str) -> Any:
+    """Type of numba from its text.
+
+    A letter, f float64, i int64, b bool or n None; for an array the number of its axes behind it, then r if
+    it is read-only and s if it has gaps; for a tuple its types in brackets, with commas.
+    """
+    from numba import types
+
+    if text.startswith("("):
+        return types.Tuple([type_of(part) for part in _parts(text[1:-1])])
+    scalar = {"f": types.float64, "i": types.int64, "b": types.boolean, "n": types.none}[text[0]]
+    if len(text) == 1:
+        return scalar
+    return types.Array(scalar, int(text[1]), "A" if "s" in text else "C", readonly="r" in text)
+
+
+def _parts(text: str) -> Iterator[str]:
+    """Parts between commas that are in no further brackets."""
+    depth, begin = 0, 0
+    for place, letter in enumerate(text):
+        depth += (letter == "(") - (letter == ")")
+        if letter == "," and depth == 0:
+            yield text[begin:place]
+            begin = place + 1
+    if text:
+        yield text[begin:]
+
+
+def text_of(kind: Any) -> str:
+    """Inverse of :func:`type_of`; a KeyError for types that it does not know."""
+    from numba import types
+
+    if isinstance(kind, types.BaseTuple):
+        inside: Any = kind
+        return f"({','.join(map(text_of, inside))})"
+    if not isinstance(kind, types.Array):
+        return {types.float64: "f", types.int64: "i", types.boolean: "b", types.none: "n"}[kind]
+    gaps, locked = "s" * (kind.layout == "A"), "r" * (not kind.mutable)
+    return f"{text_of(kind.dtype)}{kind.ndim}{locked}{gaps}"
+
+
+def entry_of(kernel: Any, types: tuple[Any, ...]) -> str:
+    """Line of the list; a KeyError for types that it cannot hold."""
+    return " ".join([kernel.py_func.__module__, kernel.py_func.__qualname__, *map(text_of, types)])
+
+
+def loaded() -> list[str]:
+    """Lines of kernels with a cache that this process has loaded or compiled, as in the list."""
+    found = []
+    for name, module in sorted(sys.modules.items()):
+        for kernel in vars(module).values() if name.startswith("protochain.") else ():
+            if getattr(getattr(kernel, "py_func", None), "__module__", "") == name:
+                for types in kernel.overloads:
+                    # Others are called by kernels only.
+                    with suppress(KeyError):
+                        found.append(entry_of(kernel, types))
+    return found

@@ -1,0 +1,75 @@
+"""Settings: fields of frozen values, each declared once with its check, its help and its option.
+
+Functions take them by name; commands make their options of them, batches the columns of their manifests.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from protochain.core.checks import Check, check_fields
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What commands and manifests know of a field beside its name and default.
+
+    Parameters
+    ----------
+    check : callable
+        (value, name) -> the value that functions work with, as those of :mod:`protochain.core.checks`.
+    help : str
+        Of the option; a field without help has none.
+    kind : type
+        Of what an option or a cell of a manifest gives.
+    option : str
+        The option's names, where they are not the field's, the first of which is said; one that begins with
+        ``--no-`` turns a field off that is on.
+    read : callable, optional
+        (what is given) -> value of the field; as of degrees.
+    metavar : str, optional
+        What stands for the value in the help.
+    word : tuple of (str, str, str), optional
+        A further option without a value: its name, its help, and what it puts before the values given.
+    """
+
+    check: Check
+    help: str = ""
+    kind: Any = str
+    option: str = ""
+    read: Callable[[Any], Any] | None = None
+    metavar: str | None = None
+    word: tuple[str, str, str] | None = None
+
+    @property
+    def turns_off(self) -> bool:
+        """Whether the option turns off what is on."""
+        return self.option.startswith("--no-")
+
+    def names(self, field: str) -> list[str]:
+        """Names of the option of a field."""
+        return self.option.split() or [f"--{field.replace('_', '-')}"]
+
+    def column(self, field: str) -> str:
+        """Name of a field in a manifest, which is that of the option where this gives the field's value."""
+        name = self.names(field)[0]
+        return field if "/" in name or self.turns_off else name.removeprefix("--").replace("-", "_")
+
+
+def setting(default: Any, help: str, check: Check, kind: Any = str, option: str = "", **more: Any) -> Any:
+    """Field of a frozen dataclass of settings; arguments as of :class:`Setting`."""
+    return field(default=default, metadata={"setting": Setting(check, help, kind, option, **more)})
+
+
+class Settings:
+    """Base of frozen dataclasses of settings, whose fields are checked when one is made."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, **{name: each.check for name, each in settings_of(type(self))})
+
+
+def settings_of(kind: type) -> Iterator[tuple[str, Setting]]:
+    """Names and settings of the fields of a dataclass that were declared by :func:`setting`."""
+    for each in fields(kind):
+        if "setting" in each.metadata:
+            yield each.name, each.metadata["setting"]

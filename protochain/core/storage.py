@@ -1,0 +1,241 @@
+"""Atomic writing of files, and checkpoints of arrays and plain values that cannot execute code."""
+
+import json
+import math
+import os
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+from zipfile import ZIP_STORED, BadZipFile
+
+import numpy as np
+
+from protochain.core.arrays import Floats
+from protochain.core.errors import Argument, ProtochainError, WriteError
+
+
+def json_text(values: Any, indent: int | None = 2) -> str:
+    """Text of values as JSON, which has no infinity: null where a number is not finite."""
+    return json.dumps(_finite(values), indent=indent, default=str, allow_nan=False)
+
+
+def _finite(values: Any) -> Any:
+    if isinstance(values, Mapping):
+        return {key: _finite(value) for key, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [_finite(value) for value in values]
+    return None if isinstance(values, float) and not math.isfinite(values) else values
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a path to which no file can be written.
+
+    Raises
+    ------
+    ProtochainError
+        Naming the path and the reason.
+    """
+    if path.is_dir():
+        raise ProtochainError(f"{path}: is a folder; give the name of a file")
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    if not folder.is_dir():
+        raise ProtochainError(f"{path}: {folder.name} is not a folder; give another name")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ProtochainError(f"{path}: cannot be written ({error.strerror}); give another name") from None
+
+
+def regular(path: Path) -> Path:
+    """Return a path as it is, unless what is there is no file: to read a pipe or a device may never end.
+
+    Raises
+    ------
+    ProtochainError
+        Naming the path.
+    """
+    if path.exists() and not path.is_file():
+        raise ProtochainError(f"{path}: is not a regular file; give the name of one")
+    return path
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Name the file in errors of writing to it: the system's own errors name none, or a temporary one.
+
+    Raises
+    ------
+    WriteError
+        In place of any OSError, as when the disk is full.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise WriteError(path, error.strerror or str(error)) from error
+
+
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Call ``write`` with a temporary path beside ``path``, then rename it: no file is ever half written.
+
+    Raises
+    ------
+    WriteError
+        If it cannot be written; what was there before remains.
+    """
+    with writing(path):
+        _write_atomically(path, write)
+
+
+def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        # mkstemp makes private files; results get the usual permissions of a new file.
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def claimed(folder: Path, kind: str) -> Iterator[None]:
+    """Hold a folder, created if needed, for one process; a folder that stays empty is removed afterwards.
+
+    Parameters
+    ----------
+    folder : Path
+    kind : str
+        What the other process is, in the message: ``comparison``.
+
+    Raises
+    ------
+    ProtochainError
+        If another process holds it.
+    """
+    from filelock import FileLock, Timeout
+
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / ".lock")
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise ProtochainError(f"{folder}: another {kind} is writing to this folder; give another") from None
+    try:
+        yield
+    finally:
+        (folder / ".lock").unlink(missing_ok=True)
+        lock.release()
+        with suppress(OSError):  # Results are there.
+            folder.rmdir()
+
+
+def write_arrays(
+    path: Path, arrays: Mapping[str, np.ndarray], values: Any, settings: Mapping[str, Any]
+) -> None:
+    """Write a checkpoint: arrays, values that JSON can represent, and the settings of the run.
+
+    Parameters
+    ----------
+    path : Path
+        An .npz file, written under a temporary name and renamed.
+    arrays : mapping of str to array
+    values : plain values
+    settings : mapping of plain values
+    """
+    text = json.dumps({"settings": dict(settings), "values": values})
+
+    def write(to: Path) -> None:
+        with to.open("wb") as file:
+            np.savez(file, allow_pickle=False, text=np.array(text), **arrays)
+
+    write_atomically(path, write)
+
+
+def read_arrays(
+    path: Path, settings: Mapping[str, Any], kind: str, *remedy: str | Argument
+) -> tuple[dict[str, np.ndarray], Any]:
+    """Read a checkpoint that :func:`write_arrays` wrote for a run with the same settings.
+
+    Parameters
+    ----------
+    path : Path
+    settings : mapping of plain values
+        The first of them tells the kinds of run apart.
+    kind : str
+        What runs it should be of.
+    *remedy : str or Argument
+        What to do if it is not, in parts.
+
+    Raises
+    ------
+    ProtochainError
+        If the file cannot be read, or belongs to a run with other settings.
+    """
+    try:
+        with regular(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            _check_sizes(file)
+            arrays = dict(file)
+        text = json.loads(str(arrays.pop("text")))
+        written, values = text["settings"], text["values"]
+    except FileNotFoundError:
+        raise ProtochainError(f"{path}: not found; give the checkpoint of an earlier run") from None
+    except PermissionError as error:
+        raise ProtochainError(f"{path}: cannot be read ({error.strerror}); change its permissions") from None
+    except _DAMAGED:
+        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; ", *remedy) from None
+    if not {*list(settings)[:1]} <= set(written):
+        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; ", *remedy)
+    for name, value in settings.items():
+        if written.get(name) != value:
+            raise ProtochainError(
+                f"{path}: is of a run with {name} {written.get(name)!r}, not {value!r}; repeat its settings"
+            )
+    return arrays, values
+
+
+def fitting(arrays: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Floats:
+    """Array of a checkpoint that a run can use.
+
+    Raises
+    ------
+    ValueError
+        If it is missing, of another shape or type, or not finite.
+    """
+    found = arrays.get(name)
+    if not isinstance(found, np.ndarray) or found.dtype != np.float64 or found.shape != shape:
+        raise ValueError(f"{name} is not {shape} numbers")
+    if not np.isfinite(found).all():
+        raise ValueError(f"{name} is not finite")
+    return found
+
+
+_DAMAGED = (
+    OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile, RuntimeError, zlib.error,
+)  # fmt: skip
+"""What reading a damaged archive raises: by zipfile, by numpy, by json."""
+
+
+def _check_sizes(file: Any) -> None:
+    """Refuse arrays that claim to be larger than what the archive holds of them: memory goes first."""
+    for member in file.zip.infolist():
+        with file.zip.open(member) as stream:
+            version = np.lib.format.read_magic(stream)
+            head = (
+                np.lib.format.read_array_header_1_0
+                if version == (1, 0)
+                else np.lib.format.read_array_header_2_0
+            )
+            shape, _, dtype = head(stream)
+            claimed = math.prod(shape) * dtype.itemsize
+            if member.compress_type != ZIP_STORED or claimed != member.file_size - stream.tell():
+                raise ValueError(f"{member.filename}: {claimed} bytes")

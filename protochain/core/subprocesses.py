@@ -1,0 +1,24 @@
+"""Processes of our own: Python with this protochain, and with nothing of the folder it is started in."""
+
+import sys
+from pathlib import Path
+
+
+def own_python(statement: str) -> list[str]:
+    """Command that runs a statement.
+
+    Without ``-P`` a module of the current folder, such as a ``gemmi.py`` among somebody's structures, would
+    run in place of an installed one.
+
+    Parameters
+    ----------
+    statement : str
+        Python that imports what it needs of protochain.
+
+    Returns
+    -------
+    list of str
+        For :class:`subprocess.Popen`.
+    """
+    first = "import sys; sys.path.append(sys.argv.pop(1)); "
+    return [sys.executable, "-P", "-c", first + statement, str(Path(__file__).parents[2])]

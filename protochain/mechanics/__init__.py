@@ -1,0 +1,5 @@
+"""Mechanics of trees of bodies, of any kind and in any units: multibody, and motion in time."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach(__name__, submodules=["motion", "multibody"])

@@ -1,0 +1,79 @@
+"""Substeps as long as an estimate of their error allows."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from protochain.core.arrays import Floats
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion.system import Equations, Phase, StepTooLargeError
+
+Tried = tuple[Phase, Floats, Floats]
+"""Phase after a substep, and estimates of the errors of its displacement and velocities, (n_v,) each."""
+_LEAST = 1e-9
+"""Shortest substep, relative to the step."""
+_MOST = 100_000
+"""Substeps of a step: ten seconds of a small tree, and far more than what is not stiff needs."""
+
+
+def in_substeps(
+    substep: Callable[[Phase, float], Tried],
+    system: Equations,
+    at: Phase,
+    time_step: float,
+    tolerance: float,
+    order: int,
+) -> Phase:
+    """Advance by one time step, in as many substeps as the tolerance requires.
+
+    Parameters
+    ----------
+    substep : callable
+        Phase and length of a substep -> :data:`Tried`.
+    system : Equations
+        Rigid bodies, potential and loads.
+    at : Phase
+        Phase at the start.
+    time_step : float
+        Length of the step; negative backwards.
+    tolerance : float
+        Error of a coordinate, or of a velocity times the time step, in radians and sizes of the tree.
+    order : int
+        Power of the substep with which its error goes.
+
+    Returns
+    -------
+    Phase
+        Phase at the end.
+
+    Raises
+    ------
+    StepTooLargeError
+        If a substep would have to be shorter than rounding allows, or there would be too many.
+    """
+    start, done, part, why = at.time, 0.0, time_step, ""
+    for _ in range(_MOST):
+        if not abs(time_step - done) > 1e-12 * abs(time_step):
+            return system.at_time(at, start + time_step)
+        part = part if abs(part) < abs(time_step - done) else time_step - done
+        if abs(part) < _LEAST * abs(time_step):
+            raise StepTooLargeError(f"no substep of the time step is accurate{why}")
+        try:
+            after, moved, quickened = substep(at, part)
+            errors = np.maximum(np.abs(moved), abs(time_step) * np.abs(quickened)) / system.units
+            size, why = float(np.max(errors, initial=0.0)) / tolerance if after.is_finite else np.nan, ""
+        except MechanicsError as error:
+            # A stage has diverged to NaN, or come where there is no motion.
+            size, why = np.nan, f" ({error})"
+        # Hairer, Norsett, Wanner (1993), II.4: 0.9 of the estimated substep, within bounds.
+        factor = min(5.0, max(0.2, 0.9 * size ** (-1.0 / order))) if np.isfinite(size) and size > 0.0 else 0.2
+        if size <= 1.0:
+            done += part
+            at = after
+        elif factor > 0.9:
+            factor = 0.9
+        part *= 5.0 if size == 0.0 else factor
+    raise StepTooLargeError(
+        f"{_MOST} substeps make only {done / time_step:.1g} of the time step: something is too stiff for "
+        "this method or its tolerance"
+    )

@@ -1,0 +1,412 @@
+"""Mechanical system and phase space, as integrators see them: trees in potentials, under loads.
+
+Any consistent set of units will do. Proteins are in nm, ps, amu and kJ/mol, scenes in m, s, kg and J.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, NamedTuple, Protocol
+
+import numpy as np
+
+from protochain.core.arrays import Floats, read_only
+from protochain.core.errors import MechanicsError, ProtochainError
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import Frames, Tree
+from protochain.mechanics.multibody.articulated import Articulated, articulate, solve
+from protochain.mechanics.multibody.hamilton import momenta
+from protochain.mechanics.multibody.rotations import displacement_rates
+
+Potential = Callable[[Floats, Articulated], tuple[float, Floats]]
+"""Coordinates (n_q,) and factors of M there -> energy and torques (n_v,)."""
+Drive = Callable[[float], tuple[Floats, Floats, Floats]]
+"""Time -> coordinates, velocities and accelerations (k,) of the driven hinges, in the tree's order."""
+NOTHING: Floats = read_only(np.zeros(0))
+"""Work of no loads."""
+RETURNED = 1e-6
+"""How exactly a step back returns, in radians and sizes of the tree; far above round-off, far below the
+distance of solutions."""
+
+
+class StepTooLargeError(ProtochainError):
+    """A time step so large that no solution of its equations is found, or the energy jumps."""
+
+
+class Applied(NamedTuple):
+    """What loads do at one moment.
+
+    Parameters
+    ----------
+    wrenches : (nb, 6) float, optional
+        Moment on each body about the origin of its frame, force; world axes.
+    torques : (n_v,) float, optional
+        Torques (forces) at the hinges.
+    """
+
+    wrenches: Floats | None = None
+    torques: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Load:
+    """Forces that no potential gives: drives, dampers, friction, thrust.
+
+    Parameters
+    ----------
+    applied : callable
+        Time, coordinates (n_q,), velocities (n_v,) and frames -> :class:`Applied`.
+    depends_on_velocity : bool
+        Whether it does. The leapfrog refuses such loads, since its kick would become implicit.
+    """
+
+    applied: Callable[[float, Floats, Floats, Frames], Applied]
+    depends_on_velocity: bool = True
+
+    def along(self, tree: Tree, time: float, q: Floats, qd: Floats, frames: Frames) -> Floats:
+        """(n_v,) float: the loads as torques, whose product with the velocities is their power."""
+        wrenches, torques = self.applied(time, q, qd, frames)
+        out = np.zeros(tree.n_v) if wrenches is None else multibody.pull_back(tree, frames, wrenches)
+        return out if torques is None else out + torques
+
+
+@dataclass(frozen=True, eq=False)
+class Phase:
+    """Point in phase space, from which any integrator can continue.
+
+    Parameters
+    ----------
+    q : (n_q,) float
+        Coordinates.
+    qd : (n_v,) float
+        Velocities.
+    p : (n_v,) float
+        Canonical momenta M qd.
+    potential : float
+        Potential energy.
+    torque : (n_v,) float
+        Minus the gradient of the potential, and the loads.
+    factors : Articulated
+        Factors of the mass matrix at q, with the frames of the bodies.
+    time : float
+        Time since the start.
+    work : (k,) float
+        Work since the start, of each of the system's loads, then of its drive if it has one.
+    loads : (k, n_v) float, optional
+        Each of them alone, as torques; the last the torques of the drive. None without loads and drive.
+    """
+
+    q: Floats
+    qd: Floats
+    p: Floats
+    potential: float
+    torque: Floats
+    factors: Articulated
+    time: float = 0.0
+    work: Floats = field(default_factory=lambda: NOTHING)
+    loads: Floats | None = None
+
+    @property
+    def kinetic(self) -> float:
+        """Kinetic energy."""
+        return 0.5 * float(self.p @ self.qd)
+
+    @property
+    def total(self) -> float:
+        """Total energy."""
+        return self.kinetic + self.potential
+
+    @property
+    def power(self) -> Floats:
+        """(k,) float: power of each of the loads, and of the drive."""
+        return NOTHING if self.loads is None else np.asarray(self.loads @ self.qd)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether energy, torques and velocities are all finite."""
+        return bool(
+            np.isfinite(self.potential) and np.isfinite(self.torque).all() and np.isfinite(self.qd).all()
+        )
+
+
+class Constraint(Protocol):
+    """Holonomic constraint on the coordinates."""
+
+    def project_velocities(self, factors: Articulated, p: Floats) -> Floats:
+        """Velocities (n_v,) of momenta p (n_v,), projected onto those that satisfy the constraint."""
+
+    def drift(self, drift: "Drift", at: Phase, p: Floats, time_step: float) -> "Drifted":
+        """Drift with constraint impulses, such that the constraint holds at the end."""
+
+
+Drifted = tuple[Floats, Floats, Articulated]
+"""Coordinates (n_q,), momenta (n_v,) and factors of M at the end of a drift."""
+Drift = Callable[[Phase, Floats, float], Drifted]
+"""Motion without potential: phase at the start, momenta (n_v,) there, time step -> its end."""
+
+
+class Integrator(Protocol):
+    """Integrator of the equations of motion."""
+
+    reversible: ClassVar[bool] = False
+    """Whether steps are time-reversible and preserve phase-space volume."""
+
+    def init(self, system: "Equations", q: Floats, qd: Floats) -> Phase:
+        """Return the phase at q (n_q,) with velocities qd (n_v,)."""
+        return system.at(q, qd)
+
+    def step(self, system: "Equations", at: Phase, time_step: float) -> Phase:
+        """Return the phase one time step later; a negative step runs backwards."""
+
+    def check_return(self, system: "Equations", before: Phase, after: Phase, time_step: float) -> None:
+        """Check that a step from ``after`` backwards ends where the step to it began.
+
+        Raises
+        ------
+        StepTooLargeError
+            If it does not: implicit equations may have several solutions, or be solved in one direction only.
+        """
+        refuse_departure(system, self.step(system, after, -time_step).q, before.q)
+
+
+def refuse_departure(system: "Equations", found: Floats, wanted: Floats) -> None:
+    """Raise if a step back has found other coordinates than those where the step began.
+
+    Raises
+    ------
+    StepTooLargeError
+        If any differs by more than ``RETURNED``.
+    """
+    if not np.max(np.abs(found - wanted) / system.coordinate_units, initial=0.0) < RETURNED:
+        raise StepTooLargeError("the time step cannot be taken back")
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Equations of motion of a tree in a potential, under loads: accelerations, of any state.
+
+    Runge-Kutta and Rosenbrock methods take any of them. These are of rigid bodies; others override what they
+    do in another way.
+
+    Parameters
+    ----------
+    tree : Tree
+        Rigid bodies.
+    potential : callable
+        Energy and torques at q.
+    loads : tuple of Load
+        Forces that no potential gives.
+    drive : callable, optional
+        Motion of the tree's driven hinges, see :data:`Drive`. Velocities and accelerations must be the
+        derivatives of the coordinates: nothing else makes up for a difference.
+
+    Raises
+    ------
+    MechanicsError
+        If the tree has driven hinges and there is no drive, or the other way round.
+    """
+
+    tree: Tree
+    potential: Potential
+    loads: tuple[Load, ...] = field(default=(), kw_only=True)
+    drive: Drive | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if (self.drive is None) != (self.tree.driven is None):
+            raise MechanicsError(
+                "the tree has driven hinges, but the system no drive to say how they move"
+                if self.drive is None
+                else "the system has a drive, but the tree no driven hinge"
+            )
+
+    @property
+    def depends_on_velocity(self) -> bool:
+        """Whether any load does."""
+        return any(load.depends_on_velocity for load in self.loads)
+
+    def at(self, q: Floats, qd: Floats, time: float = 0.0, work: Floats | None = None) -> Phase:
+        """Return the phase at q (n_q,) with velocities qd (n_v,), where the drive puts its hinges."""
+        q, qd = self.driven_to(time, q, qd)
+        factors = self.factors(q)
+        potential, torque, loads = self.forces(time, q, qd, factors)
+        p = self.momenta(factors, qd)
+        if self.drive is not None:
+            _, loads = self.accelerations(time, q, qd, torque, loads)
+        if work is None:
+            work = NOTHING if loads is None else np.zeros(len(loads))
+        return Phase(q, qd, p, potential, torque, factors, time, work, loads)
+
+    def driven_to(self, time: float, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
+        """Coordinates (n_q,) and velocities (n_v,) with those of driven hinges as they are at a time."""
+        if self.drive is None:
+            return q, qd
+        q, qd = q.copy(), qd.copy()
+        q[self.tree.driven_q], qd[self.tree.driven_v], _ = self._drive(time)
+        return q, qd
+
+    def forces(
+        self, time: float, q: Floats, qd: Floats, factors: Articulated
+    ) -> tuple[float, Floats, Floats | None]:
+        """Potential energy; torques (n_v,) of potential and loads together, and of each load alone."""
+        potential, torque = self.potential(q, factors)
+        if not self.loads:
+            return potential, torque, None
+        loads = np.array([self.along(load, time, q, qd, factors) for load in self.loads])
+        return potential, torque + loads.sum(axis=0), loads
+
+    def accelerations(
+        self, time: float, q: Floats, qd: Floats, torque: Floats, loads: Floats | None
+    ) -> tuple[Floats, Floats | None]:
+        """Accelerations (n_v,) under torques (n_v,); the loads, the torques of the drive as their last."""
+        if self.drive is None:
+            return self.forward_dynamics(q, qd, torque), loads
+        driven, given, driving = self.tree.driven_v, torque.copy(), np.zeros(self.n_v)
+        given[driven] = self._drive(time)[2]
+        qdd = self.forward_dynamics(q, qd, given)
+        driving[driven] = self.inverse_dynamics(q, qd, qdd)[driven] - torque[driven]
+        return qdd, np.vstack([driving] if loads is None else [*loads[: len(self.loads)], driving])
+
+    def _drive(self, time: float) -> tuple[Floats, Floats, Floats]:
+        assert self.drive is not None
+        k = len(self.tree.driven_v)
+        q, qd, qdd = (np.asarray(each, dtype=float) for each in self.drive(time))
+        if not (q.shape == qd.shape == qdd.shape == (k,)):
+            raise MechanicsError(
+                f"the drive of {k} hinges gives shapes {q.shape}, {qd.shape} and {qdd.shape}, not ({k},)"
+            )
+        return q, qd, qdd
+
+    def at_time(self, at: Phase, time: float) -> Phase:
+        """Return the phase at a time that differs from its own by rounding."""
+        if self.drive is None or time == at.time:
+            return replace(at, time=time)
+        return self.at(at.q, at.qd, time, at.work)
+
+    def with_velocities(self, at: Phase, qd: Floats) -> Phase:
+        """Return the phase with other velocities; driven hinges keep theirs."""
+        if self.depends_on_velocity or self.drive is not None:
+            return self.at(at.q, qd, at.time, at.work)
+        return replace(at, qd=qd, p=self.momenta(at.factors, qd))
+
+    @property
+    def n_v(self) -> int:
+        """Number of freedoms."""
+        return self.tree.n_v
+
+    @property
+    def units(self) -> Floats:
+        """(n_v,) float: of each freedom, what a radian or a size of the tree is in it."""
+        return self.tree.units
+
+    @property
+    def coordinate_units(self) -> Floats:
+        """(n_q,) float: as :attr:`units`, of each coordinate."""
+        return self.tree.coordinate_units
+
+    def factors(self, q: Floats) -> Articulated:
+        """Frames of the bodies and factors of M at q (n_q,)."""
+        return articulate(self.tree, multibody.pose(self.tree, q))
+
+    def momenta(self, factors: Articulated, qd: Floats) -> Floats:
+        """Momenta (n_v,) of velocities."""
+        return momenta(self.tree, factors.frames, qd)[0]
+
+    def along(self, load: Load, time: float, q: Floats, qd: Floats, factors: Articulated) -> Floats:
+        """Torques (n_v,) of a load."""
+        return load.along(self.tree, time, q, qd, factors.frames)
+
+    def forward_dynamics(self, q: Floats, qd: Floats, tau: Floats) -> Floats:
+        """Accelerations (n_v,) under torques; of driven hinges those given in their place."""
+        return multibody.forward_dynamics(self.tree, q, qd, tau)
+
+    def inverse_dynamics(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
+        """Torques (n_v,) of accelerations."""
+        return multibody.inverse_dynamics(self.tree, q, qd, qdd)
+
+    def integrate(self, q: Floats, move: Floats) -> Floats:
+        """Coordinates (n_q,) after a displacement (n_v,)."""
+        return multibody.integrate(self.tree, q, move)
+
+    def displacement_rates(self, move: Floats, qd: Floats) -> Floats:
+        """Rates (n_v,) of a displacement, for velocities at its end."""
+        return displacement_rates(self.tree, move, qd)
+
+
+@dataclass(frozen=True, eq=False)
+class System(Equations):
+    """Forest of rigid bodies, whose velocities are M^-1 times their momenta: it can be kicked and drift.
+
+    The leapfrog and the midpoint rule take no other.
+
+    Parameters
+    ----------
+    tree : Tree
+        Rigid bodies.
+    potential : callable
+        Energy and torques at q.
+    constraint : Constraint, optional
+        Constraint for the leapfrog; other integrators ignore it.
+    loads, drive : tuple of Load, and callable, optional
+        As of :class:`Equations`.
+    """
+
+    constraint: Constraint | None = None
+
+    def with_velocities(self, at: Phase, qd: Floats) -> Phase:
+        """Return the phase with other velocities, on the constraint; driven hinges keep theirs."""
+        if self.constraint is not None:
+            qd = self.constraint.project_velocities(at.factors, self.momenta(at.factors, qd))
+        return super().with_velocities(at, qd)
+
+    def kick(self, before: Phase, q: Floats, p: Floats, factors: Articulated, time_step: float) -> Phase:
+        """Return the phase a step after ``before``, at q (n_q,), p (n_v,) kicked there for half the step."""
+        time = before.time + time_step
+        # A load that depends on velocities is refused before, so that any will do here.
+        potential, torque, loads = self.forces(time, q, before.qd, factors)
+        p = p + 0.5 * time_step * torque
+        at = Phase(q, solve(factors, p), p, potential, torque, factors, time, before.work, loads)
+        if loads is None:
+            return at
+        return replace(at, work=before.work + 0.5 * time_step * (before.power + at.power))
+
+    def arrive(self, q: Floats, p: Floats, factors: Articulated, time: float, work: Floats) -> Phase:
+        """Return the phase at q (n_q,) with momenta p (n_v,)."""
+        qd = solve(factors, p)
+        potential, torque, loads = self.forces(time, q, qd, factors)
+        return Phase(q, qd, p, potential, torque, factors, time, work, loads)
+
+
+def total(parts: list[Potential]) -> Potential:
+    """Sum of potentials.
+
+    Parameters
+    ----------
+    parts : list of callable
+        Potentials.
+
+    Returns
+    -------
+    callable
+        Their sum.
+    """
+
+    def potential(q: Floats, factors: Articulated) -> tuple[float, Floats]:
+        each = [part(q, factors) for part in parts]
+        return sum(value for value, _ in each), np.sum([torque for _, torque in each], axis=0)
+
+    return potential
+
+
+def canonical(equations: Equations, name: str) -> System:
+    """Return them, for an integrator that moves by momenta of rigid bodies.
+
+    Raises
+    ------
+    MechanicsError
+        If they have no such momenta, as of bodies that bend, or hinges are driven.
+    """
+    remedy = "take Runge-Kutta, Dormand-Prince or Rosenbrock"
+    if not isinstance(equations, System):
+        raise MechanicsError(f"the {name} takes no bodies that bend; {remedy}")
+    if equations.drive is not None:
+        raise MechanicsError(f"the {name} takes no driven hinges; {remedy}")
+    return equations

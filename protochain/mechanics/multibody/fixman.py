@@ -1,0 +1,400 @@
+"""M^-1 in O(n) by Fixman's method: constraints of hinges are eliminated from the leaves to the root.
+
+Fixman, PNAS 71:3050 (1974), for rigid bodies as Lee, Wang, Chirikjian, Robotica 25:739 (2007). Each hinge's
+relative twist y = E V is split into one soft row (the free direction) and five hard rows (the locked ones).
+With W = M0^-1 the bodies' inverse inertias, A = E_s W E_s^T, B = E_s W E_h^T and H = E_h W E_h^T:
+
+    M^-1 = A - B H^-1 B^T,    ln det M = sum of ln det M_b + ln det H.
+
+Two hinges couple in H only through a common body. Eliminating a hinge therefore changes only its parent
+body's W, whatever the number of its siblings: no fill-in, O(n).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers, floats, frozen, read_only
+from protochain.core.errors import BodyError
+from protochain.mechanics.multibody.algebra import (
+    Vector,
+    add,
+    add_pair,
+    cross,
+    dot,
+    hinge_axis,
+    kernel,
+    lever,
+    pair,
+    scale,
+    subtract,
+)  # fmt: skip
+from protochain.mechanics.multibody.kinematics import Frames
+from protochain.mechanics.multibody.newton_euler import multiply_mass
+from protochain.mechanics.multibody.small import cholesky, solve_lower, solve_upper
+from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Tree, V
+
+EPS = float(np.finfo(float).eps)
+TOO_THIN = 1e-10
+"""Squared radius of gyration, in squared lengths of the mechanism: bodies of a hundred-thousandth of a bond.
+Each refinement gains about as many digits as eps over this leaves."""
+_REFINEMENTS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """Factors of H at one pose.
+
+    Parameters
+    ----------
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
+    inverse_inertia : (nb, 6, 6) float
+        Inverse inertia W of each body about its origin, world axes: wrench -> twist.
+    factor : (nb, 6, 6) float
+        Cholesky factor of each hinge's block of H at its elimination.
+    gain : (nb, 6, 6) float
+        Inverse of that block times the block that couples the hinge to its parent body.
+    n_hard : (nb,) int
+        Number of directions locked by each hinge; all six by a driven one.
+    """
+
+    tree: Tree
+    frames: Frames
+    inverse_inertia: Floats
+    factor: Floats
+    gain: Floats
+    n_hard: Integers
+
+
+def eliminate(tree: Tree, frames: Frames) -> Eliminated:
+    """Factorise H at one pose, by one inward sweep.
+
+    Parameters
+    ----------
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
+
+    Returns
+    -------
+    Eliminated
+        Factors of H.
+
+    Raises
+    ------
+    MechanicsError
+        If a body has no mass, or is a point or a line, so that it has no inverse inertia.
+
+    Notes
+    -----
+    Block elimination of H (after Lee, Wang, Chirikjian 2007), leaf to root. O(n).
+    """
+    n = tree.n_bodies
+    thin = _thinness(tree) <= TOO_THIN
+    if np.any(thin):
+        raise BodyError(
+            int(np.argmax(thin)),
+            "a point or a line has no inverse inertia, and what is nearly one none "
+            "of use; share the mass of an atom on its hinge's axis with it, or use method articulated",
+        )
+    inverse = _inverse_inertias(tree, frames)
+    factor, gain, n_hard = np.empty((n, 6, 6)), np.empty((n, 6, 6)), 6 - np.diff(tree.locked_links[:, V])
+    failed = _eliminate(
+        tree.links, n_hard, tree.bodies, frames.rotation, frames.origin, inverse.copy(), factor, gain
+    )
+    if failed >= 0:
+        raise BodyError(failed, "its hinge's block of H is singular to round-off")
+    return Eliminated(
+        tree, frames, frozen(inverse), frozen(factor), frozen(gain), read_only(n_hard, np.int64)
+    )
+
+
+def respond(factors: Eliminated, wrench: Floats) -> Floats:
+    """Twists due to impulses on the bodies and reactions of the hinges: (W - W E_h^T H^-1 E_h W) wrench.
+
+    Parameters
+    ----------
+    factors : Eliminated
+    wrench : (nb, 6) float
+        Moments about the bodies' origins and forces, world axes.
+
+    Returns
+    -------
+    (nb, 6) float
+    """
+    tree, frames = factors.tree, factors.frames
+    impulse = floats(wrench, (tree.n_bodies, 6), "wrench").copy()
+    twists = np.empty((tree.n_bodies, 6))
+    _respond(
+        tree.links, factors.n_hard, tree.bodies, frames.rotation, frames.origin, factors.inverse_inertia,
+        factors.factor, factors.gain, impulse, twists,
+    )  # fmt: skip
+    return twists
+
+
+def solve(factors: Eliminated, tau: Floats) -> Floats:
+    """Solve M x = tau by x = (A - B H^-1 B^T) tau.
+
+    Parameters
+    ----------
+    factors : Eliminated
+    tau : (n_v,) float
+
+    Returns
+    -------
+    (n_v,) float
+
+    Notes
+    -----
+    A tau is the response of unconnected bodies, often far larger than that of the chain, so that digits
+    cancel. Iterative refinement with M x from Newton-Euler recovers them (Higham, *Accuracy and Stability of
+    Numerical Algorithms*, 2002, theorem 12.3): one step, and more for bodies that are almost lines or points.
+    """
+    tree, frames = factors.tree, factors.frames
+    tau = floats(tau, (tree.n_v,), "tau")
+    x = _solve_once(factors, tau)
+    for _ in range(_REFINEMENTS):
+        change = _solve_once(factors, tau - multiply_mass(tree, frames, x))
+        x = x + change
+        if np.linalg.norm(change) <= 4.0 * EPS * np.linalg.norm(x):
+            break
+    return x
+
+
+def _thinness(tree: Tree) -> Floats:
+    """(nb,) float: squared radius of gyration about the worst axis, in squared lengths of the mechanism."""
+    length = np.linalg.norm(tree.offset[tree.parent >= 0], axis=1)
+    own = np.maximum(np.linalg.norm(tree.com, axis=1), np.max(length, initial=0.0))
+    moments = np.linalg.eigvalsh(tree.inertia)
+    # A point at its own origin, alone, or a body without mass has nothing to compare with: nor any inertia.
+    return np.asarray(moments[:, 0] / (tree.mass * own**2 + moments[:, 2] + np.finfo(float).tiny))
+
+
+def _solve_once(factors: Eliminated, tau: Floats) -> Floats:
+    tree, frames = factors.tree, factors.frames
+    wrench = np.zeros((tree.n_bodies, 6))
+    _add_soft_loads(
+        tree.links, tree.bodies, frames.rotation, frames.origin,
+        tau, wrench,
+    )  # fmt: skip
+    rates = soft_rates(tree, frames, respond(factors, wrench))
+    if tree.driven is not None:
+        # No solution depends on their torques; of their rates rounding is left.
+        rates[tree.driven_v] = 0.0
+    return rates
+
+
+def soft_rates(tree: Tree, frames: Frames, twists: Floats) -> Floats:
+    """Hinge rates E_s V of bodies that move with these twists.
+
+    Parameters
+    ----------
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
+    twists : (nb, 6) float
+
+    Returns
+    -------
+    (n_v,) float
+    """
+    rates = np.empty(tree.n_v)
+    _soft_rates(
+        tree.links, tree.bodies, frames.rotation, frames.origin,
+        floats(twists, (tree.n_bodies, 6), "twists"), rates,
+    )  # fmt: skip
+    return rates
+
+
+def log_det(factors: Eliminated) -> float:
+    """Logarithm of det M: sum of ln det M_b plus ln det H.
+
+    Parameters
+    ----------
+    factors : Eliminated
+
+    Returns
+    -------
+    float
+        Value of ln det M, with M in amu nm^2 (amu for slides).
+    """
+    tree = factors.tree
+    bodies = 3.0 * np.sum(np.log(tree.mass)) + np.sum(np.linalg.slogdet(tree.inertia)[1])
+    pivots = np.diagonal(factors.factor, axis1=1, axis2=2)
+    used = np.arange(6) < factors.n_hard[:, None]
+    return float(bodies + 2.0 * np.sum(np.log(pivots, where=used, out=np.zeros_like(pivots))))
+
+
+def _inverse_inertias(tree: Tree, frames: Frames) -> Floats:
+    """(nb, 6, 6): [[J, -J [c]x], [[c]x J, 1/m - [c]x J [c]x]], J = I^-1 about the centre of mass at c."""
+    r = frames.rotation
+    inverse = r @ np.linalg.inv(tree.inertia) @ r.swapaxes(1, 2)
+    c = np.cross(np.eye(3), np.einsum("bij,bj->bi", r, tree.com)[:, None, :])
+    out = np.empty((tree.n_bodies, 6, 6))
+    out[:, :3, :3] = inverse
+    out[:, 3:, :3] = c @ inverse
+    out[:, :3, 3:] = out[:, 3:, :3].swapaxes(1, 2)
+    out[:, 3:, 3:] = np.eye(3) / tree.mass[:, None, None] - c @ inverse @ c
+    return out
+
+
+@kernel
+def _hard_rows(rotation: Floats, bodies: Floats, b: int, n_hard: int, rows: Floats) -> None:
+    """Write an orthogonal basis of the hinge's locked directions, of determinant one with its soft row.
+
+    The soft row is rotation about z, or translation along z if the hinge does not turn. A screw locks
+    translation other than by its pitch.
+    """
+    rows[:] = 0.0
+    for i in range(3):
+        rows[0, i] = rotation[b, i, 0]
+        rows[1, i] = rotation[b, i, 1]
+        rows[2, 3 + i] = rotation[b, i, 0]
+        rows[3, 3 + i] = rotation[b, i, 1]
+        if n_hard == 6:
+            rows[4, i] = rotation[b, i, 2]
+            rows[5, 3 + i] = rotation[b, i, 2]
+        elif bodies[b, TURN] != 0.0:
+            rows[4, i] = -bodies[b, SLIDE] * rotation[b, i, 2]
+            rows[4, 3 + i] = rotation[b, i, 2]
+        else:
+            rows[4, i] = rotation[b, i, 2]
+
+
+@kernel
+def _carry(arm: Vector, inverse: Floats, out: Floats) -> None:
+    """Move a parent's W to a child's origin: X W, X = [[1, 0], [-[arm]x, 1]]."""
+    for j in range(6):
+        x, y, z = cross(arm, (inverse[0, j], inverse[1, j], inverse[2, j]))
+        out[0, j], out[1, j], out[2, j] = inverse[0, j], inverse[1, j], inverse[2, j]
+        out[3, j], out[4, j], out[5, j] = inverse[3, j] - x, inverse[4, j] - y, inverse[5, j] - z
+
+
+@kernel
+def _eliminate(
+    links: Integers, n_hard: Integers, bodies: Floats, rotation: Floats, origin: Floats, inverse: Floats,
+    factor: Floats, gain: Floats,
+) -> int:  # fmt: skip
+    """Return the first body whose block fails, or -1. Overwrite ``inverse``."""
+    rows, carried, relative = np.empty((6, 6)), np.zeros((6, 6)), np.empty((6, 6))
+    for b in range(len(bodies) - 1, -1, -1):
+        p, m = links[b, PARENT], n_hard[b]
+        _hard_rows(rotation, bodies, b, m, rows)
+        relative[:] = inverse[b]
+        if p >= 0:
+            arm = lever(origin, b, p)
+            _carry(arm, inverse[p], carried)
+            for i in range(6):
+                x, y, z = cross(arm, (carried[i, 0], carried[i, 1], carried[i, 2]))
+                for j in range(3):
+                    relative[i, j] += carried[i, j]
+                relative[i, 3] += carried[i, 3] - x
+                relative[i, 4] += carried[i, 4] - y
+                relative[i, 5] += carried[i, 5] - z
+        for i in range(m):
+            for j in range(i + 1):
+                factor[b, i, j] = 0.0
+                for k in range(6):
+                    for n in range(6):
+                        factor[b, i, j] += rows[i, k] * relative[k, n] * rows[j, n]
+        if not cholesky(factor[b], m):
+            return b
+        if p >= 0:
+            coupling = rows[:m] @ carried
+            for j in range(6):
+                column = coupling[:, j].copy()
+                solve_lower(factor[b], m, column)
+                solve_upper(factor[b], m, column)
+                gain[b, :m, j] = column
+            inverse[p] -= coupling.T @ gain[b, :m]
+    return -1
+
+
+@kernel
+def _respond(
+    links: Integers, n_hard: Integers, bodies: Floats, rotation: Floats, origin: Floats, inverse: Floats,
+    factor: Floats, gain: Floats, impulse: Floats, twists: Floats,
+) -> None:  # fmt: skip
+    """Write the twists due to ``impulse`` and the reactions of the hinges."""
+    n = len(bodies)
+    rows, reaction, later = np.empty((6, 6)), np.zeros((n, 6)), np.zeros((n, 6))
+    for b in range(n):
+        twists[b] = inverse[b] @ impulse[b]
+    for b in range(n - 1, -1, -1):
+        p, m = links[b, PARENT], n_hard[b]
+        _hard_rows(rotation, bodies, b, m, rows)
+        omega, u = pair(twists, b)
+        relative = twists[b].copy()
+        if p >= 0:
+            omega, u = pair(twists, p)
+            x, y, z = cross(omega, lever(origin, b, p))
+            for i in range(3):
+                relative[i] -= omega[i]
+            relative[3] -= u[0] + x
+            relative[4] -= u[1] + y
+            relative[5] -= u[2] + z
+        reaction[b, :m] = rows[:m] @ relative
+        if p >= 0:
+            twists[p] += gain[b, :m].T @ reaction[b, :m]
+        solve_lower(factor[b], m, reaction[b])
+        solve_upper(factor[b], m, reaction[b])
+    for b in range(n):
+        # Reactions found so far act on the parent after this hinge's elimination: subtract their share.
+        p, m = links[b, PARENT], n_hard[b]
+        _hard_rows(rotation, bodies, b, m, rows)
+        locked = -reaction[b, :m]
+        if p >= 0:
+            locked += gain[b, :m] @ later[p]
+        load = rows[:m].T @ locked
+        later[b] += load
+        if p >= 0:
+            moment, force = (load[0], load[1], load[2]), (load[3], load[4], load[5])
+            x, y, z = cross(lever(origin, b, p), force)
+            later[p, 0] -= moment[0] + x
+            later[p, 1] -= moment[1] + y
+            later[p, 2] -= moment[2] + z
+            for i in range(3):
+                later[p, 3 + i] -= force[i]
+    for b in range(n):
+        twists[b] = inverse[b] @ (impulse[b] + later[b])
+
+
+@kernel
+def _add_soft_loads(
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, tau: Floats,
+    wrench: Floats,
+) -> None:  # fmt: skip
+    """Add E_s^T tau: the torque of each hinge on its body, and the opposite on the parent."""
+    for b in range(len(bodies)):
+        p, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
+        if n_v == 6:
+            wrench[b] += tau[k : k + 6]
+        elif n_v == 1:
+            axis = scale(tau[k], hinge_axis(rotation, b))
+            if bodies[b, TURN] != 0.0:
+                moment, force = axis, (0.0, 0.0, 0.0)
+            else:
+                moment, force = (0.0, 0.0, 0.0), axis
+            add_pair(moment, force, wrench, b)
+            if p >= 0:
+                moment = add(moment, cross(lever(origin, b, p), force))
+                add_pair(scale(-1.0, moment), scale(-1.0, force), wrench, p)
+
+
+@kernel
+def _soft_rates(
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, twists: Floats,
+    rates: Floats,
+) -> None:  # fmt: skip
+    for b in range(len(bodies)):
+        p, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
+        if n_v == 6:
+            rates[k : k + 6] = twists[b]
+        elif n_v == 1:
+            omega, u = pair(twists, b)
+            if p >= 0:
+                above, moving = pair(twists, p)
+                omega, u = subtract(omega, above), subtract(u, add(moving, cross(above, lever(origin, b, p))))
+            axis = hinge_axis(rotation, b)
+            rates[k] = dot(axis, omega) if bodies[b, TURN] != 0.0 else dot(axis, u)

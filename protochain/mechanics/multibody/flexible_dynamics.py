@@ -1,0 +1,236 @@
+"""Dynamics of trees of which some bodies bend: mass matrix in blocks, accelerations, momenta."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protochain.core.arrays import Floats, floats
+from protochain.core.errors import BodyError
+from protochain.mechanics.multibody.flexible import Bent, Flexible, bend
+from protochain.mechanics.multibody.flexible_kernels import (
+    put_changes,
+    put_gradient,
+    put_loads,
+    put_torques,
+    put_twists,
+    solve_bent,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Mass matrix by hinges (r) and amplitudes (f): [[rr, rf], [fr, ff]], fr the transpose of rf.
+
+    Parameters
+    ----------
+    rr, rf, ff : (r, r), (r, f) and (f, f) float
+    """
+
+    rr: Floats
+    rf: Floats
+    ff: Floats
+
+
+def velocities(flexible: Flexible, bent: Bent, qd: Floats) -> Floats:
+    """Twists (nn, 6) of all nodes about their places, world axes, for velocities qd (n_v,). O(n)."""
+    twists = np.empty((len(bent.origin), 6))
+    put_twists(
+        flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns,
+        floats(qd, (flexible.n_v,), "qd"), twists,
+    )  # fmt: skip
+    return twists
+
+
+def jacobian(flexible: Flexible, bent: Bent) -> Floats:
+    """Dense Jacobian of the nodes: their twists about their places are J qd.
+
+    Returns
+    -------
+    (nn, 6, n_v) float
+        Columns are the freedoms. O(n^2): for tests and small studies.
+    """
+    return np.stack([velocities(flexible, bent, unit) for unit in np.eye(flexible.n_v)], axis=2)
+
+
+def mass_matrix(flexible: Flexible, bent: Bent) -> Blocks:
+    """Mass matrix: the sum of J^T I J over all nodes. O(n^3).
+
+    Parameters
+    ----------
+    flexible, bent : Flexible, Bent
+        Bodies and their frames.
+
+    Returns
+    -------
+    Blocks
+        By hinges and amplitudes.
+    """
+    j, r, mass = jacobian(flexible, bent), flexible.tree.n_v, flexible.sections.mass
+    inertia = bent.rotation @ flexible.sections.inertia @ bent.rotation.swapaxes(1, 2)
+    moved = np.concatenate([inertia @ j[:, :3], mass[:, None, None] * j[:, 3:]], axis=1)
+    m = j.reshape(-1, flexible.n_v).T @ moved.reshape(-1, flexible.n_v)
+    return Blocks(m[:r, :r], m[:r, r:], m[r:, r:])
+
+
+def pull_back(flexible: Flexible, bent: Bent, wrench: Floats) -> Floats:
+    """Torques (n_v,) of wrenches (nn, 6) on the nodes about their places, world axes: J^T wrench. O(n)."""
+    return _pulled(flexible, bent, floats(wrench, (len(bent.origin), 6), "wrench").copy())
+
+
+def inverse_dynamics(
+    flexible: Flexible, q: Floats, qd: Floats, qdd: Floats, wrench: Floats | None = None
+) -> Floats:
+    """Torques M qdd + c(q, qd) - J^T wrench, without elastic ones.
+
+    Parameters
+    ----------
+    flexible, q : Flexible and (n_q,) float
+        Bodies and their coordinates.
+    qd, qdd : (n_v,) float
+        Velocities and accelerations.
+    wrench : (nn, 6) float, optional
+        External moment and force on each node about its place, world axes.
+
+    Returns
+    -------
+    (n_v,) float
+        Torques. O(n).
+    """
+    return _torques(flexible, bend(flexible, q), q, qd, qdd, wrench)
+
+
+def forward_dynamics(
+    flexible: Flexible, q: Floats, qd: Floats, tau: Floats, wrench: Floats | None = None
+) -> Floats:
+    """Accelerations, which solve M qdd + c(q, qd) = tau + J^T wrench.
+
+    Parameters
+    ----------
+    flexible, q : Flexible and (n_q,) float
+        Bodies and their coordinates.
+    qd, tau : (n_v,) float
+        Velocities, and torques with the elastic ones, see ``multibody.flexible.elastic``; of
+        driven hinges their accelerations.
+    wrench : (nn, 6) float, optional
+        External moment and force on each node about its place, world axes.
+
+    Returns
+    -------
+    (n_v,) float
+        Accelerations; those of driven hinges as given. O of the sum of cubes of the numbers of shapes.
+
+    Raises
+    ------
+    MechanicsError
+        If M is singular.
+    """
+    bent, given, driven = bend(flexible, q), np.zeros(flexible.n_v), flexible.tree.driven_v
+    given[driven] = tau[driven]
+    return solve(flexible, bent, tau - _torques(flexible, bent, q, qd, given, wrench)) + given
+
+
+def solve(flexible: Flexible, bent: Bent, tau: Floats) -> Floats:
+    """Solve M x = tau by one inward and one outward sweep; x is 0 where hinges are driven.
+
+    Parameters
+    ----------
+    flexible, bent : Flexible, Bent
+        Bodies and their frames.
+    tau : (n_v,) float
+
+    Returns
+    -------
+    (n_v,) float
+
+    Raises
+    ------
+    MechanicsError
+        If M is singular; the message names the body.
+
+    Notes
+    -----
+    As ``multibody.articulated``, with a body's amplitudes eliminated before its hinge.
+    """
+    _, mass, inertia, *_ = flexible.arrays
+    x = floats(tau, (flexible.n_v,), "tau").copy()
+    failed = solve_bent(
+        flexible.links, flexible.seats, mass, inertia, bent.rotation, bent.origin, bent.columns, x
+    )
+    if failed >= 0:
+        raise BodyError(
+            failed,
+            "its hinge or one of its shapes has no inertia at this pose, so accelerations are undefined",
+        )
+    return x
+
+
+def momenta(flexible: Flexible, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
+    """Canonical momenta p = M qd, and the gradient of the kinetic energy at constant velocities. O(n).
+
+    Parameters
+    ----------
+    flexible, q : Flexible and (n_q,) float
+        Bodies and their coordinates.
+    qd : (n_v,) float
+        Velocities.
+
+    Returns
+    -------
+    (n_v,) float; (n_v,) float
+        Momenta; gradient, the sum over all nodes of (dJ/dt)^T times momentum, also for a free root.
+        Lagrange's equations are dp/dt = tau + gradient.
+    """
+    bent = bend(flexible, q)
+    twists, changes = _twists(flexible, bent, q, qd)
+    felt = _momenta_of_nodes(flexible, bent, twists)
+    p, gradient = _pulled(flexible, bent, felt), np.empty(flexible.n_v)
+    put_gradient(
+        flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns, twists, changes, felt,
+        gradient,
+    )  # fmt: skip
+    return p, gradient
+
+
+def multiply_mass(flexible: Flexible, bent: Bent, x: Floats) -> Floats:
+    """Product M x (n_v,) without forming M. O(n)."""
+    return _pulled(flexible, bent, _momenta_of_nodes(flexible, bent, velocities(flexible, bent, x)))
+
+
+def _momenta_of_nodes(flexible: Flexible, bent: Bent, twists: Floats) -> Floats:
+    """(nn, 6) float: each node's angular momentum about its place, and linear momentum."""
+    turn, of = bent.rotation, flexible.sections
+    own = (twists[:, None, :3] @ turn) @ of.inertia @ turn.swapaxes(1, 2)
+    return np.concatenate([own[:, 0], of.mass[:, None] * twists[:, 3:]], axis=1)
+
+
+def _pulled(flexible: Flexible, bent: Bent, felt: Floats) -> Floats:
+    """J^T felt (nn, 6), which is overwritten by what the nodes carry."""
+    tau = np.empty(flexible.n_v)
+    put_torques(flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns, felt, tau)
+    return tau
+
+
+def _twists(flexible: Flexible, bent: Bent, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
+    """Twists (nn, 6) of the nodes, and the rates at which their columns change (nn, K, 6)."""
+    _, _, _, _, turns, shortening = flexible.arrays
+    twists, changes = velocities(flexible, bent, qd), np.zeros_like(bent.columns)
+    put_changes(
+        flexible.links, turns, shortening, bent.rotation, bent.columns, floats(q, (flexible.n_q,), "q"),
+        floats(qd, (flexible.n_v,), "qd"), twists, changes,
+    )  # fmt: skip
+    return twists, changes
+
+
+def _torques(
+    flexible: Flexible, bent: Bent, q: Floats, qd: Floats, qdd: Floats, wrench: Floats | None
+) -> Floats:
+    _, mass, inertia, *_ = flexible.arrays
+    twists, changes = _twists(flexible, bent, q, qd)
+    loads = np.empty_like(twists)
+    put_loads(
+        flexible.links, flexible.seats, mass, inertia, bent.rotation, bent.origin, bent.columns, twists,
+        changes, floats(qd, (flexible.n_v,), "qd"), floats(qdd, (flexible.n_v,), "qdd"), loads,
+    )  # fmt: skip
+    if wrench is not None:
+        loads -= floats(wrench, loads.shape, "wrench")
+    return _pulled(flexible, bent, loads)

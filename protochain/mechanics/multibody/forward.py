@@ -1,0 +1,119 @@
+"""Forward dynamics by three sweeps: outward, inward, outward. O(n)."""
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers, floats
+from protochain.mechanics.multibody.algebra import (
+    MASSLESS,
+    ZERO,
+    add_rigid,
+    kernel,
+    matrix,
+    pair,
+    put,
+    put_inertia,
+    put_matrix,
+    put_pair,
+    rigid_inertia,
+    subtract,
+    vector,
+    vector_at,
+)  # fmt: skip
+from protochain.mechanics.multibody.articulated import accelerate, articulate, refuse_singular, solve
+from protochain.mechanics.multibody.kinematics import WORLD, moved_freely, pose, seat, turned_by_hinge
+from protochain.mechanics.multibody.newton_euler import (
+    AT_REST,
+    carried_along,
+    inertial_loads,
+    load,
+    motion_of,
+    moved_by_hinge,
+    put_motion,
+)
+from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
+from protochain.mechanics.multibody.trigonometry import cosines_and_sines
+
+
+def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Floats | None = None) -> Floats:
+    """Solve M qdd + c(q, qd) = tau + J^T wrench for the accelerations qdd.
+
+    Parameters
+    ----------
+    tree, q : Tree and (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
+        Rigid bodies and their coordinates.
+    qd, tau : (n_v,) float, rad/ps (nm/ps for slides) and kJ/mol
+        Velocities and torques; of driven hinges the accelerations, in place of torques.
+    wrench : (nb, 6) float, optional, kJ/mol/rad and kJ/mol/nm
+        Moment on each body about its origin, force; world axes.
+
+    Returns
+    -------
+    (n_v,) float, rad/ps^2 (nm/ps^2 for slides)
+        Accelerations; those of driven hinges as given. Their torques are then
+        :func:`~protochain.mechanics.multibody.inverse_dynamics` there.
+
+    Raises
+    ------
+    MechanicsError
+        If M is singular.
+
+    Notes
+    -----
+    The Newton-Euler loads at qdd = 0 are subtracted, and articulated bodies solve for the accelerations:
+    Featherstone (2008). O(n).
+    """
+    if wrench is None:
+        loads = np.zeros((tree.n_bodies, 6))
+    else:
+        loads = floats(wrench, (tree.n_bodies, 6), "wrench").copy()
+    x = floats(tau, (tree.n_v,), "tau").copy()
+    if not tree.is_plain:
+        return _by_parts(tree, q, qd, x, loads)
+    q, qd = floats(q, (tree.n_q,), "q"), floats(qd, (tree.n_v,), "qd")
+    refuse_singular(_forward(tree.links, tree.bodies, q, qd, loads, x), q)
+    return x
+
+
+def _by_parts(tree: Tree, q: Floats, qd: Floats, x: Floats, wrench: Floats) -> Floats:
+    """Accelerations by sweeps of their own, where hinges are driven or bodies have no mass."""
+    frames, given = pose(tree, q), np.zeros(tree.n_v)
+    given[tree.driven_v] = x[tree.driven_v]
+    loads = inertial_loads(tree, frames, qd, given) - wrench
+    return solve(articulate(tree, frames), x, loads) + given
+
+
+@kernel
+def _forward(links: Integers, bodies: Floats, q: Floats, qd: Floats, wrench: Floats, x: Floats) -> int:
+    """Overwrite tau in ``x`` by accelerations, and the external ``wrench``."""
+    n = len(bodies)
+    rotation, origin, packed = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 21))
+    motions = np.empty((n, 9))
+    cosine, sine = np.empty(len(q)), np.empty(len(q))
+    cosines_and_sines(q, cosine, sine)
+    for b in range(n):
+        p, k, j = links[b, PARENT], links[b, Q], links[b, V]
+        n_v = links[b + 1, V] - j
+        (above, start), motion = WORLD, AT_REST
+        if p >= 0:
+            above, start, motion = matrix(rotation, p), vector(origin, p), motion_of(motions, p)
+        turn, at = seat(bodies, b, above, start)
+        if n_v == 1:
+            round_axis, along = bodies[b, TURN], bodies[b, SLIDE]
+            turn, at = turned_by_hinge(turn, at, round_axis, along, q[k], cosine[k], sine[k])
+            motion = carried_along(motion, subtract(at, start))
+            axis = turn[2], turn[5], turn[8]
+            motion = moved_by_hinge(motion, axis, round_axis, along, qd[j], 0.0)
+        elif n_v == 6:
+            turn, at = moved_freely(at, q, k)
+            motion = vector_at(qd, j), ZERO, ZERO
+        else:
+            motion = carried_along(motion, subtract(at, start))
+        put_matrix(turn, rotation, b)
+        put(at, origin, b, 0)
+        put_motion(motion, motions, b)
+        rigid = rigid_inertia(turn, bodies, b)
+        put_inertia(add_rigid(MASSLESS, rigid), packed, b)
+        moment, force = load(rigid, motion)
+        given_moment, given_force = pair(wrench, b)
+        put_pair(subtract(moment, given_moment), subtract(force, given_force), wrench, b)
+    return accelerate(links, bodies, rotation, origin, packed, wrench, x)

@@ -1,0 +1,253 @@
+"""Impacts of trees of rigid bodies, with and without loops: instantaneous impulses at points of contact.
+
+M (qd+ - qd-) = G^T L, with G the rows of the points' relative velocities u = G qd, so that u+ = u- + W L,
+W = G M^-1 G^T. After Lidstrom (2015), instantaneous impulses; Keller, J. Appl. Mech. 53:1 (1986); Stronge,
+*Impact Mechanics* (2000); Glocker, Pfeiffer, Nonlinear Dyn. 7:471 (1995).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Value, floats, frozen, read_only
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.multibody import complementarity, impulse_path
+from protochain.mechanics.multibody.articulated import Articulated, solve
+from protochain.mechanics.multibody.impulse_points import ContactPoint, Struck, twists_of
+from protochain.mechanics.multibody.operational import Rows
+
+Law = Literal["newton", "poisson", "stronge"]
+"""Law of restitution: of velocities, of normal impulses, of the work of the normal impulse."""
+Order = Literal["together", "in turn"]
+"""Several points at once, or one after the other, the fastest first, until none approaches."""
+_LAWS = {
+    "newton": impulse_path.NEWTON, "poisson": impulse_path.POISSON, "stronge": impulse_path.STRONGE,
+}  # fmt: skip
+_ORDERS = ("together", "in turn")
+_TURNS = 1000
+"""Turns after which what still approaches stops at once: blows without end pass less and less on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Impact(Value):
+    """What an impact does.
+
+    Parameters
+    ----------
+    qd : (n_v,) float
+        Velocities after it.
+    impulse : (k, 3) float
+        Impulse on the second body of each point, world axes.
+    before, after : (k, 3) float
+        Velocities of the second body relative to the first at each point, world axes.
+    compression : (k,) float
+        Normal impulse up to the end of the compression; of points in turn, the sum of all.
+    loops : (m,) float
+        Impulses of the rows of the loops.
+    work : float
+        Change of the kinetic energy.
+    """
+
+    qd: Floats
+    impulse: Floats
+    before: Floats
+    after: Floats
+    compression: Floats
+    loops: Floats
+    work: float
+
+
+def impact(
+    factors: Articulated,
+    qd: Floats,
+    points: Sequence[ContactPoint],
+    law: Law = "poisson",
+    loops: Rows | None = None,
+    order: Order = "together",
+) -> Impact:
+    """Find impulses and velocities of an impact with Coulomb friction.
+
+    Parameters
+    ----------
+    factors : Articulated
+        Rigid bodies, their frames, and factors of M there (:func:`articulate`).
+    qd : (n_v,) float
+        Velocities before.
+    points : sequence of ContactPoint
+        Points of contact, also those that do not approach.
+    law : str
+        Law of restitution: ``newton`` u_n+ = -e u_n-, ``poisson`` p = (1 + e) p_c, ``stronge`` work of
+        restitution = e^2 times that of compression. Poisson's and Stronge's never add energy.
+    loops : Rows, optional
+        Constraint rows that hold all the time.
+    order : str
+        Whether several points act ``together``, by Poisson's law, or ``in turn``, as if the bodies were a
+        little apart: the fastest first, until none approaches, by any law.
+
+    Returns
+    -------
+    Impact
+        Velocities after, impulses, change of energy.
+
+    Raises
+    ------
+    MechanicsError
+        If a point cannot be met, named with the reason: nothing gives way, friction too high for one
+        solution; M singular, rows of loops dependent; unknown laws and orders, and laws other than Poisson's
+        for several points together.
+
+    Notes
+    -----
+    One point: du/dp = W (1, t) over the normal impulse p (:mod:`impulse_path`), exact in the plane. Several
+    together: two complementarity problems, of compression and of restitution (:mod:`complementarity`);
+    velocities are unique, impulses at redundant points those of least norm. Where coefficients of restitution
+    differ, all are lowered by a common factor if the impact would add energy otherwise. O(n + k^2), and the
+    solution for k points.
+    """
+    _check(factors, points, law, order)
+    struck = Struck.of(factors, floats(qd, (factors.tree.n_v,), "qd"), points, loops)
+    local = np.zeros((2, 3 * len(points)))
+    approaching = struck.u[::3] < -struck.slow
+    for i in np.flatnonzero(approaching & ~struck.movable):
+        _refuse(impulse_path.IMMOVABLE, points[int(i)])
+    if np.any(approaching):
+        # Nothing happens where nothing can.
+        take = np.flatnonzero(struck.movable)
+        rows = (3 * take[:, None] + np.arange(3)).ravel()
+        some, chosen = struck.part(rows, take), [points[int(i)] for i in take]
+        if len(points) == 1:
+            local = _one(some, points[0], law)
+        elif order == "together":
+            local[:, rows] = _together(some, chosen)
+        else:
+            local[:, rows] = _in_turn(some, chosen, law)
+    return _after(struck, local[0], local[1, ::3])
+
+
+def close_loops(factors: Articulated, qd: Floats, rows: Rows) -> Floats:
+    """Close loops by a plastic impulse: G qd = 0.
+
+    Parameters
+    ----------
+    factors : Articulated
+        Rigid bodies, their frames, and factors of M there.
+    qd : (n_v,) float
+        Velocities before.
+    rows : Rows
+        Constraint rows G of the loops.
+
+    Returns
+    -------
+    (n_v,) float
+        Velocities after, the nearest in kinetic energy that the loops allow.
+
+    Raises
+    ------
+    MechanicsError
+        If the rows are linearly dependent.
+    """
+    return impact(factors, qd, (), loops=rows).qd
+
+
+def _after(struck: Struck, local: Floats, compression: Floats) -> Impact:
+    """What impulses (3 k,) along the points' axes do."""
+    tree, k = struck.factors.tree, len(struck.axes)
+    loops = struck.closed + struck.closing @ local
+    impulses = np.concatenate([loops, local])
+    loads = np.zeros((tree.n_bodies, 6))
+    for side in (0, 1):
+        on = struck.rows.body[:, side] >= 0
+        np.add.at(loads, struck.rows.body[on, side], -impulses[on, None] * struck.rows.wrench[on, side])
+    change = solve(struck.factors, np.zeros(tree.n_v), loads) if np.any(impulses) else np.zeros(tree.n_v)
+    qd = struck.qd + change
+    m = len(loops)
+    before = struck.before
+    after = np.einsum("msk,msk->m", struck.rows.wrench, twists_of(struck.factors, struck.rows, qd))
+    impulse, seen, left = (
+        frozen(np.einsum("kij,ki->kj", struck.axes, x.reshape(k, 3))) for x in (local, before[m:], after[m:])
+    )
+    work = 0.5 * float(impulses @ (before + after))
+    return Impact(frozen(qd), impulse, seen, left, read_only(compression), frozen(loops), work)
+
+
+def _check(factors: Articulated, points: Sequence[ContactPoint], law: str, order: str) -> None:
+    if law not in _LAWS:
+        raise MechanicsError(f"law {law!r} is not known; choose newton, poisson or stronge")
+    if order not in _ORDERS:
+        raise MechanicsError(f"order {order!r} is not known; choose together or in turn")
+    if len(points) > 1 and order == "together" and law != "poisson":
+        raise MechanicsError(
+            f"several points together follow Poisson's law, not {law}; choose law poisson or order in turn"
+        )
+    for point in points:
+        for body in point.bodies:
+            if not -1 <= body < factors.tree.n_bodies:
+                raise MechanicsError(f"contact {point.name!r}: there is no body {body}")
+
+
+def _one(struck: Struck, point: ContactPoint, law: Law) -> Floats:
+    """(2, 3) float: impulse of one point, and that of its compression (normal)."""
+    out = np.empty(8)
+    status = impulse_path.follow(
+        struck.w,
+        struck.u,
+        point.friction,
+        point.restitution,
+        _LAWS[law],
+        struck.slow[0],
+        defaults.IMPACT_TOLERANCE,
+        out,
+    )
+    _refuse(status, point)
+    return np.array([out[:3], (out[3], 0.0, 0.0)])
+
+
+def _together(struck: Struck, points: Sequence[ContactPoint], plastic: bool = False) -> Floats:
+    """(2, 3 k) float: impulses, and those of the compression; without restitution if plastic."""
+    friction, restitution = _coefficients(points)
+    out = np.zeros((2, 3 * len(points)))
+    given = np.zeros(len(points)) if plastic else restitution
+    status = complementarity.restitute(struck.w, struck.u, friction, given, out)
+    if status != complementarity.SOLVED:
+        # Of several solutions, where they differ most; otherwise where friction is highest.
+        differ = np.linalg.norm(out[0].reshape(-1, 3), axis=1) * (friction > 0.0)
+        worst = points[int(np.argmax(differ if status == complementarity.SEVERAL else friction))]
+        raise MechanicsError(
+            f"contact {worst.name!r}: friction {worst.friction:g} is too high for one solution together with "
+            "the others; lower it, or take the points in turn"
+        )
+    return out
+
+
+def _in_turn(struck: Struck, points: Sequence[ContactPoint], law: Law) -> Floats:
+    """(2, 3 k) float: impulses, and those of the compressions, of one point after the other."""
+    friction, restitution = _coefficients(points)
+    out = np.zeros((2, 3 * len(points)))
+    status, i = impulse_path.follow_in_turn(
+        struck.w, struck.u, friction, restitution, _LAWS[law], struck.slow, defaults.IMPACT_TOLERANCE,
+        _TURNS, out,
+    )  # fmt: skip
+    if status != impulse_path.ENDLESS:
+        _refuse(status, points[i])
+        return out
+    rest = _together(replace(struck, u=struck.u + struck.w @ out[0]), points, plastic=True)
+    return out + rest
+
+
+def _coefficients(points: Sequence[ContactPoint]) -> tuple[Floats, Floats]:
+    """Friction and restitution, (k,) each."""
+    return np.array([point.friction for point in points]), np.array([point.restitution for point in points])
+
+
+def _refuse(status: int, point: ContactPoint) -> None:
+    reasons = {
+        impulse_path.IMMOVABLE: "nothing that touches there can move along its normal; leave it out",
+        impulse_path.JAMMED: f"it sticks, by friction {point.friction:g}, and cannot leave as "
+        "Newton's law asks; choose law poisson or stronge",
+        impulse_path.LOST: "its path has no end within the steps allowed; lower its friction",
+    }  # fmt: skip
+    if status in reasons:
+        raise MechanicsError(f"contact {point.name!r}: {reasons[status]}")

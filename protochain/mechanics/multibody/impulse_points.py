@@ -1,0 +1,177 @@
+"""Points of contact, and what of the bodies an impact there sees: rows, inverse inertia, velocities."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_solve
+
+from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.multibody.articulated import Articulated
+from protochain.mechanics.multibody.kinematics import Frames, velocities
+from protochain.mechanics.multibody.loops import factor_closed
+from protochain.mechanics.multibody.operational import Rows, operational_inverse
+
+_APART, _LOCKED = 1e-12, 1e-13
+"""Speed of approach, relative to those of the bodies there, and inverse inertia, relative to that without
+loops, that are rounding errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContactPoint(Value):
+    """A point at which two bodies, or a body and the world, touch.
+
+    Parameters
+    ----------
+    name : str
+        Name, for messages.
+    bodies : tuple of 2 int
+        Bodies; -1 for the world.
+    point : (3,) float
+        Its world position.
+    normal : (3,) float
+        Direction from the first body to the second, in the world, of any length.
+    friction : float
+        Coulomb's coefficient.
+    restitution : float
+        Coefficient of restitution, 0 to 1.
+
+    Raises
+    ------
+    MechanicsError
+        If a number cannot be what it stands for.
+    """
+
+    name: str
+    bodies: tuple[int, int]
+    point: Floats
+    normal: Floats
+    friction: float = 0.0
+    restitution: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("point", "normal"):
+            value = floats(getattr(self, name), (3,), f"{self.name}: {name}")
+            if not np.isfinite(value).all():
+                raise MechanicsError(f"contact {self.name!r}: its {name} is not finite")
+            object.__setattr__(self, name, read_only(value))
+        length = float(np.linalg.norm(self.normal))
+        if not length > 0.0:
+            raise MechanicsError(f"contact {self.name!r}: its normal has no direction")
+        object.__setattr__(self, "normal", frozen(self.normal / length))
+        if not 0.0 <= self.friction < np.inf:
+            raise MechanicsError(
+                f"contact {self.name!r}: its friction {self.friction:g} must be 0 or more, and finite"
+            )
+        if not 0.0 <= self.restitution <= 1.0:
+            raise MechanicsError(f"contact {self.name!r}: its restitution {self.restitution:g} is not 0 to 1")
+        if self.bodies[0] == self.bodies[1]:
+            raise MechanicsError(f"contact {self.name!r}: a body cannot touch itself")
+
+
+@dataclass(frozen=True, eq=False)
+class Struck:
+    """Points and loops at one moment: rows, inverse inertia, velocities.
+
+    Parameters
+    ----------
+    factors, qd, rows : Articulated, (n_v,) float, Rows
+        Rows: of the loops, then of the points along their own axes (normal, two tangential).
+    axes : (k, 3, 3) float
+        Axes of the points, as rows.
+    before : (m + 3 k,) float
+        Velocities along the rows.
+    w, u : (3 k, 3 k) float, (3 k,) float
+        Inverse inertia and velocities of the points, with the loops closed.
+    slow : (k,) float
+        Speeds of approach that are rounding errors.
+    movable : (k,) bool
+        Whether anything gives way along the normal.
+    closing : (m, 3 k) float
+        Impulses of the loops per impulse of the points.
+    closed : (m,) float
+        Impulses of the loops without those.
+    """
+
+    factors: Articulated
+    qd: Floats
+    rows: Rows
+    axes: Floats
+    before: Floats
+    w: Floats
+    u: Floats
+    slow: Floats
+    movable: np.ndarray
+    closing: Floats
+    closed: Floats
+
+    @classmethod
+    def of(
+        cls, factors: Articulated, qd: Floats, points: Sequence[ContactPoint], loops: Rows | None
+    ) -> "Struck":
+        """Of points in the frames of the factors; the velocities are those after the loops have closed."""
+        axes = np.array([_axes(*point.normal.tolist()) for point in points]).reshape(-1, 3, 3)
+        rows = _rows(factors.frames, points, axes)
+        m = 0
+        if loops is not None:
+            m = len(loops.body)
+            rows = Rows(np.concatenate([loops.body, rows.body]), np.concatenate([loops.wrench, rows.wrench]))
+        whole = operational_inverse(factors.tree, factors.frames, rows, factors)
+        twists = twists_of(factors, rows, qd)
+        before = np.einsum("msk,msk->m", rows.wrench, twists)
+        w, u = whole[m:, m:], before[m:]
+        closing, closed = np.zeros((m, len(u))), np.zeros(m)
+        if m:
+            upper = factor_closed(whole[:m, :m])
+            closing, closed = -cho_solve(upper, whole[:m, m:]), -cho_solve(upper, before[:m])
+            w, u = w + whole[m:, :m] @ closing, u + whole[m:, :m] @ closed
+        w = np.ascontiguousarray(0.5 * (w + w.T))
+        largest = np.einsum("msk,msk->m", np.abs(rows.wrench[m:]), np.abs(twists[m:]))
+        slow = _APART * largest.reshape(-1, 3).max(axis=1, initial=0.0)
+        free = np.diagonal(whole)[m:].reshape(-1, 3).max(axis=1, initial=0.0)
+        movable = np.diagonal(w)[::3] > _LOCKED * free
+        return cls(factors, qd, rows, axes, before, w, u.copy(), slow, movable, closing, closed)
+
+    def part(self, rows: Integers, take: Integers) -> "Struck":
+        """Some of the points: inverse inertia and velocities only."""
+        w, u = np.ascontiguousarray(self.w[np.ix_(rows, rows)]), self.u[rows]
+        return replace(self, w=w, u=u, slow=self.slow[take])
+
+
+def twists_of(factors: Articulated, rows: Rows, qd: Floats) -> Floats:
+    """(m, 2, 6) float: twists of the two bodies of each row; the world's is zero."""
+    twists = np.zeros((factors.tree.n_bodies + 1, 6))
+    twists[:-1] = velocities(factors.tree, factors.frames, qd)
+    # Index -1 finds the last, of the world.
+    return np.asarray(twists[rows.body])
+
+
+def _axes(x: float, y: float, z: float) -> list[list[float]]:
+    """Normal and two directions across it, (3, 3); a plane of two world axes has one of them within."""
+    a, b, c = abs(x), abs(y), abs(z)
+    # What of the world's axis that is most across the normal is across it altogether.
+    if a <= b and a <= c:
+        h = np.hypot(y, z)
+        first = [h, -x * y / h, -x * z / h]
+    elif b <= c:
+        h = np.hypot(x, z)
+        first = [-x * y / h, h, -y * z / h]
+    else:
+        h = np.hypot(x, y)
+        first = [-x * z / h, -y * z / h, h]
+    p, q, r = first
+    return [[x, y, z], first, [y * r - z * q, z * p - x * r, x * q - y * p]]
+
+
+def _rows(frames: Frames, points: Sequence[ContactPoint], axes: Floats) -> Rows:
+    """Rows of the velocities of the second bodies relative to the first, along the points' axes."""
+    k = len(points)
+    bodies = np.array([point.bodies for point in points], dtype=np.int64).reshape(k, 2)
+    at = np.array([point.point for point in points]).reshape(k, 1, 3)
+    # (k, 3, 2, 3): forces of 1 along each axis on the second body, of -1 on the first.
+    force = axes[:, :, None, :] * np.array([[-1.0], [1.0]])
+    arm = (at - frames.origin[bodies])[:, None]
+    wrench = np.concatenate([np.cross(arm, force), force], axis=3)
+    wrench[np.broadcast_to((bodies < 0)[:, None], (k, 3, 2))] = 0.0
+    return Rows(np.repeat(bodies, 3, axis=0), wrench.reshape(3 * k, 2, 6))

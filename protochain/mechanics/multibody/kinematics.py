@@ -1,0 +1,282 @@
+"""Frames, twists and generalised torques of rigid bodies, each by one O(n) sweep."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers, Value, floats, frozen
+from protochain.mechanics.multibody.algebra import (
+    IDENTITY,
+    ZERO,
+    Matrix,
+    Vector,
+    add,
+    add_pair,
+    cross,
+    dot,
+    hinge_axis,
+    kernel,
+    lever,
+    matrix,
+    pair,
+    put,
+    put_matrix,
+    put_pair,
+    scale,
+    subtract,
+    turned,
+    vector,
+)  # fmt: skip
+from protochain.mechanics.multibody.tree import AXES, OFFSET, PARENT, SLIDE, TURN, Q, Tree, V
+from protochain.mechanics.multibody.trigonometry import cosines_and_sines
+
+
+@dataclass(frozen=True, eq=False)
+class Frames(Value):
+    """World frames of the bodies at one q.
+
+    Parameters
+    ----------
+    rotation : (nb, 3, 3) float
+        Axes of the bodies in the world, as columns; the third is the hinge axis.
+    origin : (nb, 3) float, nm
+        Origins of the body frames, which lie on the hinge axes.
+    """
+
+    rotation: Floats
+    origin: Floats
+
+
+WORLD: tuple[Matrix, Vector] = (IDENTITY, ZERO)
+"""Parent frame of roots."""
+
+
+def pose(tree: Tree, q: Floats) -> Frames:
+    """World frames of all bodies at q, by one outward sweep.
+
+    Parameters
+    ----------
+    tree, q : Tree and (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
+        Rigid bodies and their coordinates.
+
+    Returns
+    -------
+    Frames
+        World frames of the bodies.
+
+    Notes
+    -----
+    Featherstone, *Rigid Body Dynamics Algorithms* (2008). O(n).
+    """
+    rotation = np.empty((tree.n_bodies, 3, 3))
+    origin = np.empty((tree.n_bodies, 3))
+    outward_frames(tree.links, tree.bodies, floats(q, (tree.n_q,), "q"), rotation, origin)
+    return Frames(frozen(rotation), frozen(origin))
+
+
+def velocities(tree: Tree, frames: Frames, qd: Floats) -> Floats:
+    """Compute the twists of the bodies, V = J qd, by one outward sweep.
+
+    Parameters
+    ----------
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
+    qd : (n_v,) float, rad/ps or nm/ps
+        Velocities.
+
+    Returns
+    -------
+    (nb, 6) float, rad/ps and nm/ps
+        Angular velocity, then velocity of the frame's origin, world axes.
+
+    Notes
+    -----
+    Featherstone, *Rigid Body Dynamics Algorithms* (2008). O(n).
+    """
+    twists = np.empty((tree.n_bodies, 6))
+    outward_twists(
+        tree.links, tree.bodies, frames.rotation, frames.origin, floats(qd, (tree.n_v,), "qd"), twists
+    )
+    return twists
+
+
+def jacobian(tree: Tree, frames: Frames) -> Floats:
+    """Dense Jacobian of the body twists: V = J qd.
+
+    Parameters
+    ----------
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
+
+    Returns
+    -------
+    (nb, 6, n_v) float
+        Columns are the degrees of freedom. O(n^2): for tests and small studies.
+    """
+    return np.stack([velocities(tree, frames, unit) for unit in np.eye(tree.n_v)], axis=2)
+
+
+def pull_back(tree: Tree, frames: Frames, wrench: Floats) -> Floats:
+    """Generalised torques tau = J^T wrench of loads on the bodies, by one inward sweep.
+
+    Parameters
+    ----------
+    tree, frames : Tree, Frames
+        Rigid bodies and their world frames.
+    wrench : (nb, 6) float, kJ/mol/rad and kJ/mol/nm
+        Moment on each body about its frame's origin, then force; world axes.
+
+    Returns
+    -------
+    (n_v,) float
+        Torques, kJ/mol per unit of q; a free root has (moment, force) about its frame's origin, world axes.
+
+    Notes
+    -----
+    The inward half of the recursive Newton-Euler algorithm without inertia: Featherstone, *Rigid Body
+    Dynamics Algorithms* (2008). O(n).
+    """
+    tau = np.empty(tree.n_v)
+    _inward_loads(
+        tree.links, tree.bodies, frames.rotation, frames.origin,
+        floats(wrench, (tree.n_bodies, 6), "wrench").copy(), tau,
+    )  # fmt: skip
+    return tau
+
+
+def integrate(tree: Tree, q: Floats, qd: Floats) -> Floats:
+    """Advance q along constant velocities qd for unit time, with quaternions of unit length.
+
+    Parameters
+    ----------
+    tree, q : Tree and (n_q,) float
+        Rigid bodies and their coordinates.
+    qd : (n_v,) float
+        Hinge rates; a free root rotates by the world-frame vector omega and moves by u.
+
+    Returns
+    -------
+    (n_q,) float
+        New coordinates; a free root is rotated by exp(omega), so that its twist is (omega, u) throughout.
+    """
+    moved = floats(q, (tree.n_q,), "q").copy()
+    move_along(tree.links, floats(qd, (tree.n_v,), "qd"), moved)
+    return moved
+
+
+@kernel
+def outward_frames(links: Integers, bodies: Floats, q: Floats, rotation: Floats, origin: Floats) -> None:
+    """Write the frames of :func:`pose`."""
+    cosine, sine = np.empty(len(q)), np.empty(len(q))
+    cosines_and_sines(q, cosine, sine)
+    for b in range(len(bodies)):
+        p, k = links[b, PARENT], links[b, Q]
+        n_q = links[b + 1, Q] - k
+        above, at = (matrix(rotation, p), vector(origin, p)) if p >= 0 else WORLD
+        turn, at = seat(bodies, b, above, at)
+        if n_q == 1:
+            turn, at = turned_by_hinge(turn, at, bodies[b, TURN], bodies[b, SLIDE], q[k], cosine[k], sine[k])
+        elif n_q == 7:
+            turn, at = moved_freely(at, q, k)
+        put_matrix(turn, rotation, b)
+        put(at, origin, b, 0)
+
+
+@kernel
+def seat(bodies: Floats, b: int, above: Matrix, at: Vector) -> tuple[Matrix, Vector]:
+    """Frame of body b at q = 0, from that of its parent."""
+    x = turned(above, vector(bodies, b, AXES))
+    y = turned(above, vector(bodies, b, AXES + 3))
+    z = turned(above, vector(bodies, b, AXES + 6))
+    at = add(at, turned(above, vector(bodies, b, OFFSET)))
+    return (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]), at
+
+
+@kernel
+def turned_by_hinge(
+    seat: Matrix, at: Vector, turn: float, slide: float, q: float, cosine: float, sine: float
+) -> tuple[Matrix, Vector]:
+    """Frame of a body with its hinge at q, from the frame at q = 0."""
+    c, s = (cosine, sine) if turn != 0.0 else (1.0, 0.0)
+    x, y, z = (seat[0], seat[3], seat[6]), (seat[1], seat[4], seat[7]), (seat[2], seat[5], seat[8])
+    x, y = add(scale(c, x), scale(s, y)), subtract(scale(c, y), scale(s, x))
+    at = add(at, scale(slide * q, z))
+    return (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]), at
+
+
+@kernel
+def moved_freely(at: Vector, q: Floats, k: int) -> tuple[Matrix, Vector]:
+    """Frame of a free root: rotation by the quaternion w + ix + jy + kz, which need not have unit length."""
+    w, x, y, z = q[k], q[k + 1], q[k + 2], q[k + 3]
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    turn = (
+        1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),
+        s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x),
+        s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y),
+    )  # fmt: skip
+    return turn, add(at, (q[k + 4], q[k + 5], q[k + 6]))
+
+
+@kernel
+def outward_twists(
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, qd: Floats, twists: Floats
+) -> None:
+    """Write the twists of :func:`velocities`."""
+    for b in range(len(bodies)):
+        p, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
+        omega, u = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        if p >= 0:
+            omega, u = pair(twists, p)
+            u = add(u, cross(omega, lever(origin, b, p)))
+        if n_v == 1:
+            axis = hinge_axis(rotation, b)
+            omega = add(omega, scale(bodies[b, TURN] * qd[k], axis))
+            u = add(u, scale(bodies[b, SLIDE] * qd[k], axis))
+        elif n_v == 6:
+            omega, u = (qd[k], qd[k + 1], qd[k + 2]), (qd[k + 3], qd[k + 4], qd[k + 5])
+        put_pair(omega, u, twists, b)
+
+
+@kernel
+def _inward_loads(
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, wrench: Floats, tau: Floats
+) -> None:
+    """Write tau; accumulate loads inward in ``wrench``."""
+    for b in range(len(bodies) - 1, -1, -1):
+        p, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
+        moment, force = pair(wrench, b)
+        if n_v == 1:
+            axis = hinge_axis(rotation, b)
+            tau[k] = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
+        elif n_v == 6:
+            tau[k], tau[k + 1], tau[k + 2] = moment
+            tau[k + 3], tau[k + 4], tau[k + 5] = force
+        if p >= 0:
+            arm = lever(origin, b, p)
+            add_pair(add(moment, cross(arm, force)), force, wrench, p)
+
+
+@kernel
+def move_along(links: Integers, qd: Floats, q: Floats) -> None:
+    """Overwrite q by :func:`integrate`."""
+    for b in range(len(links) - 1):
+        k, m = links[b, Q], links[b, V]
+        n_q = links[b + 1, Q] - k
+        if n_q == 1:
+            q[k] += qd[m]
+        elif n_q == 7:
+            x, y, z = qd[m], qd[m + 1], qd[m + 2]
+            half = 0.5 * np.sqrt(x * x + y * y + z * z)
+            # sin(half)/(2 half) by its series near zero, where the quotient loses digits.
+            s = 0.5 * np.sin(half) / half if half > 1e-4 else 0.5 - half * half / 12.0
+            aw, ax, ay, az = np.cos(half), s * x, s * y, s * z
+            length = np.sqrt(q[k] ** 2 + q[k + 1] ** 2 + q[k + 2] ** 2 + q[k + 3] ** 2)
+            bw, bx, by, bz = q[k] / length, q[k + 1] / length, q[k + 2] / length, q[k + 3] / length
+            q[k] = aw * bw - ax * bx - ay * by - az * bz
+            q[k + 1] = aw * bx + ax * bw + ay * bz - az * by
+            q[k + 2] = aw * by - ax * bz + ay * bw + az * bx
+            q[k + 3] = aw * bz + ax * by - ay * bx + az * bw
+            for i in range(3):
+                q[k + 4 + i] += qd[m + 3 + i]

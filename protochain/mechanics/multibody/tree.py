@@ -1,0 +1,384 @@
+"""Mechanism: a forest of rigid bodies, each joined to its parent by one hinge."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.errors import BodyError, MechanicsError
+
+PARENT, Q, V = range(3)
+"""Columns of :attr:`Tree.links`."""
+OFFSET, AXES, MASS, FIRST_MOMENT, SECOND_MOMENTS, TURN, SLIDE = 0, 3, 12, 13, 16, 22, 23
+"""First columns of these in :attr:`Tree.bodies`. One array, since a call pays for every array argument."""
+NO_INERTIA = 1e-12
+"""Moment of inertia about an axis, relative to the sum of all three, below which it is rounding error."""
+
+
+class HingeKind(IntEnum):
+    """Kind of motion of a body relative to its parent (of a root: the world)."""
+
+    FIXED = 0
+    REVOLUTE = 1
+    FREE = 2
+    PRISMATIC = 3
+    SCREW = 4
+
+
+N_Q = {kind: {HingeKind.FIXED: 0, HingeKind.FREE: 7}.get(kind, 1) for kind in HingeKind}
+N_V = {kind: {HingeKind.FIXED: 0, HingeKind.FREE: 6}.get(kind, 1) for kind in HingeKind}
+"""Numbers of coordinates and velocities of each kind. FREE: quaternion (w, x, y, z), position; (omega, u)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tree(Value):
+    """Forest of rigid bodies in which every parent comes before its children.
+
+    The frame of body ``b`` relative to its parent is a translation by ``offset[b]``, a rotation by
+    ``placement[b]``, and then the hinge, along the z axis of the frame: REVOLUTE turns by q, PRISMATIC
+    slides by q, SCREW turns by q and slides by ``pitch[b]`` q. FREE turns by a quaternion and moves by a
+    vector (Featherstone, *Rigid Body Dynamics Algorithms*, 2008, sections 4.1 and 4.4).
+
+    Parameters
+    ----------
+    parent : (nb,) int
+        Parent of each body, ``-1`` for a root; ``parent[b] < b``.
+    kind : (nb,) int
+        Kind of the hinge between each body and its parent, a :class:`HingeKind`.
+    offset : (nb, 3) float, nm
+        Origin of the body's frame in the parent's frame at q = 0.
+    placement : (nb, 3, 3) float
+        Rotation of the body's frame in the parent's frame at q = 0.
+    mass, com : (nb,) float, amu, and (nb, 3) float, nm
+        Mass, and centre of mass in the body's frame. A body may be without mass, as between the two hinges
+        of a universal joint, if what is outward of it resists its hinge.
+    inertia : (nb, 3, 3) float, amu nm^2
+        Inertia tensor about the centre of mass, along the body's axes.
+    pitch : (nb,) float, nm/rad, optional
+        Translation per radian of SCREW hinges.
+    driven : (nb,) bool, optional
+        Hinges of one freedom whose motion is prescribed: solutions with M leave their freedoms out, and
+        :func:`~protochain.mechanics.multibody.forward_dynamics` is told their accelerations. None by default.
+
+    Raises
+    ------
+    MechanicsError
+        If a parent does not come before its child, an array has a wrong shape or unphysical values, a
+        hinge has no inertia, or what is driven is not a hinge of one freedom.
+    """
+
+    parent: Integers
+    kind: Integers
+    offset: Floats
+    placement: Floats
+    mass: Floats
+    com: Floats
+    inertia: Floats
+    pitch: Floats | None = None
+    driven: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.parent)
+        if self.pitch is None:
+            object.__setattr__(self, "pitch", np.zeros(n))
+        for name, dtype, shape in (
+            ("parent", np.int64, (n,)), ("kind", np.int64, (n,)), ("offset", float, (n, 3)),
+            ("placement", float, (n, 3, 3)), ("mass", float, (n,)), ("com", float, (n, 3)),
+            ("inertia", float, (n, 3, 3)), ("pitch", float, (n,)),
+        ):  # fmt: skip
+            array = read_only(getattr(self, name), dtype)
+            if array.shape != shape:
+                raise MechanicsError(f"{name} of a tree of {n} bodies has shape {array.shape}, not {shape}")
+            if not np.all(np.isfinite(array)):
+                raise BodyError(_first(~np.isfinite(array)), f"its {name} is not finite")
+            object.__setattr__(self, name, array)
+        _check_topology(self)
+        object.__setattr__(self, "driven", _driven(self))
+        _check_geometry(self)
+        _check_inertia(self)
+
+    @property
+    def n_bodies(self) -> int:
+        """Number of bodies."""
+        return len(self.parent)
+
+    @cached_property
+    def q_start(self) -> Integers:
+        """(nb + 1,) int: body b's coordinates are ``q[q_start[b]:q_start[b + 1]]``."""
+        return _starts(self.kind, N_Q)
+
+    @cached_property
+    def v_start(self) -> Integers:
+        """(nb + 1,) int: body b's freedoms are ``qd[v_start[b]:v_start[b + 1]]``."""
+        return _starts(self.kind, N_V)
+
+    @cached_property
+    def hinged(self) -> Integers:
+        """(k,) int: bodies with one freedom."""
+        return read_only(np.flatnonzero(np.diff(self.v_start) == 1), np.int64)
+
+    @cached_property
+    def massless(self) -> Integers:
+        """(k,) int: bodies without mass."""
+        return read_only(np.flatnonzero(self.mass == 0.0), np.int64)
+
+    @cached_property
+    def is_plain(self) -> bool:
+        """Whether no hinge is driven and every body has mass."""
+        return self.driven is None and len(self.massless) == 0
+
+    @cached_property
+    def driven_q(self) -> Integers:
+        """(k,) int: coordinates of the driven hinges."""
+        return read_only(self.q_start[:-1][self._is_driven], np.int64)
+
+    @cached_property
+    def driven_v(self) -> Integers:
+        """(k,) int: freedoms of the driven hinges."""
+        return read_only(self.v_start[:-1][self._is_driven], np.int64)
+
+    @cached_property
+    def undriven_v(self) -> Integers:
+        """(n_v - k,) int: all other freedoms."""
+        return read_only(np.setdiff1d(np.arange(self.n_v), self.driven_v), np.int64)
+
+    @property
+    def _is_driven(self) -> NDArray[np.bool_]:
+        return np.zeros(self.n_bodies, dtype=np.bool_) if self.driven is None else self.driven
+
+    @cached_property
+    def twist(self) -> Floats:
+        """(nb, 2) float: turn (rad) and slide (nm) along the hinge's axis for each unit of q."""
+        twist = np.zeros((self.n_bodies, 2))
+        twist[self.kind == HingeKind.REVOLUTE] = 1.0, 0.0
+        twist[self.kind == HingeKind.PRISMATIC] = 0.0, 1.0
+        screw = self.kind == HingeKind.SCREW
+        assert self.pitch is not None
+        twist[screw, 0], twist[screw, 1] = 1.0, self.pitch[screw]
+        return read_only(twist)
+
+    @cached_property
+    def rigid(self) -> Floats:
+        """(nb, 10) float: mass, first moment and xx, xy, xz, yy, yz, zz about the frame's origin."""
+        about_origin = self.inertia + self.mass[:, None, None] * _squared_cross(self.com)
+        rows, columns = np.triu_indices(3)
+        moment = self.mass[:, None] * self.com
+        return read_only(np.column_stack([self.mass, moment, about_origin[:, rows, columns]]))
+
+    @cached_property
+    def links(self) -> Integers:
+        """(nb + 1, 3) int: parent, q_start, v_start, as read by the sweeps."""
+        parent = np.append(self.parent, len(self.parent) - 1)
+        return read_only(np.column_stack([parent, self.q_start, self.v_start]), np.int64)
+
+    @cached_property
+    def locked_links(self) -> Integers:
+        """(nb + 1, 3) int: :attr:`links` of the tree with its driven hinges fixed.
+
+        Read by sweeps that solve with M: so a hinge is locked there, at no cost where none is driven.
+        """
+        if self.driven is None:
+            return self.links
+        before = np.concatenate([[0], np.cumsum(self.driven)])
+        return read_only(self.links - np.outer(before, [0, 1, 1]), np.int64)
+
+    @cached_property
+    def bodies(self) -> Floats:
+        """(nb, 24) float: offset, columns of placement, rigid, twist, as read by the sweeps."""
+        axes = self.placement.swapaxes(1, 2).reshape(self.n_bodies, 9)
+        return read_only(np.column_stack([self.offset, axes, self.rigid, self.twist]))
+
+    @cached_property
+    def size(self) -> float:
+        """Largest lever arm or radius of gyration of a body; 1 if all are points without lever arms.
+
+        It makes tolerances independent of the unit of length.
+        """
+        mass = np.where(self.mass > 0.0, self.mass, 1.0)
+        gyration = np.sqrt(np.trace(self.inertia, axis1=1, axis2=2) / mass)
+        arms = np.linalg.norm(np.concatenate([self.offset[self.parent >= 0], self.com]), axis=1)
+        size = max(np.max(gyration, initial=0.0), np.max(arms, initial=0.0))
+        return float(size) if size > 0.0 else 1.0
+
+    @cached_property
+    def units(self) -> Floats:
+        """(n_v,) float: of each freedom, what a radian or a :attr:`size` is in it."""
+        return self._units(self.v_start, 3)
+
+    @cached_property
+    def coordinate_units(self) -> Floats:
+        """(n_q,) float: as :attr:`units`, of each coordinate; those of a quaternion are pure numbers."""
+        return self._units(self.q_start, 4)
+
+    def _units(self, starts: Integers, n_turning: int) -> Floats:
+        out, first = np.ones(starts[-1]), starts[:-1]
+        out[first[self.kind == HingeKind.PRISMATIC]] = self.size
+        for start in first[self.kind == HingeKind.FREE]:
+            out[start + n_turning : start + n_turning + 3] = self.size
+        return read_only(out)
+
+    @cached_property
+    def n_q(self) -> int:
+        """Number of coordinates."""
+        return int(self.q_start[-1])
+
+    @cached_property
+    def n_v(self) -> int:
+        """Number of freedoms."""
+        return int(self.v_start[-1])
+
+
+def rigid_bodies(point_body: Integers, point: Floats, mass: Floats, n: int) -> tuple[Floats, Floats, Floats]:
+    """Mass, centre of mass and inertia of bodies made of point masses.
+
+    Parameters
+    ----------
+    point_body : (k,) int
+        Body of each point.
+    point : (k, 3) float, nm
+        Positions in the frames of the bodies.
+    mass : (k,) float, amu
+        Masses of the points.
+    n : int
+        Number of bodies.
+
+    Returns
+    -------
+    (n,) float; (n, 3) float; (n, 3, 3) float
+        Parameters ``mass``, ``com`` and ``inertia`` of :class:`Tree`; zeros for bodies without points.
+    """
+    total, first, second = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
+    np.add.at(total, point_body, mass)
+    np.add.at(first, point_body, mass[:, None] * point)
+    com = first / np.where(total > 0.0, total, 1.0)[:, None]
+    # About the centre of mass from the start: the parallel-axis theorem would cancel digits.
+    np.add.at(second, point_body, mass[:, None, None] * _squared_cross(point - com[point_body]))
+    return total, com, second
+
+
+def _starts(kind: Integers, sizes: dict[HingeKind, int]) -> Integers:
+    counts = np.array([sizes[k] for k in HingeKind])[kind]
+    return read_only(np.concatenate([[0], np.cumsum(counts)]), np.int64)
+
+
+def _squared_cross(c: Floats) -> Floats:
+    """-[c]x [c]x: the moment of inertia of a unit mass at c, (nb, 3, 3)."""
+    return np.sum(c * c, axis=1)[:, None, None] * np.eye(3) - c[:, :, None] * c[:, None, :]
+
+
+def _first(bad: np.ndarray) -> int:
+    return int(np.argwhere(bad)[0][0])
+
+
+def _check_topology(tree: Tree) -> None:
+    n = tree.n_bodies
+    late = (tree.parent >= np.arange(n)) | (tree.parent < -1)
+    if np.any(late):
+        b = _first(late)
+        raise BodyError(b, f"its parent {tree.parent[b]} must come before it")
+    strange = ~np.isin(tree.kind, list(HingeKind))
+    if np.any(strange):
+        b = _first(strange)
+        raise BodyError(b, f"{tree.kind[b]} is not a kind of hinge")
+    free = tree.kind == HingeKind.FREE
+    wrong = free & ((tree.parent >= 0) | np.any(tree.placement != np.eye(3), axis=(1, 2)))
+    if np.any(wrong):
+        raise BodyError(
+            _first(wrong),
+            "only a root can be free, and then without a placement: its coordinates are the world's",
+        )
+
+
+def _driven(tree: Tree) -> NDArray[np.bool_] | None:
+    """Return what is driven, checked; nothing if no hinge is."""
+    if tree.driven is None:
+        return None
+    n, driven = tree.n_bodies, np.asarray(tree.driven)
+    if driven.shape != (n,) or driven.dtype != np.bool_:
+        raise MechanicsError(
+            f"driven of a tree of {n} bodies is {driven.dtype} of shape {driven.shape}, not bool of ({n},)"
+        )
+    wrong = driven & (np.diff(tree.v_start) != 1)
+    if np.any(wrong):
+        b = _first(wrong)
+        raise BodyError(
+            b, f"only a hinge of one freedom can be driven, not a {HingeKind(tree.kind[b]).name} one"
+        )
+    return read_only(driven, np.bool_) if np.any(driven) else None
+
+
+def _check_geometry(tree: Tree) -> None:
+    product = tree.placement @ tree.placement.swapaxes(1, 2)
+    skew = np.any(np.abs(product - np.eye(3)) > 1e-9, axis=(1, 2)) | (np.linalg.det(tree.placement) < 0)
+    if np.any(skew):
+        raise BodyError(_first(skew), "its placement is not a rotation")
+
+
+def _check_inertia(tree: Tree) -> None:
+    if np.any(tree.mass < 0):
+        b = _first(tree.mass < 0)
+        raise BodyError(b, f"its mass {tree.mass[b]:g} must not be negative")
+    ghost = (tree.mass == 0) & np.any(tree.inertia != 0.0, axis=(1, 2))
+    if np.any(ghost):
+        raise BodyError(_first(ghost), "it has inertia but no mass")
+    size = np.trace(tree.inertia, axis1=1, axis2=2)
+    skew = np.any(
+        np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)) > 1e-9 * size[:, None, None], axis=(1, 2)
+    )
+    moments = np.linalg.eigvalsh(tree.inertia)
+    # No distribution of mass has a moment that exceeds the sum of the other two.
+    wrong = skew | (moments[:, 2] - moments[:, 1] - moments[:, 0] > 1e-9 * size) | (moments[:, 2] < 0)
+    if np.any(wrong):
+        raise BodyError(_first(wrong), "its inertia is not that of any rigid body")
+    moves = (np.diff(tree.v_start) > 0) & ~tree._is_driven
+    idle = moves & _carries_nothing(tree)
+    if np.any(idle):
+        raise BodyError(
+            _first(idle),
+            "neither it nor any body beyond it has mass, so nothing resists its hinge; "
+            "give it mass, or make the hinge FIXED or driven",
+        )
+    phantom = moves & _turns_nothing(tree)
+    if np.any(phantom):
+        raise BodyError(
+            _first(phantom),
+            "all mass beyond its hinge lies on the hinge's axis, so it has no inertia; make the hinge FIXED",
+        )
+
+
+def _carries_nothing(tree: Tree) -> np.ndarray:
+    """(nb,) bool: bodies without mass, with nothing but such bodies beyond them."""
+    empty = tree.mass == 0.0
+    if np.any(empty):
+        for b in range(tree.n_bodies - 1, -1, -1):
+            if tree.parent[b] >= 0:
+                empty[tree.parent[b]] &= empty[b]
+    return empty
+
+
+def _turns_nothing(tree: Tree) -> np.ndarray:
+    """(nb,) bool: phantom hinges, which turn only mass on their own axis, at every q.
+
+    A parent with a child is one only if all mass of the child lies on the parent's axis, too.
+    """
+    axial = tree.rigid[:, 9]
+    total = tree.rigid[:, 4] + tree.rigid[:, 7] + tree.rigid[:, 9]
+    on_axis = axial <= NO_INERTIA * total
+    turning = (tree.twist[:, 0] != 0) & (tree.twist[:, 1] == 0)
+    if not np.any(on_axis & turning):
+        return on_axis & turning
+    length = float(np.max(np.abs(tree.offset[tree.parent >= 0]), initial=0.0))
+    is_point = total <= NO_INERTIA * tree.mass * length**2
+    for b in range(tree.n_bodies - 1, -1, -1):
+        p = tree.parent[b]
+        if p < 0:
+            continue
+        along = np.hypot(*tree.offset[b, :2]) <= 1e-9 * float(np.linalg.norm(tree.offset[b]))
+        collinear = along and np.hypot(*tree.placement[b, :2, 2]) <= 1e-9
+        stays = is_point[b] and tree.twist[b, 1] == 0
+        on_axis[p] &= on_axis[b] and (collinear or (along and stays))
+        is_point[p] &= stays and not np.any(tree.offset[b])
+    return on_axis & turning

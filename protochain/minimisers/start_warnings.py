@@ -1,0 +1,129 @@
+"""What is wrong with a start and what will be done about it, said before a run; how far a run went."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from protochain.contacts import overlaps
+from protochain.core.arrays import Floats
+from protochain.minimisers.recipes import Recipe
+from protochain.structure.model import Structure
+from protochain.structure.superpose import rmsd_angstrom
+from protochain.validation.rings import threaded_rings
+from protochain.validation.violations import violations
+
+FAR = 2.0
+"""angstrom. C-alpha RMSD from the start at which the fold is no longer that of the input."""
+
+_SHOWN_RINGS = 3
+
+
+def outlook(structure: Structure, recipe: Recipe) -> list[str]:
+    """Say what is wrong with a start, and what a method does about it first.
+
+    Parameters
+    ----------
+    structure : Structure
+    recipe : Recipe
+
+    Returns
+    -------
+    list of str
+        A line for what is counted, one for each threaded ring, and one for what will be done; none for a
+        start without violations, overlaps and threaded rings.
+    """
+    crowd = len(overlaps(structure, structure.positions))
+    threaded, wrong = threaded_rings(structure), violations(structure)
+    counted = [f"{crowd} {'pair' if crowd == 1 else 'pairs'} of atoms overlap"] if crowd else []
+    if wrong:
+        counted.append(str(wrong))
+    lines = ["; ".join(counted)] if counted else []
+    lines += [str(ring) for ring in threaded[:_SHOWN_RINGS]]
+    if len(threaded) > _SHOWN_RINGS:
+        lines.append(f"and {len(threaded) - _SHOWN_RINGS} more threaded rings")
+    if crowd or threaded:
+        lines.append(f"{recipe.name}: {_way(recipe, bool(threaded))}; relax keeps the fold")
+    return lines
+
+
+def _way(recipe: Recipe, threaded: bool) -> str:
+    frees = threaded and bool(recipe.runs) and not recipe.in_torsions
+    if not (recipe.parts_overlaps or frees):
+        return "does not part overlaps gently first, and may end far from here"
+    ring = "draws bonds out of rings, " if threaded else ""
+    if not recipe.keeps_geometry:
+        return f"{ring}parts overlaps while springs hold the chain, then lets all atoms go"
+    ring = "; few bonds come out of a ring in this way: cartesian moves all atoms" if threaded else ""
+    return f"parts overlaps by turning bonds while springs hold the chain, then lets it go{ring}"
+
+
+def is_crowded(structure: Structure) -> bool:
+    """Whether atoms of a structure overlap, or a bond goes through a ring."""
+    return bool(overlaps(structure, structure.positions) or threaded_rings(structure))
+
+
+@dataclass
+class Straying:
+    """Watch over a run from a start with overlaps: it says once, and at once, that it has gone far.
+
+    Parameters
+    ----------
+    structure : Structure
+        The start.
+    tell : callable
+        Given the line.
+    told : bool
+        Whether it has said so.
+    """
+
+    structure: Structure
+    tell: Callable[[str], None]
+    told: bool = False
+
+    def __call__(self, x: Floats) -> None:
+        """Look at positions (na, 3) of the run."""
+        if not self.told and (line := strayed(self.structure, x)):
+            self.told = True
+            self.tell(line)
+
+
+def strayed(structure: Structure, x: Floats) -> str:
+    """Say how far positions (na, 3) are from a start with overlaps; empty within ``FAR``."""
+    alpha = structure.alpha_carbons
+    if len(alpha) <= 2 or not np.isfinite(x[alpha]).all():
+        return ""
+    away = rmsd_angstrom(x[alpha], structure.positions[alpha])
+    return f"{away:.1f} angstrom {_FROM_OVERLAPS}" if away > FAR else ""
+
+
+_FROM_OVERLAPS = "from a start whose atoms overlapped; relax keeps the fold"
+_HOLD = "--restrain or --max-rmsd (restraint=, max_rmsd= in Python)"
+
+
+def how_far(away: float, recipe: Recipe, start: Structure, turned: bool) -> str:
+    """Say how far an end is from its start, and what keeps a run nearer.
+
+    Parameters
+    ----------
+    away : float, angstrom
+        C-alpha RMSD.
+    recipe : Recipe
+        The method.
+    start : Structure
+    turned : bool
+        Whether the run began from the start with its dihedrals turned, as one of many.
+
+    Returns
+    -------
+    str
+        Empty within ``FAR``.
+    """
+    if not away > FAR or len(start.alpha_carbons) <= 2:
+        return ""
+    if turned:
+        return f"{away:.1f} angstrom from the structure given; to stay nearer: a smaller spread"
+    near = f"cartesian with {_HOLD}" if recipe.by_openmm else _HOLD
+    near = f"cartesian, {_HOLD}" if recipe.in_torsions else near
+    origin = _FROM_OVERLAPS if is_crowded(start) else "from its start"
+    return f"{away:.1f} angstrom {origin}; to stay nearer: {near}"

@@ -1,0 +1,85 @@
+"""Hands of chiral atoms while a structure is relaxed: wrong ones are turned right, and none is lost."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers
+from protochain.structure.chirality import WELL_FORMED, chiral_atoms, volume
+from protochain.structure.model import Structure
+from protochain.validation.layout import peptides
+
+_STIFFNESS = 1e8
+"""kJ/mol/nm^6. To turn a hand against it costs about 1000 kJ/mol, more than overlaps and springs give."""
+_HEAVY, _WITH_HYDROGEN = 1.4e-3, 0.9e-3
+"""nm^3, volumes below which an atom is pushed. Of heavy atoms they are 2.5e-3 in ideal residues, and 1.8e-3
+with a hydrogen; in frames of dynamics they are above 1.6e-3 and 1.0e-3."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hands:
+    """Push of chiral atoms to their hands: E = k/2 sum (v0 - v)^2 over the volumes v that are below v0.
+
+    Volumes are those that three bonds of an atom span; all triples of its bonds count, so that its hydrogen
+    comes to the right side too. An atom of usual shape feels nothing.
+
+    Parameters
+    ----------
+    atoms : (n, 4) int
+        Centre and three neighbours, in an order of which the volume is to be positive.
+    least : (n,) float, nm^3
+        Volumes below which they are pushed.
+    """
+
+    atoms: Integers
+    least: Floats
+
+    @classmethod
+    def of(cls, structure: Structure) -> "Hands":
+        """Find the chiral atoms of a protein, and the hands that they should have.
+
+        These are those that the names of the residues in the file say, but where D-amino acids have names of
+        L, as in older files: residues whose C-alpha is well-formed and whose phi is positive, as theirs is,
+        and chains most of whose C-alphas are of the other hand keep what they have.
+        """
+        centres, rows = chiral_atoms(structure), list[tuple[int, ...]]()
+        for (centre, a, b, c), wanted in zip(centres.tolist(), _wanted(structure, centres), strict=True):
+            a, b = (a, b) if wanted > 0.0 else (b, a)
+            rows.append((centre, a, b, c))
+            for d in {*structure.neighbours[centre]} - {a, b, c}:
+                rows += [(centre, b, a, d), (centre, c, b, d), (centre, a, c, d)]
+        atoms = np.array(rows, dtype=np.int64).reshape(-1, 4)
+        hydrogen = (structure.atom_element[atoms] == "H").any(axis=1)
+        return cls(atoms, np.where(hydrogen, _WITH_HYDROGEN, _HEAVY))
+
+    def wrong(self, x: Floats) -> Integers:
+        """(n,) int: chiral atoms of the wrong hand at positions x (na, 3), nm."""
+        heavy = self.atoms[self.least == _HEAVY]
+        return np.unique(heavy[volume(x[heavy]) < 0.0, 0])
+
+    def __call__(self, x: Floats) -> tuple[float, Floats]:
+        """Energy and forces."""
+        forces, short = np.zeros_like(x), self.least - volume(x[self.atoms])
+        low = short > 0.0
+        atoms, short = self.atoms[low], short[low]
+        a, b, c = (x[atoms[:, k]] - x[atoms[:, 0]] for k in (1, 2, 3))
+        push = _STIFFNESS * short[:, None]
+        for k, gradient in enumerate((np.cross(b, c), np.cross(c, a), np.cross(a, b)), start=1):
+            np.add.at(forces, atoms[:, k], push * gradient)
+            np.subtract.at(forces, atoms[:, 0], push * gradient)
+        return float(0.5 * _STIFFNESS * short @ short), forces
+
+
+def _wanted(structure: Structure, centres: Integers) -> Floats:
+    """(n,) float: 1 for each centre of an L-amino acid, -1 for its mirror image."""
+    of, x = structure.atom_residue[centres[:, 0]], structure.positions
+    by_name = np.where(structure.mirrored[of], -1.0, 1.0)
+    size = volume(x[centres])
+    has = np.where(size < 0.0, -1.0, 1.0)
+    phi = peptides(structure, x)[0][of]
+    alpha, other = structure.atom_name[centres[:, 0]] == "CA", has != by_name
+    # NaN, at the start of a chain, may be that of D as well.
+    meant = alpha & other & (by_name > 0.0) & (np.abs(size) > WELL_FORMED) & ~(phi < 0.0)
+    chain, n = structure.residue_chain_index[of], structure.n_chains
+    mostly = np.bincount(chain, alpha & other, n) > 0.5 * np.bincount(chain, alpha, n)
+    return np.where(np.isin(of, of[meant]) | mostly[chain], has, by_name)

@@ -1,0 +1,243 @@
+"""What is found wrong with a structure at some positions: measured when asked for, counted and listed."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.chirality import wrong_atoms
+from protochain.structure.model import Structure
+from protochain.validation.cbeta import Deviations, cbeta_deviations
+from protochain.validation.clashes import Clashes, clashes
+from protochain.validation.fixed import FixedFaults, fixed_faults
+from protochain.validation.omega import Peptides, omegas
+from protochain.validation.ramachandran import CLASSES, REGIONS, Ramachandran, ramachandran
+from protochain.validation.rings import ThreadedRing, threaded_rings
+from protochain.validation.rotamers import SideChains, side_chains
+from protochain.validation.strain import Strain, strain
+from protochain.validation.violations import Violations, violations
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False)
+class Found(Value):
+    """What is found wrong with a structure at some positions.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm
+    """
+
+    structure: Structure
+    x: Floats
+
+    @cached_property
+    def violations(self) -> Violations:
+        """Structural violations."""
+        return violations(self.structure, self.x)
+
+    @cached_property
+    def clashes(self) -> Clashes:
+        """Clashes of all atoms."""
+        return clashes(self.structure, self.x)
+
+    @cached_property
+    def ramachandran(self) -> Ramachandran:
+        """Residues on the Ramachandran plot."""
+        return ramachandran(self.structure, self.x)
+
+    @cached_property
+    def side_chains(self) -> SideChains:
+        """Side chains and the nearest rotamers."""
+        return side_chains(self.structure, self.x)
+
+    @cached_property
+    def cbeta(self) -> Deviations:
+        """C-beta deviations."""
+        return cbeta_deviations(self.structure, self.x)
+
+    @cached_property
+    def peptides(self) -> Peptides:
+        """Peptide bonds."""
+        return omegas(self.structure, self.x)
+
+    @cached_property
+    def wrong_hands(self) -> Integers:
+        """Chiral atoms (n,) of the wrong hand."""
+        return wrong_atoms(self.structure, self.x, self.structure.mirrored)
+
+    @cached_property
+    def rings(self) -> list[ThreadedRing]:
+        """Rings that a bond goes through."""
+        return threaded_rings(self.structure, self.x)
+
+    @cached_property
+    def fixed(self) -> FixedFaults:
+        """Faults of what stands still beside the protein."""
+        return fixed_faults(self.structure, self.x)
+
+    @cached_property
+    def strain(self) -> Strain:
+        """Bonds and angles far from the force field's."""
+        return strain(self.structure, self.x)
+
+    def measures(self) -> dict[str, Any]:
+        """Values of all ``MEASURES``; None where nothing can be measured."""
+        values = {key: measure.value(self) for key, measure in MEASURES.items()}
+        return {key: value if np.isfinite(value) else None for key, value in values.items()}
+
+    def table(self) -> "pd.DataFrame":
+        """Return a row for each residue of the protein; see :attr:`Validation.residues`."""
+        import pandas as pd
+
+        s, of = self.structure, self.structure.atom_residue
+        rama, peptides, sides = self.ramachandran, self.peptides, self.side_chains
+        nonplanar = np.where(peptides.cis, "cis", np.where(peptides.twisted, "twisted", "trans"))
+        columns = {
+            "chain": s.residue_chain,
+            "residue": np.char.add(s.residue_number, s.residue_insertion_code),
+            "name": s.residue_name,
+            "violation": self.violations.per_residue,
+            "clashes": self._count(self.clashes.pairs),
+            "phi_degrees": self._spread(rama.residue, rama.phi),
+            "psi_degrees": self._spread(rama.residue, rama.psi),
+            "ramachandran_class": self._spread(rama.residue, np.array(CLASSES)[rama.kind]),
+            "ramachandran_percent": self._spread(rama.residue, 100.0 * rama.score),
+            "ramachandran": self._spread(rama.residue, np.array(REGIONS)[rama.region]),
+            "omega_degrees": self._spread(peptides.residue, peptides.omega),
+            "peptide_bond": self._spread(peptides.residue, nonplanar),
+            "rotamer": self._spread(sides.residue, sides.rotamer),
+            "rotamer_outlier": np.isin(np.arange(s.n_residues), sides.outliers),
+            "cbeta_deviation_angstrom": self._spread(self.cbeta.residue, self.cbeta.deviation),
+            "wrong_hands": np.bincount(of[self.wrong_hands], minlength=s.n_residues),
+            "bond_outliers": self._count(self.strain.bonds),
+            "angle_outliers": self._count(self.strain.angles),
+            "threaded_rings": np.bincount([ring.residue for ring in self.rings], minlength=s.n_residues),
+            "atoms_added": np.bincount(of[s.built], minlength=s.n_residues),
+        }
+        return pd.DataFrame(columns).loc[np.unique(of[~s.kept])]
+
+    def _count(self, atoms: Integers) -> Integers:
+        """(nr,) int: how many rows of atoms touch each residue."""
+        residues = np.sort(self.structure.atom_residue[atoms], axis=1)
+        first = np.diff(residues, axis=1, prepend=-1) > 0
+        return np.bincount(residues[first], minlength=self.structure.n_residues)
+
+    def _spread(self, residue: Integers, values: Any) -> Any:
+        """(nr,): values of some residues; empty text or NaN for the others."""
+        of_all = np.full(self.structure.n_residues, np.nan if values.dtype.kind == "f" else "", object)
+        of_all[residue] = values
+        return of_all.astype(float) if values.dtype.kind == "f" else of_all
+
+    def listing(self) -> Iterator[tuple[int, str]]:
+        """Residues and what is wrong with each, in words, by kind of finding."""
+        s, of = self.structure, self.structure.atom_residue
+        kinds = {"bond": self.violations.bonds, "angle": self.violations.angles_ca_c_n,
+                 "clash": self.violations.clashes, "distance": self.violations.within}  # fmt: skip
+        kinds["angle"] = np.concatenate([kinds["angle"], self.violations.angles_c_n_ca])
+        concerned = {name: set(of[atoms].ravel().tolist()) for name, atoms in kinds.items()}
+        for r in self.violations.residues.tolist():
+            yield r, f"violation ({', '.join(name for name in kinds if r in concerned[name])})"
+        worst: dict[tuple[int, int], float] = {}
+        for (i, j), overlap in zip(of[self.clashes.pairs], self.clashes.overlap_angstrom, strict=True):
+            worst.setdefault((min(i, j), max(i, j)), overlap)
+        for (i, j), overlap in worst.items():
+            other = "within it" if i == j else f"with {s.describe_residue(j)}"
+            yield int(i), f"clash {other} ({overlap:.1f} angstrom)"
+        rama = self.ramachandran
+        for k in np.flatnonzero(rama.region == 0).tolist():
+            yield int(rama.residue[k]), f"Ramachandran outlier (phi {rama.phi[k]:.0f}, psi {rama.psi[k]:.0f})"
+        for r in self.side_chains.outliers.tolist():
+            yield r, "rotamer outlier"
+        for r, off in zip(*self.cbeta, strict=True):
+            if r in self.cbeta.outliers:
+                yield int(r), f"C-beta {off:.2f} angstrom from its place"
+        for r, omega, proline, cis, twisted in zip(*self.peptides, strict=True):
+            if twisted or (cis and not proline):
+                yield int(r), f"{'cis' if cis else 'twisted'} peptide bond before it (omega {omega:.0f})"
+        for atom in self.wrong_hands.tolist():
+            yield int(of[atom]), f"{s.atom_name[atom]} of the wrong hand"
+        for what, atoms in (("bond", self.strain.bonds), ("angle", self.strain.angles)):
+            first, counts = np.unique(of[atoms].min(axis=1), return_counts=True)
+            for r, count in zip(first.tolist(), counts.tolist(), strict=True):
+                yield r, f"{count} {what}{'s' * (count > 1)} strained"
+        for ring in self.rings:
+            yield ring.residue, str(ring)
+        for said, pairs in (("broken", self.fixed.bonds), ("a clash", self.fixed.clashes)):
+            for i, j in pairs.tolist():
+                apart = ANGSTROM_PER_NM * np.linalg.norm(self.x[i] - self.x[j])
+                other = "" if of[i] == of[j] else f" of {s.describe_residue(int(of[j]))}"
+                yield int(of[i]), f"{s.atom_name[i]} to {s.atom_name[j]}{other} {said} ({apart:.2f} angstrom)"
+
+
+class Measure(NamedTuple):
+    """A number by which structures are compared.
+
+    Parameters
+    ----------
+    what : str
+        What it is, in words.
+    heading : str
+        In tables of a terminal; without one it is not in them.
+    value : callable
+        Its value of a :class:`Found`.
+    whole : bool
+        Whether it is a whole number.
+    """
+
+    what: str
+    heading: str
+    value: Callable[[Found], Any]
+    whole: bool = True
+
+
+MEASURES = {
+    "violations": Measure(
+        "residues with violations, as AlphaFold counts them", "viol", lambda f: len(f.violations.residues)
+    ),
+    "clashscore_per_1000_atoms": Measure(
+        "clashes per 1000 atoms", "clash", lambda f: f.clashes.per_1000_atoms, False
+    ),
+    "ramachandran_outliers": Measure(
+        "Ramachandran outliers", "rama", lambda f: len(f.ramachandran.outliers)
+    ),
+    "ramachandran_favoured_percent": Measure(
+        "Ramachandran favoured, per cent", "fav %", lambda f: f.ramachandran.favoured_percent, False
+    ),
+    "rotamer_outliers": Measure(
+        "side chains far from every rotamer", "rota", lambda f: len(f.side_chains.outliers)
+    ),
+    "cbeta_outliers": Measure("C-beta outliers", "C-b", lambda f: len(f.cbeta.outliers)),
+    "cis_peptides": Measure(
+        "cis peptide bonds but those before proline", "cis",
+        lambda f: int(np.sum(f.peptides.cis & ~f.peptides.proline)),
+    ),
+    "cis_prolines": Measure(
+        "cis peptide bonds before proline", "", lambda f: int(np.sum(f.peptides.cis & f.peptides.proline))
+    ),
+    "twisted_peptides": Measure(
+        "twisted peptide bonds", "twist", lambda f: int(f.peptides.twisted.sum())
+    ),
+    "wrong_hands": Measure("chiral atoms of the wrong hand", "hand", lambda f: len(f.wrong_hands)),
+    "bond_outliers": Measure(
+        "bonds beyond 4 sigma of the force field's", "bond", lambda f: len(f.strain.bonds)
+    ),
+    "angle_outliers": Measure(
+        "angles beyond 4 sigma of the force field's", "angle", lambda f: len(f.strain.angles)
+    ),
+    "threaded_rings": Measure("rings that a bond goes through", "ring", lambda f: len(f.rings)),
+    "fixed_broken_bonds": Measure(
+        "broken bonds of what is fixed beside the protein", "", lambda f: len(f.fixed.bonds)
+    ),
+    "fixed_clashes": Measure(
+        "overlaps of what is fixed, by 1.5 angstrom", "", lambda f: len(f.fixed.clashes)
+    ),
+}  # fmt: skip
+"""All that :func:`measures` returns, by key."""
