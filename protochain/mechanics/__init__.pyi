@@ -1,0 +1,2 @@
+from . import motion as motion
+from . import multibody as multibody
