@@ -1,4 +1,4 @@
-"""HTML of values in notebooks; numbers with the right form of what they count; text cut to what a line holds."""
+"""HTML of values in notebooks, numbers with the right form of what they count, and text cut for messages."""
 
 from collections.abc import Mapping
 from html import escape

@@ -49,7 +49,8 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
                 )
             renamed += [f"{change} of {member}" for change in rename(member.atoms, template)]
             _check_heavy_atoms(draft, member, template)
-            missing = [name for name in template.heavy if not member.atom(name)]
+            there = {each.name for each in member.atoms}
+            missing = [name for name in template.heavy if name not in there]
             if "OXT" in missing:
                 missing.remove("OXT")
                 open_ended.append(member)
