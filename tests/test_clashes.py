@@ -180,7 +180,7 @@ def test_radii_follow_from_bonds():
 
 
 def test_memory_is_bounded_where_atoms_crowd():
-    """Two thousand pairs with 24 dots and 8 neighbours each go together: 400,000 rows of 100 bytes."""
+    """2000 pairs with 24 dots and 8 neighbours each are looked at together: 400,000 rows of 100 bytes."""
     s = load("1l2y.pdb")
     clashes(s)
     tracemalloc.start()

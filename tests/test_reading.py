@@ -3,7 +3,7 @@
 import gemmi
 import numpy as np
 import pytest
-from conftest import STRUCTURES, sentences
+from conftest import STRUCTURES, load, sentences
 
 import protochain as pc
 from protochain.structure import read as module
@@ -470,3 +470,27 @@ def test_an_entity_that_names_a_chain_twice_is_one():
     st.entities[0].subchains = [*st.entities[0].subchains] * 2
     settle(st, whole=True)
     assert st.entities[0].subchains == ["Axp"]
+
+
+def test_hydrogens_of_a_modified_residue_have_elements_where_the_file_has_no_columns_for_them(tmp_path):
+    """1HB of norleucine, as older programs write it, becomes a hydrogen of the leucine."""
+    text = (STRUCTURES / "1l2y.pdb").read_text().split("ENDMDL")[0].splitlines()
+    lines = [line[:66] for line in text if line.startswith("ATOM")]
+    own = [k for k, line in enumerate(lines) if line[22:26] == "   2"]
+    for k in own:
+        name = {" HB2": " 1HB", " HB3": " 2HB"}.get(lines[k][12:16], lines[k][12:16])
+        lines[k] = f"{lines[k][:12]}{name} NLE{lines[k][20:]}"
+    (tmp_path / "x.pdb").write_text("\n".join([*lines, "END", ""]))
+    s = pc.load(tmp_path / "x.pdb")
+    assert s.residue_name[1] == "LEU" and s.n_atoms == load("1l2y.pdb").n_atoms
+    assert {*s.atom_element[s.atom_residue == 1].tolist()} == {"C", "N", "O", "H"}
+
+
+def test_a_molecule_of_thousands_of_atoms_is_refused(tmp_path):
+    text = (STRUCTURES / "1l2y.pdb").read_text().split("ENDMDL")[0].splitlines()
+    at = "HETATM 1000 {:4} LIG B   1    {:8.3f}{:8.3f}  11.000  1.00  0.00           C"
+    more = [at.format(f"C{k:03}" if k < 1000 else f"D{k - 1000:03}" if k < 2000 else f"E{k - 2000:03}",
+            9.0 + 3.0 * (k % 50), 3.0 * (k // 50)) for k in range(2001)]  # fmt: skip
+    (tmp_path / "x.pdb").write_text("\n".join([*(x for x in text if x[:4] == "ATOM"), *more, "END", ""]))
+    with pytest.raises(pc.ProtochainError, match="residue 1 LIG of chain B has 2001 atoms"):
+        pc.load(tmp_path / "x.pdb", keep="all")

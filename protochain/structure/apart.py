@@ -21,8 +21,8 @@ _SAME_PLACE = 0.5
 _UPON, _SHARE = 1.0, 0.5
 """Angstrom: a chain lies upon another if this share of its C-alphas is this near to C-alphas of that one."""
 _CROWD, _CROWDED = 4.0, (200_000, 20)
-"""Angstrom; pairs of heavy atoms this near that any file may have, and more for each atom: packed well, one
-has six. What is looked at later, overlaps of atoms and who hides whom, grows with the square of crowds."""
+"""Angstrom; pairs of heavy atoms this near that any file may have, and more per atom. Well packed, an
+atom has six. What is looked at later, as overlaps and who hides whom, grows with the square of crowds."""
 _IDS = ascii_uppercase + ascii_lowercase + digits
 
 
@@ -91,7 +91,7 @@ def refuse_crowds(atoms: Sequence[gemmi.Atom], source: str) -> None:
         raise StructureError(
             f"{source}: its atoms lie upon one another: {pairs} pairs of heavy atoms are nearer than "
             f"{_CROWD:g} angstrom, where some {6 * tree.n} are usual; give fewer chains or molecules, or "
-            "correct positions"
+            "correct the positions"
         )
 
 

@@ -52,7 +52,8 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
                 for before, after in rename(member.atoms, template)
             ]
             _check_heavy_atoms(draft, member, template)
-            missing = [name for name in template.heavy if not member.atom(name)]
+            there = {each.name for each in member.atoms}
+            missing = [name for name in template.heavy if name not in there]
             if "OXT" in missing:
                 missing.remove("OXT")
                 open_ended.append(member)

@@ -28,6 +28,9 @@ _PHOSPHATE_BREAK, _PHOSPHATE_TORN = 2.5, 10.0
 """Angstrom: O3' and P further apart than this are not bonded (1.6), where numbers go on not than the second:
 then the strand is torn. Ends of two strands of a duplex are 15 apart and more."""
 _PHOSPHATE = ("P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
+_LARGEST = 2000
+"""Atoms of a molecule by element, none of which interact: memory grows with their square. The largest of the
+archive have some hundreds."""
 _BOND_SLACK, _BOND_SHORTEST = 0.4, 0.5
 """Angstrom: atoms at most this much further apart than the sum of their covalent radii are bonded, and not
 below the second."""
@@ -186,6 +189,11 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
         if not fits:
             first.atoms = whole
             for member in part.members:
+                if len(member.atoms) > _LARGEST:
+                    raise StructureError(
+                        f"{draft.source}: {member} has {len(member.atoms)} atoms, more than {_LARGEST}; "
+                        "give each molecule in it a number of its own, or leave it out by keep"
+                    )
                 member.own = by_element(member)
             if len(part.members) == 1:
                 users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)

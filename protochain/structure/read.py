@@ -284,6 +284,9 @@ class _Reader:
         atoms = [atom for atom in residue if atom.element != gemmi.Element("D")]
         self.draft.left_out["deuterium atoms"] += len(residue) - len(atoms)
         backbone = {*residues.BACKBONE} <= {atom.name for atom in atoms}
+        for atom in atoms if backbone else ():
+            # Without columns of elements gemmi knows none for 1HB of a modified residue.
+            atom.element = atom.element if atom.element.atomic_number else _element(atom)
         member = Member(
             name, str(residue.seqid.num), residue.seqid.icode.strip(), self.chain_id, atoms, state,
             is_d=gemmi.find_tabulated_residue(name).kind == gemmi.ResidueKind.AAD,

@@ -258,7 +258,7 @@ def _has_free_dot(structure: Structure, tree: cKDTree, pairs: Integers, share: F
         hidden[dot[np.where(own, depth > 0, stranger & (depth > reach[dot]))]] = True
 
     # Of many atoms upon one another the nearest hide most dots; for what is left all are looked at.
-    others = tree.query(dots, _NEAREST, distance_upper_bound=farthest)[1]
+    others = np.asarray(tree.query(dots, _NEAREST, distance_upper_bound=farthest)[1])
     dot, rank = np.nonzero(others < tree.n)
     hide(dot, others[dot, rank])
     left = np.flatnonzero(~hidden)
