@@ -32,9 +32,9 @@ SETUP = {
 OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}
 OWN = {**RUN, "tolerance": None}
 MINIMISE = {
-    "source": None, **OUTPUT, "method": "cartesian", "angle": None, **OWN, "restrain": "", "max_rmsd": None,
-    "starts": 1, "spread": None, "hop": None, "checkpoint": None, "resume": None, "trace": None,
-    "trajectory": None, "report": None, "no_curvature": False, "one_file": False, "seed": 0, **AS_JSON,
+    "source": None, **OUTPUT, "method": "cartesian", "angle": None, **OWN, "restraint": "", "max_rmsd": None,
+    "n_starts": 1, "spread": None, "hop_temperature": None, "checkpoint": None, "resume": None, "trace": None,
+    "trajectory": None, "report": None, "curvature": False, "one_file": False, "seed": 0, **AS_JSON,
     "force": False, **SETUP,
 }  # fmt: skip
 NOT_IN_BATCH = ("threads", "trust_forcefield")
@@ -44,14 +44,14 @@ COMMANDS = {
     "minimize": MINIMISE,
     "compare": {
         "source": None, **OUTPUT, "methods": "kcm,md,lbfgs,cartesian,openmm", "repeats": 3, "reference": None,
-        **RUN, "no_curvature": False, "seed": 0, **AS_JSON, "force": False,
+        **RUN, "curvature": False, "seed": 0, **AS_JSON, "force": False,
         **{k: v for k, v in SETUP.items() if k != "move"},
     },
     "batch": {
         "inputs": None, "output": Path("batch"), "methods": "cartesian", "manifest": None, "workers": None,
         "scheduler": None, "threads": 1, "time_limit": 3600.0, "null": False, "resume": False,
-        "dry_run": False, **OWN, "max_rmsd": None, "restrain": "", "starts": 1, "spread": None, "hop": None,
-        "no_curvature": False, "seed": 0,
+        "dry_run": False, **OWN, "max_rmsd": None, "restraint": "", "n_starts": 1, "spread": None,
+        "hop_temperature": None, "curvature": False, "seed": 0,
         "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
         "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_BATCH},
@@ -123,9 +123,7 @@ def test_every_option_has_its_name_default_and_help():
     assert not app.pretty_exceptions_enable
     for command, expected in COMMANDS.items():
         found = {each.name: each for each in program.commands[command].params}
-        assert {name: each.default for name, each in found.items()} == expected and list(found) == list(
-            expected
-        )
+        assert {name: each.default for name, each in found.items()} == expected
         for name, each in found.items():
             assert each.help and len(each.help) > 6, (command, name)
             is_argument = {(name, None), (name, command)} & ARGUMENTS
@@ -199,13 +197,14 @@ def test_the_version_is_that_of_the_package(capsys):
 
 
 def test_options_make_a_setup():
-    assert options._setup() == options._setup(keep=None, disulfide=[], ph=7.0) == Setup()
-    assert options._setup(no_disulfide=True).disulfide == ("none",) and Setup().disulfide is None
-    chosen = options._setup(disulfide=["A:3-A:40"], keep="water,ZN", threads=2, altloc="", chains="A, b")
+    setup = lambda **given: options._made(Setup, given)  # noqa: E731
+    assert setup() == setup(keep=None, disulfide=[], ph=7.0) == Setup()
+    assert setup(no_disulfide=True).disulfide == ("none",) and Setup().disulfide is None
+    chosen = setup(disulfide=["A:3-A:40"], keep="water,ZN", threads=2, altloc="", chains="A, b")
     assert (chosen.disulfide, chosen.keep, chosen.threads) == ((("A:3", "A:40"),), ("water", "ZN"), 2)
     assert chosen.chains == ("A", "b") and Setup().keep == ("near",)
-    only = options._setup(no_disulfide=True, disulfide=["A:3-A:40"]).disulfide
-    assert only == ("none", ("A:3", "A:40")) == options._setup(disulfide=["none", "A:3-A:40"]).disulfide
+    only = setup(no_disulfide=True, disulfide=["A:3-A:40"]).disulfide
+    assert only == ("none", ("A:3", "A:40")) == setup(disulfide=["none", "A:3-A:40"]).disulfide
     with pytest.raises(ProtochainError, match='names no bond; leave it out, or disulfide="none" drops'):
         Setup(disulfide=())
 

@@ -63,7 +63,7 @@ def test_every_file_is_taken_whole_or_refused_in_a_line(name):
         for residue in chain:
             if gemmi.find_tabulated_residue(residue.name).is_amino_acid():
                 number = str(residue.seqid).strip()
-                where = residues.describe(number, residue.name, chain.name.strip())
+                where = residues.Residue(chain.name.strip(), number, residue.name)
                 assert (chain.name.strip(), number) in there or f"{where}: left out" in said, where
     first, second = s.bonds.T
     lengths = np.linalg.norm(s.positions[first] - s.positions[second], axis=1)

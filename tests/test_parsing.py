@@ -11,6 +11,7 @@ import pytest
 import protochain as pc
 from protochain.structure import files
 from protochain.structure.files import check, parse
+from protochain.structure.repairs import Kind
 
 ATOM = "ATOM      1  CA  ALA A   1       1.000   2.000   3.000  1.00  0.00           C  "
 """80 columns."""
@@ -151,14 +152,15 @@ def test_letters_beyond_ascii_are_refused_in_the_used_columns_of_atoms_only(reco
 
 def corrected(*lines):
     overlooked = []
-    return files._corrected("\n".join(lines), "x", overlooked).split("\n"), overlooked
+    text = files._corrected("\n".join(lines), "x", overlooked)
+    return text.split("\n"), [(repair.kind, *repair.facts.values()) for repair in overlooked]
 
 
 def test_a_model_without_an_end_ends_where_the_next_begins():
     lines, overlooked = corrected(
         "MODEL 1", ATOM, "ENDMDL", "MODEL 2", ATOM, "MODEL 3", "model 4", "ENDMDL", "END"
     )
-    assert overlooked == ["2 models without an ENDMDL record end where the next begins"]
+    assert overlooked == [(Kind.NO_ENDMDL, 2)]
     assert lines == [
         "MODEL 1", ATOM, "ENDMDL", "MODEL 2", ATOM, "ENDMDL", "MODEL 3", "ENDMDL", "model 4", "ENDMDL", "END",
     ]  # fmt: skip
@@ -175,7 +177,7 @@ def test_records_that_are_not_used_are_left_out():
 def test_names_in_lower_case_are_read_in_upper_case_but_not_ids():
     low = "hetatm    1  cabbala b   1c      1.000   2.000   3.000  1.00  0.00      segm C  "
     up = "HETATM    1  CABbALA b   1c      1.000   2.000   3.000  1.00  0.00      segm C  "
-    assert corrected(low, ATOM, low) == ([up, ATOM, up], ["2 atom records in lower case read as upper case"])
+    assert corrected(low, ATOM, low) == ([up, ATOM, up], [(Kind.LOWER_CASE, 2)])
     for column, kept in (
         (6, True),
         (11, True),
@@ -198,9 +200,7 @@ def test_elements_and_charges_that_are_none_are_left_out():
         "REMARK", same[0], f"{plain:76s}QQ2+", ATOM, f"{plain:74s}12QQ", f"{plain:76s}OG"
     )
     assert lines == ["REMARK", same[0], plain, ATOM, f"{plain:74s}12", plain]
-    assert overlooked == [
-        "columns 77-78 of 3 atom records, from line 3 on, hold no element: elements derived from atom names"
-    ]
+    assert overlooked == [(Kind.NO_ELEMENT, 3, 3)]
     assert corrected(f"{plain:76s} C2A", f"{plain:76s} C 5") == ([f"{plain:76s} C"] * 2, [])
 
 

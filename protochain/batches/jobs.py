@@ -46,11 +46,14 @@ class BatchSettings(StartSettings, MinimiseSettings):
         How the structure is prepared; its ``threads`` are those of the batch.
     relaxing : RelaxSettings
         How ``relax`` does it; its tolerance is that of the batch, where one is given.
-
-    **settings
-        Fields of ``settings.MinimiseSettings``, of which the tolerance is also that of
-        ``relax``, and of ``settings.StartSettings``: with several starts, each method
-        is run as by :func:`protochain.explore`, and its best end is kept.
+    tolerance : float, optional
+        As in :func:`protochain.minimise`, :func:`protochain.relax`, or :func:`protochain.explore` of several
+        starts; by default, that of each.
+    max_evaluations, seed, restraint, max_rmsd, curvature : int, int, str, float, bool
+        As in :func:`protochain.minimise`.
+    n_starts, spread, hop_temperature : int, float, float
+        As in :func:`protochain.explore`, which runs each method if there are several starts; its best end is
+        kept.
 
     Raises
     ------

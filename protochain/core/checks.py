@@ -88,14 +88,14 @@ def number(value: Any, name: str) -> float:
     """Return a real number as it is."""
     if isinstance(value, Real) and not isinstance(value, bool):
         return value  # type: ignore[return-value]  # numpy's numbers, too
-    raise refused(name, shown(value), _instead(value, "a number"))
+    raise refused(name, shown(value), *_instead(value, "a number", name))
 
 
 def integer(value: Any, name: str) -> int:
     """Return a whole number as an int, also one that is given as 1e4."""
     if isinstance(value, Real) and not isinstance(value, bool) and float(value).is_integer():
         return int(value) if isinstance(value, Integral) else round(float(value))
-    raise refused(name, shown(value), _instead(value, "a whole number"))
+    raise refused(name, shown(value), *_instead(value, "a whole number", name))
 
 
 def quantity(unit: str) -> Check:
@@ -315,11 +315,11 @@ def shown(value: Any) -> str:
     return said if len(said) <= 60 else f"of type {type(value).__name__}"
 
 
-def _instead(value: Any, wanted: str) -> str:
+def _instead(value: Any, wanted: str, name: str) -> tuple[object, ...]:
     """What to give instead of a value; numbers in a text are shown without their quotes."""
     bare = value.strip() if isinstance(value, str) else ""
     try:
         float(bare)
     except ValueError:
-        return f"give {wanted}"
-    return f"give {wanted}, not a text: {bare}"
+        return (f"give {wanted}",)
+    return f"give {wanted}, not a text: ", Argument(name), f"={bare}"

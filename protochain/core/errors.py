@@ -41,10 +41,8 @@ class Angle:
 class ProtochainError(ValueError):
     """Bad input: one line that names the file, the place and the remedy.
 
-    Parameters
-    ----------
-    *parts : str, Argument or Angle
-        The line in parts. Its text names arguments as Python does; :meth:`told` as the caller knows them.
+    It is made of the line's parts, each a str, Argument or Angle. Its text names arguments as Python does,
+    :meth:`told` as the caller knows them.
     """
 
     def __str__(self) -> str:
