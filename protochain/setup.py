@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from protochain import defaults
 from protochain.checks import (
     Bond,
+    acidity,
     bonds,
     check_fields,
     cutoff_of,
@@ -15,7 +16,6 @@ from protochain.checks import (
     flag,
     integer,
     kinds,
-    number,
     optional,
     selection,
     text,
@@ -101,7 +101,7 @@ class Setup:
         check_fields(
             self, hinges=kinds, root=text, move=selection, forcefield=file_name, solvent=text, engine=text,
             cutoff=cutoff_of, threads=optional(integer), trust_forcefield=flag, model=_model, altloc=text,
-            keep=words, disulfide=optional(bonds), ph=number, strict=flag, chains=words,
+            keep=words, disulfide=optional(bonds), ph=acidity, strict=flag, chains=words,
         )  # fmt: skip
 
     def prepare(

@@ -10,13 +10,12 @@ from openmm import app, unit
 
 from protochain import defaults
 from protochain.arrays import Floats, floats
-from protochain.checks import plain, shown
+from protochain.checks import acidity, plain, shown
 from protochain.errors import StructureError
 from protochain.structure.draft import Draft, atom
 from protochain.structure.files import check
 from protochain.structure.model import Structure
 from protochain.structure.prepare import load, prepare, user_files
-from protochain.structure.protonate import check_ph
 from protochain.structure.read import Reading, read_structure
 from protochain.units import ANGSTROM_PER_NM
 
@@ -61,7 +60,7 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     forcefield, ph = user_files(settings.pop("forcefield", None)), settings.pop("ph", defaults.PH)
     disulfide = settings.pop("disulfide", None)
     settings.setdefault("keep", defaults.KEEP)
-    check_ph(ph)
+    acidity(ph, "ph")
     draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=forcefield))
     return prepare(draft, disulfide, ph, forcefield)
 

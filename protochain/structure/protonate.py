@@ -7,8 +7,6 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain import residues
-from protochain.checks import number
-from protochain.errors import StructureError
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.templates import Template, base_template, rename
 
@@ -200,15 +198,3 @@ class _Acceptors:
                 if way @ out > _STRAIGHT * np.linalg.norm(way):
                     return True
         return False
-
-
-def check_ph(ph: float) -> None:
-    """Refuse a pH outside 0 to 14.
-
-    Raises
-    ------
-    StructureError
-        Naming the pH.
-    """
-    if not 0.0 <= number(ph, "ph") <= 14.0:
-        raise StructureError(f"pH {ph:g}: give a number from 0 to 14")
