@@ -9,13 +9,13 @@ from protochain.core import defaults
 from protochain.core.checks import (
     NO_BONDS,
     Bond,
+    acidity,
     bonds,
     cutoff_of,
     file_name,
     flag,
     integer,
     kinds,
-    number,
     optional,
     selection,
     text,
@@ -126,7 +126,7 @@ class Setup(Settings):
         word=("no_disulfide", "No disulfide bonds but those of --disulfide.", NO_BONDS),
     )
     ph: float = setting(
-        defaults.PH, "pH for residues whose protonation the file does not show.", number, float
+        defaults.PH, "pH for residues whose protonation the file does not show.", acidity, float
     )
     strict: bool = setting(False, "Refuse chain breaks and incomplete backbones.", flag, bool)
     chains: tuple[str, ...] = setting(

@@ -280,6 +280,11 @@ def test_a_batch_lists_its_work_does_it_and_says_how_it_ended(tmp_path):
         ["a", "lbfgs,kcm"],
         ["b", "lbfgs,kcm"],
     ]
+    as_json = protochain("batch", "in", "--dry-run", "--methods", "lbfgs,kcm", "--json", cwd=tmp_path)
+    assert json.loads(as_json.stdout)["structures"] == [
+        {"structure": name, "methods": ["lbfgs", "kcm"], "input": str(tmp_path / "in" / f"{name}.pdb")}
+        for name in "ab"
+    ]
     work = ("batch", "in", "-o", "out", "--methods", "lbfgs", "--workers", 1)
     done = protochain(*work, cwd=tmp_path)
     assert done.returncode == 3 and "lbfgs: 1 converged, 1 refused" in done.stdout

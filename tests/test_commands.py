@@ -100,7 +100,8 @@ METAVARS = {
 }  # fmt: skip
 FLAGS = {
     "as_json": ["--json"], "output": ["-o", "--output"], "chains": ["--chain", "--chains"],
-    "null": ["--null", "-0"],
+    "null": ["--null", "-0"], "restraint": ["--restrain"], "n_starts": ["--starts"],
+    "hop_temperature": ["--hop"], "curvature": ["--no-curvature"],
 }  # fmt: skip
 SECONDARY = {"relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"]}
 ARGUMENTS = {

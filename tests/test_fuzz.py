@@ -1,6 +1,7 @@
 """Damaged files and odd options: work that is whole, or a refusal in one line that names the file."""
 
 import os
+import signal
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -63,7 +64,7 @@ PLANTED = {
     "none, it refuses": (lambda: refuses("in/ala10.pdb: atoms renamed", REFUSAL), []),
     "a traceback": (lambda: 1 / 0, ["status 70", "traceback"]),
     "no memory": (lambda: refuses("protochain: in/ala10.pdb: MemoryError"), ["memory"]),
-    "an abort": (os.abort, ["signal 6"]),
+    "a signal": (lambda: os.kill(os.getpid(), signal.SIGUSR1), [f"signal {signal.SIGUSR1:d}"]),
     "no end": (computes_for_ever, ["time"]),
     "an odd status": (lambda: sys.exit(5), ["status 5"]),
     "two refusals": (lambda: refuses(REFUSAL, REFUSAL), ["2 lines of refusal"]),

@@ -166,6 +166,10 @@ def test_selected_atoms_are_a_mask():
     with pytest.raises(pc.ProtochainError) as refused:
         select(S, "name QQ")
     assert str(refused.value) == "ring: selection 'name QQ' selects no atom; change it"
+    with pytest.raises(
+        pc.ProtochainError, match=r"^ring: selection ' ' selects no atom"
+    ):  # without a warning
+        select(S, " ")
     with pytest.raises(pc.ProtochainError, match=r"^selection 'nme CA' cannot be read: [^\n]+$"):
         select(S, "nme CA")
 

@@ -168,6 +168,9 @@ def test_settings_are_divided_between_reading_and_preparation(calls, tmp_path):
     pc.as_structure(held)
     assert calls["prepared"] == (calls["draft"], None, 7.0, ()) and calls["draft"].name == "structure"
     assert (calls["reading"].keep, calls["reading"].forcefield) == (("near",), ())
+    for ph in (15.0, -1.0, float("nan")):
+        with pytest.raises(pc.ProtochainError, match=f"pH {ph:g}: give a number from 0 to 14"):
+            pc.Setup(ph=ph)
     for wrong, why in (({"ph": 15.0}, "pH 15"), ({"ph": -1.0}, "pH -1")):
         with pytest.raises(pc.ProtochainError, match=why):
             pc.as_structure(held, **wrong)

@@ -5,9 +5,10 @@ import pytest
 from conftest import sentences
 
 import protochain as pc
+from protochain.core.checks import acidity
 from protochain.structure import protonate as module
 from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.protonate import check_ph, protonate
+from protochain.structure.protonate import protonate
 from protochain.structure.templates import Template, templates
 
 
@@ -192,11 +193,11 @@ def test_a_histidine_donates_to_oxygen_and_nitrogen_within_three_and_a_half_angs
 
 
 def test_a_ph_is_between_0_and_14():
-    check_ph(0.0)
-    check_ph(14.0)
+    acidity(0.0, "ph")
+    acidity(14.0, "ph")
     for wrong in (-0.01, 14.01, float("nan")):
         with pytest.raises(pc.ProtochainError) as refused:
-            check_ph(wrong)
+            acidity(wrong, "ph")
         assert str(refused.value) == f"pH {wrong:g}: give a number from 0 to 14"
 
 

@@ -1,5 +1,6 @@
 """``protochain batch``."""
 
+import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -75,7 +76,12 @@ def batch(
     # Standard input can be read only once.
     given = [line for each in inputs or () for line in (listed(null) if each == "-" else [each])]
     if dry_run:
-        print_jobs(find_jobs(given, settings, manifest, output))
+        jobs = find_jobs(given, settings, manifest, output)
+        if as_json:
+            found = [{"structure": j.name, "methods": j.settings.methods, "input": str(j.path)} for j in jobs]
+            print(json.dumps({"structures": found}))
+        else:
+            print_jobs(jobs)
         raise typer.Exit(CONVERGED)
     check_outputs(inputs_of(setup, manifest), files_of(output))
     with batch_progress() as watch:

@@ -91,6 +91,13 @@ def number(value: Any, name: str) -> float:
     raise refused(name, shown(value), *_instead(value, "a number", name))
 
 
+def acidity(value: Any, name: str) -> float:
+    """Return a pH as it is."""
+    if not 0.0 <= number(value, name) <= 14.0:
+        raise ProtochainError(f"pH {value:g}: give a number from 0 to 14")
+    return value
+
+
 def integer(value: Any, name: str) -> int:
     """Return a whole number as an int, also one that is given as 1e4."""
     if isinstance(value, Real) and not isinstance(value, bool) and float(value).is_integer():

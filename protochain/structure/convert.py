@@ -10,14 +10,13 @@ from openmm import app, unit
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, floats
-from protochain.core.checks import plain, shown
+from protochain.core.checks import acidity, plain, shown
 from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.draft import Draft, atom
 from protochain.structure.files import check
 from protochain.structure.model import Structure
 from protochain.structure.prepare import load, prepare, user_files
-from protochain.structure.protonate import check_ph
 from protochain.structure.read import Reading, read_structure
 
 if TYPE_CHECKING:
@@ -61,7 +60,7 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     forcefield, ph = user_files(settings.pop("forcefield", None)), settings.pop("ph", defaults.PH)
     disulfide = settings.pop("disulfide", None)
     settings.setdefault("keep", defaults.KEEP)
-    check_ph(ph)
+    acidity(ph, "ph")
     draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=forcefield))
     return prepare(draft, disulfide, ph, forcefield)
 

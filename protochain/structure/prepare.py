@@ -13,8 +13,8 @@ from openmm import app
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
+from protochain.core.checks import acidity, checked, file_name, force_field_parts, words
 from protochain.core.checks import bonds as bonds_of
-from protochain.core.checks import checked, file_name, force_field_parts, words
 from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
@@ -24,7 +24,7 @@ from protochain.structure.draft import Draft, Member, Part
 from protochain.structure.hydrogens import place_hydrogens
 from protochain.structure.linkage import Link
 from protochain.structure.model import Structure
-from protochain.structure.protonate import check_ph, protonate
+from protochain.structure.protonate import protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.relief import relieved
 from protochain.structure.sites import find_links, moves, settle_mobile, stated_beside, stated_ties, ties
@@ -89,7 +89,7 @@ def load(
     StructureError
         If the file cannot be used: one line naming the file, the place and the remedy.
     """
-    check_ph(ph)
+    acidity(ph, "ph")
     residues = user_files(forcefield)
     reading = Reading(model, altloc, words(keep), strict, residues, words(chains, "chains"))
     return prepare(read(as_path(path, "path"), reading), disulfide, ph, residues)

@@ -6,8 +6,6 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.core.checks import number
-from protochain.core.errors import StructureError
 from protochain.structure import residues
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.repairs import Kind
@@ -201,15 +199,3 @@ class _Acceptors:
                 if way @ out > _STRAIGHT * np.linalg.norm(way):
                     return True
         return False
-
-
-def check_ph(ph: float) -> None:
-    """Refuse a pH outside 0 to 14.
-
-    Raises
-    ------
-    StructureError
-        Naming the pH.
-    """
-    if not 0.0 <= number(ph, "ph") <= 14.0:
-        raise StructureError(f"pH {ph:g}: give a number from 0 to 14")

@@ -43,7 +43,8 @@ def select(structure: Structure, selection: str) -> np.ndarray:
     asked = re.sub(rf"{_AROUND[0]}({'|'.join(_OWN)}){_AROUND[1]}", r"group \1", selection)
     groups = {word: universe.atoms[own(structure)] for word, own in given.items()}
     try:
-        chosen = universe.select_atoms(asked, **groups)
+        # MDAnalysis warns of an empty text.
+        chosen = universe.select_atoms(asked, **groups) if asked.strip() else universe.atoms[:0]
     except (SelectionError, ValueError, AttributeError) as error:
         reason = " ".join(str(error).split())
         raise StructureError(f"selection {selection!r} cannot be read: {reason}; {_EXAMPLES}") from None
