@@ -23,6 +23,9 @@ LONGEST = 180
 FULL, QUICK = "QUICK = False", "QUICK = True"
 """Line of the notebooks of scenes, and the one that the tests put in its place."""
 
+QUICKEST = {"01-first-steps", "04-stability", "serial", "impact"}
+"""Two of each kind that the fast tests run; scenes run by themselves, too (``test_scenes.py``)."""
+
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
@@ -92,7 +95,10 @@ def test_it_uses_public_names_only(path):
             assert getattr(node.value, "id", "") != "pc" or node.attr in PUBLIC["protochain"], node.attr
 
 
-@every_notebook
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(p, marks=() if p.stem in QUICKEST else pytest.mark.slow, id=p.stem) for p in NOTEBOOKS],
+)
 def test_it_runs(path, tmp_path, monkeypatch):
     nbformat = pytest.importorskip("nbformat")
     nbclient = pytest.importorskip("nbclient")

@@ -17,6 +17,8 @@ from protochain.core import defaults
 from protochain.core.errors import Angle, Argument, ProtochainError
 from protochain.core.markup import counted
 from protochain.core.settings import Setting, settings_of
+from protochain.minimisers.settings import MinimiseSettings, StartSettings
+from protochain.relaxation.settings import RelaxSettings
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -179,10 +181,12 @@ def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
         print(line)
 
 
-RENAMED = {
-    "n_steps": "steps", "n_starts": "starts", "hop_temperature": "hop", "restraint": "restrain",
-    "hinge_springs": "hinge_spring",
-}  # fmt: skip
+RENAMED = {"n_steps": "steps", "hinge_springs": "hinge_spring"} | {
+    name: its.column(name)
+    for kind in (Setup, MinimiseSettings, StartSettings, RelaxSettings)
+    for name, its in settings_of(kind)
+    if its.option
+}
 """Options with other names than the arguments of the library."""
 
 
