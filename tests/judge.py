@@ -214,7 +214,8 @@ def _of_refusal(case: Case, lines: list[str], new: list[str]) -> list[str]:
         notes = notes[:-1]
     if len(said) != 1 or lines[-1] != said[0]:
         found.append(f"{len(said)} lines of refusal")
-    if any(not line.startswith(tuple(f"{word}: " for word in case.words)) for line in notes):
+    known = tuple(f"{' '.join(word.split())}: " for word in case.words)
+    if any(not line.startswith(known) for line in notes):
         found.append("other lines")
     # What is wrong with a prepared structure is told by its name, the stem of its file's.
     if case.named and said and not any(Path(name).name.split(".")[0] in said[-1] for name in case.named):

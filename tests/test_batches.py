@@ -380,7 +380,7 @@ def test_a_bug_or_full_memory_is_a_row(folder, tmp_path, monkeypatch):
     for error, status, said in (
         (MemoryError(), "killed", "out of memory"),
         (ZeroDivisionError("oh\nno"), "error", "ZeroDivisionError: oh no"),
-        (WriteError("a.pdb", "full", remedy="free some"), "killed", "a.pdb: not written (full); free some"),
+        (WriteError("a.pdb", "full", "", "free some"), "killed", "a.pdb: not written (full); free some"),
     ):
 
         def fail(*args, error=error, **kwargs):
@@ -514,3 +514,18 @@ def test_options_that_make_no_sense_are_refused_before_any_work(options, folder,
     with pytest.raises(pc.ProtochainError, match=r"numbers above 0|no setting is called 'colour'"):
         pc.batch(folder, tmp_path / "new", **options)
     assert not (tmp_path / "new").exists() and ROOT.exists()
+
+
+def test_a_name_that_is_no_utf_8_is_refused_and_stops_no_other(tmp_path, monkeypatch):
+    """Names of files are bytes of any kind; tables and pages are UTF-8."""
+    monkeypatch.chdir(tmp_path)
+    text = (STRUCTURES / "ala10.pdb").read_bytes()
+    for name in (b"b.pdb", b"a\xff.pdb"):
+        Path(os.fsdecode(name)).write_bytes(text)
+    with pytest.raises(pc.ProtochainError, match="its name is not UTF-8"):
+        pc.load(os.fsdecode(b"a\xff.pdb"))
+    done = pc.batch([os.fsdecode(b"a\xff.pdb"), "b.pdb"], "out", "lbfgs", workers=1, max_evaluations=5)
+    assert dict(zip(done.table["structure"], done.table["status"], strict=True)) == {
+        r"a\udcff": "refused", "b": "budget",
+    }  # fmt: skip
+    assert done.report.exists()

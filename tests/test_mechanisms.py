@@ -5,7 +5,7 @@ import pytest
 from conftest import AUDITED, ELEMENT_DIFFERENCE, ROUND_OFF
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from test_docs import GUIDE, blocks
+from test_docs import DOCS, blocks
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
@@ -385,8 +385,9 @@ def test_a_slide_with_spring_and_damper_is_the_oscillator_of_the_textbook():
 
 def test_the_guides_example_runs_and_its_energy_adds_up(capsys):
     names = {}
-    (example,) = [block for block in blocks(GUIDE, "python") if 'hinge("elbow"' in block]
-    exec(compile(example, str(GUIDE), "exec"), names)
+    guide = DOCS / "mechanisms.md"
+    (example,) = [block for block in blocks(guide, "python") if 'hinge("elbow"' in block]
+    exec(compile(example, str(guide), "exec"), names)
     printed = capsys.readouterr().out
     assert "work motor" in printed
     run = names["run"]

@@ -54,9 +54,7 @@ def test_what_selects_nothing_is_refused_wherever_it_is_given():
         lambda text: pc.rmsd(s, s, align=text),
     ):
         for text in ("", "  "):
-            with pytest.raises(
-                pc.ProtochainError, match=rf"^(move|align) '{text}': selects nothing; give a sel"
-            ):
+            with pytest.raises(pc.ProtochainError, match=r"^(move|align) '\s*': selects nothing; give a sel"):
                 call(text)
     with pytest.raises(
         pc.ProtochainError, match=r"'within 5 of chain B' cannot be read: .*'around 5 chainID B'"

@@ -386,7 +386,7 @@ def test_the_budget_of_iterations_holds_while_rings_are_freed():
     points = []
     note = lambda name, at, evaluations: points.append(at)  # noqa: E731
     relaxer = Relaxer(planted.structure, energy("1l2y.pdb"), PRESETS["predicted"], 3, note)
-    relaxer._unthreaded(planted.structure.positions)
+    relaxer._unthreaded(planted.structure.positions, rounds._Work(0))
     assert len(points) == 4
 
 

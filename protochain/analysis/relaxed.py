@@ -12,7 +12,7 @@ import numpy as np
 from protochain.analysis.plots import plot_displacement
 from protochain.analysis.report import data_url
 from protochain.analysis.viewer import scene, superposed, template
-from protochain.core.storage import write_atomically
+from protochain.core.storage import write_text
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.relaxation import Relaxation
 from protochain.relaxation.record import before_and_after
@@ -47,7 +47,7 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         source=strength.source,
         **coloured(relaxation),
     )
-    write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def coloured(relaxation: Relaxation) -> dict[str, Any]:

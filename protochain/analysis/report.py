@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from protochain.analysis.folder import clear
 from protochain.analysis.viewer import scene, template
 from protochain.core.errors import Argument, WriteError
-from protochain.core.storage import write_atomically
+from protochain.core.storage import write_atomically, write_text
 from protochain.minimisers.record import SHOWN
 from protochain.structure import save
 from protochain.structure.losses import told
@@ -49,10 +49,10 @@ def _write_files(comparison: "Comparison", directory: Path) -> Path:
         "traces": comparison.traces,
     }
     # First, since it names the structures: what an incomplete comparison left can be replaced, too.
-    _write_text(directory / "summary.json", json.dumps(summary, indent=2, allow_nan=False))
+    write_text(directory / "summary.json", json.dumps(summary, indent=2, allow_nan=False))
     for stem, table in tables.items():
-        _write_text(directory / f"{stem}.csv", table.to_csv(index=False))
-    _write_text(directory / "quality.csv", comparison.quality.to_csv())
+        write_text(directory / f"{stem}.csv", table.to_csv(index=False))
+    write_text(directory / "quality.csv", comparison.quality.to_csv())
     save(comparison.structure, directory / f"{name}.start{suffix}")
     for solution in comparison.solutions:
         file = comparison.file_of(solution)
@@ -61,7 +61,7 @@ def _write_files(comparison: "Comparison", directory: Path) -> Path:
     figures = _figures(comparison)
     for stem, figure in figures.items():
         write_atomically(directory / f"{stem}.png", partial(figure.savefig, dpi=150))
-    _write_text(directory / "report.html", render(comparison, summary, figures))
+    write_text(directory / "report.html", render(comparison, summary, figures))
     return directory / "report.html"
 
 
@@ -75,7 +75,7 @@ def write_page(comparison: "Comparison", path: Path) -> None:
     path : Path
         HTML file.
     """
-    _write_text(path, render(comparison, comparison.summary(), _figures(comparison)))
+    write_text(path, render(comparison, comparison.summary(), _figures(comparison)))
 
 
 def _figures(comparison: "Comparison") -> dict[str, Figure]:
@@ -136,7 +136,3 @@ def data_url(figure: Figure) -> str:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=150)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
-
-
-def _write_text(path: Path, text: str) -> None:
-    write_atomically(path, lambda target: target.write_text(text, encoding="utf-8"))

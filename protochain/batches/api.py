@@ -30,7 +30,7 @@ from protochain.core import defaults
 from protochain.core.checks import checked, flag, function, number, path, several
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.core.storage import json_text, write_atomically
+from protochain.core.storage import json_text, write_atomically, write_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -334,5 +334,5 @@ def _finish(tables: Tables, jobs: Sequence[Job]) -> None:
         "settings": jobs[0].settings.record(),
     }
     text = json_text(summary)
-    write_atomically(folder / "summary.json", lambda to: to.write_text(text, encoding="utf-8"))
+    write_text(folder / "summary.json", text)
     write_report(folder, table, summary)

@@ -9,7 +9,7 @@ from jinja2 import Template
 
 from protochain.batches.jobs import Job, Row
 from protochain.batches.relaxed import SHOWN_RELAXED
-from protochain.core.storage import write_atomically
+from protochain.core.storage import write_text
 from protochain.minimisers.record import SHOWN
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.structure.losses import told
@@ -47,7 +47,7 @@ def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[Re
         width=WIDTH,
         height=HEIGHT,
     )
-    write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def curves(rows: Sequence[Row]) -> dict[str, object]:

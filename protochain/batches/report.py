@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from protochain.analysis.plots import panels
 from protochain.analysis.report import data_url
 from protochain.analysis.viewer import template
-from protochain.core.storage import write_atomically
+from protochain.core.storage import write_atomically, write_text
 from protochain.lab.report import COLOURS, plain
 from protochain.minimisers.record import heading
 from protochain.structure.losses import told
@@ -57,7 +57,7 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
         pages=_pages(folder / "pages") if len(table) else set(),
         figures={name: data_url(figure) for name, figure in figures.items()},
     )
-    write_atomically(folder / "report.html", lambda to: to.write_text(text, encoding="utf-8"))
+    write_text(folder / "report.html", text)
 
 
 def _pages(folder: Path) -> set[str]:

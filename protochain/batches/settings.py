@@ -11,7 +11,7 @@ from typing import Any
 
 from protochain.batches.jobs import BatchSettings, Job
 from protochain.core.errors import ProtochainError
-from protochain.core.storage import write_atomically
+from protochain.core.storage import write_text
 from protochain.structure.prepare import user_files
 
 NAME = "settings.json"
@@ -54,7 +54,7 @@ def keep_settings(
             "settings are not known; give another folder"
         )
     text = json.dumps({"settings": settings, "structures": own}, indent=1, allow_nan=False)
-    write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def _holds_results(table: Path) -> bool:

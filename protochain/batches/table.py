@@ -17,7 +17,7 @@ from protochain.batches.jobs import Job, Row, origin
 from protochain.batches.naming import Earlier
 from protochain.batches.settings import NAME as SETTINGS
 from protochain.core.errors import Argument, ProtochainError, WriteError
-from protochain.core.storage import check_writable, write_atomically, writing
+from protochain.core.storage import check_writable, write_text, writing
 from protochain.minimisers import record
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.validation import MEASURES
@@ -238,7 +238,8 @@ def _lines(columns: Sequence[str], rows: Iterable[Mapping[str, object]], header:
 
 def _append(path: Path, text: str) -> None:
     file = os.open(path, os.O_WRONLY | os.O_APPEND)
-    whole, data = os.fstat(file).st_size, text.encode()
+    # Names of files may be no UTF-8.
+    whole, data = os.fstat(file).st_size, text.encode(errors="backslashreplace")
     try:
         with writing(path):
             if os.write(file, data) < len(data):  # On a full disk a part is written.
@@ -254,7 +255,7 @@ def _append(path: Path, text: str) -> None:
 
 def _replace(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
     text = _lines(columns, rows, header=True)
-    write_atomically(path, lambda to: to.write_text(text, encoding="utf-8"))
+    write_text(path, text)
 
 
 def _whole_lines(path: Path) -> Iterable[dict[str, str]]:

@@ -57,7 +57,7 @@ def validate(
     # Structures are not kept: there may be thousands.
     for name, result in _validated(files, compared):
         if isinstance(result, ProtochainError):
-            print(result, file=sys.stderr)
+            print(" ".join(str(result).split()), file=sys.stderr)
             rows.append({"file": name, "message": str(result)})
             continue
         told = {"added": result.added, "findings": result.listing(), "message": ""}
@@ -104,7 +104,7 @@ def _files(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup]]
         from protochain.batches.jobs import BatchSettings, find_jobs
 
         jobs = find_jobs(given, BatchSettings(setup=setup))
-        found = [(_name(job.path), job.path, job.settings.setup) for job in jobs]
+        found = [(_name(job.path), Path(_name(job.path)), job.settings.setup) for job in jobs]
     return found + [("standard input", Path("-"), setup)] * (len(given) < len(inputs))
 
 

@@ -90,6 +90,17 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         _write_atomically(path, write)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write text atomically, as UTF-8; of names that are none, other bytes as ``repr`` has them.
+
+    Raises
+    ------
+    WriteError
+        If it cannot be written.
+    """
+    write_atomically(path, lambda to: to.write_text(text, encoding="utf-8", errors="backslashreplace"))
+
+
 def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)

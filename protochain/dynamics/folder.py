@@ -17,7 +17,7 @@ from protochain.core.storage import (
     fitting,
     read_arrays,
     write_arrays,
-    write_atomically,
+    write_text,
     writing,
 )
 from protochain.dynamics.loop import State
@@ -279,7 +279,7 @@ class Folder:
     def summarise(self, record: Mapping[str, Any]) -> None:
         """Write ``summary.json``."""
         text = json.dumps(record, indent=2, allow_nan=False)
-        write_atomically(self.path / "summary.json", lambda to: to.write_text(text, encoding="utf-8"))
+        write_text(self.path / "summary.json", text)
 
 
 @contextmanager

@@ -86,6 +86,8 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
         If it cannot be read, is too large, is cut short, or has coordinates that are not numbers.
     """
     source = "standard input" if path == STANDARD_INPUT else str(path)
+    if not _is_unicode(source):
+        raise StructureError(f"{ascii(source)[1:-1]}: its name is not UTF-8; rename the file")
     text = _text(path, source)
     overlooked: list[Repair] = []
     try:
@@ -259,6 +261,15 @@ def _refuse_cut_pdb(text: str, source: str) -> None:
             f"{source}: line {len(lines)}: the file is cut short; download it again, "
             "or add an END record if it is complete"
         )
+
+
+def _is_unicode(name: str) -> bool:
+    """Whether a name can be written to tables and structures: names of files are bytes of any kind."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _ascii(text: str, source: str, used: slice) -> str:
