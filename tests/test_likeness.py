@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import protochain as pc
 from protochain.analysis.deviation import deviation
 from protochain.validation import LIKENESS, likeness
-from protochain.validation.likeness import _TWINS
+from protochain.validation.likeness import _TWINS, _by_residue
 
 MODULE = sys.modules["protochain.validation.likeness"]
 """Its name in the package is that of the function."""
@@ -137,3 +137,8 @@ def test_a_reference_of_c_alphas_alone_is_enough():
     assert values["ca_rmsd_to_reference_angstrom"] == values["heavy_rmsd_to_reference_angstrom"]
     with pytest.raises(pc.ProtochainError, match="C-alpha"):
         pc.validate(shared("ubiquitin_ca_only.pdb"))
+
+
+def test_a_residue_without_pairs_has_no_share_of_them():
+    found = _by_residue(np.array([[0, 1], [1, 0]]), np.array([1.0, 0.0]), 3)
+    assert found[:2].tolist() == [0.5, 0.5] and np.isnan(found[2])

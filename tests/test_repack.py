@@ -13,7 +13,7 @@ from protochain.cli import app
 from protochain.contacts import OVERLAP, near_pairs
 from protochain.core.errors import StructureError
 from protochain.energies.native.implicit import COULOMB
-from protochain.relaxation.arms import arms
+from protochain.relaxation.arms import _with_hydrogen, arms
 from protochain.relaxation.assignment import best
 from protochain.relaxation.repack import repacked, troubled
 from protochain.relaxation.rotamer_energies import Interactions
@@ -415,3 +415,11 @@ def test_the_command_tells_what_it_turned(tmp_path, capsys):
         assert f"A:{given.residue_number[residue]} {given.residue_name[residue]}" in line
     assert moved.any()
     assert "side chain turned from chi1" in (tmp_path / "good.pdb").read_text()
+
+
+def test_a_polar_hydrogen_turns_in_every_rotamer_and_stays_in_that_of_the_input():
+    """The input costs what its own rotamer does, whatever the others cost."""
+    chi, rarity, turns = np.array([[0.1], [1.0]]), np.array([3.0, 0.5]), np.array([0.0, 2.0])
+    tried, cost = _with_hydrogen(chi, rarity, 0.7, turns)
+    assert tried.tolist() == [[0.1, 0.7], [0.1, 0.0], [0.1, 2.0], [1.0, 0.0], [1.0, 2.0]]
+    assert cost.tolist() == [3.0, 3.0, 3.0, 0.5, 0.5]
