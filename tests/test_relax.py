@@ -296,7 +296,7 @@ def test_names_of_results(given, named, tmp_path):
 
 
 def test_a_result_of_standard_input_has_a_name(monkeypatch):
-    monkeypatch.setattr("protochain.relaxation.names.format_of", lambda source: "PDB")
+    monkeypatch.setattr("protochain.relaxation.names.suffix_of", lambda source: ".pdb")
     assert relaxed_name(Path("-")) == "stdin.relaxed.pdb"
 
 

@@ -12,9 +12,9 @@ from protochain.batches.page import write_page
 from protochain.batches.thinning import thinned
 from protochain.core.errors import ProtochainError, WriteError
 from protochain.core.storage import regular
-from protochain.relaxation.names import suffix_of
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.setup import Setup
+from protochain.structure.files import suffix_of
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -118,10 +118,9 @@ def fail(message: str, status: int = FAILED) -> int:
 
 def named_after(source: Path) -> tuple[str, str]:
     """Return stem and suffix for outputs named after an input."""
-    from protochain.structure.files import format_of, split_name
+    from protochain.structure.files import split_name, suffix_of
 
-    suffix = ".cif" if format_of(source) == "mmCIF" else ".pdb"
-    return ("stdin" if str(source) == "-" else split_name(source)[0]), suffix
+    return ("stdin" if str(source) == "-" else split_name(source)[0]), suffix_of(source)
 
 
 def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:

@@ -148,13 +148,13 @@ def _one(
 
 
 def _write(result: "Relaxation", output: Path, source: Path) -> None:
-    from protochain.structure.files import format_of
+    from protochain.structure.files import suffix_of
     from protochain.structure.write import as_text, common_suffix
 
     if str(output) != STANDARD_OUTPUT:
         result.save(output)
         return
-    suffix = ".cif" if format_of(source) == "mmCIF" else common_suffix([result.structure])
+    suffix = suffix_of(source) if suffix_of(source) != ".pdb" else common_suffix([result.structure])
     hydrogens = result.settings.keep_hydrogens
     sys.stdout.write(as_text(result.structure, suffix, result.provenance(), hydrogens=hydrogens))
 
@@ -189,9 +189,10 @@ def _several(
     from protochain.batches.table import files_of
     from protochain.cli.relaxing import print_folder
     from protochain.cli.terminal import batch_progress
+    from protochain.structure.files import format_of
 
     folder = Path("relaxed") if output is None else output
-    if folder.is_file() or folder.suffix.lower() in (".pdb", ".cif", ".ent", ".mmcif"):
+    if folder.is_file() or format_of(folder):
         raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
     check_outputs(inputs_of(setup, manifest), files_of(folder, NAME))
     with batch_progress() as watch:

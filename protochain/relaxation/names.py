@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from protochain.structure.files import format_of, split_name
+from protochain.structure.files import split_name, suffix_of
 
 _UNRELAXED, _RELAXED = "unrelaxed", "relaxed"
 
@@ -16,11 +16,6 @@ def relaxed_stem(stem: str) -> str:
     if _UNRELAXED in stem:
         return _RELAXED.join(stem.rsplit(_UNRELAXED, 1))
     return f"{stem}.{_RELAXED}"
-
-
-def suffix_of(source: Path) -> str:
-    """Suffix of the format of a file."""
-    return ".cif" if format_of(source) == "mmCIF" else ".pdb"
 
 
 def relaxed_name(source: Path) -> str:

@@ -66,6 +66,11 @@ def format_of(path: Path) -> str:
     return SUFFIXES.get(split_name(path)[1].lower(), "")
 
 
+def suffix_of(source: Path) -> str:
+    """Suffix of results that are written in the format of their input, PDB if that is unknown."""
+    return ".cif" if format_of(source) == "mmCIF" else ".pdb"
+
+
 def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
     """Parse a PDB or mmCIF file, packed by gzip, bzip2 or xz or not; the content decides.
 
