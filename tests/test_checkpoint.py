@@ -119,7 +119,7 @@ def state(tree):
 def test_a_damaged_checkpoint_is_refused(change, why, tmp_path):
     path = tmp_path / "run.npz"
     save_checkpoint(path, kept(), {})
-    arrays, tree = read_arrays(path, {})
+    arrays, tree = read_arrays(path, {}, "run")
     change(tree)
     write_arrays(path, arrays, tree, {})
     with pytest.raises(pc.ProtochainError) as refusal:
@@ -141,7 +141,7 @@ def test_a_damaged_checkpoint_is_refused(change, why, tmp_path):
 def test_every_array_fits_the_freedoms_before_it_is_used(change, why, tmp_path):
     path, step, space = tmp_path / "run.npz", np.array([1.0, 2.0, 3.0]), Flat(matrix=np.eye(3))
     save_checkpoint(path, kept(((step, step + 1.0, 14.0),)), {})
-    arrays, tree = read_arrays(path, {})
+    arrays, tree = read_arrays(path, {}, "run")
     assert len(arrays) == 11
     for name, array in arrays.items():
         write_arrays(path, {**arrays, name: change(array)}, tree, {})
@@ -162,8 +162,8 @@ def test_an_array_that_claims_more_than_the_file_holds_is_not_made(tmp_path):
                 head, {"descr": "<f8", "fortran_order": False, "shape": shape}
             )
             file.writestr(f"{len(shape)}{shape[0]}.npy", head.getvalue() + bytes(32))
-    with pytest.raises(pc.ProtochainError, match="is no checkpoint of a run; give one of an earlier run"):
-        read_arrays(path, {})
+    with pytest.raises(pc.ProtochainError, match="is no checkpoint of a run; give another"):
+        read_arrays(path, {}, "run", "give another")
 
 
 def test_a_packed_archive_is_no_checkpoint(tmp_path):
@@ -171,4 +171,4 @@ def test_a_packed_archive_is_no_checkpoint(tmp_path):
     np.savez_compressed(path, q=np.zeros(10_000_000), text=np.array('{"settings": {}, "values": 1}'))
     assert path.stat().st_size < 100_000
     with pytest.raises(pc.ProtochainError, match="is no checkpoint"):
-        read_arrays(path, {})
+        read_arrays(path, {}, "run")

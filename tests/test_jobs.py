@@ -136,7 +136,7 @@ def test_settings_change_by_the_names_of_their_fields_or_of_the_setups():
         ({"max_rmsd": 0.0}, "max_rmsd 0: give a number of angstrom above 0"),
         ({"n_starts": 0}, "n_starts 0: give at least 1"),
         ({"n_starts": 2.5}, "n_starts 2.5: give a whole number"),
-        ({"spread": 0.0}, "spread 0: give an angle above 0, in rad"),
+        ({"spread": 0.0}, "spread 0 rad: give an angle above 0"),
         ({"hop_temperature": 300.0}, "hop_temperature: needs several minima; give n_starts 2 or more"),
         ({"n_starts": 2, "hop_temperature": -1}, "hop_temperature -1: give a temperature in K, not below 0"),
         *(({"n_starts": 2, name: value}, "restraint and max_rmsd refer to each start's own structure; "

@@ -10,6 +10,7 @@ from conftest import ROOT, load
 from scipy.stats import gamma, kstest
 
 import protochain as pc
+from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import (
     Closure,
     HybridMonteCarlo,
@@ -138,7 +139,7 @@ def test_simulate_moves_in_fixmans_potential(loops, time_step):
     assert np.ptp(bias) > 0.3
     assert np.ptp(kinetic + bias) < 0.05 * np.ptp(bias)
     assert np.ptp(m.trace["potential_kj_mol"]) < 1e-9
-    half = bias.iloc[-1] / (pc.units.MOLAR_GAS * 300.0)
+    half = bias.iloc[-1] / (MOLAR_GAS * 300.0)
     alone = 0.5 * pc.log_det_mass(m.chain, pc.pose(m.chain, m.q))
     assert (half == pytest.approx(alone, rel=1e-12)) == (loops == "open")
 
@@ -209,7 +210,7 @@ def test_the_log_has_fixmans_potential_of_the_loops_too():
         multibody.row_matrix(tree, frames, closure_of(m.chain).rows(frames)),
     )
     dense = np.linalg.slogdet(mass)[1] + np.linalg.slogdet(g @ np.linalg.solve(mass, g.T))[1]
-    expected = 0.5 * pc.units.MOLAR_GAS * 300.0 * dense
+    expected = 0.5 * MOLAR_GAS * 300.0 * dense
     assert m.trace["fixman_kj_mol"].iloc[-1] == pytest.approx(expected, abs=1e-6)
 
 

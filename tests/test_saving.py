@@ -159,7 +159,7 @@ def test_a_simulation_that_fills_the_disk_goes_on_when_there_is_space(suffix, tm
     frames = mdtraj.load(
         str(cut / f"trajectory.{suffix}"), top=mdtraj.Topology.from_openmm(c.structure.topology)
     )
-    _, values = read_arrays(cut / "checkpoint.npz", {})
+    _, values = read_arrays(cut / "checkpoint.npz", {}, "run")
     assert frames.n_frames == len(pd.read_csv(cut / "log.csv")) == values["frames"] > 10
     on = pc.simulate(c, e, output=cut, resume=True, **settings)
     assert np.array_equal(on.q, whole.q)
@@ -222,7 +222,7 @@ def test_output_that_nobody_can_take_is_one_line(tmp_path, monkeypatch, capsys):
 
 def test_a_checkpoint_of_the_disk_is_read_as_it_was(tmp_path):
     write_arrays(tmp_path / "c.npz", {"a": np.arange(3)}, {"b": 1}, {"c": 2})
-    arrays, values = read_arrays(tmp_path / "c.npz", {"c": 2})
+    arrays, values = read_arrays(tmp_path / "c.npz", {"c": 2}, "run")
     assert arrays["a"].tolist() == [0, 1, 2] and values == {"b": 1}
 
 

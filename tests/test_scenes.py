@@ -70,7 +70,7 @@ def test_what_is_left_out_must_leave_the_answer():
         return np.array([1.0, 2.0])
 
     found = left_out("the rest", slow, lambda: np.array([1.0, 2.0 + 1e-6]), 1e-6, repeats=2)
-    assert found.right and found.difference == pytest.approx(5e-7, rel=1e-6) and found.ratio > 1.0
+    assert found.right and found.difference == pytest.approx(5e-7, rel=1e-6)
     assert not left_out("the rest", slow, lambda: np.array([1.0, 2.1]), 1e-6, 1).right
     assert not left_out("the rest", slow, lambda: np.array([1.0, np.nan]), np.inf, 1).right
     assert not left_out("the rest", slow, lambda: 1.0, 1e-6, 1).right

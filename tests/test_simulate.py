@@ -16,6 +16,7 @@ from scipy.stats import kstest
 
 import protochain as pc
 from protochain.contacts import overlaps
+from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import Leapfrog, Simulation, StepTooLargeError, System, closure_of, simulate
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind, random_tree
@@ -111,7 +112,7 @@ def test_hybrid_monte_carlo_samples_the_boltzmann_distribution_of_a_torsion():
     phi = mdtraj.compute_dihedrals(mdtraj.Trajectory(np.array(frames[20:]), top), [c.hinges[0].atoms])[:, 0]
 
     def density(t):
-        weight = np.exp(-(energies - energies.min()) / (pc.units.MOLAR_GAS * t))
+        weight = np.exp(-(energies - energies.min()) / (MOLAR_GAS * t))
         total = np.concatenate([[0.0], np.cumsum(weight)]) / weight.sum()
         return lambda angle: np.interp(angle, edges, total)
 

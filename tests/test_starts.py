@@ -196,8 +196,8 @@ def test_a_rise_is_accepted_with_boltzmanns_chance():
     [
         ({"n_starts": 0}, "n_starts 0: give at least 1"),
         ({"seed": -1}, "seed -1: give 0 or more"),
-        ({"spread": 0.0}, "spread 0: give an angle above 0, in rad"),
-        ({"spread": np.inf}, "spread inf: give an angle above 0, in rad"),
+        ({"spread": 0.0}, "spread 0 rad: give an angle above 0"),
+        ({"spread": np.inf}, "spread inf rad: give an angle above 0"),
         ({"hop_temperature": -1.0}, "hop_temperature -1: give a temperature in K, not below 0"),
         ({"hop_temperature": np.inf}, "hop_temperature inf: give a temperature in K, not below 0"),
         ({"restraint": 3.0}, "restraint and max_rmsd refer to each start's own structure; use one start"),

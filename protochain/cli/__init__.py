@@ -63,7 +63,7 @@ def as_said(error: ProtochainError, of: typer.Typer = app) -> str:
     """Message of an error in the words of the command line, where some command has the option."""
     commands = get_command(of).commands.values()  # type: ignore[attr-defined]  # a group
     named = {param.name for each in commands for param in each.params if isinstance(param, TyperOption)}
-    known = {name for name in (*named, *RENAMED) if RENAMED.get(name, name) in named}
+    known = {*named, *(name for name, option in RENAMED.items() if option in named)}
     return error.told(
         lambda part: str(part) if isinstance(part, Argument) and part.name not in known else as_option(part)
     )
