@@ -22,8 +22,6 @@ PACKAGES = (
     "mechanisms",
     "minimisers",
     "mechanics",
-    "mechanics.motion",
-    "mechanics.multibody",
     "relaxation",
     "scenes",
     "structure",
