@@ -8,7 +8,7 @@ import protochain as pc
 from protochain.structure import complete as module
 from protochain.structure.complete import add_heavy_atoms
 from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.packing import Site
+from protochain.structure.sidechains.packing import Site
 from protochain.structure.templates import templates
 
 

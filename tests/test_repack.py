@@ -13,14 +13,13 @@ from protochain.cli import app
 from protochain.contacts import OVERLAP, near_pairs
 from protochain.core.errors import StructureError
 from protochain.energies.native.implicit import COULOMB
-from protochain.relaxation.arms import _with_hydrogen, arms
 from protochain.relaxation.assignment import best
 from protochain.relaxation.repack import repacked, troubled
 from protochain.relaxation.rotamer_energies import Interactions
+from protochain.relaxation.rotamers import _with_hydrogen, rotamers_of
 from protochain.structure import residues
-from protochain.structure.packing import wrapped
-from protochain.structure.sidechains import dihedral
-from protochain.structure.turning import turned
+from protochain.structure.sidechains.arms import Arm, wrapped
+from protochain.structure.sidechains.ideal import dihedral
 from protochain.validation import threaded_rings
 
 # --- The search
@@ -140,23 +139,23 @@ class Slow:
 def test_energies_are_those_of_the_force_fields_terms():
     structure = load("1l2y.pdb")
     energy = pc.energy(structure, solvent="vacuum")
-    turning = arms(structure, structure.positions, [2, 5, 6])
+    turning = rotamers_of(structure, structure.positions, [2, 5, 6])
     assert [arm.residue for arm in turning] == [2, 5, 6]
-    felt = Interactions(energy.terms, structure.positions, [arm.rotamers for arm in turning])
+    felt = Interactions(energy.terms, structure.positions, turning)
     slow, pairs = Slow(energy.system), felt.pairs()
-    moving = np.concatenate([arm.rotamers.atoms for arm in turning]).tolist()
+    moving = np.concatenate([arm.atoms for arm in turning]).tolist()
     still = sorted(set(range(structure.n_atoms)) - set(moving))
     for k, arm in enumerate(turning):
-        own, its = felt.own(k), arm.rotamers.atoms.tolist()
+        own, its = felt.own(k), arm.atoms.tolist()
         for state in (0, 1, len(own) // 2, len(own) - 1):
             x = np.array(structure.positions)
-            x[its] = arm.rotamers.x[state]
-            expected = arm.rotamers.cost[state] + slow.twisted(x, its)
+            x[its] = arm.x[state]
+            expected = arm.cost[state] + slow.twisted(x, its)
             expected += sum(slow.pair(x, i, j) for i in its for j in still)
             expected += sum(slow.pair(x, i, j) for i in its for j in its if i < j)
             assert own[state] == pytest.approx(expected, rel=1e-6, abs=1e-6)
     assert (0, 1) in pairs
-    one, other = turning[0].rotamers, turning[1].rotamers
+    one, other = turning[0], turning[1]
     worst = np.unravel_index(pairs[0, 1].argmax(), pairs[0, 1].shape)
     for r, s in ((0, 0), (0, 3), worst):
         x = np.array(structure.positions)
@@ -175,12 +174,12 @@ def names(structure, chosen):
 
 def test_what_has_no_chi_or_is_bonded_stays():
     structure = load("4pti.pdb")
-    able = arms(structure, structure.positions, range(structure.n_residues))
+    able = rotamers_of(structure, structure.positions, range(structure.n_residues))
     assert not names(structure, able) & {"ALA", "GLY", "PRO", "CYS"}
     rest = {"ALA", "GLY", "PRO", "CYS"}
     assert len(able) == sum(str(name) not in rest for name in structure.residue_name)
     free = load("1ubq.pdb")
-    assert "CYS" not in free.residue_name and len(arms(free, free.positions, [0])) == 1
+    assert "CYS" not in free.residue_name and len(rotamers_of(free, free.positions, [0])) == 1
 
 
 def test_those_that_hold_a_metal_stay():
@@ -188,15 +187,15 @@ def test_those_that_hold_a_metal_stay():
     holding = {int(structure.atom_residue[tie.atoms[0]]) for tie in structure.ties if len(tie.atoms) == 2}
     holding = {r for r in holding if structure.residue_name[r] in ("ASP", "GLU")}
     assert holding
-    able = {arm.residue for arm in arms(structure, structure.positions, range(structure.n_residues))}
+    able = {arm.residue for arm in rotamers_of(structure, structure.positions, range(structure.n_residues))}
     assert not able & holding and able
 
 
 def test_rotamers_keep_bonds_and_angles_and_the_input_is_the_first():
     structure = load("1ubq.pdb")
     joined = structure.bonds
-    for arm in arms(structure, structure.positions, range(0, structure.n_residues, 7)):
-        its = arm.rotamers
+    for arm in rotamers_of(structure, structure.positions, range(0, structure.n_residues, 7)):
+        its = arm
         assert np.array_equal(its.x[0], structure.positions[its.atoms])
         near = joined[np.isin(joined, its.atoms).any(axis=1)]
         ends = np.unique(near)
@@ -221,12 +220,12 @@ def test_dihedrals_are_those_asked_for():
     structure = load("1ubq.pdb")
     at = {str(structure.atom_name[i]): i for i in np.flatnonzero(structure.atom_residue == 58)}
     assert structure.residue_name[58] == "TYR"
-    (arm,) = arms(structure, structure.positions, [58])
+    (arm,) = rotamers_of(structure, structure.positions, [58])
     quartets = [*residues.CHI["TYR"], ("CE1", "CZ", "OH", "HH")]
     assert arm.chi.shape == (1 + 2 * (1 + 4 * 3), 3)
-    for chi, x in zip(arm.chi, arm.rotamers.x, strict=True):
+    for chi, x in zip(arm.chi, arm.x, strict=True):
         now = np.array(structure.positions)
-        now[arm.rotamers.atoms] = x
+        now[arm.atoms] = x
         found = [float(dihedral(*now[[at[name] for name in quartet]])) for quartet in quartets]
         assert wrapped(np.array(found) - chi) == pytest.approx(0.0, abs=1e-9)
 
@@ -242,14 +241,14 @@ def chi1(structure, x, residue):
 def scrambled(structure, n, seed=0):
     """With random chi1 of n residues, and these residues."""
     rng = np.random.default_rng(seed)
-    able = arms(structure, structure.positions, range(structure.n_residues))
+    able = rotamers_of(structure, structure.positions, range(structure.n_residues))
     chosen = [able[k] for k in sorted(rng.choice(len(able), n, replace=False))]
     x = np.array(structure.positions)
     for arm in chosen:
-        moved = arm.rotamers.atoms
+        moved = arm.atoms
         at = {str(structure.atom_name[i]): i for i in np.flatnonzero(structure.atom_residue == arm.residue)}
-        quartet = [at[name] for name in residues.CHI[str(structure.residue_name[arm.residue])][0]]
-        x[moved] = turned(x, [quartet], [moved], rng.uniform(-np.pi, np.pi, (1, 1)), moved)[0]
+        quartet = tuple(at[name] for name in residues.CHI[str(structure.residue_name[arm.residue])][0])
+        x[moved] = Arm((quartet,), (moved,)).turned(x, rng.uniform(-np.pi, np.pi, (1, 1)))[0]
     return structure.with_positions(x), [arm.residue for arm in chosen]
 
 
@@ -276,9 +275,9 @@ def test_random_side_chains_come_back():
 def test_the_choice_is_the_minimum_over_all_combinations():
     structure, chosen = scrambled(load("1l2y.pdb"), 8, seed=4)
     terms = pc.energy(structure, solvent="vacuum").terms
-    turning = [arm for arm in arms(structure, structure.positions, chosen) if len(arm.chi) < 30][:4]
+    turning = [arm for arm in rotamers_of(structure, structure.positions, chosen) if len(arm.chi) < 30][:4]
     assert len(turning) >= 3
-    felt = Interactions(terms, structure.positions, [arm.rotamers for arm in turning])
+    felt = Interactions(terms, structure.positions, turning)
     own, pairs = [felt.own(i) for i in range(len(turning))], felt.pairs()
     total = sum(np.expand_dims(e, [k for k in range(len(own)) if k != i]) for i, e in enumerate(own))
     for (i, j), table in pairs.items():

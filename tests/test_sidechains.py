@@ -8,14 +8,13 @@ from conftest import STRUCTURES, load
 
 import protochain as pc
 from protochain.core.markup import listed
-from protochain.structure import packing, relief, residues, turning
+from protochain.structure import residues
 from protochain.structure.chirality import centres, changed_hands, hand, volume, wrong_hands
 from protochain.structure.draft import Member, atom
-from protochain.structure.packing import Choices, Site, choosable, packed, wrapped
 from protochain.structure.read import read
-from protochain.structure.relief import relieved
-from protochain.structure.rotamers import rotamers
-from protochain.structure.sidechains import (
+from protochain.structure.sidechains import arms, packing, relief
+from protochain.structure.sidechains.arms import wrapped
+from protochain.structure.sidechains.ideal import (
     beta_carbon,
     bridged,
     conformers,
@@ -26,6 +25,9 @@ from protochain.structure.sidechains import (
     placed,
     unit,
 )
+from protochain.structure.sidechains.packing import Choices, Site, choosable, packed
+from protochain.structure.sidechains.relief import relieved
+from protochain.structure.sidechains.rotamers import rotamers
 from protochain.structure.templates import templates
 
 NAMES = tuple(residues.STANDARD)
@@ -437,9 +439,9 @@ def test_dihedrals_tried_are_those_of_now_and_around_each_rotamer():
     quartet = tuple(at["2", name] for name in ("N", "CA", "CB", "CG"))
     turns, width = np.deg2rad([0.0, -12, 12, -24, 24]), np.deg2rad(20.0)
     rotamer = np.deg2rad([[60.0], [-170.0]])
-    arm = relief.Arm(rotamer, np.array([1.0, 3.0]), (quartet,), (np.array([0]),))
+    turning = relief._Turning(arms.Arm((quartet,), (np.array([0]),)), rotamer, np.array([1.0, 3.0]))
     room = relief._Room(x, [(made("LIG", {}), str(k)) for k in range(len(x))], ["C"] * len(x), bonds)
-    chi, cost = room._tried(arm)
+    chi, cost = room._tried(turning)
     now = float(dihedral(*x[list(quartet)]))
     assert chi[:, 0] == pytest.approx([now, *(rotamer[0] + turns), *(rotamer[1] + turns)])
     away = np.abs((rotamer[:, 0] - now + np.pi) % (2 * np.pi) - np.pi)
@@ -468,7 +470,7 @@ def test_only_what_was_built_and_overlaps_turns():
 def test_rotation_adds_to_a_dihedral():
     a, start, end = np.array([1.0, 0, 0]), ORIGIN, np.array([0, 0, 1.0])
     x = np.array([[[0.5, 0.5, 2.0]], [[0.5, 0.5, 2.0]]])
-    turned = turning.rotated(x, start, end, np.deg2rad([90.0, -45.0]))
+    turned = arms.rotated(x, start, end, np.deg2rad([90.0, -45.0]))
     assert np.rad2deg(dihedral(a, start, end, turned[:, 0])) == pytest.approx([135.0, 0.0], abs=1e-9)
     assert turned[0, 0] == pytest.approx([-0.5, 0.5, 2.0])
 

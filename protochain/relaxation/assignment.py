@@ -15,6 +15,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers
 from protochain.relaxation.reduction import SLIGHT, Part, bounded, undominated
+from protochain.structure.sidechains.conflicts import beside
 
 _LARGEST = 1_000_000
 """Entries of a table in the elimination of sites; beyond, branches are smaller."""
@@ -143,18 +144,15 @@ def _guessed(part: Part) -> _Found:
 
 def _order(part: Part) -> tuple[list[int], int]:
     """Order of elimination, the smallest table next, and the size of its largest table."""
-    beside: dict[int, set[int]] = {k: set() for k in range(len(part.sites))}
-    for i, j in part.pairs:
-        beside[i].add(j)
-        beside[j].add(i)
+    near = {k: {j for j, _ in its} for k, its in enumerate(beside(part.pairs, len(part.sites)))}
     states = [len(own) for own in part.own]
     order, largest = [], 1
-    while beside:
-        size, k = min((prod([states[k], *(states[j] for j in its)]), k) for k, its in beside.items())
+    while near:
+        size, k = min((prod([states[k], *(states[j] for j in its)]), k) for k, its in near.items())
         largest = max(largest, size)
-        its = beside.pop(k)
+        its = near.pop(k)
         for j in its:
-            beside[j] = (beside[j] | its) - {j, k}
+            near[j] = (near[j] | its) - {j, k}
         order.append(k)
     return order, largest
 
@@ -188,16 +186,13 @@ def _eliminated(part: Part, order: Sequence[int]) -> _Found:
 
 def _descended(own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -> Integers:
     """States that no change of a single site improves, from the best of each beside those before it."""
-    beside: list[list[tuple[int, Floats]]] = [[] for _ in own]
-    for (i, j), table in pairs.items():
-        beside[i].append((j, table))
-        beside[j].append((i, table.T))
+    partners = beside(pairs, len(own))
     states, improves = np.full(len(own), -1), True
     while improves:
         improves = False
         for i, mine in enumerate(own):
             cost = mine + sum(
-                (table[:, states[j]] for j, table in beside[i] if states[j] >= 0), np.zeros(len(mine))
+                (table[:, states[j]] for j, table in partners[i] if states[j] >= 0), np.zeros(len(mine))
             )
             k = int(np.argmin(cost))
             if states[i] < 0 or cost[k] < cost[states[i]] - SLIGHT:

@@ -11,9 +11,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.compilation import njit
-
-Pairs = dict[tuple[int, int], Floats]
-"""Tables (n_i, n_j) of sites i < j that interact."""
+from protochain.structure.sidechains.conflicts import Pairs, beside
 
 SLIGHT = 1e-9
 """kJ/mol: round-off of energies; a smaller spread is none."""
@@ -100,22 +98,19 @@ class Part:
 def undominated(part: Part) -> list[np.ndarray]:
     """States (n_i,) bool of each site that Goldstein's criterion leaves."""
     alive = [np.ones(len(own), dtype=bool) for own in part.own]
-    beside: list[list[tuple[int, Floats]]] = [[] for _ in part.sites]
-    for (i, j), table in part.pairs.items():
-        beside[i].append((j, table))
-        beside[j].append((i, table.T))
+    partners = beside(part.pairs, len(part.sites))
     waiting = dict.fromkeys(range(len(part.sites)))
     while waiting:
         i = next(iter(waiting))
         del waiting[i]
         mine = np.flatnonzero(alive[i])
-        tables = [table[np.ix_(alive[i], alive[j])] for j, table in beside[i]]
+        tables = [table[np.ix_(alive[i], alive[j])] for j, table in partners[i]]
         starts = np.cumsum([0, *(table.shape[1] for table in tables)])
         rows = np.ascontiguousarray(np.hstack([np.zeros((len(mine), 0)), *tables]))
         left = _goldstein(part.own[i][mine], rows, starts)
         if not left.all():
             alive[i][mine[~left]] = False
-            waiting |= dict.fromkeys([i, *(j for j, _ in beside[i])])
+            waiting |= dict.fromkeys([i, *(j for j, _ in partners[i])])
     return alive
 
 

@@ -12,9 +12,9 @@ from protochain.core.errors import StructureError
 from protochain.energies import Energy, NativeEnergy, UnsupportedForceError
 from protochain.energies import energy as energy_of
 from protochain.energies.native.terms import Terms, compile_system
-from protochain.relaxation.arms import Arm, arms
 from protochain.relaxation.assignment import best
 from protochain.relaxation.rotamer_energies import Interactions
+from protochain.relaxation.rotamers import Rotamers, rotamers_of
 from protochain.structure.model import Structure
 from protochain.structure.repairs import Kind, Repair
 from protochain.validation.clashes import clashes
@@ -73,7 +73,7 @@ def repacked(
     x, told = structure.positions, tuple[Repair, ...]()
     terms = None
     for _ in range(_ROUNDS):
-        turning = arms(structure, structure.positions, chosen.tolist(), moving)
+        turning = rotamers_of(structure, structure.positions, chosen.tolist(), moving)
         if not turning:
             return structure
         terms = terms or _terms(structure, energy)
@@ -135,16 +135,18 @@ def _terms(structure: Structure, given: Energy | None) -> Terms:
     return compile_system(energy_of(structure, solvent="vacuum", engine="openmm").system)
 
 
-def _settled(structure: Structure, terms: Terms, turning: list[Arm]) -> tuple[Floats, tuple[Repair, ...]]:
+def _settled(
+    structure: Structure, terms: Terms, turning: list[Rotamers]
+) -> tuple[Floats, tuple[Repair, ...]]:
     """Positions with the best rotamers, and what was turned."""
     x = np.array(structure.positions)
-    felt = Interactions(terms, structure.positions, [arm.rotamers for arm in turning])
+    felt = Interactions(terms, structure.positions, turning)
     found = best([felt.own(i) for i in range(len(turning))], felt.pairs())
     told = []
-    for arm, state in zip(turning, found.states.tolist(), strict=True):
+    for side_chain, state in zip(turning, found.states.tolist(), strict=True):
         if state:
-            x[arm.rotamers.atoms] = arm.rotamers.x[state]
-            told.append(arm.repair(state, structure.residue(arm.residue)))
+            x[side_chain.atoms] = side_chain.x[state]
+            told.append(side_chain.repair(state, structure.residue(side_chain.residue)))
     if told and not found.is_proven:
         told.append(Repair(Kind.NOT_PROVEN))
     return x, tuple(told)

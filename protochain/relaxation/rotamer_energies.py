@@ -15,7 +15,9 @@ from scipy.spatial import KDTree
 from protochain.core.arrays import Floats, Integers
 from protochain.core.compilation import njit
 from protochain.energies.native.terms import Bonded, Terms
-from protochain.structure.sidechains import dihedral
+from protochain.relaxation.rotamers import Rotamers
+from protochain.structure.sidechains.conflicts import Pairs, sphere, touching
+from protochain.structure.sidechains.ideal import dihedral
 
 _TWIST = 0.5
 """Of the torsions, which the frequencies of rotamers tell too."""
@@ -29,24 +31,6 @@ _DIELECTRIC = 40.0
 """1/nm: relative permittivity over distance."""
 _CLOSEST = 0.1
 """nm: charges nearer than this feel no more."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rotamers:
-    """Positions that a side chain may take.
-
-    Parameters
-    ----------
-    atoms : (k,) int
-        Atoms that turn.
-    x : (n, k, 3) float, nm
-    cost : (n,) float, kJ/mol
-        Of their rarity.
-    """
-
-    atoms: Integers
-    x: Floats
-    cost: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +73,7 @@ class Interactions:
     def own(self, i: int) -> Floats:
         """(n_i,) float, kJ/mol: rarity, torsions, and energy with itself and with all that stays."""
         its = self.rotamers[i]
-        centre, reach = _sphere(its.x)
+        centre, reach = sphere(its.x)
         near = self._still[np.sort(self._tree.query_ball_point(centre, reach + _CUTOFF))]
         around = self._between(its.atoms, near)
         within = self._between(its.atoms, its.atoms)
@@ -97,19 +81,15 @@ class Interactions:
         inside = _inside(its.x, within.a12, within.b6, within.charges, within.linear)
         return np.asarray(its.cost + self._twisted(its) + felt + inside)
 
-    def pairs(self) -> dict[tuple[int, int], Floats]:
+    def pairs(self) -> Pairs:
         """(n_i, n_j) float, kJ/mol: energies between the rotamers of all sites i < j that may touch."""
-        spheres = [_sphere(each.x) for each in self.rotamers]
         found = {}
-        for i, one in enumerate(self.rotamers):
-            for j in range(i + 1, len(self.rotamers)):
-                apart = np.linalg.norm(spheres[i][0] - spheres[j][0])
-                if apart < spheres[i][1] + spheres[j][1] + _CUTOFF:
-                    other = self.rotamers[j]
-                    its = self._between(one.atoms, other.atoms)
-                    table = _table(one.x, other.x, its.a12, its.b6, its.charges, its.linear)
-                    if table.any():
-                        found[i, j] = table
+        for i, j in touching([each.x for each in self.rotamers], _CUTOFF):
+            one, other = self.rotamers[i], self.rotamers[j]
+            its = self._between(one.atoms, other.atoms)
+            table = _table(one.x, other.x, its.a12, its.b6, its.charges, its.linear)
+            if table.any():
+                found[i, j] = table
         return found
 
     def _between(self, rows: Integers, columns: Integers) -> _Parameters:
@@ -147,12 +127,6 @@ def _by_atom(exceptions: Bonded) -> dict[int, list[tuple[int, list[float]]]]:
         found.setdefault(i, []).append((j, values))
         found.setdefault(j, []).append((i, values))
     return found
-
-
-def _sphere(x: Floats) -> tuple[Floats, float]:
-    """Centre and radius of all positions (n, k, 3)."""
-    centre = x.reshape(-1, 3).mean(axis=0)
-    return centre, float(np.linalg.norm(x - centre, axis=-1).max())
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)

@@ -11,9 +11,9 @@ from protochain.structure import residues
 from protochain.structure.chirality import centres, hand, wrong_hands
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.losses import Why
-from protochain.structure.packing import Site, packed
 from protochain.structure.repairs import Kind, Renamed
-from protochain.structure.sidechains import Places, bridged, dihedral, ideal, placed, unit
+from protochain.structure.sidechains.ideal import Places, bridged, dihedral, ideal, placed, unit
+from protochain.structure.sidechains.packing import Site, packed
 from protochain.structure.templates import Template, rename
 
 _CARBOXYLATE = 1.25

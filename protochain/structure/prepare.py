@@ -26,7 +26,7 @@ from protochain.structure.linkage import Link
 from protochain.structure.model import Structure
 from protochain.structure.protonate import protonate
 from protochain.structure.read import Reading, read
-from protochain.structure.relief import relieved
+from protochain.structure.sidechains.relief import relieved
 from protochain.structure.sites import find_links, moves, settle_mobile, stated_beside, stated_ties, ties
 from protochain.structure.templates import Template, templates
 

@@ -78,6 +78,8 @@ CHI: dict[str, tuple[tuple[str, str, str, str], ...]] = {
     "VAL": (("N", "CA", "CB", "CG1"),),
 }
 """chi1, chi2, ... of each residue; proline's ring is rigid and has none."""
+SYMMETRIC = frozenset({"ASP", "GLU", "PHE", "TYR"})
+"""Residues whose last chi repeats after 180 degrees: two atoms are equal."""
 
 ROTORS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
     "ALA": (("N", "CA", "CB", "HB1"),),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers
 from protochain.structure.model import Structure
-from protochain.structure.residues import CHI
+from protochain.structure.residues import CHI, SYMMETRIC
 from protochain.validation.layout import NONE, dihedrals, layout
 
 _LIMITS = {
@@ -30,8 +30,6 @@ _WIDE = {
     **dict.fromkeys(("ASP", "GLU", "PHE", "TYR"), 90.0),
 }  # fmt: skip
 """The same for the last dihedral at a planar group; 90 are all angles of one that is its own image."""
-_SYMMETRIC = frozenset({"ASP", "GLU", "PHE", "TYR"})
-"""Residues whose last dihedral repeats after 180 degrees."""
 
 
 class SideChains(NamedTuple):
@@ -84,7 +82,7 @@ def side_chains(structure: Structure, x: Floats | None = None) -> SideChains:
         chi = dihedrals(x, quadruples.reshape(-1, 4)).reshape(len(its), -1)
         chi *= np.where(mirrored[its], -1.0, 1.0)[:, None]
         period, limit = np.full(chi.shape[1], 360.0), np.full(chi.shape[1], _LIMITS[kind])
-        period[-1] = 180.0 if kind in _SYMMETRIC else 360.0
+        period[-1] = 180.0 if kind in SYMMETRIC else 360.0
         limit[-1] = _WIDE.get(kind, limit[-1])
         off = (np.abs((chi[:, None] - usual + period / 2) % period - period / 2) / limit).max(axis=2)
         name[its], distance[its] = names[off.argmin(axis=1)], off.min(axis=1)

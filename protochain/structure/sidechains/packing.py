@@ -14,7 +14,9 @@ from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
 from protochain.structure.draft import Member
-from protochain.structure.sidechains import Places, conformers, fixed_chi, grown, ideal
+from protochain.structure.sidechains.arms import WIDTH, wrapped
+from protochain.structure.sidechains.conflicts import beside, touching
+from protochain.structure.sidechains.ideal import Places, conformers, fixed_chi, grown, ideal
 
 _RADIUS = {"C": 1.77, "N": 1.5, "O": 1.45, "S": 1.82}
 """Angstrom: heavy atoms nearer than the sum repel, carbons with their hydrogens."""
@@ -24,8 +26,6 @@ _REACH = 3.7
 """Angstrom: no atoms further apart repel."""
 _APART = 3
 """Bonds: atoms no further apart along the chain do not repel."""
-WIDTH = np.deg2rad(20.0)
-"""Standard deviation of a dihedral about its rotamer."""
 _SWEEPS = 30
 _BOND, _BOND_WIDTH, _BOND_GAIN = 2.05, 0.15, 40.0
 """Angstrom, angstrom, -: a disulfide bond, its deviation, and what it gains."""
@@ -124,46 +124,34 @@ def _choices(site: Site, here: "_Surroundings") -> Choices:
 
 
 def _settled(choices: Sequence[Choices]) -> list[int]:
-    """Conformer of each residue."""
-    tables = _tables(choices)
-    partners: dict[int, list[int]] = {i: [] for i in range(len(choices))}
-    for i, j in tables:
-        partners[i].append(j)
+    """Conformer of each residue.
+
+    By descent, while ``relaxation.assignment`` proves the minimum: that needs kernels, for which loading a
+    file is not to wait, and hydrogens, which decide between near equals, are still to come.
+    """
+    tables = {
+        (i, j): table
+        for i, j in touching([each.x for each in choices], _REACH)
+        if (table := _between(choices[i], choices[j])).any()
+    }
+    partners = beside(tables, len(choices))
     taken = [int(np.argmin(np.round(each.cost, 6))) for each in choices]
 
     def cost(i: int, without: int = -1) -> Floats:
         return choices[i].cost + sum(
-            (tables[i, j][:, taken[j]] for j in partners[i] if j != without), np.zeros(len(choices[i].cost))
+            (table[:, taken[j]] for j, table in partners[i] if j != without), np.zeros(len(choices[i].cost))
         )
 
     for _ in range(_SWEEPS):
         before = list(taken)
         for i in range(len(choices)):
             taken[i] = int(np.argmin(np.round(cost(i), 6)))
-        for i, j in tables:
-            if i < j:
-                both = cost(i, j)[:, None] + cost(j, i)[None] + tables[i, j]
-                taken[i], taken[j] = (
-                    int(k) for k in np.unravel_index(np.argmin(np.round(both, 6)), both.shape)
-                )
+        for (i, j), table in tables.items():
+            both = cost(i, j)[:, None] + cost(j, i)[None] + table
+            taken[i], taken[j] = (int(k) for k in np.unravel_index(np.argmin(np.round(both, 6)), both.shape))
         if taken == before:
             break
     return taken
-
-
-def _tables(choices: Sequence[Choices]) -> dict[tuple[int, int], Floats]:
-    """Repulsion (n_i, n_j) of the conformers of residues that can touch, both ways round."""
-    if len(choices) < 2:
-        return {}
-    centre = np.array([each.x.reshape(-1, 3).mean(axis=0) for each in choices])
-    size = np.array([np.linalg.norm(e.x - c, axis=2).max() for e, c in zip(choices, centre, strict=True)])
-    found = {}
-    for i, j in sorted(KDTree(centre).query_pairs(2 * size.max() + _REACH)):
-        if np.linalg.norm(centre[i] - centre[j]) < size[i] + size[j] + _REACH:
-            table = _between(choices[i], choices[j])
-            if table.any():
-                found[i, j], found[j, i] = table, table.T
-    return found
 
 
 def _between(one: Choices, other: Choices) -> Floats:
@@ -266,8 +254,3 @@ def _disulfide(apart: Floats, betas: float) -> Floats:
     if not _BETAS[0] < betas < _BETAS[1]:
         return np.zeros_like(apart)
     return np.asarray(-_BOND_GAIN * np.exp(-0.5 * ((apart - _BOND) / _BOND_WIDTH) ** 2))
-
-
-def wrapped(angle: Floats) -> Floats:
-    """Angles between -pi and pi."""
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

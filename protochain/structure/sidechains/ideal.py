@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from protochain.core.arrays import Floats
 from protochain.structure import residues
-from protochain.structure.rotamers import rotamers
+from protochain.structure.sidechains.rotamers import rotamers
 
 Places = dict[str, Floats]
 """Positions by atom name, angstrom: (3,), or (n, 3) of n candidates."""

@@ -13,9 +13,8 @@ from protochain.core.arrays import Floats, Integers, neighbours
 from protochain.structure import residues
 from protochain.structure.chirality import hand
 from protochain.structure.draft import Member
-from protochain.structure.packing import WIDTH, wrapped
-from protochain.structure.sidechains import conformers, dihedral
-from protochain.structure.turning import beyond, turned
+from protochain.structure.sidechains.arms import WIDTH, Arm, arm_of, around, wrapped
+from protochain.structure.sidechains.ideal import conformers
 
 _NEAR = 0.65
 """Fraction of the sum of the van der Waals radii: nearer atoms are moved. Hydrogen bonds are longer."""
@@ -29,28 +28,6 @@ _TURNS = np.deg2rad([0.0, -12.0, 12.0, -24.0, 24.0])
 _SWEEPS = 8
 _DECIMALS = 6
 """Decimals (nm), as of hydrogens."""
-
-
-@dataclass(frozen=True, eq=False)
-class Arm:
-    """A side chain that can turn.
-
-    Parameters
-    ----------
-    chi : (n, n_chi) float, rad
-        Its conformers.
-    rarity : (n,) float
-        Negative logarithms of their frequencies.
-    axes : tuple of (4,) int
-        Atoms that define each chi.
-    outward : tuple of (n_turned,) int
-        Atoms that each chi turns.
-    """
-
-    chi: Floats
-    rarity: Floats
-    axes: tuple[tuple[int, ...], ...]
-    outward: tuple[Integers, ...]
 
 
 def relieved(
@@ -114,33 +91,26 @@ class _Room:
             found |= {other for each in found for other in self.bonded[each]}
         return found
 
-    def arm(self, place: int, names: tuple[str, ...]) -> Arm | None:
+    def arm(self, place: int, names: tuple[str, ...]) -> "_Turning | None":
         """What of a side chain can turn, if anything: built atoms whose bonds lead to no other residue."""
         member, at = self.members[place], self.atoms[place]
         built = {at[name] for name in names}
-        axes, outward, columns = [], [], []
-        for k, quartet in enumerate(residues.CHI.get(member.name, ())):
-            atoms = tuple(at[name] for name in quartet)
-            its = beyond(self.bonded, atoms[1], atoms[2])
-            heavy = {i for i in its if self.radius[i] != residues.VAN_DER_WAALS["H"]}
-            if heavy <= built:
-                axes.append(atoms)
-                outward.append(np.array(sorted(its), dtype=np.int64))
-                columns.append(k)
         chi, frequency = conformers(member.name)
-        columns = [k for k in columns if k < chi.shape[1]]
+        quartets = [tuple(at[name] for name in quartet) for quartet in residues.CHI.get(member.name, ())]
+        whole = arm_of(self.bonded, quartets[: chi.shape[1]])
+        hydrogen = self.radius == residues.VAN_DER_WAALS["H"]
+        columns = [k for k, its in enumerate(whole.outward) if {*its[~hydrogen[its]].tolist()} <= built]
         if not columns:
             return None
-        chosen = hand(member) * chi[:, columns]
-        n = len(columns)
-        return Arm(chosen, -np.log(np.maximum(frequency, 1e-6)), tuple(axes[:n]), tuple(outward[:n]))
+        arm = Arm(tuple(whole.axes[k] for k in columns), tuple(whole.outward[k] for k in columns))
+        return _Turning(arm, hand(member) * chi[:, columns], -np.log(np.maximum(frequency, 1e-6)))
 
-    def crowded(self, arms: dict[int, Arm]) -> list[int]:
+    def crowded(self, arms: dict[int, "_Turning"]) -> list[int]:
         """Residues that can turn and have an atom too near to another."""
         tree = KDTree(self.x)
         found = set()
-        for place, arm in arms.items():
-            for i in arm.outward[0].tolist():
+        for place, turning in arms.items():
+            for i in turning.arm.moved.tolist():
                 near = np.array(tree.query_ball_point(self.x[i], _NEAR * 2 * self.radius.max()))
                 apart = np.linalg.norm(self.x[near] - self.x[i], axis=1)
                 close = near[apart < _NEAR * (self.radius[near] + self.radius[i])]
@@ -148,26 +118,22 @@ class _Room:
                 found |= {place for _ in touched} | {self.place[j] for j in touched if self.place[j] in arms}
         return [place for place in arms if place in found]
 
-    def turn(self, arm: Arm) -> None:
+    def turn(self, turning: "_Turning") -> None:
         """Give a side chain the conformer of lowest cost."""
-        moved = arm.outward[0]
-        chi, cost = self._tried(arm)
-        tried = turned(self.x, arm.axes, arm.outward, chi, moved)
+        moved = turning.arm.moved
+        chi, cost = self._tried(turning)
+        tried = turning.arm.turned(self.x, chi)
         cost = cost + self._repulsion(moved, tried)
         best = int(np.argmin(np.round(cost, 6)))
         if best:
             self.x[moved] = tried[best]
 
-    def _tried(self, arm: Arm) -> tuple[Floats, Floats]:
+    def _tried(self, turning: "_Turning") -> tuple[Floats, Floats]:
         """Dihedrals (n, n_chi) to try, those of now first, and their costs (n,)."""
-        now = np.array([dihedral(*self.x[list(quartet)]) for quartet in arm.axes])
-        n_turned = min(2, len(now))
-        steps = np.zeros((len(_TURNS) ** n_turned, len(now)))
-        steps[:, :n_turned] = np.stack(np.meshgrid(*[_TURNS] * n_turned), axis=-1).reshape(len(steps), -1)
-        chi = (arm.chi[:, None] + steps).reshape(-1, len(now))
-        cost = (arm.rarity[:, None] + 0.5 * ((steps / WIDTH) ** 2).sum(axis=1)).ravel()
-        strain = 0.5 * (wrapped(arm.chi - now) / WIDTH) ** 2
-        return np.vstack([now, chi]), np.append((arm.rarity + strain.sum(axis=1)).min(), cost)
+        now = turning.arm.dihedrals(self.x)
+        chi, cost = around(turning.chi, turning.rarity, _TURNS, min(2, len(now)))
+        strain = 0.5 * (wrapped(turning.chi - now) / WIDTH) ** 2
+        return np.vstack([now, chi]), np.append((turning.rarity + strain.sum(axis=1)).min(), cost)
 
     def _repulsion(self, moved: Integers, tried: Floats) -> Floats:
         """(n,) float: repulsion of positions tried (n, n_moved, 3) by each other and by all other atoms."""
@@ -192,3 +158,12 @@ class _Room:
         apart = np.sqrt(np.einsum("...i,...i", way, way))
         contact = _FIRM * (self.radius[atom] + self.radius[others])
         return np.asarray((_STEEPNESS * np.maximum(0.0, 1.0 - apart / contact)).sum(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Turning:
+    """An arm, its conformers (n, n_chi), rad, and the negative logarithms (n,) of their frequencies."""
+
+    arm: Arm
+    chi: Floats
+    rarity: Floats

@@ -1,0 +1,139 @@
+"""Side chains of a structure that can turn, and the dihedrals to try: rotamers, and those of the input."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.core.arrays import Floats, Integers
+from protochain.structure import residues
+from protochain.structure.chirality import volume
+from protochain.structure.model import Structure
+from protochain.structure.repairs import Kind, Repair
+from protochain.structure.sidechains.arms import WIDTH, arm_of, around, wrapped
+from protochain.structure.sidechains.rotamers import rotamers
+
+_RARITY = 5.0
+"""kJ/mol: of the logarithm of a rotamer's frequency, twice kT."""
+_RAREST = 10.0
+"""Rarity of the input's dihedrals, at most: an outlier is no worse than the rarest rotamers."""
+_STAYING = 10.0
+"""kJ/mol that a turn must gain: what relaxing can mend stays."""
+_TURNS = np.deg2rad([0.0, -12.0, 12.0])
+"""About chi1 of a rotamer."""
+_STAGGERED, _PLANAR = np.deg2rad([60.0, 180.0, -60.0]), np.deg2rad([0.0, 180.0])
+_POLAR = {"CYS": _STAGGERED, "SER": _STAGGERED, "THR": _STAGGERED, "TYR": _PLANAR}
+"""Dihedrals of hydroxyl and thiol hydrogens."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rotamers:
+    """Positions that the side chain of a residue may take.
+
+    Parameters
+    ----------
+    residue : int
+    atoms : (k,) int
+        Atoms that turn.
+    chi : (n, n_chi) float, rad
+        Dihedrals to try, those of the input first; those of a polar hydrogen last.
+    n_chi : int
+        Dihedrals without that of a polar hydrogen.
+    x : (n, k, 3) float, nm
+    cost : (n,) float, kJ/mol
+        Of their rarity.
+    """
+
+    residue: int
+    atoms: Integers
+    chi: Floats
+    n_chi: int
+    x: Floats
+    cost: Floats
+
+    def repair(self, state: int, residue: residues.Residue) -> Repair:
+        """How it is turned."""
+        before, after = np.rint(np.rad2deg(wrapped(self.chi[[0, state], : self.n_chi]))).astype(int)
+        if (before == after).all():
+            return Repair(Kind.HYDROGEN_TURNED, {"residue": residue})
+        old, new = (
+            " ".join(f"chi{k} {value}" for k, value in enumerate(each.tolist(), 1))
+            for each in (before, after)
+        )
+        return Repair(Kind.SIDE_CHAIN_TURNED, {"residue": residue, "before": old, "after": new})
+
+
+def rotamers_of(
+    structure: Structure, x: Floats, residues: Sequence[int], moving: NDArray[np.bool_] | None = None
+) -> list[Rotamers]:
+    """Rotamers of the side chains that can turn.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm
+    residues : sequence of int
+    moving : (na,) bool, optional
+        Atoms that may move; all by default.
+    """
+    held = structure.kept.copy()
+    if moving is not None:
+        held |= ~moving
+    held[[atom for tie in structure.ties for atom in tie.atoms]] = True
+    first = np.searchsorted(structure.atom_residue, np.arange(structure.n_residues + 1))
+    found = (
+        _of_residue(structure, x, residue, range(first[residue], first[residue + 1]), held)
+        for residue in residues
+    )
+    return [each for each in found if each is not None]
+
+
+def _of_residue(
+    structure: Structure, x: Floats, residue: int, atoms: Sequence[int], held: NDArray[np.bool_]
+) -> Rotamers | None:
+    """Rotamers of a residue; None for one without chi, or bonded to others by its side chain."""
+    name = str(structure.residue_name[residue])
+    at = {str(structure.atom_name[i]): i for i in atoms if not structure.kept[i]}
+    library, frequency = rotamers(name)
+    quartets = [*residues.CHI.get(name, ())[: library.shape[-1]]] if len(library) else []
+    if not quartets or not all(atom in at for quartet in quartets for atom in quartet):
+        return None
+    n_chi = len(quartets)
+    polar = [q for q in residues.ROTORS.get(name, ()) if q[3] in at and q[2][0] in "OS"]
+    quartets += polar if name in _POLAR else []
+    arm = arm_of(structure.neighbours, [tuple(at[atom] for atom in quartet) for quartet in quartets])
+    side = set(at.values()) - {at[atom] for atom in ("N", "CA", "C", "O") if atom in at}
+    if not set(arm.moved.tolist()) <= side or held[arm.moved].any():
+        return None
+    now = arm.dihedrals(x)
+    hand = -1 if volume(x[[at[name] for name in ("CA", "N", "C", "CB")]]) < 0.0 else 1
+    chi, rarity = _tried(name, now[:n_chi], hand * library, -np.log(frequency))
+    if polar and n_chi < len(quartets):
+        chi, rarity = _with_hydrogen(chi, rarity, float(now[-1]), _POLAR[name])
+    turned = arm.turned(x, chi)
+    # Those of the input stay bit for bit.
+    turned[0] = x[arm.moved]
+    cost = _RARITY * rarity
+    cost[0] -= _STAYING
+    return Rotamers(residue, arm.moved, chi, n_chi, turned, cost)
+
+
+def _tried(name: str, now: Floats, library: Floats, rarity: Floats) -> tuple[Floats, Floats]:
+    """Dihedrals (n, n_chi), rad, and rarities (n,): those of now, and rotamers with turns about them."""
+    off = wrapped(library - now)
+    if name in residues.SYMMETRIC:
+        # Of the two that are equal, the one nearer to the input.
+        flipped = wrapped(off[:, -1] + np.pi)
+        off[:, -1] = np.where(np.abs(flipped) < np.abs(off[:, -1]), flipped, off[:, -1])
+    unlikely = rarity + 0.5 * ((off / WIDTH) ** 2).sum(axis=1)
+    chi, cost = around(now + off, rarity, _TURNS, 1)
+    return np.vstack([now, chi]), np.append(min(float(unlikely.min()), _RAREST), cost)
+
+
+def _with_hydrogen(chi: Floats, rarity: Floats, now: float, turns: Floats) -> tuple[Floats, Floats]:
+    """With a dihedral of a polar hydrogen: all turns for each, and that of the input for the input's."""
+    n = len(turns)
+    each = np.column_stack([np.repeat(chi, n, axis=0), np.tile(turns, len(chi))])
+    first = np.append(chi[0], now)
+    return np.vstack([first, each]), np.append(rarity[0], np.repeat(rarity, n))

@@ -1,0 +1,105 @@
+"""Side chains turned about their bonds: bond lengths and angles stay."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers
+from protochain.structure.sidechains.ideal import dihedral, unit
+
+WIDTH = np.deg2rad(20.0)
+"""Standard deviation of a dihedral about its rotamer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """What of a side chain can turn.
+
+    Parameters
+    ----------
+    axes : tuple of (4,) int
+        Atoms that define each dihedral, from the backbone outward.
+    outward : tuple of (n_turned,) int
+        Atoms that each dihedral turns; the first turns them all.
+    """
+
+    axes: tuple[tuple[int, ...], ...]
+    outward: tuple[Integers, ...]
+
+    @property
+    def moved(self) -> Integers:
+        """(n_moved,) int: atoms that any dihedral turns."""
+        return self.outward[0]
+
+    def dihedrals(self, x: Floats) -> Floats:
+        """(n_chi,) float, rad: where the atoms are now, x (na, 3)."""
+        return np.array([float(dihedral(*x[list(quartet)])) for quartet in self.axes])
+
+    def turned(self, x: Floats, chi: Floats) -> Floats:
+        """Positions (n, n_moved, 3) at dihedrals (n, n_chi), rad, of what is at x (na, 3) now."""
+        tried = np.repeat(x[self.moved][None], len(chi), axis=0)
+        row = {int(atom): k for k, atom in enumerate(self.moved)}
+        for k, (quartet, its) in enumerate(zip(self.axes, self.outward, strict=True)):
+            at = [tried[:, row[i]] if i in row else x[i] for i in quartet]
+            rows = [row[int(i)] for i in its]
+            tried[:, rows] = rotated(tried[:, rows], at[1], at[2], chi[:, k] - dihedral(*at))
+        return tried
+
+
+def arm_of(bonded: Sequence[Sequence[int]], axes: Sequence[tuple[int, ...]]) -> Arm:
+    """Side chain whose dihedrals are about these axes; ``bonded`` are the bonded atoms of each atom."""
+    outward = (np.array(sorted(beyond(bonded, *quartet[1:3])), dtype=np.int64) for quartet in axes)
+    return Arm(tuple(axes), tuple(outward))
+
+
+def beyond(bonded: Sequence[Sequence[int]], first: int, second: int) -> set[int]:
+    """Atoms on the second's side of a bond, without the second.
+
+    If it is of a ring, the atoms beyond lead back to the first, which is left out.
+    """
+    found, ahead = {first, second}, [second]
+    while ahead:
+        fresh = [i for i in bonded[ahead.pop()] if i not in found]
+        found.update(fresh)
+        ahead += fresh
+    return found - {first, second}
+
+
+def around(chi: Floats, rarity: Floats, turns: Floats, n_turned: int) -> tuple[Floats, Floats]:
+    """Dihedrals about those of rotamers, and what each costs.
+
+    Parameters
+    ----------
+    chi : (n, n_chi) float, rad
+    rarity : (n,) float
+        Negative logarithms of the frequencies of the rotamers.
+    turns : (n_turns,) float, rad
+    n_turned : int
+        How many of the dihedrals take each turn.
+
+    Returns
+    -------
+    (n n_turns^n_turned, n_chi) float, rad
+    (n n_turns^n_turned,) float
+        The rarity, and half the square of the turn in widths.
+    """
+    steps = np.zeros((len(turns) ** n_turned, chi.shape[1]))
+    steps[:, :n_turned] = np.stack(np.meshgrid(*[turns] * n_turned), axis=-1).reshape(len(steps), -1)
+    cost = (rarity[:, None] + 0.5 * ((steps / WIDTH) ** 2).sum(axis=1)).ravel()
+    return (chi[:, None] + steps).reshape(-1, chi.shape[1]), cost
+
+
+def rotated(x: Floats, start: Floats, end: Floats, angle: Floats) -> Floats:
+    """Rotate positions (n, k, 3) about the axis from start to end, (3,) or (n, 3), by angles (n,)."""
+    axis = np.broadcast_to(unit(end - start), (len(angle), 3))[:, None]
+    arm = x - np.broadcast_to(end, (len(angle), 3))[:, None]
+    c, s = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
+    along = axis * (axis * arm).sum(axis=-1, keepdims=True)
+    turned = along + c * (arm - along) + s * np.cross(axis, arm)
+    return np.asarray(np.broadcast_to(end, (len(angle), 3))[:, None] + turned)
+
+
+def wrapped(angle: Floats) -> Floats:
+    """Angles between -pi and pi."""
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
