@@ -6,10 +6,9 @@ import pytest
 from conftest import SAMPLES, load, sentences, shared
 
 import protochain as pc
-from protochain.minimisers.loop import Stop
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.presets import PRESETS
-from protochain.relaxation.rounds import Ended, Relaxer, Round
+from protochain.relaxation.rounds import Relaxer
 from protochain.structure.chirality import chiral_atoms, wrong_atoms
 from protochain.structure.repairs import Kind
 from protochain.structure.residues import Residue
@@ -138,20 +137,14 @@ def test_a_chain_in_the_mirror_stays_so():
     assert r.measures_end["wrong_hands"] == r.measures_start["wrong_hands"] >= 16
 
 
-def test_a_hand_lost_in_a_round_is_turned_back_before_the_next(monkeypatch):
-    s = load("1l2y.pdb")
-    lost, began = other_hand(s, 5).positions, []
-
-    def as_it_was(self, x, share, strengths, work):
-        began.append(x)
-        told = Round(0, 1, 0, 1, 1, 0.0)
-        return Ended(lost, Stop.TOLERANCE, self._springs(share, *strengths[0]), np.array([5]), told)
-
-    monkeypatch.setattr(Relaxer, "_round", as_it_was)
-    relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 500, lambda *_: None)
-    relaxer.rounds(s.positions, np.zeros(s.n_residues, dtype=bool), 2)
+def test_a_hand_lost_in_a_round_is_turned_back_before_the_next():
+    s, began = load("1l2y.pdb"), {}
+    lost = other_hand(s, 5).positions
+    note = lambda stage, at, n: began.setdefault(stage.recorded, at.x)  # noqa: E731
+    relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 500, note)
+    relaxer._round(lost, np.ones(s.n_residues), [(400.0, 400.0)], 1, False)
     hands = relaxer.hands
-    assert len(hands.wrong(lost)) == 1 and len(began) == 2 and not len(hands.wrong(began[1]))
+    assert len(hands.wrong(lost)) == 1 and len(began) == 2 and not len(hands.wrong(began[True]))
 
 
 def test_d_amino_acids_under_names_of_l_stay_where_their_phi_is_theirs():

@@ -77,7 +77,7 @@ def test_overlaps_being_parted_are_interrupted_and_told(signals):  # noqa: F811
         if len(told) == 2:
             interrupt()
 
-    done = walk([parting(Torsions(c))], c, 500, None, record)
+    done = walk([parting(Torsions(c))], c.structure.positions, 500, None, record)
     assert [name for name, _ in told] == ["parting overlaps"] * 2 and done.n_evaluations == told[-1][1]
 
 

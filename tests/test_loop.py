@@ -197,8 +197,8 @@ def test_the_answer_of_a_stage(stop, energy, torque, last_is_end, lowest_is_end,
             assert answer(problem, ending, first)[0] == (2.0 if is_end and allowed else otherwise)
 
 
-def chain_at(t):
-    return SimpleNamespace(structure=SimpleNamespace(positions=np.array([[t, 0.0, 0.0]])))
+def at(t):
+    return np.array([[t, 0.0, 0.0]])
 
 
 @dataclass(eq=False)
@@ -230,7 +230,7 @@ def test_stages_start_where_the_one_before_ended_and_share_a_budget():
         stage_of(Stepping(2), one), stage_of(Stepping(2), one, recorded=False),
         stage_of(Stepping(22), two, restraint=lambda x: (50.0, 0.0 * x)),
     ]  # fmt: skip
-    done = walk(plan, chain_at(1.0), 99, None, record)
+    done = walk(plan, at(1.0), 99, None, record)
     # From 1 to 2 in one step; from 2 nowhere; in the other space from 20 to 22.
     assert seen == [(1, 1, 1, 1), (2, 2, 1, 2), (20, 2, 10, 4), (21, 2.1, 10, 5), (22, 2.2, 10, 6)]
     assert (done.stop, done.space, done.q[0], done.n_iterations, done.n_evaluations) == (
@@ -245,7 +245,7 @@ def test_stages_start_where_the_one_before_ended_and_share_a_budget():
 def test_stages_that_alternate_between_spaces_take_the_positions_along():
     one, two = Scaled(scale=1.0), Scaled(scale=10.0)
     plan = [stage_of(Stepping(2), one), stage_of(Stepping(21), two), stage_of(Stepping(3.1), one)]
-    done = walk(plan, chain_at(1.0), 99, None, lambda *_: None)
+    done = walk(plan, at(1.0), 99, None, lambda *_: None)
     # From 1 to 2, as 20 to 21, as 2.1 to 3.1.
     assert done.q[0] == pytest.approx(3.1) and done.space is one and done.n_iterations == 3
 
@@ -256,7 +256,7 @@ def test_stages_that_alternate_between_spaces_take_the_positions_along():
 def test_what_is_no_number_is_followed_by_a_stage_that_names_it_or_by_none(named, n_run):
     first = stage_of(Stepping(3), energy=lambda t: np.nan if t == 2 else -t)
     plan = [first, *([] if named is None else [stage_of(Stepping(3), after=named)])]
-    done = walk(plan, chain_at(0.0), 99, None, lambda *_: None)
+    done = walk(plan, at(0.0), 99, None, lambda *_: None)
     assert done.stop is (Stop.NO_DESCENT if n_run == 2 else Stop.NON_FINITE)
     # The lowest before, at 1, is kept; the second stage goes on from there to 3.
     assert done.q[0] == (3.0 if n_run == 2 else 1.0) and done.n_evaluations == (6 if n_run == 2 else 3)
@@ -265,9 +265,9 @@ def test_what_is_no_number_is_followed_by_a_stage_that_names_it_or_by_none(named
 @pytest.mark.parametrize("budget", range(1, 8))
 def test_a_walk_goes_on_from_any_budget_as_if_it_had_never_stopped(budget):
     plan = [stage_of(Stepping(3)), stage_of(Stepping(5), after=(Stop.NO_DESCENT,))]
-    whole = walk(plan, chain_at(0.0), 99, None, lambda *_: None)
-    part = walk(plan, chain_at(0.0), budget, None, lambda *_: None)
-    rest = walk(plan, chain_at(0.0), 99, None, lambda *_: None, part.waypoint)
+    whole = walk(plan, at(0.0), 99, None, lambda *_: None)
+    part = walk(plan, at(0.0), budget, None, lambda *_: None)
+    rest = walk(plan, at(0.0), 99, None, lambda *_: None, part.waypoint)
     assert part.n_evaluations == budget and (whole.n_evaluations, whole.n_iterations) == (7, 5)
     assert part.stop is (Stop.BUDGET if budget < 7 else Stop.NO_DESCENT)
     assert (rest.q[0], rest.n_evaluations, rest.n_iterations, rest.stop) == (5.0, 7, 5, Stop.NO_DESCENT)
@@ -276,7 +276,7 @@ def test_a_walk_goes_on_from_any_budget_as_if_it_had_never_stopped(budget):
 
 def test_a_walk_without_a_single_evaluation_ends_at_its_start():
     plan = [stage_of(Stepping(3)), stage_of(Stepping(5))]
-    done = walk(plan, chain_at(1.0), 0, None, lambda *_: None)
+    done = walk(plan, at(1.0), 0, None, lambda *_: None)
     assert (done.stop, done.q[0], done.n_iterations, done.n_evaluations) == (Stop.BUDGET, 1.0, 0, 0)
     assert not done.complete and done.waypoint is None
 
@@ -286,13 +286,13 @@ def test_what_is_allowed_patience_and_answer_reach_the_stage():
         return abs(t - 3.0)
 
     plan = [stage_of(Stepping(), energy=energy, patience=4)]
-    done = walk(plan, chain_at(0.0), 99, lambda x: x[0, 0] < 2.0, lambda *_: None)
+    done = walk(plan, at(0.0), 99, lambda x: x[0, 0] < 2.0, lambda *_: None)
     # Allowed are 0 and 1, evaluations 1 and 2: four more are its patience.
     assert (done.stop, done.q[0], done.n_evaluations) == (Stop.CIRCLING, 1.0, 7)
     plan = [stage_of(Stepping(6), energy=energy, answer=last)]
-    assert walk(plan, chain_at(0.0), 99, None, lambda *_: None).q[0] == 6.0
+    assert walk(plan, at(0.0), 99, None, lambda *_: None).q[0] == 6.0
     plan = [stage_of(Stepping(6), energy=energy)]
-    assert walk(plan, chain_at(0.0), 99, None, lambda *_: None).q[0] == 3.0
+    assert walk(plan, at(0.0), 99, None, lambda *_: None).q[0] == 3.0
 
 
 def test_an_interrupt_before_a_stages_first_point_leaves_the_result_of_the_one_before():
@@ -300,6 +300,6 @@ def test_an_interrupt_before_a_stages_first_point_leaves_the_result_of_the_one_b
         raise KeyboardInterrupt
 
     plan = [stage_of(Stepping(3)), stage_of(Stepping(5), energy=energy)]
-    done = walk(plan, chain_at(0.0), 99, None, lambda *_: None)
+    done = walk(plan, at(0.0), 99, None, lambda *_: None)
     assert (done.stop, done.q[0], done.n_evaluations, done.n_iterations) == (Stop.INTERRUPTED, 3.0, 4, 3)
     assert done.complete and done.waypoint.stage == 0

@@ -135,7 +135,7 @@ def test_a_threaded_ring_is_freed_and_the_fold_kept(planted):
     torsions, atoms = spaces(c)
     told = []
     done = walk(
-        parting_in_all_atoms(torsions, atoms, e, 10.0, None, True), c, 2000, None,
+        parting_in_all_atoms(torsions, atoms, e, 10.0, None, True), planted.positions, 2000, None,
         lambda at, stage, n: told.append(stage.name),
     )  # fmt: skip
     assert threaded_rings(planted) and not threaded_rings(planted, done.x)
@@ -160,7 +160,7 @@ def test_overlaps_are_parted_near_the_start(method):
     else:
         # Before the side chains are let go.
         plan, limit = parting_in_all_atoms(torsions, atoms, e, 10.0, None, True)[:-2], 0.6
-    done = walk(plan, c, 3000, None, lambda *_: None)
+    done = walk(plan, c.structure.positions, 3000, None, lambda *_: None)
     assert not overlaps(s, done.x) and moved(s, done.x) < limit
     lengths = [np.linalg.norm(np.diff(x[s.bonds], axis=1), axis=2) for x in (done.x, s.positions)]
     assert (np.abs(lengths[0] - lengths[1]).max() < GEOMETRY_NM) == (method == "lbfgs")

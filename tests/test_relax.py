@@ -17,6 +17,7 @@ import protochain as pc
 from protochain.contacts import joined, overlaps
 from protochain.energies import OpenMMEnergy, build_system
 from protochain.minimisers.loop import Stop
+from protochain.minimisers.parting import unthreading
 from protochain.relaxation import PRESETS, PROTOCOLS, RelaxSettings, rounds
 from protochain.relaxation.api import _spoiled, relax_structure
 from protochain.relaxation.names import relaxed_name
@@ -384,9 +385,9 @@ def test_the_budget_of_iterations_holds_while_rings_are_freed():
     """Of many rings none may come free, however long one tries."""
     (planted,) = models.planted_rings([load("1l2y.pdb")], 1, seed=1)
     points = []
-    note = lambda name, at, evaluations: points.append(at)  # noqa: E731
+    note = lambda stage, at, evaluations: points.append(at)  # noqa: E731
     relaxer = Relaxer(planted.structure, energy("1l2y.pdb"), PRESETS["predicted"], 3, note)
-    relaxer._unthreaded(planted.structure.positions, rounds._Work(0))
+    relaxer._walked(unthreading(relaxer._space, relaxer.energy), planted.structure.positions, 0)
     assert len(points) == 4
 
 

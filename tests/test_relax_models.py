@@ -9,9 +9,11 @@ from oracles import bond_lengths
 import protochain as pc
 from protochain.contacts import overlaps
 from protochain.minimisers.loop import Stop
+from protochain.minimisers.stages import Outcome
+from protochain.relaxation import rounds
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.presets import PRESETS
-from protochain.relaxation.rounds import Ended, Relaxer, Round, _Work, mendable
+from protochain.relaxation.rounds import Ended, Relaxer, Round, mendable
 from protochain.validation import measures, threaded_rings, violations
 
 
@@ -61,7 +63,7 @@ def test_springs_of_later_rounds_are_those_in_series_and_lead_to_the_input(monke
     s = load("1l2y.pdb")
     seen, begins = [], []
 
-    def as_it_was(self, x, share, strengths, work):
+    def as_it_was(self, x, share, strengths, *_):
         seen.append((share.copy(), strengths))
         begins.append(x)
         told = Round(0, 1, 0, 1, 1, 0.0)
@@ -82,27 +84,36 @@ def test_springs_of_later_rounds_are_those_in_series_and_lead_to_the_input(monke
 
 def test_rings_are_freed_where_the_round_begins_not_where_the_input_was(monkeypatch):
     (plant,) = models.planted_rings([load("1vii.pdb")], 1, seed=1)
-    monkeypatch.setattr(Relaxer, "_unthreaded", lambda self, x, work: (x, work))
-    whole = np.ones(plant.structure.n_residues)
-    for s, begins in ((load("1vii.pdb"), plant.structure), (plant.structure, load("1vii.pdb"))):
+    seen = []
+
+    def begins(self, x, share, strengths, before, threaded):
+        seen.append((share, threaded))
+        raise InterruptedError
+
+    monkeypatch.setattr(Relaxer, "_round", begins)
+    whole = np.zeros(plant.structure.n_residues, dtype=bool)
+    for s, start in ((load("1vii.pdb"), plant.structure), (plant.structure, load("1vii.pdb"))):
         relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 1, lambda *_: None)
-        _, share, _ = relaxer._freed(begins.positions, whole, 0)
-        there = [plant.ring_residue, plant.threading_residue] if begins is plant.structure else []
-        assert np.flatnonzero(share == 0.0).tolist() == sorted(there)
+        with pytest.raises(InterruptedError):
+            relaxer.rounds(start.positions, whole, 1)
+        there = [plant.ring_residue, plant.threading_residue] if start is plant.structure else []
+        assert np.flatnonzero(seen[-1][0] == 0.0).tolist() == sorted(there) and seen[-1][1] == bool(there)
+
+
+def stayed(stage, x):
+    return Outcome(Stop.TOLERANCE, stage.space, stage.space.start(x), 1, 1, stage.restraint)
 
 
 def test_what_is_wrong_with_the_input_is_forgotten_where_a_round_ends_without_it(monkeypatch):
     (plant,) = models.planted_rings([load("1l2y.pdb")], 1, seed=3)
     bad, good = models.shaken(plant.structure, 0.25, seed=3), load("1l2y.pdb")
-    monkeypatch.setattr(
-        Relaxer, "_minimised", lambda self, energy, springs, x, work: (x, Stop.TOLERANCE, work)
-    )
+    monkeypatch.setattr(rounds, "walk", lambda plan, x, *_, **__: stayed(plan[0], x))
     relaxer = Relaxer(bad, pc.energy(bad), PRESETS["predicted"], 0, lambda *_: None)
     x = bad.positions
     wrong = relaxer.hands.wrong(x), relaxer.peptides.wrong(x), threaded_rings(bad), overlaps(bad, x)
     assert all(len(each) for each in (*wrong, violations(bad).residues))
     for at, concerned in ((x, True), (good.positions, False)):
-        ended = relaxer._round(at, np.ones(bad.n_residues), [(1.0, 1.0)], _Work(0))
+        ended = relaxer._round(at, np.ones(bad.n_residues), [(1.0, 1.0)], 1, False)
         assert bool(len(ended.concerned)) is concerned
         assert (ended.round.violations > 0, ended.round.overlaps > 0) == (concerned, concerned)
 
@@ -110,11 +121,11 @@ def test_what_is_wrong_with_the_input_is_forgotten_where_a_round_ends_without_it
 def test_a_wrong_hand_weakens_springs_and_gives_none_to_an_excluded_residue(monkeypatch):
     s, seen = load("1l2y.pdb"), []
 
-    def begins(self, x, share, before):
+    def begins(self, x, share, *_):
         seen.append(share.copy())
         raise InterruptedError
 
-    monkeypatch.setattr(Relaxer, "_freed", begins)
+    monkeypatch.setattr(Relaxer, "_round", begins)
     monkeypatch.setattr(Hands, "wrong", lambda self, x: s.alpha_carbons[[4, 7]])
     relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 1, lambda *_: None)
     with pytest.raises(InterruptedError):

@@ -15,10 +15,9 @@ from protochain.minimisers import LBFGS, BudgetSpentError, Descent, Run, Status,
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Ending, Snapshot, Stop, Unstarted
 from protochain.minimisers.problem import Evaluation, Problem, Tally
-from protochain.minimisers.recipes import SINGLE_PRECISION_ENDS
 from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.spaces import Positions, Torsions
-from protochain.minimisers.stages import Stage, lowest, parting, walk
+from protochain.minimisers.stages import SINGLE_PRECISION_ENDS, Stage, lowest, parting, walk
 from protochain.minimisers.starts import _accept
 from protochain.minimisers.verdict import verdict
 
@@ -30,7 +29,7 @@ def test_overlaps_are_parted_at_exact_geometry():
     s = c.structure
     assert len(overlaps(s, s.positions)) > 10
     space = Torsions(c)
-    done = walk([parting(space)], c, 500, None, lambda *_: None)
+    done = walk([parting(space)], c.structure.positions, 500, None, lambda *_: None)
     assert not overlaps(s, done.x)
     triples = angle_triples(s.bonds)
     assert np.abs(bond_lengths(s.bonds, done.x) - bond_lengths(s.bonds, s.positions)).max() < GEOMETRY_NM
@@ -319,12 +318,12 @@ def test_a_stage_runs_after_the_endings_it_names_and_what_is_left_out_is_said(st
     first = Ended("first", stop, done).stage(space)
     again = Ended("again", Stop.TOLERANCE, done).stage(space, SINGLE_PRECISION_ENDS)
     last = Ended("last", Stop.TOLERANCE, done).stage(space)
-    outcome = walk([first, again, last], c, 100, None, lambda *_: None)
+    outcome = walk([first, again, last], c.structure.positions, 100, None, lambda *_: None)
     assert done == ran.split() and outcome.complete is complete
     assert outcome.stop is (Stop.TOLERANCE if complete else stop)
     # A stage that would have run in certain cases only is not missing.
-    assert walk([first, again], c, 100, None, lambda *_: None).complete
-    cut_off = walk([first, last], c, 100, None, lambda *_: None)
+    assert walk([first, again], c.structure.positions, 100, None, lambda *_: None).complete
+    cut_off = walk([first, last], c.structure.positions, 100, None, lambda *_: None)
     assert cut_off.complete is (complete and stop is not Stop.NON_FINITE)
 
 
@@ -346,7 +345,7 @@ def test_a_checkpoint_keeps_the_pairs_of_lbfgs_to_the_bit(tmp_path):
     plan = [Stage(Torsions(c), Descent(LBFGS(memory=5), StrongWolfe()), energy("ala10.pdb"), 1e-9)]
 
     def walked(max_evaluations, resume=None):
-        return walk(plan, c, max_evaluations, None, lambda *_: None, resume)
+        return walk(plan, c.structure.positions, max_evaluations, None, lambda *_: None, resume)
 
     kept = walked(12).waypoint
     save_checkpoint(tmp_path / "run.npz", kept, {})

@@ -30,11 +30,9 @@ def noted(monkeypatch):
     """Parts of a minimisation that note what they are given."""
     seen = SimpleNamespace(saved=[], loaded=[], rows=[], stages=[])
 
-    def walk(plan, c, max_evaluations, allowed, note, waypoint):
-        seen.walk = SimpleNamespace(
-            plan=plan, chain=c, most=max_evaluations, allowed=allowed, waypoint=waypoint
-        )
-        for k, space in enumerate(spaces(c), 1):
+    def walk(plan, x, max_evaluations, allowed, note, waypoint):
+        seen.walk = SimpleNamespace(plan=plan, x=x, most=max_evaluations, allowed=allowed, waypoint=waypoint)
+        for k, space in enumerate(spaces(chain("ala10.pdb")), 1):
             at = SimpleNamespace(x=f"x{k}", energy=10.0, restraint=float(k), residual=5.0)
             note(at, SimpleNamespace(space=space, name=f"stage {k}", recorded=True), k)
             note(at, SimpleNamespace(space=space, name="apart", recorded=False), k)
@@ -76,7 +74,7 @@ def test_a_walk_is_of_the_plan_within_the_budget_and_recorded_without_restraints
     start, _ = walked(noted, max_evaluations=7, tolerance=3.0, restraint=(5.0, 0.0), curvature=False)
     assert [stage.tolerance for stage in noted.walk.plan] == [3.0, 3.0]
     assert [stage.restraint is None for stage in noted.walk.plan] == [False, True]
-    assert (noted.walk.chain, noted.walk.most) == (start.chain, 7)
+    assert (noted.walk.x is start.chain.structure.positions, noted.walk.most) == (True, 7)
     assert noted.walk.allowed is None and noted.walk.waypoint is None
     # The largest torque is that of the hinges; where all atoms move it is none.
     assert noted.rows == [("x1", 9.0, 5.0, 1), ("x2", 8.0, pytest.approx(np.nan, nan_ok=True), 2)]

@@ -242,7 +242,7 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
         if stage.recorded:
             record(at.x, at.energy - at.restraint, torque, n_evaluations)
 
-    done = walk(plan, chain, run.max_evaluations, allowed, note, waypoint)
+    done = walk(plan, x, run.max_evaluations, allowed, note, waypoint)
     if run.checkpoint and done.waypoint:
         try:
             save_checkpoint(Path(run.checkpoint), done.waypoint, run.settings(start))

@@ -11,9 +11,9 @@ from protochain.core.arrays import Floats
 from protochain.core.interrupts import held_interrupts
 from protochain.energies import Energy, OpenMMEnergy, constrain_hydrogens
 from protochain.minimisers.loop import Stop
-from protochain.minimisers.recipes import SINGLE_PRECISION_ENDS, Recipe
+from protochain.minimisers.recipes import Recipe
 from protochain.minimisers.spaces import spaces
-from protochain.minimisers.stages import Outcome
+from protochain.minimisers.stages import SINGLE_PRECISION_ENDS, Outcome
 
 Record = Callable[[Floats, float, int], None]
 """Called with positions, energy and evaluations so far after each iteration."""

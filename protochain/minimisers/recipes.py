@@ -22,7 +22,7 @@ from protochain.minimisers.descent import Descent
 from protochain.minimisers.fire import Fire
 from protochain.minimisers.kcm import KCM, Proportional, by_length, by_sign
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
-from protochain.minimisers.loop import Method, Stop
+from protochain.minimisers.loop import Method
 from protochain.minimisers.metrics import NEAR_REFRESH, Damped, Mass, Stiffness
 from protochain.minimisers.newton import Newton, PseudoTransient
 from protochain.minimisers.parting import (
@@ -35,12 +35,9 @@ from protochain.minimisers.parting import (
 from protochain.minimisers.problem import Force, Space
 from protochain.minimisers.restraints import Hold, tethers_in
 from protochain.minimisers.spaces import spaces
-from protochain.minimisers.stages import PATIENCE, Answer, Stage, last, lowest, of_moving
+from protochain.minimisers.stages import PATIENCE, Answer, Stage, last, lowest, of_moving, with_reference
 from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
 from protochain.validation.rings import threaded_rings
-
-SINGLE_PRECISION_ENDS = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
-"""Endings that single precision may cause: by its noise, or by numbers beyond 1e38 where atoms overlap."""
 
 
 @dataclass(frozen=True)
@@ -77,15 +74,11 @@ class Run:
         """Stage on an energy, and a second one on its reference if that is another engine."""
         tolerance = tolerance if self.tolerance is None else self.tolerance
         method = _tethered(self.method, tethers_in(restraint))
-        engines = [energy] if energy.is_exact or not self.continued else [energy, energy.reference]
-        return [
-            Stage(
-                space, method, engine, tolerance, restraint, patience=self.patience, answer=self.answer,
-                after=() if engine is energy else SINGLE_PRECISION_ENDS,
-                name="torsions" if self.in_torsions else "all atoms",
-            )
-            for engine in engines
-        ]  # fmt: skip
+        stage = Stage(
+            space, method, energy, tolerance, restraint, patience=self.patience, answer=self.answer,
+            name="torsions" if self.in_torsions else "all atoms",
+        )  # fmt: skip
+        return with_reference(stage) if self.continued else [stage]
 
 
 def _tethered(method: Any, tether: Floats | None) -> Method:

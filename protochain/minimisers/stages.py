@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.chain import Chain
 from protochain.core.arrays import Floats
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS
@@ -27,6 +26,9 @@ from protochain.minimisers.steps import StrongWolfe
 
 PATIENCE = 500
 """Evaluations without a new lowest energy after which a run counts as stalled."""
+
+SINGLE_PRECISION_ENDS = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
+"""Endings that single precision may cause: by its noise, or by numbers beyond 1e38 where atoms overlap."""
 
 
 def last(problem: Problem, ending: Ending, q: Floats) -> Floats:
@@ -76,6 +78,8 @@ class Stage:
         The stage as it runs from the positions (na, 3) where the one before ended.
     looks : bool
         Whether it only looks at where the stage before ended, whose ending stands if it finds nothing.
+    ends : tuple of Stop
+        Endings with which the walk ends, unless the next stage runs after them.
     """
 
     space: Space
@@ -91,6 +95,7 @@ class Stage:
     ready: "Callable[[Stage, Placement], bool] | None" = None
     fit: "Callable[[Stage, Floats], Stage] | None" = None
     looks: bool = False
+    ends: tuple[Stop, ...] = (Stop.BUDGET, Stop.INTERRUPTED, Stop.NON_FINITE)
 
 
 def parting(space: Torsions) -> Stage:
@@ -99,6 +104,14 @@ def parting(space: Torsions) -> Stage:
     tethers = Tethers(structure.positions, np.full(structure.n_atoms, SOFT_TETHER))
     gentle = Sum([SoftRepulsion(structure), tethers])
     return Stage(space, Descent(LBFGS(), StrongWolfe()), gentle, 1.0, recorded=False, name="parting overlaps")
+
+
+def with_reference(stage: Stage) -> list[Stage]:
+    """The stage, and a second one on the reference of its energy if that is another engine."""
+    energy: Any = stage.energy
+    if energy.is_exact:
+        return [stage]
+    return [stage, replace(stage, energy=energy.reference, after=SINGLE_PRECISION_ENDS)]
 
 
 def of_moving(stage: Stage, moving: NDArray[np.bool_]) -> Stage:
@@ -179,18 +192,20 @@ class Outcome:
 
 def walk(
     plan: Sequence[Stage],
-    chain: Chain,
+    x: Floats,
     max_evaluations: int,
     allowed: Callable[[Floats], bool] | None,
     record: Callable[[Evaluation, Stage, int], None],
     resume: Waypoint | None = None,
+    resumable: bool = True,
 ) -> Outcome:
     """Run one stage after the other, each from the result of the one before.
 
     Parameters
     ----------
     plan : sequence of Stage
-    chain : Chain
+    x : (na, 3) float, nm
+        Where the first begins.
     max_evaluations : int
         For all of them together.
     allowed : callable, optional
@@ -199,17 +214,19 @@ def walk(
         Called with each point accepted, its stage, and the evaluations so far.
     resume : Waypoint, optional
         Continue from there.
+    resumable : bool
+        Whether each stage makes its neighbour lists where it begins, as it does in a walk that is resumed.
 
     Returns
     -------
     Outcome
-        An interrupt or a spent budget ends the walk.
+        At the end of the plan, or where an ending of a stage ends the walk.
     """
     first, n_iterations, waiting = 0, 0, None
     if resume is not None:
         first, n_iterations, waiting = resume.stage, resume.before, resume.last
     space, home, left_out = plan[first].space, None, False
-    q, waypoint = plan[0].space.start(chain.structure.positions), resume
+    q, waypoint = plan[0].space.start(x), resume
     stop = Stop[resume.ended] if resume and resume.ended else Stop.BUDGET
     n_evaluations, before = 0, None
     for i, stage in enumerate(plan[first:], first):
@@ -227,7 +244,8 @@ def walk(
                 q = stage.space.start(space.place(q).x)
         space = stage.space
         problem = Problem(stage.space, stage.energy, max_evaluations, stage.restraint, allowed)
-        problem.restore(Tally(n_evaluations, None, n_evaluations), stage.space.place(q).x)
+        lists_at = stage.space.place(q).x if resumable else None
+        problem.restore(Tally(n_evaluations, None, n_evaluations), lists_at)
         if waiting is None and stage.looks and before is not None:
             waiting = _evaluated(problem, *before, q)
 
@@ -248,9 +266,7 @@ def walk(
             break
         stop = ending.stop
         n_iterations += 0 if stage.looks else ending.last.n_iterations
-        if stop in (Stop.BUDGET, Stop.INTERRUPTED):
-            break
-        if stop is Stop.NON_FINITE and not (plan[i + 1 :] and stop in plan[i + 1].after):
+        if stop in stage.ends and not (plan[i + 1 :] and stop in plan[i + 1].after):
             break
     stop = Stop.STRAINED if left_out else stop
     complete = not left_out and all(left.after for left in plan[i + 1 :])

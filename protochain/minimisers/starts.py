@@ -238,7 +238,8 @@ def parted(chain: Chain) -> Chain:
     Chain
         The same bodies, moved.
     """
-    return _moved(chain, walk([parting(Torsions(chain))], chain, _PARTING, None, lambda *_: None).q)
+    x = chain.structure.positions
+    return _moved(chain, walk([parting(Torsions(chain))], x, _PARTING, None, lambda *_: None).q)
 
 
 def _moved(chain: Chain, q: np.ndarray) -> Chain:

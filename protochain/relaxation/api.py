@@ -16,11 +16,12 @@ from protochain.energies import Energy
 from protochain.frame import Frame
 from protochain.minimisers.problem import Evaluation, Force
 from protochain.minimisers.spaces import Cartesian
+from protochain.minimisers.stages import Stage
 from protochain.minimisers.verdict import Status, verdict
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
-from protochain.relaxation.rounds import Ended, Phase, Relaxer, fewest_left, mendable
+from protochain.relaxation.rounds import Ended, Relaxer, fewest_left, mendable
 from protochain.relaxation.settings import RelaxSettings, split
 from protochain.structure import Structure
 from protochain.structure.select import moving, select
@@ -126,10 +127,10 @@ class _Trace:
         self.tell = getattr(watch, "at_stage", None)
         self.rows: list[tuple[float, ...]] = []
 
-    def __call__(self, phase: Phase, at: Evaluation, evaluations: int) -> None:
+    def __call__(self, stage: Stage, at: Evaluation, evaluations: int) -> None:
         if self.tell:
-            self.tell(phase, evaluations)
-        if phase is Phase.GENTLE:  # Its energy is not the force field's.
+            self.tell(stage.name, evaluations)
+        if not stage.recorded:
             return
         energy = at.energy - at.restraint
         self.rows.append((len(self.rows), evaluations, perf_counter() - self.began, energy, at.residual))

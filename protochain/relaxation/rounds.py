@@ -1,12 +1,9 @@
 """Rounds of a relaxation: minimised under springs to the input, and let go where that does not suffice."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import count
 from time import perf_counter
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +15,13 @@ from protochain.energies.bonded import bonded_part
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
-from protochain.minimisers.loop import Stop, run
+from protochain.minimisers.loop import Stop
 from protochain.minimisers.metrics import NEAR_REFRESH
 from protochain.minimisers.parting import Held, unthreading
-from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Problem, evaluate
-from protochain.minimisers.recipes import SINGLE_PRECISION_ENDS
+from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Placement, evaluate
 from protochain.minimisers.restraints import SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian
-from protochain.minimisers.stages import PATIENCE, lowest
+from protochain.minimisers.stages import PATIENCE, Outcome, Stage, walk, with_reference
 from protochain.minimisers.steps import StrongWolfe
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
@@ -54,16 +50,8 @@ _WEAKER = 0.1
 Without any at once, more of the fold gives way than has to."""
 
 
-class Phase(StrEnum):
-    """What a minimisation is for."""
-
-    GENTLE = "parting overlaps"
-    """Its energy is not the force field's."""
-    WHOLE = "all atoms"
-
-
-Note = Callable[[Phase, Evaluation, int], None]
-"""Told each point accepted: what for, the point, evaluations so far."""
+Note = Callable[[Stage, Evaluation, int], None]
+"""Told each point accepted: its stage, the point, evaluations so far."""
 
 
 @dataclass(frozen=True)
@@ -158,12 +146,12 @@ class Relaxer:
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
         strongest = strengths[-1:]
         while True:
-            x, share, work = self._freed(x, share, sum(each.round.evaluations for each in done))
-            springs = self._springs(share, *strengths[0])
-            if not done:
-                x, work = self._begun(x, springs, work)
-            x, work = self._righted(x, springs, work)
-            done.append(self._round(x, share, strengths, work))
+            threaded = threaded_rings(self.structure, x)
+            share = share.copy()
+            # Springs would draw the bonds back.
+            share[self._of_rings(threaded)] = 0.0
+            before = sum(each.round.evaluations for each in done)
+            done.append(self._round(x, share, strengths, before, bool(threaded)))
             last = done[-1]
             x = last.x
             # As weak as springs in series: those of other programs lead to the end of the round before.
@@ -177,38 +165,20 @@ class Relaxer:
                 return done
             share = less
 
-    def _begun(self, x: Floats, springs: Tethers, work: "_Work") -> "tuple[Floats, _Work]":
-        """Positions from which the force field takes over, and the work so far."""
-        if self.strength.softened and len(_overlapping(self.structure, x)):
-            bonded = bonded_part(self.energy)
-            if bonded is not None:
-                gentle = Sum([bonded, SoftRepulsion(self.structure)])
-                x, _, work = self._minimised(gentle, springs, x, work, _SOFT)
-        rough = getattr(self.energy, "coarse", None)
-        if rough is not None and evaluate(self._space, self.energy, x.ravel()).residual > _HIGH:
-            x, _, work = self._minimised(rough, springs, x, work, _ROUGH)
-        return x, work
-
-    def _righted(self, x: Floats, springs: Tethers, work: "_Work") -> "tuple[Floats, _Work]":
-        """Positions without folded or nearly flat atoms, wrong hands or reversed peptide bonds, and the work.
-
-        Bonds that are only twisted are turned by the stages that follow.
-        """
-        if not self.shapes(x)[0] and not len(self.peptides.reversed(x)):
-            return x, work
-        x, _, work = self._minimised(getattr(self.energy, "coarse", self.energy), springs, x, work, _ROUGH)
-        return x, work
-
-    def _round(self, x: Floats, share: Floats, strengths: list[tuple[float, float]], work: "_Work") -> Ended:
-        began, structure = perf_counter(), self.structure
-        for strength in strengths:
-            springs = self._springs(share, *strength)
-            x, stop, work = self._minimised(self.energy, springs, x, work)
-            if not self.energy.is_exact and stop in SINGLE_PRECISION_ENDS:
-                x, stop, work = self._minimised(self.energy.reference, springs, x, work)
-            if stop in _FINAL:
-                break
-        found, pairs = violations(structure, x), _overlapping(structure, x)
+    def _round(
+        self, x: Floats, share: Floats, strengths: Sequence[tuple[float, float]], before: int, threaded: bool
+    ) -> Ended:
+        """Free rings, if bonds go through any, walk through the stages, and look at what is left."""
+        began, structure, freed = perf_counter(), self.structure, 0
+        if threaded and (freeing := unthreading(self._space, self.energy)):
+            free = self._walked(freeing, x, before)
+            x, freed = free.x, free.n_evaluations
+        springs = [self._springs(share, *strength) for strength in strengths]
+        plan = [*(self._begin(springs[0]) if not before else []), self._right(springs[0])]
+        plan += [stage for each in springs for stage in self._whole(each)]
+        walked = self._walked(plan, x, before + freed)
+        x = walked.x
+        found, pairs = violations(structure, x), overlapping(structure, x)[0]
         wrong = mendable(structure, found)
         wrong[self._of_rings(threaded_rings(structure, x))] = True
         wrong[structure.atom_residue[pairs]] = True
@@ -216,48 +186,77 @@ class Relaxer:
         if self.strength.planar:
             wrong[structure.atom_residue[self.peptides.wrong(x)]] = True
         wrong &= np.bincount(structure.atom_residue, self._mobile, structure.n_residues) > 0.0
-        seconds = perf_counter() - began
-        told = Round(
-            int((share < 1.0).sum()),
-            len(found.residues),
-            len(pairs),
-            work.iterations,
-            work.evaluations,
-            seconds,
-        )
-        return Ended(read_only(x), stop, springs, np.flatnonzero(wrong), told)
+        let_go, n_violations = int((share < 1.0).sum()), len(found.residues)
+        n_evaluations, seconds = freed + walked.n_evaluations, perf_counter() - began
+        told = Round(let_go, n_violations, len(pairs), walked.n_iterations, n_evaluations, seconds)
+        return Ended(read_only(x), walked.stop, _tethers(walked.restraint), np.flatnonzero(wrong), told)
 
-    def _minimised(
-        self, energy: Force, springs: Tethers, x: Floats, work: "_Work", stage: "_Stage | None" = None
-    ) -> "tuple[Floats, Stop, _Work]":
-        """Positions, why it ended, and the work with that of the stages before."""
-        stage = stage or _Stage(Phase.WHOLE, self.strength.tolerance, PATIENCE)
-        space = self._space
-        if space.terms is None:
-            direction = LBFGS(Held(springs.weight + _STIFFER, stage is _SOFT, _REFRESH), _MEMORY)
-        else:
-            direction = LBFGS(Held(springs.weight + _STIFFER_NEAR, stage is _SOFT, NEAR_REFRESH), NEAR_MEMORY)
-        method = Descent(direction, StrongWolfe())
-        restraint = self.restraint(springs)
-        if stage.phase is Phase.GENTLE:
-            restraint = Sum([springs, self.shapes, self.peptides])
-        problem = Problem(space, energy, _ENDLESS, restraint)
-        seen, allowed = count(), (self.max_iterations or _ENDLESS) - work.iterations
+    def _walked(self, plan: Sequence[Stage], x: Floats, before: int) -> Outcome:
+        """Walk through stages from x, within the iterations allowed."""
+        n_points, begun = 0, set[Stage | None]()
 
-        def record(at: Evaluation) -> None:
-            self.note(stage.phase, at, work.so_far + problem.n_evaluations)
-            if next(seen) >= allowed:
+        def record(at: Evaluation, stage: Stage, n_evaluations: int) -> None:
+            nonlocal n_points
+            n_points += 1
+            # Of hundreds of rings none may come free: there the first point of a stage counts, too.
+            begun.add(None if stage.restraint is None else stage)
+            self.note(stage, at, before + n_evaluations)
+            if 0 < self.max_iterations <= n_points - len(begun):
                 raise BudgetSpentError
 
-        q = space.start(x)
-        try:
-            ending = run(problem, method, q, stage.tolerance, stage.patience, record)
-        except KeyboardInterrupt:
-            if not work.so_far:
-                raise
-            return x, Stop.INTERRUPTED, work
-        x = space.place(lowest(problem, ending, q)).x
-        return x, ending.stop, work.and_more(ending.last.n_iterations, problem.n_evaluations)
+        walked = walk(plan, x, _ENDLESS, None, record, resumable=False)
+        if not before + walked.n_evaluations:
+            raise KeyboardInterrupt
+        return walked
+
+    def _begin(self, springs: Tethers) -> list[Stage]:
+        """Stages from whose end the force field takes over, each where it is needed."""
+        stages, bonded = [], bonded_part(self.energy) if self.strength.softened else None
+        if bonded is not None:
+            soft = self._gentle(Sum([bonded, SoftRepulsion(self.structure)]), springs, is_soft=True)
+            stages.append(replace(soft, ready=lambda _, at: len(overlapping(self.structure, at.x)[0]) > 0))
+        rough = getattr(self.energy, "coarse", None)
+        if rough is not None:
+            stages.append(replace(self._gentle(rough, springs), ready=self._is_high))
+        return stages
+
+    def _is_high(self, stage: Stage, at: Placement) -> bool:
+        return evaluate(self._space, self.energy, at.q).residual > _HIGH
+
+    def _right(self, springs: Tethers) -> Stage:
+        """Stage for folded or nearly flat atoms, wrong hands and reversed peptide bonds, where there are any.
+
+        Bonds that are only twisted are turned by the stages that follow.
+        """
+        stage = self._gentle(getattr(self.energy, "coarse", self.energy), springs)
+        return replace(
+            stage, ready=lambda _, at: bool(self.shapes(at.x)[0] or len(self.peptides.reversed(at.x)))
+        )
+
+    def _gentle(self, energy: Force, springs: Tethers, is_soft: bool = False) -> Stage:
+        """Stage whose energy is not the force field's, whose end is no result, and which may fail."""
+        tolerance, patience = (20.0, 60) if is_soft else (30.0, PATIENCE)
+        return Stage(
+            self._space, self._method(springs, is_soft), energy, tolerance,
+            Sum([springs, self.shapes, self.peptides]),
+            recorded=False, patience=patience, name="parting overlaps", ends=(Stop.INTERRUPTED,),
+        )  # fmt: skip
+
+    def _whole(self, springs: Tethers) -> list[Stage]:
+        """Stage on the force field, and one on its reference if that is another engine."""
+        return with_reference(
+            Stage(
+                self._space, self._method(springs), self.energy, self.strength.tolerance,
+                self.restraint(springs), name="all atoms", ends=_FINAL,
+            )
+        )  # fmt: skip
+
+    def _method(self, springs: Tethers, is_soft: bool = False) -> Descent:
+        if self._space.terms is None:
+            direction = LBFGS(Held(springs.weight + _STIFFER, is_soft, _REFRESH), _MEMORY)
+        else:
+            direction = LBFGS(Held(springs.weight + _STIFFER_NEAR, is_soft, NEAR_REFRESH), NEAR_MEMORY)
+        return Descent(direction, StrongWolfe())
 
     @cached_property
     def shapes(self) -> Sum:
@@ -292,43 +291,9 @@ class Relaxer:
         """Atoms that may move, with the springs of their bonds."""
         return Cartesian(self.structure, self._mobile, near_terms(self.energy))
 
-    def _freed(self, x: Floats, share: Floats, before: int) -> "tuple[Floats, Floats, _Work]":
-        """Positions without threaded rings, springs that do not draw the bonds back, and the work."""
-        threaded = threaded_rings(self.structure, x)
-        if not threaded:
-            return x, share, _Work(before)
-        let_go = share.copy()
-        let_go[self._of_rings(threaded)] = 0.0
-        x, work = self._unthreaded(x, _Work(before))
-        return x, let_go, work
-
     def _of_rings(self, threaded: Sequence[ThreadedRing]) -> list[int]:
         """Residues of rings and of the bonds that go through them."""
         return [int(self.structure.atom_residue[i]) for ring in threaded for i in (*ring.atoms, *ring.bond)]
-
-    def _unthreaded(self, x: Floats, work: "_Work") -> "tuple[Floats, _Work]":
-        """Positions with bonds drawn out of rings, as far as that is possible, and the work."""
-        space = self._space
-        # One budget for all stages: of hundreds of rings none may come free.
-        left = iter(range(self.max_iterations)) if self.max_iterations else count()
-        for stage in unthreading(space, self.energy):
-            q = space.start(x)
-            if stage.ready and not stage.ready(stage, space.place(q)):
-                continue
-            own = stage.fit(stage, x) if stage.fit else stage
-            problem = Problem(space, own.energy, _ENDLESS)
-
-            def record(at: Evaluation, before: int = work.so_far, problem: Problem = problem) -> None:
-                self.note(Phase.GENTLE, at, before + problem.n_evaluations)
-                if next(left, None) is None:
-                    raise BudgetSpentError
-
-            ending = run(problem, own.method, q, own.tolerance, own.patience, record)
-            x = space.place(own.answer(problem, ending, q)).x
-            work = work.and_more(0, problem.n_evaluations)
-            if ending.stop is Stop.BUDGET:
-                break
-        return x, work
 
     def _springs(self, share: Floats, backbone: float, side_chains: float) -> Tethers:
         """Springs of the heavy atoms; each residue (nr,) has its share of their strength."""
@@ -356,42 +321,15 @@ class Relaxer:
         return touching
 
 
-class _Work(NamedTuple):
-    """Evaluations of the rounds before; iterations and evaluations of a round so far."""
-
-    before: int
-    iterations: int = 0
-    evaluations: int = 0
-
-    @property
-    def so_far(self) -> int:
-        """Evaluations of all rounds."""
-        return self.before + self.evaluations
-
-    def and_more(self, iterations: int, evaluations: int) -> "_Work":
-        """With those of another minimisation."""
-        return _Work(self.before, self.iterations + iterations, self.evaluations + evaluations)
-
-
-class _Stage(NamedTuple):
-    """What a minimisation is for, its tolerance in kJ/mol/nm, and its patience."""
-
-    phase: Phase
-    tolerance: float
-    patience: int
-
-
-_SOFT = _Stage(Phase.GENTLE, 20.0, 60)
-_ROUGH = _Stage(Phase.GENTLE, 30.0, PATIENCE)
-
-
 _ENDLESS = 1_000_000_000
 _FINAL = (Stop.INTERRUPTED, Stop.NON_FINITE)
 
 
-def _overlapping(structure: Structure, x: Floats) -> Integers:
-    """(n, 2) int: pairs of atoms that overlap."""
-    return overlapping(structure, x)[0]
+def _tethers(restraint: Force | None) -> Tethers:
+    """Springs of a stage's restraint."""
+    springs = restraint.parts[0] if isinstance(restraint, Sum) else restraint
+    assert isinstance(springs, Tethers)
+    return springs
 
 
 def mendable(structure: Structure, found: Violations) -> NDArray[np.bool_]:
