@@ -21,8 +21,8 @@ from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.task import run
 from protochain.structure import residues
 from protochain.structure.files import parse
-from protochain.structure.losses import Why
 from protochain.structure.read import model_numbers
+from protochain.structure.repairs import Why
 from protochain.structure.write import as_text
 
 FILES = sorted(

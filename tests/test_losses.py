@@ -15,7 +15,8 @@ from protochain.batches.task import run as run_job
 from protochain.cli import main
 from protochain.cli.relaxing import print_folder
 from protochain.setup import Setup
-from protochain.structure.losses import Loss, Why, told
+from protochain.structure.losses import told
+from protochain.structure.repairs import Loss, Why
 from protochain.structure.write import as_text
 
 CHANGES = {
@@ -153,7 +154,7 @@ def test_what_is_far_what_is_broken_and_an_inner_end_are_lost_for_other_reasons(
     record = pc.minimise(s, max_evaluations=1).record()
     assert record["far_molecules"] == ["B:1 SO4"] and record["n_lost_atoms"] == 4
     assert told([record]) == [
-        "lost atoms: C:7 ALA; D:1 QQQ; A:4 ALA OXT",
+        "lost atoms: D:1 QQQ; C:7 ALA; A:4 ALA OXT",
         'left out molecules further than 5 angstrom from the protein: B:1 SO4; keep="all" keeps them',
     ]
 

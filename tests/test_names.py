@@ -7,7 +7,7 @@ from conftest import PDB_ROUNDING_NM, STRUCTURES, load, sentences, shared
 
 import protochain as pc
 from protochain.relaxation.chirality_restraint import Hands
-from protochain.structure.losses import Why
+from protochain.structure.repairs import Why
 from protochain.structure.residues import D_NAMES
 from protochain.structure.write import as_text
 

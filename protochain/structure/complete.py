@@ -9,9 +9,8 @@ from protochain.core.arrays import Floats
 from protochain.core.errors import StructureError
 from protochain.structure import residues
 from protochain.structure.chirality import centres, hand, wrong_hands
-from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.losses import Why
-from protochain.structure.repairs import Kind, Renamed
+from protochain.structure.draft import Draft, Member, Part, atom, losses
+from protochain.structure.repairs import Kind, Renamed, Why
 from protochain.structure.sidechains.ideal import Places, bridged, dihedral, ideal, placed, unit
 from protochain.structure.sidechains.packing import Site, packed
 from protochain.structure.templates import Template, rename
@@ -81,8 +80,8 @@ def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> None
             "rename or remove it"
         )
     if "OXT" not in template.element and member.atom("OXT"):
-        draft.note(Kind.INNER_OXT, residue=member.residue)
-        draft.lose(member, [a for a in member.atoms if a.name == "OXT"], Why.INNER)
+        gone = losses(member, [a for a in member.atoms if a.name == "OXT"], Why.INNER)
+        draft.note(Kind.INNER_OXT, gone, residue=member.residue)
         member.atoms = [a for a in member.atoms if a.name != "OXT"]
 
 

@@ -10,8 +10,7 @@ import gemmi
 
 from protochain.structure import residues
 from protochain.structure.header import NO_LABEL, Label
-from protochain.structure.losses import Loss, Why
-from protochain.structure.repairs import Kind, Repair
+from protochain.structure.repairs import Kind, Loss, Repair, Why
 from protochain.structure.templates import Template, template_name
 
 Address = tuple[str, str, str]
@@ -146,8 +145,6 @@ class Draft:
         stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
     absent : list of Member
         The molecules left out.
-    losses : list of Loss
-        Heavy atoms of the file that are lost.
     header : str
         What the file says beside its atoms, as mmCIF text.
     model_number : int
@@ -163,7 +160,6 @@ class Draft:
     left_out: Counter[str] = field(default_factory=Counter)
     springs: Mapping[tuple[Address, ...], tuple[float, float]] = field(default_factory=dict)
     absent: list[Member] = field(default_factory=list)
-    losses: list[Loss] = field(default_factory=list)
     header: str = ""
     model_number: int = 1
 
@@ -172,18 +168,12 @@ class Draft:
         """Every residue, in order."""
         return [member for part in self.parts for member in part.members]
 
-    def note(self, kind: Kind, **facts: Any) -> None:
-        """Note a change."""
-        self.repairs.append(Repair(kind, facts))
-
-    def lose(self, member: Member, atoms: Iterable[gemmi.Atom], why: Why) -> None:
-        """Note the heavy atoms among those of a residue as lost; count them if the rest of it stays."""
-        names = tuple(atom.name for atom in atoms if not atom.is_hydrogen())
-        if names:
-            lost = Loss(member.chain_id, member.seqid, member.given or member.name, names, why)
-            self.losses.append(lost)
-            if not why.is_of_whole:
-                self.left_out[f"atoms of {lost.name}"] += len(names)
+    def note(self, kind: Kind, lost: tuple[Loss, ...] = (), **facts: Any) -> None:
+        """Note a change, and what it takes away; of a residue that stays, its atoms are counted."""
+        self.repairs.append(Repair(kind, facts, lost))
+        for each in lost:
+            if not each.why.is_of_whole:
+                self.left_out[f"atoms of {each.name}"] += len(each.atoms)
 
     def states(self, first: Address, second: Address) -> bool:
         """Whether the file states this bond."""
@@ -205,6 +195,12 @@ class Draft:
             if len(atoms) < 3:
                 found.setdefault(atoms[-1][:2], set()).add(len(atoms))
         return found
+
+
+def losses(member: Member, atoms: Iterable[gemmi.Atom], why: Why) -> tuple[Loss, ...]:
+    """Tell of the heavy atoms among those of a residue, if there are any, that they are lost."""
+    names = tuple(atom.name for atom in atoms if not atom.is_hydrogen())
+    return (Loss(member.chain_id, member.seqid, member.given or member.name, names, why),) if names else ()
 
 
 def atom(name: str, element: str, position: list[float], b_iso: float = 0.0) -> gemmi.Atom:

@@ -14,10 +14,9 @@ from scipy.spatial import KDTree
 from protochain.core import defaults
 from protochain.core.errors import StructureError
 from protochain.structure import residues
-from protochain.structure.draft import Draft, Member, Part
-from protochain.structure.losses import Why
+from protochain.structure.draft import Draft, Member, Part, losses
 from protochain.structure.recognise import recognised
-from protochain.structure.repairs import EVERYTHING, Count, Kind, Repair
+from protochain.structure.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
 from protochain.structure.templates import Template
 
 KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
@@ -107,6 +106,7 @@ def choose(
     near = _near(draft, usable) if "near" in keep else set()
     chosen = []
     gone: Counter[tuple[str, Why | None]] = Counter()
+    lost: list[Loss] = []
     for candidate in candidates:
         words = {"all", candidate.kind, candidate.member.name, candidate.given}
         # A result names what it kept, which may have come further away.
@@ -122,12 +122,12 @@ def choose(
         elif "near" in keep and candidate.kind != "water":
             why = Why.FAR
         if why:
-            draft.lose(candidate.member, candidate.member.atoms, why)
+            lost += losses(candidate.member, candidate.member.atoms, why)
         gone[("waters" if candidate.kind == "water" else candidate.given, why)] += 1
     for (kind, _), count in gone.items():
         draft.left_out[kind] += count
     parts = _parts(draft, chosen, known)
-    _report(draft, gone, chosen)
+    _report(draft, gone, tuple(lost), chosen)
     return parts
 
 
@@ -200,8 +200,8 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
                 known_as = recognised(first, first.own, users) if first.own else None
                 first.own, part.mobile = known_as or first.own, known_as is not None
         elif len(whole) > len(first.atoms):
-            draft.note(Kind.PHOSPHATE, residue=first.residue)
-            draft.lose(first, [atom for atom in whole if atom.name in gone], Why.PHOSPHATE)
+            lost = losses(first, [atom for atom in whole if atom.name in gone], Why.PHOSPHATE)
+            draft.note(Kind.PHOSPHATE, lost, residue=first.residue)
     return parts
 
 
@@ -256,16 +256,21 @@ def by_element(member: Member) -> Template:
     )
 
 
-def _report(draft: Draft, gone: Mapping[tuple[str, Why | None], int], chosen: Sequence[Candidate]) -> None:
+def _report(
+    draft: Draft,
+    gone: Mapping[tuple[str, Why | None], int],
+    lost: tuple[Loss, ...],
+    chosen: Sequence[Candidate],
+) -> None:
     """Say what is left out, before all other repairs, and then what is kept."""
     told = []
     if gone:
         counts = tuple(Count(n, kind, why or "") for (kind, why), n in gone.items())
         dry = any(count.kind != "waters" for count in counts)
         told.append(
-            Repair(Kind.LEFT_OUT, {"counts": counts, "remedy": EVERYTHING})
+            Repair(Kind.LEFT_OUT, {"counts": counts, "remedy": EVERYTHING}, lost)
             if dry
-            else Repair(Kind.WATERS_LEFT_OUT, {"count": counts[0].n, "remedy": EVERYTHING})
+            else Repair(Kind.WATERS_LEFT_OUT, {"count": counts[0].n, "remedy": EVERYTHING}, lost)
         )
     if chosen:
         its = Counter("waters" if each.kind == "water" else each.given for each in chosen)

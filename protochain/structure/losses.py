@@ -1,61 +1,16 @@
-"""Atoms of a file that its structure lacks, though nobody asked to leave them out."""
+"""What is told at the end of a run of atoms that files lost, though nobody asked to leave them out."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from enum import StrEnum
 from textwrap import shorten
 from typing import Any
 
 from protochain.core import defaults
-from protochain.structure.repairs import EVERYTHING, Say
+from protochain.structure.repairs import EVERYTHING, Loss, Say, Why
 
 _WIDTH = 200
 """Characters of what is told of one structure."""
 _SHOWN = 8
 """Structures that are told of."""
-
-
-class Why(StrEnum):
-    """Why atoms of a file are lost."""
-
-    PARENT = "the force fields have only its standard parent"
-    PHOSPHATE = "the force fields have no 5' phosphate"
-    INNER = "the chain continues"
-    BACKBONE = "an atom of its backbone is missing"
-    CAP = "a cap that is not at the end of a chain"
-    ELEMENT = "its element is unknown"
-    FAR = f"it is further than {defaults.KEEP_WITHIN:g} angstrom from the protein"
-
-    @property
-    def is_of_whole(self) -> bool:
-        """Whether nothing stays of the residue."""
-        return self in (Why.BACKBONE, Why.CAP, Why.ELEMENT, Why.FAR)
-
-
-@dataclass(frozen=True)
-class Loss:
-    """Heavy atoms of one residue of the file that are not in the structure.
-
-    Waters, alternate locations, and what options leave out are not lost; ``left_out`` counts them too.
-
-    Parameters
-    ----------
-    chain, number, name : str
-        Of the residue in the file; the number with its insertion code.
-    atoms : tuple of str
-        Names in the file.
-    why : Why
-    """
-
-    chain: str
-    number: str
-    name: str
-    atoms: tuple[str, ...]
-    why: Why
-
-    def __str__(self) -> str:
-        place = f"{self.chain}:{self.number} {self.name}"
-        return place if self.why.is_of_whole else f"{place} {', '.join(self.atoms)}"
 
 
 def lost_atoms(losses: Iterable[Loss]) -> list[str]:

@@ -14,8 +14,7 @@ from protochain.core.arrays import Floats, Integers, Neighbours, Value, neighbou
 from protochain.core.errors import StructureError
 from protochain.core.markup import facts
 from protochain.structure.header import Label
-from protochain.structure.losses import Loss
-from protochain.structure.repairs import Repair, summarised
+from protochain.structure.repairs import Loss, Repair, summarised
 from protochain.structure.residues import Atom, Residue, name_in_file
 
 
@@ -77,8 +76,6 @@ class Structure(Value):
         D-amino acids, whose ``residue_name`` is that of their mirror image; files have their own.
     built : (na,) bool
         Heavy atoms that the file lacks.
-    losses : tuple of Loss
-        Heavy atoms of the file that are not in the structure, without waters and what options leave out.
 
     Raises
     ------
@@ -102,7 +99,6 @@ class Structure(Value):
     links: Integers = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
     mirrored: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
     built: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
-    losses: tuple[Loss, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions))
@@ -233,6 +229,11 @@ class Structure(Value):
         if self.mobile.any():
             seen.update(self.mobile.tobytes())
         return seen.hexdigest()
+
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """Heavy atoms of the file that the structure lacks, but waters and what options leave out."""
+        return tuple(loss for repair in self.repairs for loss in repair.lost)
 
     @cached_property
     def changes(self) -> tuple[str, ...]:

@@ -163,7 +163,6 @@ def prepare(
         links=np.array([*_linked(links, at), *_linked(beside, at)], dtype=np.int64).reshape(-1, 2),
         mirrored=np.array([member.is_d for member in draft.members]),
         built=np.array([id(atom) not in given and not atom.is_hydrogen() for atom in atoms]),
-        losses=tuple(draft.losses),
     )
 
 

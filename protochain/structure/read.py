@@ -20,12 +20,11 @@ from protochain.structure.apart import refuse_crowds
 from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place, without_nan
-from protochain.structure.draft import Address, Draft, Member, Part
+from protochain.structure.draft import Address, Draft, Member, Part, losses
 from protochain.structure.files import STANDARD_INPUT, parse, split_name
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, water_named
-from protochain.structure.losses import Why
-from protochain.structure.repairs import Kind, Repair
+from protochain.structure.repairs import Kind, Repair, Why
 from protochain.structure.springs import springs
 from protochain.structure.templates import (
     archive_parent,
@@ -328,18 +327,19 @@ class _Reader:
         ]
         member.name, member.parent = parent, ""
         gone = tuple(a.name for a in strange)
-        self.draft.lose(member, strange, Why.PARENT)
+        lost = losses(member, strange, Why.PARENT)
         if gemmi.find_tabulated_residue(given).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
             # The table does not say of which hand it is.
             member.is_d = hand(member, least=WELL_FORMED) < 0
         if given == "MSE":
-            self.draft.note(Kind.SELENOMETHIONINE, residue=residue)
+            self.draft.note(Kind.SELENOMETHIONINE, lost, residue=residue)
         elif given != residues.name_in_file(parent, member.is_d):
             cut, whole = _TO_D if member.is_d else _TO_PARENT
             name = residues.name_in_file(parent, member.is_d)
-            self.draft.note(cut if gone else whole, residue=residue, name=name, atoms=gone)
+            self.draft.note(cut if gone else whole, lost, residue=residue, name=name, atoms=gone)
         elif gone or hand(member) < 1:  # One of the other hand is told with all that are.
-            self.draft.note(Kind.MIRRORED_CUT if gone else Kind.MIRRORED, residue=residue, atoms=gone)
+            kind = Kind.MIRRORED_CUT if gone else Kind.MIRRORED
+            self.draft.note(kind, lost, residue=residue, atoms=gone)
 
     def _has_backbone(self, member: Member) -> bool:
         missing = [name for name in residues.BACKBONE if not member.atom(name)]
@@ -350,9 +350,9 @@ class _Reader:
                 f"{self.draft.source}: {member}: atom {missing[0]} missing; "
                 "rebuild the backbone or remove the residue"
             )
-        self.draft.note(Kind.NO_BACKBONE, residue=member.residue, atom=missing[0])
+        lost = losses(member, member.atoms, Why.BACKBONE)
+        self.draft.note(Kind.NO_BACKBONE, lost, residue=member.residue, atom=missing[0])
         self.draft.left_out["incomplete residues"] += 1
-        self.draft.lose(member, member.atoms, Why.BACKBONE)
         return False
 
     def _add_unbroken(self, run: list[Member]) -> None:
@@ -418,9 +418,8 @@ class _Reader:
     def _is_in_place(self, member: Member, i: int, n: int) -> bool:
         if n > 1 and (i == 0 if member.name == "ACE" else i == n - 1):
             return True
-        self.draft.note(Kind.CAP, residue=member.residue)
+        self.draft.note(Kind.CAP, losses(member, member.atoms, Why.CAP), residue=member.residue)
         self.draft.left_out[member.name] += 1
-        self.draft.lose(member, member.atoms, Why.CAP)
         return False
 
 

@@ -3,11 +3,12 @@
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from enum import Enum, IntEnum
+from enum import Enum, IntEnum, StrEnum
 from string import Formatter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from protochain.core import defaults
 from protochain.core.arrays import Value
 from protochain.core.errors import Argument
 from protochain.core.markup import counted, listed
@@ -221,6 +222,49 @@ class Renamed:
         return f"{self.before} to {self.after}"
 
 
+class Why(StrEnum):
+    """Why atoms of a file are lost."""
+
+    PARENT = "the force fields have only its standard parent"
+    PHOSPHATE = "the force fields have no 5' phosphate"
+    INNER = "the chain continues"
+    BACKBONE = "an atom of its backbone is missing"
+    CAP = "a cap that is not at the end of a chain"
+    ELEMENT = "its element is unknown"
+    FAR = f"it is further than {defaults.KEEP_WITHIN:g} angstrom from the protein"
+
+    @property
+    def is_of_whole(self) -> bool:
+        """Whether nothing stays of the residue."""
+        return self in (Why.BACKBONE, Why.CAP, Why.ELEMENT, Why.FAR)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Heavy atoms of one residue of the file that are not in the structure.
+
+    Waters, alternate locations, and what options leave out are not lost; ``left_out`` counts them too.
+
+    Parameters
+    ----------
+    chain, number, name : str
+        Of the residue in the file; the number with its insertion code.
+    atoms : tuple of str
+        Names in the file.
+    why : Why
+    """
+
+    chain: str
+    number: str
+    name: str
+    atoms: tuple[str, ...]
+    why: Why
+
+    def __str__(self) -> str:
+        place = f"{self.chain}:{self.number} {self.name}"
+        return place if self.why.is_of_whole else f"{place} {', '.join(self.atoms)}"
+
+
 @dataclass(frozen=True)
 class Repair(Value):
     """A change made to the contents of a file; its text is a sentence.
@@ -231,10 +275,13 @@ class Repair(Value):
     facts : mapping
         What the words of the kind name, and more: ``residue`` (a ``residues.Residue``),
         ``atoms``, ``count``, ``length`` (angstrom), ...
+    lost : tuple of Loss
+        What it takes away.
     """
 
     kind: Kind
     facts: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    lost: tuple[Loss, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
