@@ -14,9 +14,10 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import checked, kinds, quantity, selection, text
 from protochain.core.errors import Argument, ChainError
-from protochain.hinges import HINGES, Hinge, components, cross_links, find_hinges, turning_hinges
+from protochain.hinges import HINGES, Hinge, cross_links, find_hinges, turning_hinges
 from protochain.mechanics.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.convert import as_structure
+from protochain.structure.graph import components
 from protochain.structure.model import Structure
 from protochain.structure.select import moving as moving_atoms
 
@@ -80,7 +81,7 @@ def build_chain(
     if not turning:
         of = "" if move == "all" else f" in {move!r}"
         raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}{of}; open more of them")
-    molecule = components(structure.n_atoms, bonds)
+    molecule = components(bonds, structure.n_atoms)
     if structure.obstacle.any():
         # Everything kept besides the protein is one body, which is fixed.
         molecule[structure.obstacle], group[structure.obstacle] = molecule.max() + 1, group.max() + 1

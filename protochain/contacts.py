@@ -5,12 +5,12 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from protochain.chain import Chain
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure import graph
 from protochain.structure.linkage import COVALENT_SLACK, is_metal, usual_length
 from protochain.structure.model import Structure
 from protochain.structure.residues import VAN_DER_WAALS
@@ -104,20 +104,7 @@ def _keys(structure: Structure, bonds: int) -> Integers:
 @lru_cache(maxsize=16)
 def joined(structure: Structure, bonds: int) -> Integers:
     """(n, 2) int: pairs of atoms separated by at most this many bonds, the smaller index first."""
-    return neighbourhood(structure.bonds, structure.n_atoms, bonds)
-
-
-def neighbourhood(edges: Integers, n: int, bonds: int) -> Integers:
-    """(m, 2) int: pairs of n atoms separated by at most so many of the bonds (k, 2), smaller index first."""
-    i, j = edges.T
-    step = coo_array((np.ones(2 * len(i), dtype=np.int64), (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
-    reach, power = step, step
-    for _ in range(bonds - 1):
-        power = power @ step
-        reach = reach + power
-    found = coo_array(reach)
-    upper = found.row < found.col
-    return np.column_stack([found.row[upper], found.col[upper]]).astype(np.int64)
+    return graph.joined(structure.bonds, structure.n_atoms, bonds)
 
 
 def overlapping(structure: Structure, x: Floats) -> tuple[Integers, Floats]:

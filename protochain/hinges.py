@@ -5,11 +5,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from protochain.core.arrays import Floats, Integers
 from protochain.structure import residues
+from protochain.structure.graph import components
 from protochain.structure.model import Structure
 
 HINGES = ("phi", "psi", "omega", "chi", "rotors", "angles")
@@ -127,12 +126,6 @@ def turning_hinges(
         hinges = real
 
 
-def components(n_atoms: int, bonds: Integers) -> Integers:
-    """(na,) int: connected component of each atom in the graph of these bonds."""
-    graph = coo_array((np.ones(len(bonds), dtype=np.int8), bonds.T), shape=(n_atoms, n_atoms))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
-
-
 def _without_hinges(n_atoms: int, bonds: Integers, hinges: list[Hinge]) -> Integers:
     """(na,) int: connected component of each atom once the bonds of the hinges are removed.
 
@@ -140,7 +133,7 @@ def _without_hinges(n_atoms: int, bonds: Integers, hinges: list[Hinge]) -> Integ
     """
     turning = {frozenset(hinge.atoms[1:3]) for hinge in hinges}
     rigid = np.array([frozenset(bond) not in turning for bond in bonds.tolist()], dtype=bool)
-    return components(n_atoms, bonds[rigid])
+    return components(bonds[rigid], n_atoms)
 
 
 def _on_axis(x: Floats, group: Integers, start: int, end: int) -> bool:

@@ -14,8 +14,6 @@ from protochain.core.errors import ProtochainError
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-Neighbours = tuple[tuple[int, ...], ...]
-
 Watcher = Callable[[Mapping[str, float], Floats], None]
 """Callback of a run: receives each row of its log, and the positions (na, 3) the row belongs to."""
 
@@ -42,15 +40,6 @@ def read_only(array: ArrayLike, dtype: type = np.float64) -> NDArray[Any]:
     frozen: NDArray[Any] = np.array(array, dtype=dtype, order="C")
     frozen.flags.writeable = False
     return frozen
-
-
-def neighbours(pairs: Integers, n: int) -> Neighbours:
-    """For each of n things, those that pairs (m, 2) of indices join to it, in their order."""
-    near: list[list[int]] = [[] for _ in range(n)]
-    for i, j in pairs.tolist():
-        near[i].append(j)
-        near[j].append(i)
-    return tuple(map(tuple, near))
 
 
 def frozen(array: Floats) -> Floats:

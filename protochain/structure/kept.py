@@ -7,14 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import gemmi
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from protochain.core import defaults
 from protochain.core.errors import StructureError
 from protochain.structure import residues
 from protochain.structure.draft import Draft, Member, Part, losses
+from protochain.structure.graph import components
 from protochain.structure.recognise import recognised
 from protochain.structure.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
 from protochain.structure.templates import Template
@@ -160,8 +159,7 @@ def _near(draft: Draft, candidates: Sequence[Candidate]) -> set[int]:
     owner = np.repeat(np.arange(len(dry)), [len(candidate.member.atoms) for candidate in dry])
     distance, _ = KDTree(protein).query(x, distance_upper_bound=defaults.KEEP_WITHIN)
     pairs = owner[KDTree(x).query_pairs(JOINED, output_type="ndarray")]
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(dry), len(dry)))
-    group = connected_components(graph, directed=False)[1]
+    group = components(pairs, len(dry))
     touching = np.unique(group[owner[np.isfinite(distance)]])
     return {id(candidate) for candidate, its in zip(dry, group, strict=True) if its in touching}
 

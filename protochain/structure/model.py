@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.core.arrays import Floats, Integers, Neighbours, Value, neighbours, read_only
+from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import StructureError
 from protochain.core.markup import facts
+from protochain.structure.graph import Neighbours, neighbours
 from protochain.structure.header import Label
 from protochain.structure.repairs import Loss, Repair, summarised
 from protochain.structure.residues import Atom, Residue, name_in_file

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from protochain.contacts import joined
 from protochain.core.arrays import Floats, Integers, Value, floats, read_only
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.graph import both_ways
 from protochain.structure.model import Structure
 from protochain.validation.rings import rings
 
@@ -137,7 +138,7 @@ class _Kinds:
 def _kinds(structure: Structure) -> _Kinds:
     element = np.char.upper(structure.atom_element)
     n, bonds = structure.n_atoms, structure.bonds
-    ends = np.vstack([bonds, bonds[:, ::-1]])
+    ends = both_ways(bonds)
     is_h = element == "H"
     degree = np.bincount(ends[:, 0], minlength=n)
     n_hydrogens = np.bincount(ends[is_h[ends[:, 1]], 0], minlength=n)

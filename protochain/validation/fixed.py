@@ -7,14 +7,13 @@ from typing import NamedTuple
 import gemmi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from protochain.contacts import neighbourhood, radii
+from protochain.contacts import radii
 from protochain.core.arrays import Floats, Integers
 from protochain.core.markup import listed
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.graph import components, joined
 from protochain.structure.model import Structure
 from protochain.structure.residues import NUCLEOTIDES
 from protochain.structure.templates import DNA, RNA, templates
@@ -136,8 +135,7 @@ def _torn(structure: Structure, x: Floats) -> list[list[int]]:
     length = ANGSTROM_PER_NM * np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1)
     reach = _covalent(structure)[bonds].sum(axis=1)
     found = bonds[(length > reach + _LONG) | (length < _SHORT * reach)].tolist()
-    n = structure.n_atoms
-    piece = connected_components(coo_array((np.ones(len(bonds)), bonds.T), shape=(n, n)), directed=False)[1]
+    piece = components(bonds, structure.n_atoms)
     for residue in np.unique(of[mine]).tolist():
         its = np.flatnonzero(mine & (of == residue))
         for other in np.unique(piece[its])[1:]:
@@ -159,8 +157,8 @@ def _clashes(structure: Structure, x: Floats) -> Integers:
     together = structure.occupancy[near].sum(axis=1) > 1.0
     close = (radius[near].sum(axis=1) - apart > _CLASH) & together
     pairs, n = near[close], structure.n_atoms
-    joined = neighbourhood(np.vstack([structure.bonds, _between(structure, x)]), n, 3)
-    return pairs[~np.isin(pairs @ [n, 1], joined @ [n, 1])]
+    near_by = joined(np.vstack([structure.bonds, _between(structure, x)]), n, 3)
+    return pairs[~np.isin(pairs @ [n, 1], near_by @ [n, 1])]
 
 
 def _between(structure: Structure, x: Floats) -> Integers:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, read_only
+from protochain.structure.graph import both_ways
 from protochain.structure.model import Structure
 from protochain.structure.residues import BACKBONE
 
@@ -55,13 +56,11 @@ def layout(structure: Structure) -> Layout:
         index[of[its]] = its
         atom[name] = read_only(index, np.int64)
     before, after = np.full(n, NONE), np.full(n, NONE)
-    kind = structure.atom_name[structure.bonds]
-    # Also within one residue; and the smaller index comes first, but for the bond that closes a ring.
-    for c, n_ in ((0, 1), (1, 0)):
-        pairs = structure.bonds[(kind[:, c] == "C") & (kind[:, n_] == "N")]
-        first, second = of[pairs[:, c]], of[pairs[:, n_]]
-        real = amino[first] & amino[second] & (first != second)
-        after[first[real]], before[second[real]] = second[real], first[real]
+    ends = both_ways(structure.bonds)
+    # Also within one residue.
+    first, second = of[ends[(structure.atom_name[ends] == ["C", "N"]).all(axis=1)]].T
+    real = amino[first] & amino[second] & (first != second)
+    after[first[real]], before[second[real]] = second[real], first[real]
     return Layout(amino, atom, read_only(before, np.int64), read_only(after, np.int64))
 
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, Neighbours, floats, neighbours, read_only
+from protochain.core.arrays import Floats, Integers, floats, read_only
+from protochain.structure.graph import Neighbours, neighbours
 from protochain.structure.model import Structure
 
 LARGEST = 20

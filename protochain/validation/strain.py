@@ -10,6 +10,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value, floats, read_only
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.graph import bond_angles
 from protochain.structure.model import Structure
 from protochain.structure.templates import PROTEIN, Template, standard_name, templates
 
@@ -138,7 +139,7 @@ class _Terms:
 def _terms(structure: Structure, hydrogens: bool = False) -> _Terms:
     names, kind = np.unique(_types(structure), return_inverse=True)
     lengths, angles = _parameters()
-    bonds, triples = structure.bonds, _triples(structure.bonds, structure.n_atoms)
+    bonds, triples = structure.bonds, bond_angles(structure.bonds, structure.n_atoms)
     found = []
     for atoms, table in ((bonds, lengths), (triples, angles)):
         # Few kinds of terms, many terms.
@@ -203,20 +204,3 @@ def _parameters(file: Path = PROTEIN) -> tuple[Mapping[tuple[str, ...], tuple[fl
             table[types] = table[types[::-1]] = norm
         found.append(table)
     return tuple(found)
-
-
-def _triples(bonds: Integers, n: int) -> Integers:
-    """Atoms (n, 3) of every bond angle, its vertex in the middle."""
-    ends = np.vstack([bonds, bonds[:, ::-1]])
-    ends = ends[np.lexsort((ends[:, 1], ends[:, 0]))]
-    degree = np.bincount(ends[:, 0], minlength=n)
-    start = np.concatenate([[0], np.cumsum(degree)[:-1]])
-    found = []
-    for first in range(int(degree.max(initial=0))):
-        for second in range(first + 1, int(degree.max())):
-            middle = np.flatnonzero(degree > second)
-            found.append(
-                np.column_stack([ends[start[middle] + first, 1], middle, ends[start[middle] + second, 1]])
-            )
-    every = np.vstack(found) if found else np.zeros((0, 3), dtype=np.int64)
-    return np.asarray(every[np.lexsort((every[:, 2], every[:, 0], every[:, 1]))])

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, Value, floats, read_only
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.graph import both_ways
 from protochain.structure.model import Structure
 from protochain.validation.geometry import TYPES, distances, places, slots
 
@@ -249,14 +250,14 @@ def _joints(structure: Structure) -> tuple[Integers, NDArray[np.bool_]]:
     """Atoms CA, C, N, CA (n, 4) of neighbours in a chain, and whether N is a proline's."""
     at, kind = places(structure)
     carbon, nitrogen = at[:, _C], at[:, _N]
-    residue, bonds = structure.atom_residue, structure.bonds
+    residue, ends = structure.atom_residue, both_ways(structure.bonds)
     is_c, is_n = np.zeros(structure.n_atoms, dtype=bool), np.zeros(structure.n_atoms, dtype=bool)
     is_c[carbon[carbon >= 0]] = is_n[nitrogen[nitrogen >= 0]] = True
-    bonded = [residue[ends[is_c[ends[:, 0]] & is_n[ends[:, 1]]]] for ends in (bonds, bonds[:, ::-1])]
+    bonded = residue[ends[is_c[ends[:, 0]] & is_n[ends[:, 1]]]]
     number = np.array([_as_number(text) for text in structure.residue_number.tolist()])
     follows = (structure.residue_chain[1:] == structure.residue_chain[:-1]) & (np.diff(number) == 1)
     here = np.flatnonzero(follows & (kind[1:] >= 0) & (kind[:-1] >= 0))
-    pairs = np.unique(np.vstack([*bonded, np.column_stack([here, here + 1])]), axis=0)
+    pairs = np.unique(np.vstack([bonded, np.column_stack([here, here + 1])]), axis=0)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     joints = np.column_stack([at[pairs[:, 0]][:, [_CA, _C]], at[pairs[:, 1]][:, [_N, _CA]]])
     there = (joints >= 0).all(axis=1)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
+from protochain.structure.graph import beyond
 from protochain.structure.sidechains.ideal import dihedral, unit
 
 WIDTH = np.deg2rad(20.0)
@@ -51,19 +52,6 @@ def arm_of(bonded: Sequence[Sequence[int]], axes: Sequence[tuple[int, ...]]) -> 
     """Side chain whose dihedrals are about these axes; ``bonded`` are the bonded atoms of each atom."""
     outward = (np.array(sorted(beyond(bonded, *quartet[1:3])), dtype=np.int64) for quartet in axes)
     return Arm(tuple(axes), tuple(outward))
-
-
-def beyond(bonded: Sequence[Sequence[int]], first: int, second: int) -> set[int]:
-    """Atoms on the second's side of a bond, without the second.
-
-    If it is of a ring, the atoms beyond lead back to the first, which is left out.
-    """
-    found, ahead = {first, second}, [second]
-    while ahead:
-        fresh = [i for i in bonded[ahead.pop()] if i not in found]
-        found.update(fresh)
-        ahead += fresh
-    return found - {first, second}
 
 
 def around(chi: Floats, rarity: Floats, turns: Floats, n_turned: int) -> tuple[Floats, Floats]:

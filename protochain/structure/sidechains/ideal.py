@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 from protochain.core.arrays import Floats
 from protochain.structure import residues
+from protochain.structure.graph import within
 from protochain.structure.sidechains.rotamers import rotamers
 
 Places = dict[str, Floats]
@@ -81,10 +82,7 @@ class Ideal:
 
     def within(self, name: str, n: int) -> set[str]:
         """Names of the atoms at most n bonds from an atom, which is left out."""
-        found = {name}
-        for _ in range(n):
-            found |= {other for each in found for other in self.bonds[each]}
-        return found - {name}
+        return within(self.bonds, name, n) - {name}
 
 
 @cache

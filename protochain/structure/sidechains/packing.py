@@ -6,6 +6,7 @@ heavy atoms that is linear in their distance, as in SCWRL3 (Canutescu, Shelenkov
 same choice.
 """
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
 from protochain.structure.draft import Member
+from protochain.structure.graph import within
 from protochain.structure.sidechains.arms import WIDTH, wrapped
 from protochain.structure.sidechains.conflicts import beside, touching
 from protochain.structure.sidechains.ideal import Places, conformers, fixed_chi, grown, ideal
@@ -216,13 +218,12 @@ class _Surroundings:
 
 def _joined(site: Site) -> dict[str, set[tuple[int, str]]]:
     """Atoms (owner, name) that are within few bonds of each side-chain atom, and the atom itself."""
-    bonds: dict[tuple[int, str], set[tuple[int, str]]] = {}
+    own, bonds = id(site.member), defaultdict[tuple[int, str], set[tuple[int, str]]](set)
 
     def join(a: tuple[int, str], b: tuple[int, str]) -> None:
-        bonds.setdefault(a, set()).add(b)
-        bonds.setdefault(b, set()).add(a)
+        bonds[a].add(b)
+        bonds[b].add(a)
 
-    own = id(site.member)
     for name, others in ideal(site.member.name).bonds.items():
         for other in others:
             join((own, name), (own, other))
@@ -232,13 +233,7 @@ def _joined(site: Site) -> dict[str, set[tuple[int, str]]]:
     if site.after:
         join((own, "C"), (id(site.after), "N"))
         join((id(site.after), "N"), (id(site.after), "CA"))
-    found = {}
-    for name in ideal(site.member.name).x:
-        reached = {(own, name)}
-        for _ in range(_APART):
-            reached |= {other for each in reached for other in bonds.get(each, ())}
-        found[name] = reached
-    return found
+    return {name: within(bonds, (own, name), _APART) for name in ideal(site.member.name).x}
 
 
 def _radii(names: Sequence[str]) -> Floats:

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.core.arrays import Floats, Integers, neighbours
+from protochain.core.arrays import Floats, Integers
 from protochain.structure import residues
 from protochain.structure.chirality import hand
 from protochain.structure.draft import Member
+from protochain.structure.graph import neighbours, within
 from protochain.structure.sidechains.arms import WIDTH, Arm, arm_of, around, wrapped
 from protochain.structure.sidechains.ideal import conformers
 
@@ -84,13 +85,6 @@ class _Room:
             self.members[id(member)] = member
         self.bonded = neighbours(bonds, len(owners))
 
-    def within(self, atom: int, n: int) -> set[int]:
-        """Atoms at most n bonds away, itself included."""
-        found = {atom}
-        for _ in range(n):
-            found |= {other for each in found for other in self.bonded[each]}
-        return found
-
     def arm(self, place: int, names: tuple[str, ...]) -> "_Turning | None":
         """What of a side chain can turn, if anything: built atoms whose bonds lead to no other residue."""
         member, at = self.members[place], self.atoms[place]
@@ -114,7 +108,7 @@ class _Room:
                 near = np.array(tree.query_ball_point(self.x[i], _NEAR * 2 * self.radius.max()))
                 apart = np.linalg.norm(self.x[near] - self.x[i], axis=1)
                 close = near[apart < _NEAR * (self.radius[near] + self.radius[i])]
-                touched = set(close.tolist()) - self.within(i, _APART)
+                touched = set(close.tolist()) - within(self.bonded, i, _APART)
                 found |= {place for _ in touched} | {self.place[j] for j in touched if self.place[j] in arms}
         return [place for place in arms if place in found]
 
@@ -140,7 +134,7 @@ class _Room:
         still = np.setdiff1d(np.arange(len(self.x)), moved)
         felt = np.zeros(len(tried))
         for k, atom in enumerate(moved.tolist()):
-            bonded = list(self.within(atom, _APART))
+            bonded = list(within(self.bonded, atom, _APART))
             at = tried[:, k]
             reach = 2 * _FIRM * self.radius.max()
             beside = (self.x[still] > at.min(axis=0) - reach) & (self.x[still] < at.max(axis=0) + reach)

@@ -1,0 +1,80 @@
+"""Graphs of bonds: who is bonded to whom, what hangs together, and what is few bonds away."""
+
+from collections.abc import Hashable, Sequence
+from itertools import combinations
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
+
+from protochain.core.arrays import Integers
+
+Neighbours = tuple[tuple[int, ...], ...]
+_Node = TypeVar("_Node", bound=Hashable)
+
+
+def neighbours(bonds: Integers, n: int) -> Neighbours:
+    """For each of n atoms, those that bonds (m, 2) join to it, in their order."""
+    near: list[list[int]] = [[] for _ in range(n)]
+    for i, j in bonds.tolist():
+        near[i].append(j)
+        near[j].append(i)
+    return tuple(map(tuple, near))
+
+
+def both_ways(bonds: Integers) -> Integers:
+    """(2 m, 2) int: bonds (m, 2), and the same from their other ends."""
+    return np.vstack([bonds, bonds[:, ::-1]])
+
+
+def bond_angles(bonds: Integers, n: int) -> Integers:
+    """(k, 3) int: atoms of every bond angle, its vertex in the middle; by vertex, then by the others."""
+    found = [
+        (first, middle, last)
+        for middle, around in enumerate(neighbours(bonds, n))
+        for first, last in combinations(sorted(around), 2)
+    ]
+    return np.array(found, dtype=np.int64).reshape(-1, 3)
+
+
+def components(bonds: Integers, n: int) -> Integers:
+    """(n,) int: number of the molecule of each atom, all that bonds (m, 2) hold together."""
+    return np.asarray(connected_components(_adjacency(bonds, n), directed=False)[1], dtype=np.int64)
+
+
+def joined(bonds: Integers, n: int, most: int) -> Integers:
+    """(k, 2) int: pairs of n atoms separated by at most so many of the bonds (m, 2), smaller index first."""
+    step = _adjacency(both_ways(bonds), n)
+    reach, power = step, step
+    for _ in range(most - 1):
+        power = power @ step
+        reach = reach + power
+    found = coo_array(reach)
+    upper = found.row < found.col
+    return np.column_stack([found.row[upper], found.col[upper]]).astype(np.int64)
+
+
+def within(bonded: Any, start: _Node, most: int) -> set[_Node]:
+    """Atoms at most so many bonds away, itself included; ``bonded[atom]`` are those bonded to one."""
+    found = {start}
+    for _ in range(most):
+        found |= {other for each in found for other in bonded[each]}
+    return found
+
+
+def beyond(bonded: Sequence[Sequence[int]], first: int, second: int) -> set[int]:
+    """Atoms on the second's side of a bond, without the second.
+
+    If it is of a ring, the atoms beyond lead back to the first, which is left out.
+    """
+    found, ahead = {first, second}, [second]
+    while ahead:
+        fresh = [i for i in bonded[ahead.pop()] if i not in found]
+        found.update(fresh)
+        ahead += fresh
+    return found - {first, second}
+
+
+def _adjacency(bonds: Integers, n: int) -> csr_array:
+    return coo_array((np.ones(len(bonds), dtype=np.int64), bonds.T), shape=(n, n)).tocsr()
