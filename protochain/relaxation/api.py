@@ -24,10 +24,11 @@ from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
 from protochain.relaxation.rounds import Ended, Relaxer, fewest_left, mendable
 from protochain.relaxation.settings import RelaxSettings, split
 from protochain.structure import Structure
+from protochain.structure.chirality import atoms_named
 from protochain.structure.select import moving, select
 from protochain.validation import threaded_rings, violations
 from protochain.validation.fixed import fixed_counts, fixed_faults
-from protochain.validation.omega import bonds_named, omegas
+from protochain.validation.omega import bonds_named
 
 _NAMED = 5
 """Residues that a message names."""
@@ -188,7 +189,7 @@ def _verdict(
     status, message = verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
         inverted=_spoiled(structure, end.x),
-        isomerised=_bonds_named(structure, end.x, _lost(structure, end.x)),
+        isomerised=_bonds_before(structure, end.x, _lost(structure, end.x)),
     )  # fmt: skip
     left = left_in_words(structure, end.x)
     if left and status is Status.CONVERGED:
@@ -199,7 +200,7 @@ def _verdict(
 def _spoiled(structure: Structure, x: Floats) -> list[str]:
     """Chiral atoms whose hand was right, and is wrong now; that others became right is as it should be."""
     hands = Hands.of(structure)
-    return _atoms_named(structure, np.setdiff1d(hands.wrong(x), hands.wrong(structure.positions)))
+    return atoms_named(structure, np.setdiff1d(hands.wrong(x), hands.wrong(structure.positions)))
 
 
 def _lost(structure: Structure, x: Floats) -> Integers:
@@ -208,22 +209,17 @@ def _lost(structure: Structure, x: Floats) -> Integers:
     return np.setdiff1d(bonds.reversed(x), bonds.wrong(structure.positions))
 
 
-def _bonds_named(structure: Structure, x: Floats, nitrogens: Integers) -> list[str]:
-    now, then = omegas(structure, x), omegas(structure)
-    return bonds_named(structure, now, then, np.isin(now.residue, structure.atom_residue[nitrogens]))
-
-
-def _atoms_named(structure: Structure, atoms: Integers) -> list[str]:
-    return [str(structure.atom(atom)) for atom in atoms.tolist()]
+def _bonds_before(structure: Structure, x: Floats, nitrogens: Integers) -> list[str]:
+    return bonds_named(structure, x, structure.positions, structure.atom_residue[nitrogens])
 
 
 def left_in_words(structure: Structure, x: Floats) -> str:
     """What is left to mend at positions x (na, 3), by name, and faults of what is fixed, if there are any."""
     others = [str(ring) for ring in threaded_rings(structure, x)]
-    wrong = _atoms_named(structure, Hands.of(structure).wrong(x))
+    wrong = atoms_named(structure, Hands.of(structure).wrong(x))
     others += [f"left of the wrong hand: {listed(wrong)}"] if wrong else []
     peptides = PeptideBonds.of(structure).wrong(x)
-    twisted = _bonds_named(structure, x, np.setdiff1d(peptides, _lost(structure, x)))
+    twisted = _bonds_before(structure, x, np.setdiff1d(peptides, _lost(structure, x)))
     others += [f"twisted peptide bonds: {listed(twisted)}"] if twisted else []
     fixed = fixed_faults(structure, x).said(structure, x)
     others += [fixed] if fixed else []

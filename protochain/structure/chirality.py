@@ -83,7 +83,12 @@ def changed_hands(structure: Structure, x: Floats, reference: Floats) -> list[st
     if not len(atoms):
         return []
     flipped = np.sign(volume(x[atoms])) != np.sign(volume(reference[atoms]))
-    return [str(structure.atom(int(atom))) for atom in atoms[flipped, 0]]
+    return atoms_named(structure, atoms[flipped, 0])
+
+
+def atoms_named(structure: Structure, atoms: Integers) -> list[str]:
+    """Name atoms (n,) of a structure, as :func:`changed_hands` does."""
+    return [str(structure.atom(atom)) for atom in atoms.tolist()]
 
 
 def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) -> Integers:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from protochain.core.arrays import Floats, Integers
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure
-from protochain.validation.layout import NONE, layout
+from protochain.validation.layout import NONE, layout, positions
 
 LIMIT = 0.25
 """Angstrom from which a deviation is an outlier."""
@@ -42,21 +42,11 @@ class Deviations(NamedTuple):
 
 
 def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviations:
-    """Measure how far each C-beta is from its ideal place.
+    """Measure how far each C-beta is from its ideal place, at positions x (na, 3) or the structure's own.
 
     That place is the mean of two, built with ideal bond, angle and dihedral from either side of the backbone,
     at the ideal distance from C-alpha. A D-amino acid that the file names so is measured by its mirror image;
     any other has a deviation of some 2 angstrom.
-
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm, optional
-        Other positions of its atoms.
-
-    Returns
-    -------
-    Deviations
 
     Notes
     -----
@@ -65,7 +55,7 @@ def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviation
     found = layout(structure)
     atoms = found.atoms("N", "CA", "C", "CB")
     residue = np.flatnonzero((atoms != NONE).all(axis=1) & (structure.residue_name != "GLY"))
-    n, alpha, c, beta = ANGSTROM_PER_NM * (structure.positions if x is None else x)[atoms[residue].T]
+    n, alpha, c, beta = ANGSTROM_PER_NM * positions(structure, x)[atoms[residue].T]
     ideal = [_IDEAL[_CLASS.get(name, "")] for name in structure.residue_name[residue].tolist()]
     length, from_c, round_c, from_n, round_n = np.array(ideal).reshape(-1, 5).T
     hand = np.where(structure.mirrored[residue], -1.0, 1.0)

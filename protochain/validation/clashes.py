@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from protochain.contacts import joined
-from protochain.core.arrays import Floats, Integers, Value, floats, read_only
+from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.graph import both_ways
 from protochain.structure.model import Structure
+from protochain.validation.layout import positions
 from protochain.validation.rings import rings
 
 OVERLAP = 0.4
@@ -103,7 +104,7 @@ def clashes(structure: Structure, x: Floats | None = None) -> Clashes:
     ProtochainError
         If x has another shape.
     """
-    x = structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
+    x = positions(structure, x)
     kinds = _kinds(structure)
     x = _at_clouds(structure, ANGSTROM_PER_NM * x)
     tree = cKDTree(x)

@@ -17,6 +17,7 @@ from protochain.structure.graph import components, joined
 from protochain.structure.model import Structure
 from protochain.structure.residues import NUCLEOTIDES
 from protochain.structure.templates import DNA, RNA, templates
+from protochain.validation.layout import positions
 from protochain.validation.strain import bond_lengths
 
 _BROKEN = 0.03
@@ -71,26 +72,17 @@ def fixed_counts(structure: Structure) -> dict[str, int]:
 
 
 def fixed_faults(structure: Structure, x: Floats | None = None) -> FixedFaults:
-    """Find broken bonds of molecules that stand still beside the protein, and their clashes.
+    """Find broken bonds and clashes of what stands still, at positions x (na, 3) or the structure's own.
 
     Bonds of nucleotides are those of their names, and of their strand where numbers go on; usual lengths are
     those of Amber's OL15 and OL3 force fields, and a bond is broken when 0.3 angstrom off. Of other molecules
     the bonds are only known by distance, so that a torn one shows when it leaves the molecule in pieces.
 
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm, optional
-        Other positions of its atoms.
-
-    Returns
-    -------
-    FixedFaults
     """
     if not structure.obstacle.any():
         none = np.empty((0, 2), dtype=np.int64)
         return FixedFaults(none, none)
-    x = structure.positions if x is None else x
+    x = positions(structure, x)
     atoms, usual = _usual_bonds(structure)
     off = np.abs(np.linalg.norm(x[atoms[:, 0]] - x[atoms[:, 1]], axis=1) - usual) > _BROKEN
     broken = np.array([*atoms[off].tolist(), *_torn(structure, x)], dtype=np.int64).reshape(-1, 2)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.arrays import Floats, Integers, floats, read_only
 from protochain.structure.graph import both_ways
 from protochain.structure.model import Structure
 from protochain.structure.residues import BACKBONE
@@ -37,6 +37,17 @@ class Layout(NamedTuple):
         """(nr, len(names)) int: atoms of these names in each residue."""
         absent = np.full(len(self.amino), NONE)
         return np.stack([self.atom.get(name, absent) for name in names], axis=1)
+
+
+def positions(structure: Structure, x: Floats | None) -> Floats:
+    """(na, 3) float, nm: positions to measure, checked, or the structure's own.
+
+    Raises
+    ------
+    ProtochainError
+        If x has another shape.
+    """
+    return structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
 
 
 @lru_cache(maxsize=16)

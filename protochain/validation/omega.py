@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers
 from protochain.structure.model import Structure
-from protochain.validation.layout import peptides
+from protochain.validation.layout import peptides, positions
 
 PLANAR = 30.0
 """Degrees from planarity beyond which a peptide bond is twisted, as in mmtbx's omegalyze."""
@@ -36,24 +36,13 @@ class Peptides(NamedTuple):
 
 
 def omegas(structure: Structure, x: Floats | None = None) -> Peptides:
-    """Measure the dihedral omega of every peptide bond, CA-C-N-CA.
-
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm, optional
-        Other positions of its atoms.
-
-    Returns
-    -------
-    Peptides
-        Bonds between two amino acids.
+    """Measure omega, CA-C-N-CA, of every peptide bond, at positions x (na, 3) or the structure's own.
 
     Notes
     -----
     Source of the limits: Williams et al., Protein Sci. 27:293 (2018).
     """
-    omega = peptides(structure, structure.positions if x is None else x)[2]
+    omega = peptides(structure, positions(structure, x))[2]
     residue = np.flatnonzero(np.isfinite(omega))
     omega = omega[residue]
     size = np.abs(omega)
@@ -78,19 +67,20 @@ def isomerised_bonds(structure: Structure, x: Floats, reference: Floats) -> list
     now, then = omegas(structure, x), omegas(structure, reference)
     size = np.abs(now.omega)
     crossed = np.where(then.cis, size > PERPENDICULAR, size < PERPENDICULAR)
-    return bonds_named(structure, now, then, crossed & ~then.twisted)
+    return bonds_named(structure, x, reference, now.residue[crossed & ~then.twisted])
 
 
 def twisted_bonds(structure: Structure, x: Floats, reference: Floats) -> list[str]:
     """Name the peptide bonds that became twisted, as :func:`isomerised_bonds` does."""
     now, then = omegas(structure, x), omegas(structure, reference)
-    return bonds_named(structure, now, then, now.twisted & ~then.twisted)
+    return bonds_named(structure, x, reference, now.residue[now.twisted & ~then.twisted])
 
 
-def bonds_named(structure: Structure, now: Peptides, then: Peptides, which: NDArray[np.bool_]) -> list[str]:
-    """Name some peptide bonds of a structure, with their dihedrals then and now."""
+def bonds_named(structure: Structure, x: Floats, reference: Floats, residues: Integers) -> list[str]:
+    """Name the peptide bonds before residues, with their dihedrals then and now."""
+    now, then = omegas(structure, x), omegas(structure, reference)
     return [
         f"before {structure.describe_residue(int(now.residue[k]))} "
         f"(omega {then.omega[k]:.0f}, now {now.omega[k]:.0f})"
-        for k in np.flatnonzero(which)
+        for k in np.flatnonzero(np.isin(now.residue, residues))
     ]

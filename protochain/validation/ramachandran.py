@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.structure.model import Structure
 from protochain.structure.residues import STANDARD
-from protochain.validation.layout import NONE, layout, peptides
+from protochain.validation.layout import NONE, layout, peptides, positions
 
 CLASSES = ("general", "glycine", "cis_proline", "trans_proline", "pre_proline", "ile_val")
 """Classes of residues, as their tables are called."""
@@ -60,13 +60,7 @@ class Ramachandran(NamedTuple):
 
 
 def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
-    """Place the residues of a structure on the Ramachandran plot, as MolProbity does.
-
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm, optional
-        Other positions of its atoms.
+    """Place residues on the Ramachandran plot, as MolProbity does, at positions x (na, 3) or their own.
 
     Returns
     -------
@@ -78,7 +72,7 @@ def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
     -----
     Tables: Top8000 (Williams et al., Protein Sci. 27:293, 2018), as in mmtbx's ramalyze.
     """
-    phi, psi, omega = peptides(structure, structure.positions if x is None else x)
+    phi, psi, omega = peptides(structure, positions(structure, x))
     standard = np.isin(structure.residue_name, list(STANDARD))
     residue = np.flatnonzero(standard & np.isfinite(phi) & np.isfinite(psi))
     kind = _classes(structure, omega)[residue]

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, floats, read_only
+from protochain.core.arrays import Floats, Integers, read_only
 from protochain.structure.graph import Neighbours, neighbours
 from protochain.structure.model import Structure
+from protochain.validation.layout import positions
 
 LARGEST = 20
 """Atoms of the largest ring looked at: none so small lets a chain through. Macrocycles that are threaded in
@@ -76,7 +77,7 @@ def threaded_rings(structure: Structure, x: Floats | None = None) -> list[Thread
     ProtochainError
         If x has another shape.
     """
-    x = structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
+    x = positions(structure, x)
     which, bonds = _near(structure, x)
     if not len(which):
         return []

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from protochain.core.arrays import Floats, Integers
 from protochain.structure.model import Structure
 from protochain.structure.residues import CHI, SYMMETRIC
-from protochain.validation.layout import NONE, dihedrals, layout
+from protochain.validation.layout import NONE, dihedrals, layout, positions
 
 _LIMITS = {
     **dict.fromkeys(("CYS", "ILE", "SER", "THR", "VAL"), 26.0),
@@ -55,13 +55,7 @@ class SideChains(NamedTuple):
 
 
 def side_chains(structure: Structure, x: Floats | None = None) -> SideChains:
-    """Find the nearest rotamer of each side chain, and how far it is.
-
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm, optional
-        Other positions of its atoms.
+    """Find the nearest rotamer of each side chain, at positions x (na, 3) or the structure's own.
 
     Returns
     -------
@@ -73,7 +67,7 @@ def side_chains(structure: Structure, x: Floats | None = None) -> SideChains:
     -----
     The limits were chosen for agreement with MolProbity's contours on 20 structures, without Arg and Lys.
     """
-    x = structure.positions if x is None else x
+    x = positions(structure, x)
     mirrored = structure.mirrored
     n = structure.n_residues
     name, distance = np.zeros(n, dtype="U8"), np.full(n, np.nan)

@@ -8,11 +8,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, Value, floats, read_only
+from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.graph import bond_angles
 from protochain.structure.model import Structure
 from protochain.structure.templates import PROTEIN, Template, standard_name, templates
+from protochain.validation.layout import positions
 
 BEYOND = 4.0
 """Standard deviations."""
@@ -100,7 +101,7 @@ def strain(structure: Structure, x: Floats | None = None) -> Strain:
     ProtochainError
         If x has another shape.
     """
-    x = structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
+    x = positions(structure, x)
     terms = _terms(structure)
     bonds, by_bond = _outliers(terms.bonds, _lengths(terms.bonds, x), terms.lengths)
     angles, by_angle = _outliers(terms.triples, _angles(terms.triples, x), terms.angles)

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, Value, floats, read_only
+from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.graph import both_ways
 from protochain.structure.model import Structure
 from protochain.validation.geometry import TYPES, distances, places, slots
+from protochain.validation.layout import positions
 
 _SIGMAS = 12.0
 _OVERLAP = 1.5
@@ -157,7 +158,7 @@ def violations(structure: Structure, x: Floats | None = None) -> Violations:
     ProtochainError
         If x has another shape.
     """
-    x = structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
+    x = positions(structure, x)
     x = ANGSTROM_PER_NM * x
     found = [
         read_only(atoms, np.int64)
