@@ -23,7 +23,7 @@ from protochain.energies.native.terms import Bonded, Terms, compile_system
 from protochain.energies.protocol import Energy
 from protochain.minimisers import near_kernels as kernels
 from protochain.minimisers.cholesky import Factor, elimination_order, factorise
-from protochain.minimisers.springs import Gradients, Springs
+from protochain.minimisers.springs import Gradients, Springs, on_moving
 
 REACH = 0.4
 """nm, longest Lennard-Jones pair. Those up to 0.5 nm, and Coulomb's forces, gain no evaluations."""
@@ -299,11 +299,4 @@ def near_solver(
     at.own[:, ::4] += FLOOR if tether is None else (FLOOR + tether)[:, None]
     pairs, both = _among(at.pairs, moving)
     factor: Factor = factorise(order, at.own[moving], pairs, at.shared[both])
-    free = np.flatnonzero(np.repeat(moving, 3))
-
-    def solve(torque: Floats) -> Floats:
-        step = np.zeros_like(torque)
-        step[free] = factor.solve(torque[free])
-        return step
-
-    return solve
+    return on_moving(moving, factor.solve)

@@ -8,22 +8,18 @@ eigenvalue may hide behind it. The estimate is never below the eigenvalue.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from protochain.chain import Pose
-from protochain.contacts import near_pairs
 from protochain.core.arrays import Floats
-from protochain.core.interrupts import answering
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
 from protochain.minimisers import springs
 from protochain.minimisers.loop import Ending, Stop
 from protochain.minimisers.metrics import Preconditioner, Solve
 from protochain.minimisers.problem import Evaluation, Problem, Space
-from protochain.minimisers.spaces import Torsions
+from protochain.minimisers.spaces import Torsions, solver
 from protochain.minimisers.stages import Stage
 from protochain.structure.model import Structure
 
@@ -62,9 +58,6 @@ _FLOOR, _DECAY = 1.0, 8.0
 have a higher floor and a steeper decay, for their steps must not be long in soft directions; here the softest
 is sought, and these take the fewest products on the samples."""
 
-_LARGE = 500
-"""Freedoms from which on the metric is made in a thread, so that Ctrl-C is answered meanwhile."""
-
 
 @dataclass(frozen=True)
 class Soft:
@@ -83,24 +76,22 @@ class Soft:
         assert isinstance(space, Torsions) and isinstance(at.pose, Pose)
         chain, pose, scale = space.chain, at.pose, space.scale
 
-        def factorised() -> Any:
+        def stiffness() -> Floats:
             matrix = springs.torsion_stiffness(chain, pose, _springs) * np.outer(scale, scale)
             matrix[np.diag_indices_from(matrix)] += _FLOOR
-            return cho_factor(matrix, lower=True, check_finite=False)
+            return matrix
 
-        factor = factorised() if chain.n_v < _LARGE else answering(factorised, held=True)
-        return lambda torque: np.asarray(cho_solve(factor, torque, check_finite=False))
+        return solver(stiffness, chain.n_v)
 
 
 def _springs(structure: Structure, x: Floats, bonds: int) -> springs.Springs:
     """Springs of contacts, and of bonds and angles: where a ring or disulfide closes, they are stretched."""
-    pairs, touch = near_pairs(structure, x, springs.REACH, bonds)
-    distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    soft = 72.0 * springs.DEPTH / touch**2 * np.exp(-_DECAY * (distance / touch - 1.0))
+    soft = springs.contacts(structure, x, bonds, _DECAY)
     covalent = springs.covalent(structure)
     firm = covalent.stiffness >= springs.ANGLE
     return springs.Springs(
-        np.concatenate([pairs, covalent.pairs[firm]]), np.concatenate([soft, covalent.stiffness[firm]])
+        np.concatenate([soft.pairs, covalent.pairs[firm]]),
+        np.concatenate([soft.stiffness, covalent.stiffness[firm]]),
     )
 
 

@@ -91,7 +91,7 @@ class Torsions:
         """
         posed = _pose(at.pose)
 
-        def factorised() -> Any:
+        def stiffness() -> Floats:
             near, floor = near_by or springs.contacts, springs.TORSION_FLOOR
             angles: tuple[springs.Gradients, ...] = ()
             if self.terms is not None and near_by is None:
@@ -101,16 +101,25 @@ class Torsions:
             matrix = springs.torsion_stiffness(self.chain, posed, near, tether, angles)
             matrix *= np.outer(self.scale, self.scale)
             matrix[np.diag_indices_from(matrix)] += floor
-            return cho_factor(matrix, lower=True, check_finite=False)
+            return matrix
 
-        # Of a large protein it takes seconds.
-        factor = factorised() if self.chain.n_v < _LARGE else answering(factorised, held=True)
-        return lambda torque: np.asarray(cho_solve(factor, torque, check_finite=False))
+        return solver(stiffness, self.chain.n_v)
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the mass matrix, by the articulated-body algorithm."""
         posed = _pose(at.pose)
         return lambda torque: solve_mass(self.chain, posed, torque / self.scale) / self.scale
+
+
+def solver(make: Callable[[], Floats], n: int) -> Callable[[Floats], Floats]:
+    """Solver for a positive definite matrix (n, n), by Cholesky factorisation."""
+
+    def factorised() -> Any:
+        return cho_factor(make(), lower=True, check_finite=False)
+
+    # Of a large protein it takes seconds.
+    factor = factorised() if n < _LARGE else answering(factorised, held=True)
+    return lambda torque: np.asarray(cho_solve(factor, torque, check_finite=False))
 
 
 def _pose(at: Placement) -> Pose:

@@ -62,11 +62,11 @@ class Springs:
     stiffness: Floats
 
 
-def contacts(structure: Structure, x: Floats, bonds: int) -> Springs:
+def contacts(structure: Structure, x: Floats, bonds: int, decay: float = DECAY) -> Springs:
     """Springs between nearby atoms that are more than this many bonds apart."""
     pairs, touch = near_pairs(structure, x, REACH, bonds)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
-    return Springs(pairs, 72.0 * DEPTH / touch**2 * np.exp(-DECAY * (distance / touch - 1.0)))
+    return Springs(pairs, 72.0 * DEPTH / touch**2 * np.exp(-decay * (distance / touch - 1.0)))
 
 
 @lru_cache(maxsize=4)
@@ -158,12 +158,19 @@ def cartesian_solver(
         options={"SymmetricMode": True},
     )  # fmt: skip
 
-    def solve(torque: Floats) -> Floats:
+    return on_moving(moving, factors.solve)
+
+
+def on_moving(moving: NDArray[np.bool_], solve: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:
+    """Solver for all atoms, made of one for those that move: the others take no step."""
+    free = np.flatnonzero(np.repeat(moving, 3))
+
+    def solve_all(torque: Floats) -> Floats:
         step = np.zeros_like(torque)
-        step[free] = factors.solve(torque[free])
+        step[free] = solve(torque[free])
         return step
 
-    return solve
+    return solve_all
 
 
 def _sparse(n_atoms: int, springs: Springs, x: Floats, coupled: bool) -> csc_array:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -11,18 +11,26 @@ from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.chirality import wrong_atoms
 from protochain.structure.model import Structure
-from protochain.validation.cbeta import Deviations, cbeta_deviations
-from protochain.validation.clashes import Clashes, clashes
-from protochain.validation.fixed import FixedFaults, fixed_faults
-from protochain.validation.omega import Peptides, omegas
-from protochain.validation.ramachandran import CLASSES, REGIONS, Ramachandran, ramachandran
-from protochain.validation.rings import ThreadedRing, threaded_rings
-from protochain.validation.rotamers import SideChains, side_chains
-from protochain.validation.strain import Strain, strain
-from protochain.validation.violations import Violations, violations
+from protochain.validation.cbeta import cbeta_deviations
+from protochain.validation.clashes import clashes
+from protochain.validation.fixed import fixed_faults
+from protochain.validation.omega import omegas
+from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran
+from protochain.validation.rings import threaded_rings
+from protochain.validation.rotamers import side_chains
+from protochain.validation.strain import strain
+from protochain.validation.violations import violations
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+_T = TypeVar("_T")
+
+
+def _measured(measure: Callable[[Structure, Floats], _T]) -> cached_property[_T]:
+    """Attribute of :class:`Found`, measured when it is first asked for."""
+    return cached_property(lambda found: measure(found.structure, found.x))
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,55 +46,16 @@ class Found(Value):
     structure: Structure
     x: Floats
 
-    @cached_property
-    def violations(self) -> Violations:
-        """Structural violations."""
-        return violations(self.structure, self.x)
-
-    @cached_property
-    def clashes(self) -> Clashes:
-        """Clashes of all atoms."""
-        return clashes(self.structure, self.x)
-
-    @cached_property
-    def ramachandran(self) -> Ramachandran:
-        """Residues on the Ramachandran plot."""
-        return ramachandran(self.structure, self.x)
-
-    @cached_property
-    def side_chains(self) -> SideChains:
-        """Side chains and the nearest rotamers."""
-        return side_chains(self.structure, self.x)
-
-    @cached_property
-    def cbeta(self) -> Deviations:
-        """C-beta deviations."""
-        return cbeta_deviations(self.structure, self.x)
-
-    @cached_property
-    def peptides(self) -> Peptides:
-        """Peptide bonds."""
-        return omegas(self.structure, self.x)
-
-    @cached_property
-    def wrong_hands(self) -> Integers:
-        """Chiral atoms (n,) of the wrong hand."""
-        return wrong_atoms(self.structure, self.x, self.structure.mirrored)
-
-    @cached_property
-    def rings(self) -> list[ThreadedRing]:
-        """Rings that a bond goes through."""
-        return threaded_rings(self.structure, self.x)
-
-    @cached_property
-    def fixed(self) -> FixedFaults:
-        """Faults of what stands still beside the protein."""
-        return fixed_faults(self.structure, self.x)
-
-    @cached_property
-    def strain(self) -> Strain:
-        """Bonds and angles far from the force field's."""
-        return strain(self.structure, self.x)
+    violations = _measured(violations)
+    clashes = _measured(clashes)
+    ramachandran = _measured(ramachandran)
+    side_chains = _measured(side_chains)
+    cbeta = _measured(cbeta_deviations)
+    peptides = _measured(omegas)
+    wrong_hands = _measured(lambda structure, x: wrong_atoms(structure, x, structure.mirrored))
+    rings = _measured(threaded_rings)
+    fixed = _measured(fixed_faults)
+    strain = _measured(strain)
 
     def measures(self) -> dict[str, Any]:
         """Values of all ``MEASURES``; None where nothing can be measured."""
