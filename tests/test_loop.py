@@ -250,6 +250,30 @@ def test_stages_that_alternate_between_spaces_take_the_positions_along():
     assert done.q[0] == pytest.approx(3.1) and done.space is one and done.n_iterations == 3
 
 
+def test_a_stage_says_which_endings_end_the_walk():
+    """One that may fail, as of the parting of overlaps, is followed by the next."""
+    for ends, at_end in (((Stop.NON_FINITE,), 1.0), ((), 3.0)):
+        first = stage_of(Stepping(3), energy=lambda t: np.nan if t == 2 else -t, ends=ends)
+        assert walk([first, stage_of(Stepping(3))], at(0.0), 99, None, lambda *_: None).q[0] == at_end
+
+
+def test_only_a_walk_that_may_be_resumed_makes_its_lists_where_stages_begin():
+    class Listing:
+        made = 0
+
+        def __call__(self, x):
+            return -x[0, 0], np.ones_like(x)
+
+        def list_at(self, x):
+            self.made += 1
+
+    for resumable in (True, False):
+        energy = Listing()
+        plan = [replace(stage_of(Stepping(2)), energy=energy) for _ in range(2)]
+        walk(plan, at(0.0), 99, None, lambda *_: None, resumable=resumable)
+        assert energy.made == 2 * resumable
+
+
 @pytest.mark.parametrize(
     ("named", "n_run"), [((Stop.NON_FINITE,), 2), ((Stop.TOLERANCE,), 1), ((), 1), (None, 1)]
 )

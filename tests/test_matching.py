@@ -68,7 +68,6 @@ def test_insertions_and_deletions_shift_what_follows():
     assert pairs(match(reference, short)) == [(k, k if k < 5 else k - 3) for k in range(16) if not 5 <= k < 8]
     assert match(reference, short).coverage == 13 / 16
     assert pairs(match(short, reference)) == [(k, k if k < 5 else k + 3) for k in range(13)]
-    assert list(module._cigar("12M3I4D")) == [(12, "M"), (3, "I"), (4, "D")]
 
 
 def test_chains_are_paired_for_the_best_sum_and_a_broken_chain_is_one_sequence():

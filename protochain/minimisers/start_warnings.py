@@ -22,11 +22,6 @@ _SHOWN_RINGS = 3
 def outlook(structure: Structure, recipe: Recipe) -> list[str]:
     """Say what is wrong with a start, and what a method does about it first.
 
-    Parameters
-    ----------
-    structure : Structure
-    recipe : Recipe
-
     Returns
     -------
     list of str

@@ -67,17 +67,9 @@ def wrong_hands(members: Sequence[Member]) -> list[Atom]:
 
 
 def changed_hands(structure: Structure, x: Floats, reference: Floats) -> list[str]:
-    """Name the chiral atoms whose hand differs between two sets of positions.
+    """Name the chiral atoms whose hand differs between two sets of positions (na, 3), nm.
 
-    Parameters
-    ----------
-    structure : Structure
-    x, reference : (na, 3) float, nm
-
-    Returns
-    -------
-    list of str
-        As ``CA of residue 14 LYS of chain A``.
+    As ``CA of residue 14 LYS of chain A``.
     """
     atoms = chiral_atoms(structure)
     if not len(atoms):

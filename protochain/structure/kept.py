@@ -222,14 +222,7 @@ def _fits(member: Member, template: Template | None) -> bool:
 def by_element(member: Member) -> Template:
     """Template of a molecule as it is in the file: its elements and formal charges, and bonds by distance.
 
-    Parameters
-    ----------
-    member : Member
-
-    Returns
-    -------
-    Template
-        A hydrogen is bonded to the nearest heavy atom.
+    A hydrogen is bonded to the nearest heavy atom.
     """
     atoms = member.atoms
     x = np.array([a.pos.tolist() for a in atoms])

@@ -1,5 +1,6 @@
 """Corresponding residues of two structures, and what can be measured of files of C-alpha atoms only."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -322,7 +323,8 @@ def _of_one_fold(
 def _align(first: tuple[str, ...], second: tuple[str, ...]) -> _Alignment:
     result = gemmi.align_string_sequences(list(first), list(second), [], gemmi.AlignmentScoring("b"))
     pairs, i, j = [], 0, 0
-    for length, kind in _cigar(result.cigar_str()):
+    for digits, kind in re.findall(r"(\d+)(\D)", result.cigar_str()):
+        length = int(digits)
         if kind == "M":
             pairs += [(i + k, j + k) for k in range(length)]
         i += length if kind in "MI" else 0
@@ -331,16 +333,6 @@ def _align(first: tuple[str, ...], second: tuple[str, ...]) -> _Alignment:
     # From the first aligned residue to the last: what a sequence has beyond the other is no difference.
     positions = sum(pairs[-1]) - sum(pairs[0]) - len(pairs) + 2 if pairs else 1
     return _Alignment(float(result.score), pairs, same / positions)
-
-
-def _cigar(text: str) -> Iterator[tuple[int, str]]:
-    digits = ""
-    for letter in text:
-        if letter.isdigit():
-            digits += letter
-        else:
-            yield int(digits), letter
-            digits = ""
 
 
 def _trace(s: Structure, alpha: Integers) -> tuple[Floats, str]:

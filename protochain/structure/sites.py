@@ -56,14 +56,6 @@ def find_links(draft: Draft) -> list[Link]:
 
     What is as near as bonded atoms and not bonded is reported as an overlap, and a bond of the file that
     cannot be as ignored.
-
-    Parameters
-    ----------
-    draft : Draft
-
-    Returns
-    -------
-    list of Link
     """
     protein, beside = (_heavy_atoms(p for p in draft.parts if p.obstacle is kept) for kept in (False, True))
     near = _near(draft, protein, beside)

@@ -54,15 +54,7 @@ def omegas(structure: Structure, x: Floats | None = None) -> Peptides:
 def isomerised_bonds(structure: Structure, x: Floats, reference: Floats) -> list[str]:
     """Name the peptide bonds that went from trans to cis, or back, between two sets of positions.
 
-    Parameters
-    ----------
-    structure : Structure
-    x, reference : (na, 3) float, nm
-
-    Returns
-    -------
-    list of str
-        As ``before residue 14 LYS of chain A (omega 178, now 4)``.
+    As ``before residue 14 LYS of chain A (omega 178, now 4)``.
     """
     now, then = omegas(structure, x), omegas(structure, reference)
     size = np.abs(now.omega)

@@ -98,14 +98,7 @@ def threaded_rings(structure: Structure, x: Floats | None = None) -> list[Thread
 def rings(structure: Structure) -> tuple[tuple[int, ...], ...]:
     """Rings of at most 20 atoms within residues or closed by bonds between side chains or ends of a chain.
 
-    Parameters
-    ----------
-    structure : Structure
-
-    Returns
-    -------
-    tuple of tuple of int
-        Atoms of each ring, in their order around it.
+    The atoms of each are in their order around it.
     """
     of = structure.atom_residue
     heavy = (structure.atom_element != "H")[structure.bonds].all(axis=1)
