@@ -7,6 +7,7 @@ import numpy as np
 
 from protochain.contacts import overlaps
 from protochain.core.arrays import Floats
+from protochain.core.markup import counted
 from protochain.minimisers.recipes import Recipe
 from protochain.structure.model import Structure
 from protochain.structure.superpose import rmsd_angstrom
@@ -30,10 +31,9 @@ def outlook(structure: Structure, recipe: Recipe) -> list[str]:
     """
     crowd = len(overlaps(structure, structure.positions))
     threaded, wrong = threaded_rings(structure), violations(structure)
-    counted = [f"{crowd} {'pair' if crowd == 1 else 'pairs'} of atoms overlap"] if crowd else []
-    if wrong:
-        counted.append(str(wrong))
-    lines = ["; ".join(counted)] if counted else []
+    wrongs = [f"{counted(crowd, 'pair')} of atoms overlap"] if crowd else []
+    wrongs += [str(wrong)] if wrong else []
+    lines = ["; ".join(wrongs)] if wrongs else []
     lines += [str(ring) for ring in threaded[:_SHOWN_RINGS]]
     if len(threaded) > _SHOWN_RINGS:
         lines.append(f"and {len(threaded) - _SHOWN_RINGS} more threaded rings")

@@ -11,7 +11,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
 from protochain.core.interrupts import answering, held_interrupts
-from protochain.core.markup import listed
+from protochain.core.markup import counted, listed
 from protochain.energies import Energy
 from protochain.frame import Frame
 from protochain.minimisers.problem import Evaluation, Force
@@ -229,11 +229,7 @@ def left_in_words(structure: Structure, x: Floats) -> str:
         return "; ".join(others)
     named = [structure.describe_residue(residue) for residue in residues[:_NAMED]]
     more = f" and {len(residues) - _NAMED} more" if len(residues) > _NAMED else ""
-    left = (
-        "1 residue is left with violations"
-        if len(residues) == 1
-        else f"{len(residues)} residues are left with violations"
-    )
+    left = f"{counted(len(residues), 'residue is', 'residues are')} left with violations"
     broken = int((found.per_residue & ~mendable(structure, found)).sum())
     why = f"; {broken} of them at breaks of the chain, which stay: model what is missing" if broken else ""
     return "; ".join([*others, f"{left}: {', '.join(named)}{more}{why}"])

@@ -28,6 +28,7 @@ from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.planarity_restraint import Planes
 from protochain.relaxation.presets import Preset
 from protochain.structure import Structure
+from protochain.structure.graph import both_ways
 from protochain.validation import threaded_rings, violations
 from protochain.validation.rings import ThreadedRing
 from protochain.validation.violations import Violations
@@ -305,12 +306,9 @@ class Relaxer:
 
     def _near(self, residues: Integers) -> NDArray[np.bool_]:
         """(nr,) bool: residues, and those bonded to them: neighbours in sequence, and by disulfides."""
-        concerned = np.zeros(self.structure.n_residues, dtype=bool)
-        concerned[residues] = True
-        ends = self.structure.atom_residue[self.structure.bonds]
-        near = concerned.copy()
-        for a, b in ((0, 1), (1, 0)):
-            near[ends[concerned[ends[:, a]], b]] = True
+        ends = both_ways(self.structure.atom_residue[self.structure.bonds])
+        near = np.zeros(self.structure.n_residues, dtype=bool)
+        near[residues] = near[ends[np.isin(ends[:, 0], residues), 1]] = True
         return near
 
     def _touching(self, residues: Integers, x: Floats) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.chirality import wrong_atoms
 from protochain.structure.model import Structure
@@ -136,7 +137,7 @@ class Found(Value):
         for what, atoms in (("bond", self.strain.bonds), ("angle", self.strain.angles)):
             first, counts = np.unique(of[atoms].min(axis=1), return_counts=True)
             for r, count in zip(first.tolist(), counts.tolist(), strict=True):
-                yield r, f"{count} {what}{'s' * (count > 1)} strained"
+                yield r, f"{counted(count, what)} strained"
         for ring in self.rings:
             yield ring.residue, str(ring)
         for said, pairs in (("broken", self.fixed.bonds), ("a clash", self.fixed.clashes)):

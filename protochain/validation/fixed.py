@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from protochain.contacts import radii
 from protochain.core.arrays import Floats, Integers
-from protochain.core.markup import listed
+from protochain.core.markup import counted, listed
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.graph import components, joined
 from protochain.structure.model import Structure
@@ -56,7 +56,7 @@ class FixedFaults(NamedTuple):
     def said(self, structure: Structure, x: Floats) -> str:
         """How many there are, and the first of them; empty if there are none."""
         counts = [
-            f"{len(pairs)} {what}{'s' * (len(pairs) > 1)}"
+            counted(len(pairs), what)
             for pairs, what in ((self.bonds, "broken bond"), (self.clashes, "overlap"))
             if len(pairs)
         ]

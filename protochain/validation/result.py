@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from protochain.core.arrays import Value
-from protochain.core.markup import facts
+from protochain.core.markup import counted, facts
 from protochain.structure.model import Structure
 from protochain.structure.repairs import Kind
 from protochain.validation.findings import MEASURES
@@ -68,9 +68,8 @@ class Validation(Value):
         heavy = self.residues["atoms_added"]
         told = [str(each) for each in self.structure.repairs if each.kind is Kind.HYDROGENS_ADDED]
         if heavy.any():
-            counts = int(heavy.sum()), int((heavy > 0).sum())
-            kinds = zip(counts, ("heavy atom", "residue"), strict=True)
-            atoms, residues = (f"{n} {what}{'s' * (n > 1)}" for n, what in kinds)
+            atoms = counted(int(heavy.sum()), "heavy atom")
+            residues = counted(int((heavy > 0).sum()), "residue")
             told.insert(0, f"{atoms} added that the file lacks, in {residues}")
         return "; ".join(told)
 

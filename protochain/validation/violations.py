@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.graph import both_ways
 from protochain.structure.model import Structure
@@ -89,14 +90,14 @@ class Violations(Value):
         if not self:
             return "no violations"
         angles = len(self.angles_ca_c_n) + len(self.angles_c_n_ca)
-        parts = [
-            _counted(len(self.bonds), "peptide bond"),
-            _counted(angles, "angle at a peptide bond", "angles at peptide bonds"),
-            _counted(len(self.clashing_atoms), "atom in clashes", "atoms in clashes"),
-            _counted(len(self.within), "distance within a residue", "distances within residues"),
-        ]
-        concerned = _counted(len(self.residues), "residue")
-        return f"violations in {concerned}: {', '.join(part for part in parts if part)}"
+        counts = (
+            (len(self.bonds), "peptide bond", ""),
+            (angles, "angle at a peptide bond", "angles at peptide bonds"),
+            (len(self.clashing_atoms), "atom in clashes", "atoms in clashes"),
+            (len(self.within), "distance within a residue", "distances within residues"),
+        )
+        parts = ", ".join(counted(*each) for each in counts if each[0])
+        return f"violations in {counted(len(self.residues), 'residue')}: {parts}"
 
     def lines(self, structure: Structure, x: Floats | None = None) -> list[str]:
         """Describe each violation in a line: bonds, angles, clashes, distances within residues.
@@ -282,7 +283,3 @@ def _contacts(structure: Structure) -> tuple[Integers, Floats, Integers]:
     radius = np.array([_RADIUS.get(name[:1], 0.0) for name in structure.atom_name.tolist()])
     bonded = np.sort(_joints(structure)[0][:, 1:3], axis=1) @ np.array([structure.n_atoms, 1])
     return read_only(atoms, np.int64), read_only(radius), read_only(bonded, np.int64)
-
-
-def _counted(n: int, what: str, several: str = "") -> str:
-    return f"{n} {what if n == 1 else several or what + 's'}" if n else ""
