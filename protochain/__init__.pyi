@@ -5,7 +5,6 @@ from .analysis.deviation import deviation as deviation
 from .analysis.deviation import rmsd as rmsd
 from .analysis.frames import EveryFrame as EveryFrame
 from .analysis.quality import quality as quality
-from .analysis.viewer import view as view
 from .articulate import build_chain as build_chain
 from .batches import Batch as Batch
 from .batches import batch as batch
@@ -32,6 +31,7 @@ from .minimisers import minimize as minimize
 from .minimisers.recipes import kcm as kcm
 from .relaxation import Relaxation as Relaxation
 from .relaxation import relax as relax
+from .results.viewer import view as view
 from .setup import Setup as Setup
 from .structure import Structure as Structure
 from .structure import as_structure as as_structure

@@ -20,22 +20,23 @@ MAY_IMPORT = {
     "mechanics": {"core"},
     # The wing of mechanisms, and what judges both.
     "mechanisms": {"core", "mechanics"},
-    "lab": {"core"},
+    "lab": {"core", "results"},
     # The wing of proteins.
     "structure": {"core"},
+    "results": {"core", "structure"},
     "energies": {"core", "structure"},
     **{part: {"core", *CHAIN} for part in CHAIN - {"structure", "energies", "mechanics"}},
     "dynamics": {"core", *CHAIN},
     "validation": {"core", *CHAIN},
-    "minimisers": {"core", *CHAIN, "dynamics", "validation"},
-    "relaxation": {"core", *CHAIN, "validation", "minimisers"},
+    "minimisers": {"core", *CHAIN, "dynamics", "validation", "results"},
+    "relaxation": {"core", *CHAIN, "validation", "minimisers", "results"},
     # What sees both.
-    "analysis": {"core", *CHAIN, "dynamics", "validation", "minimisers", "relaxation", "lab"},
-    "scenes": {"core", "mechanics", "mechanisms", "lab", "analysis"},
-    "batches": {"core", *CHAIN, "validation", "minimisers", "relaxation", "lab", "analysis"},
+    "analysis": {"core", *CHAIN, "dynamics", "validation", "minimisers", "relaxation", "results", "lab"},
+    "scenes": {"core", "mechanics", "mechanisms", "lab", "results", "analysis"},
+    "batches": {"core", *CHAIN, "validation", "minimisers", "relaxation", "results"},
     "cli": {
-        "core", *CHAIN, "dynamics", "validation", "minimisers", "relaxation", "lab", "analysis", "batches",
-        "scenes",
+        "core", *CHAIN, "dynamics", "validation", "minimisers", "relaxation", "results", "lab", "analysis",
+        "batches", "scenes",
     },
 }  # fmt: skip
 """What each part may import: the wings of proteins and of mechanisms stand on one core, and know nothing of

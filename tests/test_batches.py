@@ -529,3 +529,26 @@ def test_a_name_that_is_no_utf_8_is_refused_and_stops_no_other(tmp_path, monkeyp
         r"a\udcff": "refused", "b": "budget",
     }  # fmt: skip
     assert done.report.exists()
+
+
+@pytest.mark.parametrize("damaged", ["summary.csv", "traces.csv"])
+def test_a_damaged_table_is_refused_before_anything_is_written(tmp_path, damaged):
+    for name in ("one", "two"):
+        pc.save(load("ala10.pdb"), tmp_path / f"{name}.pdb")
+    out = tmp_path / "out"
+    pc.batch(tmp_path / "one.pdb", output=out, methods=("lbfgs",), max_evaluations=2, workers=1)
+    (out / damaged).write_text("a,b\n1,2\n")
+    before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    with pytest.raises(pc.ProtochainError, match="is not a table of a batch"):
+        pc.batch(tmp_path, output=out, methods=("lbfgs",), max_evaluations=2, workers=1, resume=True)
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
+
+
+def test_records_count_residues_of_the_protein_alone():
+    """As the terminal does: waters and ligands beside it are no residues of it."""
+    structure = load("1ejg.pdb")
+    assert structure.n_protein_residues == 46
+    kept = pc.load(STRUCTURES / "1hel.pdb", keep="all")
+    assert kept.n_residues > kept.n_protein_residues == 129
+    solution = pc.minimise(kept, method="lbfgs", max_evaluations=1)
+    assert solution.record()["n_residues"] == 129

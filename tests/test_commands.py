@@ -18,7 +18,7 @@ import protochain as pc
 from protochain.cli import app, main, options
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.lab.cases import Extreme, Outcome, Scene
-from protochain.lab.report import work_table
+from protochain.lab.cost import work_table
 from protochain.setup import Setup
 from protochain.structure.repairs import EVERYTHING, Kind, Repair
 from protochain.structure.residues import Residue

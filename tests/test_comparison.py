@@ -9,12 +9,12 @@ from conftest import PDB_ROUNDING_NM, STRUCTURES, chain, energy, load, noted
 from openmm import app, unit
 
 import protochain as pc
-from protochain.analysis import report
-from protochain.analysis.viewer import library
 from protochain.cli.terminal import print_table
 from protochain.core import defaults
 from protochain.minimisers import RECIPES
-from protochain.minimisers.record import COLUMNS, Column, heading
+from protochain.minimisers.record import COLUMNS
+from protochain.results.columns import Column, heading
+from protochain.results.viewer import library
 from protochain.structure.trajectory import TrajectoryFile
 
 
@@ -149,9 +149,10 @@ def test_the_page_stands_alone(folder):
     assert page.count("lengths and angles relax") == 2
 
 
-def test_a_page_tells_where_torsions_do_not_keep_bonds():
+def test_a_page_tells_where_torsions_do_not_keep_bonds(tmp_path):
     k = pc.compare(chain("3i40.pdb"), ("lbfgs",), energy("3i40.pdb"), max_evaluations=3)
-    page = report.render(k, k.summary(), {})
+    k.write_page(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
     assert "angles are untouched, except where rings and disulfides close." in page
 
 
@@ -161,9 +162,8 @@ def test_names_from_files_are_escaped(tmp_path):
     evil = "<script>alert(1)</script>$x$"
     s = dataclasses.replace(load("ala10.pdb"), name=evil, repairs=(noted("<b>bold</b>"),))
     k = pc.compare(s, methods=("lbfgs",), max_evaluations=3)
-    from protochain.analysis.report import render
-
-    page = render(k, k.summary(), {"energy": k.plot_energy(), "rmsd": k.plot_rmsd()})
+    k.write_page(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
     assert evil not in page and "<b>bold</b>" not in page
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
 

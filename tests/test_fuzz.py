@@ -123,7 +123,6 @@ KNOWN = {
         "PDB, residues twice",
         37,
     ): "copies that lie upon each other look like a chain upon another",
-    ("batches, to go on with", 13): "settings.json is written before traces.csv is read and refused",
 }
 """Faults that are not mended, and what is wrong."""
 

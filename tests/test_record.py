@@ -12,10 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from protochain.frame import Frame
 from protochain.minimisers.recipes import RECIPES
-from protochain.minimisers.record import COLUMNS, SHOWN, Column, flat, heading
+from protochain.minimisers.record import COLUMNS, SHOWN
 from protochain.minimisers.restraints import Hold
 from protochain.minimisers.solution import TRACE_COLUMNS, Recorder, Solution, trace_of
 from protochain.minimisers.verdict import Judgement, Status
+from protochain.results.columns import Column, flat, heading
 from protochain.validation import MEASURES, measures
 
 ENERGY = SimpleNamespace(

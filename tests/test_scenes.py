@@ -16,9 +16,8 @@ from test_commands import run as command
 import protochain.scenes
 from protochain.core.errors import MechanicsError, ProtochainError
 from protochain.lab.cases import check, extreme, left_out, tried, vanishes
-from protochain.lab.cost import in_turn, timed
+from protochain.lab.cost import in_turn, timed, work_table
 from protochain.lab.fits import exponent, extrapolated, order
-from protochain.lab.report import work_table
 from protochain.mechanics.multibody import kinetic_energy, pose
 from protochain.scenes import SCENES, Check, Extreme, LeftOut, Scene, plot_work, run, serial
 from protochain.scenes.beam.extremes import REFUSED

@@ -19,8 +19,8 @@ from protochain.analysis.studies.precision import solvers as precise
 from protochain.analysis.studies.stability import cells, dynamics, mechanics, page, solvers
 from protochain.cli import app
 from protochain.core.processors import processors
-from protochain.lab import provenance
 from protochain.mechanics.multibody import HingeKind, mass_matrix, pose, random_tree
+from protochain.results import provenance
 
 
 def test_precision_counts_what_it_took(tmp_path, monkeypatch):

@@ -15,8 +15,8 @@ from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.page import HEIGHT, WIDTH, curves, write_page
 from protochain.batches.report import WORST, plot_distribution, statistics, worst_first, write_report
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables, read_table
-from protochain.lab.report import COLOURS
 from protochain.minimisers import record
+from protochain.results.figures import COLOURS
 
 TWO = BatchSettings(methods=("lbfgs", "kcm"))
 JOBS = [Job(name, Path(f"/in/{name}.pdb"), TWO, f"key-{name}") for name in ("one", "two", "three")]

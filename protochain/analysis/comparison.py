@@ -1,12 +1,10 @@
-"""Comparison of methods: solutions from one start, as tables and figures."""
+"""Comparison of methods: solutions from one start, as tables, figures, files and one self-contained page."""
 
 import json
-import platform
-import sys
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
-from importlib.metadata import version
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,15 +12,23 @@ import numpy as np
 import pandas as pd
 
 from protochain.analysis.deviation import deviation
+from protochain.analysis.folder import clear
 from protochain.analysis.quality import quality
 from protochain.analysis.spread import spreads
 from protochain.analysis.work import at_equal_cost, work_to_reach
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Argument, ProtochainError, WriteError
+from protochain.core.storage import write_atomically, write_text
 from protochain.minimisers import Solution
-from protochain.minimisers.record import SHOWN, flat
+from protochain.minimisers.record import SHOWN
 from protochain.minimisers.solution import TRACE_COLUMNS, alpha_residues
 from protochain.minimisers.verdict import judge_of
-from protochain.structure import Structure, ca_rmsd
+from protochain.results.columns import flat
+from protochain.results.figures import data_url
+from protochain.results.page import render
+from protochain.results.provenance import of_run
+from protochain.results.viewer import View, scene
+from protochain.structure import Structure, ca_rmsd, save
+from protochain.structure.losses import told
 from protochain.structure.superpose import displacements
 from protochain.structure.write import common_suffix
 from protochain.validation.ramachandran import ramachandran
@@ -30,12 +36,18 @@ from protochain.validation.ramachandran import ramachandran
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from protochain.analysis.viewer import View
-
 _PACKAGES = (
-    "protochain", "openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "mdtraj", "MDAnalysis", "tmtools",
+    "openmm",
+    "pdbfixer",
+    "gemmi",
+    "numpy",
+    "scipy",
+    "numba",
+    "mdtraj",
+    "MDAnalysis",
+    "tmtools",
     "pandas",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,10 +174,8 @@ class Comparison:
         """Spread of the runs of each method; a method that repeats exactly has one run."""
         return spreads(self.solutions, self.repeats)
 
-    def view(self) -> "View":
+    def view(self) -> View:
         """Interactive view of start and ends, superposed, for notebooks; no server is contacted."""
-        from protochain.analysis.viewer import View
-
         return View(self.ends())
 
     def ends(self) -> dict[str, Structure]:
@@ -229,9 +239,7 @@ class Comparison:
             "judge": judge_of(e),
             "seed": first.seed,
             "threads": e.threads,
-            "command": sys.argv,
-            "python": platform.python_version(),
-            "versions": {name: version(name) for name in _PACKAGES},
+            **of_run(*_PACKAGES),
             "results": self.records(),
             "ca_rmsd_angstrom": self.rmsd.to_dict(),
             "quality": _as_json(self.quality, "index"),
@@ -253,9 +261,21 @@ class Comparison:
         Path
             Path of the page.
         """
-        from protochain.analysis.report import write_report
+        folder = Path(directory)
+        try:
+            clear(folder)
+            return _write_files(self, folder)
+        except WriteError as error:
+            there = ", ".join(sorted(path.name for path in folder.glob("*") if not path.name.startswith(".")))
+            raise error.with_saved(
+                f"{folder}: {there}" if there else "nothing",
+                "free space there, and run again with ",
+                Argument("force", True),
+            ) from error
 
-        return write_report(self, Path(directory))
+    def write_page(self, path: Path) -> None:
+        """Write the page alone, one HTML file, as for a run by itself."""
+        write_text(path, _page(self, self.summary(), _figures(self)))
 
     @cached_property
     def suffix(self) -> str:
@@ -272,3 +292,84 @@ class Comparison:
 def _as_json(table: pd.DataFrame, orient: Any) -> Any:
     """Table as JSON values, with None for NaN."""
     return json.loads(table.to_json(orient=orient, double_precision=15))
+
+
+def _write_files(comparison: Comparison, directory: Path) -> Path:
+    name, suffix, summary = comparison.structure.name, comparison.suffix, comparison.summary()
+    tables = {
+        "summary": comparison.table,
+        "equal_cost": _with_unit(comparison.equal_cost, 2, "kj_mol"),
+        "work": comparison.work,
+        "spread": comparison.spread,
+        "displacement": _with_unit(comparison.displacements, 3, "angstrom"),
+        "traces": comparison.traces,
+    }
+    # First, since it names the structures: what an incomplete comparison left can be replaced, too.
+    write_text(directory / "summary.json", json.dumps(summary, indent=2, allow_nan=False))
+    for stem, table in tables.items():
+        write_text(directory / f"{stem}.csv", table.to_csv(index=False))
+    write_text(directory / "quality.csv", comparison.quality.to_csv())
+    save(comparison.structure, directory / f"{name}.start{suffix}")
+    for solution in comparison.solutions:
+        file = comparison.file_of(solution)
+        if file:
+            solution.save(directory / file)
+    figures = _figures(comparison)
+    for stem, figure in figures.items():
+        write_atomically(directory / f"{stem}.png", partial(figure.savefig, dpi=150))
+    write_text(directory / "report.html", _page(comparison, summary, figures))
+    return directory / "report.html"
+
+
+def _figures(comparison: Comparison) -> "dict[str, Figure]":
+    return {
+        "energy": comparison.plot_energy(),
+        "work_precision": comparison.plot_work_precision(),
+        "torque": comparison.plot_torque(),
+        "rmsd": comparison.plot_rmsd(),
+        "displacement": comparison.plot_displacement(),
+        "ramachandran": comparison.plot_ramachandran(),
+    }
+
+
+def _page(comparison: Comparison, summary: dict[str, Any], figures: "dict[str, Figure]") -> str:
+    """Render ``report.html``: verdicts, tables, plots, repairs and provenance in one offline file.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    summary : dict
+        ``Comparison.summary()``; every number on the page is also in it or in the CSV files.
+    figures : dict of str to matplotlib.figure.Figure
+
+    Returns
+    -------
+    str
+        HTML. Names from files are escaped.
+    """
+    of_one = len(comparison.solutions) == 1
+    method = comparison.solutions[0].method if of_one else ""
+    return render(
+        "report.html",
+        title=f"{comparison.structure.name}{f' by {method}' if of_one else ': comparison of minimisers'}",
+        structure=comparison.structure,
+        solutions=comparison.solutions,
+        message=comparison.message,
+        shown=SHOWN,
+        rows=comparison.table.to_dict("records"),
+        lost=told(summary["results"]),
+        rmsd=comparison.rmsd,
+        quality=comparison.quality,
+        equal_cost=comparison.equal_cost,
+        work=comparison.work,
+        spread=comparison.spread,
+        figures={name: data_url(figure) for name, figure in figures.items()},
+        summary=summary,
+        **scene(comparison.ends()),
+        command=shlex.join(summary["command"]),
+    )
+
+
+def _with_unit(table: pd.DataFrame, first: int, unit: str) -> pd.DataFrame:
+    """Table whose columns of methods, from this one on, have the unit in their names."""
+    return table.rename(columns={name: f"{name}_{unit}" for name in table.columns[first:]})

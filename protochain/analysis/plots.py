@@ -11,8 +11,7 @@ from matplotlib.figure import Figure as PlainFigure
 from matplotlib.ticker import MaxNLocator
 
 from protochain.core.arrays import Floats
-from protochain.core.errors import ProtochainError
-from protochain.lab.report import COLOURS, DASHES, Figure, plain
+from protochain.results.figures import COLOURS, DASHES, panels, plain
 from protochain.validation.ramachandran import ALLOWED, FAVOURED, tables
 
 _LOG_FROM = 1e4
@@ -120,22 +119,6 @@ def plot_torque(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure
     axes[0].set_ylabel("largest torque, kJ/mol/rad")
     axes[0].set_yscale("log")
     return _titled(axes, ax, f"{_plain_text(title)}: largest torque on a hinge{note}")
-
-
-def panels(
-    ax: Any, shape: int | tuple[int, int], size: tuple[float, float], least: int = 1, **options: Any
-) -> tuple[PlainFigure, Any]:
-    """Figure and Axes (n,) to draw in: new ones, or those given, which may be fewer if the plot allows it."""
-    rows, columns = (1, shape) if isinstance(shape, int) else shape
-    if ax is None:
-        figure = Figure(figsize=size, layout="constrained")
-        return figure, figure.subplots(rows, columns, squeeze=False, **options).ravel()
-    axes = np.array([ax] if isinstance(ax, Axes) else ax, dtype=object).ravel()
-    n = rows * columns
-    if len(axes) not in {min(least, n), n} or not all(isinstance(each, Axes) for each in axes):
-        number = f"{n}" if least >= n else f"{least} or {n}"
-        raise ProtochainError(f"ax: give {number} Axes of matplotlib, as plt.subplots makes them")
-    return axes[0].figure, axes
 
 
 def _titled(axes: Any, ax: Any, title: str) -> PlainFigure:

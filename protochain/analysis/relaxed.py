@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from protochain.analysis.plots import plot_displacement
-from protochain.analysis.report import data_url
-from protochain.analysis.viewer import scene, superposed, template
-from protochain.core.storage import write_text
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.relaxation import Relaxation
 from protochain.relaxation.record import before_and_after
+from protochain.results.figures import data_url
+from protochain.results.page import write_page
+from protochain.results.viewer import scene, superposed
 from protochain.structure.losses import told
 
 _FULL_RED = 2.0
@@ -37,7 +37,9 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
     """
     strength = relaxation.settings.strength
     moved = relaxation.displacements.rename(columns={"displacement_angstrom": "relaxed"})
-    text = template("relaxed.html").render(
+    write_page(
+        path,
+        "relaxed.html",
         record=record,
         rows=before_and_after(record),
         lost=told([record]),
@@ -47,7 +49,6 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         source=strength.source,
         **coloured(relaxation),
     )
-    write_text(path, text)
 
 
 def coloured(relaxation: Relaxation) -> dict[str, Any]:

@@ -1,12 +1,9 @@
 """``batch``: many structures in many processes, results to disk as they arrive."""
 
-import platform
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
 from queue import SimpleQueue
@@ -31,6 +28,7 @@ from protochain.core.checks import checked, flag, function, number, path, severa
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import json_text, write_atomically, write_text
+from protochain.results.provenance import of_run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -191,6 +189,7 @@ def run_batch(
         )
     tables = Tables(folder, resume, name, {method for job in jobs for method in job.settings.methods})
     try:
+        tables.check()
         keep_settings(folder, common, jobs, tables.summary.name)
         done = tables.finished(jobs)
         todo = [job for job in jobs if job.identity not in done]
@@ -311,26 +310,13 @@ def _finish(tables: Tables, jobs: Sequence[Job]) -> None:
 
     folder, table = tables.folder, tables.read()
     write_atomically(folder / f"{tables.name}.parquet", lambda to: table.to_parquet(to, index=False))
-    packages = (
-        "protochain",
-        "openmm",
-        "pdbfixer",
-        "gemmi",
-        "numpy",
-        "scipy",
-        "numba",
-        "distributed",
-        "pandas",
-    )
     summary = {
         "n_structures": len(jobs),
         "table": f"{tables.name}.csv",
         "n_rows": len(table),
         "status": {str(name): int(n) for name, n in Counter(table["status"]).items()},
         **{key: _texts(table, key) for key in ("lost_atoms", "far_molecules")},
-        "command": sys.argv,
-        "python": platform.python_version(),
-        "versions": {name: version(name) for name in packages},
+        **of_run("openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "distributed", "pandas"),
         "settings": jobs[0].settings.record(),
     }
     text = json_text(summary)

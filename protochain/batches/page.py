@@ -1,17 +1,15 @@
 """Page of one structure: results, energy curves, repairs. Small, as there may be thousands."""
 
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Template
 
 from protochain.batches.jobs import Job, Row
 from protochain.batches.relaxed import SHOWN_RELAXED
-from protochain.core.storage import write_text
 from protochain.minimisers.record import SHOWN
 from protochain.relaxation.record import METHOD as RELAX
+from protochain.results.page import write_page as fill
 from protochain.structure.losses import told
 from protochain.structure.repairs import Repair
 
@@ -36,7 +34,9 @@ def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[Re
     minimised = SHOWN if {*job.settings.methods} != {RELAX} else ()
     of_relaxed = SHOWN_RELAXED if RELAX in job.settings.methods else ()
     path = folder / "pages" / f"{job.name}.html"
-    text = _template().render(
+    fill(
+        path,
+        "structure.html",
         job=job,
         home="../" * len(path.relative_to(folder).parent.parts),
         shown={column.key: column for column in (*of_relaxed, *minimised)}.values(),
@@ -47,7 +47,6 @@ def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[Re
         width=WIDTH,
         height=HEIGHT,
     )
-    write_text(path, text)
 
 
 def curves(rows: Sequence[Row]) -> dict[str, object]:
@@ -83,10 +82,3 @@ def curves(rows: Sequence[Row]) -> dict[str, object]:
         for method, (work, energy) in runs.items()
     }
     return {"low": low, "high": high, "most": round(10**most), "lines": lines}
-
-
-@cache
-def _template() -> Template:
-    from protochain.analysis.viewer import template
-
-    return template("structure.html")

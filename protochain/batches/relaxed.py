@@ -1,10 +1,11 @@
 """What tables and pages show of structures that are relaxed."""
 
-from protochain.minimisers.record import Column
 from protochain.relaxation.record import COLUMNS as OF_RECORD
+from protochain.results.columns import Column
 
 COLUMNS = (
-    *(key for key in OF_RECORD if key != "rounds"), "seconds_preparation", "input", "model", "output", "key",
+    *(column.key for column in OF_RECORD if column.key != "rounds"), "seconds_preparation", "input", "model",
+    "output", "key",
 )  # fmt: skip
 """Columns of ``relaxed.csv``."""
 

@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from protochain.analysis.plots import panels
-from protochain.analysis.report import data_url
-from protochain.analysis.viewer import template
-from protochain.core.storage import write_atomically, write_text
-from protochain.lab.report import COLOURS, plain
-from protochain.minimisers.record import heading
+from protochain.core.storage import write_atomically
+from protochain.results.columns import heading
+from protochain.results.figures import COLOURS, data_url, panels, plain
+from protochain.results.page import write_page
 from protochain.structure.losses import told
 
 if TYPE_CHECKING:
@@ -47,7 +45,9 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
         write_atomically(folder / f"{stem}.png", partial(figure.savefig, dpi=150))
     rows, quartiles = worst_first(table), statistics(table)
     write_atomically(folder / "statistics.csv", lambda to: quartiles.to_csv(to, index=False))
-    text = template("batch.html").render(
+    write_page(
+        folder / "report.html",
+        "batch.html",
         summary=summary,
         lost=told(table.to_dict("records")),
         counts=table.groupby("method", sort=False)["status"].value_counts().unstack(fill_value=0),
@@ -57,7 +57,6 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
         pages=_pages(folder / "pages") if len(table) else set(),
         figures={name: data_url(figure) for name, figure in figures.items()},
     )
-    write_text(folder / "report.html", text)
 
 
 def _pages(folder: Path) -> set[str]:

@@ -113,6 +113,12 @@ class Tables:
         of_relaxed = relaxed.COLUMNS if RELAX in methods else ()
         self.columns = tuple(dict.fromkeys((*minimised, *of_relaxed)))
 
+    def check(self) -> None:
+        """Refuse damaged tables, before anything is written."""
+        for path in (self.summary, self.traces):
+            for _ in _whole_lines(path):
+                pass
+
     def finished(self, jobs: Sequence[Job]) -> set[tuple[str, str]]:
         """Discard incomplete rows and rows of superseded inputs; return the jobs that are finished.
 

@@ -73,7 +73,7 @@ def _rest(job: Job, done: list[Row], status: str, message: str, seconds: float) 
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure"]]:
-    from protochain.minimisers.record import flat
+    from protochain.results.columns import flat
     from protochain.structure import ca_rmsd
     from protochain.structure.write import common_suffix
 

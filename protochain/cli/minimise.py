@@ -202,9 +202,8 @@ class _Writer:
                 write_atomically(self.trace, lambda to: solution.trace.to_csv(to, index=False))
             if self.report:
                 from protochain.analysis import Comparison
-                from protochain.analysis.report import write_page
 
-                write_page(Comparison(solution.chain.structure, (solution,), origin), self.report)
+                Comparison(solution.chain.structure, (solution,), origin).write_page(self.report)
                 written["report"] = str(self.report)
         except WriteError as error:
             lost = [*lost, str(error)]

@@ -41,11 +41,10 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     began = monotonic()
     energy(x)
     seconds = _EVALUATIONS * (monotonic() - began)
-    n_residues = len({*structure.atom_residue[~structure.kept].tolist()})
     found, rings = overlaps(structure, x), threaded_rings(structure)
     beside = sum(each.beside for each in found)
     said = [
-        f"{counted(n_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}",
+        f"{counted(structure.n_protein_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}",
         *said_of_move(structure, move),
         f"{len(found) or 'no'} pair{'s' * (len(found) != 1)} of atoms overlap{'s' * (len(found) == 1)}"
         + (f", {beside} of them with molecules beside the protein" if beside else ""),

@@ -18,9 +18,10 @@ from threadpoolctl import threadpool_limits
 from protochain.core.arrays import Floats
 from protochain.core.errors import ProtochainError
 from protochain.core.storage import json_text
-from protochain.lab.cost import in_turn, timed
-from protochain.lab.provenance import made
-from protochain.lab.report import Figure, Work, draw_lines, save, table_of
+from protochain.lab.cost import Work, in_turn, timed
+from protochain.results.figures import Figure, draw_lines
+from protochain.results.provenance import made
+from protochain.results.tables import save, table_of
 
 Kind = Literal["relative", "absolute"]
 

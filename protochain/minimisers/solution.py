@@ -4,7 +4,6 @@ import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -19,10 +18,12 @@ from protochain.core.markup import facts
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
 from protochain.minimisers.recipes import Recipe
-from protochain.minimisers.record import record
+from protochain.minimisers.record import COLUMNS
 from protochain.minimisers.restraints import Hold
 from protochain.minimisers.start_warnings import how_far
 from protochain.minimisers.verdict import Judgement, Status
+from protochain.results.columns import record
+from protochain.results.provenance import remarks
 from protochain.structure import Structure, save
 from protochain.structure.superpose import displacements, rmsd_angstrom
 from protochain.validation import measures
@@ -309,20 +310,18 @@ class Solution(Value):
 
     def provenance(self) -> Iterable[str]:
         """Provenance of the structure, as remarks for its file."""
-        e = self.energy_function
-        yield f"PROTOCHAIN {version('protochain')}, METHOD {self.method}, STATUS {self.status}"
-        yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}, PDBFIXER {version('pdbfixer')}"
-        yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
-        yield f"ENERGY {self.end.energy:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.start.energy:.4f}"
-        yield "ENERGIES BY THE OPENMM REFERENCE PLATFORM"
-        yield (
-            f"C-ALPHA RMSD TO THE START {self.ca_rmsd_angstrom:.3f} ANGSTROM, AS FILED "
-            f"{self.ca_rmsd_as_filed_angstrom:.3f}, {str(self.frame).upper()}"
-        )
+        return remarks(
+            self, self.method, (self.start.energy, self.end.energy), "the OpenMM Reference platform",
+            (self.ca_rmsd_angstrom, self.ca_rmsd_as_filed_angstrom),
+        )  # fmt: skip
 
     def record(self) -> dict[str, Any]:
         """Flat record behind JSON, CSV and pages; None where a value is not finite."""
-        return record(self)
+        return record(COLUMNS, self)
+
+    def ends(self) -> dict[str, Structure]:
+        """Start and end, by ``start`` and method."""
+        return {"start": self.chain.structure, self.method: self.structure}
 
     def __repr__(self) -> str:
         return (

@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +22,8 @@ from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.record import COLUMNS, METHOD
 from protochain.relaxation.rounds import Round
 from protochain.relaxation.settings import RelaxSettings
+from protochain.results.columns import record
+from protochain.results.provenance import remarks
 from protochain.structure import Structure, save
 from protochain.structure.repairs import Kind, Repair, summarised
 from protochain.structure.superpose import displacements
@@ -190,24 +191,24 @@ class Relaxation(Value):
 
     def provenance(self) -> Iterable[str]:
         """Provenance of the structure, as remarks for its file."""
-        e, own = self.energy_function, self.settings
-        yield f"PROTOCHAIN {version('protochain')}, METHOD {METHOD.upper()}, STATUS {self.status}"
-        yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}, PDBFIXER {version('pdbfixer')}"
-        yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
+        own = self.settings
         kind = "PROTOCOL" if own.protocol else "PRESET"
-        yield f"{kind} {own.strength.name.upper()}, {counted(len(self.rounds), 'ROUND')}"
-        yield f"ENERGY {self.energy_end:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {self.energy_start:.4f}"
+        how = [f"{kind} {own.strength.name.upper()}, {counted(len(self.rounds), 'ROUND')}"]
         if self.move != defaults.MOVE:
-            yield f"MOVED {self.n_atoms_moving} OF {self.start.n_atoms} ATOMS, ALL OTHERS FIXED: {self.move}"
-        yield f"ENERGIES BY {self.judge.upper()}"
-        yield (
-            f"C-ALPHA RMSD TO THE START {self.ca_rmsd_angstrom:.3f} ANGSTROM, AS FILED "
-            f"{self.frame.ca_rmsds(self.x)[1]:.3f}, {str(self.frame).upper()}"
-        )
+            fixed = f"MOVED {self.n_atoms_moving} OF {self.start.n_atoms} ATOMS, ALL OTHERS FIXED"
+            how.append(f"{fixed}: {self.move}")
+        return remarks(
+            self, METHOD.upper(), (self.energy_start, self.energy_end), self.judge,
+            (self.ca_rmsd_angstrom, self.frame.ca_rmsds(self.x)[1]), how,
+        )  # fmt: skip
 
     def record(self) -> dict[str, Any]:
         """Flat record behind JSON and tables, named as that of a solution; None where there is no number."""
-        return {key: _finite(value(self)) for key, value in COLUMNS.items()}
+        return record(COLUMNS, self)
+
+    def ends(self) -> dict[str, Structure]:
+        """Start and end, by ``input`` and ``relaxed``."""
+        return {"input": self.start, "relaxed": self.structure}
 
     def __repr__(self) -> str:
         before, after = self.measures_start["violations"], self.measures_end["violations"]
@@ -236,10 +237,6 @@ class Relaxation(Value):
                 "work": f"{counted(len(self.rounds), 'round')}, {self.seconds:.2f} s",
             },
         )
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _said(value: Any) -> str:

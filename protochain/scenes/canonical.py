@@ -15,9 +15,8 @@ from scipy.integrate import solve_ivp
 from protochain.core.arrays import Floats
 from protochain.core.errors import MechanicsError
 from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, tried, vanishes
-from protochain.lab.cost import timed
+from protochain.lab.cost import timed, work_table
 from protochain.lab.fits import exponent
-from protochain.lab.report import work_table
 from protochain.mechanics.motion import DormandPrince
 from protochain.mechanics.motion.bending import BendingSystem
 from protochain.mechanics.multibody import HingeKind, Tree

@@ -14,9 +14,8 @@ from scipy.integrate import solve_ivp
 
 from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, tried, vanishes
-from protochain.lab.cost import timed
+from protochain.lab.cost import timed, work_table
 from protochain.lab.fits import extrapolated, order
-from protochain.lab.report import work_table
 from protochain.mechanics.motion import (
     DormandPrince,
     ImplicitMidpoint,

@@ -17,9 +17,8 @@ from protochain.analysis.studies.stability.cells import Part, cases_of, run_case
 from protochain.analysis.studies.stability.solvers import ROUTES
 from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, left_out, vanishes
-from protochain.lab.cost import timed
+from protochain.lab.cost import timed, work_table
 from protochain.lab.fits import exponent
-from protochain.lab.report import work_table
 from protochain.mechanics.motion import DormandPrince, System
 from protochain.mechanics.multibody import (
     Frames,

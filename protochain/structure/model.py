@@ -128,6 +128,11 @@ class Structure(Value):
         return self.topology.getNumAtoms()
 
     @property
+    def n_protein_residues(self) -> int:
+        """Residues of the protein, without molecules kept beside it."""
+        return len(np.unique(self.atom_residue[~self.kept]))
+
+    @property
     def n_residues(self) -> int:
         """Number of residues."""
         return self.topology.getNumResidues()

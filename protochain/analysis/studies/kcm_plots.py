@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from protochain.analysis.studies.kcm_cases import AT, METHODS
-from protochain.lab.report import COLOURS, DASHES, Figure, plain
+from protochain.results.figures import COLOURS, DASHES, Figure, plain
 
 _LEAST = 1e-3
 """kJ/mol, where curves end on the logarithmic axis."""

@@ -11,7 +11,7 @@ from scipy.stats import binomtest, bootstrap
 
 from protochain.analysis.studies.kcm_cases import KEY, METHODS
 from protochain.analysis.studies.kcm_plots import plot_shares, plot_traces
-from protochain.lab.report import save
+from protochain.results.tables import save
 from protochain.structure.superpose import rmsd_angstrom
 
 START = ["protein", "model", "solvent", "start", "seed", "max_evaluations"]

@@ -12,9 +12,8 @@ import pandas as pd
 
 from protochain.core.arrays import Floats
 from protochain.lab.cases import Scene
-from protochain.lab.cost import timed
+from protochain.lab.cost import timed, work_table
 from protochain.lab.fits import exponent, extrapolated
-from protochain.lab.report import work_table
 from protochain.mechanics.multibody import multiply_mass, pose
 from protochain.mechanisms.segments import Beam
 from protochain.scenes.beam import checks

@@ -12,8 +12,8 @@ import pandas as pd
 
 from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, LeftOut, Scene, check, left_out, vanishes
+from protochain.lab.cost import work_table
 from protochain.lab.fits import exponent
-from protochain.lab.report import work_table
 from protochain.mechanisms.pile_parts import Motion, Sleep
 from protochain.scenes.bucket import joints, trials
 from protochain.scenes.bucket.backhoe import backhoe, motion_of

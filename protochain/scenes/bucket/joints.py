@@ -7,8 +7,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 from protochain.core.arrays import Floats
-from protochain.lab.cost import timed
-from protochain.lab.report import Work
+from protochain.lab.cost import Work, timed
 from protochain.mechanics.motion import StepTooLargeError
 from protochain.mechanisms import Mechanism, Model
 from protochain.scenes.bucket.backhoe import BODIES, EDGE, GRAVITY, HINGES, backhoe

@@ -15,9 +15,8 @@ import pandas as pd
 
 from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, vanishes
-from protochain.lab.cost import timed
+from protochain.lab.cost import timed, work_table
 from protochain.lab.fits import exponent
-from protochain.lab.report import work_table
 from protochain.mechanics.motion import DormandPrince, Integrator, Rosenbrock, RungeKutta4
 from protochain.mechanisms import Model, Run
 from protochain.mechanisms.contact import Law, lankarani_nikravesh

@@ -9,8 +9,8 @@ import pandas as pd
 
 from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, check, tried, vanishes
+from protochain.lab.cost import work_table
 from protochain.lab.fits import exponent, order
-from protochain.lab.report import work_table
 from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Integrator, Rosenbrock, RungeKutta4
 from protochain.mechanisms import frequencies, state_matrix
 from protochain.scenes.gun.oracle import Planar

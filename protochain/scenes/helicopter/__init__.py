@@ -14,8 +14,8 @@ import pandas as pd
 
 from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, Scene, tried
+from protochain.lab.cost import work_table
 from protochain.lab.fits import extrapolated
-from protochain.lab.report import work_table
 from protochain.mechanics.motion import Integrator, Rosenbrock, RungeKutta4
 from protochain.scenes.beam.parts import at_rest
 from protochain.scenes.helicopter import checks, landing

@@ -10,7 +10,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.lab.cases import LeftOut, Scene, left_out
-from protochain.lab.report import work_table
+from protochain.lab.cost import work_table
 from protochain.mechanics.multibody import impact, mass_matrix, point_rows, row_matrix
 from protochain.mechanics.multibody.articulated import articulate
 from protochain.scenes.impact import bounces, checks

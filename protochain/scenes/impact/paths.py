@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, check, tried
-from protochain.lab.report import Work
+from protochain.lab.cost import Work
 from protochain.mechanics.multibody.impulse_path import POISSON, follow
 from protochain.mechanics.multibody.impulse_points import Struck
 from protochain.mechanisms import Ball, Model, Plane, flores, real_restitution

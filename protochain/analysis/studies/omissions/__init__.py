@@ -12,9 +12,10 @@ from threadpoolctl import threadpool_limits
 
 from protochain.analysis.studies.omissions import energies, runs
 from protochain.analysis.studies.omissions.cells import COUNTS, Material, Row, run_omission
-from protochain.analysis.viewer import template
-from protochain.lab.provenance import made
-from protochain.lab.report import COLOURS, Figure, save, table_of
+from protochain.results.figures import COLOURS, Figure
+from protochain.results.page import render
+from protochain.results.provenance import made
+from protochain.results.tables import save, table_of
 from protochain.structure import from_sequence, load
 
 SEQUENCE = (
@@ -55,7 +56,7 @@ def run(output: Path, inputs: Sequence[Path] = (), quick: bool = False) -> Itera
             columns = ["scene", "against", "everything_ms", "left_out_ms", "ratio", "error", "verdict"]
             yield table_of(own, Row)[columns]
     table = table_of(rows, Row)
-    page = template("omissions.html").render(rows=table.to_dict("records"), counts=COUNTS, made=made("1"))
+    page = render("omissions.html", rows=table.to_dict("records"), counts=COUNTS, made=made("1"))
     save(output, {"omissions.csv": table, "omissions.png": _plot(table), "report.html": page})
 
 

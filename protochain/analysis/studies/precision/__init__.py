@@ -22,11 +22,11 @@ from protochain.analysis.studies.precision import (
     solvers,
 )  # fmt: skip
 from protochain.analysis.studies.precision.curves import Kind, plot, points_of, said
-from protochain.analysis.viewer import template
 from protochain.core.errors import ProtochainError
 from protochain.core.processors import processors
-from protochain.lab.provenance import made
-from protochain.lab.report import save
+from protochain.results.page import render
+from protochain.results.provenance import made
+from protochain.results.tables import save
 
 KINDS = {
     "solvers": Kind(
@@ -132,7 +132,7 @@ def _page(folder: Path, tables: Mapping[str, pd.DataFrame]) -> str:
         }
         for name, points in tables.items()
     ]  # fmt: skip
-    return template("curves.html").render(parts=parts, made=made(f"1, of minimisers {processors()}"))
+    return render("curves.html", parts=parts, made=made(f"1, of minimisers {processors()}"))
 
 
 def _data_url(path: Path) -> str:

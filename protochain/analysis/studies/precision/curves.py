@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.ticker import NullFormatter
 
-from protochain.lab.report import Figure, draw_lines, table_of
+from protochain.results.figures import Figure, draw_lines
+from protochain.results.tables import table_of
 
 _LEAST = 1e-21
 """Where an error of nothing is drawn, on a logarithmic axis."""

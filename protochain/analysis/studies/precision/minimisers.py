@@ -16,8 +16,9 @@ from protochain.analysis.studies.precision.curves import Point
 from protochain.articulate import build_chain
 from protochain.core import defaults
 from protochain.energies import energy
-from protochain.lab.report import COLOURS, DASHES, Figure, plain, save
 from protochain.minimisers import RECIPES, minimise
+from protochain.results.figures import COLOURS, DASHES, Figure, plain
+from protochain.results.tables import save
 from protochain.structure import Structure, from_sequence, load
 
 METHODS = (

@@ -14,7 +14,7 @@ from protochain.analysis.studies.stability.page import counts, picture, rendered
 from protochain.analysis.studies.stability.solvers import write_solvers
 from protochain.core.errors import ProtochainError
 from protochain.core.processors import processors
-from protochain.lab.report import save
+from protochain.results.tables import save
 
 
 def run(

@@ -20,7 +20,7 @@ import pandas as pd
 
 from protochain.core.errors import ProtochainError
 from protochain.lab.cases import Outcome, judged
-from protochain.lab.report import table_of
+from protochain.results.tables import table_of
 
 EPS = float(np.finfo(float).eps)
 ROWS = ("mechanics", "springs", "energies", "minimisers", "dynamics")

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from protochain.analysis.viewer import template
 from protochain.lab.cases import Outcome
-from protochain.lab.provenance import made
-from protochain.lab.report import Figure
+from protochain.results.figures import Figure
+from protochain.results.page import render
+from protochain.results.provenance import made
 
 
 def counts(table: pd.DataFrame) -> pd.DataFrame:
@@ -29,8 +29,8 @@ def rendered(table: pd.DataFrame, threads: Sequence[int]) -> str:
         for row, own in table.groupby("row", sort=False)
     ]
     must_agree = f"{', '.join(map(str, threads))}, which must agree"
-    return template("grid.html").render(
-        grid=grid, counts=counts(table), cells=table.to_dict("records"), made=made(must_agree)
+    return render(
+        "grid.html", grid=grid, counts=counts(table), cells=table.to_dict("records"), made=made(must_agree)
     )
 
 

@@ -13,8 +13,9 @@ import pandas as pd
 
 from protochain.analysis.studies.precision.solvers import SOLVERS, Solver, backward_error, dense, posed
 from protochain.lab.cost import in_turn
-from protochain.lab.report import Figure, draw_lines, save
 from protochain.mechanics.multibody import HingeKind, multiply_mass, solve_mass
+from protochain.results.figures import Figure, draw_lines
+from protochain.results.tables import save
 
 DENSE_UP_TO = 3000
 REPEATS = 200

@@ -6,11 +6,8 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, Template
-
-from protochain.lab.report import COLOURS
-from protochain.minimisers import Solution
-from protochain.minimisers.record import heading
+from protochain.results.figures import COLOURS
+from protochain.results.page import render
 from protochain.structure import Structure, as_structure
 from protochain.structure.superpose import motion
 from protochain.structure.write import as_text, common_suffix
@@ -30,13 +27,6 @@ def scene(shown: Mapping[str, Structure]) -> dict[str, Any]:
     return {"models": models, "library": library(), "colours": ("#999999", *COLOURS)}
 
 
-def template(name: str) -> Template:
-    """Page template of the package, which escapes HTML."""
-    pages = Environment(loader=PackageLoader("protochain.analysis"), autoescape=True)
-    pages.filters["heading"] = heading
-    return pages.get_template(name)
-
-
 class View:
     """Interactive viewer in a notebook; plain text elsewhere."""
 
@@ -44,7 +34,7 @@ class View:
         self.shown = shown
 
     def _repr_html_(self) -> str:
-        page = template("viewer.html").render(**scene(self.shown))
+        page = render("viewer.html", **scene(self.shown))
         frame = 'sandbox="allow-scripts" style="width: 100%; height: 34rem; border: 0"'
         return f'<iframe {frame} srcdoc="{escape(page)}"></iframe>'
 
@@ -57,8 +47,8 @@ def view(shown: Any) -> View:
 
     Parameters
     ----------
-    shown : Solution, Comparison, Chain, or anything that :func:`protochain.as_structure` takes
-        A solution shows its start and its end, a comparison all ends.
+    shown : Solution, Relaxation, Comparison, Chain, or anything that :func:`protochain.as_structure` takes
+        A result shows its start and its ends.
 
     Returns
     -------
@@ -70,9 +60,7 @@ def view(shown: Any) -> View:
     ProtochainError
         If it is none of these.
     """
-    if isinstance(shown, Solution):
-        return View({"start": shown.chain.structure, shown.method: shown.structure})
-    if hasattr(shown, "ends"):  # of a comparison
+    if hasattr(shown, "ends"):
         return View(shown.ends())
     structure = as_structure(shown)
     return View({structure.name: structure})
@@ -92,4 +80,4 @@ def _text(structure: Structure, suffix: str) -> str:
 @cache
 def library() -> str:
     """Source of 3Dmol.js (Rego, Koes, Bioinformatics 31:1322, 2015); its BSD licence is beside it."""
-    return (files("protochain.analysis") / "static" / "3Dmol-min.js").read_text(encoding="utf-8")
+    return (files("protochain.results") / "static" / "3Dmol-min.js").read_text(encoding="utf-8")

@@ -1,11 +1,8 @@
-"""What is written and drawn: tables, pictures and pages in a folder; error against cost."""
+"""Figures: their colours and axes, lines of error against cost, and how a page holds them."""
 
+import base64
 import io
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, fields
-from functools import partial
 from itertools import cycle
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as PlainFigure
 
-from protochain.core.storage import write_atomically
+from protochain.core.errors import ProtochainError
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's palette, dark colours first."""
@@ -36,13 +33,20 @@ def plain(ax: Axes) -> None:
     ax.grid(True, which="major", alpha=0.25)
 
 
-Work = tuple[str, str, float, float]
-"""Point of error against run time: method (a line of the picture), setting, processor seconds, error."""
-
-
-def work_table(rows: Iterable[Work]) -> pd.DataFrame:
-    """Points of error against run time as the table of a scene."""
-    return pd.DataFrame(list(rows), columns=["method", "setting", "seconds", "error"])
+def panels(
+    ax: Any, shape: int | tuple[int, int], size: tuple[float, float], least: int = 1, **options: Any
+) -> tuple[PlainFigure, Any]:
+    """Figure and Axes (n,) to draw in: new ones, or those given, which may be fewer if the plot allows it."""
+    rows, columns = (1, shape) if isinstance(shape, int) else shape
+    if ax is None:
+        figure = Figure(figsize=size, layout="constrained")
+        return figure, figure.subplots(rows, columns, squeeze=False, **options).ravel()
+    axes = np.array([ax] if isinstance(ax, Axes) else ax, dtype=object).ravel()
+    n = rows * columns
+    if len(axes) not in {min(least, n), n} or not all(isinstance(each, Axes) for each in axes):
+        number = f"{n}" if least >= n else f"{least} or {n}"
+        raise ProtochainError(f"ax: give {number} Axes of matplotlib, as plt.subplots makes them")
+    return axes[0].figure, axes
 
 
 def draw_lines(
@@ -72,21 +76,8 @@ def draw_lines(
     plain(ax)
 
 
-def table_of(rows: Iterable[Any], kind: type) -> pd.DataFrame:
-    """Rows, values of a dataclass, as a table: with its columns even of none."""
-    return pd.DataFrame([asdict(row) for row in rows], columns=[field.name for field in fields(kind)])
-
-
-def save(folder: Path, files: Mapping[str, pd.DataFrame | PlainFigure | str]) -> None:
-    """Write tables as CSV, figures, and text to a folder, each by the name of its file."""
-    for name, what in files.items():
-        write_atomically(folder / name, partial(_write, what))
-
-
-def _write(what: pd.DataFrame | PlainFigure | str, to: Path) -> None:
-    if isinstance(what, pd.DataFrame):
-        what.to_csv(to, index=False)
-    elif isinstance(what, PlainFigure):
-        what.savefig(to, dpi=120)
-    else:
-        to.write_text(what, encoding="utf-8")
+def data_url(figure: PlainFigure) -> str:
+    """Figure as a data URL for a page."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

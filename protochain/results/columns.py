@@ -1,0 +1,125 @@
+"""Columns of records, behind terminal, CSV, JSON and pages, and those that all results share."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from protochain.structure.losses import far_molecules, lost_atoms, n_lost
+
+UNITS = {
+    "_kj_mol_rad": "kJ/mol/rad", "_kj_mol_rad2": "kJ/mol/rad^2",
+    "_kj_mol_nm2": "kJ/mol/nm^2", "_kj_mol_nm": "kJ/mol/nm", "_kj_mol": "kJ/mol",
+    "_kj_mol_per_residue": "kJ/mol per residue", "_angstrom": "angstrom", "_degrees": "degrees", "_nm": "nm",
+    "_ps": "ps", "_fs": "fs", "_k": "K", "_amu": "amu",
+}  # fmt: skip
+"""Endings of names that are units."""
+
+_SPELLED = {"ca": "C-alpha", "rmsd": "RMSD", "rms": "RMS", "tm": "TM", "ramachandran": "Ramachandran"}
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the record.
+
+    Parameters
+    ----------
+    key : str
+        Name in JSON and CSV, with its unit.
+    value : callable
+        Value of what is recorded.
+    heading : str
+        Heading in short tables, which leave out columns without one.
+    short : str
+        Heading where 80 characters must hold all columns.
+    width : int
+        Characters of a number there.
+    """
+
+    key: str
+    value: Callable[[Any], Any]
+    heading: str = ""
+    short: str = ""
+    width: int = 8
+
+    def short_text(self, value: Any) -> str:
+        """Value as the short table prints it: with two decimals, or as many as its width holds."""
+        if not isinstance(value, float):
+            return "-" if value is None else str(value)
+        forms: tuple[str, ...] = (".2f", ".1f", ".0f", ".1e", ".0e")
+        if 0.0 < abs(value) < 0.005 and self.unit.startswith("kJ/mol/"):
+            forms = forms[3:]  # Residuals may be small.
+        texts = [format(value, form) for form in forms]
+        return next((text for text in texts if len(text) <= self.width), texts[-1])
+
+    @property
+    def unit(self) -> str:
+        """Unit, from the ending of the key."""
+        return next((unit for ending, unit in UNITS.items() if self.key.endswith(ending)), "")
+
+    @property
+    def title(self) -> str:
+        """Heading with its unit, for short tables."""
+        return f"{self.heading}, {self.unit}" if self.unit else self.heading
+
+
+def heading(name: str) -> str:
+    """Heading from a column's name: ``energy_end_kj_mol`` is ``energy end, kJ/mol``."""
+    ending = next((ending for ending in UNITS if name.endswith(ending)), "")
+    words = " ".join(_SPELLED.get(word, word) for word in name.removesuffix(ending).split("_"))
+    # No comma after a number: within 10 kJ/mol.
+    return words + (" " if words[-1].isdigit() else ", ") + UNITS[ending] if ending else words
+
+
+def record(columns: Iterable[Column], of: Any) -> dict[str, Any]:
+    """Flat record of a result; None where a value is not finite."""
+    return {column.key: _finite(column.value(of)) for column in columns}
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def flat(value: Any) -> Any:
+    """Value of a record as a cell of a table: lists and counts as text."""
+    if isinstance(value, dict):
+        return "; ".join(f"{count} {name}" for name, count in value.items())
+    return "; ".join(map(str, value)) if isinstance(value, list) else value
+
+
+def of_measures(keys: Iterable[str], *whens: str) -> Iterator[Column]:
+    """Columns of what is wrong with the structure at the ``start`` or ``end`` of a run."""
+    for key in keys:
+        for when in whens:
+            yield Column(f"{key}_{when}", partial(_measure, key, when))
+
+
+def _measure(key: str, when: str, of: Any) -> Any:
+    return getattr(of, f"measures_{when}")[key]
+
+
+def of_structure(structure: Callable[[Any], Any]) -> Iterator[Column]:
+    """Columns of the size of a structure: atoms of all, residues of the protein."""
+    yield Column("n_chains", lambda r: structure(r).n_chains)
+    yield Column("n_residues", lambda r: structure(r).n_protein_residues)
+    yield Column("n_atoms", lambda r: structure(r).n_atoms)
+
+
+def of_energy() -> Iterator[Column]:
+    """Columns of what computed the energy."""
+    yield Column("protochain", lambda r: version("protochain"))
+    yield Column("engine", lambda r: r.energy_function.engine)
+    yield Column("engine_reason", lambda r: r.energy_function.reason)
+    yield Column("forcefield", lambda r: r.energy_function.forcefield)
+    yield Column("solvent", lambda r: r.energy_function.solvent)
+
+
+def of_losses(structure: Callable[[Any], Any]) -> Iterator[Column]:
+    """Columns of what preparation left out and changed."""
+    yield Column("lost_atoms", lambda r: lost_atoms(structure(r).losses))
+    yield Column("n_lost_atoms", lambda r: n_lost(structure(r).losses))
+    yield Column("far_molecules", lambda r: far_molecules(structure(r).losses))
+    yield Column("repairs", lambda r: [str(each) for each in structure(r).repairs])
