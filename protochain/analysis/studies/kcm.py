@@ -1,14 +1,15 @@
 """Whether kineto-static compliance (KCM) and constrained dynamics end in different minima, and why.
 
-Every method runs from the same starts of the same chains; a row of ``runs.csv`` is one run, raw and after one
-common polish. Runs are added one by one, cheapest starts first, and those there already are not repeated: the
-study can be stopped, and goes on when it is called again. All else is computed from ``runs.csv`` alone.
+Every method runs from the same starts of the same chains; a row of ``runs.csv`` is one run, with the minimum
+that it leads to and whether it had got there. Runs are added one by one, cheapest starts first, those of one
+start together, and those there already are not repeated: the study can be stopped, and goes on when it is
+called again. All else is computed from ``runs.csv`` alone, but for the traces of a few runs.
 """
 
 import multiprocessing
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from itertools import islice, product
+from itertools import islice
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -16,16 +17,16 @@ from typing import Any
 import pandas as pd
 
 from protochain.analysis.studies import kcm_cases, kcm_summary
-from protochain.analysis.studies.kcm_cases import METHODS, MODELS, MOST, N_STARTS, SOLVENTS, Case, measured
+from protochain.analysis.studies.kcm_cases import ENERGIES, MODELS, MOST, N_STARTS, Case, measured
 from protochain.core.errors import ProtochainError
 from protochain.core.storage import writing
 
 MINUTES = 60.0
-QUICK: dict[str, Any] = {"peptides": ("met-enkephalin", "ala10"), "starts": 1, "evaluations": 1500}
+QUICK: dict[str, Any] = {"peptides": ("met-enkephalin", "ala10"), "starts": 1, "evaluations": 4000}
 """Two peptides from two starts each, phi psi chi, OBC2: a minute on one core."""
 SHOWN = (
-    "protein", "model", "solvent", "start", "seed", "method", "status", "evaluations", "seconds",
-    "energy_kj_mol", "polished_energy_kj_mol",
+    "protein", "model", "energy", "start", "seed", "method", "status", "evaluations", "seconds",
+    "left_kj_mol", "energy_kj_mol",
 )  # fmt: skip
 
 Task = tuple[Case, str, int]
@@ -86,18 +87,18 @@ def planned(
 ) -> Iterator[Task]:
     """All runs of the study, in their order: case, method and evaluations at most."""
     chosen = kcm_cases.proteins(tuple(inputs))
-    models: tuple[str, ...] = MODELS
-    solvents: tuple[str, ...] = SOLVENTS
+    models, energies = MODELS, tuple(ENERGIES)
     if quick:
         chosen = [each for each in chosen if each[0] in QUICK["peptides"]]
-        models, solvents = MODELS[1:], SOLVENTS[1:]
+        models, energies = MODELS[1:], ("obc2",)
         starts, evaluations = min(starts, QUICK["starts"]), min(evaluations, QUICK["evaluations"])
     names = [name for name, _, _ in chosen]
     for name in names:
         if names.count(name) > 1:
             raise ProtochainError(f"{name}: two proteins of this name; rename a file")
-    for case, method in product(kcm_cases.cases(chosen, models, solvents, starts), METHODS):
-        yield case, method, evaluations
+    for case, methods in kcm_cases.cases(chosen, models, energies, starts):
+        for method in methods:
+            yield case, method, evaluations
 
 
 def stored(path: Path) -> pd.DataFrame:
