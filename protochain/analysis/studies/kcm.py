@@ -18,8 +18,10 @@ import pandas as pd
 
 from protochain.analysis.studies import kcm_cases, kcm_summary
 from protochain.analysis.studies.kcm_cases import ENERGIES, MODELS, MOST, N_STARTS, Case, measured
+from protochain.analysis.studies.kcm_plots import SHOWN as TRACED_METHODS
 from protochain.core.errors import ProtochainError
 from protochain.core.storage import writing
+from protochain.lab.report import save
 
 MINUTES = 60.0
 QUICK: dict[str, Any] = {"peptides": ("met-enkephalin", "ala10"), "starts": 1, "evaluations": 4000}
@@ -28,6 +30,9 @@ SHOWN = (
     "protein", "model", "energy", "start", "seed", "method", "status", "evaluations", "seconds",
     "left_kj_mol", "energy_kj_mol",
 )  # fmt: skip
+
+TRACED = 10_000
+"""Evaluations of the traces."""
 
 Task = tuple[Case, str, int]
 
@@ -79,6 +84,7 @@ def run(
     for row in _rows(left, jobs, monotonic() + 60.0 * minutes):
         append(path, row)
         yield pd.DataFrame([{name: row.get(name) for name in SHOWN}])
+    _add_traces(output, [task[0] for task in tasks])
     yield from kcm_summary.write(output, stored(path), {_key(task) for task in tasks})
 
 
@@ -87,7 +93,8 @@ def planned(
 ) -> Iterator[Task]:
     """All runs of the study, in their order: case, method and evaluations at most."""
     chosen = kcm_cases.proteins(tuple(inputs))
-    models, energies = MODELS, tuple(ENERGIES)
+    models: tuple[str, ...] = MODELS
+    energies = tuple(ENERGIES)
     if quick:
         chosen = [each for each in chosen if each[0] in QUICK["peptides"]]
         models, energies = MODELS[1:], ("obc2",)
@@ -133,6 +140,17 @@ def append(path: Path, row: dict[str, Any]) -> None:
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         table.to_csv(path, mode="a", header=not path.exists() or not path.stat().st_size, index=False)
+
+
+def _add_traces(output: Path, cases: Sequence[Case]) -> None:
+    """Write traces of one start, once: the first that is deposited, or else the first."""
+    path = output / "traces.csv"
+    own = [case for case in cases if case.energy == "obc2" and case.model == MODELS[-1]]
+    chosen = next((case for case in own if case.start == "deposited"), next(iter(own), None))
+    if chosen is None or path.exists() or not (output / "runs.csv").exists():
+        return
+    rows = [row for method in TRACED_METHODS for row in kcm_cases.traced(chosen, method, TRACED)]
+    save(output, {path.name: pd.DataFrame(rows)})
 
 
 def _rows(tasks: Sequence[Task], jobs: int, until: float) -> Iterator[dict[str, Any]]:

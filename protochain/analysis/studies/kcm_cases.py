@@ -10,7 +10,7 @@ there too: so its continuation, by as many evaluations again, has been looked at
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -78,7 +78,7 @@ COLUMNS = (
 """Those of the table of runs. ``end_kj_mol`` is where the run itself stopped, ``left_kj_mol`` what it
 had left, kinetic energy included; ``energy_kj_mol`` and what follows are of the polished end.
 ``energy_at_N`` is the lowest energy within N evaluations."""
-TIME_STEPS: Mapping[int, float] = {1: 0.004, 10: 0.008, 100: 0.016}
+TIME_STEPS: Mapping[int, float] = {1: 0.004, 10: 0.016, 100: 0.016}
 """ps, by friction in 1/ps: the more friction, the slower the chain, and the longer the step may be. The limit
 of large friction is ``kcm-metric``, which moves along M^-1 tau, without inertia."""
 COOLED = 10_000
@@ -251,8 +251,12 @@ class Found:
         }  # fmt: skip
 
 
+Note = Callable[[Evaluation, int], None]
+"""Told of each point, and of the evaluations so far."""
+
+
 def legs(
-    start: Start, q: Floats, trial: Trial, most: int, seed: int, note: Callable[[Evaluation, int], None]
+    start: Start, q: Floats, trial: Trial, most: int, seed: int, note: Note
 ) -> Iterator[tuple[Ending, int]]:
     """Continue a method in legs, each to twice the evaluations; yield their endings, and the evaluations."""
     space = Torsions(start.chain)
@@ -268,15 +272,7 @@ def legs(
             limit = min(max(limit, n + 1), most)
             problem = Problem(space, start.reduced, limit)
             problem.restore(Tally(n), start.pose.x)
-            ending = run(
-                problem,
-                method,
-                q,
-                0.1 * POLISH,
-                most,
-                lambda at, p=problem: note(at, p.n_evaluations),
-                resume,
-            )
+            ending = run(problem, method, q, 0.1 * POLISH, most, partial(_told, problem, note), resume)
             if ending.stop is Stop.INTERRUPTED:
                 raise KeyboardInterrupt
             n, resume = problem.n_evaluations, ending.last
@@ -287,6 +283,10 @@ def legs(
                 return
             limit = 2 * limit
         q, resume = ending.last.state.at.q, None
+
+
+def _told(problem: Problem, note: Note, at: Evaluation) -> None:
+    note(at, problem.n_evaluations)
 
 
 def _continued(start: Start, case: Case, method: str, most: int) -> Found:
