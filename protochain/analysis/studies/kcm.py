@@ -143,10 +143,14 @@ def append(path: Path, row: dict[str, Any]) -> None:
 
 
 def _add_traces(output: Path, cases: Sequence[Case]) -> None:
-    """Write traces of one start, once: the first that is deposited, or else the first."""
+    """Write traces of one start, once: the first that is deposited, in solvent, with all hinges, if any is."""
     path = output / "traces.csv"
-    own = [case for case in cases if case.energy == "obc2" and case.model == MODELS[-1]]
-    chosen = next((case for case in own if case.start == "deposited"), next(iter(own), None))
+    wanted = {"start": "deposited", "energy": "obc2", "model": MODELS[-1]}
+
+    def fits(case: Case) -> list[bool]:
+        return [getattr(case, name) == value for name, value in wanted.items()]
+
+    chosen = max(cases, key=fits, default=None)
     if chosen is None or path.exists() or not (output / "runs.csv").exists():
         return
     rows = [row for method in TRACED_METHODS for row in kcm_cases.traced(chosen, method, TRACED)]
