@@ -143,7 +143,7 @@ def append(path: Path, row: dict[str, Any]) -> None:
 
 
 def _add_traces(output: Path, cases: Sequence[Case]) -> None:
-    """Write traces of one start, once: the first that is deposited, in solvent, with all hinges, if any is."""
+    """Write traces of one start, once: the first deposited one, in solvent, with all hinges, if any is."""
     path = output / "traces.csv"
     wanted = {"start": "deposited", "energy": "obc2", "model": MODELS[-1]}
 

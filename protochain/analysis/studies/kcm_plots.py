@@ -1,6 +1,7 @@
 """The figure of the study of KCM against dynamics."""
 
 from collections.abc import Mapping
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ def plot(tables: Mapping[str, pd.DataFrame], traces: pd.DataFrame | None) -> Fig
     (energy, rmsd), (shares, cost) = figure.subplots(2, 2)
     style = {
         name: {"color": colour, "linestyle": dash, "label": name}
-        for name, colour, dash in zip(SHOWN, COLOURS, DASHES, strict=False)
+        for name, colour, dash in zip(SHOWN, cycle(COLOURS), cycle(DASHES), strict=False)
     }
     if traces is not None and len(traces):
         for name, own in traces.groupby("method", sort=False):
