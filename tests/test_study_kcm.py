@@ -91,7 +91,8 @@ def test_legs_are_one_run(method):
 def test_a_run_that_is_still_on_its_way_is_not_finished():
     row = measured(CASE, "md-100", 50)
     assert row["status"] == "budget" and not row["finished"] and row["left_kj_mol"] > LEFT
-    # A smaller angle than this leaves less, but a run that still falls has to show where it leads.
+    # Neither is one whose cooling alone takes all evaluations.
+    assert not measured(CASE, "md-cooled", 50)["finished"]
     short, long = (measured(CASE, "md-1", n) for n in (100, 8000))
     assert not short["finished"] and long["finished"] and long["evaluations"] < 8000
 

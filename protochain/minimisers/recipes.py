@@ -174,7 +174,7 @@ class Recipe:
         if not self.keeps_geometry and energy.system is not None and not torsion_forces(energy.system):
             raise ProtochainError(
                 f"method {self.name!r} moves all atoms, and an energy without dihedral terms would twist peptide "
-                "bonds; choose one that only turns hinges, as lbfgs, or energy all"
+                "bonds; choose one that only turns hinges, as lbfgs, or all terms"
             )
 
     def plan(

@@ -276,7 +276,7 @@ def legs(
             if ending.stop is Stop.INTERRUPTED:
                 raise KeyboardInterrupt
             n, resume = problem.n_evaluations, ending.last
-            if not is_last:
+            if not is_last and n < most:
                 break
             yield ending, n
             if ending.stop is not Stop.BUDGET or n >= most:
