@@ -48,7 +48,7 @@ class Setup(Settings):
     ----------
     hinges, root, move : str
         As in :func:`protochain.build_chain`.
-    forcefield, solvent, engine : str
+    forcefield, solvent, engine, terms : str
         As in :func:`protochain.energy`.
     cutoff : float, "auto" or None
         As in :func:`protochain.energy`.
@@ -97,6 +97,12 @@ class Setup(Settings):
     )
     solvent: str = setting(defaults.SOLVENT, "vacuum, obc2 or gbn2.", text)
     engine: str = setting(defaults.ENGINE, "auto, native or openmm.", text)
+    terms: str = setting(
+        "all",
+        "Terms of the force field: all, or nonbonded, without dihedrals, for methods that only turn hinges.",
+        text,
+        option="--energy",
+    )
     cutoff: float | Literal["auto"] | None = setting(
         defaults.CUTOFF,
         "Distance in nm up to which pairs act, none, or auto: none below 20,000 atoms.",
@@ -187,7 +193,7 @@ class Setup(Settings):
 
         return (build_energy or energy)(
             structure, forcefield=self.forcefield, solvent=self.solvent, engine=self.engine,
-            cutoff=self.cutoff, threads=self.threads, trust_forcefield=self.trust_forcefield,
+            cutoff=self.cutoff, threads=self.threads, trust_forcefield=self.trust_forcefield, terms=self.terms,
         )  # fmt: skip
 
 

@@ -414,3 +414,32 @@ def test_an_energy_is_built_kept_or_refused():
 def test_a_simulation_takes_a_callable():
     run = pc.simulate(load("ala10.pdb"), harmonic, n_steps=20, every=20, temperature=10.0)
     assert run.record()["engine"] == "custom" and np.isfinite(run.x).all()
+
+
+def test_nonbonded_terms_are_those_of_openmm_without_its_torsions():
+    """What is left out is the energy of OpenMM's torsion forces, and nothing else."""
+    structure = pc.load(STRUCTURES / "1l2y.pdb")
+    for solvent in ("vacuum", "obc2"):
+        whole = pc.energy(structure, solvent=solvent)
+        less = pc.energy(structure, solvent=solvent, terms="nonbonded")
+        names = {type(force).__name__ for force in whole.system.getForces()}
+        left = {type(force).__name__ for force in less.system.getForces()}
+        assert names - left == {"PeriodicTorsionForce"} and left < names
+        by_kind, _ = whole.reference.parts(structure.positions)
+        torsions = sum(value for name, value in by_kind.items() if "Torsion" in name)
+        assert less(structure.positions)[0] == pytest.approx(
+            whole(structure.positions)[0] - torsions, abs=1e-6
+        )
+        assert less.reference(structure.positions)[0] == pytest.approx(less(structure.positions)[0], abs=1e-6)
+    assert "nonbonded" in less.forcefield and less.fingerprint != whole.fingerprint
+
+
+def test_nonbonded_terms_are_for_methods_that_only_turn_hinges():
+    structure = pc.from_sequence("AAA")
+    energy = pc.energy(structure, terms="nonbonded")
+    assert pc.minimise(structure, energy, "lbfgs").status == "converged"
+    for method in ("cartesian", "hybrid", "openmm"):
+        with pytest.raises(pc.ProtochainError, match="twist peptide bonds"):
+            pc.minimise(structure, energy, method)
+    with pytest.raises(pc.ProtochainError, match="'bonded'"):
+        pc.energy(structure, terms="bonded")

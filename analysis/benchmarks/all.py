@@ -100,11 +100,6 @@ OF_CRYSTALS = (
     "cbeta_outliers_start", "cbeta_outliers_end", "twisted_peptides_start", "twisted_peptides_end",
     "ca_rmsd_angstrom",
 )  # fmt: skip
-OF_RUNS = (
-    "protein", "model", "solvent", "start", "seed", "method", "status", "evaluations", "seconds",
-    "energy_kj_mol", "torque_max_kj_mol_rad", "torque_rms_kj_mol_rad", "rmsd_start_angstrom",
-    "rmsd_native_angstrom", "polished_energy_kj_mol", "polished_rmsd_start_angstrom",
-)  # fmt: skip
 CURVES = "solvers,energies,integrators,sampling,closures,fixman,hessians"
 HERE = "python analysis/benchmarks"
 
@@ -140,14 +135,11 @@ JOBS = (
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
     Job("compliance", f"{HERE}/compliance.py -o DIR", 4),
     Job(
-        "kcm", f"protochain bench kcm {STARTED} {SMALL} -o DIR --jobs 2 --minutes 240", 240,
+        "kcm-runs", f"protochain bench kcm {STARTED} {SMALL} -o DIR --jobs 2 --minutes 240", 240,
         "protochain bench kcm --quick -o DIR",
-        {
-            f"{name}.csv": (f"kcm_{name}.csv", ())
-            for name in ("contrasts", "cost", "deposited", "ends", "shares")
-        }
-        | {"runs.csv": ("kcm_runs.csv", OF_RUNS)},
+        {"runs.csv": ("kcm_runs.csv", ()), "traces.csv": ("kcm_traces.csv", ())},
     ),
+    Job("kcm", f"{HERE}/kcm.py -o DIR", 1),
     Job("relax", f"{HERE}/relax.py {RELAXED} --made 4 -o DIR", 16),
     Job("relax-many", f"{HERE}/relax.py --many 1000 -o DIR", 15),
     Job(

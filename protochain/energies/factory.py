@@ -62,10 +62,14 @@ as of those that a force field does not know, by element."""
 
 ENGINES = ("auto", "native", "openmm")
 
+TERMS = ("all", "nonbonded")
+"""Terms of a force field that count. ``nonbonded``: pairs of atoms, and what holds rings closed (bonds and
+angles); no dihedrals, impropers or CMAP, as where rigid peptide planes only attract and repel each other."""
+
 
 @checked(
     forcefield=file_name, solvent=text, engine=text, cutoff=cutoff_of, threads=optional(integer),
-    trust_forcefield=flag, system=instance(openmm.System, "ForceField.createSystem"),
+    trust_forcefield=flag, terms=text, system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
 def energy(
     structure: Any,
@@ -77,6 +81,7 @@ def energy(
     system: openmm.System | None = None,
     threads: int | None = None,
     trust_forcefield: bool = False,
+    terms: str = "all",
 ) -> Energy:
     """Build the potential energy of a structure.
 
@@ -105,6 +110,9 @@ def energy(
         Number of threads; all by default.
     trust_forcefield : bool
         Allow a force-field file to run its Python scripts and to include other files.
+    terms : str
+        ``all``, or ``nonbonded``: electrostatics, van der Waals and the solvent alone, for methods that only
+        turn hinges, as Kazerounian, Latif, Alvarado, J. Mech. Des. 127:699 (2005), have it.
 
     Returns
     -------
@@ -121,6 +129,8 @@ def energy(
     structure = as_structure(structure)
     if engine not in ENGINES:
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
+    if terms not in TERMS:
+        raise ForceFieldError(f"terms {terms!r} are not known; choose from {', '.join(TERMS)}")
     if threads is not None and threads < 1:
         raise ForceFieldError(f"threads {threads}: give at least 1")
     if cutoff == "auto":
@@ -130,6 +140,9 @@ def energy(
         system = build_system(structure, forcefield, solvent, trust_forcefield, cutoff)
         note = f"cutoff {cutoff:g} nm" if cutoff else "no cutoff"
         note += _use_gbsa_obc(system) if solvent == "obc2" else ""
+        if terms == "nonbonded":
+            _leave_out_torsions(system)
+            forcefield += " (nonbonded)"
         by_openmm = OpenMMEnergy(system, "CPU", threads, forcefield, solvent, note, structure.fingerprint)
     elif system.getNumParticles() == structure.n_atoms:
         cutoff, by_openmm = None, OpenMMEnergy(system, threads=threads, note="System given by the caller")
@@ -276,6 +289,16 @@ def _checked_file(path: Path, trusted: bool) -> str | bytes:
         return str(path.resolve())
     check_passive(path, root)
     return content
+
+
+def torsion_forces(system: openmm.System) -> list[int]:
+    """Places of the forces of a System that depend on dihedrals."""
+    return [i for i, force in enumerate(system.getForces()) if "Torsion" in type(force).__name__]
+
+
+def _leave_out_torsions(system: openmm.System) -> None:
+    for place in reversed(torsion_forces(system)):
+        system.removeForce(place)
 
 
 def _use_gbsa_obc(system: openmm.System) -> str:

@@ -15,6 +15,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats
 from protochain.core.checks import number
 from protochain.core.errors import ProtochainError
+from protochain.energies.factory import torsion_forces
 from protochain.energies.protocol import Energy
 from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.curvature import near_terms
@@ -162,6 +163,11 @@ class Recipe:
         if self.by_openmm and energy.system is None:
             raise ProtochainError(
                 f"method {self.name!r} needs an OpenMM System, and a callable has none; choose another"
+            )
+        if not self.keeps_geometry and energy.system is not None and not torsion_forces(energy.system):
+            raise ProtochainError(
+                f"method {self.name!r} moves all atoms, and an energy without dihedral terms would twist peptide "
+                "bonds; choose one that only turns hinges, as lbfgs, or all terms"
             )
 
     def plan(

@@ -1,19 +1,11 @@
 """The study of KCM against constrained dynamics, and what fixed angles leave."""
 
+from collections.abc import Iterator
+
 import pandas as pd
 
+from protochain.analysis.studies import kcm_summary
 from tables import Cell, digits, markdown, paragraph, percent, table, table_of_rows
-
-PAIRS = {
-    "KCM and dynamics": "KCM (0.005 rad) and dynamics (friction 10 per ps)",
-    "angle": "angle: 0.005 and 0.01 rad",
-    "rule": "rule: fixed angle and adaptive",
-    "metric": "metric: adaptive, of the angles and of masses",
-    "friction 100": "inertia: metric of masses and friction 100 per ps",
-    "friction 10": "inertia: metric of masses and friction 10 per ps",
-    "friction 1": "inertia: metric of masses and friction 1 per ps",
-}
-"""What two methods of the study differ in, and which they are."""
 
 
 def small(name: str) -> Cell:
@@ -30,10 +22,11 @@ table_of_rows(
 )  # fmt: skip
 table_of_rows(
     "kcm-cost", "kcm_cost.csv",
-    ("method", "`{method}`"), ("starts", "{starts}"), ("converged", "{converged_share:.0%}"),
+    ("method", "`{method}`"), ("starts", "{starts}"), ("finished", "{finished:.0%}"),
     ("evaluations", "{evaluations:.0f}"), ("after 10", "{at_10:.1f}"), ("100", "{at_100:.1f}"),
-    ("1000", "{at_1000:.2f}"), ("10,000", "{at_10000:.2f}"), ("left at the end", "{left_kj_mol:.2f}"),
-    ("after the polish", "{polished_above_kj_mol:.2f}"),
+    ("1000", "{at_1000:.2f}"), ("10,000", "{at_10000:.2f}"), ("0.1 s", "{at_100_ms:.1f}"),
+    ("1 s", "{at_1000_ms:.1f}"), ("10 s", "{at_10000_ms:.1f}"), ("left at the end", "{left_kj_mol:.2f}"),
+    ("its minimum", "{minimum_kj_mol:.2f}"),
 )  # fmt: skip
 table_of_rows(
     "kcm-deposited", "kcm_deposited.csv", ("method", "`{method}`"), ("starts", "{starts}"),
@@ -55,65 +48,50 @@ def compliance_starts(rows: pd.DataFrame) -> str:
     return markdown(heads, (cells(str(name), of) for name, of in rows.groupby("setting", sort=False)))
 
 
-def _of_all(contrasts: pd.DataFrame) -> pd.DataFrame:
-    """Contrasts of all models, by kind of start and question."""
-    return contrasts[contrasts["model"] == "all"].set_index(["start", "what"])
-
-
 @table("kcm-contrasts", "kcm_contrasts.csv")
 def kcm_contrasts(contrasts: pd.DataFrame) -> str:
-    """Share of starts in which methods that differ in one thing reach one minimum, by kind of start."""
-    of = _of_all(contrasts)
-    kinds = list(dict.fromkeys(of.index.get_level_values("start")))
-    return markdown(
-        ["differ in", *(f"{kind}, {of.loc[kind]['starts'].iloc[0]} starts" for kind in kinds)],
-        ([name, *(percent(of.loc[kind, what]) for kind in kinds)] for what, name in PAIRS.items()),
-    )
+    """Shares of finished pairs that end in one minimum, their baselines, and the effects by energy."""
+    named = {"vacuum": "vacuum", "obc2": "OBC2", "nonbonded": "no dihedral terms"}
+    of = contrasts[contrasts["start"] == "all"].set_index(["energy", "what"])
+    energies = [name for name in named if name in of.index.get_level_values("energy")]
+
+    def cells(what: str, row: pd.Series) -> Iterator[str]:
+        yield what
+        yield f"{row['pairs']:.0f} ({row['left_out']:.0f})"
+        for name in ("same", "baseline", "effect"):
+            yield share(row, name)
+        for name in energies:
+            yield share(of.loc[name, what], "effect") if (name, what) in of.index else "-"
+
+    heads = ["differ in", "finished pairs (left out)", "one minimum", "their controls", "effect"]
+    heads += [f"effect, {named[name]}" for name in energies]
+    return markdown(heads, (cells(what, row) for what, row in of.loc["all"].iterrows()))
 
 
-@table("kcm-words", "kcm_runs.csv", "kcm_contrasts.csv", "kcm_shares.csv", "kcm_cost.csv")
-def kcm_words(runs: pd.DataFrame, contrasts: pd.DataFrame, shares: pd.DataFrame, cost: pd.DataFrame) -> str:
-    """What the study's shares say."""
-    rows = _of_all(contrasts)
-    starts = runs[["protein", "start", "seed"]].drop_duplicates()["start"].value_counts(sort=False)
-    kinds = [kind for kind in starts.index if kind in rows.index]
+def share(row: pd.Series, name: str) -> str:
+    """A share with its interval, if there is one."""
+    if pd.isna(row[name]):
+        return "-"
+    return percent(pd.Series({"value": row[name], "low": row[f"{name}_low"], "high": row[f"{name}_high"]}))
 
-    def share(what: str, kind: str = "all") -> str:
-        return percent(rows.loc[kind, what])
 
-    def moved(what: str) -> str:
-        return f"{100 * (1 - rows.loc['all', what]['value']):.0f} %"
+@table("kcm-words", "kcm_runs.csv", "kcm_contrasts.csv")
+def kcm_words(runs: pd.DataFrame, contrasts: pd.DataFrame) -> str:
+    """What the contrasts say."""
+    first, *said = kcm_summary.words(runs, contrasts)
+    return "\n".join([paragraph(first), *(f"- {sentence}" for sentence in said)]) + "\n"
 
-    def above(kind: str) -> str:
-        row = rows.loc[kind, "dynamics above KCM, kJ/mol"]
-        return f"{row['value']:+.0f} ({row['low']:+.0f} to {row['high']:+.0f})"
 
-    pairs = shares[(shares["start"] == "all") & (shares["a"] == "kcm-0.005")].set_index("b")
+@table("kcm-rise", "kcm_contrasts.csv")
+def kcm_rise(contrasts: pd.DataFrame) -> str:
+    """How far minima of one method lie above those of another."""
+    own = contrasts[(contrasts["start"] == "all") & contrasts["rise_kj_mol"].notna()]
+    own = own[own["what"].str.startswith("KCM and")]
 
-    def with_other(method: str) -> str:
-        return f"{100 * pairs['polished_share'][method]:.0f} %"
+    def cells(row: pd.Series) -> Iterator[str]:
+        yield f"{row['what']}, {row['energy']}"
+        yield f"{row['pairs']:.0f}"
+        yield f"{row['rise_kj_mol']:+.1f} ({row['rise_kj_mol_low']:+.1f} to {row['rise_kj_mol_high']:+.1f})"
 
-    cost = cost.set_index("method")
-    lowest, fewest = cost["polished_above_kj_mol"].idxmin(), cost["evaluations"].idxmin()
-    apart = rows.loc["all", "metric, less friction 1"]
-    more = (
-        "the metric matters more than inertia at 1" if apart["high"] < 0.0
-        else "inertia at 1 matters more than the metric" if apart["low"] > 0.0
-        else "whether the metric matters more than inertia at 1 is open"
-    )  # fmt: skip
-    counted = ", ".join(f"{n} {kind}" for kind, n in starts.items())
-    both = "; ".join(f"{share('KCM and dynamics', kind)} of {kind} starts" for kind in kinds)
-    return paragraph(
-        f"{len(runs)} runs from {starts.sum()} starts ({counted}).",
-        "KCM with a fixed angle of 0.005 rad reaches the same minimum as with 0.01",
-        f"({share('angle')} of starts), with 0.05 ({with_other('kcm-0.05')}) and with adaptive steps",
-        f"({share('rule')}), but the same as in proportion from only",
-        f"{with_other('kcm-proportional')}, and the same as by signs from {with_other('kcm-sign')}.",
-        f"KCM and dynamics reach one minimum from {share('KCM and dynamics')}:",
-        f"{both}.",
-        f"The metric alone changes the minimum from {moved('metric')} of the starts; inertia alone, added to",
-        f"it, from {moved('friction 100')} at a friction of 100 per ps, {moved('friction 10')} at 10 and",
-        f"{moved('friction 1')} at 1; {more}. Minima of dynamics lie {above('all')} kJ/mol above those of",
-        f"KCM ({'; '.join(f'{kind} {above(kind)}' for kind in kinds)}). In the medians `{lowest}` ends",
-        f"lowest, and `{fewest}` needs the fewest evaluations.",
-    )
+    heads = ("minima of dynamics above those of KCM", "finished pairs", "kJ/mol")
+    return markdown(heads, (cells(row) for _, row in own.iterrows()))

@@ -1,14 +1,15 @@
 """Whether kineto-static compliance (KCM) and constrained dynamics end in different minima, and why.
 
-Every method runs from the same starts of the same chains; a row of ``runs.csv`` is one run, raw and after one
-common polish. Runs are added one by one, cheapest starts first, and those there already are not repeated: the
-study can be stopped, and goes on when it is called again. All else is computed from ``runs.csv`` alone.
+Every method runs from the same starts of the same chains; a row of ``runs.csv`` is one run, with the minimum
+that it leads to and whether it had got there. Runs are added one by one, cheapest starts first, those of one
+start together, and those there already are not repeated: the study can be stopped, and goes on when it is
+called again. All else is computed from ``runs.csv`` alone, but for the traces of a few runs.
 """
 
 import multiprocessing
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from itertools import islice, product
+from itertools import islice
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -16,17 +17,22 @@ from typing import Any
 import pandas as pd
 
 from protochain.analysis.studies import kcm_cases, kcm_summary
-from protochain.analysis.studies.kcm_cases import METHODS, MODELS, MOST, N_STARTS, SOLVENTS, Case, measured
+from protochain.analysis.studies.kcm_cases import ENERGIES, MODELS, MOST, N_STARTS, Case, measured
+from protochain.analysis.studies.kcm_plots import SHOWN as TRACED_METHODS
 from protochain.core.errors import ProtochainError
 from protochain.core.storage import writing
+from protochain.results.tables import save
 
 MINUTES = 60.0
-QUICK: dict[str, Any] = {"peptides": ("met-enkephalin", "ala10"), "starts": 1, "evaluations": 1500}
+QUICK: dict[str, Any] = {"peptides": ("met-enkephalin", "ala10"), "starts": 1, "evaluations": 4000}
 """Two peptides from two starts each, phi psi chi, OBC2: a minute on one core."""
 SHOWN = (
-    "protein", "model", "solvent", "start", "seed", "method", "status", "evaluations", "seconds",
-    "energy_kj_mol", "polished_energy_kj_mol",
+    "protein", "model", "energy", "start", "seed", "method", "status", "evaluations", "seconds",
+    "left_kj_mol", "energy_kj_mol",
 )  # fmt: skip
+
+TRACED = 10_000
+"""Evaluations of the traces."""
 
 Task = tuple[Case, str, int]
 
@@ -78,6 +84,7 @@ def run(
     for row in _rows(left, jobs, monotonic() + 60.0 * minutes):
         append(path, row)
         yield pd.DataFrame([{name: row.get(name) for name in SHOWN}])
+    _add_traces(output, [task[0] for task in tasks])
     yield from kcm_summary.write(output, stored(path), {_key(task) for task in tasks})
 
 
@@ -87,17 +94,18 @@ def planned(
     """All runs of the study, in their order: case, method and evaluations at most."""
     chosen = kcm_cases.proteins(tuple(inputs))
     models: tuple[str, ...] = MODELS
-    solvents: tuple[str, ...] = SOLVENTS
+    energies = tuple(ENERGIES)
     if quick:
         chosen = [each for each in chosen if each[0] in QUICK["peptides"]]
-        models, solvents = MODELS[1:], SOLVENTS[1:]
+        models, energies = MODELS[1:], ("obc2",)
         starts, evaluations = min(starts, QUICK["starts"]), min(evaluations, QUICK["evaluations"])
     names = [name for name, _, _ in chosen]
     for name in names:
         if names.count(name) > 1:
             raise ProtochainError(f"{name}: two proteins of this name; rename a file")
-    for case, method in product(kcm_cases.cases(chosen, models, solvents, starts), METHODS):
-        yield case, method, evaluations
+    for case, methods in kcm_cases.cases(chosen, models, energies, starts):
+        for method in methods:
+            yield case, method, evaluations
 
 
 def stored(path: Path) -> pd.DataFrame:
@@ -132,6 +140,21 @@ def append(path: Path, row: dict[str, Any]) -> None:
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         table.to_csv(path, mode="a", header=not path.exists() or not path.stat().st_size, index=False)
+
+
+def _add_traces(output: Path, cases: Sequence[Case]) -> None:
+    """Write traces of one start, once: the first deposited one, in solvent, with all hinges, if any is."""
+    path = output / "traces.csv"
+    wanted = {"start": "deposited", "energy": "obc2", "model": MODELS[-1]}
+
+    def fits(case: Case) -> list[bool]:
+        return [getattr(case, name) == value for name, value in wanted.items()]
+
+    chosen = max(cases, key=fits, default=None)
+    if chosen is None or path.exists() or not (output / "runs.csv").exists():
+        return
+    rows = [row for method in TRACED_METHODS for row in kcm_cases.traced(chosen, method, TRACED)]
+    save(output, {path.name: pd.DataFrame(rows)})
 
 
 def _rows(tasks: Sequence[Task], jobs: int, until: float) -> Iterator[dict[str, Any]]:

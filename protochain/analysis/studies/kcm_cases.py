@@ -1,16 +1,18 @@
-"""Cases of the study of KCM against dynamics, its methods, and one run: a row of the study's table.
+"""Starts and methods of the study of KCM against dynamics, and one run: a row of the study's table.
 
 All methods of a case start from one chain, and none parts overlaps: those that a perturbation makes are
-parted before. A run ends at a largest torque of 1 kJ/mol/rad, when it stagnates, or when its evaluations are
-used up. Its end is then polished by ``lbfgs`` in the same torsions, to 0.01 kJ/mol/rad, off saddle points.
-OpenMM moves all atoms; its end is polished in the torsions of a chain rebuilt there.
+parted before. A run goes on in legs, each to twice the evaluations of the one before, with the state that it
+has. After each its end is polished by ``lbfgs`` in the same torsions, off saddle points. A run is finished if
+no more than ``LEFT`` kJ/mol, kinetic energy included, is left to the polished end, and if the leg before led
+there too: so its continuation, by as many evaluations again, has been looked at.
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import gemmi
@@ -18,17 +20,17 @@ import numpy as np
 
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose
-from protochain.core import defaults
 from protochain.core.arrays import Floats
 from protochain.core.errors import ProtochainError, StrayWarning
 from protochain.energies import energy
+from protochain.mechanics import multibody
 from protochain.minimisers import RECIPES, Recipe, Run, Solution, Status
-from protochain.minimisers.annealing import Annealing
+from protochain.minimisers.annealing import Annealing, AnnealingState
 from protochain.minimisers.api import Minimisation, minimise_from
-from protochain.minimisers.problem import evaluate
-from protochain.minimisers.recipes import at_angle
+from protochain.minimisers.loop import Ending, Snapshot, Stop, run
+from protochain.minimisers.problem import Evaluation, Problem, Tally
+from protochain.minimisers.recipes import ANGLE, at_angle
 from protochain.minimisers.spaces import Torsions
-from protochain.minimisers.stages import last
 from protochain.minimisers.start import Start
 from protochain.minimisers.starts import perturbed
 from protochain.structure import Structure, from_sequence, load
@@ -37,61 +39,100 @@ from protochain.structure.superpose import rmsd_angstrom
 PEPTIDES = {"met-enkephalin": "YGGFM", "ala10": "AAAAAAAAAA", "chignolin": "GYDPETGTWG"}
 MODELS = ("phi psi", "phi psi chi")
 """Backbone alone, with rigid side chains, and with side chains that turn."""
-SOLVENTS = ("vacuum", "obc2")
-N_STARTS = 20
+ENERGIES: Mapping[str, Mapping[str, Any]] = {
+    "vacuum": {"solvent": "vacuum"}, "obc2": {"solvent": "obc2"},
+    "nonbonded": {"solvent": "vacuum", "terms": "nonbonded"},
+}  # fmt: skip
+"""ff14SB without and with solvent, and its electrostatics and van der Waals alone, as of ProtoFold."""
+N_STARTS = 5
 """Perturbed starts of each kind, beside the one that is not."""
 SPREAD: Mapping[str, float] = {"perturbed": 0.1, "extended": 0.5}
 """rad. Standard deviation of a dihedral: a folded chain soon overlaps."""
-EXTENDED_UP_TO = 20
-"""Residues up to which a structure given as a file is also started from its extended chain."""
+SMALL = 20
+"""Residues up to which a structure is also perturbed, and started from its extended chain."""
+LARGE = 60
+"""Residues above which only the ``CHEAP`` methods run."""
 
-MOST = 20_000
-PATIENCE = 1000
-"""Evaluations without a new lowest energy after which a run has stagnated: 4 ps of dynamics."""
+LEFT = 1.0
+"""kJ/mol above its minimum at which a run may stop."""
+FIRST, MOST = 1000, 128_000
+"""Evaluations of the first leg, and at most."""
+SAME_ANGSTROM, SAME_KJ_MOL = 0.1, 0.1
+"""C-alpha RMSD, and kJ/mol: two polished ends nearer than both are one minimum."""
 POLISH, POLISHED = 0.01, 5000
 """kJ/mol/rad, and evaluations at most, of the polish."""
-AT = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000)
+NUDGE = 1e-9
+"""rad. Standard deviation by which the starts of the ``-nudged`` methods differ: another order of sums."""
+AT = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000, 100_000)
 """Evaluations at which the lowest energy so far is noted."""
-KEY = ("protein", "model", "solvent", "start", "seed", "method", "max_evaluations")
+KEY = ("protein", "model", "energy", "start", "seed", "method", "max_evaluations")
 """Columns that tell one run from the others."""
 _OF_END = (
-    "energy_kj_mol", "torque_max_kj_mol_rad", "torque_rms_kj_mol_rad", "rmsd_start_angstrom",
-    "rmsd_native_angstrom", "alphas_pm",
+    "energy_kj_mol", "torque_max_kj_mol_rad", "rmsd_start_angstrom", "rmsd_native_angstrom", "alphas_pm",
 )  # fmt: skip
 COLUMNS = (
-    *KEY, "residues", "atoms", "hinges", "status", "evaluations", "seconds", "energy_start_kj_mol", *_OF_END,
-    "polish_status", "polish_evaluations", "lowest_eigenvalue_kj_mol_rad2",
-    *(f"polished_{name}" for name in _OF_END), *(f"energy_at_{n}" for n in AT),
+    *KEY, "residues", "atoms", "hinges", "status", "finished", "evaluations", "seconds",
+    "energy_start_kj_mol", "end_kj_mol", "left_kj_mol", "evaluations_to_left", "polish_status",
+    "lowest_eigenvalue_kj_mol_rad2", *_OF_END, *(f"energy_at_{n}" for n in AT),
 )  # fmt: skip
-"""Those of the table of runs. ``energy_at_N``: the lowest energy within N evaluations."""
-FRICTIONS = (1, 10, 100)
-"""1/ps. The limit of large friction is ``kcm-metric``, which moves along M^-1 tau, without inertia."""
+"""Those of the table of runs. ``end_kj_mol`` is where the run itself stopped, ``left_kj_mol`` what it
+had left, kinetic energy included; ``energy_kj_mol`` and what follows are of the polished end.
+``energy_at_N`` is the lowest energy within N evaluations."""
+TIME_STEPS: Mapping[int, float] = {1: 0.004, 10: 0.016, 100: 0.016}
+"""ps, by friction in 1/ps: the more friction, the slower the chain, and the longer the step may be. The limit
+of large friction is ``kcm-metric``, which moves along M^-1 tau, without inertia."""
 COOLED = 10_000
 """Steps of 4 fs from 300 K to 0, after which dynamics goes on at 0 K."""
 
 
-def _alone(name: str, *runs: Run) -> Recipe:
-    return Recipe(name, tuple(replace(run, patience=PATIENCE) for run in runs))
+@dataclass(frozen=True)
+class Trial:
+    """A method as the study runs it.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        Its runs, the last of which is continued.
+    nudged : bool
+        Whether its start is moved by ``NUDGE``.
+    seed : int
+        Added to that of the start, where random numbers are drawn.
+    """
+
+    recipe: Recipe
+    nudged: bool = False
+    seed: int = 0
 
 
-def _dynamics(friction: float) -> Run:
-    return Run(Annealing(n_steps=10 * MOST, friction=friction))
+def _dynamics(friction: int, share: float = 1.0) -> Run:
+    time_step = share * TIME_STEPS[friction]
+    return Run(Annealing(n_steps=10 * MOST, friction=friction, time_step=time_step))
 
 
-def _methods() -> dict[str, Recipe]:
-    angles = [at_angle(RECIPES["kcm"], angle) for angle in (0.0005, 0.005, 0.01, 0.05)]
-    names = ("proportional", "sign", "adaptive", "metric", "stiffness")
-    cooling = replace(_dynamics(10.0), method=Annealing(300.0, COOLED, 10.0), tolerance=0.0, answer=last)
-    found = [_alone(each.name, *each.runs) for each in (*angles, *(RECIPES[f"kcm-{n}"] for n in names))]
-    found += [_alone(f"md-{friction}", _dynamics(friction)) for friction in FRICTIONS]
-    cooled = _alone("md-cooled", cooling, _dynamics(10.0))
-    held = replace(cooled.runs[0], patience=COOLED)
-    found.append(replace(cooled, runs=(held, *cooled.runs[1:]), draws_random=True))
-    return {each.name: each for each in (*found, _alone("lbfgs", *RECIPES["lbfgs"].runs), RECIPES["openmm"])}
+def _trials() -> dict[str, Trial]:
+    kcm = RECIPES["kcm"]
+    found = {f"kcm-{angle:g}": Trial(at_angle(kcm, angle)) for angle in (0.0025, 0.005, 0.01)}
+    found |= {
+        f"kcm-{name}": Trial(RECIPES[f"kcm-{name}"])
+        for name in ("proportional", "sign", "adaptive", "metric", "stiffness")
+    }
+    found |= {f"md-{friction}": Trial(Recipe("md", (_dynamics(friction),))) for friction in TIME_STEPS}
+    found |= {f"md-{friction}-half": Trial(Recipe("md", (_dynamics(friction, 0.5),))) for friction in (1, 10)}
+    cooled = Recipe("cooled", (Run(Annealing(300.0, COOLED, 10.0)), _dynamics(10)))
+    found |= {"md-cooled": Trial(cooled), "md-cooled-reseeded": Trial(cooled, seed=1000)}
+    for name in ("adaptive", "metric"):
+        half = at_angle(RECIPES[f"kcm-{name}"], 0.5 * ANGLE)
+        found[f"kcm-{name}-half"] = Trial(half)
+    moved = ("kcm-0.005", "kcm-adaptive", "kcm-metric", "md-1")
+    found |= {f"{name}-nudged": replace(found[name], nudged=True) for name in moved}
+    return found | {"lbfgs": Trial(replace(RECIPES["lbfgs"], parts_overlaps=False))}
 
 
-METHODS: Mapping[str, Recipe] = _methods()
-_POLISH = replace(RECIPES["lbfgs"], name="polish", parts_overlaps=False)
+TRIALS: Mapping[str, Trial] = _trials()
+METHODS = (*TRIALS, "openmm")
+"""All in torsions but the last, OpenMM's minimiser, which moves all atoms and is no part of any contrast."""
+CHEAP = ("kcm-adaptive", "kcm-adaptive-nudged", "kcm-metric", "kcm-stiffness", "md-1", "md-10", "lbfgs")
+_POLISHER = replace(RECIPES["lbfgs"], name="polish", parts_overlaps=False)
 
 
 @dataclass(frozen=True)
@@ -107,7 +148,8 @@ class Case:
     is_file : bool
     model : str
         Kinds of hinges.
-    solvent : str
+    energy : str
+        Of ``ENERGIES``.
     start : str
         ``deposited``, ``perturbed`` or ``extended``.
     seed : int
@@ -118,7 +160,7 @@ class Case:
     source: str
     is_file: bool
     model: str
-    solvent: str
+    energy: str
     start: str
     seed: int
 
@@ -135,99 +177,233 @@ def proteins(inputs: tuple[Path, ...]) -> list[tuple[str, str, bool]]:
 
 
 def cases(
-    chosen: list[tuple[str, str, bool]], models: tuple[str, ...], solvents: tuple[str, ...], n_starts: int
-) -> list[Case]:
-    """Starts of the study, the cheapest first.
+    chosen: list[tuple[str, str, bool]], models: tuple[str, ...], energies: tuple[str, ...], n_starts: int
+) -> list[tuple[Case, tuple[str, ...]]]:
+    """Starts of the study and their methods, the cheapest first.
 
     A later start of a protein counts as costlier than its first, in proportion, so that the first ones of
-    large proteins come before the last ones of small ones.
+    large proteins come before the last ones of small ones. The models and energies of a start stay together.
     """
-    found: list[tuple[int, Case]] = []
+    found: list[tuple[int, Case, tuple[str, ...]]] = []
     for name, source, is_file in chosen:
         structure = _prepared(source, is_file)
-        kinds = ["deposited", "perturbed"] if is_file else []
-        if not is_file or (structure.n_residues <= EXTENDED_UP_TO and _sequence(structure)):
-            kinds.append("extended")
-        for kind in kinds:
-            seeds = {"deposited": range(1), "perturbed": range(1, n_starts + 1)}.get(
-                kind, range(n_starts + 1)
-            )
-            for seed in seeds:
-                weight = structure.n_atoms * (1 + seed)
-                found += [
-                    (weight, Case(name, source, is_file, model, solvent, kind, seed))
-                    for model in models
-                    for solvent in solvents
-                ]
-    return [case for _, case in sorted(found, key=lambda each: each[0])]
+        is_small = structure.n_residues <= SMALL
+        kinds = {"deposited": range(1)} if is_file else {}
+        if is_file and is_small:
+            kinds["perturbed"] = range(1, n_starts + 1)
+        if not is_file or (is_small and _sequence(structure)):
+            kinds["extended"] = range(n_starts + 1)
+        atoms, methods = structure.n_atoms, CHEAP if structure.n_residues > LARGE else METHODS
+        for kind, seeds in kinds.items():
+            found += [
+                (atoms * (1 + seed), Case(name, source, is_file, model, each, kind, seed), methods)
+                for seed in seeds
+                for model in models
+                for each in energies
+            ]  # fmt: skip
+    return [(case, methods) for _, case, methods in sorted(found, key=lambda each: each[0])]
 
 
-def measured(case: Case, method: str, most: int) -> dict[str, Any]:
-    """One run and its polish, as a row of the table; a run that is refused says why."""
+def measured(case: Case, method: str, most: int = MOST) -> dict[str, Any]:
+    """One run, its continuation and its polish, as a row of the table; a run that is refused says why."""
     row = {**case.key(), "method": method, "max_evaluations": most}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StrayWarning)
             start = _started(case)
-            run = Minimisation(
-                METHODS[method],
-                tolerance=defaults.TOLERANCE,
-                max_evaluations=most,
-                seed=case.seed,
-                curvature=False,
-            )
-            raw = minimise_from(start, run)
-            again = Minimisation(_POLISH, tolerance=POLISH, max_evaluations=POLISHED)
-            polished = minimise_from(Start(_chain_at(raw), start.energy), again)
-        if Status.INTERRUPTED in (raw.status, polished.status):
-            raise KeyboardInterrupt
+            found = _by_openmm(start, most) if method == "openmm" else _continued(start, case, method, most)
     except ProtochainError as error:
         return {**row, "status": f"refused: {error}"}
-    structure = start.chain.structure
+    chain = start.chain
     return {
-        **row, "residues": structure.n_residues, "atoms": structure.n_atoms, "hinges": start.chain.n_hinges,
-        "status": str(raw.status), "evaluations": raw.n_evaluations, "seconds": round(raw.seconds, 4),
-        "energy_start_kj_mol": raw.start.energy, **_end(raw, case, ""), "polish_status": str(polished.status),
-        "polish_evaluations": polished.n_evaluations,
-        "lowest_eigenvalue_kj_mol_rad2": polished.lowest_eigenvalue, **_end(polished, case, "polished_"),
-        **_lowest_at(raw),
+        **row, "residues": chain.structure.n_residues, "atoms": chain.structure.n_atoms,
+        "hinges": chain.n_hinges, "energy_start_kj_mol": start.judgement.energy,
+        **found.columns(), **_end(found.polished, case),
     }  # fmt: skip
 
 
-def _end(solution: Solution, case: Case, prefix: str) -> dict[str, Any]:
-    """Columns of an end, raw or polished; its C-alphas in pm."""
+@dataclass(frozen=True, eq=False)
+class Found:
+    """How a run went: its polished end, and what it did until it stopped."""
+
+    polished: Solution
+    status: str
+    finished: bool
+    evaluations: int
+    seconds: float
+    end: float
+    left: float
+    trace: tuple[tuple[int, float], ...]
+    """Evaluations, lowest energy so far."""
+
+    def columns(self) -> dict[str, Any]:
+        """Columns of the run itself."""
+        n, lowest = (np.array(each) for each in zip(*self.trace, strict=True))
+        place = np.maximum(np.searchsorted(n, AT, side="right") - 1, 0)
+        near = lowest <= self.polished.end.energy + LEFT
+        return {
+            "status": self.status, "finished": self.finished, "evaluations": self.evaluations,
+            "seconds": round(self.seconds, 4), "end_kj_mol": self.end, "left_kj_mol": self.left,
+            "evaluations_to_left": int(n[near][0]) if near.any() else np.nan,
+            "polish_status": str(self.polished.status),
+            "lowest_eigenvalue_kj_mol_rad2": self.polished.lowest_eigenvalue,
+            **{f"energy_at_{k}": float(e) for k, e in zip(AT, lowest[place], strict=True)},
+        }  # fmt: skip
+
+
+Note = Callable[[Evaluation, int], None]
+"""Told of each point, and of the evaluations so far."""
+
+
+def legs(
+    start: Start, q: Floats, trial: Trial, most: int, seed: int, note: Note
+) -> Iterator[tuple[Ending, int]]:
+    """Continue a method in legs, each to twice the evaluations; yield their endings, and the evaluations."""
+    space = Torsions(start.chain)
+    resume: Snapshot | None = None
+    n = 0
+    for place, each in enumerate(trial.recipe.runs):
+        method: Any = each.method
+        if hasattr(method, "seed"):
+            method = replace(method, seed=seed)
+        is_last = place == len(trial.recipe.runs) - 1
+        limit = FIRST if is_last else most
+        while True:
+            limit = min(max(limit, n + 1), most)
+            problem = Problem(space, start.reduced, limit)
+            problem.restore(Tally(n), start.pose.x)
+            ending = run(problem, method, q, 0.1 * POLISH, most, partial(_told, problem, note), resume)
+            if ending.stop is Stop.INTERRUPTED:
+                raise KeyboardInterrupt
+            n, resume = problem.n_evaluations, ending.last
+            if not is_last and n < most:
+                break
+            yield ending, n
+            if ending.stop is not Stop.BUDGET or n >= most:
+                return
+            limit = 2 * limit
+        q, resume = ending.last.state.at.q, None
+
+
+def _told(problem: Problem, note: Note, at: Evaluation) -> None:
+    note(at, problem.n_evaluations)
+
+
+def _continued(start: Start, case: Case, method: str, most: int) -> Found:
+    """Run a method until it is finished, stops by itself, or has used up its evaluations."""
+    trial, chain = TRIALS[method], start.chain
+    start.warm(trial.recipe)
+    q = chain.q0
+    if trial.nudged:
+        random = np.random.default_rng([case.seed, 37])
+        q = Torsions(chain).move(q, NUDGE * random.standard_normal(chain.n_v))
+    trace: list[tuple[int, float]] = []
+
+    def note(at: Evaluation, n: int) -> None:
+        # Parts of the energy that are constant in the chain are in it, as in every energy of the table.
+        trace.append((n, min(at.energy, trace[-1][1] if trace else np.inf)))
+
+    seconds, before, since = 0.0, None, perf_counter()
+    for ending, n in legs(start, q, trial, most, case.seed + trial.seed, note):
+        seconds += perf_counter() - since
+        at = ending.last.state.at
+        polished = _polish(start, at.q)
+        left = at.energy + _kinetic(chain, ending.last.state) - polished.end.energy
+        stays = ending.stop is not Stop.BUDGET or (before is not None and one_minimum(before, polished))
+        finished = left <= LEFT and stays
+        circles = not isinstance(ending.last.state, AnnealingState) and _circles(trace, n)
+        status = "finished" if finished else "circling" if circles else ending.stop.name.lower()
+        before = polished
+        if finished or status == "circling":
+            break
+        since = perf_counter()
+    return Found(polished, status, finished, n, seconds, at.energy, left, tuple(trace))
+
+
+def _circles(trace: list[tuple[int, float]], n: int) -> bool:
+    """Whether the last half of the evaluations, 1000 at least, found next to nothing lower."""
+    half = next(energy for k, energy in reversed(trace) if k <= n // 2)
+    return n > 2 * FIRST and half - trace[-1][1] < 0.01 * LEFT
+
+
+def _kinetic(chain: Chain, state: Any) -> float:
+    """Kinetic energy of a state, kJ/mol."""
+    if not isinstance(state, AnnealingState):
+        return 0.0
+    frames = multibody.pose(chain.tree, state.at.q)
+    return 0.5 * float(state.velocity @ multibody.multiply_mass(chain.tree, frames, state.velocity))
+
+
+def _polish(start: Start, q: Floats) -> Solution:
+    """Minimum below an end."""
+    at = pose(start.chain, q)
+    chain = replace(start.chain, structure=start.chain.structure.with_positions(at.x), q0=at.q)
+    polish = Minimisation(_POLISHER, tolerance=POLISH, max_evaluations=POLISHED)
+    found = minimise_from(Start(chain, start.energy), polish)
+    if found.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+    return found
+
+
+def one_minimum(a: Solution, b: Solution) -> bool:
+    """Whether two polished ends are one minimum."""
+    alpha = a.chain.structure.alpha_carbons
+    apart = rmsd_angstrom(a.x[alpha], b.x[alpha])
+    return apart < SAME_ANGSTROM and abs(a.end.energy - b.end.energy) < SAME_KJ_MOL
+
+
+def _by_openmm(start: Start, most: int) -> Found:
+    """OpenMM's minimiser; its end is polished in the torsions of a chain rebuilt there."""
+    if "nonbonded" in start.energy.forcefield:
+        raise ProtochainError("OpenMM moves all atoms, which bonded terms hold")
+    raw = minimise_from(start, Minimisation(RECIPES["openmm"], tolerance=10.0, max_evaluations=most))
+    if raw.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+    chain = build_chain(raw.structure, start.chain.opened, start.chain.root)
+    polished = _polish(Start(chain, start.energy), chain.q0)
+    rows = raw.trace[["evaluations", "energy_kj_mol"]].to_numpy()
+    lowest = np.minimum.accumulate(rows[:, 1])
+    return Found(
+        polished, str(raw.status), raw.status is Status.CONVERGED, raw.n_evaluations, raw.seconds,
+        raw.end.energy, raw.end.energy - polished.end.energy,
+        tuple((int(n), float(e)) for n, e in zip(rows[:, 0], lowest, strict=True)),
+    )  # fmt: skip
+
+
+def _end(solution: Solution, case: Case) -> dict[str, Any]:
+    """Columns of a polished end; its C-alphas in pm."""
     structure = _started(case).chain.structure
     alpha = structure.alpha_carbons
     here, native = solution.x[alpha], _native(case)
-    space = Torsions(_chain_at(solution))
-    # The positions of a solution are superposed on the start; torques about a free root belong to its pose.
-    torque = evaluate(space, solution.energy_function, space.chain.q0).torque
     values = (
         solution.end.energy,
         solution.end.max_torque,
-        float(np.sqrt(np.mean(torque**2))),
         rmsd_angstrom(here, structure.positions[alpha]),
         np.nan if native is None else rmsd_angstrom(here, native),
         " ".join(map(str, np.rint(1000.0 * here).astype(int).ravel())),
     )
-    return {prefix + name: value for name, value in zip(_OF_END, values, strict=True)}
+    return dict(zip(_OF_END, values, strict=True))
 
 
-def _lowest_at(solution: Solution) -> dict[str, float]:
-    """Lowest energy within so many evaluations; a run that has ended keeps its last."""
-    trace = solution.trace
-    lowest = np.minimum.accumulate(trace["energy_kj_mol"].to_numpy())
-    place = np.searchsorted(trace["evaluations"].to_numpy(), AT, side="right") - 1
-    return {f"energy_at_{n}": float(lowest[max(k, 0)]) for n, k in zip(AT, place, strict=True)}
+def traced(case: Case, method: str, most: int) -> list[dict[str, Any]]:
+    """Energy and C-alpha RMSD to the start along a run of so many evaluations, as the papers draw them."""
+    start, trial = _started(case), TRIALS[method]
+    start.warm(trial.recipe)
+    alpha, x = start.chain.structure.alpha_carbons, start.chain.structure.positions
+    rows: list[dict[str, Any]] = []
 
+    def note(at: Evaluation, n: int) -> None:
+        if not rows or n >= 1.05 * rows[-1]["evaluations"]:
+            apart = rmsd_angstrom(at.x[alpha], x[alpha])
+            rows.append(
+                {**case.key(), "method": method, "evaluations": n, "energy_kj_mol": at.energy,
+                 "ca_rmsd_angstrom": apart}
+            )  # fmt: skip
 
-def _chain_at(solution: Solution) -> Chain:
-    """Chain at an end: the same bodies, or rebuilt where all atoms moved."""
-    chain = solution.chain
-    if not solution.keeps_geometry:
-        return build_chain(solution.structure, chain.opened, chain.root)
-    at = pose(chain, solution.q)
-    return replace(chain, structure=chain.structure.with_positions(at.x), q0=at.q)
+    for _, n in legs(start, start.chain.q0, trial, most, case.seed + trial.seed, note):
+        if n >= most:
+            break
+    return rows
 
 
 @lru_cache(maxsize=4)
@@ -238,7 +414,7 @@ def _started(case: Case) -> Start:
     chain = build_chain(structure, case.model)
     if case.seed:
         chain = perturbed(chain, SPREAD[case.start], np.random.default_rng([case.seed, 22]))
-    return Start(chain, energy(structure, solvent=case.solvent, threads=1))
+    return Start(chain, energy(structure, threads=1, **ENERGIES[case.energy]))
 
 
 @lru_cache(maxsize=16)

@@ -1,7 +1,13 @@
-"""Summary of the study of KCM against dynamics: tables, figures and answers, from its table of runs alone."""
+"""Answers of the study of KCM against dynamics: contrasts, tables and words, from its table of runs alone.
+
+A contrast is a pair of methods that differ in one thing. It counts starts from which both are finished, and
+no others. Its baseline is how often a method ends in the minimum of its own control: the same method with
+half the step, another seed, or a start moved by rounding. Only what exceeds that is an effect. Intervals are
+95 %, by resampling the proteins, each with all of its starts: they speak of proteins like these.
+"""
 
 from collections.abc import Iterator, Mapping
-from itertools import combinations
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,315 +15,350 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binomtest, bootstrap
 
-from protochain.analysis.studies.kcm_cases import KEY, METHODS
-from protochain.analysis.studies.kcm_plots import plot_shares, plot_traces
+from protochain.analysis.studies import kcm_plots
+from protochain.analysis.studies.kcm_cases import (
+    AT,
+    KEY,
+    LEFT,
+    METHODS,
+    SAME_ANGSTROM,
+    SAME_KJ_MOL,
+)
 from protochain.results.tables import save
 from protochain.structure.superpose import rmsd_angstrom
 
-START = ["protein", "model", "solvent", "start", "seed", "max_evaluations"]
-SCOPE = ["model", "solvent", "start"]
-SAME_ANGSTROM, SAME_POLISHED, SAME_RAW = 0.1, 0.1, 1.0
-"""C-alpha RMSD, and kJ/mol: two ends nearer than both are one minimum. Raw ends, to a torque of 1 kJ/mol/rad,
-still have some energy to lose."""
-FEW = 5
-"""Starts below which nothing is concluded."""
-PAIRS: Mapping[str, tuple[str, str]] = {
-    "KCM and dynamics": ("kcm-0.005", "md-10"), "angle": ("kcm-0.005", "kcm-0.01"),
-    "rule": ("kcm-0.005", "kcm-adaptive"), "metric": ("kcm-adaptive", "kcm-metric"),
-    "friction 100": ("kcm-metric", "md-100"), "friction 10": ("kcm-metric", "md-10"),
-    "friction 1": ("kcm-metric", "md-1"),
+START = ["protein", "model", "energy", "start", "seed"]
+FEW = 3
+"""Proteins below which nothing is concluded."""
+CONTROLS: Mapping[str, Mapping[str, str]] = {
+    "half the step": {
+        "kcm-0.005": "kcm-0.0025", "kcm-adaptive": "kcm-adaptive-half", "kcm-metric": "kcm-metric-half",
+        "md-1": "md-1-half", "md-10": "md-10-half",
+    },
+    "another order of sums": {
+        name: f"{name}-nudged" for name in ("kcm-0.005", "kcm-adaptive", "kcm-metric", "md-1")
+    },
+    "another seed": {"md-cooled": "md-cooled-reseeded"},
 }  # fmt: skip
-"""What two methods differ in. The control, KCM in the metric of masses, is overdamped motion of the chain: it
-differs from KCM with the same rule by the metric alone, and from dynamics by the inertia that friction, per
-ps, leaves."""
-DIFFERENCES = {
-    "KCM and dynamics, less rule": ("KCM and dynamics", "rule"),
-    "metric, less friction 1": ("metric", "friction 1"),
-}
-"""Of shares: below 0 the first of the two changes more minima than the second."""
-RISE = "dynamics above KCM, kJ/mol"
-_RESAMPLES = 2000
+"""By kind: methods and what they are without, for all that is known, any difference."""
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """Two methods, and what they differ in.
+
+    Parameters
+    ----------
+    what, a, b : str
+    is_control : bool
+        Whether nothing should depend on the difference.
+    """
+
+    what: str
+    a: str
+    b: str
+    is_control: bool = False
+
+
+CONTRASTS = (
+    *(Contrast(f"KCM and dynamics, friction {f}", "kcm-0.005", f"md-{f}") for f in (1, 10, 100)),
+    Contrast("metric", "kcm-adaptive", "kcm-metric"),
+    *(Contrast(f"inertia, friction {f}", "kcm-metric", f"md-{f}") for f in (1, 10, 100)),
+    Contrast("rule: adaptive angle", "kcm-0.005", "kcm-adaptive"),
+    Contrast("rule: constant compliance", "kcm-0.005", "kcm-proportional"),
+    Contrast("rule: by signs", "kcm-0.005", "kcm-sign"),
+    Contrast("twice the step of kcm-0.005", "kcm-0.005", "kcm-0.01", True),
+    *(
+        Contrast(f"{kind} of {a}", a, b, True)
+        for kind, pairs in CONTROLS.items()
+        for a, b in pairs.items()
+    ),
+)  # fmt: skip
+"""KCM in the metric of masses is overdamped motion of the chain: it differs from KCM with the same rule by
+the metric alone, and from dynamics by the inertia that friction, per ps, leaves. The rules of KCM turn along
+the same torques: a fixed largest angle, one that adapts, one compliance for all, or, by signs, all hinges by
+one angle."""
+SECONDS = (0.1, 1.0, 10.0)
+_RESAMPLES = 4000
 
 
 def write(output: Path, runs: pd.DataFrame, planned: set[tuple[Any, ...]]) -> Iterator[pd.DataFrame]:
-    """Write and yield what follows from the runs: tables, figures, and ``summary.md``."""
-    order = {method: k for k, method in enumerate(METHODS)}
-    runs = runs.sort_values("method", key=lambda names: names.map(order), kind="stable")
-    done = runs[runs["polished_energy_kj_mol"].notna()] if len(runs) else runs
-    if done.empty:
+    """Write and yield what follows from the runs: tables, the figure, and ``summary.md``."""
+    made = tables(runs)
+    if not made:
         return
-    by_method, pairs = ends(done), compared(done)
-    tables = {"ends": by_method, "cost": cost(done), "deposited": deposited(done)}
-    if not pairs.empty:
-        tables |= {"shares": shares(pairs), "contrasts": contrasts(pairs)}
-    save(output, {f"{name}.csv": table for name, table in tables.items()})
-    save(output, {"traces.png": plot_traces(_above(_complete(done)))})
-    if not pairs.empty:
-        save(output, {"shares.png": plot_shares(tables["shares"])})
-    lines = [counts(runs, planned), *unfinished(done)]
-    lines += (
-        answers(tables["contrasts"]) if "contrasts" in tables else ["No two methods have run from one start."]
-    )
-    save(output, {"summary.md": page(lines, tables)})
-    yield tables["cost"]
-    if "contrasts" in tables:
-        yield tables["contrasts"]
+    save(output, {f"{name}.csv": table for name, table in made.items()})
+    traces = output / "traces.csv"
+    figure = kcm_plots.plot(made, pd.read_csv(traces) if traces.exists() else None)
+    lines = [counts(runs, planned), *words(runs, made["contrasts"])]
+    save(output, {"kcm.png": figure, "summary.md": "\n\n".join(["# KCM against dynamics", *lines]) + "\n"})
+    yield made["contrasts"]
     yield pd.DataFrame({"summary": lines})
 
 
+def tables(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Tables by name: ``contrasts``, ``cost`` and ``deposited``; none without runs."""
+    done = runs[runs["energy_kj_mol"].notna()] if len(runs) else runs
+    if done.empty:
+        return {}
+    return {"contrasts": contrasts(done), "cost": cost(done), "deposited": deposited(done)}
+
+
 def counts(runs: pd.DataFrame, planned: set[tuple[Any, ...]]) -> str:
-    """How many of the runs planned there are, and of which proteins."""
+    """How many of the runs planned there are."""
     keys = set(runs[list(KEY)].itertuples(index=False, name=None))
-    of = f"{len(keys & planned)} of {len(planned)} runs planned"
     others = f", and {len(keys - planned)} others" if keys - planned else ""
-    refused = int(runs["polished_energy_kj_mol"].isna().sum())
-    failed = f"; {refused} were refused" if refused else ""
-    starts = runs[START].drop_duplicates()["protein"].value_counts(sort=False)
-    named = ", ".join(f"{name} {n}" for name, n in starts.items())
-    return f"This summary is of {of}{others}{failed}. Starts by protein: {named}."
+    return f"{len(keys & planned)} of {len(planned)} runs planned{others}."
 
 
-def ends(runs: pd.DataFrame) -> pd.DataFrame:
-    """Medians of the ends of each method, by protein and scope, with the number of runs.
+def compared(runs: pd.DataFrame) -> pd.DataFrame:
+    """Contrasts of every start: whether both are finished, one minimum, and how far b ends above a."""
+    rows = []
+    for key, own in runs.groupby(START, sort=False):
+        ends = {row["method"]: row for row in own.to_dict("records")}
+        for each in CONTRASTS:
+            if each.a not in ends or each.b not in ends:
+                continue
+            a, b = ends[each.a], ends[each.b]
+            apart = rmsd_angstrom(_alphas(a), _alphas(b))
+            rise = b["energy_kj_mol"] - a["energy_kj_mol"]
+            rows.append(
+                dict(zip(START, key, strict=True))
+                | {
+                    "what": each.what, "finished": bool(a["finished"] and b["finished"]),
+                    "same": float(apart < SAME_ANGSTROM and abs(rise) < SAME_KJ_MOL), "rise_kj_mol": rise,
+                }
+            )  # fmt: skip
+    return pd.DataFrame(rows, columns=[*START, "what", "finished", "same", "rise_kj_mol"])
 
-    ``left_kj_mol`` is what the polish took off, and ``above_kj_mol`` how far the polished end lies above the
-    lowest of all torsion methods from the same start.
+
+def contrasts(runs: pd.DataFrame) -> pd.DataFrame:
+    """Shares of finished pairs that end in one minimum, their baselines and effects.
+
+    One row an energy (``all`` together), kind of start and contrast. ``pairs`` counts the finished pairs,
+    ``left_out`` the others. ``same`` is the mean over proteins of their shares; ``baseline`` that of the
+    controls of both methods, from the same starts; ``effect`` their difference, of the starts that have a
+    baseline; ``rise_kj_mol`` how far the second's minima lie above the first's; each has its limits, ``_low``
+    and ``_high``. ``proteins_needed``: how many would tell the effect from 0, were they like these.
     """
-    found = _above(runs)
-    groups = found.groupby(["protein", *SCOPE, "method"], sort=False)
-    medians = groups[
-        ["energy_kj_mol", "torque_max_kj_mol_rad", "torque_rms_kj_mol_rad", "rmsd_start_angstrom",
-         "rmsd_native_angstrom", "evaluations", "seconds", "left_kj_mol", "polished_energy_kj_mol",
-         "above_kj_mol", "polished_rmsd_start_angstrom", "polished_rmsd_native_angstrom"]
-    ].median()  # fmt: skip
-    share = found.assign(converged=found["status"] == "converged").groupby(
-        ["protein", *SCOPE, "method"], sort=False
-    )["converged"].mean()  # fmt: skip
-    medians.insert(0, "converged_share", share)
-    medians.insert(0, "runs", groups.size())
-    return medians.reset_index()
+    pairs = compared(runs)
+    rows = []
+    for scope, own in _scopes(pairs):
+        finished = own[own["finished"].astype(bool)].set_index([*START, "what"])
+        wide = finished["same"].unstack("what") if len(finished) else finished
+        by_what = dict(iter(own.groupby("what", sort=False)))
+        effects: dict[str, pd.Series] = {}
+        for each in CONTRASTS:
+            if each.what not in by_what:
+                continue
+            every = by_what[each.what]
+            row = {**scope, "what": each.what, "starts": len(every), "pairs": int(every["finished"].sum())}
+            row["left_out"] = row["starts"] - row["pairs"]
+            if row["pairs"] == 0:
+                rows.append(row)
+                continue
+            same = wide[each.what].dropna()
+            row["proteins"] = same.index.get_level_values("protein").nunique()
+            row |= _interval("same", same, 0.0)
+            if not each.is_control:
+                baseline = _baseline(wide, each).reindex(same.index).dropna()
+                if len(baseline):
+                    effects[each.what] = baseline - same.reindex(baseline.index)
+                    row |= _interval("baseline", baseline, 0.0) | _interval(
+                        "effect", effects[each.what], -1.0
+                    )
+                    row["proteins_needed"] = _needed(effects[each.what])
+                rises = finished["rise_kj_mol"].xs(each.what, level="what")
+                row |= _interval("rise_kj_mol", rises)
+            rows.append(row)
+        rows += [
+            {**scope, "what": f"metric less {what}", "starts": len(both), "pairs": len(both), "left_out": 0,
+             "proteins": both.index.get_level_values("protein").nunique(), **_interval("effect", both, -1.0),
+             "proteins_needed": _needed(both)}
+            for what, both in _differences(effects)
+        ]  # fmt: skip
+    names = [f"{name}{end}" for name in ("same", "baseline", "effect", "rise_kj_mol") for end in ("", *_ENDS)]
+    columns = [
+        "energy",
+        "start",
+        "what",
+        "starts",
+        "pairs",
+        "left_out",
+        "proteins",
+        *names,
+        "proteins_needed",
+    ]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _differences(effects: Mapping[str, pd.Series]) -> Iterator[tuple[str, pd.Series]]:
+    """How much more the metric changes than inertia, from starts that have both."""
+    for what, inertia in effects.items():
+        if what.startswith("inertia") and "metric" in effects:
+            both = (effects["metric"] - inertia).dropna()
+            if len(both):
+                yield what, both
+
+
+def _baseline(wide: pd.DataFrame, contrast: Contrast) -> pd.Series:
+    """By start: the share of the controls of both methods that end in their minimum."""
+    of = [
+        f"{kind} of {method}"
+        for kind, pairs in CONTROLS.items()
+        for method in (contrast.a, contrast.b)
+        if method in pairs
+    ]
+    return wide.reindex(columns=of).mean(axis=1)
+
+
+def words(runs: pd.DataFrame, table: pd.DataFrame) -> Iterator[str]:
+    """Sentences that the contrasts carry; where an interval leaves it open, they say so."""
+    done = runs[runs["energy_kj_mol"].notna()]
+    n_starts = len(done[START].drop_duplicates())
+    yield (
+        f"{len(runs)} runs from {n_starts} starts of these {done['protein'].nunique()} proteins "
+        f"({', '.join(done['protein'].unique())}). "
+        f"Only finished pairs count: both runs within {LEFT:g} kJ/mol of the minimum that their own "
+        "continuation leads to."
+    )
+    together = table[(table["start"] == "all") & (table["energy"] == "all")]
+    for row in together.to_dict("records"):
+        if said := sentence_of(row):
+            yield said
+
+
+_SAID = {each.what: each for each in CONTRASTS if not each.is_control}
+
+
+def sentence_of(row: Mapping[Any, Any]) -> str:
+    """Say what a row of the contrasts shows, in numbers; empty for a control."""
+    what = str(row["what"])
+    if what.startswith("metric less"):
+        verdict = _verdict(row, "inertia does more", "the metric does more")
+        friction = what.rsplit(" ", 1)[1]
+        return f"Metric against inertia at a friction of {friction} per ps: {verdict}{_more(row)}."
+    if what not in _SAID:
+        return ""
+    pair = f"`{_SAID[what].a}` and `{_SAID[what].b}` ({what})"
+    left = f"{row['left_out']} of {row['starts']} starts left out"
+    if not row["pairs"]:
+        return f"{pair}: no finished pair; {left}."
+    shares = f"one minimum from {_percent(row, 'same')} of {row['pairs']} finished pairs"
+    if row["proteins"] < FEW:
+        return f"{pair}: {shares}, of too few proteins for an answer; {left}."
+    if not np.isfinite(row["effect"]):
+        return f"{pair}: {shares}, without a baseline; {left}."
+    verdict = _verdict(row, "more alike than their controls", "an effect")
+    return (
+        f"{pair}: {shares}, their controls {_percent(row, 'baseline')}: a difference of "
+        f"{_percent(row, 'effect')}, {verdict}{_more(row)}; {left}."
+    )
+
+
+def _verdict(row: Mapping[Any, Any], below: str, above: str) -> str:
+    if row["proteins"] < FEW:
+        return "too few proteins"
+    if row["effect_high"] < 0.0:
+        return below
+    return above if row["effect_low"] > 0.0 else "open"
+
+
+def _more(row: Mapping[Any, Any]) -> str:
+    """How many proteins would settle what is open."""
+    is_open = row["proteins"] >= FEW and row["effect_low"] <= 0.0 <= row["effect_high"]
+    if not is_open:
+        return ""
+    needed = row["proteins_needed"]
+    return f" ({needed:.0f} proteins like these would settle it)" if np.isfinite(needed) else ""
+
+
+def _percent(row: Mapping[Any, Any], name: str) -> str:
+    low, high = (100.0 * row[f"{name}{end}"] for end in _ENDS)
+    return f"{100.0 * row[name]:.0f} % ({low:.0f} to {high:.0f})"
 
 
 def cost(runs: pd.DataFrame) -> pd.DataFrame:
-    """Lowest energy for equal cost, by method: medians over all starts that every method has run from.
+    """Lowest energy for equal cost, by method: medians over starts from which all in torsions have run.
 
-    Energies, in kJ/mol, are above the lowest polished end of all torsion methods from the same start.
+    Energies, in kJ/mol, are above the lowest minimum of all methods in torsions from the same start, after so
+    many evaluations and so many seconds; ``minimum`` is where the run leads.
     """
-    found = _above(_complete(runs))
-    names = [str(name) for name in found if str(name).startswith("energy_at_")]
-    above = found[names].sub(found["lowest_kj_mol"], axis=0).rename(columns=lambda name: name[7:])
+    torsional = runs[runs["method"] != "openmm"]
+    n = torsional["method"].nunique()
+    found = torsional[torsional.groupby(START)["method"].transform("nunique") == n]
+    lowest = found.groupby(START)["energy_kj_mol"].transform("min")
+    names = [f"energy_at_{k}" for k in AT]
+    above = found[names].sub(lowest, axis=0).set_axis([f"at_{k}" for k in AT], axis=1)
+    energies = found[names].to_numpy()
+    for seconds in SECONDS:
+        # Seconds a run takes are in proportion to its evaluations.
+        reached = found["evaluations"] * np.minimum(1.0, seconds / found["seconds"])
+        place = np.maximum(np.searchsorted(AT, reached, side="right") - 1, 0)
+        above[f"at_{1000.0 * seconds:g}_ms"] = energies[np.arange(len(found)), place] - lowest
     above = above.assign(
-        method=found["method"],
-        converged=found["status"] == "converged",
-        evaluations=found["evaluations"],
-        left_kj_mol=found["left_kj_mol"],
-        polished_above_kj_mol=found["above_kj_mol"],
-    )
-    groups = above[above["method"] != "openmm"].groupby("method", sort=False)
-    table = groups.median().rename(columns={"converged": "converged_share"})
-    table["converged_share"] = groups["converged"].mean()
+        method=found["method"], finished=found["finished"].astype(float), evaluations=found["evaluations"],
+        left_kj_mol=found["left_kj_mol"], minimum_kj_mol=found["energy_kj_mol"] - lowest,
+    )  # fmt: skip
+    groups = above.groupby("method", sort=False)
+    table = groups.median()
+    table["finished"] = groups["finished"].mean()
     table.insert(0, "starts", groups.size())
-    return table.reset_index()
+    return table.reindex([name for name in METHODS if name in table.index]).reset_index()
 
 
 def deposited(runs: pd.DataFrame) -> pd.DataFrame:
-    """C-alpha RMSD from deposited structures to the minima, of starts that every method has run from.
-
-    Ends are polished in torsions; those of ``openmm``, which moves all atoms, are as it leaves them.
-    """
-    own = _complete(runs[runs["start"] == "deposited"])
-    away = own["polished_rmsd_start_angstrom"].where(own["method"] != "openmm", own["rmsd_start_angstrom"])
-    of = away.groupby(own["method"], sort=False)
+    """C-alpha RMSD from deposited structures to the minima, of starts that every method has run from."""
+    own = runs[(runs["start"] == "deposited") & (runs["energy"] != "nonbonded")]
+    n = own["method"].nunique()
+    own = own[own.groupby(START)["method"].transform("nunique") == n]
+    of = own["rmsd_start_angstrom"].groupby(own["method"], sort=False)
     found = {"starts": of.size(), "median_angstrom": of.median(), "largest_angstrom": of.max()}
     return pd.DataFrame(found).reset_index(names="method")
 
 
-def compared(runs: pd.DataFrame) -> pd.DataFrame:
-    """Every two torsion methods from every start: RMSD, difference of energy, whether it is one minimum."""
-    rows = []
-    torsional = runs[runs["method"] != "openmm"]
-    for key, own in torsional.groupby(START, sort=False):
-        ends = {row["method"]: row for row in own.to_dict("records")}
-        alphas = {
-            (name, prefix): np.array(row[f"{prefix}alphas_pm"].split(), dtype=float).reshape(-1, 3) / 1000.0
-            for name, row in ends.items()
-            for prefix in ("", "polished_")
-        }
-        for a, b in combinations([name for name in METHODS if name in ends], 2):
-            row = dict(zip(START, key, strict=True)) | {"a": a, "b": b}
-            for prefix, most in (("", SAME_RAW), ("polished_", SAME_POLISHED)):
-                apart = rmsd_angstrom(alphas[a, prefix], alphas[b, prefix])
-                rise = ends[b][f"{prefix}energy_kj_mol"] - ends[a][f"{prefix}energy_kj_mol"]
-                row[f"{prefix}rmsd_angstrom"], row[f"{prefix}rise_kj_mol"] = apart, rise
-                row[f"{prefix}same"] = apart < SAME_ANGSTROM and abs(rise) < most
-            rows.append(row)
-    return pd.DataFrame(rows)
-
-
-def shares(pairs: pd.DataFrame) -> pd.DataFrame:
-    """Share of starts in which two methods reach one minimum, raw and polished, with 95 % intervals."""
-    rows = []
-    for scope, own in _scopes(pairs):
-        for (a, b), both in own.groupby(["a", "b"], sort=False):
-            row = {**scope, "a": a, "b": b, "starts": len(both), "raw_share": both["same"].mean()}
-            row |= _interval("polished_share", _by_start(both, "polished_same"), 0.0)
-            row |= {"rmsd_median_angstrom": both["polished_rmsd_angstrom"].median()}
-            rows.append(row | _interval("b_above_a_kj_mol", _by_start(both, "polished_rise_kj_mol")))
-    return pd.DataFrame(rows)
-
-
-def contrasts(pairs: pd.DataFrame) -> pd.DataFrame:
-    """Shares of one minimum of methods that differ in one thing, and differences of these shares.
-
-    Only starts count from which all of these methods have run. One row a scope and ``what``, of ``PAIRS``,
-    ``DIFFERENCES`` and ``RISE``, with ``value`` and the limits ``low`` and ``high``.
-    """
-    rows = []
-    for scope, own in _scopes(pairs):
-        wide = own.pivot(index=START, columns=["a", "b"], values=["polished_same", "polished_rise_kj_mol"])
-        if not all(("polished_same", *pair) in wide for pair in PAIRS.values()):
-            continue
-        table = pd.DataFrame({what: wide["polished_same", *pair] for what, pair in PAIRS.items()})
-        table = table.dropna().astype(float)
-        for what, (more, less) in DIFFERENCES.items():
-            table[what] = table[more] - table[less]
-        table[RISE] = wide["polished_rise_kj_mol", *PAIRS["KCM and dynamics"]].astype(float)
-        table = table.reset_index()
-        for what in (*PAIRS, *DIFFERENCES, RISE) if len(table) else ():
-            least = 0.0 if what in PAIRS else -1.0 if what in DIFFERENCES else -np.inf
-            values = _by_start(table, what)
-            found = _interval("value", values, least)
-            limits = {"value": found["value"], "low": found["value_low"], "high": found["value_high"]}
-            rows.append({**scope, "starts": len(values), "what": what, **limits})
-    return pd.DataFrame(rows, columns=[*SCOPE, "starts", "what", "value", "low", "high"])
-
-
-def answers(table: pd.DataFrame) -> Iterator[str]:
-    """Sentences that the contrasts carry; where an interval leaves it open, they say so."""
-    for key, own in table.groupby([*SCOPE, "starts"], sort=False):
-        scope: Any = key
-        where = ", ".join(name for name in scope[:3] if name != "all") or "All together"
-        if scope[3] < FEW:
-            yield f"{where}: {scope[3]} starts are too few for an answer."
-            continue
-        rows: dict[str, Any] = {row["what"]: row for row in own.to_dict("records")}
-        share = {
-            what: f"{rows[what]['value']:.0%} ({rows[what]['low']:.0%} to {rows[what]['high']:.0%})"
-            for what in PAIRS
-        }
-        both, rise = rows["KCM and dynamics"], rows[RISE]
-        found = _verdict(both, 0.5, "less than half", "more than half")
-        apart = _verdict(rows["KCM and dynamics, less rule"], 0.0, "more often", "less often")
-        why = _verdict(rows["metric, less friction 1"], 0.0, "the metric does more", "inertia does more")
-        yield (
-            f"{where}, {scope[3]} starts. KCM (0.005 rad) and dynamics (friction 10 per ps) end in one "
-            f"minimum from {share['KCM and dynamics']}, {found}. Two angles of KCM (0.005 and 0.01 rad) do "
-            f"from {share['angle']}, the fixed and the adaptive angle from {share['rule']}: {apart}. A "
-            "change of the metric alone, to that of masses without inertia, leaves the minimum in "
-            f"{share['metric']}; inertia added to that leaves it in {share['friction 100']} at a friction "
-            f"of 100 per ps, in {share['friction 10']} at 10 and in {share['friction 1']} at 1. Metric "
-            f"against inertia, at 1: {why}. Minima of dynamics lie {rise['value']:+.2f} "
-            f"({rise['low']:+.2f} to {rise['high']:+.2f}) kJ/mol above those of KCM."
-        )
-
-
-def unfinished(runs: pd.DataFrame) -> Iterator[str]:
-    """Say which methods were mostly still on their way, or circling, when they were stopped."""
-    left = _above(runs).groupby("method", sort=False)["left_kj_mol"].median()
-    named = [f"{name} {value:.1f}" for name, value in left.items() if value > SAME_RAW and name != "openmm"]
-    if named:
-        yield (
-            "Stopped above a minimum: of these methods the polish took off more than "
-            f"{SAME_RAW:g} kJ/mol in the median, and it, too, chose their minimum: {', '.join(named)}."
-        )
-
-
-def _verdict(row: Mapping[str, Any], level: float, below: str, above: str) -> str:
-    """What an interval says of a level."""
-    if row["high"] < level:
-        return below
-    return above if row["low"] > level else "these starts leave it open"
-
-
-def page(lines: list[str], tables: Mapping[str, pd.DataFrame]) -> str:
-    """Text of ``summary.md``."""
-    parts = ["# KCM against constrained dynamics", *lines]
-    parts.append(
-        f"One minimum: C-alpha RMSD below {SAME_ANGSTROM} angstrom and energies within {SAME_POLISHED} "
-        "kJ/mol, after the polish that all ends get. Intervals: 95 %, by bootstrap over starts (runs of one "
-        "start in several models count as one), exact binomial where all starts agree. They speak of more "
-        "starts of these proteins, not of other proteins."
-    )
-    if "contrasts" in tables:
-        parts += ["## Starts that reach one minimum", _markdown(tables["contrasts"])]
-    shown = ["method", "starts", "converged_share", "evaluations", "left_kj_mol", "polished_above_kj_mol"]
-    few = {f"at_{n}": f"after {n}" for n in (10, 100, 1000, 10_000)}
-    parts += [
-        "## Lowest energy for equal cost",
-        "Medians, in kJ/mol above the lowest polished end of the start; `left` is what the polish took off.",
-        _markdown(tables["cost"][[*shown, *few]].rename(columns=few)),
-    ]
-    if len(tables["deposited"]):
-        parts += [
-            "## How far minima lie from deposited structures",
-            "C-alpha RMSD; minima in torsions, after the polish, and of `openmm` in all atoms.",
-            _markdown(tables["deposited"]),
-        ]
-    return "\n\n".join(parts) + "\n"
-
-
-def _markdown(table: pd.DataFrame) -> str:
-    head = "| " + " | ".join(table.columns) + " |\n|" + "---|" * len(table.columns)
-    cells = [[f"{v:.3g}" if isinstance(v, float) else str(v) for v in row] for row in table.to_numpy()]
-    return "\n".join([head, *("| " + " | ".join(row) + " |" for row in cells)])
+def _alphas(row: Mapping[Any, Any]) -> np.ndarray:
+    """(n, 3) float, nm: C-alphas of a row."""
+    return np.array(row["alphas_pm"].split(), dtype=float).reshape(-1, 3) / 1000.0
 
 
 def _scopes(pairs: pd.DataFrame) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
-    """All together; by kind of start; by model, solvent and kind of start."""
-    together = dict.fromkeys(SCOPE, "all")
-    yield together, pairs
-    if pairs["start"].nunique() > 1:
-        for kind, own in pairs.groupby("start", sort=False):
-            yield {**together, "start": kind}, own
-    for key, own in pairs.groupby(SCOPE, sort=False):
-        yield dict(zip(SCOPE, key, strict=True)), own
+    """All together; by kind of start; by energy."""
+    yield {"energy": "all", "start": "all"}, pairs
+    for kind, own in pairs.groupby("start", sort=False):
+        yield {"energy": "all", "start": kind}, own
+    for energy, own in pairs.groupby("energy", sort=False):
+        yield {"energy": energy, "start": "all"}, own
 
 
-def _by_start(table: pd.DataFrame, column: str) -> np.ndarray:
-    """Values by start: the mean over its models and solvents, which are no independent samples."""
-    grouped = table[column].astype(float).groupby([table["protein"], table["start"], table["seed"]])
-    return np.asarray(grouped.mean())
+_ENDS = ("_low", "_high")
 
 
-def _interval(name: str, values: np.ndarray, least: float = -np.inf) -> dict[str, float]:
-    """Mean of values, with its 95 % interval by bootstrap (percentiles).
+def _by_protein(values: pd.Series) -> np.ndarray:
+    return np.asarray(values.groupby(level="protein", sort=False).mean(), dtype=float)
 
-    ``least`` is that of a share (0) or of a difference of shares (-1): where all starts agree nothing varies,
-    and the interval is as wide as the exact binomial one of none in so many.
+
+def _interval(name: str, values: pd.Series, least: float = -np.inf) -> dict[str, float]:
+    """Mean over proteins of values by start, with its 95 % interval by resampling proteins (percentiles).
+
+    ``least`` is that of a share (0) or of a difference of shares (-1): where all proteins agree nothing
+    varies, and the interval is as wide as the exact binomial one of none in so many.
     """
-    mean = low = high = float(np.mean(values))
-    if np.ptp(values) > 0.0:
+    means = _by_protein(values)
+    mean = low = high = float(means.mean())
+    if np.ptp(means) > 0.0:
         random = np.random.default_rng(0)
-        found = bootstrap((values,), np.mean, n_resamples=_RESAMPLES, method="percentile", rng=random)
+        found = bootstrap((means,), np.mean, n_resamples=_RESAMPLES, method="percentile", rng=random)
         low, high = found.confidence_interval
     elif np.isfinite(least):
-        width = binomtest(0, len(values)).proportion_ci(0.95, "exact").high
+        width = binomtest(0, len(means)).proportion_ci(0.95, "exact").high
         low, high = max(least, mean - width), min(1.0, mean + width)
     return {name: mean, f"{name}_low": float(low), f"{name}_high": float(high)}
 
 
-def _complete(runs: pd.DataFrame) -> pd.DataFrame:
-    """Runs of starts from which every method has run that ran from any."""
-    n = runs["method"].nunique()
-    return runs[runs.groupby(START)["method"].transform("nunique") == n]
-
-
-def _above(runs: pd.DataFrame) -> pd.DataFrame:
-    """Runs with the lowest polished end of torsion methods from their start, and differences to it."""
-    torsional = runs["polished_energy_kj_mol"].where(runs["method"] != "openmm")
-    lowest = torsional.groupby([runs[name] for name in START]).transform("min")
-    return runs.assign(
-        lowest_kj_mol=lowest,
-        above_kj_mol=runs["polished_energy_kj_mol"] - lowest,
-        left_kj_mol=runs["energy_kj_mol"] - runs["polished_energy_kj_mol"],
-    )
+def _needed(values: pd.Series) -> float:
+    """Number of proteins whose interval would not hold 0, if mean and spread stayed as they are."""
+    means = _by_protein(values)
+    if len(means) < FEW or not means.mean():
+        return np.nan
+    return float(np.ceil((1.96 * means.std(ddof=1) / means.mean()) ** 2))
