@@ -193,7 +193,8 @@ class Setup(Settings):
 
         return (build_energy or energy)(
             structure, forcefield=self.forcefield, solvent=self.solvent, engine=self.engine,
-            cutoff=self.cutoff, threads=self.threads, trust_forcefield=self.trust_forcefield, terms=self.terms,
+            cutoff=self.cutoff, threads=self.threads, trust_forcefield=self.trust_forcefield,
+            terms=self.terms,
         )  # fmt: skip
 
 

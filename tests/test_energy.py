@@ -427,10 +427,9 @@ def test_nonbonded_terms_are_those_of_openmm_without_its_torsions():
         assert names - left == {"PeriodicTorsionForce"} and left < names
         by_kind, _ = whole.reference.parts(structure.positions)
         torsions = sum(value for name, value in by_kind.items() if "Torsion" in name)
-        assert less(structure.positions)[0] == pytest.approx(
-            whole(structure.positions)[0] - torsions, abs=1e-6
-        )
-        assert less.reference(structure.positions)[0] == pytest.approx(less(structure.positions)[0], abs=1e-6)
+        value = less(structure.positions)[0]
+        assert value == pytest.approx(whole(structure.positions)[0] - torsions, abs=1e-6)
+        assert value == pytest.approx(less.reference(structure.positions)[0], abs=1e-6)
     assert "nonbonded" in less.forcefield and less.fingerprint != whole.fingerprint
 
 
@@ -441,5 +440,7 @@ def test_nonbonded_terms_are_for_methods_that_only_turn_hinges():
     for method in ("cartesian", "hybrid", "openmm"):
         with pytest.raises(pc.ProtochainError, match="twist peptide bonds"):
             pc.minimise(structure, energy, method)
+    with pytest.raises(pc.ProtochainError, match="twist peptide bonds"):
+        pc.relax(structure, terms="nonbonded")
     with pytest.raises(pc.ProtochainError, match="'bonded'"):
         pc.energy(structure, terms="bonded")

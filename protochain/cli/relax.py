@@ -53,7 +53,7 @@ TimeLimit = Annotated[float, typer.Option(help="Of several: seconds after which 
 Resume = Annotated[bool, typer.Option("--resume", help="Of several: continue in the folder.")]
 
 
-@with_settings(setup="hinges")
+@with_settings(setup="hinges terms")
 def relax(
     inputs: Inputs = None,
     output: Output = None,

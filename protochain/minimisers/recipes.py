@@ -82,6 +82,21 @@ class Run:
         return with_reference(stage) if self.continued else [stage]
 
 
+def check_dihedrals(energy: Energy, what: str) -> None:
+    """Refuse an energy without dihedral terms for what moves all atoms.
+
+    Raises
+    ------
+    ProtochainError
+        Naming what moves them.
+    """
+    if energy.system is not None and not torsion_forces(energy.system):
+        raise ProtochainError(
+            f"{what} moves all atoms, and an energy without dihedral terms would twist peptide bonds; "
+            "choose a method that only turns hinges, as lbfgs, or all terms"
+        )
+
+
 def _tethered(method: Any, tether: Floats | None) -> Method:
     """Method whose model of the Hessian has the springs of a restraint (na,), too."""
     metric = getattr(getattr(method, "direction", None), "metric", None)
@@ -164,11 +179,8 @@ class Recipe:
             raise ProtochainError(
                 f"method {self.name!r} needs an OpenMM System, and a callable has none; choose another"
             )
-        if not self.keeps_geometry and energy.system is not None and not torsion_forces(energy.system):
-            raise ProtochainError(
-                f"method {self.name!r} moves all atoms, and an energy without dihedral terms would twist peptide "
-                "bonds; choose one that only turns hinges, as lbfgs, or all terms"
-            )
+        if not self.keeps_geometry:
+            check_dihedrals(energy, f"method {self.name!r}")
 
     def plan(
         self,

@@ -15,6 +15,7 @@ from protochain.core.markup import counted, listed
 from protochain.energies import Energy
 from protochain.frame import Frame
 from protochain.minimisers.problem import Evaluation, Force
+from protochain.minimisers.recipes import check_dihedrals
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import Stage
 from protochain.minimisers.verdict import Status, verdict
@@ -87,6 +88,7 @@ def relax_structure(
     excluded = _excluded(structure, settings.exclude)
     mobile = read_only(moving(structure, move), np.bool_)
     held_by = _held_by(mobile, settings)
+    check_dihedrals(energy, "relax")
     first = _repacked(structure, energy, mobile) if settings.repack else structure
     trace = _Trace(watch)
     relaxer = Relaxer(first, energy, settings.strength, settings.max_iterations, trace, mobile)
