@@ -37,8 +37,9 @@ def test_settings_are_the_defaults_where_none_are_given():
 @pytest.mark.parametrize(
     ("recipe", "settings", "said"),
     [
-        ("lbfgs", {"tolerance": 0.0}, "tolerance 0: give a number above 0"),
-        ("lbfgs", {"tolerance": np.inf}, "tolerance inf: give a number above 0"),
+        ("lbfgs", {"tolerance": 0.0}, "tolerance 0: give a number above 0, at most 1e6"),
+        ("lbfgs", {"tolerance": 1e308}, "tolerance 1e+308: give a number above 0, at most 1e6"),
+        ("lbfgs", {"tolerance": np.inf}, "tolerance inf: give a number above 0, at most 1e6"),
         ("lbfgs", {"max_evaluations": 0}, "max_evaluations 0: give at least 1"),
         ("lbfgs", {"seed": -1}, "seed -1: give 0 or more"),
         ("openmm", {"restraint": 1.0},
