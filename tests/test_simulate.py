@@ -1,5 +1,6 @@
 """Simulations of proteins: energy, temperature, files, going on, and what goes wrong."""
 
+import inspect
 import json
 import os
 import signal
@@ -16,8 +17,10 @@ from scipy.stats import kstest
 
 import protochain as pc
 from protochain.contacts import overlaps
+from protochain.core.settings import settings_of
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import Leapfrog, Simulation, StepTooLargeError, System, closure_of, simulate
+from protochain.dynamics.settings import RunSettings, SimulationSettings
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind, random_tree
 from protochain.structure.superpose import rmsd
@@ -509,6 +512,12 @@ def test_settings_that_make_no_sense_are_refused_by_name(settings, word, small, 
     with pytest.raises(pc.ProtochainError, match=word):
         simulate(c, e, **{"q": q, **settings})
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", [SimulationSettings, RunSettings])
+def test_every_setting_is_a_keyword_of_the_call_with_its_default(kind):
+    keywords = inspect.signature(simulate).parameters
+    assert {name: keywords[name].default for name, _ in settings_of(kind)} == vars(kind())
 
 
 def test_usage_errors_are_one_line(tmp_path):

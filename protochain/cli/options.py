@@ -5,18 +5,19 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import Field, fields
+from dataclasses import MISSING, Field, fields
 from functools import wraps
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from protochain.core import defaults
 from protochain.core.errors import Angle, Argument, ProtochainError
 from protochain.core.markup import counted
-from protochain.core.settings import Setting, settings_of
+from protochain.core.settings import Made, Setting, settings_of
+from protochain.dynamics.settings import RunSettings, SimulationSettings
 from protochain.minimisers.settings import MinimiseSettings, StartSettings
 from protochain.relaxation.settings import RelaxSettings
 from protochain.setup import Setup
@@ -31,8 +32,6 @@ CONVERGED, FAILED, BAD_INPUT, UNCONVERGED = 0, 1, 2, 3
 
 STANDARD_OUTPUT = "-"
 """Name of an output that is printed instead of written to a file."""
-
-Made = TypeVar("Made")
 
 _SHOWN_OVERLAPS = 5
 """Overlaps reported before a run; ``info`` lists all."""
@@ -96,8 +95,8 @@ def _option(name: str, kind: Any, usual: Any, names: list[str], its: Setting) ->
     )
 
 
-def _made(kind: type[Made], options: Mapping[str, Any]) -> Made:
-    """Settings made of options; those that are not given keep their defaults."""
+def _made(kind: type[Made], options: Mapping[str, Any]) -> Made | None:
+    """Settings made of options; those that are not given keep their defaults. None without what they need."""
     given = {}
     for name, its in settings_of(kind):
         value: Any = options.get(name)
@@ -107,7 +106,8 @@ def _made(kind: type[Made], options: Mapping[str, Any]) -> Made:
             value = [its.word[2], *(value or ())]
         if value not in (None, []):
             given[name] = its.read(value) if its.read else value
-    return kind(**given)
+    needed = {each.name for each in fields(kind) if each.default is MISSING}  # type: ignore[arg-type]  # a dataclass
+    return kind(**given) if needed <= given.keys() else None
 
 
 def fail(message: str, status: int = FAILED) -> int:
@@ -180,9 +180,9 @@ def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
         print(line)
 
 
-RENAMED = {"n_steps": "steps", "hinge_springs": "hinge_spring"} | {
+RENAMED = {"between": "pull"} | {
     name: its.column(name)
-    for kind in (Setup, MinimiseSettings, StartSettings, RelaxSettings)
+    for kind in (Setup, MinimiseSettings, StartSettings, RelaxSettings, SimulationSettings, RunSettings)
     for name, its in settings_of(kind)
     if its.option
 }
