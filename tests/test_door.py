@@ -283,6 +283,12 @@ def test_checks_leave_signatures_and_defaults_as_they_are():
         pc.energy(S(), colour="red")
 
 
+@pytest.mark.parametrize("name", [name for name in pc.__all__ if inspect.isfunction(getattr(pc, name))])
+def test_a_signature_can_be_read(name):
+    said = str(inspect.signature(getattr(pc, name)))
+    assert "numpy" not in said and "<class" not in said
+
+
 CLONES = {
     "pickle": lambda value: pickle.loads(pickle.dumps(value)),
     "copy": copy.copy,

@@ -61,15 +61,6 @@ def test_settings_that_make_sense_are_not():
     Minimisation(LBFGS, max_evaluations=1, checkpoint="run.npz", resume="run.npz", restraint=1.0)
 
 
-def test_an_unknown_option_is_refused_with_those_there_are():
-    with pytest.raises(pc.ProtochainError) as refusal:
-        pc.minimise(None, max_rmsd=1.0, colour="red")
-    assert str(refusal.value) == (
-        "minimise has no option 'colour'; besides its parameters it takes "
-        "restraint, max_rmsd, checkpoint, resume, curvature"
-    )
-
-
 FORCES = np.random.default_rng(0).normal(size=chain("ala10.pdb").structure.positions.shape)
 
 

@@ -1,5 +1,7 @@
 """``simulate``: constrained dynamics of a chain, from settings to output files and a result."""
 
+from __future__ import annotations
+
 import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
