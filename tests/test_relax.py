@@ -15,6 +15,7 @@ from conftest import NATIVE_ENERGY, NATIVE_FORCE, SPRING_ENERGY, energy, load, s
 
 import protochain as pc
 from protochain.contacts import joined, overlaps
+from protochain.core.interrupts import held_interrupts
 from protochain.energies import OpenMMEnergy, build_system
 from protochain.minimisers.loop import Stop
 from protochain.relaxation import PRESETS, PROTOCOLS, RelaxSettings, rounds
@@ -389,6 +390,28 @@ def test_the_budget_of_iterations_holds_while_rings_are_freed():
     relaxer = Relaxer(planted.structure, energy("1l2y.pdb"), PRESETS["predicted"], 3, note)
     relaxer._unthreaded(planted.structure.positions, rounds._Work(0))
     assert len(points) == 4
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("is_raised", [True, False])
+def test_an_interrupt_while_rings_are_freed_ends_the_run(is_raised):
+    """Not that stage alone, and what it has come to is kept."""
+    (planted,) = models.planted_rings([load("1l2y.pdb")], 1, seed=1)
+    points = []
+
+    def note(name, at, evaluations):
+        points.append(at)
+        if len(points) == 4 and is_raised:
+            raise KeyboardInterrupt
+        if len(points) == 4:
+            signal.raise_signal(signal.SIGINT)
+
+    s = planted.structure
+    relaxer = Relaxer(s, energy("1l2y.pdb"), PRESETS["predicted"], 2000, note)
+    with held_interrupts():
+        (done,) = relaxer.rounds(s.positions, np.zeros(s.n_residues, bool), 3)
+    assert done.stop is Stop.INTERRUPTED and len(points) <= 5
+    assert not np.array_equal(done.x, s.positions)
 
 
 @pytest.mark.slow

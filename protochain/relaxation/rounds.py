@@ -231,6 +231,8 @@ class Relaxer:
         self, energy: Force, springs: Tethers, x: Floats, work: "_Work", stage: "_Stage | None" = None
     ) -> "tuple[Floats, Stop, _Work]":
         """Positions, why it ended, and the work with that of the stages before."""
+        if work.interrupted:
+            return x, Stop.INTERRUPTED, work
         stage = stage or _Stage(Phase.WHOLE, self.strength.tolerance, PATIENCE)
         space = self._space
         if space.terms is None:
@@ -255,9 +257,9 @@ class Relaxer:
         except KeyboardInterrupt:
             if not work.so_far:
                 raise
-            return x, Stop.INTERRUPTED, work
+            return x, Stop.INTERRUPTED, work._replace(interrupted=True)
         x = space.place(lowest(problem, ending, q)).x
-        return x, ending.stop, work.and_more(ending.last.n_iterations, problem.n_evaluations)
+        return x, ending.stop, work.and_more(ending.last.n_iterations, problem.n_evaluations, ending.stop)
 
     @cached_property
     def shapes(self) -> Sum:
@@ -323,10 +325,15 @@ class Relaxer:
                 if next(left, None) is None:
                     raise BudgetSpentError
 
-            ending = run(problem, own.method, q, own.tolerance, own.patience, record)
+            try:
+                ending = run(problem, own.method, q, own.tolerance, own.patience, record)
+            except KeyboardInterrupt:
+                if not work.so_far:
+                    raise
+                return x, work._replace(interrupted=True)
             x = space.place(own.answer(problem, ending, q)).x
-            work = work.and_more(0, problem.n_evaluations)
-            if ending.stop is Stop.BUDGET:
+            work = work.and_more(0, problem.n_evaluations, ending.stop)
+            if ending.stop in (Stop.BUDGET, Stop.INTERRUPTED):
                 break
         return x, work
 
@@ -357,20 +364,22 @@ class Relaxer:
 
 
 class _Work(NamedTuple):
-    """Evaluations of the rounds before; iterations and evaluations of a round so far."""
+    """Evaluations of the rounds before; iterations and evaluations of a round so far; whether it must end."""
 
     before: int
     iterations: int = 0
     evaluations: int = 0
+    interrupted: bool = False
 
     @property
     def so_far(self) -> int:
         """Evaluations of all rounds."""
         return self.before + self.evaluations
 
-    def and_more(self, iterations: int, evaluations: int) -> "_Work":
-        """With those of another minimisation."""
-        return _Work(self.before, self.iterations + iterations, self.evaluations + evaluations)
+    def and_more(self, iterations: int, evaluations: int, stop: Stop) -> "_Work":
+        """With those of another minimisation, and how it ended."""
+        iterations, evaluations = self.iterations + iterations, self.evaluations + evaluations
+        return _Work(self.before, iterations, evaluations, stop is Stop.INTERRUPTED)
 
 
 class _Stage(NamedTuple):
