@@ -1,10 +1,9 @@
 """``protochain minimise``."""
 
 import json
-import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, nullcontext, redirect_stdout
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,11 @@ from protochain.cli.options import (
     STANDARD_OUTPUT,
     UNCONVERGED,
     AsJson,
+    Force,
     Input,
+    Report,
+    beside_structure,
+    check_names,
     check_outputs,
     fail,
     inputs_of,
@@ -25,6 +28,7 @@ from protochain.cli.options import (
     prepare,
     print_lost,
     with_settings,
+    write_models,
 )
 from protochain.cli.terminal import (
     TROUBLED,
@@ -61,9 +65,7 @@ Method = Annotated[
 Angle = Annotated[float | None, typer.Option(help="Turn of a hinge in a step of kcm, rad [default: 0.0005].")]
 Trace = Annotated[Path | None, typer.Option(help="CSV with a row for each iteration.")]
 Trajectory = Annotated[Path | None, typer.Option(help="DCD or XTC with a frame for each iteration.")]
-Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
 OneFile = Annotated[bool, typer.Option("--one-file", help="Write all models into one file.")]
-Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
 
 
 @with_settings()
@@ -89,6 +91,7 @@ def minimise(
     from protochain.minimisers.api import Minimisation
     from protochain.minimisers.recipes import at_angle, recipe_of
     from protochain.minimisers.starts import refuse_held
+    from protochain.structure.trajectory import check_trajectory
 
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
     Minimisation(recipe_of(chosen), **vars(minimising), **vars(saving))
@@ -98,7 +101,9 @@ def minimise(
     beside = [Path(path) for path in (trace, trajectory, saving.checkpoint, report) if path]
     stem, suffix = named_after(source)
     output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
-    _check_outputs(output, trajectory, report, as_json)
+    check_names(output, report, as_json)
+    if trajectory:
+        check_trajectory(trajectory)
     runs = _runs(source, output, setup, bool(beside or saving.resume), one_file)
     written = [*dict.fromkeys(path for _, path in runs), *beside]
     check_outputs(inputs_of(setup, source, saving.resume), written, force)
@@ -117,7 +122,7 @@ def minimise(
             records.append(_solved(context, source, own, path, chosen, solve, lengths, write))
             if records[-1]["status"] == "interrupted":
                 break
-    with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
+    with beside_structure(output):
         _print(records, as_json, isinstance(setup.model, str))
     raise typer.Exit(_status(records, len(runs)))
 
@@ -126,21 +131,6 @@ def _status(records: list[dict[str, Any]], n_runs: int) -> int:
     """Exit status of all runs."""
     whole = [record["status"] == "converged" and "not_written" not in record for record in records]
     return CONVERGED if len(whole) == n_runs and all(whole) else UNCONVERGED
-
-
-def _check_outputs(output: Path, trajectory: Path | None, report: Path | None, as_json: bool) -> None:
-    """Refuse names that tell no format, and two outputs on standard output."""
-    from protochain.structure.trajectory import check_trajectory
-    from protochain.structure.write import check_format
-
-    if str(output) != STANDARD_OUTPUT:
-        check_format(output)
-    elif as_json:
-        raise ProtochainError("output -: structure and --json both go to standard output; give a file")
-    if trajectory:
-        check_trajectory(trajectory)
-    if report and report.suffix.lower() != ".html":
-        raise ProtochainError(f"{report}: give a name that ends in .html")
 
 
 def _runs(
@@ -195,7 +185,7 @@ class _Writer:
 
         self.done.append(solution)
         if not self.one_file:
-            self._write(path, [solution.structure], solution.provenance())
+            write_models([solution.structure], path, self.suffix, solution.provenance())
         written: dict[str, Any] = {}
         try:
             if self.trace:
@@ -218,17 +208,7 @@ class _Writer:
         if self.one_file and self.done:
             models = [solution.structure for solution in self.done]
             told = (f"MODEL {s.structure.model_number}: {line}" for s in self.done for line in s.provenance())
-            self._write(self.output, models, told)
-
-    def _write(self, path: Path, models: "list[Structure]", remarks: Iterable[str]) -> None:
-        from protochain.structure import save
-        from protochain.structure.write import as_text, common_suffix
-
-        if str(path) == STANDARD_OUTPUT:
-            suffix = self.suffix if self.suffix != ".pdb" else common_suffix(models)
-            sys.stdout.write(as_text(models, suffix, remarks))
-        else:
-            save(models, path, remarks)
+            write_models(models, self.output, self.suffix, told)
 
 
 def _solved(

@@ -5,6 +5,7 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from dataclasses import MISSING, Field, fields
 from functools import wraps
 from pathlib import Path
@@ -42,6 +43,8 @@ Input = Annotated[
 Manifest = Annotated[Path | None, typer.Option(help="CSV with a column path, and any settings as columns.")]
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
+Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
+Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
 
 
 def with_settings(**without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -228,3 +231,33 @@ def check_outputs(inputs: Sequence[Path], outputs: Sequence[Path], force: bool |
             instead = "" if force is None else ", or --force to replace it"
             raise ProtochainError(f"{output}: is the input; give another name{instead}")
         check_writable(output)
+
+
+def check_names(output: Path, report: Path | None, as_json: bool) -> None:
+    """Refuse names of a structure and a page that tell no format, and two outputs on standard output."""
+    from protochain.structure.write import check_format
+
+    if str(output) != STANDARD_OUTPUT:
+        check_format(output)
+    elif as_json:
+        raise ProtochainError("output -: structure and --json both go to standard output; give a file")
+    if report and report.suffix.lower() != ".html":
+        raise ProtochainError(f"{report}: give a name that ends in .html")
+
+
+def write_models(
+    models: "list[Structure]", output: Path, suffix: str, remarks: Iterable[str], hydrogens: bool = True
+) -> None:
+    """Write to a file, or to standard output in the format of a suffix; mmCIF where PDB is too small."""
+    from protochain.structure import save
+    from protochain.structure.write import as_text, common_suffix
+
+    if str(output) != STANDARD_OUTPUT:
+        return save(models, output, remarks, hydrogens=hydrogens)
+    suffix = suffix if suffix != ".pdb" else common_suffix(models)
+    sys.stdout.write(as_text(models, suffix, remarks, hydrogens=hydrogens))
+
+
+def beside_structure(output: Path) -> AbstractContextManager[Any]:
+    """Where a command prints, while a structure may be on standard output."""
+    return redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext()
