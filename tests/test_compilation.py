@@ -223,7 +223,7 @@ def test_helpers_are_called_once_for_a_listed_kernel_and_end_with_the_caller(lis
     popen = lambda command, **options: started.append((command, options["env"])) or "a helper"  # noqa: E731
     monkeypatch.setattr(compile_helpers, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=-3))
     monkeypatch.setattr(compile_helpers.atexit, "register", lambda end, helper: ends.append((end, helper)))
-    monkeypatch.setattr(compile_helpers, "_cores", lambda: 3)
+    monkeypatch.setattr(compile_helpers, "processors", lambda: 3)
     monkeypatch.setattr(compile_helpers, "_HELD", [])
     compile_helpers.call_helpers("caller_listed whole", tmp_path)
     assert not started  # A helper itself.
@@ -245,7 +245,7 @@ def test_helpers_leave_a_core_to_the_run(listed, tmp_path, monkeypatch, cores, h
     started = []
     monkeypatch.setattr(compile_helpers.subprocess, "Popen", lambda *_, **__: started.append(1))
     monkeypatch.setattr(compile_helpers.atexit, "register", lambda *_: None)
-    monkeypatch.setattr(compile_helpers, "_cores", lambda: cores)
+    monkeypatch.setattr(compile_helpers, "processors", lambda: cores)
     monkeypatch.setattr(compile_helpers, "_HELD", [])
     monkeypatch.delenv(compile_helpers._HELPER)
     compile_helpers.call_helpers("caller_listed whole", tmp_path)

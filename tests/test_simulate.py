@@ -360,7 +360,9 @@ def test_a_damaged_checkpoint_is_refused_part_by_part(tmp_path):
         where[name] = change(before)
         np.savez(path, text=np.array(json.dumps(text)), **arrays)
         where[name] = before
-        with pytest.raises(pc.ProtochainError, match=rf"damaged checkpoint \({name}.*force=True$") as refusal:
+        with pytest.raises(
+            pc.ProtochainError, match=rf"damaged checkpoint \(\w+: .*{name}.*force=True$"
+        ) as refusal:
             simulate(c, e, output=tmp_path, resume=True, **{**settings, "n_steps": 8})
         assert str(refusal.value).startswith(str(path))
     path.write_bytes(content)

@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from protochain.core.processors import processors
 from protochain.core.subprocesses import own_python
 
 MOST = 3
@@ -56,7 +57,7 @@ def _start(place: Path) -> None:
     # Not a program that has Python inside.
     if getattr(sys, "frozen", False) or not python.name.startswith("python"):
         return
-    for number in range(1, min(_cores() - 1, MOST) + 1):
+    for number in range(1, min(processors() - 1, MOST) + 1):
         try:
             helper = subprocess.Popen(
                 own_python("from protochain.core.compile_helpers import help_out; help_out()"),
@@ -71,10 +72,6 @@ def _start(place: Path) -> None:
 def _end(helper: "subprocess.Popen[bytes]") -> None:
     helper.kill()
     helper.wait()
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache

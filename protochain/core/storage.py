@@ -230,6 +230,22 @@ def fitting(arrays: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Flo
     return found
 
 
+@contextmanager
+def undamaged(path: Path, *remedy: str | Argument) -> Iterator[None]:
+    """Say of which checkpoint it is that something does not fit.
+
+    Raises
+    ------
+    ProtochainError
+        In place of what reading damaged parts raises.
+    """
+    try:
+        yield
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise ProtochainError(f"{path}: damaged checkpoint ({what}); ", *remedy) from None
+
+
 _DAMAGED = (
     OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile, RuntimeError, zlib.error,
 )  # fmt: skip

@@ -16,6 +16,7 @@ from protochain.core.storage import (
     check_writable,
     fitting,
     read_arrays,
+    undamaged,
     write_arrays,
     write_text,
     writing,
@@ -90,21 +91,6 @@ def constants_of(path: Path) -> dict[str, Floats]:
     return _read(path, {})[0]
 
 
-@contextmanager
-def undamaged(path: Path) -> Iterator[None]:
-    """Say of which checkpoint it is that something does not fit.
-
-    Raises
-    ------
-    ProtochainError
-        In place of what reading damaged parts raises.
-    """
-    try:
-        yield
-    except (KeyError, TypeError, ValueError) as error:
-        raise ProtochainError(f"{path / CHECKPOINT}: damaged checkpoint ({error}); ", *_AGAIN) from None
-
-
 class Folder:
     """Files of one simulation, appended to as it runs.
 
@@ -168,7 +154,7 @@ class Folder:
             State at the checkpoint, rows logged so far, and positions the neighbour lists were made at.
         """
         arrays, values = _read(self.path, self.settings)
-        with undamaged(self.path):
+        with undamaged(self.path / CHECKPOINT, *_AGAIN):
             state = _state(tree, arrays, values)
             fitting(arrays, "memory", first(state.at).memory.shape)
             self.start = fitting(arrays, "start", (structure.n_atoms, 3))
