@@ -43,20 +43,11 @@ def files_of(path: Path, suffix: str) -> list[Path]:
 def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
     """Check the output folder before any work is done.
 
-    Parameters
-    ----------
-    path : Path
-    suffix : str
-        ``dcd`` or ``xtc``.
-    resume : bool
-        Continue the simulation in the folder.
-    force : bool
-        Replace the simulation in the folder.
-
     Raises
     ------
     ProtochainError
-        If the folder holds a simulation and neither is requested, holds none to resume, or is not writable.
+        If the folder holds a simulation that is neither to be resumed nor, by ``force``, replaced, holds none
+        to resume, or is not writable.
     """
     check_trajectory(path / f"trajectory.{suffix}")
     check_writable(path / CHECKPOINT)
