@@ -63,7 +63,7 @@ def radii(structure: Structure) -> Floats:
 
 
 def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) -> tuple[Integers, Floats]:
-    """Find pairs of atoms (n, 2), sorted, that are closer than a share of the sum of their van der Waals radii.
+    """Find pairs of atoms (n, 2), sorted, closer than a share of the sum of their van der Waals radii.
 
     Returns these sums (n,) in nm, too. Pairs separated by at most ``bonds`` bonds are left out.
     """
