@@ -11,7 +11,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -132,34 +131,3 @@ def _parts(text: str) -> Iterator[str]:
             begin = place + 1
     if text:
         yield text[begin:]
-
-
-def text_of(kind: Any) -> str:
-    """Inverse of :func:`type_of`; a KeyError for types that it does not know."""
-    from numba import types
-
-    if isinstance(kind, types.BaseTuple):
-        inside: Any = kind
-        return f"({','.join(map(text_of, inside))})"
-    if not isinstance(kind, types.Array):
-        return {types.float64: "f", types.int64: "i", types.boolean: "b", types.none: "n"}[kind]
-    gaps, locked = "s" * (kind.layout == "A"), "r" * (not kind.mutable)
-    return f"{text_of(kind.dtype)}{kind.ndim}{locked}{gaps}"
-
-
-def entry_of(kernel: Any, types: tuple[Any, ...]) -> str:
-    """Line of the list; a KeyError for types that it cannot hold."""
-    return " ".join([kernel.py_func.__module__, kernel.py_func.__qualname__, *map(text_of, types)])
-
-
-def loaded() -> list[str]:
-    """Lines of kernels with a cache that this process has loaded or compiled, as in the list."""
-    found = []
-    for name, module in sorted(sys.modules.items()):
-        for kernel in vars(module).values() if name.startswith("protochain.") else ():
-            if getattr(getattr(kernel, "py_func", None), "__module__", "") == name:
-                for types in kernel.overloads:
-                    # Others are called by kernels only.
-                    with suppress(KeyError):
-                        found.append(entry_of(kernel, types))
-    return found
