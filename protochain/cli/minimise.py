@@ -3,7 +3,7 @@
 import json
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from protochain.energies import Energy
     from protochain.minimisers import Recipe, Solution
     from protochain.structure import Structure
-    from protochain.structure.trajectory import TrajectoryFile
 
 Output = Annotated[
     Path | None,
@@ -250,7 +249,7 @@ def _once(
 
     lost: list[str] = []
     with (
-        _frames(trajectory, chain.structure, lost) as frames,
+        _Frames(trajectory, chain.structure, lost) as frames,
         run_progress(
             settings["method"], settings["max_evaluations"], frames if trajectory else None
         ) as watch,
@@ -275,13 +274,15 @@ def _warnings(lost: list[str]) -> Iterator[None]:
 
 
 class _Frames:
-    """Writer of frames; on a full disk it stops and says so: its space may save the result."""
+    """Trajectory, if there is one; a full disk, told in ``lost``, ends it: its space may save the result."""
 
-    wanted = True
+    wanted = False
     """Whether the run has a result, beside which the trajectory belongs."""
 
-    def __init__(self, file: "TrajectoryFile | None", lost: list[str]) -> None:
-        self.file, self.lost = file, lost
+    def __init__(self, path: Path | None, structure: "Structure", lost: list[str]) -> None:
+        from protochain.structure.trajectory import TrajectoryFile
+
+        self.file, self.lost = TrajectoryFile(path, structure) if path else None, lost
 
     def __call__(self, x: Any) -> None:
         if self.file is None or self.lost:
@@ -292,23 +293,19 @@ class _Frames:
             self.file.discard()
             self.lost.append(str(error))
 
+    def __enter__(self) -> Self:
+        return self
 
-@contextmanager
-def _frames(path: Path | None, structure: "Structure", lost: list[str]) -> Iterator[_Frames]:
-    """Write frames to a trajectory, if there is one; what could not be written is added to ``lost``."""
-    from protochain.structure.trajectory import TrajectoryFile
-
-    file = TrajectoryFile(path, structure) if path else None
-    frames = _Frames(file, lost)
-    with ExitStack() as opened:
-        if file:
-            opened.callback(file.discard)
-        yield frames
+    def __exit__(self, *_: object) -> None:
+        if self.file is None:
+            return
         try:
-            if file and frames.wanted and not lost:
-                file.finish()
+            if self.wanted and not self.lost:
+                self.file.finish()
         except WriteError as error:
-            lost.append(str(error))
+            self.lost.append(str(error))
+        finally:
+            self.file.discard()
 
 
 def _often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple["Solution", dict[str, Any]]:
