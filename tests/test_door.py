@@ -87,8 +87,6 @@ ANYTHING_GOES = {
 }  # fmt: skip
 """Names that no work depends on."""
 FURTHER = {
-    "minimise": ("restraint", "max_rmsd", "checkpoint", "resume"),
-    "compare": ("reference", "curvature"),
     "batch": (
         "curvature",
         "max_evaluations",

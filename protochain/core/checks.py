@@ -193,6 +193,18 @@ def text(value: Any, name: str) -> str:
     raise refused(name, shown(value), "give a text")
 
 
+def refuse_unknown(value: str, name: str, known: Iterable[str]) -> None:
+    """Refuse a word that is not among those known.
+
+    Raises
+    ------
+    ProtochainError
+        Naming these.
+    """
+    if value not in known:
+        raise ProtochainError(Argument(name), f" {value!r} is not known; choose from {', '.join(known)}")
+
+
 def selection(value: Any, name: str) -> str:
     """Return a text that selects atoms."""
     if text(value, name).strip():

@@ -16,6 +16,7 @@ from protochain.core.checks import (
     number,
     optional,
     quantity,
+    refuse_unknown,
     shown,
     text,
 )
@@ -249,13 +250,9 @@ class SimulationSettings(Settings):
         from protochain.dynamics.thermostats import THERMOSTATS
 
         super().__post_init__()
-        for name, known in (
-            ("thermostat", THERMOSTATS), ("integrator", INTEGRATORS), ("loops", ("open", "closed")),
-        ):  # fmt: skip
-            if getattr(self, name) not in known:
-                raise ProtochainError(
-                    Argument(name), f" {getattr(self, name)!r} is not known; choose from {', '.join(known)}"
-                )
+        refuse_unknown(self.thermostat, "thermostat", THERMOSTATS)
+        refuse_unknown(self.integrator, "integrator", INTEGRATORS)
+        refuse_unknown(self.loops, "loops", ("open", "closed"))
         if self.time_step >= LONGEST_STEP:
             raise ProtochainError(
                 Argument("time_step"),

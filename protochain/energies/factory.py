@@ -12,13 +12,13 @@ from openmm import app, unit
 
 from protochain.core import defaults
 from protochain.core.checks import (
+    at_least,
     checked,
     cutoff_of,
     file_name,
     flag,
     force_field_parts,
     instance,
-    integer,
     optional,
     text,
 )
@@ -64,7 +64,7 @@ ENGINES = ("auto", "native", "openmm")
 
 
 @checked(
-    forcefield=file_name, solvent=text, engine=text, cutoff=cutoff_of, threads=optional(integer),
+    forcefield=file_name, solvent=text, engine=text, cutoff=cutoff_of, threads=optional(at_least(1)),
     trust_forcefield=flag, system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
 def energy(
@@ -121,8 +121,6 @@ def energy(
     structure = as_structure(structure)
     if engine not in ENGINES:
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
-    if threads is not None and threads < 1:
-        raise ForceFieldError(f"threads {threads}: give at least 1")
     if cutoff == "auto":
         is_long = solvent != "vacuum" and structure.n_atoms > defaults.FULL_UP_TO
         cutoff = defaults.LONG_CUTOFF if is_long else None

@@ -5,8 +5,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from protochain.core import defaults
-from protochain.core.checks import at_least, flag, limited, number, optional, text
-from protochain.core.errors import Argument, ProtochainError
+from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, text
+from protochain.core.errors import ProtochainError
 from protochain.core.settings import Settings, setting
 from protochain.minimisers.settings import TOLERANCE
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
@@ -90,12 +90,9 @@ class RelaxSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, known in (("preset", PRESETS), ("protocol", PROTOCOLS)):
-            given = getattr(self, name)
-            if given not in known and (given or name == "preset"):
-                raise ProtochainError(
-                    Argument(name), f" {given!r} is not known; choose from {', '.join(known)}"
-                )
+        refuse_unknown(self.preset, "preset", PRESETS)
+        if self.protocol:
+            refuse_unknown(self.protocol, "protocol", PROTOCOLS)
         if self.protocol and self.preset != defaults.PRESET:
             raise ProtochainError(
                 f"preset {self.preset}: protocol {self.protocol} has its own; give one of them"
