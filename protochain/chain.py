@@ -1,5 +1,7 @@
 """A protein as a tree of rigid bodies: atom positions at q, and the hinge torques of forces on the atoms."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -63,21 +63,9 @@ def radii(structure: Structure) -> Floats:
 
 
 def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) -> tuple[Integers, Floats]:
-    """Find pairs of atoms closer than a fraction of the sum of their van der Waals radii.
+    """Find pairs of atoms (n, 2), sorted, closer than a share of the sum of their van der Waals radii.
 
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm
-    share : float
-        The fraction.
-    bonds : int
-        Pairs separated by at most this many bonds are left out.
-
-    Returns
-    -------
-    (n, 2) int, (n,) float
-        The pairs, sorted, and the sums of their radii in nm.
+    Returns these sums (n,) in nm, too. Pairs separated by at most ``bonds`` bonds are left out.
     """
     radius = radii(structure)
     pairs = cKDTree(x).query_pairs(2 * share * radius.max(), output_type="ndarray")
@@ -108,20 +96,10 @@ def joined(structure: Structure, bonds: int) -> Integers:
 
 
 def overlapping(structure: Structure, x: Floats) -> tuple[Integers, Floats]:
-    """Find the nonbonded pairs of atoms that overlap.
+    """Find the nonbonded pairs of atoms that overlap, as :func:`near_pairs` returns them.
 
     Beside those nearer than ``OVERLAP`` these are heavy atoms of the protein and of a molecule kept beside it
     that are as near as bonded ones, and are not bonded.
-
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm
-
-    Returns
-    -------
-    (n, 2) int, (n,) float
-        As :func:`near_pairs`.
     """
     if not structure.kept.any():
         return near_pairs(structure, x, OVERLAP)
@@ -152,16 +130,7 @@ def _covalent(structure: Structure) -> Floats:
 def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> list[Overlap]:
     """List the nonbonded pairs of atoms that overlap, the worst first.
 
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm
-    chain : Chain, optional
-        Chain whose rigid bodies decide whether torsions can separate the atoms.
-
-    Returns
-    -------
-    list of Overlap
+    The rigid bodies of a chain, if one is given, decide whether torsions can separate the atoms.
     """
     pairs, touch = overlapping(structure, x)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)

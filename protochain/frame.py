@@ -58,22 +58,10 @@ class Frame:
 
 
 def frame_of(chain: Chain, energy: Energy, held_by: str = "") -> Frame:
-    """Frame of the results of a run.
+    """Frame of the results of a run, with an energy of all terms; ``held_by`` says what else holds it.
 
-    Parameters
-    ----------
-    chain : Chain
-        Chain at the start.
-    energy : Energy
-        With all terms.
-    held_by : str
-        What else holds the run in place: springs to points, for example.
-
-    Returns
-    -------
-    Frame
-        Held also if an atom may not move (an obstacle, an atom outside a selection), or if the energy depends
-        on the place, as one of a density map or of walls does.
+    It is held also if an atom may not move (an obstacle, an atom outside a selection), or if the energy
+    depends on the place, as one of a density map or of walls does.
     """
     if not chain.moving.all():
         held_by = "atoms that stand still"

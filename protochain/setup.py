@@ -10,6 +10,7 @@ from protochain.core.checks import (
     NO_BONDS,
     Bond,
     acidity,
+    at_least,
     bonds,
     cutoff_of,
     file_name,
@@ -108,7 +109,7 @@ class Setup(Settings):
         "Distance in nm up to which pairs act, none, or auto: none below 20,000 atoms.",
         cutoff_of,
     )
-    threads: int | None = setting(None, "Threads to compute on [default: all].", optional(integer), int)
+    threads: int | None = setting(None, "Threads to compute on [default: all].", optional(at_least(1)), int)
     trust_forcefield: bool = setting(False, "Allow a force-field file to run its scripts.", flag, bool)
     model: int | str | None = setting(
         None,

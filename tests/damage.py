@@ -877,8 +877,8 @@ STRINGS = {
     "integrator": ("leapfrog", "lobatto", "midpoint", "rk4", "dormand-prince"),
     "loops": ("open", "closed"),
     "trajectory": ("dcd", "xtc", "pdb"),
-    "pull": ("A:1:N-A:10:C", "A:1-A:10", "resid 1 - resid 10", "A:1-A:1", "A:1:N", "B:1-B:2"),
-    "hinge_spring": ("omega 40 0.5", "phi 1 0", "phi", "phi nan 1", "phi -1 -1", "all 1 1"),
+    "between": ("A:1:N-A:10:C", "A:1-A:10", "resid 1 - resid 10", "A:1-A:1", "A:1:N", "B:1-B:2"),
+    "hinge_springs": ("omega 40 0.5", "phi 1 0", "phi", "phi nan 1", "phi -1 -1", "all 1 1"),
     "preset": ("predicted", "crystal", "design"),
     "protocol": ("alphafold", ""),
     "exclude": ("resid 5:20", "all", "none", "name"),
@@ -888,7 +888,7 @@ STRINGS = {
     "rows": ("nothing",), "only": ("nothing",), "scheduler": ("nonsense", "tcp://127.0.0.1:1", ""),
 }  # fmt: skip
 WORK = {
-    "steps", "max_evaluations", "max_iterations", "max_outer_iterations", "starts", "repeats", "workers",
+    "n_steps", "max_evaluations", "max_iterations", "max_outer_iterations", "starts", "repeats", "workers",
     "jobs",
     "trajectory_length", "evaluations", "threads",
 }  # fmt: skip
@@ -898,7 +898,7 @@ BOUNDS = {
     "relax": {"max_iterations": "3", "threads": "1", "workers": "1", "output": "out.pdb"},
     "compare": {"methods": "lbfgs", "repeats": "1", "max_evaluations": "3", "threads": "1"},
     "batch": {"dry_run": None, "workers": "1"},
-    "simulate": {"steps": "5", "threads": "1"},
+    "simulate": {"n_steps": "5", "threads": "1"},
     "info": {"threads": "1"},
     "build": {"output": "out.pdb"},
     "bench": {"rows": "nothing", "only": "nothing"},

@@ -1,4 +1,4 @@
-"""Write protochain/kernels.txt anew: the kernels that helpers compile on a fresh installation.
+"""Write protochain/core/kernels.txt anew: the kernels that helpers compile on a fresh installation.
 
     python tests/kernels.py
 
@@ -11,10 +11,12 @@ import os
 import subprocess
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parent.parent
-LIST = ROOT / "protochain" / "kernels.txt"
+LIST = ROOT / "protochain" / "core" / "kernels.txt"
 LONG = 0.25
 """s of a processor. Shorter ones are listed only if the run calls them itself."""
 HEAD = """\
@@ -24,7 +26,9 @@ HEAD = """\
 RUN = """
 import sys
 from time import process_time
-from protochain.core import compile_helpers, compilation
+sys.path.append({tests!r})
+from kernels import entry_of
+from protochain.core import compilation
 from protochain.cli import main
 
 found, inside = [], []
@@ -43,7 +47,7 @@ def compiled(kernel, by_numba, types):
         inside.pop()
         mine[2] = process_time() - began
         try:
-            mine[0] = compile_helpers.entry_of(kernel, tuple(types))
+            mine[0] = entry_of(kernel, tuple(types))
         except KeyError:
             pass
 
@@ -59,12 +63,43 @@ for entry, depth, seconds in found:
 """
 
 
+def text_of(kind: Any) -> str:
+    """Inverse of ``compile_helpers.type_of``; a KeyError for types that it does not know."""
+    from numba import types
+
+    if isinstance(kind, types.BaseTuple):
+        inside: Any = kind
+        return f"({','.join(map(text_of, inside))})"
+    if not isinstance(kind, types.Array):
+        return {types.float64: "f", types.int64: "i", types.boolean: "b", types.none: "n"}[kind]
+    gaps, locked = "s" * (kind.layout == "A"), "r" * (not kind.mutable)
+    return f"{text_of(kind.dtype)}{kind.ndim}{locked}{gaps}"
+
+
+def entry_of(kernel: Any, types: tuple[Any, ...]) -> str:
+    """Line of the list; a KeyError for types that it cannot hold."""
+    return " ".join([kernel.py_func.__module__, kernel.py_func.__qualname__, *map(text_of, types)])
+
+
+def loaded() -> list[str]:
+    """Lines of kernels with a cache that this process has loaded or compiled, as in the list."""
+    found = []
+    for name, module in sorted(sys.modules.items()):
+        for kernel in vars(module).values() if name.startswith("protochain.") else ():
+            if getattr(getattr(kernel, "py_func", None), "__module__", "") == name:
+                for types in kernel.overloads:
+                    # Others are called by kernels only.
+                    with suppress(KeyError):
+                        found.append(entry_of(kernel, types))
+    return found
+
+
 def compiled(command: str, folder: Path) -> list[str]:
     """Lines of the kernels that a command compiles, in the order in which it begins them."""
     arguments = [command, str(ROOT / "structures" / "1l2y.pdb"), "-o", str(folder / f"{command}.pdb")]
     arguments += ["--threads", "1"]
     surroundings = os.environ | {"NUMBA_CACHE_DIR": str(folder / command), "PROTOCHAIN_HELPER": "0"}
-    program = RUN.format(arguments=arguments, long=LONG)
+    program = RUN.format(arguments=arguments, long=LONG, tests=str(Path(__file__).parent))
     run = subprocess.run(
         [sys.executable, "-c", program], env=surroundings, stdout=subprocess.PIPE, text=True, check=True
     )

@@ -65,7 +65,7 @@ def simulated(monkeypatch, tmp_path):
 
     monkeypatch.setattr(SIMULATE, "prepare", prepare)
     monkeypatch.setattr(SIMULATE, "print_outlook", outlook)
-    module = importlib.import_module("protochain.dynamics.simulate")
+    module = importlib.import_module("protochain.dynamics.api")
     monkeypatch.setattr(module, "freed", lambda chain, settings: seen.checked.append(settings))
     monkeypatch.setattr(SIMULATE, "foretell", foretell)
     monkeypatch.setattr(SIMULATE, "run_progress", progress)

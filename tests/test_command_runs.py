@@ -210,7 +210,7 @@ def test_many_starts_are_explored(options, spread, hop, asked, tmp_path, monkeyp
         (("-o", "t.pdb", "--trace", "t.pdb"), "{}/t.pdb: is given for two outputs; give each its own"),
         (("-o", "in.pdb"), "in.pdb: is the input; give another name, or --force to replace it"),
         (("--method", "odd"), f"method 'odd' is not known; choose from {ALL}, or give module:name"),
-        (("--tolerance", -1), "tolerance -1: give a number above 0"),
+        (("--tolerance", -1), "tolerance -1: give a number above 0, at most 1e6"),
         (("--max-evaluations", -1), "max_evaluations -1: give at least 1"),
         (("--max-rmsd", -1), "max_rmsd -1: give a number of angstrom above 0"),
         (("--restrain", "odd"), "restraint 'odd': give strengths in kJ/mol/nm^2, as '1000 100 0'"),
@@ -365,7 +365,9 @@ def test_compare_ends_by_its_methods_and_names_those_left_out(ends, status, comp
 
 def test_compare_refuses_before_it_reads(compared, asked):
     assert refusal("compare", "a.pdb", "--methods", "md,nope").startswith("method 'nope' is not known; ")
-    assert refusal("compare", "a.pdb", "--tolerance", -1) == "tolerance -1: give a number above 0"
+    assert (
+        refusal("compare", "a.pdb", "--tolerance", -1) == "tolerance -1: give a number above 0, at most 1e6"
+    )
     assert refusal("compare", "a.pdb", "--max-evaluations", -1) == "max_evaluations -1: give at least 1"
     assert refusal("compare", "a.pdb", "--repeats", 0) == "repeats 0: give at least 1"
     Path("file").write_text("")

@@ -57,11 +57,11 @@ COMMANDS = {
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_BATCH},
     },
     "simulate": {
-        "source": None, **OUTPUT, "steps": 10_000, "time_step": 5.0, "temperature": 300.0,
+        "source": None, **OUTPUT, "n_steps": 10_000, "time_step": None, "temperature": 300.0,
         "thermostat": "langevin", "friction": 1.0, "integrator": "leapfrog", "fixman": False, "loops": "open",
         "hydrogen_mass": None,
         "trajectory_length": 10, "every": 100, "trajectory": "dcd", "checkpoint_every": 10,
-        "pull": None, "pull_stiffness": 1000.0, "pull_speed": 0.01, "hinge_spring": None, "relax": True,
+        "between": None, "stiffness": 1000.0, "speed": 0.01, "hinge_springs": None, "relax": True,
         "resume": False, "force": False, "seed": 0, **AS_JSON, **SETUP,
     },
     "validate": {
@@ -92,8 +92,8 @@ METAVARS = {
     ("source", None): "IN", ("inputs", "batch"): "IN...", ("inputs", "validate"): "IN...",
     ("inputs", "relax"): "IN...", ("output", "batch"): "DIR",
     ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
-    ("output", "scene"): "DIR", ("name", "scene"): "[NAME]", ("pull", None): "A:1:N-A:20:C",
-    ("pull_stiffness", None): "K", ("pull_speed", None): "NM/PS", ("hinge_spring", None): "'KIND K C'",
+    ("output", "scene"): "DIR", ("name", "scene"): "[NAME]", ("between", None): "A:1:N-A:20:C",
+    ("stiffness", "simulate"): "K", ("speed", None): "NM/PS", ("hinge_springs", None): "'KIND K C'",
     ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
     "bench"): "[IN...]",
     ("sequence", "build"): "SEQUENCE", ("disulfide", None): "A:3-A:40", ("chains", None): "A,B",
@@ -101,7 +101,9 @@ METAVARS = {
 FLAGS = {
     "as_json": ["--json"], "output": ["-o", "--output"], "chains": ["--chain", "--chains"],
     "null": ["--null", "-0"], "restraint": ["--restrain"], "n_starts": ["--starts"],
-    "hop_temperature": ["--hop"], "curvature": ["--no-curvature"],
+    "hop_temperature": ["--hop"], "curvature": ["--no-curvature"], "n_steps": ["--steps"],
+    "between": ["--pull"], "speed": ["--pull-speed"], "hinge_springs": ["--hinge-spring"],
+    ("stiffness", "simulate"): ["--pull-stiffness"],
 }  # fmt: skip
 SECONDARY = {"relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"]}
 ARGUMENTS = {
@@ -128,7 +130,8 @@ def test_every_option_has_its_name_default_and_help():
         for name, each in found.items():
             assert each.help and len(each.help) > 6, (command, name)
             is_argument = {(name, None), (name, command)} & ARGUMENTS
-            opts = [name] if is_argument else FLAGS.get(name, [f"--{name.replace('_', '-')}"])
+            usual = [name] if is_argument else [f"--{name.replace('_', '-')}"]
+            opts = FLAGS.get((name, command), FLAGS.get(name, usual))
             assert each.opts == opts, (command, name)
             assert each.metavar == METAVARS.get((name, command), METAVARS.get((name, None))), (command, name)
             assert each.secondary_opts == SECONDARY.get(name, [])

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import ROOT, STRUCTURES
 from filelock import FileLock
+from kernels import text_of
 from numba import types
 from numba.core.caching import FunctionCache
 
@@ -223,7 +224,7 @@ def test_helpers_are_called_once_for_a_listed_kernel_and_end_with_the_caller(lis
     popen = lambda command, **options: started.append((command, options["env"])) or "a helper"  # noqa: E731
     monkeypatch.setattr(compile_helpers, "subprocess", SimpleNamespace(Popen=popen, DEVNULL=-3))
     monkeypatch.setattr(compile_helpers.atexit, "register", lambda end, helper: ends.append((end, helper)))
-    monkeypatch.setattr(compile_helpers, "_cores", lambda: 3)
+    monkeypatch.setattr(compile_helpers, "processors", lambda: 3)
     monkeypatch.setattr(compile_helpers, "_HELD", [])
     compile_helpers.call_helpers("caller_listed whole", tmp_path)
     assert not started  # A helper itself.
@@ -245,7 +246,7 @@ def test_helpers_leave_a_core_to_the_run(listed, tmp_path, monkeypatch, cores, h
     started = []
     monkeypatch.setattr(compile_helpers.subprocess, "Popen", lambda *_, **__: started.append(1))
     monkeypatch.setattr(compile_helpers.atexit, "register", lambda *_: None)
-    monkeypatch.setattr(compile_helpers, "_cores", lambda: cores)
+    monkeypatch.setattr(compile_helpers, "processors", lambda: cores)
     monkeypatch.setattr(compile_helpers, "_HELD", [])
     monkeypatch.delenv(compile_helpers._HELPER)
     compile_helpers.call_helpers("caller_listed whole", tmp_path)
@@ -258,12 +259,12 @@ def test_helpers_leave_a_core_to_the_run(listed, tmp_path, monkeypatch, cores, h
     "text", ["f", "i", "b", "f2r", "b1", "f1s", "f3rs", "n", "(i,i)", "(f2,(i1r,b),n)", "()"]
 )
 def test_types_are_written_as_they_are_read(text):
-    assert compile_helpers.text_of(compile_helpers.type_of(text)) == text
+    assert text_of(compile_helpers.type_of(text)) == text
 
 
 def test_types_are_those_of_arrays():
     def of(array):
-        return compile_helpers.text_of(types.misc.unliteral(__import__("numba").typeof(array)))
+        return text_of(types.misc.unliteral(__import__("numba").typeof(array)))
 
     locked = np.zeros((2, 3))
     locked.flags.writeable = False
@@ -281,14 +282,15 @@ def test_the_list_is_of_kernels_that_there_are():
 
 RUN = """
 import sys
-from protochain.core import compile_helpers
+sys.path.append({tests!r})
+from kernels import loaded
 from protochain.cli import main
 sys.argv = ["protochain", *{arguments}]
 try:
     main()
 except SystemExit as end:
     assert not end.code
-print(*compile_helpers.loaded(), sep="\\n")
+print(*loaded(), sep="\\n")
 """
 
 
@@ -296,7 +298,7 @@ print(*compile_helpers.loaded(), sep="\\n")
 def test_the_list_has_all_that_a_run_by_default_calls(command, tmp_path):
     """Where it has not, ``python tests/kernels.py`` writes the list anew."""
     arguments = [command, str(STRUCTURES / "1l2y.pdb"), "-o", str(tmp_path / "out.pdb")]
-    program = RUN.format(arguments=arguments)
+    program = RUN.format(arguments=arguments, tests=str(ROOT / "tests"))
     # Twice: kernels that are loaded call none.
     for _ in range(2):
         run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

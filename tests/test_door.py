@@ -87,8 +87,6 @@ ANYTHING_GOES = {
 }  # fmt: skip
 """Names that no work depends on."""
 FURTHER = {
-    "minimise": ("restraint", "max_rmsd", "checkpoint", "resume"),
-    "compare": ("reference", "curvature"),
     "batch": (
         "curvature",
         "max_evaluations",
@@ -281,6 +279,12 @@ def test_checks_leave_signatures_and_defaults_as_they_are():
     assert pc.energy.__name__ == "energy" and "Build the potential energy" in pc.energy.__doc__
     with pytest.raises(TypeError, match="unexpected keyword argument 'colour'"):
         pc.energy(S(), colour="red")
+
+
+@pytest.mark.parametrize("name", [name for name in pc.__all__ if inspect.isfunction(getattr(pc, name))])
+def test_a_signature_can_be_read(name):
+    said = str(inspect.signature(getattr(pc, name)))
+    assert "numpy" not in said and "<class" not in said
 
 
 CLONES = {

@@ -155,7 +155,7 @@ def test_a_random_method_gets_its_seed_and_is_repeated(said):
 def test_what_is_no_method_is_refused():
     with pytest.raises(pc.ProtochainError, match="init and step"):
         pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), 7)
-    with pytest.raises(pc.ProtochainError, match=r"no option 'restrain'.* restraint, max_rmsd"):
+    with pytest.raises(TypeError, match="'restrain'"):
         pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), restrain=100.0)
     with pytest.raises(pc.ProtochainError, match="1000 100 0"):
         pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), restraint="strong")

@@ -132,7 +132,7 @@ def test_settings_change_by_the_names_of_their_fields_or_of_the_setups():
         ({"methods": ()}, "methods: give at least one"),
         ({"colour": 1}, f"no setting is called 'colour'; choose from {', '.join(NAMES)}"),
         ({"max_evaluations": 0}, "max_evaluations 0: give at least 1"),
-        ({"tolerance": 0.0}, "tolerance 0: give a number above 0"),
+        ({"tolerance": 0.0}, "tolerance 0: give a number above 0, at most 1e6"),
         ({"max_rmsd": 0.0}, "max_rmsd 0: give a number of angstrom above 0"),
         ({"n_starts": 0}, "n_starts 0: give at least 1"),
         ({"n_starts": 2.5}, "n_starts 2.5: give a whole number"),

@@ -373,7 +373,7 @@ def test_one_thread_gives_the_same_bits_twice(method):
     ("options", "word"),
     [
         ({"method": "magic"}, "method 'magic' is not known; choose from kcm, kcm-2norm"),
-        ({"tolerance": 0.0}, "tolerance 0: give a number above 0"),
+        ({"tolerance": 0.0}, "tolerance 0: give a number above 0, at most 1e6"),
         ({"tolerance": float("nan")}, "tolerance nan"),
         ({"max_evaluations": 0}, "at least 1"),
     ],

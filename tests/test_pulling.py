@@ -23,8 +23,8 @@ from protochain.dynamics import (
     advance,
     simulate,
 )
+from protochain.dynamics.integrators import INTEGRATORS
 from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring
-from protochain.dynamics.settings import INTEGRATORS
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.structure.select import atoms_at

@@ -15,6 +15,7 @@ from conftest import NATIVE_ENERGY, NATIVE_FORCE, SPRING_ENERGY, energy, load, s
 
 import protochain as pc
 from protochain.contacts import joined, overlaps
+from protochain.core.interrupts import held_interrupts
 from protochain.energies import OpenMMEnergy, build_system
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.parting import unthreading
@@ -239,10 +240,11 @@ def test_another_engine_is_judged_by_the_reference_platform():
     [
         ({"preset": "weak"}, "preset 'weak' is not known; choose from predicted, crystal, design"),
         ({"protocol": "rosetta"}, "protocol 'rosetta' is not known; choose from alphafold"),
-        ({"tolerance": 0.0}, "tolerance 0: give an RMS force above 0"),
+        ({"tolerance": 1e7}, "give a number above 0, at most 1e6"),
+        ({"tolerance": 0.0}, "tolerance 0: give a number above 0, at most 1e6"),
         ({"stiffness": -1.0}, "stiffness -1: give kJ/mol/nm^2, none below 0"),
-        ({"max_iterations": -1}, "max_iterations -1: give 1 or more, or 0 for no limit"),
-        ({"max_outer_iterations": 0}, "max_outer_iterations 0: give 1 or more"),
+        ({"max_iterations": -1}, "max_iterations -1: give 0 or more"),
+        ({"max_outer_iterations": 0}, "max_outer_iterations 0: give at least 1"),
         ({"hinges": "phi"}, "relax has no option 'hinges'"),
         ({"method": "lbfgs"}, "relax has no option 'method'"),
     ],
@@ -389,6 +391,28 @@ def test_the_budget_of_iterations_holds_while_rings_are_freed():
     relaxer = Relaxer(planted.structure, energy("1l2y.pdb"), PRESETS["predicted"], 3, note)
     relaxer._walked(unthreading(relaxer._space, relaxer.energy), planted.structure.positions, 0)
     assert len(points) == 4
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("is_raised", [True, False])
+def test_an_interrupt_while_rings_are_freed_ends_the_run(is_raised):
+    """Not that stage alone, and what it has come to is kept."""
+    (planted,) = models.planted_rings([load("1l2y.pdb")], 1, seed=1)
+    points = []
+
+    def note(name, at, evaluations):
+        points.append(at)
+        if len(points) == 4 and is_raised:
+            raise KeyboardInterrupt
+        if len(points) == 4:
+            signal.raise_signal(signal.SIGINT)
+
+    s = planted.structure
+    relaxer = Relaxer(s, energy("1l2y.pdb"), PRESETS["predicted"], 2000, note)
+    with held_interrupts():
+        (done,) = relaxer.rounds(s.positions, np.zeros(s.n_residues, bool), 3)
+    assert done.stop is Stop.INTERRUPTED and len(points) <= 5
+    assert not np.array_equal(done.x, s.positions)
 
 
 @pytest.mark.slow

@@ -289,7 +289,3 @@ def test_settings_of_comparisons_and_batches_reach_their_runs(curvature):
         batched, _ = task._run(c, e, "lbfgs", settings)
         assert (batched.lowest_eigenvalue is not None) == curvature
     assert (compared.lowest_eigenvalue is not None) == curvature
-    with pytest.raises(
-        pc.ProtochainError, match=r"compare has no option 'curved'; .* it takes reference, curvature"
-    ):
-        pc.compare(c, "lbfgs", e, curved=True)

@@ -18,12 +18,15 @@ from protochain.energies.shared import shared_energy
 COMMANDS = typer.main.get_command(app).commands
 SAMPLE = STRUCTURES / "ala10.pdb"
 CALLS = {"minimise": pc.minimise, "compare": pc.compare, "simulate": pc.simulate}
-IN_OTHER_UNITS = {
+OTHERWISE = {
     ("compare", "methods"): ",".join(defaults.COMPARED),
-    ("simulate", "time_step"): 1000 * defaults.TIME_STEP,
+    ("simulate", "time_step"): None,
+    ("simulate", "hinge_springs"): None,
     ("minimise", "max_rmsd"): None,
-    ("minimise", "restraint"): None,
+    ("minimise", "curvature"): False,
+    ("compare", "curvature"): False,
 }
+"""Defaults that commands have as none, or which an option turns off."""
 
 
 def given(command):
@@ -41,7 +44,7 @@ def test_commands_and_calls_have_the_same_defaults(command):
     shared = {name: value for name, value in defaults_of(CALLS[command]).items() if name in own}
     assert len(shared) > 3
     for name, value in shared.items():
-        assert own[name] == IN_OTHER_UNITS.get((command, name), value), name
+        assert own[name] == OTHERWISE.get((command, name), value), name
 
 
 @pytest.mark.parametrize("command", ["minimise", "compare", "simulate", "info", "batch"])

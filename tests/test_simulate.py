@@ -1,5 +1,6 @@
 """Simulations of proteins: energy, temperature, files, going on, and what goes wrong."""
 
+import inspect
 import json
 import os
 import signal
@@ -16,8 +17,10 @@ from scipy.stats import kstest
 
 import protochain as pc
 from protochain.contacts import overlaps
+from protochain.core.settings import settings_of
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import Leapfrog, Simulation, StepTooLargeError, System, closure_of, simulate
+from protochain.dynamics.settings import RunSettings, SimulationSettings
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind, random_tree
 from protochain.structure.superpose import rmsd
@@ -357,7 +360,9 @@ def test_a_damaged_checkpoint_is_refused_part_by_part(tmp_path):
         where[name] = change(before)
         np.savez(path, text=np.array(json.dumps(text)), **arrays)
         where[name] = before
-        with pytest.raises(pc.ProtochainError, match=rf"damaged checkpoint \({name}.*force=True$") as refusal:
+        with pytest.raises(
+            pc.ProtochainError, match=rf"damaged checkpoint \(\w+: .*{name}.*force=True$"
+        ) as refusal:
             simulate(c, e, output=tmp_path, resume=True, **{**settings, "n_steps": 8})
         assert str(refusal.value).startswith(str(path))
     path.write_bytes(content)
@@ -509,6 +514,12 @@ def test_settings_that_make_no_sense_are_refused_by_name(settings, word, small, 
     with pytest.raises(pc.ProtochainError, match=word):
         simulate(c, e, **{"q": q, **settings})
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", [SimulationSettings, RunSettings])
+def test_every_setting_is_a_keyword_of_the_call_with_its_default(kind):
+    keywords = inspect.signature(simulate).parameters
+    assert {name: keywords[name].default for name, _ in settings_of(kind)} == vars(kind())
 
 
 def test_usage_errors_are_one_line(tmp_path):

@@ -22,8 +22,7 @@ from protochain.analysis.studies.omissions.cells import (
 )
 from protochain.analysis.studies.stability.energies import copies
 from protochain.cli import app
-from protochain.dynamics.settings import THERMOSTATS
-from protochain.dynamics.thermostats import Isolated, NoseHoover
+from protochain.dynamics.thermostats import THERMOSTATS, Isolated, NoseHoover
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import pytest
 
 import protochain as pc
 from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.recognise import _matched
 from protochain.structure.templates import (
     Template,
     rename,
@@ -184,3 +185,16 @@ def test_a_draft_knows_its_residues_and_stated_bonds():
     inserted = Member("ALA", "7", "B", "", [])
     assert (inserted.seqid, str(inserted)) == ("7B", "residue 7B ALA of chain (blank)")
     assert [m.is_cap for m in members("ALA", "ACE", "NH2")] == [False, True, True]
+
+
+def test_a_molecule_of_many_like_pieces_is_compared_in_bounded_time():
+    """Of sixteen pairs of atoms the last two differ; there are 1e19 ways to see it."""
+
+    def graph(pairs):
+        kind = {f"{i}{end}": (pair[end], 0) for i, pair in enumerate(pairs) for end in (0, 1)}
+        return kind, {f"{i}{end}": {f"{i}{1 - end}"} for i, _ in enumerate(pairs) for end in (0, 1)}
+
+    like = ["CC"] * 14
+    assert _matched(graph([*like, "NN", "OO"]), graph([*like, "NO", "NO"])) is None
+    found = _matched(graph([*like, "NO", "NO"]), graph(["NO", *like, "ON"]))
+    assert found is not None and found["00"] == "140" and found["151"] in ("140", "150")

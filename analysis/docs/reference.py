@@ -28,8 +28,6 @@ PACKAGES = (
     "validation",
 )
 SHADOWED = (
-    "dynamics.fixman",
-    "dynamics.simulate",
     "mechanics.multibody.random_tree",
     "validation.clashes",
     "validation.likeness",

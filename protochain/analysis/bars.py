@@ -1,5 +1,7 @@
 """A progress bar for notebooks and terminals."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from typing import Any
 

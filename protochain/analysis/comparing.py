@@ -1,8 +1,10 @@
 """``compare``: several methods from one prepared start, judged by the same rules."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 from protochain.analysis.comparison import Comparison
 from protochain.articulate import as_chain
@@ -13,17 +15,10 @@ from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.energies import as_energy
 from protochain.minimisers import METHODS, Recipe, Solution, Status, recipe_of
-from protochain.minimisers.api import Minimisation, minimise_from, refuse_further
+from protochain.minimisers.api import Minimisation, minimise_from
 from protochain.minimisers.start import Start
 from protochain.structure import as_structure
 from protochain.structure.matching import match
-
-
-class Options(TypedDict, total=False):
-    """Further options of :func:`compare`."""
-
-    reference: Any
-    curvature: bool
 
 
 @checked(methods=several, repeats=integer, watch=function("method"))
@@ -37,8 +32,9 @@ def compare(
     seed: int = defaults.SEED,
     *,
     repeats: int = defaults.REPEATS,
+    reference: Any = None,
+    curvature: bool = True,
     watch: Callable[[str], Watcher] | None = None,
-    **options: Unpack[Options],
 ) -> Comparison:
     """Minimise one structure by several methods from the same prepared start.
 
@@ -55,12 +51,12 @@ def compare(
     repeats : int
         Runs of each method that does not repeat exactly (it draws random numbers, or OpenMM sums on several
         threads), with consecutive seeds. The first is shown; ``Comparison.spread`` covers all.
+    reference : Structure, path, or anything that :func:`protochain.as_structure` takes, optional
+        Structure to measure the ends against, for example an experimental one.
+    curvature : bool
+        As in :func:`protochain.minimise`.
     watch : callable, optional
         Given a method's name, returns the ``watch`` of its run.
-    **options
-        ``reference`` : Structure, path, or anything that :func:`protochain.as_structure` takes. Structure to
-        measure the ends against, for example an experimental one.
-        ``curvature`` : bool. As in :func:`protochain.minimise`.
 
     Returns
     -------
@@ -73,8 +69,6 @@ def compare(
     ProtochainError
         If a method is unknown or the input cannot be used.
     """
-    refuse_further("compare", options, Options)
-    reference, curvature = options.get("reference"), options.get("curvature", True)
     recipes: dict[str, Recipe] = {}
     for recipe in map(recipe_of, methods):
         if recipes.setdefault(recipe.name, recipe) != recipe:

@@ -1,10 +1,9 @@
 """``protochain minimise``."""
 
 import json
-import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, nullcontext, redirect_stdout
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,11 @@ from protochain.cli.options import (
     STANDARD_OUTPUT,
     UNCONVERGED,
     AsJson,
+    Force,
     Input,
+    Report,
+    beside_structure,
+    check_names,
     check_outputs,
     fail,
     inputs_of,
@@ -25,6 +28,7 @@ from protochain.cli.options import (
     prepare,
     print_lost,
     with_settings,
+    write_models,
 )
 from protochain.cli.terminal import (
     TROUBLED,
@@ -47,7 +51,6 @@ if TYPE_CHECKING:
     from protochain.energies import Energy
     from protochain.minimisers import Recipe, Solution
     from protochain.structure import Structure
-    from protochain.structure.trajectory import TrajectoryFile
 
 Output = Annotated[
     Path | None,
@@ -61,9 +64,7 @@ Method = Annotated[
 Angle = Annotated[float | None, typer.Option(help="Turn of a hinge in a step of kcm, rad [default: 0.0005].")]
 Trace = Annotated[Path | None, typer.Option(help="CSV with a row for each iteration.")]
 Trajectory = Annotated[Path | None, typer.Option(help="DCD or XTC with a frame for each iteration.")]
-Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
 OneFile = Annotated[bool, typer.Option("--one-file", help="Write all models into one file.")]
-Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
 
 
 @with_settings()
@@ -89,6 +90,7 @@ def minimise(
     from protochain.minimisers.api import Minimisation
     from protochain.minimisers.recipes import at_angle, recipe_of
     from protochain.minimisers.starts import refuse_held
+    from protochain.structure.trajectory import check_trajectory
 
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
     Minimisation(recipe_of(chosen), **vars(minimising), **vars(saving))
@@ -98,7 +100,9 @@ def minimise(
     beside = [Path(path) for path in (trace, trajectory, saving.checkpoint, report) if path]
     stem, suffix = named_after(source)
     output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
-    _check_outputs(output, trajectory, report, as_json)
+    check_names(output, report, as_json)
+    if trajectory:
+        check_trajectory(trajectory)
     runs = _runs(source, output, setup, bool(beside or saving.resume), one_file)
     written = [*dict.fromkeys(path for _, path in runs), *beside]
     check_outputs(inputs_of(setup, source, saving.resume), written, force)
@@ -117,7 +121,7 @@ def minimise(
             records.append(_solved(context, source, own, path, chosen, solve, lengths, write))
             if records[-1]["status"] == "interrupted":
                 break
-    with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
+    with beside_structure(output):
         _print(records, as_json, isinstance(setup.model, str))
     raise typer.Exit(_status(records, len(runs)))
 
@@ -126,21 +130,6 @@ def _status(records: list[dict[str, Any]], n_runs: int) -> int:
     """Exit status of all runs."""
     whole = [record["status"] == "converged" and "not_written" not in record for record in records]
     return CONVERGED if len(whole) == n_runs and all(whole) else UNCONVERGED
-
-
-def _check_outputs(output: Path, trajectory: Path | None, report: Path | None, as_json: bool) -> None:
-    """Refuse names that tell no format, and two outputs on standard output."""
-    from protochain.structure.trajectory import check_trajectory
-    from protochain.structure.write import check_format
-
-    if str(output) != STANDARD_OUTPUT:
-        check_format(output)
-    elif as_json:
-        raise ProtochainError("output -: structure and --json both go to standard output; give a file")
-    if trajectory:
-        check_trajectory(trajectory)
-    if report and report.suffix.lower() != ".html":
-        raise ProtochainError(f"{report}: give a name that ends in .html")
 
 
 def _runs(
@@ -195,7 +184,7 @@ class _Writer:
 
         self.done.append(solution)
         if not self.one_file:
-            self._write(path, [solution.structure], solution.provenance())
+            write_models([solution.structure], path, self.suffix, solution.provenance())
         written: dict[str, Any] = {}
         try:
             if self.trace:
@@ -217,17 +206,7 @@ class _Writer:
         if self.one_file and self.done:
             models = [solution.structure for solution in self.done]
             told = (f"MODEL {s.structure.model_number}: {line}" for s in self.done for line in s.provenance())
-            self._write(self.output, models, told)
-
-    def _write(self, path: Path, models: "list[Structure]", remarks: Iterable[str]) -> None:
-        from protochain.structure import save
-        from protochain.structure.write import as_text, common_suffix
-
-        if str(path) == STANDARD_OUTPUT:
-            suffix = self.suffix if self.suffix != ".pdb" else common_suffix(models)
-            sys.stdout.write(as_text(models, suffix, remarks))
-        else:
-            save(models, path, remarks)
+            write_models(models, self.output, self.suffix, told)
 
 
 def _solved(
@@ -269,7 +248,7 @@ def _once(
 
     lost: list[str] = []
     with (
-        _frames(trajectory, chain.structure, lost) as frames,
+        _Frames(trajectory, chain.structure, lost) as frames,
         run_progress(
             settings["method"], settings["max_evaluations"], frames if trajectory else None
         ) as watch,
@@ -294,13 +273,15 @@ def _warnings(lost: list[str]) -> Iterator[None]:
 
 
 class _Frames:
-    """Writer of frames; on a full disk it stops and says so: its space may save the result."""
+    """Trajectory, if there is one; a full disk, told in ``lost``, ends it: its space may save the result."""
 
-    wanted = True
+    wanted = False
     """Whether the run has a result, beside which the trajectory belongs."""
 
-    def __init__(self, file: "TrajectoryFile | None", lost: list[str]) -> None:
-        self.file, self.lost = file, lost
+    def __init__(self, path: Path | None, structure: "Structure", lost: list[str]) -> None:
+        from protochain.structure.trajectory import TrajectoryFile
+
+        self.file, self.lost = TrajectoryFile(path, structure) if path else None, lost
 
     def __call__(self, x: Any) -> None:
         if self.file is None or self.lost:
@@ -311,23 +292,19 @@ class _Frames:
             self.file.discard()
             self.lost.append(str(error))
 
+    def __enter__(self) -> Self:
+        return self
 
-@contextmanager
-def _frames(path: Path | None, structure: "Structure", lost: list[str]) -> Iterator[_Frames]:
-    """Write frames to a trajectory, if there is one; what could not be written is added to ``lost``."""
-    from protochain.structure.trajectory import TrajectoryFile
-
-    file = TrajectoryFile(path, structure) if path else None
-    frames = _Frames(file, lost)
-    with ExitStack() as opened:
-        if file:
-            opened.callback(file.discard)
-        yield frames
+    def __exit__(self, *_: object) -> None:
+        if self.file is None:
+            return
         try:
-            if file and frames.wanted and not lost:
-                file.finish()
+            if self.wanted and not self.lost:
+                self.file.finish()
         except WriteError as error:
-            lost.append(str(error))
+            self.lost.append(str(error))
+        finally:
+            self.file.discard()
 
 
 def _often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple["Solution", dict[str, Any]]:

@@ -5,18 +5,20 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import Field, fields
+from contextlib import AbstractContextManager, nullcontext, redirect_stdout
+from dataclasses import MISSING, Field, fields
 from functools import wraps
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from protochain.core import defaults
 from protochain.core.errors import Angle, Argument, ProtochainError
 from protochain.core.markup import counted
-from protochain.core.settings import Setting, settings_of
+from protochain.core.settings import Made, Setting, settings_of
+from protochain.dynamics.settings import RunSettings, SimulationSettings
 from protochain.minimisers.settings import MinimiseSettings, StartSettings
 from protochain.relaxation.settings import RelaxSettings
 from protochain.setup import Setup
@@ -32,8 +34,6 @@ CONVERGED, FAILED, BAD_INPUT, UNCONVERGED = 0, 1, 2, 3
 STANDARD_OUTPUT = "-"
 """Name of an output that is printed instead of written to a file."""
 
-Made = TypeVar("Made")
-
 _SHOWN_OVERLAPS = 5
 """Overlaps reported before a run; ``info`` lists all."""
 
@@ -43,6 +43,8 @@ Input = Annotated[
 Manifest = Annotated[Path | None, typer.Option(help="CSV with a column path, and any settings as columns.")]
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
+Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
+Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
 
 
 def with_settings(**without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -96,8 +98,8 @@ def _option(name: str, kind: Any, usual: Any, names: list[str], its: Setting) ->
     )
 
 
-def _made(kind: type[Made], options: Mapping[str, Any]) -> Made:
-    """Settings made of options; those that are not given keep their defaults."""
+def _made(kind: type[Made], options: Mapping[str, Any]) -> Made | None:
+    """Settings made of options; those that are not given keep their defaults. None without what they need."""
     given = {}
     for name, its in settings_of(kind):
         value: Any = options.get(name)
@@ -107,7 +109,8 @@ def _made(kind: type[Made], options: Mapping[str, Any]) -> Made:
             value = [its.word[2], *(value or ())]
         if value not in (None, []):
             given[name] = its.read(value) if its.read else value
-    return kind(**given)
+    needed = {each.name for each in fields(kind) if each.default is MISSING}  # type: ignore[arg-type]  # a dataclass
+    return kind(**given) if needed <= given.keys() else None
 
 
 def fail(message: str, status: int = FAILED) -> int:
@@ -180,9 +183,9 @@ def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
         print(line)
 
 
-RENAMED = {"n_steps": "steps", "hinge_springs": "hinge_spring"} | {
+RENAMED = {"between": "pull"} | {
     name: its.column(name)
-    for kind in (Setup, MinimiseSettings, StartSettings, RelaxSettings)
+    for kind in (Setup, MinimiseSettings, StartSettings, RelaxSettings, SimulationSettings, RunSettings)
     for name, its in settings_of(kind)
     if its.option
 }
@@ -228,3 +231,33 @@ def check_outputs(inputs: Sequence[Path], outputs: Sequence[Path], force: bool |
             instead = "" if force is None else ", or --force to replace it"
             raise ProtochainError(f"{output}: is the input; give another name{instead}")
         check_writable(output)
+
+
+def check_names(output: Path, report: Path | None, as_json: bool) -> None:
+    """Refuse names of a structure and a page that tell no format, and two outputs on standard output."""
+    from protochain.structure.write import check_format
+
+    if str(output) != STANDARD_OUTPUT:
+        check_format(output)
+    elif as_json:
+        raise ProtochainError("output -: structure and --json both go to standard output; give a file")
+    if report and report.suffix.lower() != ".html":
+        raise ProtochainError(f"{report}: give a name that ends in .html")
+
+
+def write_models(
+    models: "list[Structure]", output: Path, suffix: str, remarks: Iterable[str], hydrogens: bool = True
+) -> None:
+    """Write to a file, or to standard output in the format of a suffix; mmCIF where PDB is too small."""
+    from protochain.structure import save
+    from protochain.structure.write import as_text, common_suffix
+
+    if str(output) != STANDARD_OUTPUT:
+        return save(models, output, remarks, hydrogens=hydrogens)
+    suffix = suffix if suffix != ".pdb" else common_suffix(models)
+    sys.stdout.write(as_text(models, suffix, remarks, hydrogens=hydrogens))
+
+
+def beside_structure(output: Path) -> AbstractContextManager[Any]:
+    """Where a command prints, while a structure may be on standard output."""
+    return redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext()

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,15 +11,19 @@ import typer
 from protochain.cli.options import (
     CONVERGED,
     FAILED,
-    STANDARD_OUTPUT,
     UNCONVERGED,
     AsJson,
+    Force,
     Manifest,
+    Report,
     Scheduler,
+    beside_structure,
+    check_names,
     check_outputs,
     fail,
     inputs_of,
     with_settings,
+    write_models,
 )
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
@@ -44,8 +47,6 @@ Output = Annotated[
         help="File, or folder for several [default: NAME.relaxed.pdb, or the folder relaxed].",
     ),
 ]
-Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
-Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
 Workers = Annotated[
     int | None, typer.Option(help="Of several: processes on this machine [default: all cores].")
 ]
@@ -106,17 +107,13 @@ def _one(
     from protochain.core.interrupts import held_interrupts
     from protochain.relaxation.api import relax_structure
     from protochain.relaxation.names import relaxed_name
-    from protochain.structure.write import check_fits, check_format
+    from protochain.structure.files import suffix_of
+    from protochain.structure.write import check_fits
 
     output = Path(relaxed_name(source)) if output is None else output
     if output.is_dir():
         output = output / relaxed_name(source)
-    if str(output) != STANDARD_OUTPUT:
-        check_format(output)
-    elif as_json:
-        raise ProtochainError("output -: structure and --json both go to standard output; give a file")
-    if report and report.suffix.lower() != ".html":
-        raise ProtochainError(f"{report}: give a name that ends in .html")
+    check_names(output, report, as_json)
     check_outputs(inputs_of(setup, source), [output, *([report] if report else [])], force)
     began = perf_counter()
     structure = setup.load(source)
@@ -129,7 +126,8 @@ def _one(
             result = relax_structure(structure, energy, relaxing, watch, setup.move)
         if not result.is_usable:
             return fail(f"{source}: {result.message}; nothing is better than the start: nothing is written")
-        _write(result, output, source)
+        hydrogens = result.settings.keep_hydrogens
+        write_models([result.structure], output, suffix_of(source), result.provenance(), hydrogens)
         record = result.record() | {
             "input": str(source), "output": str(output), "seconds_preparation": preparation,
         }  # fmt: skip
@@ -142,21 +140,9 @@ def _one(
     if as_json:
         print(json.dumps(record, allow_nan=False))
     else:
-        with redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext():
+        with beside_structure(output):
             print_relaxed(result, record)
     return CONVERGED if record["status"] == "converged" and not lost else UNCONVERGED
-
-
-def _write(result: "Relaxation", output: Path, source: Path) -> None:
-    from protochain.structure.files import suffix_of
-    from protochain.structure.write import as_text, common_suffix
-
-    if str(output) != STANDARD_OUTPUT:
-        result.save(output)
-        return
-    suffix = suffix_of(source) if suffix_of(source) != ".pdb" else common_suffix([result.structure])
-    hydrogens = result.settings.keep_hydrogens
-    sys.stdout.write(as_text(result.structure, suffix, result.provenance(), hydrogens=hydrogens))
 
 
 def _write_report(result: "Relaxation", record: dict[str, Any], report: Path | None) -> str:

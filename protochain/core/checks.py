@@ -105,6 +105,30 @@ def integer(value: Any, name: str) -> int:
     raise refused(name, shown(value), *_instead(value, "a whole number", name))
 
 
+def at_least(least: int) -> Check:
+    """Check for a whole number that is no smaller."""
+
+    def check(value: Any, name: str) -> int:
+        whole = integer(value, name)
+        if whole < least:
+            raise refused(name, whole, f"give at least {least}" if least else "give 0 or more")
+        return whole
+
+    return check
+
+
+def limited(check: Check, allows: Callable[[float], bool], remedy: str, unit: str = "") -> Check:
+    """Check further that a number lies where ``allows`` says, which is False of NaN."""
+
+    def narrower(value: Any, name: str) -> Any:
+        found = check(value, name)
+        if not allows(found):
+            raise refused(name, f"{found:g}{unit and ' '}{unit}", remedy)
+        return found
+
+    return narrower
+
+
 def quantity(unit: str) -> Check:
     """Check for a number, or a Quantity of OpenMM, which is converted: ``kelvin``, ``1/picosecond``."""
 
@@ -167,6 +191,18 @@ def text(value: Any, name: str) -> str:
     if isinstance(value, str):
         return value
     raise refused(name, shown(value), "give a text")
+
+
+def refuse_unknown(value: str, name: str, known: Iterable[str]) -> None:
+    """Refuse a word that is not among those known.
+
+    Raises
+    ------
+    ProtochainError
+        Naming these.
+    """
+    if value not in known:
+        raise ProtochainError(Argument(name), f" {value!r} is not known; choose from {', '.join(known)}")
 
 
 def selection(value: Any, name: str) -> str:

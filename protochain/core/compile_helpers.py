@@ -11,11 +11,11 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from protochain.core.processors import processors
 from protochain.core.subprocesses import own_python
 
 MOST = 3
@@ -56,7 +56,7 @@ def _start(place: Path) -> None:
     # Not a program that has Python inside.
     if getattr(sys, "frozen", False) or not python.name.startswith("python"):
         return
-    for number in range(1, min(_cores() - 1, MOST) + 1):
+    for number in range(1, min(processors() - 1, MOST) + 1):
         try:
             helper = subprocess.Popen(
                 own_python("from protochain.core.compile_helpers import help_out; help_out()"),
@@ -71,10 +71,6 @@ def _start(place: Path) -> None:
 def _end(helper: "subprocess.Popen[bytes]") -> None:
     helper.kill()
     helper.wait()
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache
@@ -135,34 +131,3 @@ def _parts(text: str) -> Iterator[str]:
             begin = place + 1
     if text:
         yield text[begin:]
-
-
-def text_of(kind: Any) -> str:
-    """Inverse of :func:`type_of`; a KeyError for types that it does not know."""
-    from numba import types
-
-    if isinstance(kind, types.BaseTuple):
-        inside: Any = kind
-        return f"({','.join(map(text_of, inside))})"
-    if not isinstance(kind, types.Array):
-        return {types.float64: "f", types.int64: "i", types.boolean: "b", types.none: "n"}[kind]
-    gaps, locked = "s" * (kind.layout == "A"), "r" * (not kind.mutable)
-    return f"{text_of(kind.dtype)}{kind.ndim}{locked}{gaps}"
-
-
-def entry_of(kernel: Any, types: tuple[Any, ...]) -> str:
-    """Line of the list; a KeyError for types that it cannot hold."""
-    return " ".join([kernel.py_func.__module__, kernel.py_func.__qualname__, *map(text_of, types)])
-
-
-def loaded() -> list[str]:
-    """Lines of kernels with a cache that this process has loaded or compiled, as in the list."""
-    found = []
-    for name, module in sorted(sys.modules.items()):
-        for kernel in vars(module).values() if name.startswith("protochain.") else ():
-            if getattr(getattr(kernel, "py_func", None), "__module__", "") == name:
-                for types in kernel.overloads:
-                    # Others are called by kernels only.
-                    with suppress(KeyError):
-                        found.append(entry_of(kernel, types))
-    return found

@@ -21,13 +21,7 @@ def listed(places: Sequence[str], shown: int = 6) -> str:
 
 
 def facts(title: str, rows: Mapping[str, object]) -> str:
-    """Return a small HTML table of names and values, escaped.
-
-    Parameters
-    ----------
-    title : str
-    rows : mapping of str to object
-    """
+    """Return a small HTML table of names and values, escaped."""
     cells = "".join(
         f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in rows.items()
     )

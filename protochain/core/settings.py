@@ -3,11 +3,13 @@
 Functions take them by name; commands make their options of them, batches the columns of their manifests.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, TypeVar
 
 from protochain.core.checks import Check, check_fields
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -73,3 +75,8 @@ def settings_of(kind: type) -> Iterator[tuple[str, Setting]]:
     for each in fields(kind):
         if "setting" in each.metadata:
             yield each.name, each.metadata["setting"]
+
+
+def taken(kind: type[Made], given: Mapping[str, Any], **more: Any) -> Made:
+    """Settings of the arguments of a call, which bear their names; ``more`` are its other fields."""
+    return kind(**{name: given[name] for name, _ in settings_of(kind)}, **more)

@@ -121,16 +121,10 @@ def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 def claimed(folder: Path, kind: str) -> Iterator[None]:
     """Hold a folder, created if needed, for one process; a folder that stays empty is removed afterwards.
 
-    Parameters
-    ----------
-    folder : Path
-    kind : str
-        What the other process is, in the message: ``comparison``.
-
     Raises
     ------
     ProtochainError
-        If another process holds it.
+        If another process, of this ``kind`` (``comparison``), holds it.
     """
     from filelock import FileLock, Timeout
 
@@ -153,16 +147,7 @@ def claimed(folder: Path, kind: str) -> Iterator[None]:
 def write_arrays(
     path: Path, arrays: Mapping[str, np.ndarray], values: Any, settings: Mapping[str, Any]
 ) -> None:
-    """Write a checkpoint: arrays, values that JSON can represent, and the settings of the run.
-
-    Parameters
-    ----------
-    path : Path
-        An .npz file, written under a temporary name and renamed.
-    arrays : mapping of str to array
-    values : plain values
-    settings : mapping of plain values
-    """
+    """Write a checkpoint (.npz): arrays, values that JSON can represent, and the settings of the run."""
     text = json.dumps({"settings": dict(settings), "values": values})
 
     def write(to: Path) -> None:
@@ -228,6 +213,22 @@ def fitting(arrays: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Flo
     if not np.isfinite(found).all():
         raise ValueError(f"{name} is not finite")
     return found
+
+
+@contextmanager
+def undamaged(path: Path, *remedy: str | Argument) -> Iterator[None]:
+    """Say of which checkpoint it is that something does not fit.
+
+    Raises
+    ------
+    ProtochainError
+        In place of what reading damaged parts raises.
+    """
+    try:
+        yield
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise ProtochainError(f"{path}: damaged checkpoint ({what}); ", *remedy) from None
 
 
 _DAMAGED = (

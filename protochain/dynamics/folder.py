@@ -16,6 +16,7 @@ from protochain.core.storage import (
     check_writable,
     fitting,
     read_arrays,
+    undamaged,
     write_arrays,
     write_text,
     writing,
@@ -42,20 +43,11 @@ def files_of(path: Path, suffix: str) -> list[Path]:
 def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
     """Check the output folder before any work is done.
 
-    Parameters
-    ----------
-    path : Path
-    suffix : str
-        ``dcd`` or ``xtc``.
-    resume : bool
-        Continue the simulation in the folder.
-    force : bool
-        Replace the simulation in the folder.
-
     Raises
     ------
     ProtochainError
-        If the folder holds a simulation and neither is requested, holds none to resume, or is not writable.
+        If the folder holds a simulation that is neither to be resumed nor, by ``force``, replaced, holds none
+        to resume, or is not writable.
     """
     check_trajectory(path / f"trajectory.{suffix}")
     check_writable(path / CHECKPOINT)
@@ -88,21 +80,6 @@ pull, nm; values of hinges with springs, rad."""
 def constants_of(path: Path) -> dict[str, Floats]:
     """What the simulation in a folder measured at its start, by name."""
     return _read(path, {})[0]
-
-
-@contextmanager
-def undamaged(path: Path) -> Iterator[None]:
-    """Say of which checkpoint it is that something does not fit.
-
-    Raises
-    ------
-    ProtochainError
-        In place of what reading damaged parts raises.
-    """
-    try:
-        yield
-    except (KeyError, TypeError, ValueError) as error:
-        raise ProtochainError(f"{path / CHECKPOINT}: damaged checkpoint ({error}); ", *_AGAIN) from None
 
 
 class Folder:
@@ -168,7 +145,7 @@ class Folder:
             State at the checkpoint, rows logged so far, and positions the neighbour lists were made at.
         """
         arrays, values = _read(self.path, self.settings)
-        with undamaged(self.path):
+        with undamaged(self.path / CHECKPOINT, *_AGAIN):
             state = _state(tree, arrays, values)
             fitting(arrays, "memory", first(state.at).memory.shape)
             self.start = fitting(arrays, "start", (structure.n_atoms, 3))

@@ -136,19 +136,6 @@ def _is_kind(hinge: Hinge, kind: str) -> bool:
 def hinge_springs(springs: Sequence[HingeSpring], chain: Chain, q: Floats) -> HingeSprings | None:
     """Springs of these settings for a chain that starts at q, where they have no torque; None without any.
 
-    Parameters
-    ----------
-    springs : sequence of HingeSpring
-        Settings.
-    chain : Chain
-        Chain of rigid bodies.
-    q : (n_q,) float
-        Coordinates at the start.
-
-    Returns
-    -------
-    HingeSprings or None
-
     Raises
     ------
     ChainError
@@ -171,20 +158,7 @@ def hinge_springs(springs: Sequence[HingeSpring], chain: Chain, q: Floats) -> Hi
 
 
 def dampers(springs: Sequence[HingeSpring], chain: Chain, thermal_energy: float) -> Dampers | None:
-    """Dampers of these settings for a chain; None without any.
-
-    Parameters
-    ----------
-    springs : sequence of HingeSpring
-        Settings.
-    chain : Chain
-        Chain of rigid bodies.
-    thermal_energy : float, kJ/mol
-        Value of kT; 0 for no noise.
-
-    Returns
-    -------
-    Dampers or None
+    """Dampers of these settings for a chain, with noise for kT in kJ/mol, 0 for none; None without any.
 
     Raises
     ------

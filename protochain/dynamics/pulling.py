@@ -159,19 +159,7 @@ def check_pull(pull: Pull, chain: Chain) -> None:
 def moving_spring(pull: Pull, chain: Chain, q: Floats) -> MovingSpring:
     """Spring of these settings for a chain that starts at q, at its length at rest.
 
-    Parameters
-    ----------
-    pull : Pull
-        Settings.
-    chain : Chain
-        Chain of rigid bodies.
-    q : (n_q,) float
-        Coordinates at the start.
-
-    Returns
-    -------
-    MovingSpring
-        Its places are centres of mass, one point for each body that has a part of them.
+    Its places are centres of mass, one point for each body that has a part of them.
 
     Raises
     ------

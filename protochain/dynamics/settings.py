@@ -1,48 +1,40 @@
-"""Settings of a simulation: their checks, and the integrators and thermostats by name."""
+"""Settings of a simulation, as the call and the command share them."""
 
+import math
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from typing import Any, Self
 
-import numpy as np
-
 from protochain.core import defaults
-from protochain.core.checks import check_fields, ends, number, quantity, shown, text
+from protochain.core.checks import (
+    Check,
+    at_least,
+    check_fields,
+    ends,
+    flag,
+    limited,
+    number,
+    optional,
+    quantity,
+    refuse_unknown,
+    shown,
+    text,
+)
 from protochain.core.errors import Argument, ProtochainError, refused
+from protochain.core.settings import Settings, setting
 from protochain.core.units import MOLAR_GAS
-from protochain.dynamics import thermostats
-from protochain.hinges import HINGES
-from protochain.mechanics.motion import lobatto
-from protochain.mechanics.motion.leapfrog import Leapfrog
-from protochain.mechanics.motion.midpoint import ImplicitMidpoint
-from protochain.mechanics.motion.runge_kutta import DormandPrince, RungeKutta4
-from protochain.mechanics.motion.system import Integrator
-
-INTEGRATORS: dict[str, Integrator] = {
-    "leapfrog": Leapfrog(),
-    "lobatto": Leapfrog(lobatto.drift),
-    "midpoint": ImplicitMidpoint(),
-    "rk4": RungeKutta4(),
-    "dormand-prince": DormandPrince(),
-}
-THERMOSTATS: dict[str, type[thermostats.Thermostat]] = {
-    "none": thermostats.Isolated,
-    "langevin": thermostats.Langevin,
-    "nose-hoover": thermostats.NoseHoover,
-    "rescale": thermostats.Rescaling,
-    "hmc": thermostats.HybridMonteCarlo,
-}
 
 LONGEST_STEP = 0.5
 """ps. Steps of bodies bound by springs are below a hundredth of this; who gives more means femtoseconds."""
-
+_SHORTEST = 0.015
+"""fs. Less than a thousandth of any useful step: who gives it means picoseconds."""
 
 FARTHEST_PULL = 0.1
 """nm. An atom's radius: a spring that moves farther in one step is meant in another unit."""
 
 
 @dataclass(frozen=True)
-class Pull:
+class Pull(Settings):
     """Spring between two places of a structure, whose length at rest changes at constant speed.
 
     Parameters
@@ -63,18 +55,35 @@ class Pull:
         If a number makes no sense, or the places cannot be read.
     """
 
-    between: tuple[str, str]
-    stiffness: float = defaults.PULL_STIFFNESS
-    speed: float = defaults.PULL_SPEED
+    between: tuple[str, str] = setting(
+        MISSING,
+        "Pull two atoms apart by a moving spring; or residues (A:1-A:20), or selections, ' - ' between.",
+        ends,
+        option="--pull",
+        metavar="A:1:N-A:20:C",
+    )
+    stiffness: float = setting(
+        defaults.PULL_STIFFNESS,
+        "Stiffness of this spring, kJ/mol/nm^2.",
+        quantity("kilojoule_per_mole/nanometer/nanometer"),
+        float,
+        "--pull-stiffness",
+        metavar="K",
+    )
+    speed: float = setting(
+        defaults.PULL_SPEED,
+        "Speed of its length, nm/ps; below 0 together, 0 to hold.",
+        quantity("nanometer/picosecond"),
+        float,
+        "--pull-speed",
+        metavar="NM/PS",
+    )
 
     def __post_init__(self) -> None:
-        check_fields(
-            self, between=ends, stiffness=quantity("kilojoule_per_mole/nanometer/nanometer"),
-            speed=quantity("nanometer/picosecond"),
-        )  # fmt: skip
-        if not 0.0 < self.stiffness < np.inf:
+        super().__post_init__()
+        if not 0.0 < self.stiffness < math.inf:
             raise ProtochainError(f"stiffness {self.stiffness:g} kJ/mol/nm^2: give a number above 0")
-        if not np.isfinite(self.speed):
+        if not math.isfinite(self.speed):
             raise ProtochainError(f"speed {self.speed:g} nm/ps: give a finite number")
 
     @classmethod
@@ -122,12 +131,14 @@ class HingeSpring:
     damping: float = 0.0
 
     def __post_init__(self) -> None:
+        from protochain.hinges import HINGES
+
         unit = "kilojoule_per_mole/radian/radian"
         check_fields(self, kind=text, stiffness=quantity(unit), damping=number)
         if self.kind not in HINGES:
             raise ProtochainError(f"kind {self.kind!r} is no kind of hinge; choose from {', '.join(HINGES)}")
         for name, value in (("stiffness", self.stiffness), ("damping", self.damping)):
-            if not 0.0 <= value < np.inf:
+            if not 0.0 <= value < math.inf:
                 raise ProtochainError(f"{name} {value:g}: give 0 or more")
 
     @classmethod
@@ -154,72 +165,100 @@ class HingeSpring:
         return f"{self.kind} {float(self.stiffness)!r} {float(self.damping)!r}"
 
 
-@dataclass(frozen=True)
-class SimulationSettings:
-    """Settings that define a simulation; for their meaning see :func:`protochain.simulate`."""
+def _picoseconds(femtoseconds: float) -> float:
+    """Time step of the command line; one that is meant in another unit is refused.
 
-    temperature: float
-    time_step: float
-    thermostat: str
-    friction: float
-    integrator: str
-    fixman: bool
-    loops: str
-    hydrogen_mass: float | None
-    trajectory_length: int
-    every: int
-    seed: int
-    pull: Pull | None = None
-    hinge_springs: tuple[HingeSpring, ...] = ()
+    Raises
+    ------
+    ProtochainError
+        Which says what it is in that unit.
+    """
+    given = f"{femtoseconds:g} fs"
+    if not 0.0 < femtoseconds < 1000.0 * LONGEST_STEP:
+        raise refused("time_step", given, f"give a number above 0 and below {1000.0 * LONGEST_STEP:g}")
+    if femtoseconds < _SHORTEST:
+        raise refused(
+            "time_step", given, f"give femtoseconds: {1000.0 * femtoseconds:g} are {femtoseconds:g} ps"
+        )
+    return femtoseconds / 1000.0
 
-    @property
-    def thermal_energy(self) -> float:
-        """Value of kT, kJ/mol."""
-        return MOLAR_GAS * self.temperature
 
-    def record(self) -> dict[str, Any]:
-        """Return the settings as plain values by name."""
-        plain = {field.name: getattr(self, field.name) for field in fields(self)}
-        plain["hinge_springs"] = [str(spring) for spring in self.hinge_springs] or None
-        return plain | ({"pull": None} if self.pull is None else self.pull.record())
+def _not_negative(unit: str, shown_as: str) -> Check:
+    return limited(quantity(unit), lambda value: 0.0 <= value < math.inf, "give 0 or more", shown_as)
 
-    def check(self, n_steps: int, checkpoint_every: int) -> None:
-        """Check the settings before any work is done.
 
-        Raises
-        ------
-        ProtochainError
-            If a setting is unknown, out of range or incompatible with another; the message says what to do.
-        """
-        for name, value, known in (
-            ("thermostat", self.thermostat, THERMOSTATS),
-            ("integrator", self.integrator, INTEGRATORS),
-            ("loops", self.loops, ("open", "closed")),
-        ):
-            if value not in known:
-                raise ProtochainError(
-                    Argument(name), f" {value!r} is not known; choose from {', '.join(known)}"
-                )
-        if not 0.0 < self.time_step < np.inf:
-            raise refused("time_step", f"{self.time_step:g} ps", "give a number above 0")
+@dataclass(frozen=True, kw_only=True)
+class SimulationSettings(Settings):
+    """Settings that define a simulation; for their meaning see :func:`protochain.simulate`.
+
+    Raises
+    ------
+    ProtochainError
+        If a setting is unknown, out of range or incompatible with another; the message says what to do.
+    """
+
+    temperature: float = setting(
+        defaults.TEMPERATURE,
+        "Temperature of the thermostat and of the initial velocities, K.",
+        _not_negative("kelvin", "K"),
+        float,
+    )
+    time_step: float = setting(
+        defaults.TIME_STEP,
+        f"Time step, fs [default: {1000.0 * defaults.TIME_STEP:g}].",
+        limited(quantity("picosecond"), lambda step: 0.0 < step < math.inf, "give a number above 0", "ps"),
+        float,
+        read=_picoseconds,
+    )
+    thermostat: str = setting(defaults.THERMOSTAT, "langevin, nose-hoover, rescale, hmc or none.", text)
+    friction: float = setting(
+        defaults.FRICTION,
+        "Coupling of the thermostat, 1/ps.",
+        _not_negative("1/picosecond", "/ps"),
+        float,
+    )
+    integrator: str = setting(
+        defaults.INTEGRATOR, "leapfrog, lobatto, midpoint, rk4 or dormand-prince.", text
+    )
+    fixman: bool = setting(
+        False, "Add Fixman's potential, against the bias of rigid bonds and angles.", flag, bool
+    )
+    loops: str = setting(defaults.LOOPS, "Disulfides: open (force field) or closed (constraints).", text)
+    hydrogen_mass: float | None = setting(
+        None,
+        "Mass of hydrogens, taken from the atoms they are bonded to, amu.",
+        optional(quantity("dalton")),
+        float,
+    )
+    trajectory_length: int = setting(
+        defaults.TRAJECTORY_LENGTH, "Steps in each trajectory of hmc.", at_least(1), int
+    )
+    every: int = setting(defaults.EVERY, "Steps between frames and rows of the log.", at_least(1), int)
+    seed: int = setting(defaults.SEED, "Seed of all random numbers.", at_least(0), int)
+    pull: Pull | None = setting(None, "", Pull.of)
+    hinge_springs: tuple[HingeSpring, ...] = setting(
+        (),
+        "Spring (kJ/mol/rad^2) and damper (kJ/mol ps/rad^2) on all hinges of a kind, as 'omega 40 0.5'.",
+        HingeSpring.several,
+        list[str],
+        "--hinge-spring",
+        metavar="'KIND K C'",
+    )
+
+    def __post_init__(self) -> None:
+        from protochain.dynamics.integrators import INTEGRATORS
+        from protochain.dynamics.thermostats import THERMOSTATS
+
+        super().__post_init__()
+        refuse_unknown(self.thermostat, "thermostat", THERMOSTATS)
+        refuse_unknown(self.integrator, "integrator", INTEGRATORS)
+        refuse_unknown(self.loops, "loops", ("open", "closed"))
         if self.time_step >= LONGEST_STEP:
             raise ProtochainError(
                 Argument("time_step"),
                 f" {self.time_step:g} ps: no step of this length is stable; give picoseconds: "
                 f"{self.time_step / 1000:g} are {self.time_step:g} fs",
             )
-        if not 0.0 <= self.temperature < np.inf:
-            raise refused("temperature", f"{self.temperature:g} K", "give 0 or more")
-        if not 0.0 <= self.friction < np.inf:
-            raise refused("friction", f"{self.friction:g} /ps", "give 0 or more")
-        for name, count in (
-            ("n_steps", n_steps), ("every", self.every), ("trajectory_length", self.trajectory_length),
-            ("checkpoint_every", checkpoint_every),
-        ):  # fmt: skip
-            if count < 1:
-                raise refused(name, count, "give at least 1")
-        if self.seed < 0:
-            raise refused("seed", self.seed, "give 0 or more")
         if self.pull is not None and abs(self.pull.speed) * self.time_step > FARTHEST_PULL:
             raise ProtochainError(
                 f"pull: a speed of {self.pull.speed:g} nm/ps moves the spring by more than {FARTHEST_PULL:g} "
@@ -250,9 +289,24 @@ class SimulationSettings:
         if self.loops == "closed" and self.integrator != "leapfrog":
             raise ProtochainError("loops closed: only the leapfrog supports constraints; choose it")
 
+    @property
+    def thermal_energy(self) -> float:
+        """Value of kT, kJ/mol."""
+        return MOLAR_GAS * self.temperature
 
-def build_thermostat(settings: SimulationSettings, freedoms: int) -> thermostats.Thermostat:
-    """Thermostat of the settings for this number of degrees of freedom; it takes its fields by name."""
-    kind: Any = THERMOSTATS[settings.thermostat]
-    given = settings.record() | {"thermal_energy": settings.thermal_energy, "freedoms": freedoms}
-    return kind(**{field.name: given[field.name] for field in fields(kind)})
+    def record(self) -> dict[str, Any]:
+        """Return the settings as plain values by name."""
+        plain = {field.name: getattr(self, field.name) for field in fields(self)}
+        plain["hinge_springs"] = [str(spring) for spring in self.hinge_springs] or None
+        return plain | ({"pull": None} if self.pull is None else self.pull.record())
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings(Settings):
+    """How long a simulation runs, and what is in its folder; another run may continue it with others."""
+
+    n_steps: int = setting(defaults.N_STEPS, "Total number of time steps.", at_least(1), int, "--steps")
+    trajectory: str = setting(defaults.TRAJECTORY, "dcd or xtc.", text)
+    checkpoint_every: int = setting(defaults.CHECKPOINT_EVERY, "Rows between checkpoints.", at_least(1), int)
+    resume: bool = setting(False, "Continue the simulation in DIR.", flag, bool)
+    force: bool = setting(False, "Replace the simulation in DIR.", flag, bool)

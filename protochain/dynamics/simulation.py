@@ -13,7 +13,8 @@ from protochain.contacts import overlaps
 from protochain.core.arrays import Floats
 from protochain.core.markup import counted
 from protochain.dynamics.loop import Ending, State
-from protochain.dynamics.settings import THERMOSTATS, SimulationSettings
+from protochain.dynamics.settings import SimulationSettings
+from protochain.dynamics.thermostats import THERMOSTATS
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
 from protochain.structure import Structure, save

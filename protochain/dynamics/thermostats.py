@@ -1,7 +1,8 @@
 """Thermostats: applied after each step of an integrator, each leaves the canonical distribution invariant."""
 
-from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -241,3 +242,19 @@ class HybridMonteCarlo(Thermostat):
         at = system.with_velocities(at, sample(at.factors, noise))
         energy = bath.energy + before - at.total
         return at, Bath(energy, read_only([0.0, accepted + accept, tried + 1, at.total, *at.q]))
+
+
+THERMOSTATS: dict[str, type[Thermostat]] = {
+    "none": Isolated,
+    "langevin": Langevin,
+    "nose-hoover": NoseHoover,
+    "rescale": Rescaling,
+    "hmc": HybridMonteCarlo,
+}
+
+
+def build_thermostat(settings: Mapping[str, Any], thermal_energy: float, freedoms: int) -> Thermostat:
+    """Thermostat of the settings for this number of degrees of freedom; it takes its fields by name."""
+    kind: Any = THERMOSTATS[settings["thermostat"]]
+    given = {**settings, "thermal_energy": thermal_energy, "freedoms": freedoms}
+    return kind(**{field.name: given[field.name] for field in fields(kind)})

@@ -20,14 +20,7 @@ _BONDED = (
 def bonded_part(energy: Energy) -> Energy | None:
     """Bonds, angles and dihedrals of an energy, without all that acts between other atoms.
 
-    Parameters
-    ----------
-    energy : Energy
-
-    Returns
-    -------
-    Energy or None
-        None if nothing is known of its terms, as of a callable.
+    None if nothing is known of its terms, as of a callable.
     """
     if energy.system is None:
         return None

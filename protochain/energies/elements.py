@@ -72,22 +72,9 @@ def create_system(
 ) -> openmm.System:
     """Create the System of a structure with obstacles, those without parameters by element.
 
-    Parameters
-    ----------
-    structure : Structure
-        Structure with molecules kept beside it.
-    force_field : openmm.app.ForceField
-        Left unchanged.
-    fresh : callable
-        Makes another one, which receives templates.
-    pairs : dict
-        Arguments of ``createSystem`` on the cutoff.
-
-    Returns
-    -------
-    openmm.System
-        Atoms joined across bonds between the protein and obstacles do not repel one
-        another.
+    Atoms joined across bonds between the protein and obstacles do not repel one another. The force field is
+    left unchanged: ``fresh`` makes another one, which receives templates. ``pairs`` are the arguments of
+    ``createSystem`` on the cutoff.
 
     Raises
     ------

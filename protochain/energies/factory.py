@@ -12,13 +12,13 @@ from openmm import app, unit
 
 from protochain.core import defaults
 from protochain.core.checks import (
+    at_least,
     checked,
     cutoff_of,
     file_name,
     flag,
     force_field_parts,
     instance,
-    integer,
     optional,
     text,
 )
@@ -68,7 +68,7 @@ angles); no dihedrals, impropers or CMAP, as where rigid peptide planes only att
 
 
 @checked(
-    forcefield=file_name, solvent=text, engine=text, cutoff=cutoff_of, threads=optional(integer),
+    forcefield=file_name, solvent=text, engine=text, cutoff=cutoff_of, threads=optional(at_least(1)),
     trust_forcefield=flag, terms=text, system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
 def energy(
@@ -131,8 +131,6 @@ def energy(
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
     if terms not in TERMS:
         raise ForceFieldError(f"terms {terms!r} are not known; choose from {', '.join(TERMS)}")
-    if threads is not None and threads < 1:
-        raise ForceFieldError(f"threads {threads}: give at least 1")
     if cutoff == "auto":
         is_long = solvent != "vacuum" and structure.n_atoms > defaults.FULL_UP_TO
         cutoff = defaults.LONG_CUTOFF if is_long else None

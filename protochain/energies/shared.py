@@ -18,18 +18,7 @@ class _Atoms:
 
 
 def shared_energy(structure: Structure, **settings: Any) -> Energy:
-    """Build an energy, or reuse one built in this process for the same atoms with the same settings.
-
-    Parameters
-    ----------
-    structure : Structure
-    **settings
-        Options of :func:`protochain.energy`.
-
-    Returns
-    -------
-    Energy
-    """
+    """Build an energy, or reuse one built in this process for the same atoms with the same settings."""
     return _built(_Atoms(structure.fingerprint, structure), tuple(sorted(settings.items())))
 
 

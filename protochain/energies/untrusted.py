@@ -41,12 +41,6 @@ _PLAIN = re.compile(r"[\w.+\-*'\"#:/,~&|^%!?@$<> ]*")
 def check_passive(path: Path, root: ElementTree.Element) -> None:
     """Refuse a force field of which OpenMM would run a part as Python, or which opens other files.
 
-    Parameters
-    ----------
-    path : Path
-        For the message.
-    root : ElementTree.Element
-
     Raises
     ------
     ForceFieldError

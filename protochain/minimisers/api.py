@@ -1,13 +1,15 @@
 """``minimise``: one call for every method."""
 
+from __future__ import annotations
+
 import hashlib
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -16,10 +18,11 @@ from protochain.articulate import as_chain
 from protochain.chain import Chain, Pose, pose
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, read_only
-from protochain.core.checks import WATCHER, checked, refuse_misplaced
+from protochain.core.checks import WATCHER, checked
 from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.core.markup import listed
+from protochain.core.settings import taken
 from protochain.energies import as_energy
 from protochain.frame import Frame, frame_of
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
@@ -40,25 +43,6 @@ from protochain.validation.fixed import fixed_faults
 from protochain.validation.omega import twisted_bonds
 
 
-class Options(TypedDict, total=False):
-    """Further options of :func:`minimise`."""
-
-    restraint: Any
-    max_rmsd: float
-    checkpoint: str | Path | None
-    resume: str | Path | None
-    curvature: bool
-
-
-def refuse_further(call: str, given: Mapping[str, Any], options: type) -> None:
-    """Refuse the first option that a call does not take, and name those that it takes."""
-    unknown = next((name for name in given if name not in options.__annotations__), None)
-    if unknown is not None:
-        refuse_misplaced(call, unknown)
-        known = ", ".join(options.__annotations__)
-        raise ProtochainError(f"{call} has no option {unknown!r}; besides its parameters it takes {known}")
-
-
 @checked(watch=WATCHER)
 def minimise(
     chain: Any,
@@ -68,8 +52,12 @@ def minimise(
     max_evaluations: int = defaults.MAX_EVALUATIONS,
     seed: int = defaults.SEED,
     *,
+    restraint: Any = "",
+    max_rmsd: float = np.inf,
+    curvature: bool = True,
+    checkpoint: str | Path | None = None,
+    resume: str | Path | None = None,
     watch: Watcher | None = None,
-    **options: Unpack[Options],
 ) -> Solution:
     """Minimise the energy of a protein.
 
@@ -96,24 +84,27 @@ def minimise(
         Energy evaluations allowed.
     seed : int
         Seed of ``anneal`` and ``openmm-md``; the other methods draw no random numbers.
+    restraint : float, sequence of float (kJ/mol/nm^2), or callable
+        Springs from the heavy atoms to their initial positions: one strength after the other, each until it
+        converges; a final 0 releases them. A callable takes positions to energy and forces, as ``energy``
+        does.
+    max_rmsd : float, angstrom
+        Upper limit of the C-alpha RMSD to the start, superposed.
+    curvature : bool
+        Whether methods that only turn hinges find, at their end, the lowest eigenvalue of the Hessian in
+        torsions, by some dozen evaluations more, and go on from a saddle point
+        (:mod:`protochain.minimisers.saddle`).
+    checkpoint : path-like, optional
+        File (.npz) to write when the run ends, for ``resume``; a warning says why if it cannot be written.
+    resume : path-like, optional
+        Continue from a checkpoint of a run with the same settings; evaluations count on, and the steps are
+        those of an uninterrupted run, bit for bit.
     watch : callable, optional
         Called with every trace row and its positions (in the frame of the start), to show progress or write a
         trajectory. Its method ``at_stage``, if it has one, is called with the stage (``parting overlaps``,
         ``held by springs``, ``interrupted`` ...) and the evaluations so far; ``at_warning`` with
         a line once a run from a start with overlaps is 2 angstrom (C-alpha RMSD) away, or else
         ``errors.StrayWarning`` says so. The message of a result that far away always does.
-    **options
-        ``restraint`` : float, sequence of float (kJ/mol/nm^2), or callable. Springs from the heavy atoms to
-        their initial positions: one strength after the other, each until it converges; a final 0 releases
-        them. A callable takes positions to energy and forces, as ``energy`` does.
-        ``max_rmsd`` : float, angstrom. Upper limit of the C-alpha RMSD to the start, superposed.
-        ``curvature`` : bool, by default True. Whether methods that only turn hinges find, at their end, the
-        lowest eigenvalue of the Hessian in torsions, by some dozen evaluations more, and go on from a saddle
-        point (:mod:`protochain.minimisers.saddle`).
-        ``checkpoint`` : path-like. File (.npz) to write when the run ends, for ``resume``; a warning
-        says why if it cannot be written.
-        ``resume`` : path-like. Continue from a checkpoint of a run with the same settings; evaluations count
-        on, and the steps are those of an uninterrupted run, bit for bit.
 
     Returns
     -------
@@ -134,9 +125,7 @@ def minimise(
     tolerance, finds no lower energy or meets a number that is not finite, it continues on the Reference
     platform, within the same budget.
     """
-    refuse_further("minimise", options, Options)
-    recipe = recipe_of(method)
-    run = Minimisation(recipe, tolerance=tolerance, max_evaluations=max_evaluations, seed=seed, **options)
+    run = taken(Minimisation, locals(), recipe=recipe_of(method))
     chain = as_chain(chain)
     return minimise_from(Start(chain, as_energy(energy, chain.structure)), run, watch)
 

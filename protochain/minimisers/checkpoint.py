@@ -9,8 +9,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.core.errors import ProtochainError
-from protochain.core.storage import fitting, read_arrays, write_arrays
+from protochain.core.storage import fitting, read_arrays, undamaged, write_arrays
 from protochain.minimisers.descent import DescentState
 from protochain.minimisers.loop import Snapshot, Unstarted
 from protochain.minimisers.metrics import Preconditioner
@@ -57,7 +56,7 @@ def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any], 
     """
     remedy = "give a file that an earlier run wrote as its checkpoint"
     arrays, tree = read_arrays(path, settings, "minimisation", remedy)
-    try:
+    with undamaged(path, remedy):
         number, place = tree["fields"]["stage"], tree["fields"].get("at")
         if type(number) is not int or not 0 <= number < len(plan):
             raise ValueError(f"stage {number!r} of {len(plan)}")
@@ -67,9 +66,7 @@ def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any], 
         waypoint: Waypoint = _Reader(arrays, stage, x).value(tree)
         if type(waypoint) is not Waypoint:
             raise ValueError(f"{type(waypoint).__name__} in place of a waypoint")
-        return waypoint
-    except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
-        raise ProtochainError(f"{path}: damaged checkpoint ({type(error).__name__}: {error})") from None
+    return waypoint
 
 
 def _plain(value: Any, arrays: dict[str, np.ndarray], known: dict[int, Any]) -> Any:

@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from protochain.core import defaults
-from protochain.core.checks import anything, flag, integer, number, optional, path
-from protochain.core.errors import Angle, Argument, ProtochainError, refused
+from protochain.core.checks import anything, at_least, flag, limited, number, optional, path
+from protochain.core.errors import Angle, Argument, ProtochainError
 from protochain.core.settings import Settings, setting
+
+TOLERANCE = optional(limited(number, lambda force: 0 < force <= 1e6, "give a number above 0, at most 1e6"))
+"""Check of a tolerance. A bond 2 nm too long pulls by 1e6 kJ/mol/nm: above it any start is an end."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,13 +28,13 @@ class MinimiseSettings(Settings):
         None,
         "RMS force at convergence where all atoms move [default: 10 kJ/mol/nm, 1 with --starts], "
         "or largest torque [default: 1 kJ/mol/rad].",
-        optional(number),
+        TOLERANCE,
         float,
     )
     max_evaluations: int = setting(
-        defaults.MAX_EVALUATIONS, "Energy evaluations allowed for each method.", integer, int
+        defaults.MAX_EVALUATIONS, "Energy evaluations allowed for each method.", at_least(1), int
     )
-    seed: int = setting(defaults.SEED, "Seed of methods that draw random numbers.", integer, int)
+    seed: int = setting(defaults.SEED, "Seed of methods that draw random numbers.", at_least(0), int)
     restraint: Any = setting(
         "",
         "Restraints to the start, kJ/mol/nm^2, one after the other: '1000 100 0'.",
@@ -46,15 +49,6 @@ class MinimiseSettings(Settings):
         bool,
         "--no-curvature",
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.seed < 0:
-            raise refused("seed", self.seed, "give 0 or more")
-        if self.tolerance is not None and not 0 < self.tolerance < math.inf:
-            raise refused("tolerance", f"{self.tolerance:g}", "give a number above 0")
-        if self.max_evaluations < 1:
-            raise refused("max_evaluations", self.max_evaluations, "give at least 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +74,7 @@ class StartSettings(Settings):
     n_starts: int = setting(
         1,
         "Number of starts, from dihedrals perturbed at random; the best end is written.",
-        integer,
+        at_least(1),
         int,
         "--starts",
     )
@@ -94,26 +88,21 @@ class StartSettings(Settings):
     hop_temperature: float | None = setting(
         None,
         "Basin hopping: start from the last minimum accepted at this K.",
-        optional(number),
+        optional(
+            limited(number, lambda kelvin: 0 <= kelvin < math.inf, "give a temperature in K, not below 0")
+        ),
         float,
         "--hop",
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.n_starts < 1:
-            raise refused("n_starts", self.n_starts, "give at least 1")
         if not 0 < self.spread < math.inf:
             raise ProtochainError(Argument("spread"), " ", Angle(self.spread), ": give an angle above 0")
-        if self.hop_temperature is not None:
-            if not 0 <= self.hop_temperature < math.inf:
-                raise refused(
-                    "hop_temperature", f"{self.hop_temperature:g}", "give a temperature in K, not below 0"
-                )
-            if self.n_starts == 1:
-                raise ProtochainError(
-                    Argument("hop_temperature"),
-                    ": needs several minima; give ",
-                    Argument("n_starts"),
-                    " 2 or more",
-                )
+        if self.hop_temperature is not None and self.n_starts == 1:
+            raise ProtochainError(
+                Argument("hop_temperature"),
+                ": needs several minima; give ",
+                Argument("n_starts"),
+                " 2 or more",
+            )

@@ -1,5 +1,7 @@
 """``relax``: a predicted or experimental structure in, a clean one out, the fold kept."""
 
+from __future__ import annotations
+
 from time import perf_counter
 from typing import Any
 

@@ -5,9 +5,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from protochain.core import defaults
-from protochain.core.checks import flag, integer, number, optional, text
-from protochain.core.errors import Argument, ProtochainError, refused
+from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, text
+from protochain.core.errors import ProtochainError
 from protochain.core.settings import Settings, setting
+from protochain.minimisers.settings import TOLERANCE
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
 from protochain.setup import Setup
 
@@ -54,21 +55,24 @@ class RelaxSettings(Settings):
         text,
     )
     tolerance: float | None = setting(
-        None, "RMS force at the end, kJ/mol/nm [default: 10].", optional(number), float
+        None,
+        "RMS force at the end, kJ/mol/nm [default: 10].",
+        TOLERANCE,
+        float,
     )
     stiffness: float | None = setting(
         None,
         "Springs, kJ/mol/nm^2 [default: of the preset, 4184, AlphaFold's 10 kcal/mol/angstrom^2].",
-        optional(number),
+        optional(limited(number, lambda k: 0 <= k < math.inf, "give kJ/mol/nm^2, none below 0")),
         float,
     )
     max_iterations: int = setting(
-        defaults.MAX_ITERATIONS, "Iterations of each minimisation; 0 for no limit.", integer, int
+        defaults.MAX_ITERATIONS, "Iterations of each minimisation; 0 for no limit.", at_least(0), int
     )
     max_outer_iterations: int = setting(
         defaults.MAX_OUTER_ITERATIONS,
         "Rounds at most; after the first, residues with violations are held less.",
-        integer,
+        at_least(1),
         int,
     )
     exclude: str = setting(
@@ -86,24 +90,13 @@ class RelaxSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, known in (("preset", PRESETS), ("protocol", PROTOCOLS)):
-            given = getattr(self, name)
-            if given not in known and (given or name == "preset"):
-                raise ProtochainError(
-                    Argument(name), f" {given!r} is not known; choose from {', '.join(known)}"
-                )
+        refuse_unknown(self.preset, "preset", PRESETS)
+        if self.protocol:
+            refuse_unknown(self.protocol, "protocol", PROTOCOLS)
         if self.protocol and self.preset != defaults.PRESET:
             raise ProtochainError(
                 f"preset {self.preset}: protocol {self.protocol} has its own; give one of them"
             )
-        if self.tolerance is not None and not 0 < self.tolerance < math.inf:
-            raise refused("tolerance", f"{self.tolerance:g}", "give an RMS force above 0, in kJ/mol/nm")
-        if self.stiffness is not None and not 0 <= self.stiffness < math.inf:
-            raise refused("stiffness", f"{self.stiffness:g}", "give kJ/mol/nm^2, none below 0")
-        if self.max_iterations < 0:
-            raise refused("max_iterations", self.max_iterations, "give 1 or more, or 0 for no limit")
-        if self.max_outer_iterations < 1:
-            raise refused("max_outer_iterations", self.max_outer_iterations, "give 1 or more")
 
     @property
     def strength(self) -> Preset:

@@ -1,5 +1,7 @@
 """Conversion from and to objects of other libraries: gemmi, OpenMM, mdtraj, MDAnalysis."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,7 +67,7 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     return prepare(draft, disulfide, ph, forcefield)
 
 
-def to_mdtraj(structure: Any, frames: Floats | None = None) -> "mdtraj.Trajectory":
+def to_mdtraj(structure: Any, frames: Floats | None = None) -> mdtraj.Trajectory:
     """Convert a structure to an mdtraj trajectory.
 
     Parameters
@@ -89,7 +91,7 @@ def to_mdtraj(structure: Any, frames: Floats | None = None) -> "mdtraj.Trajector
     return mdtraj.Trajectory(xyz.astype(np.float32), topology)
 
 
-def to_mdanalysis(structure: Any) -> "MDAnalysis.Universe":
+def to_mdanalysis(structure: Any) -> MDAnalysis.Universe:
     """Convert a structure to an MDAnalysis Universe of one frame, in memory.
 
     Parameters

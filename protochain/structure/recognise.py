@@ -48,13 +48,14 @@ def _graph(template: Template, with_hydrogens: bool) -> _Graph:
 
 
 def _matched(mine: _Graph, its: _Graph) -> dict[str, str] | None:
-    """Name in the molecule of each heavy atom of a template; None if they differ. Backtracking."""
+    """Name in the molecule of each heavy atom of a template; None if they differ, or may. Backtracking."""
     (kind, beside), (its_kind, its_beside) = mine, its
     if sorted(kind.values()) != sorted(its_kind.values()):
         return None
     order = _outward(its_beside)
     called: dict[str, str] = {}
     tried: list[list[str]] = []
+    left = _MOST_TRIED
     while len(called) < len(order):
         name = order[len(called)]
         if len(tried) == len(called):
@@ -62,6 +63,9 @@ def _matched(mine: _Graph, its: _Graph) -> dict[str, str] | None:
             free = (beside[anchor] if anchor else kind.keys()) - {*called.values()}
             tried.append(sorted(free, reverse=True))
         while tried[-1]:
+            left -= 1
+            if not left:
+                return None
             mine_name = tried[-1].pop()
             bonded = {called[other] for other in its_beside[name] if other in called}
             if kind[mine_name] == its_kind[name] and bonded == beside[mine_name] & {*called.values()}:
@@ -73,6 +77,10 @@ def _matched(mine: _Graph, its: _Graph) -> dict[str, str] | None:
                 return None
             called.popitem()
     return called
+
+
+_MOST_TRIED = 100_000
+"""Pairs of atoms: molecules need some hundreds, but of like pieces the ways to pair them have no end."""
 
 
 def _outward(beside: Mapping[str, set[str]]) -> Sequence[str]:

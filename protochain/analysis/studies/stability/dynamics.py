@@ -18,7 +18,7 @@ from protochain.core.arrays import Floats
 from protochain.core.errors import ProtochainError
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import Closure, Leapfrog, Simulation, System, chain_potential, simulate
-from protochain.dynamics.settings import INTEGRATORS
+from protochain.dynamics.integrators import INTEGRATORS
 from protochain.energies import Energy, energy
 from protochain.mechanics.motion.system import Phase
 from protochain.mechanics.multibody import HingeKind, Tree, centre_of_mass, mass_matrix, momentum, random_tree

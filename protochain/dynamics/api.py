@@ -1,5 +1,7 @@
 """``simulate``: constrained dynamics of a chain, from settings to output files and a result."""
 
+from __future__ import annotations
+
 import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -16,29 +18,24 @@ from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, place_atoms
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, floats
-from protochain.core.checks import WATCHER, checked, flag, integer, path, quantity, text
+from protochain.core.checks import WATCHER, checked, optional, path
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import listed
+from protochain.core.settings import taken
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import has_free_roots
-from protochain.dynamics.fixman import fixman
 from protochain.dynamics.folder import Folder, check_folder, constants_of, rescued
 from protochain.dynamics.hinge_springs import HingeSprings, dampers, hinge_springs, hinges_of
+from protochain.dynamics.integrators import INTEGRATORS
 from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
 from protochain.dynamics.loop import run as propagate
-from protochain.dynamics.potential import chain_potential
+from protochain.dynamics.potential import chain_potential, fixman
 from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring, refuse_kept
-from protochain.dynamics.settings import (
-    INTEGRATORS,
-    THERMOSTATS,
-    HingeSpring,
-    Pull,
-    SimulationSettings,
-    build_thermostat,
-)
+from protochain.dynamics.settings import HingeSpring, Pull, RunSettings, SimulationSettings
 from protochain.dynamics.simulation import Simulation, said_of
+from protochain.dynamics.thermostats import THERMOSTATS, build_thermostat
 from protochain.energies import Energy, as_energy
 from protochain.energies.custom import EnergyFunction
 from protochain.frame import Frame, frame_of
@@ -48,13 +45,7 @@ from protochain.structure.chirality import changed_hands
 from protochain.structure.superpose import rmsd_angstrom
 
 
-@checked(
-    temperature=quantity("kelvin"), time_step=quantity("picosecond"), n_steps=integer, thermostat=text,
-    seed=integer, friction=quantity("1/picosecond"), integrator=text, fixman=flag, loops=text,
-    hydrogen_mass=quantity("dalton"), trajectory_length=integer, every=integer, output=path,
-    trajectory=text, checkpoint_every=integer, resume=flag, force=flag, watch=WATCHER,
-    pull=Pull.of, hinge_springs=HingeSpring.several,
-)  # fmt: skip
+@checked(output=optional(path), watch=WATCHER)
 def simulate(
     chain: Any,
     energy: Energy | EnergyFunction | None = None,
@@ -147,14 +138,11 @@ def simulate(
     ProtochainError
         If a setting is unknown or out of range, or the input or the folder cannot be used.
     """
-    settings = SimulationSettings(
-        temperature, time_step, thermostat, friction, integrator, fixman, loops, hydrogen_mass,
-        trajectory_length, every, seed, Pull.of(pull), HingeSpring.several(hinge_springs),
-    )  # fmt: skip
-    settings.check(n_steps, checkpoint_every)
+    given = locals()
+    settings, running = taken(SimulationSettings, given), taken(RunSettings, given)
     if output is not None:
-        check_folder(Path(output), trajectory, resume, force)
-    elif resume:
+        check_folder(Path(output), trajectory, running.resume, running.force)
+    elif running.resume:
         raise ProtochainError(Argument("resume", True), ": give the folder of the simulation as output")
     chain = as_chain(chain)
     energy = as_energy(energy, chain.structure)
@@ -162,7 +150,7 @@ def simulate(
     run = _prepare(chain, energy, q, settings, constants_of(Path(output)) if resume and output else {})
     folder = Folder(Path(output), trajectory, run.identity, run.constants) if output is not None else None
     with threadpool_limits(1, "blas"), rescued(folder):
-        return _simulate(run, folder, resume, n_steps, checkpoint_every, watch)
+        return _simulate(run, folder, running, watch)
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,9 +294,10 @@ def _prepare(
     removes = has_free_roots(made.tree) and THERMOSTATS[settings.thermostat].conserves_momentum
     freedoms -= 6 if removes else 0
     noise = 0.0 if settings.thermostat == "none" else settings.thermal_energy
+    kt = settings.thermal_energy
     propagator = Propagator(
-        system, INTEGRATORS[settings.integrator], build_thermostat(settings, freedoms), settings.time_step,
-        settings.thermal_energy, settings.seed, removes, dampers(settings.hinge_springs, made, noise),
+        system, INTEGRATORS[settings.integrator], build_thermostat(settings.record(), kt, freedoms),
+        settings.time_step, kt, settings.seed, removes, dampers(settings.hinge_springs, made, noise),
     )  # fmt: skip
     return _Run(made, energy, varying, start, settings, propagator, closure, freedoms, pull, springs)
 
@@ -333,30 +322,28 @@ def _transferred(chain: Chain, made: Chain, q: Floats) -> Floats:
 
 
 @held_interrupts()
-def _simulate(
-    run: _Run, folder: Folder | None, resume: bool, n_steps: int, checkpoint_every: int, watch: Watcher | None
-) -> Simulation:
+def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Watcher | None) -> Simulation:
     """Run a simulation from its start or checkpoint, and write its files."""
     every, structure = run.settings.every, run.chain.structure
-    start, origin, rows = _start(run, folder, resume)
+    start, origin, rows = _start(run, folder, running.resume)
 
     def report(state: State) -> None:
         row, x = run.row(state, origin)
         rows.append(row)
         if folder:
             folder.append(row, x)
-            if state.step and state.step % (every * checkpoint_every) == 0:
+            if state.step and state.step % (every * running.checkpoint_every) == 0:
                 folder.store(state, run.varying.lists_at)
         if watch:
             watch(row, x)
 
-    if not resume:
+    if not running.resume:
         report(start)
     with suppress(StepTooLargeError):
         # Compile or load the kernels before the clock starts.
         advance(run.propagator, start)
     began = perf_counter()
-    state, ending, why = propagate(run.propagator, start, n_steps, every, report)
+    state, ending, why = propagate(run.propagator, start, running.n_steps, every, report)
     seconds = perf_counter() - began
     end = place_atoms(run.chain, state.at.factors.frames)
     inverted = changed_hands(structure, end, structure.positions)

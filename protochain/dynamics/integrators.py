@@ -1,0 +1,20 @@
+"""Integrators by the names that users give, and what they step; the mechanics are those of any mechanism."""
+
+from protochain.mechanics.motion import lobatto
+from protochain.mechanics.motion.leapfrog import Leapfrog
+from protochain.mechanics.motion.midpoint import ImplicitMidpoint
+from protochain.mechanics.motion.runge_kutta import DormandPrince, RungeKutta4
+from protochain.mechanics.motion.system import Integrator, Phase, StepTooLargeError, System, total
+
+__all__ = [
+    "INTEGRATORS", "DormandPrince", "ImplicitMidpoint", "Leapfrog", "Phase", "RungeKutta4",
+    "StepTooLargeError", "System", "total",
+]  # fmt: skip
+
+INTEGRATORS: dict[str, Integrator] = {
+    "leapfrog": Leapfrog(),
+    "lobatto": Leapfrog(lobatto.drift),
+    "midpoint": ImplicitMidpoint(),
+    "rk4": RungeKutta4(),
+    "dormand-prince": DormandPrince(),
+}
