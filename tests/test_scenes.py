@@ -14,7 +14,7 @@ from test_commands import refusal
 from test_commands import run as command
 
 import protochain.scenes
-from protochain.core.errors import MechanicsError, ProtochainError
+from protochain.core.errors import Argument, Fault, MechanicsError, ProtochainError
 from protochain.lab.cases import check, extreme, left_out, tried, vanishes
 from protochain.lab.cost import in_turn, timed
 from protochain.lab.fits import exponent, extrapolated, order
@@ -39,10 +39,10 @@ def test_a_check_says_how_far_off_it_is_and_nan_is_wrong():
     assert check("none", 0.0, 0.0, 0.0, "").right and not check("some", 1e-300, 0.0, 1.0, "").right
 
 
-def test_an_extreme_is_right_refused_in_the_words_expected_or_wrong():
+def test_an_extreme_is_right_refused_as_expected_or_wrong():
     def refuses(text):
         def call():
-            raise MechanicsError(text)
+            raise MechanicsError(Argument("step"), text, fault=Fault.STEP)
 
         return call
 
@@ -52,14 +52,13 @@ def test_an_extreme_is_right_refused_in_the_words_expected_or_wrong():
     assert extreme("e", of(1.05)) == Extreme("e", "right", "relative error 0.05, bound 0.1: one")
     assert extreme("e", of(1.2)).outcome == "wrong"
     assert extreme("e", lambda: of(np.float64(1.0) / np.zeros(1)[0])()).outcome == "wrong"
-    assert extreme("e", refuses("the step is too long"), "too long") == Extreme(
-        "e", "refused", "the step is too long"
-    )
-    assert extreme("e", refuses("the step is too long")).outcome == "wrong"
-    assert extreme("e", refuses("the step is too long"), "no inertia").outcome == "wrong"
-    assert extreme("e", refuses("too long\nreally"), "too long").outcome == "wrong"
-    assert extreme("e", of(1.0), "too long").outcome == "wrong"
-    broken = extreme("e", lambda: {}["k"], "too long")
+    for expected in (Fault.STEP, Argument("step")):
+        assert extreme("e", refuses(" 2 s"), expected) == Extreme("e", "refused", "step 2 s")
+    for expected in (None, Fault.NO_INERTIA, Argument("steps")):
+        assert extreme("e", refuses(" 2 s"), expected).outcome == "wrong"
+    assert extreme("e", refuses(" 2 s\nreally"), Fault.STEP).outcome == "wrong"
+    assert extreme("e", of(1.0), Fault.STEP).outcome == "wrong"
+    broken = extreme("e", lambda: {}["k"], Fault.STEP)
     assert broken.outcome == "wrong" and broken.detail == "KeyError: 'k'"
 
 

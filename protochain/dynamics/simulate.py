@@ -17,7 +17,7 @@ from protochain.chain import Chain, place_atoms
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, floats
 from protochain.core.checks import WATCHER, checked, flag, integer, path, quantity, text
-from protochain.core.errors import Argument, ProtochainError
+from protochain.core.errors import Argument, Fault, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import listed
 from protochain.core.units import MOLAR_GAS
@@ -278,7 +278,9 @@ def _prepare(
     given = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
     if not np.isfinite(given).all():
         at = int(np.argmin(np.isfinite(given)))
-        raise ProtochainError(f"q: coordinate {at} is {given[at]}, not a finite number")
+        raise ProtochainError(
+            f"q: coordinate {at} is {given[at]}, not a finite number", fault=Fault.NOT_FINITE
+        )
     made = freed(chain, settings)
     varying = energy.without_constants(made.rigid_groups, made.structure.positions)
     start = _transferred(chain, made, given)

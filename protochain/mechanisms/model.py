@@ -407,7 +407,7 @@ class _Simulation:
                 # Of what has diverged this says more.
                 self.look()
                 named = error.by_name(self.model.bodies.names) if isinstance(error, BodyError) else error
-                raise MechanicsError(f"{self.after}: {named}") from None
+                raise MechanicsError(f"{self.after}: {named}", fault=error.fault) from None
             finally:
                 for memory in self.model.memories:
                     memory.end(end)
