@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT, STRUCTURES
+from conftest import STRUCTURES
 from test_commands import refusal
 from test_commands import run as command
 
@@ -17,6 +17,7 @@ import protochain.scenes
 from protochain.core.errors import Argument, Fault, MechanicsError, ProtochainError
 from protochain.lab.cases import check, extreme, left_out, tried, vanishes
 from protochain.lab.cost import in_turn, timed
+from protochain.lab.discovery import modules
 from protochain.lab.fits import exponent, extrapolated, order
 from protochain.lab.report import work_table
 from protochain.mechanics.multibody import kinetic_energy, pose
@@ -139,13 +140,15 @@ def scenes(monkeypatch):
     return put
 
 
-def test_every_scene_has_a_line_and_a_module():
-    folder = ROOT / "protochain" / "scenes"
-    modules = {path.stem for path in folder.iterdir() if path.is_dir() or path.suffix == ".py"}
-    assert modules - {"__init__", "__pycache__"} == set(SCENES)
+def test_every_scene_is_found_with_its_line(tmp_path):
     for name, line in SCENES.items():
         assert 20 < len(line) < 90 and "\n" not in line
         assert callable(import_module(f"protochain.scenes.{name}").run)
+    (tmp_path / "one.py").write_text('"""The first."""\n1 / 0\n')
+    (tmp_path / "one_part.py").write_text('"""Of the first."""\n')
+    (tmp_path / "two").mkdir()
+    (tmp_path / "two" / "__init__.py").write_text('"""The second: more.\n\nAnd more.\n"""\n')
+    assert modules([str(tmp_path)]) == {"one": "The first", "two": "The second: more"}
 
 
 def test_the_command_writes_what_a_scene_finds(scenes, tmp_path, capsys, monkeypatch):

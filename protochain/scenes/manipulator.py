@@ -1,4 +1,4 @@
-"""An arm of three flexible links in a plane, turned by its motors: how many cells, and which integrator.
+"""An arm of three flexible links: cells, explicit and implicit integrators, rigid ends.
 
 Of the arm of Megahed, Hamza, Robotica 22:285 (2004), no data were found: chosen are steel links of 1, 0.8 and
 0.6 m, 40 mm high and 10 mm thick, on a smooth table, whose motors turn with a sin(2 pi t) for a second.
