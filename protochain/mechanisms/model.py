@@ -401,7 +401,8 @@ class _Simulation:
                 raise
             except StepTooLargeError as error:
                 raise StepTooLargeError(
-                    f"{self.after}: {error}; the time step {self.time_step:g} is too long; {_REMEDY}"
+                    f"{self.after}: {error}; the time step {self.time_step:g} is too long; {_REMEDY}",
+                    fault=error.fault,
                 ) from None
             except MechanicsError as error:
                 # Of what has diverged this says more.
