@@ -21,10 +21,11 @@ from protochain.lab.report import work_table
 from protochain.mechanics.motion import DormandPrince
 from protochain.mechanics.motion.bending import BendingSystem
 from protochain.mechanics.multibody import HingeKind, Tree
-from protochain.mechanics.multibody.beams import Beam, beam
 from protochain.mechanics.multibody.canonical import Route, canonical_rates, rates_of
 from protochain.mechanics.multibody.flexible import Flexible, bend, elastic
 from protochain.mechanics.multibody.flexible_dynamics import forward_dynamics, multiply_mass
+from protochain.mechanisms.assumed import assumed_modes
+from protochain.mechanisms.segments import Beam
 
 STIFFNESS = 3.0
 ROUTES: tuple[Route, ...] = ("articulated", "blocks", "dense")
@@ -45,7 +46,7 @@ def chain(n: int, shapes: int = 2, stiffness: float = STIFFNESS, flap: int = 0, 
     tip : float
         Mass of a ball fixed to the end; none by default.
     """
-    link = beam(Beam(1.0, 1.0, flap=stiffness, lag=stiffness), flap=flap, lag=shapes)
+    link = assumed_modes(Beam(1.0, 1.0, stiffness), flap=flap, lag=shapes)
     ball = 1 if tip else 0
     kinds = [HingeKind.REVOLUTE] * n + [HingeKind.FIXED] * ball
     size = np.append(np.full(n, 1.0 / 12.0), [0.01 * tip] * ball)
