@@ -9,10 +9,11 @@ from test_flexible import some
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import HingeKind, Tree
-from protochain.mechanics.multibody.beams import Beam, beam
 from protochain.mechanics.multibody.canonical import canonical_rates, rates_of
 from protochain.mechanics.multibody.flexible import Flexible, bend, elastic
 from protochain.mechanics.multibody.flexible_dynamics import forward_dynamics, mass_matrix, momenta
+from protochain.mechanisms.assumed import assumed_modes
+from protochain.mechanisms.segments import Beam
 from protochain.scenes import run
 from protochain.scenes.canonical import by_hand
 
@@ -21,8 +22,8 @@ EPS = np.finfo(float).eps
 
 def two_links(sections=3):
     """Two links in a plane about the world's z axis, one shape of lag each; nothing holds the first hinge."""
-    first = beam(Beam(1.0, 2.0, lag=3.0), lag=1, sections=sections)
-    second = beam(Beam(0.8, 1.5, lag=2.0), lag=1, sections=sections)
+    first = assumed_modes(Beam(1.0, 2.0, (0.0, 3.0)), lag=1, sections=sections)
+    second = assumed_modes(Beam(0.8, 1.5, (0.0, 2.0)), lag=1, sections=sections)
     tree = Tree(
         np.array([-1, 0]), np.array([HingeKind.REVOLUTE] * 2), np.array([[0.0, 0, 0], [1.0, 0, 0]]),
         np.stack([np.eye(3)] * 2), np.array([2.0, 1.2]), np.array([[0.5, 0, 0], [0.4, 0, 0]]),

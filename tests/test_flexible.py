@@ -11,7 +11,6 @@ from slow_mechanics import random_q
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind, Tree, random_tree
-from protochain.mechanics.multibody.beams import Beam, beam, clamped, clamped_roots
 from protochain.mechanics.multibody.flexible import Flexible, bend, elastic, integrate
 from protochain.mechanics.multibody.flexible_algebra import tangent_rate
 from protochain.mechanics.multibody.flexible_dynamics import (
@@ -24,6 +23,8 @@ from protochain.mechanics.multibody.flexible_dynamics import (
     solve,
 )  # fmt: skip
 from protochain.mechanics.multibody.rotations import tangent
+from protochain.mechanisms.assumed import assumed_modes, clamped, clamped_roots
+from protochain.mechanisms.segments import Beam
 
 KINDS = (HingeKind.REVOLUTE, HingeKind.PRISMATIC, HingeKind.SCREW, HingeKind.FIXED)
 
@@ -32,8 +33,10 @@ def some(seed, root=HingeKind.FREE, n=6):
     """A tree of which two bodies in three bend, with bodies on their sections, in some state of motion."""
     rng = np.random.default_rng(seed)
     tree = random_tree(n, seed, 0.4, root, KINDS)
-    of = Beam(0.3, 20.0, flap=5.0, lag=9.0, twist=2.0, polar=0.02)
-    shapes = tuple(beam(of, *rng.integers(1, 3, size=3), sections=4) if b % 3 else None for b in range(n))
+    of = Beam(0.3, 20.0, (5.0, 9.0), twist=2.0, polar=0.02)
+    shapes = tuple(
+        assumed_modes(of, *rng.integers(1, 3, size=3), sections=4) if b % 3 else None for b in range(n)
+    )
     section = np.array([-1 if p < 0 or shapes[p] is None else rng.integers(-1, 5) for p in tree.parent])
     flexible = Flexible(tree, shapes, section)
     q = np.concatenate([random_q(tree, rng), 0.1 * rng.normal(size=flexible.n_q - tree.n_q)])
@@ -155,7 +158,7 @@ def test_elastic_torques_are_those_of_each_body(seed):
 
 # --- Beams
 
-BEAM = Beam(1.0, 1.0, flap=1.0, lag=1.0)
+BEAM = Beam(1.0, 1.0, (1.0, 1.0))
 """In units of l, m and EI: frequencies are in sqrt(EI / m l^4)."""
 
 
@@ -165,7 +168,7 @@ def on_a_hub(of=BEAM, shortens=True, **shapes):
         np.array([-1]), np.array([HingeKind.REVOLUTE]), np.zeros((1, 3)), np.eye(3)[None], np.ones(1),
         np.array([[0.5 * of.length, 0, 0]]), np.eye(3)[None], driven=np.array([True]),
     )  # fmt: skip
-    own = beam(of, **shapes)
+    own = assumed_modes(of, **shapes)
     if not shortens:
         own = replace(own, shortening=0.0 * own.shortening)
     return Flexible(tree, (own,), np.array([-1]))
@@ -218,7 +221,7 @@ def test_clamped_shapes():
 
 def test_sections_stay_normal_to_the_line_of_the_beam():
     """A section's turn about y or z is the slope there: of the places, dx/ds = turn x (1, 0, 0)."""
-    own = beam(Beam(2.0, 1.0, flap=1.0, lag=1.0), flap=2, lag=2, sections=40)
+    own = assumed_modes(Beam(2.0, 1.0, (1.0, 1.0)), flap=2, lag=2, sections=40)
     s = own.place[:, 0]
     slope = CubicSpline(s, own.moves, axis=0)(s, 1)
     turned = np.cross(own.turns, [[[1.0], [0.0], [0.0]]], axis=1)
@@ -227,7 +230,7 @@ def test_sections_stay_normal_to_the_line_of_the_beam():
 
 
 def test_a_cantilever_has_the_frequencies_of_euler_and_bernoulli():
-    of = Beam(2.0, 3.0, flap=5.0, lag=20.0, twist=4.0, polar=0.3)
+    of = Beam(2.0, 3.0, (5.0, 20.0), twist=4.0, polar=0.3)
     flexible = on_a_hub(of, flap=3, lag=2, twist=2)
     flap, lag = (clamped_roots(3) ** 2 * np.sqrt(stiffness / (3.0 * 2.0**4)) for stiffness in (5.0, 20.0))
     twist = np.pi * np.array([0.5, 1.5]) / 2.0 * np.sqrt(4.0 / 0.3)
@@ -254,7 +257,7 @@ def test_more_shapes_come_closer_from_above():
 
 # --- Spin-up: a beam of 10 m on a hub that comes to 6 rad/s in 15 s; Kane, Ryan, Banerjee (1987)
 
-SPUN = Beam(10.0, 1.2, lag=1.4e4)
+SPUN = Beam(10.0, 1.2, (0.0, 1.4e4))
 
 
 def tip(shapes, shortens, until):
@@ -330,10 +333,12 @@ def test_energy_and_momentum_of_links_that_bend_are_kept():
 
 def test_what_makes_no_sense_is_refused():
     with pytest.raises(MechanicsError, match="shapes of lag needs a stiffness lag above zero"):
-        beam(Beam(1.0, 1.0, flap=1.0), flap=1, lag=1)
+        assumed_modes(Beam(1.0, 1.0, (1.0, 0.0)), flap=1, lag=1)
     with pytest.raises(MechanicsError, match="moment of inertia polar above zero"):
-        beam(Beam(1.0, 1.0, twist=1.0), twist=1)
-    own = beam(BEAM, flap=2, sections=3)
+        assumed_modes(Beam(1.0, 1.0, (0.0, 0.0), twist=1.0), twist=1)
+    with pytest.raises(MechanicsError, match="rigid zones"):
+        assumed_modes(Beam(1.0, 1.0, 1.0, rigid=0.1), flap=1)
+    own = assumed_modes(BEAM, flap=2, sections=3)
     with pytest.raises(MechanicsError, match="moves of a body of 4 sections and 2 shapes"):
         replace(own, moves=own.moves[..., :1])
     tree = random_tree(2, 0)

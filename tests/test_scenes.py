@@ -9,14 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT, STRUCTURES
+from conftest import STRUCTURES
 from test_commands import refusal
 from test_commands import run as command
 
 import protochain.scenes
-from protochain.core.errors import MechanicsError, ProtochainError
+from protochain.core.errors import Argument, Fault, MechanicsError, ProtochainError
 from protochain.lab.cases import check, extreme, left_out, tried, vanishes
 from protochain.lab.cost import in_turn, timed, work_table
+from protochain.lab.discovery import modules
 from protochain.lab.fits import exponent, extrapolated, order
 from protochain.mechanics.multibody import kinetic_energy, pose
 from protochain.scenes import SCENES, Check, Extreme, LeftOut, Scene, plot_work, run, serial
@@ -38,10 +39,10 @@ def test_a_check_says_how_far_off_it_is_and_nan_is_wrong():
     assert check("none", 0.0, 0.0, 0.0, "").right and not check("some", 1e-300, 0.0, 1.0, "").right
 
 
-def test_an_extreme_is_right_refused_in_the_words_expected_or_wrong():
+def test_an_extreme_is_right_refused_as_expected_or_wrong():
     def refuses(text):
         def call():
-            raise MechanicsError(text)
+            raise MechanicsError(Argument("step"), text, fault=Fault.STEP)
 
         return call
 
@@ -51,14 +52,13 @@ def test_an_extreme_is_right_refused_in_the_words_expected_or_wrong():
     assert extreme("e", of(1.05)) == Extreme("e", "right", "relative error 0.05, bound 0.1: one")
     assert extreme("e", of(1.2)).outcome == "wrong"
     assert extreme("e", lambda: of(np.float64(1.0) / np.zeros(1)[0])()).outcome == "wrong"
-    assert extreme("e", refuses("the step is too long"), "too long") == Extreme(
-        "e", "refused", "the step is too long"
-    )
-    assert extreme("e", refuses("the step is too long")).outcome == "wrong"
-    assert extreme("e", refuses("the step is too long"), "no inertia").outcome == "wrong"
-    assert extreme("e", refuses("too long\nreally"), "too long").outcome == "wrong"
-    assert extreme("e", of(1.0), "too long").outcome == "wrong"
-    broken = extreme("e", lambda: {}["k"], "too long")
+    for expected in (Fault.STEP, Argument("step")):
+        assert extreme("e", refuses(" 2 s"), expected) == Extreme("e", "refused", "step 2 s")
+    for expected in (None, Fault.NO_INERTIA, Argument("steps")):
+        assert extreme("e", refuses(" 2 s"), expected).outcome == "wrong"
+    assert extreme("e", refuses(" 2 s\nreally"), Fault.STEP).outcome == "wrong"
+    assert extreme("e", of(1.0), Fault.STEP).outcome == "wrong"
+    broken = extreme("e", lambda: {}["k"], Fault.STEP)
     assert broken.outcome == "wrong" and broken.detail == "KeyError: 'k'"
 
 
@@ -139,13 +139,15 @@ def scenes(monkeypatch):
     return put
 
 
-def test_every_scene_has_a_line_and_a_module():
-    folder = ROOT / "protochain" / "scenes"
-    modules = {path.stem for path in folder.iterdir() if path.is_dir() or path.suffix == ".py"}
-    assert modules - {"__init__", "__pycache__"} == set(SCENES)
+def test_every_scene_is_found_with_its_line(tmp_path):
     for name, line in SCENES.items():
         assert 20 < len(line) < 90 and "\n" not in line
         assert callable(import_module(f"protochain.scenes.{name}").run)
+    (tmp_path / "one.py").write_text('"""The first."""\n1 / 0\n')
+    (tmp_path / "one_part.py").write_text('"""Of the first."""\n')
+    (tmp_path / "two").mkdir()
+    (tmp_path / "two" / "__init__.py").write_text('"""The second: more.\n\nAnd more.\n"""\n')
+    assert modules([str(tmp_path)]) == {"one": "The first", "two": "The second: more"}
 
 
 def test_the_command_writes_what_a_scene_finds(scenes, tmp_path, capsys, monkeypatch):

@@ -18,6 +18,7 @@ from protochain.analysis.studies.precision import minimisers
 from protochain.analysis.studies.precision import solvers as precise
 from protochain.analysis.studies.stability import cells, dynamics, mechanics, page, solvers
 from protochain.cli import app
+from protochain.core.errors import Fault
 from protochain.core.processors import processors
 from protochain.mechanics.multibody import HingeKind, mass_matrix, pose, random_tree
 from protochain.results import provenance
@@ -51,18 +52,21 @@ def test_the_grid_counts_what_it_found(tmp_path, monkeypatch):
         raise RuntimeError("out of order")
 
     def refuses(threads):
-        raise pc.ProtochainError("give another number")
+        raise pc.ProtochainError("give another number", fault=Fault.SHAPE)
+
+    def two_lines(threads):
+        raise pc.ProtochainError("give\nanother", fault=Fault.SHAPE)
 
     table = (
         cells.Case("sums", "good", lambda threads: cells.Found(1e-16, 1e-15, "by hand")),
         cells.Case("sums", "bad", lambda threads: cells.Found(1e-14, 1e-15, "by hand")),
         cells.Case("sums", "NaN", lambda threads: cells.Found(np.nan, 1e-15, "by hand")),
         cells.Case("sums", "raises", fails),
-        cells.Case("sums", "two lines", lambda threads: pc.from_sequence("A\nB"), refusal="."),
-        cells.Case("limits", "refuses", refuses, refusal="another number"),
+        cells.Case("sums", "two lines", two_lines, refusal=Fault.SHAPE),
+        cells.Case("limits", "refuses", refuses, refusal=Fault.SHAPE),
         cells.Case("limits", "refuses unasked", refuses),
-        cells.Case("limits", "refuses otherwise", refuses, refusal="no number"),
-        cells.Case("limits", "answers", lambda threads: cells.Found(0, 0, ""), refusal="another number"),
+        cells.Case("limits", "refuses otherwise", refuses, refusal=Fault.STEP),
+        cells.Case("limits", "answers", lambda threads: cells.Found(0, 0, ""), refusal=Fault.SHAPE),
         cells.Case("threads", "a bit", lambda threads: cells.Found(0.25 * threads, 1, "by hand")),
         cells.Case("threads", "NaN both", lambda threads: cells.Found(0, np.nan, "by hand")),
         cells.Case("threads", "a word", lambda threads: cells.Found(0, 1, "by hand", str(threads))),
@@ -71,19 +75,19 @@ def test_the_grid_counts_what_it_found(tmp_path, monkeypatch):
     )
     monkeypatch.setattr(mechanics, "CASES", table)
     run = cells.ordered(cells.run_cells(["mechanics"], cells.Part.QUICK, (1, 2)))
-    verdicts = ["right", *["wrong"] * 3, "refused", "refused", *["wrong"] * 6, "right"]
+    verdicts = ["right", *["wrong"] * 4, "refused", *["wrong"] * 6, "right"]
     assert run["verdict"].tolist() == verdicts
     messages = run["message"].tolist()
     assert messages[3] == "RuntimeError: out of order" and messages[5] == "give another number"
     assert messages[6:8] == [
         "refused where an answer is expected: give another number",
-        "refused otherwise than by 'no number': give another number",
+        "refused, not for Fault.STEP: give another number",
     ]
     assert messages[8].startswith("an answer where a refusal is expected") and not messages[10]
     assert "2 threads: right, error 0.5," in messages[9] and messages[11].startswith("not the same by")
     assert run["threads"].tolist() == [*["1 2"] * 12, "1"]
     text = page.rendered(run, (1, 2))
-    assert text.count('<span class="wrong" title') == 9 and text.count('<span class="refused" title') == 2
+    assert text.count('<span class="wrong" title') == 10 and text.count('<span class="refused" title') == 1
     monkeypatch.setattr(cells, "ROWS", ("mechanics",))
     monkeypatch.setattr(stability, "processors", lambda: 1)
     asked = ["bench", "stability", "--quick", "--rows", "mechanics", "-o", str(tmp_path)]

@@ -5,6 +5,7 @@ The outcome of a run is no exception but a :class:`protochain.minimisers.Status`
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 _MAKE_SPACE = "free space there, or give another place, and run again"
 
@@ -38,12 +39,44 @@ class Angle:
         return f"{self.radians:g} rad"
 
 
+class Fault(Enum):
+    """What a refusal is about, for those who must tell one from another: its words are for people."""
+
+    BENDS = "nothing is left to bend"
+    DEPENDENT = "rows that depend on others"
+    DRIVEN = "a driven hinge has no momentum"
+    ENDLESS = "an event without end"
+    FAR = "far from the origin"
+    FRICTION = "friction too high for one solution"
+    HALF_TURN = "half a turn"
+    IMMOVABLE = "nothing can move"
+    JAMMED = "a contact that sticks"
+    NEGATIVE = "below zero"
+    NOT_FINITE = "not a finite number"
+    NO_EQUILIBRIUM = "no equilibrium"
+    NO_INERTIA = "a hinge without inertia"
+    NO_INVERSE = "no inverse inertia"
+    NO_STIFFNESS = "no stiffness"
+    ONLY_ALPHA = "C-alpha atoms only"
+    OVERLAP = "overlap"
+    SHAPE = "another shape"
+    STEP = "time step too long"
+    UNDERCUT = "undercut"
+
+
 class ProtochainError(ValueError):
     """Bad input: one line that names the file, the place and the remedy.
 
     It is made of the line's parts, each a str, Argument or Angle. Its text names arguments as Python does,
-    :meth:`told` as the caller knows them.
+    :meth:`told` as the caller knows them. ``fault`` says what it is about, where somebody needs to know.
     """
+
+    fault: Fault | None = None
+
+    def __init__(self, *parts: object, fault: Fault | None = None) -> None:
+        super().__init__(*parts)
+        if fault is not None:
+            self.fault = fault
 
     def __str__(self) -> str:
         return self.told(str)
@@ -107,6 +140,8 @@ class StructureError(ProtochainError):
 class OnlyAlphaError(StructureError):
     """A chain of C-alpha atoms only, which can be measured but not prepared."""
 
+    fault = Fault.ONLY_ALPHA
+
 
 class ForceFieldError(ProtochainError):
     """A force field that is unknown, unsafe, or does not fit the structure."""
@@ -127,12 +162,13 @@ class BodyError(MechanicsError):
     ----------
     body : int
         Its number.
-    fault : str
+    said : str
         What is wrong, and what to do.
+    fault : Fault, optional
     """
 
-    def __init__(self, body: int, fault: str) -> None:
-        super().__init__(int(body), fault)
+    def __init__(self, body: int, said: str, fault: Fault | None = None) -> None:
+        super().__init__(int(body), said, fault=fault)
 
     @property
     def parts(self) -> tuple[object, ...]:
@@ -141,5 +177,5 @@ class BodyError(MechanicsError):
 
     def by_name(self, names: Sequence[str]) -> MechanicsError:
         """Return the same error with the name of the body in place of its number."""
-        body, fault = self.args
-        return MechanicsError(f'body "{names[body]}": {fault}')
+        body, said = self.args
+        return MechanicsError(f'body "{names[body]}": {said}', fault=self.fault)

@@ -19,7 +19,7 @@ from protochain.chain import Chain, place_atoms
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, floats
 from protochain.core.checks import WATCHER, checked, optional, path
-from protochain.core.errors import Argument, ProtochainError
+from protochain.core.errors import Argument, Fault, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import listed
 from protochain.core.settings import taken
@@ -266,7 +266,9 @@ def _prepare(
     given = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
     if not np.isfinite(given).all():
         at = int(np.argmin(np.isfinite(given)))
-        raise ProtochainError(f"q: coordinate {at} is {given[at]}, not a finite number")
+        raise ProtochainError(
+            f"q: coordinate {at} is {given[at]}, not a finite number", fault=Fault.NOT_FINITE
+        )
     made = freed(chain, settings)
     varying = energy.without_constants(made.rigid_groups, made.structure.positions)
     start = _transferred(chain, made, given)

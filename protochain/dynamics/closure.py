@@ -7,7 +7,7 @@ from scipy.linalg import cho_solve, solve_triangular
 
 from protochain.chain import Chain, pose
 from protochain.core.arrays import Floats, Integers
-from protochain.core.errors import ChainError
+from protochain.core.errors import ChainError, Fault
 from protochain.mechanics.motion.system import Drift, Drifted, Phase, StepTooLargeError
 from protochain.mechanics.multibody import (
     Frames,
@@ -154,7 +154,8 @@ class Closure:
         if np.finfo(float).eps * far > CLOSED_NM / 4:
             raise ChainError(
                 f"loops cannot be closed {far:.3g} nm from the origin, where coordinates are rounded by more "
-                f"than their tolerance of {CLOSED_NM:g} nm; move the structure to the origin"
+                f"than their tolerance of {CLOSED_NM:g} nm; move the structure to the origin",
+                fault=Fault.FAR,
             )
         raise StepTooLargeError("no impulses keep the loops closed over the time step")
 

@@ -265,7 +265,10 @@ class SimulationSettings(Settings):
                 f"nm in a step; give at most {FARTHEST_PULL / self.time_step:g}"
             )
         if self.thermostat == "nose-hoover" and not (self.temperature > 0.0 and self.friction > 0.0):
-            raise ProtochainError("nose-hoover: needs a temperature and a friction above 0; choose langevin")
+            raise ProtochainError(
+                "nose-hoover: needs a ", Argument("temperature"), " and a ", Argument("friction"),
+                " above 0; choose langevin",
+            )  # fmt: skip
         if THERMOSTATS[self.thermostat].metropolis:
             if not INTEGRATORS[self.integrator].reversible:
                 raise ProtochainError(

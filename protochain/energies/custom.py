@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import plain, shown
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Fault, ProtochainError
 from protochain.energies.factory import energy
 from protochain.energies.protocol import Energy, check_is_of
 from protochain.structure.model import Structure
@@ -85,7 +85,8 @@ def answer(function: EnergyFunction, x: Floats, name: str) -> tuple[float, Float
         raise ProtochainError(f"{name}: return (energy, forces), a real number and an array, not {what}")
     if forces.shape != np.shape(x):
         raise ProtochainError(
-            f"{name}: return (energy, forces) with forces of shape {np.shape(x)}, not {forces.shape}"
+            f"{name}: return (energy, forces) with forces of shape {np.shape(x)}, not {forces.shape}",
+            fault=Fault.SHAPE,
         )
     return float(value.item()), np.array(forces, dtype=np.float64, order="C")
 

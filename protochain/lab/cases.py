@@ -4,7 +4,6 @@ A scene is a module with ``run(quick) -> Scene``. :func:`check` holds a value ag
 :func:`extreme` judges a call that may be refused, :func:`left_out` computes one answer twice.
 """
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -16,7 +15,7 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from protochain.core.arrays import Floats
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Argument, Fault, ProtochainError
 from protochain.core.storage import json_text
 from protochain.lab.cost import Work, in_turn, timed
 from protochain.results.figures import Figure, draw_lines
@@ -46,6 +45,8 @@ class Bounded(Protocol):
         """Largest that is allowed."""
 
 
+Refusal = Fault | Argument | None
+"""What a refusal is about, or an argument that it names; None where an answer is expected."""
 _Found = TypeVar("_Found", bound=Bounded)
 _Result = TypeVar("_Result")
 
@@ -55,10 +56,10 @@ def within(error: float, bound: float) -> Outcome:
     return Outcome.RIGHT if error <= bound else Outcome.WRONG
 
 
-def judged(call: Callable[[], _Found], refusal: str = "") -> tuple[Outcome, _Found | None, str]:
+def judged(call: Callable[[], _Found], refusal: Refusal = None) -> tuple[Outcome, _Found | None, str]:
     """Run a case: how it ended, what it found, and the words of a refusal or why else it is wrong.
 
-    A ProtochainError is a refusal, which is right if ``refusal``, a pattern, is in its one line. Wrong are
+    A ProtochainError of one line is a refusal, which is right if ``refusal`` is what it is about. Wrong are
     errors above the bound, NaN, a refusal where an answer is expected, an answer or another refusal where
     one is, and exceptions of any other kind.
     """
@@ -68,14 +69,14 @@ def judged(call: Callable[[], _Found], refusal: str = "") -> tuple[Outcome, _Fou
             found = call()
     except ProtochainError as error:
         said = str(error)
-        if not refusal:
+        if refusal is None:
             return Outcome.WRONG, None, f"refused where an answer is expected: {said}"
-        if "\n" in said or not re.search(refusal, said):
-            return Outcome.WRONG, None, f"refused otherwise than by {refusal!r}: {said}"
+        if refusal not in (error.fault, *error.args) or len(said.splitlines()) != 1:
+            return Outcome.WRONG, None, f"refused, not for {refusal}: {said}"
         return Outcome.REFUSED, None, said
     except Exception as error:  # whatever it is, the case is wrong and the others go on
         return Outcome.WRONG, None, f"{type(error).__name__}: {error}"
-    if refusal:
+    if refusal is not None:
         return Outcome.WRONG, found, f"an answer where a refusal is expected: {refusal}"
     return within(found.error, found.bound), found, ""
 
@@ -257,7 +258,7 @@ def vanishes(name: str, error: float, bound: float, source: str) -> Check:
     return check(name, error, 0.0, bound, source, "absolute")
 
 
-def extreme(name: str, call: Callable[[], Check], refusal: str = "") -> Extreme:
+def extreme(name: str, call: Callable[[], Check], refusal: Refusal = None) -> Extreme:
     """Run an extreme case, as :func:`judged` does; with error, bound and source of an answer."""
     outcome, found, said = judged(call, refusal)
     told = f"{found.kind} error {found.error:.3g}, bound {found.bound:.3g}: {found.source}" if found else ""

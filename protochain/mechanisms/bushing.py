@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import (
     Matrix,
@@ -138,7 +138,8 @@ class Bushings(Rows):
         if energy < 0.0:
             raise MechanicsError(
                 f'bushing "{self.names[round(-energy) - 1]}": it is turned by half a turn, where its torque '
-                "has no direction; take a hinge with a torsion for large turns"
+                "has no direction; take a hinge with a torsion for large turns",
+                fault=Fault.HALF_TURN,
             )
         return energy
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.core.checks import shown
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 
 _KINDS = {
     (): "a number",
@@ -24,7 +24,7 @@ def numbers(value: Any, shape: tuple[int, ...], said: str) -> Floats:
     except (TypeError, ValueError):
         array = np.array(np.nan)
     if array.shape != shape or not np.all(np.isfinite(array)) or isinstance(value, bool):
-        raise MechanicsError(f"{said} {shown(value)}: give {_KINDS[shape]}, finite")
+        raise MechanicsError(f"{said} {shown(value)}: give {_KINDS[shape]}, finite", fault=Fault.NOT_FINITE)
     return array
 
 
@@ -38,7 +38,8 @@ def not_negative(value: Any, said: str, shape: tuple[int, ...] = ()) -> Floats:
     array = numbers(np.full(shape, value) if np.ndim(value) == 0 and shape else value, shape, said)
     if np.any(array < 0.0):
         raise MechanicsError(
-            f"{said} {shown(value)}: give none below zero, which would make energy of nothing"
+            f"{said} {shown(value)}: give none below zero, which would make energy of nothing",
+            fault=Fault.NEGATIVE,
         )
     return array
 

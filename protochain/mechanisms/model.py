@@ -401,13 +401,14 @@ class _Simulation:
                 raise
             except StepTooLargeError as error:
                 raise StepTooLargeError(
-                    f"{self.after}: {error}; the time step {self.time_step:g} is too long; {_REMEDY}"
+                    f"{self.after}: {error}; the time step {self.time_step:g} is too long; {_REMEDY}",
+                    fault=error.fault,
                 ) from None
             except MechanicsError as error:
                 # Of what has diverged this says more.
                 self.look()
                 named = error.by_name(self.model.bodies.names) if isinstance(error, BodyError) else error
-                raise MechanicsError(f"{self.after}: {named}") from None
+                raise MechanicsError(f"{self.after}: {named}", fault=error.fault) from None
             finally:
                 for memory in self.model.memories:
                     memory.end(end)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion.system import StepTooLargeError
 from protochain.mechanisms.boxes import check_boxes
 from protochain.mechanisms.pile_contact import N_MEMORY
@@ -297,7 +297,8 @@ class Pile(Value):
             what = f"plane {-1 - j}" if j < 0 else f"cube {j}" if j < n else f"plate {j - n}"
             raise MechanicsError(
                 f"at time {time:g}: cube {i} is {depth:.3g} deep in {what}, more than half of its edge, so "
-                "that no side is its way out; take stiffer contacts, or start without overlap"
+                "that no side is its way out; take stiffer contacts, or start without overlap",
+                fault=Fault.OVERLAP,
             )
         raise StepTooLargeError(
             f"at time {time:g}: cube {i} moves by more than half of its edge in a step; take a shorter one"

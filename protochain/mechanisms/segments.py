@@ -14,7 +14,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.core.checks import shown
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanisms.bodies import WORLD
 from protochain.mechanisms.checks import not_negative
 from protochain.mechanisms.mechanism import Mechanism
@@ -65,7 +65,9 @@ class Beam:
         if self.length == 0.0 or self.mass == 0.0:
             raise MechanicsError("beam: its length and its mass must be above zero")
         if self.rigid >= 0.5:
-            raise MechanicsError(f"beam: rigid {self.rigid:g} at each end leaves nothing to bend; give less")
+            raise MechanicsError(
+                f"beam: rigid {self.rigid:g} at each end leaves nothing to bend; give less", fault=Fault.BENDS
+            )
 
     def stiffness(self, axis: str) -> float:
         """EI or GJ about an axis, ``x``, ``y`` or ``z``."""
@@ -150,7 +152,10 @@ def add_beam(
         raise MechanicsError(f'beam "{name}": bends {bends!r}; give axes of xyz, as "z" or "xyz"')
     soft = [axis for axis in bends if beam.stiffness(axis) == 0.0]
     if soft:
-        raise MechanicsError(f'beam "{name}": it has no stiffness about {soft[0]}; give one, or leave it out')
+        raise MechanicsError(
+            f'beam "{name}": it has no stiffness about {soft[0]}; give one, or leave it out',
+            fault=Fault.NO_STIFFNESS,
+        )
     said = f'beam "{name}": its damping'
     time = float(not_negative(damping, said))
     lengths = beam.lengths(cells)

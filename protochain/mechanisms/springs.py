@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import (
     Vector,
@@ -36,7 +36,9 @@ def constants(stiffness: float, damping: float, of: Named) -> dict[str, float]:
     k = float(not_negative(stiffness, f"{of.said}: its stiffness"))
     c = float(not_negative(damping, f"{of.said}: its damping"))
     if k == c == 0.0:
-        raise MechanicsError(f"{of.said}: it does nothing; give a stiffness or a damping")
+        raise MechanicsError(
+            f"{of.said}: it does nothing; give a stiffness or a damping", fault=Fault.NO_STIFFNESS
+        )
     return {"stiffness": k, "damping": c}
 
 

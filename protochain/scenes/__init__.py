@@ -1,7 +1,7 @@
 """Scenes: systems of many kinds on the core, each with its oracles, error against run time and extremes.
 
-None of them is a protein: units are m, kg, s and N. A new one is a module with ``run(quick) -> Scene``, and
-its line in ``SCENES``. (``protochain bench scenes`` is something else: runs of proteins.)
+None of them is a protein: units are m, kg, s and N. A new one is a module with ``run(quick) -> Scene``.
+(``protochain bench scenes`` is something else: runs of proteins.)
 """
 
 from collections.abc import Callable
@@ -11,20 +11,11 @@ from threadpoolctl import threadpool_limits
 
 from protochain.core.errors import ProtochainError
 from protochain.lab.cases import Check, Extreme, LeftOut, Scene, plot_work
+from protochain.lab.discovery import modules
 
 __all__ = ["SCENES", "Check", "Extreme", "LeftOut", "Scene", "plot_work", "run"]
 
-SCENES = {
-    "serial": "serial chains of revolute hinges: M^-1 by three routes, long, light, thin and straight",
-    "impact": "impacts with friction by Newton, Poisson and Stronge; one point, several, loops",
-    "gear": "spur gears: teeth on springs, flanks that press on each other, against ISO 6336 and scipy",
-    "bucket": "a backhoe's bucket in a soil of cubes: slopes, weights, work of drives, bushings, sleep",
-    "beam": "a cantilever of finite segments: frequencies, rotation, spin-up, rigid ends, limits",
-    "manipulator": "an arm of three flexible links: cells, explicit and implicit integrators, rigid ends",
-    "canonical": "chains of links that bend: momenta against accelerations, three ways to rates",
-    "helicopter": "a helicopter that lands: ground resonance, touchdown, run-up, gusts, limits",
-    "gun": "a gun on a deck: recoil, a tube that bends, and if a soft axle keeps its muzzle still",
-}
+SCENES = modules(__path__)
 """One line on each, by name; their modules are imported on use."""
 
 

@@ -1,4 +1,4 @@
-"""Serial chains of revolute hinges: rods in a plane against textbooks, random ones by several routes.
+"""Serial chains of revolute hinges: M^-1 by three routes, long, light, thin and straight.
 
 Accelerations of serial chains in O(n): Lee, Wang, Chirikjian, Robotica 25:739 (2007). The extreme chains are
 those of ``protochain bench stability``.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value, read_only
-from protochain.core.errors import StructureError
+from protochain.core.errors import Fault, StructureError
 from protochain.core.markup import facts
 from protochain.structure.graph import Neighbours, neighbours
 from protochain.structure.header import Label
@@ -120,7 +120,9 @@ class Structure(Value):
             )
         if not np.isfinite(self.positions).all():
             atom = int(np.flatnonzero(~np.isfinite(self.positions).all(axis=1))[0])
-            raise StructureError(f"{self.name}: {self.describe(atom)}: its position is not a number")
+            raise StructureError(
+                f"{self.name}: {self.describe(atom)}: its position is not a number", fault=Fault.NOT_FINITE
+            )
 
     @property
     def n_atoms(self) -> int:

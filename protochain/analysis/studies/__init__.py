@@ -1,16 +1,12 @@
-"""Studies to repeat on any machine: ``protochain bench NAME``. A new one is a module, and its line here."""
+"""Studies to repeat on any machine: ``protochain bench NAME``. A new one is a module with ``run``."""
 
 from importlib import import_module
 from typing import Any
 
 from protochain.core.errors import ProtochainError
+from protochain.lab.discovery import modules
 
-STUDIES = {
-    "precision": "error against run time of everything that approximates or iterates",
-    "stability": "a grid of stiff and extreme cases, each right, refused or wrong",
-    "kcm": "whether the compliance method and constrained dynamics end in different minima",
-    "omissions": "what runs leave out, with proof that the answer is the same, and what that saves",
-}
+STUDIES = modules(__path__)
 """One line on each, by name; their modules are imported on use."""
 
 

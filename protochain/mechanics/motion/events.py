@@ -6,7 +6,7 @@ from typing import Any
 
 from scipy.optimize import brentq
 
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion.system import Equations, Integrator, Phase
 
 _SAME_TIME = 1e-12
@@ -117,7 +117,8 @@ def _past(
         length *= 0.5
     raise MechanicsError(
         f"{low[0].name}: after its jump, at time {at.time:g}, its value does not rise above zero; "
-        "let the jump end what repeats itself, or go on without this event"
+        "let the jump end what repeats itself, or go on without this event",
+        fault=Fault.ENDLESS,
     )
 
 

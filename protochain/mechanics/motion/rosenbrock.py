@@ -52,7 +52,7 @@ class Rosenbrock(Integrator):
         try:
             after = substep(at, time_step)[0]
         except MechanicsError as error:
-            raise StepTooLargeError(str(error)) from None
+            raise StepTooLargeError(str(error), fault=error.fault) from None
         if not after.is_finite:
             raise StepTooLargeError("the time step ends nowhere")
         return after

@@ -51,20 +51,22 @@ def in_substeps(
     StepTooLargeError
         If a substep would have to be shorter than rounding allows, or there would be too many.
     """
-    start, done, part, why = at.time, 0.0, time_step, ""
+    start, done, part = at.time, 0.0, time_step
+    why, fault = "", None
     for _ in range(_MOST):
         if not abs(time_step - done) > 1e-12 * abs(time_step):
             return system.at_time(at, start + time_step)
         part = part if abs(part) < abs(time_step - done) else time_step - done
         if abs(part) < _LEAST * abs(time_step):
-            raise StepTooLargeError(f"no substep of the time step is accurate{why}")
+            raise StepTooLargeError(f"no substep of the time step is accurate{why}", fault=fault)
         try:
             after, moved, quickened = substep(at, part)
             errors = np.maximum(np.abs(moved), abs(time_step) * np.abs(quickened)) / system.units
-            size, why = float(np.max(errors, initial=0.0)) / tolerance if after.is_finite else np.nan, ""
+            size = float(np.max(errors, initial=0.0)) / tolerance if after.is_finite else np.nan
+            why, fault = "", None
         except MechanicsError as error:
             # A stage has diverged to NaN, or come where there is no motion.
-            size, why = np.nan, f" ({error})"
+            size, why, fault = np.nan, f" ({error})", error.fault
         # Hairer, Norsett, Wanner (1993), II.4: 0.9 of the estimated substep, within bounds.
         factor = min(5.0, max(0.2, 0.9 * size ** (-1.0 / order))) if np.isfinite(size) and size > 0.0 else 0.2
         if size <= 1.0:

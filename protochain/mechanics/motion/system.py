@@ -10,7 +10,7 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 
 from protochain.core.arrays import Floats, read_only
-from protochain.core.errors import MechanicsError, ProtochainError
+from protochain.core.errors import Fault, MechanicsError, ProtochainError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, Tree
 from protochain.mechanics.multibody.articulated import Articulated, articulate, solve
@@ -30,6 +30,8 @@ distance of solutions."""
 
 class StepTooLargeError(ProtochainError):
     """A time step so large that no solution of its equations is found, or the energy jumps."""
+
+    fault = Fault.STEP
 
 
 class Applied(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from protochain.core.arrays import Floats, floats
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody.flexible import Bent, Flexible, bend
 from protochain.mechanics.multibody.flexible_dynamics import mass_matrix, momenta, solve
 
@@ -43,7 +43,9 @@ def rates_of(flexible: Flexible, bent: Bent, p: Floats, route: Route = "articula
     """
     p = floats(p, (flexible.n_v,), "p")
     if flexible.tree.driven is not None:
-        raise MechanicsError("driven hinges have velocities, not momenta; use forward_dynamics")
+        raise MechanicsError(
+            "driven hinges have velocities, not momenta; use forward_dynamics", fault=Fault.DRIVEN
+        )
     if route == "articulated":
         return solve(flexible, bent, p)
     if route not in ("blocks", "dense"):

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, floats, frozen, read_only
-from protochain.core.errors import BodyError
+from protochain.core.errors import BodyError, Fault
 from protochain.mechanics.multibody.algebra import (
     Vector,
     add,
@@ -96,6 +96,7 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
             int(np.argmax(thin)),
             "a point or a line has no inverse inertia, and what is nearly one none "
             "of use; share the mass of an atom on its hinge's axis with it, or use method articulated",
+            Fault.NO_INVERSE,
         )
     inverse = _inverse_inertias(tree, frames)
     factor, gain, n_hard = np.empty((n, 6, 6)), np.empty((n, 6, 6)), 6 - np.diff(tree.locked_links[:, V])

@@ -13,7 +13,7 @@ import numpy as np
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Value, floats, frozen, read_only
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody import complementarity, impulse_path
 from protochain.mechanics.multibody.articulated import Articulated, solve
 from protochain.mechanics.multibody.impulse_points import ContactPoint, Struck, twists_of
@@ -217,7 +217,8 @@ def _together(struck: Struck, points: Sequence[ContactPoint], plastic: bool = Fa
         worst = points[int(np.argmax(differ if status == complementarity.SEVERAL else friction))]
         raise MechanicsError(
             f"contact {worst.name!r}: friction {worst.friction:g} is too high for one solution together with "
-            "the others; lower it, or take the points in turn"
+            "the others; lower it, or take the points in turn",
+            fault=Fault.FRICTION,
         )
     return out
 
@@ -249,5 +250,6 @@ def _refuse(status: int, point: ContactPoint) -> None:
         "Newton's law asks; choose law poisson or stronge",
         impulse_path.LOST: "its path has no end within the steps allowed; lower its friction",
     }  # fmt: skip
+    faults = {impulse_path.IMMOVABLE: Fault.IMMOVABLE, impulse_path.JAMMED: Fault.JAMMED}
     if status in reasons:
-        raise MechanicsError(f"contact {point.name!r}: {reasons[status]}")
+        raise MechanicsError(f"contact {point.name!r}: {reasons[status]}", fault=faults.get(status))

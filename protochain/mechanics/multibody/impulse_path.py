@@ -13,6 +13,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.mechanics.multibody.algebra import kernel
+from protochain.mechanics.tableaux import DORMAND_PRINCE
 
 NEWTON, POISSON, STRONGE = range(3)
 """Laws of restitution."""
@@ -27,19 +28,7 @@ inertia or velocity that is rounding error."""
 _MOST = 20_000
 """Steps of one path. A curved piece ends near a direction that stays, after some dozens."""
 
-_A = np.array(
-    [
-        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        (1 / 5, 0.0, 0.0, 0.0, 0.0, 0.0),
-        (3 / 40, 9 / 40, 0.0, 0.0, 0.0, 0.0),
-        (44 / 45, -56 / 15, 32 / 9, 0.0, 0.0, 0.0),
-        (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0.0, 0.0),
-        (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0.0),
-        (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
-    ]
-)
-_WRONG = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
-"""Dormand, Prince, J. Comput. Appl. Math. 6:19 (1980), RK5(4)7M; the last row of A is the weights."""
+_A, _WRONG = np.array(DORMAND_PRINCE.a), np.array(DORMAND_PRINCE.error)
 
 
 @kernel

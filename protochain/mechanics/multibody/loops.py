@@ -4,7 +4,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from protochain.core.arrays import Floats, floats
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody import articulated, fixman
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.kinematics import Frames
@@ -118,6 +118,6 @@ def factor_closed(inverse: Floats) -> tuple[Floats, bool]:
             raise LinAlgError
     except LinAlgError:
         raise MechanicsError(
-            "the constraint rows are linearly dependent; leave the redundant ones out"
+            "the constraint rows are linearly dependent; leave the redundant ones out", fault=Fault.DEPENDENT
         ) from None
     return factor, lower

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value, read_only
-from protochain.core.errors import BodyError, MechanicsError
+from protochain.core.errors import BodyError, Fault, MechanicsError
 
 PARENT, Q, V = range(3)
 """Columns of :attr:`Tree.links`."""
@@ -340,12 +340,14 @@ def _check_inertia(tree: Tree) -> None:
             _first(idle),
             "neither it nor any body beyond it has mass, so nothing resists its hinge; "
             "give it mass, or make the hinge FIXED or driven",
+            Fault.NO_INERTIA,
         )
     phantom = moves & _turns_nothing(tree)
     if np.any(phantom):
         raise BodyError(
             _first(phantom),
             "all mass beyond its hinge lies on the hinge's axis, so it has no inertia; make the hinge FIXED",
+            Fault.NO_INERTIA,
         )
 
 

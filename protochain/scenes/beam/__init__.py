@@ -1,4 +1,4 @@
-"""A cantilever of finite segments: at rest, rotating, spun up, with rigid ends, and at its limits.
+"""A cantilever of finite segments: frequencies, rotation, spin-up, rigid ends, limits.
 
 Its frequencies are held against Euler and Bernoulli's beam, and rotating against the table of Wright, Smith,
 Thresher, Wang, J. Appl. Mech. 49:197 (1982) and a Ritz solution in polynomials. The spin-up is that of Kane,

@@ -1,4 +1,4 @@
-"""A backhoe's bucket in a soil of cubes: drives that work, cubes that press and rub, and what they lose.
+"""A backhoe's bucket in a soil of cubes: slopes, weights, work of drives, bushings, sleep.
 
 Boom, stick and bucket on drives, the frame on the ground, after Ahmadi and Wasfy's backhoe; free cubes of
 20 mm and 2000 kg/m^3 with faces, edges and corners. A track of 24 shoes on two wheels is left out.

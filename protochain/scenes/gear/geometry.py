@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody.algebra import kernel
 
 STEEL = 7850.0
@@ -83,7 +83,8 @@ class GearPair:
             if other.reach >= one.pitch * np.sin(self.pressure_angle):
                 raise MechanicsError(
                     f"a wheel of {one.teeth} teeth is undercut by one of {other.teeth}: its involute begins "
-                    "beyond the other's tip; take more teeth or a larger angle"
+                    "beyond the other's tip; take more teeth or a larger angle",
+                    fault=Fault.UNDERCUT,
                 )
 
     @cached_property

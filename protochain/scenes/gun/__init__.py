@@ -1,4 +1,4 @@
-"""A gun on a deck: how far its muzzle moves, by stiffness of deck and axle, and if a soft axle helps.
+"""A gun on a deck: recoil, a tube that bends, and if a soft axle keeps its muzzle still.
 
 After Wang, Xiao, Ouyang (ASME DETC 1999), whose data were not found. A deck heaves and rolls on springs; on
 it a mount holds a cradle on an axle with a spring and an equilibrator; in the cradle the barrel recoils

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion import DormandPrince, Integrator, Phase
 from protochain.mechanisms import Beam, Mechanism, Model, Run, State, add_beam
 
@@ -275,4 +275,6 @@ def _standing(model: Model, most: int = 60) -> Phase:
         there = bool(np.max(np.abs(torque)) < least)
         step = np.linalg.lstsq(slope, torque, rcond=1e-14)[0]
         q = q + step * min(1.0, 0.3 / max(0.3, float(np.max(np.abs(step)))))
-    raise MechanicsError("the gun falls: give the axle a stiffness that holds its barrel up")
+    raise MechanicsError(
+        "the gun falls: give the axle a stiffness that holds its barrel up", fault=Fault.NO_EQUILIBRIUM
+    )

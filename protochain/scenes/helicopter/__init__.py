@@ -1,4 +1,4 @@
-"""A helicopter that lands: ground resonance, touchdown, run-up, gusts, and its limits of sink and drift.
+"""A helicopter that lands: ground resonance, touchdown, run-up, gusts, limits.
 
 After Stanislawski, Trans. Aerosp. Res. 2019(2):59, whose data were not found: those of ``parts`` are chosen.
 Fuselage and transmission are free bodies, joined by mounts; the shaft turns as prescribed; blades of segments

@@ -10,10 +10,10 @@ from protochain.core.arrays import Floats
 from protochain.lab.cases import Check, check, vanishes
 from protochain.lab.fits import extrapolated
 from protochain.mechanics.multibody import HingeKind, Tree
-from protochain.mechanics.multibody import beams as shapes_of_beams
 from protochain.mechanics.multibody.flexible import Flexible, elastic
 from protochain.mechanics.multibody.flexible_dynamics import forward_dynamics
 from protochain.mechanisms import Mechanism, Model, Run
+from protochain.mechanisms.assumed import assumed_modes
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.modes import in_modes
 from protochain.mechanisms.segments import Beam, add_beam
@@ -137,9 +137,7 @@ def _next_to(wanted: Floats, found: Floats) -> Floats:
 
 def _assumed(rate: float) -> Floats:
     """Frequencies of a blade as one body with shapes, on a shaft that turns."""
-    about_y, about_z = np.broadcast_to(BLADE.bending, 2)
-    of = shapes_of_beams.Beam(BLADE.length, BLADE.mass, about_y, about_z, BLADE.twist, BLADE.polar)
-    shapes = shapes_of_beams.beam(of, MODES["y"], MODES["z"], MODES["x"])
+    shapes = assumed_modes(BLADE, MODES["y"], MODES["z"], MODES["x"])
     one = np.zeros((1, 3))
     tree = Tree(
         np.array([-1]), np.array([HingeKind.REVOLUTE]), one, np.eye(3)[None], np.ones(1), one,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
@@ -49,7 +49,8 @@ class Legs:
         constants = (self.stiffness, self.damping, self.squared, self.friction)
         if not (self.stiffness > 0.0 and min(constants) >= 0.0 and np.all(np.isfinite(constants))):
             raise MechanicsError(
-                "legs: a stiffness must be above zero, damping and friction not below it, all of them finite"
+                "legs: a stiffness must be above zero, damping and friction not below it, all of them finite",
+                fault=Fault.NO_STIFFNESS,
             )
         if not 0.0 < self.slip < np.inf:
             raise MechanicsError(f"legs: slip {self.slip:g}; give a speed above zero")

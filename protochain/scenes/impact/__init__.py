@@ -1,4 +1,4 @@
-"""Impacts: instantaneous impulses at one point and at several, by the laws of Newton, Poisson and Stronge.
+"""Impacts with friction by Newton, Poisson and Stronge; one point, several, loops.
 
 After Lidstrom (2015), for trees with and without loops. Two rods whose tip strikes a floor: after Kane and
 Levinson, *Dynamics* (1985).

@@ -1,4 +1,4 @@
-"""What a run of proteins does not need is left out: representative runs, each with its proof and its saving.
+"""What runs leave out, with proof that the answer is the same, and what that saves.
 
 :mod:`.energies` and :mod:`.runs` have the tables; a new one is a line in them.
 """

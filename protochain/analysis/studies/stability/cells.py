@@ -1,7 +1,7 @@
 """Cells of the grid: what a case is, how it is run, and its verdict.
 
 A new case is one line in the table of its row. Its check computes an error and says what it was held against
-and how large it may be; the line says whether an answer is expected or a refusal, and by which words. The
+and how large it may be; the line says whether an answer is expected or a refusal, and about what. The
 runner does the rest, with every number of threads that it is given.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from protochain.core.errors import ProtochainError
-from protochain.lab.cases import Outcome, judged
+from protochain.lab.cases import Outcome, Refusal, judged
 from protochain.results.tables import table_of
 
 EPS = float(np.finfo(float).eps)
@@ -68,8 +68,8 @@ class Case:
         Number of threads -> what it found; a ProtochainError is a refusal.
     part : Part
         Smallest part of the grid that it belongs to.
-    refusal : str
-        Pattern of the message of the refusal that is expected; empty where an answer is.
+    refusal : Fault, Argument or None
+        What the refusal that is expected is about; None where an answer is.
     threaded : bool
         Whether what it computes depends on the number of threads.
     """
@@ -78,7 +78,7 @@ class Case:
     parameters: str
     check: Callable[[int], Found]
     part: Part = Part.QUICK
-    refusal: str = ""
+    refusal: Refusal = None
     threaded: bool = True
 
 
@@ -88,7 +88,7 @@ def case(
     check: Callable[..., Found],
     *given: Any,
     part: Part = Part.QUICK,
-    refusal: str = "",
+    refusal: Refusal = None,
 ) -> Case:
     """Make a case of a check that computes on one thread, whatever the number given."""
     return Case(name, parameters, lambda threads: check(*given), part, refusal, threaded=False)

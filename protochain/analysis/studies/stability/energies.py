@@ -13,9 +13,10 @@ from protochain.analysis.studies.stability.cells import EPS, Case, Found, Part
 from protochain.articulate import build_chain
 from protochain.chain import Pose, pose, pull_back
 from protochain.core.arrays import Floats
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Argument, Fault, OnlyAlphaError
 from protochain.dynamics import simulate
 from protochain.energies import Energy, energy
+from protochain.lab.cases import Refusal
 from protochain.minimisers import Status, minimise
 from protochain.structure import Structure, from_sequence, load
 from protochain.structure.write import as_text
@@ -298,9 +299,9 @@ def _one_atom(threads: int) -> Any:
         )
         try:
             return load(path)
-        except ProtochainError as error:
+        except OnlyAlphaError:
             # Without the folder's name, which differs each time.
-            raise ProtochainError(str(error).replace(str(path.parent) + "/", "")) from None
+            raise OnlyAlphaError(f"{path.name}: holds only C-alpha atoms") from None
 
 
 def _nan_q(threads: int) -> Any:
@@ -320,20 +321,20 @@ def _given(result: tuple[float, Any], threads: int) -> Any:
     )
 
 
-NO_ANSWER: dict[str, tuple[Callable[[int], Any], str]] = {
-    "a file of one atom": (_one_atom, "holds only C-alpha atoms"),
-    "a structure at NaN": (partial(_at, np.nan), "its position is not a number"),
-    "a structure at infinity": (partial(_at, np.inf), "its position is not a number"),
-    "dynamics from angles NaN": (_nan_q, "not a finite number"),
-    "a callable whose energy is NaN": (partial(_given, (np.nan, 0.0)), ""),
-    "a callable whose forces are infinite": (partial(_given, (0.0, np.inf)), ""),
-    "a callable whose forces have no shape": (partial(_given, (0.0, None)), "return .energy, forces."),
+NO_ANSWER: dict[str, tuple[Callable[[int], Any], Refusal]] = {
+    "a file of one atom": (_one_atom, Fault.ONLY_ALPHA),
+    "a structure at NaN": (partial(_at, np.nan), Fault.NOT_FINITE),
+    "a structure at infinity": (partial(_at, np.inf), Fault.NOT_FINITE),
+    "dynamics from angles NaN": (_nan_q, Fault.NOT_FINITE),
+    "a callable whose energy is NaN": (partial(_given, (np.nan, 0.0)), None),
+    "a callable whose forces are infinite": (partial(_given, (0.0, np.inf)), None),
+    "a callable whose forces have no shape": (partial(_given, (0.0, None)), Fault.SHAPE),
     "a cutoff below the lists": (
         lambda threads: energy(peptide("GA"), engine="native", cutoff=0.01)(peptide("GA").positions),
-        "give 0.5 nm or more",
+        Argument("cutoff"),
     ),
 }
-"""Attempts, with the words of the refusal expected; a run on a callable ends, with a status that says so."""
+"""Attempts, with the refusal expected; a run on a callable ends, with a status that says so."""
 
 
 def _cases() -> Iterator[Case]:
@@ -371,8 +372,8 @@ def _cases() -> Iterator[Case]:
             yield Case("hundred residues", f"{how}, {solvent}", partial(large, how, solvent), Part.FULL)
         for apart in (0.0, 1e-3, 0.01, 0.1):
             yield Case("ten chains", f"{apart:g} nm apart, {solvent}", partial(ten_chains, apart, solvent))
-    for what, (attempt, words) in NO_ANSWER.items():
-        yield Case("no answer", what, partial(refuses, attempt), Part.TESTED, words)
+    for what, (attempt, refusal) in NO_ANSWER.items():
+        yield Case("no answer", what, partial(refuses, attempt), Part.TESTED, refusal)
 
 
 CASES = tuple(_cases())

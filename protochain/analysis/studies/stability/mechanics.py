@@ -15,6 +15,8 @@ from protochain.articulate import build_chain
 from protochain.chain import dihedral
 from protochain.chain import pose as pose_of_chain
 from protochain.core.arrays import Floats
+from protochain.core.errors import Fault
+from protochain.lab.cases import Refusal
 from protochain.mechanics.multibody import (
     Frames,
     Method,
@@ -38,10 +40,8 @@ BACKWARD = 100.0
 """eps. A sweep does some hundred rounded operations on a body and its parent; errors of bodies do not add up
 in the backward error, because each is relative to forces on that body, which the norm of M exceeds."""
 
-LINE = "a point or a line has no inverse inertia"
-AXIS = "all mass beyond its hinge lies on the hinge's axis"
-TWICE = "the constraint rows are linearly dependent"
-"""Words of the refusals that are expected."""
+LINE, AXIS, TWICE = Fault.NO_INVERSE, Fault.NO_INERTIA, Fault.DEPENDENT
+"""Refusals that are expected."""
 
 
 def _posed(build: Build, angle: float | None = None) -> tuple[Tree, Frames, Floats]:
@@ -228,23 +228,23 @@ def _cases() -> Iterator[Case]:
         for kind, of in (("every other body", trees.mass_ratio), ("tip", trees.tip_heavier)):
             yield from _by_routes(f"mass ratio, {kind}", f"{ratio:g}", partial(of, ratio))
     for width in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 0.0):
-        less = LINE if width < 1e-4 else ""
+        less = LINE if width < 1e-4 else None
         yield from _by_routes("bodies almost lines", f"width {width:g}", partial(trees.thin, width), less)
     for size in (1e-1, 1e-2, 1e-4, 1e-6, 1e-8, 0.0):
-        less = LINE if size < 1e-4 else ""
+        less = LINE if size < 1e-4 else None
         yield from _by_routes("bodies almost points", f"size {size:g}", partial(trees.small, size), less)
     for d in (5.0, 0.1, 1e-3, 1e-5, 1e-7, 0.0):
         # Two atoms: a line at any angle.
-        none = AXIS if d < 1e-4 else ""
+        none = AXIS if d < 1e-4 else None
         build = partial(trees.nearly_collinear, d)
         yield from _by_routes("body near its axis", f"{d:g} degrees", build, none or LINE, none)
     for d in (30.0, 1.0, 1e-3, 1e-6, 0.0):
         yield from _by_routes("hinges almost parallel", f"{d:g} degrees", partial(trees.nearly_parallel, d))
     for d in (70.0, 170.0, 179.9, 179.99999, 180.0):
-        none, build = AXIS if d > 179.999 else "", partial(trees.beads, 40, True, d)
+        none, build = AXIS if d > 179.999 else None, partial(trees.beads, 40, True, d)
         yield from _by_routes("chain nearly straight", f"{d} degrees", build, none, none)
     for name, shared in (("shared", True), ("not shared", False)):
-        less = "" if shared else LINE
+        less = None if shared else LINE
         yield from _by_routes("bodies of one atom", f"masses {name}", partial(trees.beads, 100, shared), less)
     for name, angle in (("0", 0.0), ("pi", np.pi), ("pi/2", np.pi / 2), ("1e9", 1e9)):
         both: tuple[tuple[str, Callable[..., Tree]], ...] = (
@@ -300,7 +300,7 @@ def _by_size() -> Iterator[Case]:
 
 
 def _by_routes(
-    name: str, parameters: str, build: Build, by_fixman: str = "", by_all: str = ""
+    name: str, parameters: str, build: Build, by_fixman: Refusal = None, by_all: Refusal = None
 ) -> Iterator[Case]:
     """Cases of all ways of solution, with the refusals expected of Fixman's method and of the others."""
     for route in ROUTES:

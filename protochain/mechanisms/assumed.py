@@ -1,35 +1,12 @@
 """Uniform beams as flexible bodies: sections, clamped bending and torsion as their shapes."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.optimize import brentq
 
 from protochain.core.arrays import Floats
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody.flexible import Shapes
-
-
-@dataclass(frozen=True)
-class Beam:
-    """Uniform beam along the x axis of its body's frame, clamped there at x = 0.
-
-    Parameters
-    ----------
-    length, line_mass : float
-        Length; mass per length.
-    flap, lag, twist : float
-        Stiffness EI against bending along z (flap) and along y (lag), and GJ against torsion.
-    polar : float
-        Moment of inertia per length about the axis; needed for shapes of torsion.
-    """
-
-    length: float
-    line_mass: float
-    flap: float = 0.0
-    lag: float = 0.0
-    twist: float = 0.0
-    polar: float = 0.0
+from protochain.mechanisms.segments import Beam
 
 
 def clamped_roots(k: int) -> Floats:
@@ -67,14 +44,18 @@ def clamped(x: Floats, k: int) -> tuple[Floats, Floats, Floats]:
     return shape, slope, curvature
 
 
-def beam(of: Beam, flap: int = 0, lag: int = 0, twist: int = 0, sections: int | None = None) -> Shapes:
-    """Sections and shapes of a beam.
+def assumed_modes(
+    of: Beam, flap: int = 0, lag: int = 0, twist: int = 0, sections: int | None = None
+) -> Shapes:
+    """Sections and shapes of a beam along the x axis of its body, clamped there at x = 0.
 
     Parameters
     ----------
     of : Beam
+        Without rigid zones, and its mass spread along it.
     flap, lag, twist : int
-        Numbers of shapes of each kind, which come in this order.
+        Numbers of shapes of each kind, which come in this order: bending along z (about y), bending along y
+        (about z), and torsion.
     sections : int, optional
         Number of lumps, at the points of Gauss and Legendre with their weights as masses; by default enough
         for the products of the shapes. One without mass at the tip follows them.
@@ -87,22 +68,26 @@ def beam(of: Beam, flap: int = 0, lag: int = 0, twist: int = 0, sections: int | 
     Raises
     ------
     MechanicsError
-        If a shape has no stiffness, or a shape of torsion no inertia.
+        If a shape has no stiffness, or a shape of torsion no inertia; if zones are rigid, or masses lumped.
     """
-    for name, count in (("flap", flap), ("lag", lag), ("twist", twist)):
-        if count and not getattr(of, name) > 0.0:
+    if of.rigid or of.lumped:
+        raise MechanicsError("shapes are of beams without rigid zones and lumped masses; take segments")
+    for name, axis, count in (("flap", "y", flap), ("lag", "z", lag), ("twist", "x", twist)):
+        if count and not of.stiffness(axis) > 0.0:
             raise MechanicsError(f"a beam with shapes of {name} needs a stiffness {name} above zero")
     if twist and not of.polar > 0.0:
         raise MechanicsError("a beam with shapes of twist needs a moment of inertia polar above zero")
     n = sections or 4 + 3 * max(flap, lag, twist)
     points, weights = np.polynomial.legendre.leggauss(n)
     x, k = np.append(0.5 * (1.0 + points), 1.0), flap + lag + twist
-    mass = of.line_mass * of.length * np.append(0.5 * weights, 0.0)
+    mass = of.mass * of.length * np.append(0.5 * weights, 0.0)
     moves, turns = np.zeros((n + 1, 3, k)), np.zeros((n + 1, 3, k))
     short, stiff = np.zeros((n + 1, 3, k, k)), np.zeros((k, k))
     start = 0
     # Bending along z turns about -y, along y about z.
-    for along, about, sign, count, stiffness in ((2, 1, -1.0, flap, of.flap), (1, 2, 1.0, lag, of.lag)):
+    for along, about, sign, count, stiffness in (
+        (2, 1, -1.0, flap, of.stiffness("y")), (1, 2, 1.0, lag, of.stiffness("z"))
+    ):  # fmt: skip
         own = slice(start, start + count)
         shape, slope, _ = clamped(x, count)
         moves[:, along, own], turns[:, about, own] = shape, sign * slope / of.length
