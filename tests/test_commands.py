@@ -26,7 +26,8 @@ from protochain.structure.write import as_text
 
 SETUP = {
     "hinges": "phi psi chi", "move": "all", "forcefield": "amber14", "solvent": "obc2", "engine": "auto",
-    "cutoff": "auto", "threads": None, "trust_forcefield": False, "model": None, "chains": None, "altloc": "",
+    "cutoff": "auto", "threads": None, "trust_forcefield": False, "terms": "all", "model": None,
+    "chains": None, "altloc": "",
     "keep": None, "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
 }  # fmt: skip
 OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}
@@ -74,7 +75,7 @@ COMMANDS = {
         "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
         "repack": False, "report": None, "workers": None, "scheduler": None,
         "time_limit": 3600.0, "resume": False, **AS_JSON,
-        "force": False, **{k: v for k, v in SETUP.items() if k != "hinges"},
+        "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "terms")},
     },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
     "bench": {
@@ -103,7 +104,7 @@ FLAGS = {
     "null": ["--null", "-0"], "restraint": ["--restrain"], "n_starts": ["--starts"],
     "hop_temperature": ["--hop"], "curvature": ["--no-curvature"], "n_steps": ["--steps"],
     "between": ["--pull"], "speed": ["--pull-speed"], "hinge_springs": ["--hinge-spring"],
-    ("stiffness", "simulate"): ["--pull-stiffness"],
+    ("stiffness", "simulate"): ["--pull-stiffness"], "terms": ["--energy"],
 }  # fmt: skip
 SECONDARY = {"relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"]}
 ARGUMENTS = {

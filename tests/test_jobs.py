@@ -22,7 +22,8 @@ PLAIN = {
     "methods": ("cartesian",), "tolerance": None, "max_rmsd": float("inf"), "max_evaluations": 5000,
     "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
     "hinges": "phi psi chi", "root": "auto", "move": "all", "forcefield": "amber14", "solvent": "obc2",
-    "engine": "auto", "cutoff": "auto", "trust_forcefield": False, "model": None, "altloc": "",
+    "engine": "auto", "terms": "all", "cutoff": "auto", "trust_forcefield": False, "model": None,
+    "altloc": "",
     "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (),
 }  # fmt: skip
 """All settings of a minimisation by name, at their defaults."""
@@ -41,7 +42,7 @@ MINIMISING = {
 
 FIELDS = {
     "restrain": "restraint", "starts": "n_starts", "hop": "hop_temperature",
-    "hop-temperature": "hop_temperature", "chain": "chains",
+    "hop-temperature": "hop_temperature", "chain": "chains", "energy": "terms",
 }  # fmt: skip
 """Fields by names of columns that are others."""
 
@@ -163,7 +164,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "restrain": "5 0", "curvature": "no",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "cutoff": "2.5", "model": "2", "altloc": "B", "keep": "ZN,CA",
-        "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chain": "A, B",
+        "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chain": "A, B", "energy": "nonbonded",
     }  # fmt: skip
     assert BatchSettings().read(row).record() == {
         "methods": ("kcm", "lbfgs"), "tolerance": 2.0, "max_rmsd": 0.5, "max_evaluations": 7, "seed": 3,
@@ -171,6 +172,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "cutoff": 2.5, "model": 2, "altloc": "B", "keep": ("ZN", "CA"),
         "disulfide": (("A:3", "A:40"),), "ph": 6.5, "strict": True, "trust_forcefield": False,
+        "terms": "nonbonded",
         "chains": ("A", "B"),
     }  # fmt: skip
     # Columns have the names of the options or of the fields, and angles are in degrees.

@@ -67,8 +67,14 @@ class Fault(Enum):
 class ProtochainError(ValueError):
     """Bad input: one line that names the file, the place and the remedy.
 
-    It is made of the line's parts, each a str, Argument or Angle. Its text names arguments as Python does,
-    :meth:`told` as the caller knows them. ``fault`` says what it is about, where somebody needs to know.
+    Its text names arguments as Python does, :meth:`told` as the caller knows them.
+
+    Parameters
+    ----------
+    *parts : str, Argument or Angle
+        What the line is made of.
+    fault : Fault, optional
+        What it is about, where somebody needs to know.
     """
 
     fault: Fault | None = None

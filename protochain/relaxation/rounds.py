@@ -171,13 +171,18 @@ class Relaxer:
     ) -> Ended:
         """Free rings, if bonds go through any, walk through the stages, and look at what is left."""
         began, structure, freed = perf_counter(), self.structure, 0
-        if threaded and (freeing := unthreading(self._space, self.energy)):
-            free = self._walked(freeing, x, before)
-            x, freed = free.x, free.n_evaluations
         springs = [self._springs(share, *strength) for strength in strengths]
         plan = [*(self._begin(springs[0]) if not before else []), self._right(springs[0])]
         plan += [stage for each in springs for stage in self._whole(each)]
-        walked = self._walked(plan, x, before + freed)
+        if threaded and (freeing := unthreading(self._space, self.energy)):
+            free = self._walked(freeing, x, before)
+            x, freed = free.x, free.n_evaluations
+            if free.stop is Stop.INTERRUPTED:
+                plan = []
+        if plan:
+            walked = self._walked(plan, x, before + freed)
+        else:
+            walked = replace(free, restraint=self.restraint(springs[-1]), n_iterations=0, n_evaluations=0)
         x = walked.x
         found, pairs = violations(structure, x), overlapping(structure, x)[0]
         wrong = mendable(structure, found)
