@@ -5,7 +5,9 @@ import numpy as np
 import openmm
 import pandas as pd
 import pytest
-from conftest import PDB_ROUNDING_NM, STRUCTURES, chain, energy, load, noted
+from fixtures.repairs import noted
+from fixtures.samples import STRUCTURES, chain, energy, load
+from fixtures.tolerances import PDB_ROUNDING_NM
 from openmm import app, unit
 
 import protochain as pc

@@ -6,8 +6,9 @@ import subprocess
 import gemmi
 import numpy as np
 import pytest
-from conftest import RMSD_ANGSTROM, STRUCTURES, load, shared
-from test_cli import COMMAND, protochain
+from fixtures.command_line import COMMAND, protochain
+from fixtures.samples import STRUCTURES, load, shared
+from fixtures.tolerances import RMSD_ANGSTROM
 
 import protochain as pc
 from protochain.analysis.deviation import deviation, rmsd_table

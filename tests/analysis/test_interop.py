@@ -7,7 +7,8 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import chain, energy, load, noted
+from fixtures.repairs import noted
+from fixtures.samples import chain, energy, load
 
 import protochain as pc
 from protochain.energies.shared import shared_energy

@@ -7,9 +7,9 @@ import numpy as np
 import openmm
 import pandas as pd
 import pytest
-from conftest import ROUND_OFF
+from fixtures.slow_mechanics import slow_mass_matrix
+from fixtures.tolerances import ROUND_OFF
 from scipy.special import i0
-from slow_mechanics import slow_mass_matrix
 
 import protochain as pc
 from protochain.analysis.studies import precision

@@ -3,9 +3,8 @@
 import mdtraj
 import numpy as np
 import pytest
-from conftest import load
-from openmm import app
-from test_write import ring
+from fixtures.molecules import molecule, ring
+from fixtures.samples import load
 
 import protochain as pc
 from protochain.analysis import quality as module
@@ -17,15 +16,6 @@ from protochain.analysis.quality import (
 )
 from protochain.structure.superpose import displacements
 from protochain.validation import MEASURES, measures
-
-
-def molecule(elements, x, bonds=()):
-    topology = app.Topology()
-    residue = topology.addResidue("LIG", topology.addChain("A"), "1")
-    atoms = [topology.addAtom(f"{e}{k}", app.Element.getBySymbol(e), residue) for k, e in enumerate(elements)]
-    for first, second in bonds:
-        topology.addBond(atoms[first], atoms[second])
-    return pc.Structure("m", topology, np.array(x, dtype=float))
 
 
 def test_the_radius_of_gyration_weighs_masses():

@@ -7,7 +7,7 @@ import shutil
 import matplotlib.image
 import numpy as np
 import pytest
-from conftest import chain, energy
+from fixtures.samples import chain, energy
 
 import protochain as pc
 

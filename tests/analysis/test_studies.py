@@ -8,7 +8,7 @@ from unittest.mock import Mock
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT
+from fixtures.samples import ROOT
 from scipy.linalg import eigh
 
 import protochain as pc

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT
+from fixtures.samples import ROOT
 from scipy.stats import binomtest
 
 import protochain as pc

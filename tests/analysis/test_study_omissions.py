@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import STRUCTURES, load
+from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
 from protochain.analysis.studies import omissions

@@ -4,7 +4,7 @@ import contextlib
 import importlib
 
 import pytest
-from conftest import STRUCTURES
+from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.batches import relax_files

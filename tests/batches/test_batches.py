@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from conftest import ROOT, STRUCTURES, chain, energy, load
+from fixtures.samples import ROOT, STRUCTURES, chain, energy, load
 
 import protochain as pc
 from protochain.batches import BatchSettings, find_jobs

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from conftest import load
+from fixtures.samples import load
 
 import protochain as pc
 

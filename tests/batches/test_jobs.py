@@ -12,7 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
-from conftest import STRUCTURES
+from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, failure, find_jobs, listed, origin

@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from conftest import STRUCTURES
+from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.batches import BatchSettings, find_jobs

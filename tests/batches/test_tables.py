@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import noted
+from fixtures.repairs import noted
 from matplotlib.image import imread
 
 import protochain as pc

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import STRUCTURES, load
+from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
 from protochain.batches import api, cluster, supervise, task

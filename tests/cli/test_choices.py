@@ -9,7 +9,7 @@ import gemmi
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import STRUCTURES, load, shared
+from fixtures.samples import STRUCTURES, load, shared
 
 import protochain as pc
 from protochain.batches import BatchSettings, find_jobs

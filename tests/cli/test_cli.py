@@ -9,19 +9,12 @@ import time
 
 import gemmi
 import pytest
-from conftest import ROOT, STRUCTURES
+from fixtures.command_line import COMMAND, protochain
+from fixtures.samples import ROOT, STRUCTURES
 
 from protochain.batches import Batch
 from protochain.cli import app
 from protochain.cli.batch import _status
-
-COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]
-
-
-def protochain(*arguments, cwd):
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=300
-    )
 
 
 def test_help_loads_nothing_heavy(tmp_path):

@@ -10,8 +10,7 @@ from types import SimpleNamespace
 
 import pandas as pd
 import pytest
-from conftest import is_held
-from test_commands import refusal, run
+from fixtures.command_line import is_held, refusal, run
 
 import protochain as pc
 from protochain.batches import BatchSettings

@@ -12,9 +12,8 @@ import mdtraj
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import is_held
-from test_commands import refusal, run
-from test_write import ring
+from fixtures.command_line import is_held, refusal, run
+from fixtures.molecules import ring
 
 from protochain.cli.terminal import typical_evaluations
 from protochain.minimisers import METHODS

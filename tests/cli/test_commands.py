@@ -11,8 +11,10 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 import typer
-from conftest import chain, load, noted
-from test_write import ring
+from fixtures.command_line import refusal, run
+from fixtures.molecules import ring
+from fixtures.repairs import noted
+from fixtures.samples import chain, load
 
 import protochain as pc
 from protochain.cli import app, main, options
@@ -132,16 +134,6 @@ def test_every_option_has_its_name_default_and_help():
             assert each.opts == opts, (command, name)
             assert each.metavar == METAVARS.get((name, command), METAVARS.get((name, None))), (command, name)
             assert each.secondary_opts == SECONDARY.get(name, [])
-
-
-def run(*arguments):
-    return app([str(each) for each in arguments], standalone_mode=False)
-
-
-def refusal(*arguments):
-    with pytest.raises(ProtochainError) as refused:
-        run(*arguments)
-    return str(refused.value)
 
 
 @pytest.mark.parametrize(
@@ -489,7 +481,7 @@ def test_all_that_is_read_and_written_is_known():
         for file in files
         # Ends are named after the input.
         if (command, read) != ("compare", "source") or Path(file).stem in ("summary", "report")
-        # Of a manifest, the output is a folder: tests/test_relax_command.py.
+        # Of a manifest, the output is a folder: tests/cli/test_relax_command.py.
         if (command, read) != ("relax", "manifest")
     ],
 )

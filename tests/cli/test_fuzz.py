@@ -6,10 +6,10 @@ import sys
 from pathlib import Path
 from time import perf_counter
 
-import judge
 import numpy as np
 import pytest
-from damage import BESIDE, FILES, FILES_BY_WEIGHT, OPTIONS, Case, beside
+from fixtures import judge
+from fixtures.damage import BESIDE, FILES, FILES_BY_WEIGHT, OPTIONS, Case, beside
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 

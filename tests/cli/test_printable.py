@@ -5,7 +5,7 @@ import re
 import sys
 
 import pytest
-from conftest import STRUCTURES, load
+from fixtures.samples import STRUCTURES, load
 from rich.table import Table
 
 import protochain as pc

@@ -11,14 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import gemmi
-import models
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import STRUCTURES, load, shared
 from distributed import LocalCluster
+from fixtures import models
+from fixtures.command_line import refusal, run
+from fixtures.samples import STRUCTURES, load, shared
 from scipy.spatial.transform import Rotation
-from test_commands import refusal, run
 
 import protochain as pc
 from protochain.analysis.relaxed import coloured, write_relaxed

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pandas as pd
 import pytest
-from test_terminal import numbers
+from fixtures.texts import numbers
 
 from protochain.cli import terminal
 from protochain.minimisers.record import SHOWN

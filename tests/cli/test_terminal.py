@@ -6,9 +6,10 @@ import re
 from types import SimpleNamespace
 
 import pytest
-from conftest import chain, energy
+from fixtures.molecules import crowded
+from fixtures.samples import chain, energy
+from fixtures.texts import numbers
 from rich.console import Console
-from test_descent import crowded
 
 import protochain as pc
 from protochain.batches.api import BatchProgress
@@ -31,11 +32,6 @@ def clock(monkeypatch):
     clock = Clock()
     monkeypatch.setattr(terminal, "monotonic", clock)
     return clock
-
-
-def numbers(text):
-    """All numbers of a text, in its order."""
-    return [float(found) for found in re.findall(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?", text)]
 
 
 def seconds_of(text):

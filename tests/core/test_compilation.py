@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import ROOT, STRUCTURES
 from filelock import FileLock
+from fixtures.samples import ROOT, STRUCTURES
 from numba import types
 from numba.core.caching import FunctionCache
 

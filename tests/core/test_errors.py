@@ -6,8 +6,9 @@ import threading
 
 import numpy as np
 import pytest
-from conftest import STRUCTURES, chain, energy, sentences
 from distributed import LocalCluster
+from fixtures.repairs import sentences
+from fixtures.samples import STRUCTURES, chain, energy
 
 import protochain as pc
 from protochain.batches import cluster

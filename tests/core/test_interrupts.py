@@ -12,9 +12,9 @@ import time
 import numpy as np
 import psutil
 import pytest
-from conftest import ROOT, STRUCTURES, chain, energy, shared
-from test_descent import crowded
-from test_minimise import signals  # noqa: F401 (a fixture)
+from fixtures.command_line import COMMAND
+from fixtures.molecules import crowded
+from fixtures.samples import ROOT, STRUCTURES, chain, energy, shared
 
 import protochain as pc
 from protochain import cli
@@ -24,14 +24,12 @@ from protochain.minimisers.problem import Problem
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import parting, walk
 
-COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]
-
 
 def interrupt():
     signal.raise_signal(signal.SIGINT)
 
 
-def test_a_signal_ends_a_line_search_at_its_next_evaluation(signals, monkeypatch):  # noqa: F811
+def test_a_signal_ends_a_line_search_at_its_next_evaluation(signals, monkeypatch):
     """An iteration of a large protein may take many evaluations, each of a second."""
     counted = []
     evaluate = Problem.evaluate
@@ -69,7 +67,7 @@ def at_state(at):
     return Unstarted(at)
 
 
-def test_overlaps_being_parted_are_interrupted_and_told(signals):  # noqa: F811
+def test_overlaps_being_parted_are_interrupted_and_told(signals):
     c, told = crowded(), []
 
     def record(at, stage, n_evaluations):
@@ -102,7 +100,7 @@ def test_a_watcher_that_asks_is_told_every_stage():
     assert counts == sorted(counts) and counts[-1] == r.n_evaluations
 
 
-def test_before_a_run_has_begun_a_signal_ends_it_with_nothing(signals, monkeypatch):  # noqa: F811
+def test_before_a_run_has_begun_a_signal_ends_it_with_nothing(signals, monkeypatch):
     start = importlib.import_module("protochain.minimisers.start")
     judge = start.judge
 
@@ -119,7 +117,7 @@ def test_before_a_run_has_begun_a_signal_ends_it_with_nothing(signals, monkeypat
     assert noted == []
 
 
-def test_signals_held_come_through_where_nothing_is_at_stake(signals):  # noqa: F811
+def test_signals_held_come_through_where_nothing_is_at_stake(signals):
     with held_interrupts() as noted:
         with open_to_interrupts():
             assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -131,7 +129,7 @@ def test_signals_held_come_through_where_nothing_is_at_stake(signals):  # noqa: 
         pass
 
 
-def test_a_long_call_is_answered_meanwhile(signals):  # noqa: F811
+def test_a_long_call_is_answered_meanwhile(signals):
     assert answering(lambda: 5) == 5
     with pytest.raises(ZeroDivisionError):
         answering(lambda: 1 / 0)

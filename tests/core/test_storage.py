@@ -12,7 +12,7 @@ import mdtraj
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import STRUCTURES, chain, energy
+from fixtures.samples import STRUCTURES, chain, energy
 
 import protochain as pc
 from protochain.analysis.folder import clear

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import REVERSED, ROUND_OFF
+from fixtures.tolerances import REVERSED, ROUND_OFF
 from scipy.spatial.transform import Rotation
 from scipy.stats import gamma, kstest
 

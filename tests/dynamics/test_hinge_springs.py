@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import STRUCTURES, chain, energy, load
+from fixtures.samples import STRUCTURES, chain, energy, load
 from scipy.linalg import expm
 from scipy.stats import gamma, kstest
 

@@ -8,7 +8,8 @@ import gemmi
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROUND_OFF, STRUCTURES, chain, energy, load, shared
+from fixtures.samples import STRUCTURES, chain, energy, load, shared
+from fixtures.tolerances import ROUND_OFF
 from scipy.integrate import solve_ivp
 
 import protochain as pc

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from conftest import ROOT, load
+from fixtures.samples import ROOT, load
 from scipy.stats import gamma, kstest
 
 import protochain as pc

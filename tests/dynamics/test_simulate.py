@@ -11,7 +11,8 @@ import mdtraj
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT, ROUND_OFF_NM, STRUCTURES, chain, energy, load
+from fixtures.samples import ROOT, STRUCTURES, chain, energy, load
+from fixtures.tolerances import ROUND_OFF_NM
 from scipy.stats import kstest
 
 import protochain as pc

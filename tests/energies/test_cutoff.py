@@ -5,7 +5,8 @@ import re
 import numpy as np
 import openmm
 import pytest
-from conftest import NATIVE_ENERGY, NATIVE_FORCE, load
+from fixtures.samples import load
+from fixtures.tolerances import NATIVE_ENERGY, NATIVE_FORCE
 from openmm import app, unit
 
 import protochain as pc

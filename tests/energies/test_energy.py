@@ -10,7 +10,8 @@ from xml.etree import ElementTree
 import numpy as np
 import openmm
 import pytest
-from conftest import MORE_STRUCTURES, ROOT, SAME_KERNEL, STRUCTURES, chain, energy, load
+from fixtures.samples import MORE_STRUCTURES, ROOT, STRUCTURES, chain, energy, load
+from fixtures.tolerances import SAME_KERNEL
 from openmm import app
 
 import protochain as pc

@@ -9,7 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import openmm
 import pytest
-from conftest import LEFT_OUT, NATIVE_ENERGY, NATIVE_FORCE, STRUCTURES, chain, load, shared
+from fixtures.samples import STRUCTURES, chain, load, shared
+from fixtures.tolerances import LEFT_OUT, NATIVE_ENERGY, NATIVE_FORCE
 from numba import njit
 from openmm import app, unit
 from scipy.integrate import quad

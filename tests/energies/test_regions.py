@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from conftest import LEFT_OUT, NATIVE_ENERGY, ROUND_OFF_NM, load
+from fixtures.samples import load
+from fixtures.tolerances import LEFT_OUT, NATIVE_ENERGY, ROUND_OFF_NM
 
 import protochain as pc
 from protochain.energies.native.evaluate import touched

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from conftest import energy, load
+from fixtures.samples import energy, load
 
 from protochain.core import processors as door
 from protochain.core.compilation import njit

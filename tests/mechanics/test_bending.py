@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.bending_trees import SPUN, on_a_hub, some, two_links
 from scipy.integrate import solve_ivp
-from test_canonical import two_links
-from test_flexible import SPUN, on_a_hub, some
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import (

@@ -4,31 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.bending_trees import some, two_links
 from scipy.integrate import solve_ivp
-from test_flexible import some
 
 from protochain.core.errors import MechanicsError
-from protochain.mechanics.multibody import HingeKind, Tree
-from protochain.mechanics.multibody.beams import Beam, beam
+from protochain.mechanics.multibody import HingeKind
 from protochain.mechanics.multibody.canonical import canonical_rates, rates_of
-from protochain.mechanics.multibody.flexible import Flexible, bend, elastic
+from protochain.mechanics.multibody.flexible import bend, elastic
 from protochain.mechanics.multibody.flexible_dynamics import forward_dynamics, mass_matrix, momenta
 from protochain.scenes import run
 from protochain.scenes.canonical import by_hand
 
 EPS = np.finfo(float).eps
-
-
-def two_links(sections=3):
-    """Two links in a plane about the world's z axis, one shape of lag each; nothing holds the first hinge."""
-    first = beam(Beam(1.0, 2.0, lag=3.0), lag=1, sections=sections)
-    second = beam(Beam(0.8, 1.5, lag=2.0), lag=1, sections=sections)
-    tree = Tree(
-        np.array([-1, 0]), np.array([HingeKind.REVOLUTE] * 2), np.array([[0.0, 0, 0], [1.0, 0, 0]]),
-        np.stack([np.eye(3)] * 2), np.array([2.0, 1.2]), np.array([[0.5, 0, 0], [0.4, 0, 0]]),
-        np.stack([0.1 * np.eye(3)] * 2),
-    )  # fmt: skip
-    return Flexible(tree, (first, second), np.array([-1, sections]))
 
 
 def test_two_links_move_as_by_hand_in_both_forms():

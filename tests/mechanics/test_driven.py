@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.pinocchio_tree import KINDS, pinocchio_acceleration, state
+from fixtures.slow_mechanics import any_tree, random_q
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from slow_mechanics import any_tree, random_q
-from test_mass_engines import KINDS, pinocchio_acceleration, state
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.bending_trees import BEAM, KINDS, SPUN, on_a_hub, some
+from fixtures.slow_mechanics import random_q
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
-from slow_mechanics import random_q
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
-from protochain.mechanics.multibody import HingeKind, Tree, random_tree
+from protochain.mechanics.multibody import HingeKind, random_tree
 from protochain.mechanics.multibody.beams import Beam, beam, clamped, clamped_roots
 from protochain.mechanics.multibody.flexible import Flexible, bend, elastic, integrate
 from protochain.mechanics.multibody.flexible_algebra import tangent_rate
@@ -24,22 +25,6 @@ from protochain.mechanics.multibody.flexible_dynamics import (
     solve,
 )  # fmt: skip
 from protochain.mechanics.multibody.rotations import tangent
-
-KINDS = (HingeKind.REVOLUTE, HingeKind.PRISMATIC, HingeKind.SCREW, HingeKind.FIXED)
-
-
-def some(seed, root=HingeKind.FREE, n=6):
-    """A tree of which two bodies in three bend, with bodies on their sections, in some state of motion."""
-    rng = np.random.default_rng(seed)
-    tree = random_tree(n, seed, 0.4, root, KINDS)
-    of = Beam(0.3, 20.0, flap=5.0, lag=9.0, twist=2.0, polar=0.02)
-    shapes = tuple(beam(of, *rng.integers(1, 3, size=3), sections=4) if b % 3 else None for b in range(n))
-    section = np.array([-1 if p < 0 or shapes[p] is None else rng.integers(-1, 5) for p in tree.parent])
-    flexible = Flexible(tree, shapes, section)
-    q = np.concatenate([random_q(tree, rng), 0.1 * rng.normal(size=flexible.n_q - tree.n_q)])
-    if root == HingeKind.FREE:
-        q[:4] /= np.linalg.norm(q[:4])
-    return flexible, q, rng.normal(size=flexible.n_v), rng.normal(size=flexible.n_v), rng
 
 
 def dense(flexible, q):
@@ -155,21 +140,6 @@ def test_elastic_torques_are_those_of_each_body(seed):
 
 # --- Beams
 
-BEAM = Beam(1.0, 1.0, flap=1.0, lag=1.0)
-"""In units of l, m and EI: frequencies are in sqrt(EI / m l^4)."""
-
-
-def on_a_hub(of=BEAM, shortens=True, **shapes):
-    """A beam along the world's x axis that turns about z with its hub at the origin, whose turn is driven."""
-    tree = Tree(
-        np.array([-1]), np.array([HingeKind.REVOLUTE]), np.zeros((1, 3)), np.eye(3)[None], np.ones(1),
-        np.array([[0.5 * of.length, 0, 0]]), np.eye(3)[None], driven=np.array([True]),
-    )  # fmt: skip
-    own = beam(of, **shapes)
-    if not shortens:
-        own = replace(own, shortening=0.0 * own.shortening)
-    return Flexible(tree, (own,), np.array([-1]))
-
 
 def frequencies(flexible, rate):
     """Of small vibrations about steady turning, from differences of the torques that keep it up."""
@@ -253,8 +223,6 @@ def test_more_shapes_come_closer_from_above():
 
 
 # --- Spin-up: a beam of 10 m on a hub that comes to 6 rad/s in 15 s; Kane, Ryan, Banerjee (1987)
-
-SPUN = Beam(10.0, 1.2, lag=1.4e4)
 
 
 def tip(shapes, shortens, until):

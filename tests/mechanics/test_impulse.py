@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import ROUND_OFF, chain
+from fixtures.samples import chain
+from fixtures.tolerances import ROUND_OFF
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 

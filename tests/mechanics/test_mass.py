@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import round_off
-from scipy import stats
-from slow_mechanics import (
+from fixtures.slow_mechanics import (
     N_TREES,
     any_tree,
     body_inertia,
@@ -14,6 +12,8 @@ from slow_mechanics import (
     slow_inverse_dynamics,
     slow_mass_matrix,
 )
+from fixtures.tolerances import round_off
+from scipy import stats
 
 from protochain.core.errors import MechanicsError, ProtochainError
 from protochain.mechanics.multibody import (

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 import pytest
+from fixtures.pinocchio_tree import KINDS, pinocchio_acceleration, state
 from scipy.spatial.transform import Rotation
 
 from protochain.mechanics.multibody import (
@@ -18,62 +18,9 @@ from protochain.mechanics.multibody import (
     random_tree,
 )
 
-KINDS = (HingeKind.REVOLUTE, HingeKind.PRISMATIC, HingeKind.SCREW)
 AGREEMENT = {30: 1e-10, 300: 1e-8}
 """Relative, by number of hinges: two stable methods differ by eps times the condition of M, some 1e4 at 30
 hinges and 1e7 at 300."""
-
-
-def state(tree: Tree, seed: int) -> SimpleNamespace:
-    rng = np.random.default_rng(seed)
-    q = rng.uniform(-2, 2, size=tree.n_q)
-    if tree.kind[0] == HingeKind.FREE:
-        q[:4] /= np.linalg.norm(q[:4])
-    return SimpleNamespace(q=q, qd=rng.normal(size=tree.n_v), tau=rng.normal(size=tree.n_v))
-
-
-def pinocchio_acceleration(tree: Tree, s: SimpleNamespace) -> np.ndarray:
-    joints = {
-        HingeKind.REVOLUTE: lambda pitch: pin.JointModelRZ(),
-        HingeKind.PRISMATIC: lambda pitch: pin.JointModelPZ(),
-        HingeKind.SCREW: lambda pitch: pin.JointModelHZ(pitch),
-        HingeKind.FREE: lambda pitch: pin.JointModelFreeFlyer(),
-    }
-    model = pin.Model()
-    joint_of = []
-    for b in range(tree.n_bodies):
-        parent = joint_of[tree.parent[b]] if tree.parent[b] >= 0 else 0
-        placement = pin.SE3(np.array(tree.placement[b]), np.array(tree.offset[b]))
-        joint = joints[HingeKind(tree.kind[b])](tree.pitch[b])
-        joint_of.append(model.addJoint(parent, joint, placement, f"body{b}"))
-        inertia = pin.Inertia(tree.mass[b], np.array(tree.com[b]), np.array(tree.inertia[b]))
-        model.appendBodyToJoint(joint_of[b], inertia, pin.SE3.Identity())
-    model.gravity.setZero()
-    q, v, tau = (np.zeros(model.nq), np.zeros(model.nv), np.zeros(model.nv))
-    turn = Rotation.from_quat(np.roll(s.q[:4], -1)).as_matrix() if tree.kind[0] == HingeKind.FREE else None
-    for b, joint in enumerate(joint_of):
-        iq, iv = model.joints[joint].idx_q, model.joints[joint].idx_v
-        k, m = tree.q_start[b], tree.v_start[b]
-        if turn is not None and b == 0:
-            # Position, quaternion (x, y, z, w); velocities and forces linear first, in the body's axes.
-            q[iq : iq + 7] = [*s.q[4:7], *s.q[1:4], s.q[0]]
-            v[iv : iv + 6] = [*turn.T @ s.qd[3:6], *turn.T @ s.qd[:3]]
-            tau[iv : iv + 6] = [*turn.T @ s.tau[3:6], *turn.T @ s.tau[:3]]
-        else:
-            q[iq], v[iv], tau[iv] = s.q[k], s.qd[m], s.tau[m]
-    a = pin.aba(model, model.createData(), q, v, tau)
-    out = np.zeros(tree.n_v)
-    for b, joint in enumerate(joint_of):
-        iv, m = model.joints[joint].idx_v, tree.v_start[b]
-        if turn is not None and b == 0:
-            # The derivative of velocity's components in moving axes leaves omega x u out.
-            out[:3], out[3:6] = (
-                turn @ a[iv + 3 : iv + 6],
-                turn @ a[iv : iv + 3] + np.cross(s.qd[:3], s.qd[3:6]),
-            )
-        else:
-            out[m] = a[iv]
-    return out
 
 
 def mujoco_acceleration(tree: Tree, s: SimpleNamespace) -> np.ndarray:

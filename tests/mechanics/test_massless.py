@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fixtures.slow_mechanics import slow_mass_matrix
 from scipy.integrate import solve_ivp
-from slow_mechanics import slow_mass_matrix
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import (

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import ROUND_OFF
+from fixtures.tolerances import ROUND_OFF
 from scipy.integrate import solve_ivp
 
 from protochain.core.errors import MechanicsError

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import ROUND_OFF, round_off
+from fixtures.slow_mechanics import N_TREES, any_tree, random_q, slow_frames, slow_jacobian
+from fixtures.tolerances import ROUND_OFF, round_off
 from scipy.spatial.transform import Rotation
-from slow_mechanics import N_TREES, any_tree, random_q, slow_frames, slow_jacobian
 
 from protochain.core.errors import MechanicsError, ProtochainError
 from protochain.mechanics.multibody import (

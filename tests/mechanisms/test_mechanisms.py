@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from conftest import AUDITED, ELEMENT_DIFFERENCE, ROUND_OFF
+from fixtures.pendulum import DOWN, G, pendulum
+from fixtures.texts import DOCS, blocks
+from fixtures.tolerances import AUDITED, ELEMENT_DIFFERENCE, ROUND_OFF
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from test_docs import DOCS, blocks
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
@@ -17,17 +18,7 @@ from protochain.mechanics.motion import (
 from protochain.mechanisms import Acting, Bushing, Mechanism, Named, Spring, State, Torsion
 from protochain.mechanisms.elements import Sum
 
-G = 9.81
-DOWN = (0.0, 0.0, -G)
 ORIGIN = (0.0, 0.0, 0.0)
-
-
-def pendulum(q=0.3, qd=0.0, **more):
-    """A uniform rod of 1 m and 1 kg on a pin."""
-    m = Mechanism(gravity=DOWN)
-    m.body("rod", mass=1.0, com=(0, 0, -0.5), inertia=(1 / 12, 1 / 12, 0))
-    m.hinge("pin", "world", "rod", axis=(0, 1, 0), q=q, qd=qd, **more)
-    return m
 
 
 def crowd(seed, free=True):

@@ -5,8 +5,8 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import AUDITED
-from test_mechanisms import DOWN, G, pendulum
+from fixtures.pendulum import DOWN, G, pendulum
+from fixtures.tolerances import AUDITED
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import (

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import load
+from fixtures.samples import load
 from scipy.spatial import cKDTree
 
 from protochain.core.errors import MechanicsError

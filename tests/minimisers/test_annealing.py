@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import chain
+from fixtures.samples import chain
 
 import protochain as pc
 from protochain.chain import pose

@@ -5,7 +5,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from quadratics import Flat, positive
+from fixtures.quadratics import Flat, positive
 
 import protochain as pc
 from protochain.core.storage import read_arrays, write_arrays

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import openmm
 import pytest
-from conftest import chain, energy, load
+from fixtures.samples import chain, energy, load
 from scipy.spatial.distance import cdist
 
 import protochain as pc

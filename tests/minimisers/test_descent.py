@@ -4,8 +4,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import DIFFERENCE, GEOMETRY_NM, chain, energy, load
-from oracles import bond_lengths
+from fixtures.molecules import crowded
+from fixtures.oracles import bond_lengths
+from fixtures.samples import chain, energy, load
+from fixtures.tolerances import DIFFERENCE, GEOMETRY_NM
 from scipy.optimize import minimize
 from scipy.sparse.csgraph import shortest_path
 
@@ -34,13 +36,6 @@ def walked(problem, method, q, tolerance=1.0):
     points = []
     ending = run(problem, method, q, tolerance, 5000, points.append)
     return ending, points
-
-
-def crowded(name="1l2y.pdb", spread=0.3, seed=1):
-    """A chain whose atoms overlap."""
-    c = chain(name)
-    q = c.q0 + np.random.default_rng(seed).normal(scale=spread, size=c.n_q)
-    return pc.build_chain(c.structure.with_positions(pose(c, q).x))
 
 
 def spring_matrix(n, pairs, stiffness, x):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from quadratics import Along, Flat, Quadratic, evaluation, positive
+from fixtures.quadratics import Along, Flat, Quadratic, evaluation, positive
 
 from protochain.minimisers.fire import Fire, FireState
 from protochain.minimisers.lbfgs import LBFGS, quasi_newton

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import chain, energy
-from quadratics import Flat, Quadratic, positive
+from fixtures.quadratics import Flat, Quadratic, positive
+from fixtures.samples import chain, energy
 
 import protochain as pc
 from protochain.cli import main

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from quadratics import Along, Flat, Quadratic, evaluation
+from fixtures.quadratics import Along, Flat, Quadratic, evaluation
 
 from protochain.minimisers import loop
 from protochain.minimisers.loop import Ending, Snapshot, Stop, Unstarted, run

@@ -5,8 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import GEOMETRY_NM, GEOMETRY_RAD, SAMPLES, STRUCTURES, chain, energy, load
-from oracles import angle_triples, angles, bond_lengths
+from fixtures.oracles import angle_triples, angles, bond_lengths
+from fixtures.samples import SAMPLES, STRUCTURES, chain, energy, load
+from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD
 
 import protochain as pc
 from protochain.cli import main
@@ -228,17 +229,6 @@ def test_an_interrupt_returns_the_best_so_far(method):
     assert len(r.trace) == 9
 
 
-@pytest.fixture
-def signals(monkeypatch):
-    """Handlers as Python sets them up, whatever this process was started with."""
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, signal.default_int_handler) for number in numbers]
-    yield
-    assert [signal.getsignal(number) for number in numbers] == [signal.default_int_handler] * 2
-    for number, handler in zip(numbers, before, strict=True):
-        signal.signal(number, handler)
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_a_signal_ends_a_run(method, signals):
     def watch(row, x):
@@ -354,7 +344,7 @@ def test_a_start_at_the_minimum_is_recognised_at_once():
 
 
 def test_a_file_a_structure_or_a_chain_may_be_given():
-    from conftest import STRUCTURES
+    from fixtures.samples import STRUCTURES
 
     by_file = pc.minimise(STRUCTURES / "ala10.pdb", max_evaluations=5)
     by_structure = pc.minimize(load("ala10.pdb"), max_evaluations=5)

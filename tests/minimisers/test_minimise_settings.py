@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import chain
+from fixtures.samples import chain
+from fixtures.told_energy import FORCES, told
 
 import protochain as pc
 from protochain.chain import pose
@@ -67,27 +68,6 @@ def test_an_unknown_option_is_refused_with_those_there_are():
         "minimise has no option 'colour'; besides its parameters it takes "
         "restraint, max_rmsd, checkpoint, resume, curvature"
     )
-
-
-FORCES = np.random.default_rng(0).normal(size=chain("ala10.pdb").structure.positions.shape)
-
-
-def told(engine="native", height=lambda x: -5.0):
-    """An energy that is what it is told, with forces that do not change."""
-    energy = SimpleNamespace(engine=engine, fingerprint="abc", reference=lambda x: (height(x), FORCES))
-    energy.left_out, energy.is_exact = {"bonds": 1}, True
-
-    class Told:
-        def __getattr__(self, name):
-            return getattr(energy, name)
-
-        def __call__(self, x):
-            return 2.0 * height(x), FORCES
-
-        def without_constants(self, groups, x):
-            return SimpleNamespace(left_out={"angles": 2}, is_exact=True)
-
-    return Told()
 
 
 def test_a_checkpoint_belongs_to_a_method_its_settings_and_its_start():

@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from conftest import chain, energy, load, shared
-from test_cli import protochain
+from fixtures.command_line import protochain
+from fixtures.samples import chain, energy, load, shared
 
 import protochain as pc
 from protochain.articulate import turned_atoms

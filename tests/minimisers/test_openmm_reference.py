@@ -5,7 +5,7 @@ from contextlib import nullcontext
 import numpy as np
 import openmm
 import pytest
-from conftest import chain, energy
+from fixtures.samples import chain, energy
 
 import protochain as pc
 from protochain.energies import OpenMMEnergy

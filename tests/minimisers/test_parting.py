@@ -3,11 +3,12 @@
 import warnings
 from dataclasses import replace
 
-import models
 import numpy as np
 import pytest
-from conftest import GEOMETRY_NM, chain, energy, load
-from test_descent import crowded
+from fixtures import models
+from fixtures.molecules import crowded
+from fixtures.samples import chain, energy, load
+from fixtures.tolerances import GEOMETRY_NM
 
 import protochain as pc
 from protochain.contacts import overlaps

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from quadratics import Flat, Quadratic, evaluation, positive
+from fixtures.quadratics import Flat, Quadratic, evaluation, positive
 
 from protochain.minimisers.descent import Descent, DescentState, Direction
 from protochain.minimisers.kcm import KCM, by_largest, by_length

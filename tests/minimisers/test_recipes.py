@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import chain, energy
-from test_descent import crowded
+from fixtures.molecules import crowded
+from fixtures.samples import chain, energy
 
 import protochain as pc
 from protochain.minimisers import METHODS, RECIPES, Recipe, Run, recipe_of

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import gemmi
 import numpy as np
 import pytest
-from conftest import chain, sentences
+from fixtures.repairs import sentences
+from fixtures.samples import chain
 from scipy.spatial.transform import Rotation
 
 from protochain.frame import Frame

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import load
+from fixtures.samples import load
 
 import protochain as pc
 from protochain.contacts import radii

@@ -5,9 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import GEOMETRY_NM, GEOMETRY_RAD, ROUND_OFF_NM, STRUCTURES, chain, energy, load
-from oracles import angle_triples, angles, bond_lengths
-from test_descent import crowded
+from fixtures.molecules import crowded
+from fixtures.oracles import angle_triples, angles, bond_lengths
+from fixtures.samples import STRUCTURES, chain, energy, load
+from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD, ROUND_OFF_NM
 
 import protochain as pc
 from protochain.contacts import OVERLAP, overlaps

@@ -5,8 +5,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import SAMPLES, chain, energy
-from quadratics import Along, Flat, Quadratic
+from fixtures.quadratics import Along, Flat, Quadratic
+from fixtures.samples import SAMPLES, chain, energy
 
 import protochain as pc
 from protochain.batches import BatchSettings, task

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import chain, load
+from fixtures.samples import chain, load
 
 import protochain as pc
 from protochain.chain import pose, pull_back

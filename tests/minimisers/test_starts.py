@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import chain, energy, load
-from test_descent import crowded
+from fixtures.molecules import crowded
+from fixtures.samples import chain, energy, load
 
 import protochain as pc
 from protochain.chain import pose

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from quadratics import along, evaluation
+from fixtures.quadratics import along, evaluation
 
 from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
 

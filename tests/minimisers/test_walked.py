@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import STRUCTURES, chain
-from test_minimise_settings import told
+from fixtures.samples import STRUCTURES, chain
+from fixtures.told_energy import told
 from threadpoolctl import threadpool_info
 
 import protochain as pc

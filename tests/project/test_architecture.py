@@ -3,11 +3,10 @@
 import ast
 import functools
 import importlib
-import inspect
 from graphlib import TopologicalSorter
 
 import pytest
-from conftest import ROOT
+from fixtures.samples import ROOT
 
 import protochain
 
@@ -42,28 +41,6 @@ MAY_IMPORT = {
 each other. (Scenes take the oracles of studies, which are of trees, from ``analysis``.)"""
 MOST_ARROWS = 110
 """Between parts; with more, nobody keeps the plan in mind."""
-OPEN = (
-    "analysis",
-    "batches",
-    "dynamics",
-    "energies",
-    "lab",
-    "mechanisms",
-    "minimisers",
-    "mechanics.motion",
-    "mechanics.multibody",
-    "relaxation",
-    "scenes",
-    "structure",
-    "validation",
-)
-PACKAGES = (protochain, *(importlib.import_module(f"protochain.{name}") for name in OPEN))
-PUBLIC = {
-    f"{package.__name__}.{name}": getattr(package, name)
-    for package in PACKAGES
-    for name in package.__all__
-    if not inspect.ismodule(getattr(package, name))
-}
 OPENMM_BELONGS_IN = {"structure", "energies", "minimisers/openmm_reference.py"}
 
 

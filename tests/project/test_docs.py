@@ -11,19 +11,17 @@ import tomllib
 from enum import Enum
 
 import pytest
-import typer.main
 import yaml
-from conftest import ROOT
+from fixtures.command_line import COMMANDS
+from fixtures.public_names import PACKAGES, PUBLIC
+from fixtures.samples import ROOT
+from fixtures.texts import DOCS, blocks
 from numpydoc.validate import validate
-from test_architecture import PACKAGES, PUBLIC
 
 import protochain as pc
-from protochain.cli import app
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "analysis").rglob("*.md")])
-DOCS = ROOT / "analysis" / "docs"
 SYNOPSIS, THEORY = DOCS / "commands.md", DOCS / "theory.md"
-COMMANDS = typer.main.get_command(app).commands
 OPTIONAL = {"ES01", "EX01", "SA01"}
 """Sections that numpydoc asks for and short docstrings do without: extended summary, examples, see also."""
 DOCUMENTED = {
@@ -37,11 +35,6 @@ DOCUMENTED = {
 
 def page_name(path):
     return str(path.relative_to(ROOT))
-
-
-def blocks(path, language):
-    """The fenced blocks of a page, as text."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", path.read_text(), re.MULTILINE | re.DOTALL)
 
 
 def section(path, heading):

@@ -12,7 +12,8 @@ import gemmi
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import RMSD_ANGSTROM, STRUCTURES, chain, load
+from fixtures.samples import STRUCTURES, chain, load
+from fixtures.tolerances import RMSD_ANGSTROM
 from openmm import app, unit
 
 import protochain as pc

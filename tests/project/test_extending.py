@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from conftest import ROOT, chain, energy, load
-from test_docs import DOCS, blocks
+from fixtures.samples import ROOT, chain, energy, load
+from fixtures.texts import DOCS, blocks
 
 import protochain as pc
 from protochain.batches import BatchSettings

@@ -1,10 +1,11 @@
 """The generator of damaged models: what it damages, what it leaves, and that a seed repeats it."""
 
-import models
 import numpy as np
 import pytest
-from conftest import GEOMETRY_NM, load, shared
-from oracles import bond_lengths
+from fixtures import models
+from fixtures.oracles import bond_lengths
+from fixtures.samples import load, shared
+from fixtures.tolerances import GEOMETRY_NM
 
 SMALL = ("1vii.pdb", "4pti.pdb", "1ubq.pdb")
 MAKERS = {

@@ -5,8 +5,8 @@ import json
 import re
 
 import pytest
-from conftest import ROOT
-from test_architecture import PACKAGES
+from fixtures.public_names import PACKAGES
+from fixtures.samples import ROOT
 
 from protochain.scenes import SCENES
 

@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import MORE_STRUCTURES, ROOT
-from test_docs import COMMANDS, blocks
+from fixtures.command_line import COMMANDS
+from fixtures.samples import MORE_STRUCTURES, ROOT
+from fixtures.texts import blocks
 from typer.exceptions import TyperException
 
 from protochain.analysis.studies import STUDIES
@@ -47,7 +48,7 @@ PROGRAM = sorted(
     {
         found.strip()
         for name, text in TEXTS.items()
-        if name != "analysis/docs/commands.md"  # Synopses: tests/test_docs.py.
+        if name != "analysis/docs/commands.md"  # Synopses: tests/project/test_docs.py.
         for code in (
             *re.findall(r"^```\n(.*?)^```$", text, flags=re.M | re.S),
             *(" ".join(span.split()) for span in re.findall(r"`([^`]+)`", pages.FENCED.sub("", text))),

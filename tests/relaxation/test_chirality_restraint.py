@@ -1,9 +1,10 @@
 """Hands of chiral atoms in a relaxation: wrong ones become right, D-amino acids keep theirs, none is lost."""
 
-import models
 import numpy as np
 import pytest
-from conftest import SAMPLES, load, sentences, shared
+from fixtures import models
+from fixtures.repairs import sentences
+from fixtures.samples import SAMPLES, load, shared
 
 import protochain as pc
 from protochain.minimisers.loop import Stop

@@ -1,9 +1,10 @@
 """Peptide bonds in relaxations and minimisations: twisted ones become planar, none is lost unsaid."""
 
-import models
 import numpy as np
 import pytest
-from conftest import SAMPLES, energy, load, sentences
+from fixtures import models
+from fixtures.repairs import sentences
+from fixtures.samples import SAMPLES, energy, load
 
 import protochain as pc
 from protochain.minimisers.loop import Stop

@@ -1,9 +1,9 @@
 """Planar atoms whose neighbours lie on one side: found, pushed, and opened by relaxation."""
 
-import models
 import numpy as np
 import pytest
-from conftest import SAMPLES, load, shared
+from fixtures import models
+from fixtures.samples import SAMPLES, load, shared
 
 import protochain as pc
 from protochain.relaxation.planarity_restraint import Planes

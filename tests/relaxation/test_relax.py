@@ -7,11 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import gemmi
-import models
 import numpy as np
 import openmm
 import pytest
-from conftest import NATIVE_ENERGY, NATIVE_FORCE, SPRING_ENERGY, energy, load, shared
+from fixtures import models
+from fixtures.samples import energy, load, shared
+from fixtures.tolerances import NATIVE_ENERGY, NATIVE_FORCE, SPRING_ENERGY
 
 import protochain as pc
 from protochain.contacts import joined, overlaps

@@ -1,10 +1,11 @@
 """Relaxation of damaged models: threaded rings, torn bonds, wrong hands, and springs of later rounds."""
 
-import models
 import numpy as np
 import pytest
-from conftest import load, sentences
-from oracles import bond_lengths
+from fixtures import models
+from fixtures.oracles import bond_lengths
+from fixtures.repairs import sentences
+from fixtures.samples import load
 
 import protochain as pc
 from protochain.contacts import overlaps

@@ -5,8 +5,9 @@ from itertools import product
 
 import numpy as np
 import pytest
-from conftest import load, sentences, shared
-from models import planted_rings
+from fixtures.models import planted_rings
+from fixtures.repairs import sentences
+from fixtures.samples import load, shared
 
 import protochain as pc
 from protochain.cli import app

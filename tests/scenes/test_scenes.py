@@ -9,9 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT, STRUCTURES
-from test_commands import refusal
-from test_commands import run as command
+from fixtures.command_line import refusal
+from fixtures.command_line import run as command
+from fixtures.samples import ROOT, STRUCTURES
 
 import protochain.scenes
 from protochain.core.errors import MechanicsError, ProtochainError

@@ -5,7 +5,7 @@ import re
 import gemmi
 import numpy as np
 import pytest
-from conftest import noted, sentences
+from fixtures.repairs import noted, sentences
 
 import protochain as pc
 from protochain.structure.bridges import disulfides, refuse_crosslinks

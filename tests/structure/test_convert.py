@@ -5,7 +5,8 @@ import MDAnalysis
 import mdtraj
 import numpy as np
 import pytest
-from conftest import PDB_ROUNDING_NM, STRUCTURES, load, shared
+from fixtures.samples import STRUCTURES, load, shared
+from fixtures.tolerances import PDB_ROUNDING_NM
 from openmm import app
 
 import protochain as pc

@@ -13,7 +13,8 @@ from pathlib import Path
 import gemmi
 import numpy as np
 import pytest
-from conftest import MORE_STRUCTURES, ROOT, STRUCTURES, energy, load, sentences, shared
+from fixtures.repairs import sentences
+from fixtures.samples import MORE_STRUCTURES, ROOT, STRUCTURES, energy, load, shared
 from pdbfixer.pdbfixer import substitutions
 
 import protochain as pc

@@ -6,7 +6,8 @@ from importlib import import_module
 import gemmi
 import numpy as np
 import pytest
-from conftest import MORE_STRUCTURES, STRUCTURES, load, sentences, shared
+from fixtures.repairs import sentences
+from fixtures.samples import MORE_STRUCTURES, STRUCTURES, load, shared
 
 import protochain as pc
 from protochain.contacts import near_pairs

@@ -3,9 +3,9 @@
 import numpy as np
 import openmm
 import pytest
-from conftest import STRUCTURES, load
+from fixtures.oracles import angle_triples, angles
+from fixtures.samples import STRUCTURES, load
 from openmm import app, unit
-from oracles import angle_triples, angles
 from scipy.spatial.transform import Rotation
 
 import protochain as pc

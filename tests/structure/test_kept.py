@@ -7,7 +7,9 @@ import gemmi
 import numpy as np
 import openmm
 import pytest
-from conftest import NATIVE_ENERGY, NATIVE_FORCE, STRUCTURES, sentences, shared
+from fixtures.repairs import sentences
+from fixtures.samples import STRUCTURES, shared
+from fixtures.tolerances import NATIVE_ENERGY, NATIVE_FORCE
 from openmm import app
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation

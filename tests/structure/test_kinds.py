@@ -1,9 +1,8 @@
 """Kinds of file that people bring: nothing is lost, bonded or turned without a word; all is read again."""
 
-import fate
-import file_kinds
 import pytest
-from conftest import sentences
+from fixtures import fate, file_kinds
+from fixtures.repairs import sentences
 
 import protochain as pc
 

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import STRUCTURES
+from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.batches.api import _finish

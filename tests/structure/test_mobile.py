@@ -4,7 +4,9 @@ import gemmi
 import numpy as np
 import openmm
 import pytest
-from conftest import NATIVE_FORCE, STRUCTURES, sentences
+from fixtures.repairs import sentences
+from fixtures.samples import STRUCTURES
+from fixtures.tolerances import NATIVE_FORCE
 
 import protochain as pc
 from protochain.core.units import ANGSTROM_PER_NM

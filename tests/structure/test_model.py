@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import noted
+from fixtures.molecules import ring
+from fixtures.repairs import noted
 from openmm import app
-from test_write import ring
 
 import protochain as pc
 from protochain.structure import build as build_module

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import mdtraj
 import numpy as np
 import pytest
+from fixtures.molecules import ring
 from openmm import app, unit
-from test_write import ring
 
 import protochain as pc
 from protochain.structure import convert

@@ -9,7 +9,8 @@ import pickle
 import gemmi
 import numpy as np
 import pytest
-from conftest import STRUCTURES, load, sentences, shared
+from fixtures.repairs import sentences
+from fixtures.samples import STRUCTURES, load, shared
 
 import protochain as pc
 from protochain.structure import header

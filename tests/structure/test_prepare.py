@@ -5,7 +5,8 @@ from string import Formatter
 import gemmi
 import numpy as np
 import pytest
-from conftest import noted, shared
+from fixtures.repairs import noted
+from fixtures.samples import shared
 
 import protochain as pc
 from protochain.cli.options import as_option

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import sentences
+from fixtures.repairs import sentences
 
 import protochain as pc
 from protochain.core.checks import acidity

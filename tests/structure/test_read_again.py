@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import MORE_STRUCTURES, READ_AGAIN, SAMPLES, load, shared
+from fixtures.samples import MORE_STRUCTURES, SAMPLES, load, shared
+from fixtures.tolerances import READ_AGAIN
 
 import protochain as pc
 

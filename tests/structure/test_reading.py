@@ -3,7 +3,8 @@
 import gemmi
 import numpy as np
 import pytest
-from conftest import STRUCTURES, load, sentences
+from fixtures.repairs import sentences
+from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
 from protochain.structure import read as module

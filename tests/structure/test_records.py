@@ -5,9 +5,10 @@ from dataclasses import replace
 import gemmi
 import numpy as np
 import pytest
-from conftest import MORE_STRUCTURES, STRUCTURES, load, noted, shared
+from fixtures.molecules import ring
+from fixtures.repairs import noted
+from fixtures.samples import MORE_STRUCTURES, STRUCTURES, load, shared
 from openmm import app
-from test_write import ring
 
 import protochain as pc
 from protochain.structure.write import as_text, check_fits, common_suffix

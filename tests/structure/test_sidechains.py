@@ -4,7 +4,7 @@ from itertools import combinations, product
 
 import numpy as np
 import pytest
-from conftest import STRUCTURES, load
+from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
 from protochain.core.markup import listed

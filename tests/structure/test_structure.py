@@ -1,7 +1,9 @@
 import gemmi
 import numpy as np
 import pytest
-from conftest import PDB_ROUNDING_NM, STRUCTURES, load, sentences, shared
+from fixtures.repairs import sentences
+from fixtures.samples import STRUCTURES, load, shared
+from fixtures.tolerances import PDB_ROUNDING_NM
 
 import protochain as pc
 from protochain.chain import dihedral

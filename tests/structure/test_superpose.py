@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from conftest import RMSD_ANGSTROM, load, shared
+from fixtures.samples import load, shared
+from fixtures.tolerances import RMSD_ANGSTROM
 from scipy.spatial.transform import Rotation
 
 import protochain as pc

@@ -5,7 +5,7 @@ import struct
 import mdtraj
 import numpy as np
 import pytest
-from test_write import ring
+from fixtures.molecules import ring
 
 import protochain as pc
 from protochain.structure.trajectory import TrajectoryFile, check_trajectory

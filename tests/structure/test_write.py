@@ -5,43 +5,12 @@ from dataclasses import replace
 import gemmi
 import numpy as np
 import pytest
-from conftest import noted
-from openmm import app
+from fixtures.molecules import WHERE, ring
+from fixtures.repairs import noted
 
 import protochain as pc
 from protochain.structure.header import take_header
 from protochain.structure.write import as_text, check_fits, check_format, common_suffix
-
-WHERE = (("CYS", "1", ""), ("GLY", "2", ""), ("CYS", "3", "B"))
-
-
-def ring(x=None, chain_id="A"):
-    """A head-to-tail ring with a disulfide; the water beside it has a blank chain id."""
-    topology = app.Topology()
-    at = {}
-    chain = topology.addChain(chain_id)
-    for k, (name, number, code) in enumerate(WHERE):
-        residue = topology.addResidue(name, chain, number, code)
-        for atom in ("N", "CA", "C", *(["SG"] if name == "CYS" else [])):
-            at[k, atom] = topology.addAtom(atom, app.Element.getBySymbol(atom[0]), residue)
-    water = topology.addResidue("HOH", topology.addChain(""), "4")
-    for atom in ("O", "H1", "H2"):
-        at[3, atom] = topology.addAtom(atom, app.Element.getBySymbol(atom[0]), water)
-    for first, second in (
-        ((0, "N"), (0, "CA")), ((0, "CA"), (0, "C")), ((0, "C"), (1, "N")), ((1, "C"), (2, "N")),
-        ((2, "C"), (0, "N")), ((2, "SG"), (0, "SG")), ((3, "O"), (3, "H1")), ((3, "O"), (3, "H2")),
-    ):  # fmt: skip
-        topology.addBond(at[first], at[second])
-    n = len(at)
-    places = np.array([[0.1 * residue, 0.01 * k, -0.02] for k, (residue, _) in enumerate(at)])
-    return pc.Structure(
-        "ring",
-        topology,
-        places if x is None else x,
-        b_factor=np.arange(n) + 0.5,
-        obstacle=np.arange(n) >= n - 3,
-    )
-
 
 RING_PDB = """\
 SSBOND   1 CYS A    1    CYS A    3B                         1555   1555  2.12  

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import load, shared
+from fixtures.samples import load, shared
 from openmm import app
 
 import protochain as pc

@@ -5,7 +5,8 @@ from dataclasses import replace
 import gemmi
 import numpy as np
 import pytest
-from conftest import STRUCTURES, load, sentences, shared
+from fixtures.repairs import sentences
+from fixtures.samples import STRUCTURES, load, shared
 
 import protochain as pc
 from protochain.validation.fixed import fixed_counts, fixed_faults

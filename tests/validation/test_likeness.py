@@ -4,7 +4,9 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import RMSD_ANGSTROM, load, shared
+from fixtures.molecules import shaken
+from fixtures.samples import load, shared
+from fixtures.tolerances import RMSD_ANGSTROM
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
@@ -33,10 +35,6 @@ def slow_lddt(structure, reference, names=None):
                 kept.append((of[i], of[j], np.mean([off <= limit for limit in (0.5, 1.0, 2.0, 4.0)])))
     by = [np.mean([k for a, b, k in kept if r in (a, b)]) for r in range(reference.n_residues)]
     return np.mean([k for *_, k in kept]), by
-
-
-def shaken(s, size, seed=0):
-    return s.with_positions(s.positions + size * np.random.default_rng(seed).normal(size=s.positions.shape))
 
 
 @pytest.mark.parametrize("size", [0.02, 0.1, 0.3])

@@ -8,7 +8,8 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
-from conftest import MORE_STRUCTURES, ROOT, chain, load, shared
+from fixtures.molecules import turned
+from fixtures.samples import MORE_STRUCTURES, ROOT, chain, load, shared
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
@@ -23,7 +24,7 @@ DEGREES, ANGSTROM, SCORE = 2e-3, 2e-4, 2e-6
 """Of cctbx's values, from the same coordinates: rounded to the digits of the frozen table, scores of up to 1
 in single precision."""
 
-with (ROOT / "tests" / "cctbx.csv").open(newline="") as file:
+with (ROOT / "tests" / "fixtures" / "cctbx.csv").open(newline="") as file:
     FROZEN = list(csv.DictReader(file))
 """ramalyze, cbetadev and omegalyze of cctbx-base 2025.11 on samples without alternate locations."""
 
@@ -104,7 +105,7 @@ def test_every_shared_structure_is_as_cctbx_has_it(largest, least):
         pytest.skip("CCTBX_PYTHON names no Python with cctbx-base (beside OpenMM it ends the process)")
     files = {str(path): path for path in sorted(MORE_STRUCTURES.glob("*.[pc][di][bf]"))}
     files = {name: path for name, path in files.items() if path.stat().st_size < largest}
-    oracle = [python, ROOT / "tests" / "cctbx_oracle.py", *files]
+    oracle = [python, ROOT / "tests" / "fixtures" / "cctbx_oracle.py", *files]
     theirs = json.loads(subprocess.run(oracle, capture_output=True, check=True, text=True).stdout)
     compared = 0
     for name, path in files.items():
@@ -171,16 +172,6 @@ def test_classes_go_by_what_a_residue_is_and_precedes():
         "glycine", "trans_proline",
     ]  # fmt: skip
     assert found.residue.tolist() == list(range(1, 10))
-
-
-def turned(s, first, axis, degrees):
-    """Positions with all from this residue on turned about a bond."""
-    x = s.positions.copy()
-    a, b = x[list(axis)]
-    turn = Rotation.from_rotvec(np.radians(degrees) * (b - a) / np.linalg.norm(b - a))
-    moved = s.atom_residue >= first
-    x[moved] = turn.apply(x[moved] - b) + b
-    return x
 
 
 def atom(s, residue, name):

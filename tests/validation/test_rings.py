@@ -4,7 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from conftest import SAMPLES, load, shared
+from fixtures.samples import SAMPLES, load, shared
 
 import protochain as pc
 from protochain.validation.rings import _least_area, rings, threaded_rings

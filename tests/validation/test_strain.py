@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from conftest import load, shared
-from oracles import angle_triples
-from oracles import angles as slow_angles
+from fixtures.oracles import angle_triples
+from fixtures.oracles import angles as slow_angles
+from fixtures.samples import load, shared
 
 import protochain as pc
 from protochain.validation.strain import _angles, _lengths, _terms, strain

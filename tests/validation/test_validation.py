@@ -9,11 +9,9 @@ import subprocess
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import STRUCTURES, load, shared
-from test_cli import COMMAND
-from test_likeness import shaken
-from test_outliers import turned
-from test_quality import molecule
+from fixtures.command_line import COMMAND
+from fixtures.molecules import molecule, shaken, turned
+from fixtures.samples import STRUCTURES, load, shared
 
 import protochain as pc
 from protochain.cli import app

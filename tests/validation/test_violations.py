@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from conftest import ROOT, load, shared
+from fixtures.samples import ROOT, load, shared
 
 import protochain as pc
 from protochain.validation.violations import violations
