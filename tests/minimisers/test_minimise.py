@@ -344,8 +344,6 @@ def test_a_start_at_the_minimum_is_recognised_at_once():
 
 
 def test_a_file_a_structure_or_a_chain_may_be_given():
-    from fixtures.samples import STRUCTURES
-
     by_file = pc.minimise(STRUCTURES / "ala10.pdb", max_evaluations=5)
     by_structure = pc.minimize(load("ala10.pdb"), max_evaluations=5)
     assert by_file.method == by_structure.method == "cartesian"

@@ -264,6 +264,17 @@ def test_no_modules_import_one_another_in_a_circle():
     TopologicalSorter(graph).prepare()
 
 
+def test_tests_lie_in_folders_as_in_the_package_and_share_only_fixtures():
+    tests = ROOT / "tests"
+    parts = {path.name for path in PACKAGE.iterdir() if path.is_dir()} | {"project"}
+    for path in tests.rglob("*.py"):
+        assert not any(name.startswith(("test_", "conftest")) for name in imports(path)), path
+        if path.name.startswith("test_"):
+            folder = path.relative_to(tests).parts[:-1]
+            of = path.stem.removeprefix("test_")
+            assert (PACKAGE / f"{of}.py").exists() if not folder else folder[0] in parts, path
+
+
 def test_every_public_name_is_there_and_is_what_it_says():
     for name in protochain.__all__:
         assert getattr(protochain, name) is not None
