@@ -12,7 +12,7 @@ import time
 import numpy as np
 import psutil
 import pytest
-from fixtures.command_line import COMMAND
+from fixtures.command_line import protochain
 from fixtures.molecules import crowded
 from fixtures.samples import ROOT, STRUCTURES, chain, energy, shared
 
@@ -156,18 +156,6 @@ def test_a_start_that_nothing_improved_is_no_result():
     there = pc.build_chain(pc.minimise(c, e, "lbfgs").structure)
     again = pc.minimise(there, e, "lbfgs")
     assert again.status == Status.CONVERGED and again.is_usable
-
-
-def protochain(*arguments, cwd):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        env=environment,
-        timeout=300,
-    )
 
 
 def test_an_untouched_start_is_not_written(tmp_path):

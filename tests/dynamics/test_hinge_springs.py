@@ -2,11 +2,11 @@
 
 import json
 import subprocess
-import sys
 
 import numpy as np
 import pandas as pd
 import pytest
+from fixtures.command_line import COMMAND
 from fixtures.samples import STRUCTURES, chain, energy, load
 from scipy.linalg import expm
 from scipy.stats import gamma, kstest
@@ -31,7 +31,6 @@ from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import HingeKind, random_tree
 
-COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]
 KT = 2.5
 
 

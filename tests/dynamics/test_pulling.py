@@ -1,13 +1,12 @@
 """Pulling: a moving spring's forces and work, against closed forms; names, files, the command."""
 
 import json
-import subprocess
-import sys
 
 import gemmi
 import numpy as np
 import pandas as pd
 import pytest
+from fixtures.command_line import protochain
 from fixtures.samples import STRUCTURES, chain, energy, load, shared
 from fixtures.tolerances import ROUND_OFF
 from scipy.integrate import solve_ivp
@@ -30,14 +29,7 @@ from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.structure.select import atoms_at
 
-COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]
 ENDS = "A:1:N-A:10:C"
-
-
-def protochain(*arguments, cwd):
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=300
-    )
 
 
 @pytest.fixture(scope="module")

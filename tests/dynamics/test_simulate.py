@@ -4,13 +4,13 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 
 import mdtraj
 import numpy as np
 import pandas as pd
 import pytest
+from fixtures.command_line import COMMAND, protochain
 from fixtures.samples import ROOT, STRUCTURES, chain, energy, load
 from fixtures.tolerances import ROUND_OFF_NM
 from scipy.stats import kstest
@@ -23,16 +23,9 @@ from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind, random_tree
 from protochain.structure.superpose import rmsd
 
-COMMAND = [sys.executable, "-c", "from protochain.cli import main; main()"]
 THERMOSTATS = ("none", "langevin", "nose-hoover", "rescale", "hmc")
 DRIFT = 0.01
 """kJ/mol/ps for 100 atoms: what a constant-energy run may gain or lose."""
-
-
-def protochain(*arguments, cwd, timeout=300):
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=timeout
-    )
 
 
 @pytest.fixture(scope="module")

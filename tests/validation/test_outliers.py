@@ -8,7 +8,7 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
-from fixtures.molecules import turned
+from fixtures.molecules import atom, turned
 from fixtures.samples import MORE_STRUCTURES, ROOT, chain, load, shared
 from scipy.spatial.transform import Rotation
 
@@ -172,10 +172,6 @@ def test_classes_go_by_what_a_residue_is_and_precedes():
         "glycine", "trans_proline",
     ]  # fmt: skip
     assert found.residue.tolist() == list(range(1, 10))
-
-
-def atom(s, residue, name):
-    return int(np.flatnonzero((s.atom_residue == residue) & (s.atom_name == name))[0])
 
 
 def test_peptide_bonds_turned_by_hand_are_cis_or_twisted():

@@ -4,6 +4,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from fixtures.molecules import atom
 from fixtures.samples import SAMPLES, load, shared
 
 import protochain as pc
@@ -16,10 +17,6 @@ NAMED = {
     "PRO": ["N CA CB CG CD"],
     "TRP": ["CG CD1 NE1 CE2 CD2", "CD2 CE2 CZ2 CH2 CZ3 CE3"],
 }
-
-
-def atom(structure, residue, name):
-    return int(np.flatnonzero((structure.atom_residue == residue) & (structure.atom_name == name))[0])
 
 
 def normal_of(corners):

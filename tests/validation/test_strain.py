@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fixtures.molecules import atom
 from fixtures.oracles import angle_triples
 from fixtures.oracles import angles as slow_angles
 from fixtures.samples import load, shared
@@ -10,10 +11,6 @@ import protochain as pc
 from protochain.validation.strain import _angles, _lengths, _terms, strain
 
 RT = 8.314462618e-3 * 300.0
-
-
-def atom(structure, residue, name):
-    return int(np.flatnonzero((structure.atom_residue == residue) & (structure.atom_name == name))[0])
 
 
 @pytest.mark.parametrize("name", ["1l2y.pdb", "4pti.pdb", "3i40.pdb"])

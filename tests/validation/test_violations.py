@@ -5,6 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from fixtures.molecules import atom
 from fixtures.samples import ROOT, load, shared
 
 import protochain as pc
@@ -112,10 +113,6 @@ def moved(structure, atoms, by):
     x = structure.positions.copy()
     x[atoms] += by
     return x
-
-
-def atom(structure, residue, name):
-    return int(np.flatnonzero((structure.atom_residue == residue) & (structure.atom_name == name))[0])
 
 
 def test_alphafold_finds_the_same_on_its_own_test_structure():
