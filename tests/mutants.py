@@ -260,6 +260,11 @@ def tried(fault: Fault, root: Path, tests: list[str], kernel: bool, limit: float
     return Fault(**(asdict(fault) | {"result": result, "test": by}))
 
 
+def of(test: str) -> str:
+    """What the file of a test is of."""
+    return Path(test.split("::")[0]).stem.removeprefix("test_")
+
+
 def chosen_tests(
     fault: Fault, reached: dict[tuple[str, int], set[str]], seconds: dict[str, float], on_import: bool
 ) -> tuple[list[str], bool]:
@@ -269,15 +274,13 @@ def chosen_tests(
     """
     found, files = reached.get((fault.file, fault.line), set()), FOLDERS[fault.folder][1]
     blind = not found
-    named = {f"tests/test_{name}.py" for name in files}
     if blind or on_import or fault.folder in ("batches", "cli"):
-        found = found | {test for test in seconds if test.split("::")[0] in named}
+        found = found | {test for test in seconds if of(test) in files}
     if not found:
-        own = f"tests/test_{Path(fault.file).stem}.py"
-        found = {test for test in seconds if test.split("::")[0] == own}
+        found = {test for test in seconds if of(test) == Path(fault.file).stem}
     chosen, spent = [], 0.0
     # Of a constant that kernels are compiled with, the tests that call kernels come first.
-    order = {test: (on_import and test.split("::")[0] not in named, seconds[test]) for test in seconds}
+    order = {test: (on_import and of(test) not in files, seconds[test]) for test in seconds}
     for test in sorted(found & seconds.keys(), key=order.__getitem__):
         spent += seconds[test]
         if spent > LONGEST:

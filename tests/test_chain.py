@@ -1,17 +1,8 @@
 import numpy as np
 import pytest
-from conftest import (
-    DIFFERENCE,
-    GEOMETRY_NM,
-    GEOMETRY_RAD,
-    RIGID_MOTION,
-    ROUND_OFF_NM,
-    SAMPLES,
-    chain,
-    energy,
-    load,
-)
-from oracles import angle_triples, angles, bond_lengths
+from fixtures.oracles import angle_triples, angles, bond_lengths
+from fixtures.samples import SAMPLES, chain, energy, load
+from fixtures.tolerances import DIFFERENCE, GEOMETRY_NM, GEOMETRY_RAD, RIGID_MOTION, ROUND_OFF_NM
 from scipy.spatial.transform import Rotation
 
 import protochain as pc

@@ -3,7 +3,8 @@
 import gemmi
 import numpy as np
 import pytest
-from conftest import ROUND_OFF_NM, STRUCTURES, chain, energy, load
+from fixtures.samples import STRUCTURES, chain, energy, load
+from fixtures.tolerances import ROUND_OFF_NM
 from MDAnalysis.analysis.rms import rmsd as mda_rmsd
 
 import protochain as pc

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 import typer.main
-from conftest import ROOT, STRUCTURES, load
+from fixtures.samples import ROOT, STRUCTURES, load
 
 import protochain as pc
 from protochain.batches import BatchSettings, Processes

@@ -3,8 +3,8 @@
     python analysis/benchmarks/fuzz.py [-o DIR] [--quick] [--files 5000] [--options 2000]
     python analysis/benchmarks/fuzz.py --only "PDB, models" --seed 17
 
-Cases are made by kind and seed (tests/damage.py), run in processes split off one that has loaded all, and
-judged (tests/judge.py); a row a kind. The second form runs one case and prints all of it.
+Cases are made by kind and seed (tests/fixtures/damage.py), run in processes split off one that has loaded
+all, and judged (tests/fixtures/judge.py); a row a kind. The second form runs one case and prints all of it.
 """
 
 import argparse
@@ -19,8 +19,7 @@ import pandas as pd
 from made import ROOT
 
 sys.path.insert(0, str(ROOT / "tests"))
-import damage
-import judge
+from fixtures import damage, judge
 
 FILES, OPTIONS = 5000, 2000
 
@@ -77,7 +76,7 @@ def main() -> None:
     table = counted(ended)
     print(table.to_string())
     if given.output:
-        made.write(table, Path(given.output) / "fuzz.csv", ["kinds of tests/damage.py"])
+        made.write(table, Path(given.output) / "fuzz.csv", ["kinds of tests/fixtures/damage.py"])
 
 
 if __name__ == "__main__":

@@ -2,9 +2,9 @@
 
     python analysis/benchmarks/kinds.py [-o DIR] [--quick] [--only FAMILY ...]
 
-Each kind of tests/file_kinds.py is made anew, read, prepared, relaxed for at most 100 iterations, written as
-PDB and mmCIF, and read again (tests/fate.py); a row a kind. Those that need files beside the repository are
-left out where these are not there. Structures of more than 3000 atoms are not relaxed.
+Each kind of tests/fixtures/file_kinds.py is made anew, read, prepared, relaxed for at most 100 iterations,
+written as PDB and mmCIF, and read again (tests/fixtures/fate.py); a row a kind. Those that need files beside
+the repository are left out where these are not there. Structures of more than 3000 atoms are not relaxed.
 """
 
 import argparse
@@ -19,8 +19,7 @@ import pandas as pd
 from made import ROOT
 
 sys.path.insert(0, str(ROOT / "tests"))
-import fate
-import file_kinds
+from fixtures import fate, file_kinds
 
 ITERATIONS = 100
 LONGEST = 400
@@ -105,7 +104,7 @@ def main() -> None:
     refused, wrong = (table["refusal"] != "").sum(), (table["faults"] > 0).sum()
     print(f"{len(table)} kinds, {refused} refused, {wrong} with faults")
     if options.output:
-        made.write(table, options.output / "kinds.csv", ["kinds of tests/file_kinds.py"])
+        made.write(table, options.output / "kinds.csv", ["kinds of tests/fixtures/file_kinds.py"])
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ import protochain as pc
 from protochain.validation import measures
 
 sys.path.insert(0, str(ROOT / "tests"))
-import models
+from fixtures import models
 
 MADE_OF = ("1hel", "1ubq", "4pti")
 MANY_OF = ("1l2y", "1vii", "1ejg", "3i40", "4pti", "1ubq", "1hel")

@@ -254,9 +254,10 @@ def factorise(
         P_b = I_b + sum over children c of X_c^T P_c+ X_c
         D_b = h_b^T P_b h_b,    G_b = P_b h_b / D_b,    P_b+ = P_b - G_b D_b G_b^T
 
-    ``slow_articulated_inverse`` in tests/slow_mechanics.py states the same in 6x6 matrices. One right-hand
-    side is carried inward as in :func:`inward_loads`, while the processor waits for the factors. Inertia and
-    gain are shifted to the parent's origin before the pivot is known, and stay in registers for the parent.
+    ``slow_articulated_inverse`` in tests/fixtures/slow_mechanics.py states the same in 6x6 matrices. One
+    right-hand side is carried inward as in :func:`inward_loads`, while the processor waits for the factors.
+    Inertia and gain are shifted to the parent's origin before the pivot is known, and stay in registers for
+    the parent.
     """
     carried, moment_below, force_below = MASSLESS, ZERO, ZERO
     for b in range(len(bodies) - 1, -1, -1):

@@ -1,0 +1,89 @@
+"""The report in a browser: it draws, sorts, says nothing on the console, and asks nobody for anything."""
+
+import dataclasses
+import io
+import shutil
+
+import matplotlib.image
+import numpy as np
+import pytest
+from fixtures.samples import chain, energy
+
+import protochain as pc
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
+FLAGS = [
+    "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle", "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]  # fmt: skip
+"""For machines without a display, a graphics card, or a user of their own."""
+EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
+
+
+@pytest.fixture(scope="module")
+def page_file(tmp_path_factory):
+    comparison = pc.compare(
+        chain("1l2y.pdb"), ("lbfgs", "kcm", "openmm"), energy("1l2y.pdb"), max_evaluations=30
+    )
+    origin = {"input": EVIL}
+    return dataclasses.replace(comparison, origin=origin).report(tmp_path_factory.mktemp("page"))
+
+
+@pytest.fixture
+def browser():
+    from playwright.sync_api import Error, sync_playwright
+
+    with sync_playwright() as driver:
+        try:
+            started = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        except Error as error:
+            pytest.skip(f"chromium does not start here: {str(error).splitlines()[0]}")
+        yield started
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1200, "light"), (390, "dark")])
+def test_the_page_works_from_a_file(browser, page_file, width, scheme):
+    page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    said, asked = [], []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("dialog", lambda dialog: said.append(dialog.message))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(page_file.as_uri())
+    page.wait_for_selector("#viewer[data-models='4'] canvas")
+    page.wait_for_timeout(500)
+    assert said == []
+    assert [url for url in asked if not url.startswith(("data:", "blob:"))] == [page_file.as_uri()]
+    # Nothing is wider than the screen but what scrolls by itself.
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    drawn = matplotlib.image.imread(io.BytesIO(page.locator("#viewer").screenshot()))[5:-5, 5:-5, :3]
+    assert np.mean(np.abs(drawn - drawn[0, 0]).max(axis=-1) > 0.1) > 0.01
+    page.locator("#shown input").first.uncheck()
+    page.select_option("#style", "stick")
+
+    def column(k):
+        rows = page.locator("table.sortable").first.locator("tbody tr")
+        return [rows.nth(i).locator("td").nth(k).inner_text() for i in range(rows.count())]
+
+    assert column(0) == ["lbfgs", "kcm", "openmm"]
+    heading = page.locator("table.sortable").first.locator("th").nth(3)
+    heading.locator("button").focus()
+    page.keyboard.press("Enter")
+    ends = [float(value) for value in column(3)]
+    assert heading.get_attribute("aria-sort") == "ascending" and ends == sorted(ends)
+    page.keyboard.press("Enter")
+    assert [float(value) for value in column(3)] == sorted(ends, reverse=True)
+    assert said == []
+
+
+def test_a_notebooks_view_draws_in_its_frame(browser, tmp_path):
+    comparison = pc.compare(chain("1l2y.pdb"), ("lbfgs",), energy("1l2y.pdb"), max_evaluations=10)
+    (tmp_path / "notebook.html").write_text(f"<!doctype html><body>{comparison.view()._repr_html_()}</body>")
+    page = browser.new_page()
+    said = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto((tmp_path / "notebook.html").as_uri())
+    page.frame_locator("iframe").locator("#viewer[data-models='2'] canvas").wait_for()
+    assert said == []

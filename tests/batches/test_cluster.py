@@ -1,0 +1,258 @@
+"""Batches that are killed and go on, and clusters of processes on this machine, with and without TLS."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pandas as pd
+import psutil
+import pytest
+from fixtures.samples import load
+
+import protochain as pc
+
+pytestmark = pytest.mark.slow
+
+N_GOOD, N_BAD = 12, 3
+OPTIONS = ("--methods", "lbfgs,kcm", "--max-evaluations", "150")
+MEASURED = ("seconds", "seconds_preparation")
+"""Columns that differ from run to run."""
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    """Perturbed copies of one structure, and files that cannot be used."""
+    folder = tmp_path_factory.mktemp("inputs")
+    s = load("1l2y.pdb")
+    random = np.random.default_rng(0)
+    for k in range(N_GOOD):
+        x = s.positions + random.normal(scale=0.005, size=s.positions.shape)
+        pc.save(s.with_positions(x), folder / f"copy{k:02}.pdb")
+    for k in range(N_BAD):
+        (folder / f"bad{k}.pdb").write_text("nothing of use\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(inputs, tmp_path_factory):
+    """The table of a run that nothing disturbed."""
+    output = tmp_path_factory.mktemp("whole")
+    assert start(inputs, output, "--workers", "2").wait(timeout=300) == 3
+    return table(output)
+
+
+def table(output):
+    read = pd.read_csv(output / "summary.csv")
+    assert not read.duplicated(["structure", "method"]).any()
+    return read.drop(columns=list(MEASURED))
+
+
+def start(inputs, output, *options, env=None):
+    command = [sys.executable, "-c", "from protochain.cli import main; main()"]
+    return subprocess.Popen(
+        [*command, "batch", str(inputs), "-o", str(output), *OPTIONS, *options],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=env, start_new_session=True,
+    )  # fmt: skip
+
+
+def wait_for_rows(output, least, running):
+    """Wait until some structures are done, and others are not."""
+    summary = output / "summary.csv"
+    for _ in range(6000):
+        if summary.exists() and summary.read_text().count("\n") > 2 * least:
+            return
+        assert running.poll() is None
+        time.sleep(0.01)
+    raise AssertionError("no rows came")
+
+
+def gone(processes):
+    """Whether all of these end by themselves."""
+    _, alive = psutil.wait_procs(processes, timeout=30)
+    return not alive
+
+
+@pytest.mark.parametrize("least", [1, 6])
+@pytest.mark.parametrize("whom", ["client", "all"])
+def test_a_killed_batch_goes_on_to_the_same_table(inputs, whole, whom, least, tmp_path):
+    running = start(inputs, tmp_path, "--workers", "2")
+    wait_for_rows(tmp_path, least, running)
+    family = psutil.Process(running.pid).children(recursive=True)
+    for process in [psutil.Process(running.pid), *(family if whom == "all" else [])]:
+        process.kill()
+    running.wait()
+    assert gone(family)
+    before = pd.read_csv(tmp_path / "summary.csv")
+    assert len(before) < len(whole)
+    resumed = start(inputs, tmp_path, "--workers", "2", "--resume")
+    assert resumed.wait(timeout=300) == 3
+    pd.testing.assert_frame_equal(table(tmp_path), whole)
+    # What was done is not done again: its times are those of the first run.
+    after = pd.read_csv(tmp_path / "summary.csv").merge(before, on=["structure", "method"])
+    assert len(after) == len(before) and (after["seconds_x"] == after["seconds_y"]).all()
+
+
+def test_a_killed_child_is_a_row_and_is_done_again_on_resuming(inputs, whole, tmp_path):
+    running = start(inputs, tmp_path, "--workers", "1")
+    wait_for_rows(tmp_path, 4, running)
+    family = psutil.Process(running.pid).children(recursive=True)
+    (child,) = [p for p in family if "protochain.batches.child" in " ".join(p.cmdline())]
+    child.kill()
+    assert running.wait(timeout=300) == 3
+    ended = table(tmp_path)
+    assert len(ended) == len(whole)
+    killed = ended[ended["status"] == "killed"]
+    assert killed["structure"].nunique() <= 1
+    assert killed["message"].str.contains("SIGKILL").all()
+    assert start(inputs, tmp_path, "--workers", "1", "--resume").wait(timeout=300) == 3
+    pd.testing.assert_frame_equal(table(tmp_path), whole)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_keeps_what_is_done(inputs, whole, number, tmp_path):
+    running = start(inputs, tmp_path, "--workers", "2")
+    wait_for_rows(tmp_path, N_BAD + 2, running)
+    family = psutil.Process(running.pid).children(recursive=True)
+    # As from a terminal: the whole group of processes gets it.
+    os.killpg(running.pid, number)
+    assert running.wait(timeout=60) == 3
+    assert gone(family)
+    kept = table(tmp_path)
+    assert N_BAD + 2 <= kept["structure"].nunique() < N_GOOD + N_BAD and not kept["status"].eq("killed").any()
+    assert (tmp_path / "report.html").exists() and (tmp_path / "summary.parquet").exists()
+    assert start(inputs, tmp_path, "--workers", "2", "--resume").wait(timeout=300) == 3
+    pd.testing.assert_frame_equal(table(tmp_path), whole)
+
+
+@contextmanager
+def cluster(folder, *options):
+    """Run a scheduler and two workers of the dask command line on loopback; give the address."""
+    file = folder / "scheduler.json"
+    dask = [sys.executable, "-m", "dask"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    scheduler = [
+        "scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+        "--scheduler-file",
+        file,
+    ]
+    started = [subprocess.Popen([*dask, *scheduler, *options], **quiet)]
+    try:
+        for _ in range(3000):
+            if file.exists() and file.read_text().endswith("}"):
+                break
+            time.sleep(0.01)
+        address = json.loads(file.read_text())["address"]
+        worker = ["worker", address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard", "--nanny"]
+        started += [
+            subprocess.Popen([*dask, *worker, *options, "--local-directory", folder], **quiet)
+            for _ in range(2)
+        ]
+        yield address
+    finally:
+        for process in started:
+            for each in psutil.Process(process.pid).children(recursive=True):
+                each.kill()
+            process.kill()
+            process.wait()
+
+
+def test_workers_of_the_dask_command_line_do_the_same(inputs, whole, tmp_path):
+    with cluster(tmp_path) as address:
+        assert start(inputs, tmp_path / "out", "--scheduler", address).wait(timeout=300) == 3
+    pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
+
+
+def test_a_killed_worker_changes_nothing(inputs, whole, tmp_path):
+    with cluster(tmp_path) as address:
+        running = start(inputs, tmp_path / "out", "--scheduler", address)
+        wait_for_rows(tmp_path / "out", 2, running)
+        (worker, *_) = [
+            p for p in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(p.cmdline())
+        ]
+        own = worker.children(recursive=True)
+        assert own
+        worker.kill()
+        assert running.wait(timeout=300) == 3
+        assert gone(own)
+    pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
+
+
+def test_relax_goes_on_after_a_kill_on_a_cluster_as_a_batch_does(inputs, tmp_path):
+    """A folder, a manifest with settings of its own, broken files, a kill, and a time limit."""
+    manifest = tmp_path / "work.csv"
+    rows = [f"{inputs / name}.pdb,{preset}" for name, preset in (("copy00", "crystal"), ("bad0", ""))]
+    manifest.write_text(
+        "\n".join(["path,preset", *rows, *(f"{inputs}/copy{k:02}.pdb," for k in range(1, 8))])
+    )
+    command = [sys.executable, "-c", "from protochain.cli import main; main()", "relax"]
+
+    def begin(name, *options, given=("--manifest", manifest)):
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        whole = [*command, *given, "-o", tmp_path / name, *options]
+        return subprocess.Popen(whole, **quiet, start_new_session=True)
+
+    def relaxed(name):
+        return pd.read_csv(tmp_path / name / "relaxed.csv").drop(columns=list(MEASURED))
+
+    assert begin("whole", "--workers", "2").wait(timeout=300) == 3
+    with cluster(tmp_path) as address:
+        running = begin("out", "--scheduler", address)
+        table = tmp_path / "out" / "relaxed.csv"
+        while not table.exists() or table.read_text().count("\n") < 4:
+            assert running.poll() is None
+            time.sleep(0.01)
+        os.killpg(running.pid, signal.SIGINT)
+        assert running.wait(timeout=60) == 3
+        assert 2 < len(relaxed("out")) < 9 and (tmp_path / "out" / "report.html").exists()
+        assert begin("out", "--scheduler", address, "--resume").wait(timeout=300) == 3
+        late = begin("late", "--scheduler", address, "--time-limit", "0.01", given=[inputs / "copy00.pdb"])
+        assert late.wait(timeout=300) == 1
+    pd.testing.assert_frame_equal(relaxed("out"), relaxed("whole"))
+    assert relaxed("whole")["status"].tolist() == ["converged", "refused", *["converged"] * 7]
+    assert relaxed("whole")["preset"].dropna().tolist() == ["crystal", *["predicted"] * 7]
+    assert relaxed("late")["status"].tolist() == ["time-limit"]
+
+
+def test_without_its_scheduler_a_batch_ends_and_goes_on_later(inputs, whole, tmp_path):
+    with cluster(tmp_path) as address:
+        running = start(inputs, tmp_path / "out", "--scheduler", address)
+        wait_for_rows(tmp_path / "out", N_BAD + 2, running)
+        (scheduler,) = [p for p in psutil.Process().children() if "scheduler" in p.cmdline()]
+        scheduler.kill()
+        assert running.wait(timeout=120) == 3
+    assert start(inputs, tmp_path / "out", "--workers", "2", "--resume").wait(timeout=300) == 3
+    pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
+
+
+def test_a_cluster_with_tls_takes_only_who_has_a_certificate(inputs, whole, tmp_path):
+    pytest.importorskip("cryptography")
+    from distributed.security import Security
+
+    made = Security.temporary()
+    files = {name: tmp_path / f"{name}.pem" for name in ("tls_ca_file", "tls_client_cert", "tls_client_key")}
+    for name, path in files.items():
+        path.write_text(getattr(made, name))
+    ca, cert, key = map(str, files.values())
+    options = ("--protocol", "tls", "--tls-ca-file", ca, "--tls-cert", cert, "--tls-key", key)
+    known = {
+        "DASK_DISTRIBUTED__COMM__TLS__CA_FILE": ca,
+        "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT": cert,
+        "DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY": key,
+    }
+    with cluster(tmp_path, *options) as address:
+        assert address.startswith("tls://127.0.0.1")
+        refused = start(inputs, tmp_path / "out", "--scheduler", address)
+        assert refused.wait(timeout=120) == 2
+        accepted = start(inputs, tmp_path / "out2", "--scheduler", address, env=os.environ | known)
+        assert accepted.wait(timeout=300) == 3
+    pd.testing.assert_frame_equal(table(tmp_path / "out2"), whole)

@@ -1,0 +1,330 @@
+"""What is taken of a file, and where a result goes: chains, models, one file of many, standard output."""
+
+import json
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import gemmi
+import numpy as np
+import pandas as pd
+import pytest
+from fixtures.samples import STRUCTURES, load, shared
+
+import protochain as pc
+from protochain.batches import BatchSettings, find_jobs
+from protochain.batches.jobs import Row, origin
+from protochain.batches.table import COLUMNS, Tables, read_table
+from protochain.batches.task import run
+from protochain.cli import main
+
+ATOMS = [line for line in (STRUCTURES / "ala10.pdb").read_text().splitlines(True) if line[:4] == "ATOM"]
+
+
+@pytest.fixture
+def protochain(tmp_path, monkeypatch, capsys):
+    """Run a command in an empty folder; return status, standard output and standard error."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["protochain", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        out, err = capsys.readouterr()
+        return ended.value.code or 0, out, err
+
+    return run
+
+
+@pytest.fixture
+def three(tmp_path):
+    """Three models, numbered 2, 3 and 7."""
+    text = "".join(f"MODEL {n:8d}\n{''.join(ATOMS)}ENDMDL\n" for n in (2, 3, 7))
+    (tmp_path / "three.pdb").write_text(text + "END\n")
+    return tmp_path / "three.pdb"
+
+
+def test_the_version_is_printed(protochain):
+    assert protochain("--version") == (0, f"protochain {version('protochain')}\n", "")
+
+
+@pytest.mark.parametrize("given", ["B", " B ,", ("B",)])
+def test_chains_can_be_chosen(given):
+    whole, one = load("3i40.pdb"), pc.load(STRUCTURES / "3i40.pdb", chains=given)
+    assert set(one.residue_chain) == {"B"} and one.n_residues == 30 < whole.n_residues
+    assert one.left_out["chains"] == 1 and one.left_out["waters"] < whole.left_out["waters"]
+    assert pc.Setup(chains=given).load(STRUCTURES / "3i40.pdb").n_atoms == one.n_atoms
+    assert pc.as_structure(gemmi.read_structure(str(STRUCTURES / "3i40.pdb")), chains=given).n_residues == 30
+
+
+def test_all_chains_in_another_order_are_the_same_structure():
+    assert pc.load(STRUCTURES / "3i40.pdb", chains="B,A").n_residues == load("3i40.pdb").n_residues
+    ids = pc.load(shared("2beg_abeta_fibril.pdb"), chains=("D", "B")).residue_chain
+    assert list(dict.fromkeys(ids)) == ["B", "D"]
+
+
+def test_a_chain_that_is_not_there_is_refused_with_those_that_are(protochain):
+    with pytest.raises(pc.ProtochainError, match=r"3i40\.pdb: has no chain C; its chains are A, B"):
+        pc.load(STRUCTURES / "3i40.pdb", chains="A,C")
+    status, _, err = protochain("info", STRUCTURES / "3i40.pdb", "--chain", "A,b")
+    assert status == 2 and "has no chain b; its chains are A, B" in err
+    status, out, _ = protochain("info", STRUCTURES / "3i40.pdb", "--chain", "A", "--json")
+    assert status == 0 and json.loads(out)["n_residues"] == 21
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_info_takes_threads_as_the_other_commands_do(threads, protochain):
+    status, out, _ = protochain("info", STRUCTURES / "ala10.pdb", "--threads", threads, "--json")
+    assert status == 0 and json.loads(out)["threads"] == threads
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [("4", 4), (4, 4), ("1-5", "1-5"), (" 1 - 3, 7 ", "1-3,7"), ("all", "all"), (None, None)],
+)
+def test_models_are_a_number_a_range_or_all(given, kept):
+    assert pc.Setup(model=given).model == kept
+
+
+@pytest.mark.parametrize("given", ["one", "5-1", "1-", "-3", "1,,2", "1-2-3", "1-9999999", "1.5"])
+def test_models_that_make_no_sense_are_refused(given):
+    with pytest.raises(pc.ProtochainError, match=r"^model '.*': give .* a range such as 1-5"):
+        pc.Setup(model=given)
+
+
+def test_several_models_are_several_files_or_one(protochain, three, tmp_path):
+    run = ("minimise", three, "--solvent", "vacuum", "--max-evaluations", 4, "--json", "--method", "lbfgs")
+    status, out, _ = protochain(*run, "--model", "2-3", "-o", "out.pdb.gz")
+    records = json.loads(out)["models"]
+    assert status == 3 and [each["output"] for each in records] == ["out.2.pdb.gz", "out.3.pdb.gz"]
+    one = gemmi.read_structure("out.3.pdb.gz")
+    assert len(one) == 1
+    _, out, _ = protochain(*run, "--model", "7,2", "-o", "both.pdb", "--one-file")
+    assert [each["output"] for each in json.loads(out)["models"]] == ["both.pdb"] * 2
+    joined = gemmi.read_structure("both.pdb")
+    assert [model.num for model in joined] == [7, 2] and {path.name for path in tmp_path.iterdir()} == {
+        "three.pdb", "out.2.pdb.gz", "out.3.pdb.gz", "both.pdb",
+    }  # fmt: skip
+    for model in joined:
+        assert [at.atom.pos.tolist() for at in model.all()] == [at.atom.pos.tolist() for at in one[0].all()]
+    text = (tmp_path / "both.pdb").read_text()
+    assert "MODEL 2: PROTOCHAIN" in text and "MODEL 7: PROTOCHAIN" in text and text.count("\nENDMDL") == 2
+    _, out, _ = protochain(*run, "--model", "all", "-o", "all.cif", "--one-file")
+    assert [model.num for model in gemmi.read_structure("all.cif")] == [2, 3, 7]
+    assert [pc.load("all.cif", model=n).n_atoms for n in (2, 7)] == [load("ala10.pdb").n_atoms] * 2
+
+
+def test_what_is_done_is_written_when_a_later_model_cannot_be_used(protochain, three, tmp_path):
+    text = three.read_text()
+    (tmp_path / "bad.pdb").write_text(text[: text.index("MODEL        7")] + "MODEL        7\n" + "".join(
+        line for line in ATOMS if line[12:16] == " CA "
+    ) + "ENDMDL\nEND\n")  # fmt: skip
+    run = ("minimise", "bad.pdb", "--solvent", "vacuum", "--max-evaluations", 2, "--model", "all")
+    status, _, err = protochain(*run, "-o", "done.pdb", "--one-file")
+    assert status == 2 and "only C-alpha atoms" in err
+    assert [model.num for model in gemmi.read_structure("done.pdb")] == [2, 3]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--model", "2-4"], "has no model 4; its models are 2, 3, 7"),
+        (["--model", "2-3", "--trace", "t.csv"], "belong to one model"),
+        (["--model", "2-3", "--report", "r.html"], "belong to one model"),
+        (["--one-file"], "one-file: joins several models; give --model all"),
+        (["--model", "3", "--one-file"], "one-file: joins several models; give --model all"),
+        (["-o", "-", "--json"], "both go to standard output"),
+        (["-o", "-", "--model", "all"], "give --one-file"),
+        (["--report", "r.pdf"], "r.pdf: give a name that ends in .html"),
+        (["-o", "x.html", "--report", "x.html"], "unknown suffix '.html'"),
+        (["--chain", "Q"], "has no chain Q"),
+    ],
+)
+def test_contradictions_are_refused_in_one_line(arguments, said, protochain, three, tmp_path):
+    status, out, err = protochain("minimise", three, *arguments)
+    assert (status, out, err.count("\n")) == (2, "", 1) and said in err
+    assert [path.name for path in tmp_path.iterdir()] == ["three.pdb"]
+
+
+def test_a_structure_on_standard_output_is_alone_there(protochain, three):
+    run = ("minimise", three, "--solvent", "vacuum", "--max-evaluations", 4, "--method", "lbfgs")
+    status, out, err = protochain(*run, "-o", "-")
+    s = gemmi.read_pdb_string(out)
+    assert status == 3 and s[0].count_atom_sites() == load("ala10.pdb").n_atoms
+    assert out.startswith("REMARK   3 PROTOCHAIN") and out.endswith("END" + 77 * " " + "\n")
+    assert "budget" in err and "written: standard output" in err
+    _, out, _ = protochain(*run, "-o", "-", "--model", "2-3", "--one-file")
+    assert len(gemmi.read_pdb_string(out)) == 2
+    _, out, _ = protochain("minimise", STRUCTURES / "1ubq.cif", "--chain", "A", "--max-evaluations", 5,
+                           "--solvent", "vacuum", "--method", "lbfgs", "-o", "-")  # fmt: skip
+    assert len(gemmi.make_structure_from_block(gemmi.cif.read_string(out).sole_block())[0]) == 1
+    status, out, err = protochain("build", "GPW", "-o", "-")
+    assert status == 0 and gemmi.read_pdb_string(out)[0].count_atom_sites() > 40 and "3 residues" in err
+
+
+def test_outputs_are_named_after_packed_inputs_and_not_packed(protochain, tmp_path):
+    (tmp_path / "x.cif.xz").write_bytes(b"")
+    from protochain.cli.options import named_after
+
+    for name, expected in (
+        ("x.cif.xz", ("x", ".cif")), ("pdb1abc.ent.gz", ("pdb1abc", ".pdb")), ("x.pdbx", ("x", ".cif")),
+        ("model.v2.pdb.bz2", ("model.v2", ".pdb")), ("-", ("stdin", ".pdb")),
+    ):  # fmt: skip
+        assert named_after(tmp_path / name if name != "-" else Path("-")) == expected
+
+
+def test_a_report_of_one_run_is_one_page_that_works_offline(protochain, tmp_path):
+    status, out, _ = protochain(
+        "minimise",
+        STRUCTURES / "ala10.pdb",
+        "--method",
+        "lbfgs",
+        "--report",
+        "page.html",
+        "-o",
+        "x.pdb",
+        "--json",
+    )
+    record = json.loads(out)
+    page = (tmp_path / "page.html").read_text()
+    assert status == 0 and sorted(path.name for path in tmp_path.iterdir()) == ["page.html", "x.pdb"]
+    assert f"{record['energy_end_reference_kj_mol']:.3f}" in page and record["report"] == "page.html"
+    assert "<title>ala10 by lbfgs</title>" in page and "http-equiv" in page and 'src="http' not in page
+    assert page.count("data:image/png") == 6 and "comparison" not in page.split("<style>")[0]
+
+
+def settings_of(tmp_path, text):
+    manifest = tmp_path / "work.csv"
+    manifest.write_text(text)
+    return [job.settings for job in find_jobs([], BatchSettings(), manifest)]
+
+
+def test_a_manifest_has_the_options_of_the_command_line(tmp_path):
+    path = STRUCTURES / "4pti.pdb"
+    first, second, third = settings_of(
+        tmp_path,
+        "path,restrain,starts,spread,hop,disulfide,chain,max-rmsd\n"
+        f'{path},1000 100 0,,,,"A:5-A:55,A:14-A:38",A,1.5\n{path},,4,20,300,none,,\n{path},,,,,,,\n',
+    )
+    assert first.restraint == "1000 100 0" and first.max_rmsd == 1.5 and first.setup.chains == ("A",)
+    assert first.setup.disulfide == (("A:5", "A:55"), ("A:14", "A:38"))
+    assert (second.n_starts, second.hop_temperature, second.setup.disulfide) == (4, 300.0, ("none",))
+    assert second.spread == pytest.approx(np.radians(20))
+    assert third == BatchSettings() and third.setup.disulfide is None
+    assert len({str(each.record()) for each in (first, second, third)}) == 3
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("restrain\nx.pdb,strong", "'strong'"),
+        ("starts\nx.pdb,0", "starts 0"),
+        ("starts\nx.pdb,two", "two"),
+        ("hop\nx.pdb,300", "hop_temperature: needs several minima"),
+        ("spread\nx.pdb,0", "spread 0"),
+        ("restrain,starts\nx.pdb,100,3", "refer to each start's own structure"),
+        ("model\nx.pdb,5-1", "model '5-1'"),
+        ("disulfide\nx.pdb,5-55", "chain:number-chain:number"),
+        ("strengths\nx.pdb,1", "no setting is called 'strengths'"),
+    ],
+)
+def test_a_manifest_that_makes_no_sense_is_refused_with_its_line(line, said, tmp_path):
+    with pytest.raises(pc.ProtochainError, match=r"work\.csv: line 2: ") as refused:
+        settings_of(tmp_path, "path," + line + "\n")
+    assert said in str(refused.value)
+
+
+def test_a_batch_restrains_and_starts_as_single_runs_do(tmp_path):
+    path, settings = STRUCTURES / "ala10.pdb", BatchSettings(("lbfgs",), max_evaluations=60)
+    settings = settings.changed(solvent="vacuum")
+    energy = pc.energy(load("ala10.pdb"), solvent="vacuum")
+    rows = {}
+    for name, own in (("held", {"restraint": "1e5"}), ("many", {"n_starts": 3, "spread": np.radians(30)})):
+        jobs = find_jobs([path], settings.changed(**own))
+        tables = Tables(tmp_path / name, resume=False)
+        tables.finished(jobs)
+        tables.append(run(jobs[0], tmp_path / name, 1))
+        tables.close()
+        rows[name] = tables.read().iloc[0]
+    alone = pc.minimise(load("ala10.pdb"), energy, "lbfgs", max_evaluations=60, restraint=1e5)
+    assert rows["held"]["ca_rmsd_angstrom"] == pytest.approx(alone.ca_rmsd_angstrom, rel=1e-6)
+    assert rows["held"]["restraint_kj_mol_nm2"] == "100000.0" and alone.ca_rmsd_angstrom < 0.5
+    many = pc.explore(load("ala10.pdb"), energy, "lbfgs", 3, spread=np.radians(30), max_evaluations=60)
+    assert (rows["many"]["n_starts"], rows["held"]["n_starts"]) == (3, 1)
+    assert rows["many"]["energy_end_reference_kj_mol"] == pytest.approx(many.best.end.energy, rel=1e-6)
+    assert rows["many"]["evaluations"] == sum(each.n_evaluations for each in many.solutions)
+    assert rows["many"]["energy_median_kj_mol"] == pytest.approx(many.summary()["energy_median_kj_mol"])
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--no-disulfide",), {"disulfide": ("none",)}),
+        (
+            ("--disulfide", "A:5-A:55", "--chain", "A,B"),
+            {"disulfide": (("A:5", "A:55"),), "chains": ("A", "B")},
+        ),
+        (("--restrain", "100 0"), {"restraint": "100 0"}),
+        (("--starts", 4, "--spread", 20, "--hop", 300), {"n_starts": 4, "hop_temperature": 300.0}),
+        (("--starts", 4), {"n_starts": 4, "spread": BatchSettings().spread}),
+    ],
+)
+def test_options_of_a_batch_arrive(options, expected, protochain, monkeypatch):
+    taken = []
+
+    def found(given, settings, manifest, output):
+        taken.append(vars(settings) | vars(settings.setup))
+        raise pc.ProtochainError("enough")
+
+    monkeypatch.setattr("protochain.batches.find_jobs", found)
+    status, _, err = protochain("batch", "x.pdb", "--dry-run", *options)
+    assert status == 2 and "enough" in err
+    assert {name: taken[0][name] for name in expected} == expected
+    if "--spread" in options:
+        assert taken[0]["spread"] == pytest.approx(np.radians(20))
+
+
+def test_a_range_of_models_is_a_job_for_each(three):
+    jobs = find_jobs([three], BatchSettings().changed(model="2-3,5"))
+    assert [(job.name, job.settings.setup.model) for job in jobs] == [
+        ("three.2", 2), ("three.3", 3), ("three.5", 5),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["a.pdb.gz", "a.ent", "a.pdbx", "a.cif.xz", "a.pdb.bz2", "a.mmcif"])
+def test_folders_are_searched_for_packed_files_too(name, tmp_path):
+    (tmp_path / name).write_bytes(b"")
+    (tmp_path / "a.txt.gz").write_bytes(b"")
+    assert [(job.name, job.path.name) for job in find_jobs([tmp_path], BatchSettings())] == [("a", name)]
+
+
+def test_integers_stay_integers(tmp_path, three):
+    jobs = find_jobs([three], BatchSettings(("lbfgs",)).changed(model="2-3"))
+    whole = {
+        "method": "lbfgs",
+        "status": "converged",
+        "iterations": 7,
+        "evaluations": 12,
+        "n_atoms": 104,
+        "seed": 5,
+    }
+    failed = {"method": "lbfgs", "status": "refused", "message": "why", "seconds": 0.5}
+    point = {"iteration": 0, "evaluations": 1, "seconds": 0.0, "energy_kj_mol": 1.0}
+    tables = Tables(tmp_path / "out", resume=False)
+    tables.finished(jobs)
+    tables.append([Row(origin(jobs[0]) | whole, [point])])
+    tables.append([Row(origin(jobs[1]) | failed, [])])
+    tables.close()
+    table = tables.read()
+    table.to_parquet(tmp_path / "summary.parquet", index=False)
+    again = pd.read_parquet(tmp_path / "summary.parquet")
+    for name in ("iterations", "evaluations", "n_atoms", "n_hinges", "seed", "threads", "model"):
+        assert pd.api.types.is_integer_dtype(again[name]), name
+        assert pd.api.types.is_integer_dtype(table[name]), name
+    assert again["iterations"].tolist()[0] == 7 and again["iterations"].isna().tolist() == [False, True]
+    assert again["model"].tolist() == [2, 3]
+    for name in ("seconds", "energy_end_kj_mol", "max_rmsd_angstrom"):
+        assert pd.api.types.is_float_dtype(again[name]), name
+    assert set(COLUMNS) == set(again.columns)
+    traces = read_table(tmp_path / "out" / "traces.csv")
+    assert all(pd.api.types.is_integer_dtype(traces[name]) for name in ("iteration", "evaluations"))

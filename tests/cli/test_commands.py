@@ -1,0 +1,511 @@
+"""The command line without its work: options, messages, exit statuses, and what a command asks for."""
+
+import importlib
+import json
+import signal
+import sys
+from importlib import metadata
+from pathlib import Path
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+import typer
+from fixtures.command_line import refusal, run
+from fixtures.molecules import ring
+from fixtures.repairs import noted
+from fixtures.samples import chain, load
+
+import protochain as pc
+from protochain.cli import app, main, options
+from protochain.core.errors import Argument, ProtochainError, WriteError
+from protochain.lab.cases import Extreme, Outcome, Scene
+from protochain.lab.cost import work_table
+from protochain.setup import Setup
+from protochain.structure.repairs import EVERYTHING, Kind, Repair
+from protochain.structure.residues import Residue
+from protochain.structure.write import as_text
+
+SETUP = {
+    "hinges": "phi psi chi", "move": "all", "forcefield": "amber14", "solvent": "obc2", "engine": "auto",
+    "cutoff": "auto", "threads": None, "trust_forcefield": False, "terms": "all", "model": None,
+    "chains": None, "altloc": "",
+    "keep": None, "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
+}  # fmt: skip
+OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}
+OWN = {**RUN, "tolerance": None}
+MINIMISE = {
+    "source": None, **OUTPUT, "method": "cartesian", "angle": None, **OWN, "restraint": "", "max_rmsd": None,
+    "n_starts": 1, "spread": None, "hop_temperature": None, "checkpoint": None, "resume": None, "trace": None,
+    "trajectory": None, "report": None, "curvature": False, "one_file": False, "seed": 0, **AS_JSON,
+    "force": False, **SETUP,
+}  # fmt: skip
+NOT_IN_BATCH = ("threads", "trust_forcefield")
+NOT_IN_VALIDATE = ("hinges", "move", "forcefield", "solvent", "engine", "cutoff", *NOT_IN_BATCH)
+COMMANDS = {
+    "minimise": MINIMISE,
+    "minimize": MINIMISE,
+    "compare": {
+        "source": None, **OUTPUT, "methods": "kcm,md,lbfgs,cartesian,openmm", "repeats": 3, "reference": None,
+        **RUN, "curvature": False, "seed": 0, **AS_JSON, "force": False,
+        **{k: v for k, v in SETUP.items() if k != "move"},
+    },
+    "batch": {
+        "inputs": None, "output": Path("batch"), "methods": "cartesian", "manifest": None, "workers": None,
+        "scheduler": None, "threads": 1, "time_limit": 3600.0, "null": False, "resume": False,
+        "dry_run": False, **OWN, "max_rmsd": None, "restraint": "", "n_starts": 1, "spread": None,
+        "hop_temperature": None, "curvature": False, "seed": 0,
+        "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
+        "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False, **AS_JSON,
+        **{k: v for k, v in SETUP.items() if k not in NOT_IN_BATCH},
+    },
+    "simulate": {
+        "source": None, **OUTPUT, "n_steps": 10_000, "time_step": None, "temperature": 300.0,
+        "thermostat": "langevin", "friction": 1.0, "integrator": "leapfrog", "fixman": False, "loops": "open",
+        "hydrogen_mass": None,
+        "trajectory_length": 10, "every": 100, "trajectory": "dcd", "checkpoint_every": 10,
+        "between": None, "stiffness": 1000.0, "speed": 0.01, "hinge_springs": None, "relax": True,
+        "resume": False, "force": False, "seed": 0, **AS_JSON, **SETUP,
+    },
+    "validate": {
+        "inputs": None, "reference": None, "csv": None, "residues": None, **AS_JSON,
+        **{k: v for k, v in SETUP.items() if k not in NOT_IN_VALIDATE},
+    },
+    "relax": {
+        "inputs": None, **OUTPUT, "manifest": None, "preset": "predicted", "protocol": "", "tolerance": None,
+        "stiffness": None,
+        "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
+        "repack": False, "report": None, "workers": None, "scheduler": None,
+        "time_limit": 3600.0, "resume": False, **AS_JSON,
+        "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "terms")},
+    },
+    "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
+    "bench": {
+        "name": None, "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "only": None,
+        "threads": None, "minutes": None, "jobs": None, "starts": None, "evaluations": None,
+    },
+    "scene": {"name": None, **OUTPUT, "quick": False, **AS_JSON},
+    "info": {
+        "source": None, **AS_JSON,
+        **{k: v for k, v in SETUP.items() if k not in ("engine", "move")},
+    },
+    "build": {"sequence": None, **OUTPUT},
+}  # fmt: skip
+METAVARS = {
+    ("source", None): "IN", ("inputs", "batch"): "IN...", ("inputs", "validate"): "IN...",
+    ("inputs", "relax"): "IN...", ("output", "batch"): "DIR",
+    ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
+    ("output", "scene"): "DIR", ("name", "scene"): "[NAME]", ("between", None): "A:1:N-A:20:C",
+    ("stiffness", "simulate"): "K", ("speed", None): "NM/PS", ("hinge_springs", None): "'KIND K C'",
+    ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
+    "bench"): "[IN...]",
+    ("sequence", "build"): "SEQUENCE", ("disulfide", None): "A:3-A:40", ("chains", None): "A,B",
+}  # fmt: skip
+FLAGS = {
+    "as_json": ["--json"], "output": ["-o", "--output"], "chains": ["--chain", "--chains"],
+    "null": ["--null", "-0"], "restraint": ["--restrain"], "n_starts": ["--starts"],
+    "hop_temperature": ["--hop"], "curvature": ["--no-curvature"], "n_steps": ["--steps"],
+    "between": ["--pull"], "speed": ["--pull-speed"], "hinge_springs": ["--hinge-spring"],
+    ("stiffness", "simulate"): ["--pull-stiffness"], "terms": ["--energy"],
+}  # fmt: skip
+SECONDARY = {"relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"]}
+ARGUMENTS = {
+    ("source", None),
+    ("inputs", None),
+    ("reference", "rmsd"),
+    ("models", None),
+    ("name", None),
+    ("sequence", None),
+}
+
+
+def test_every_option_has_its_name_default_and_help():
+    program = typer.main.get_command(app)
+    assert set(program.commands) == set(COMMANDS)
+    assert [name for name, each in program.commands.items() if each.hidden] == ["minimize"]
+    assert [(each.opts, each.default, each.is_eager) for each in program.params] == [
+        (["--version"], False, True)
+    ]
+    assert not app.pretty_exceptions_enable
+    for command, expected in COMMANDS.items():
+        found = {each.name: each for each in program.commands[command].params}
+        assert {name: each.default for name, each in found.items()} == expected
+        for name, each in found.items():
+            assert each.help and len(each.help) > 6, (command, name)
+            is_argument = {(name, None), (name, command)} & ARGUMENTS
+            usual = [name] if is_argument else [f"--{name.replace('_', '-')}"]
+            opts = FLAGS.get((name, command), FLAGS.get(name, usual))
+            assert each.opts == opts, (command, name)
+            assert each.metavar == METAVARS.get((name, command), METAVARS.get((name, None))), (command, name)
+            assert each.secondary_opts == SECONDARY.get(name, [])
+
+
+@pytest.mark.parametrize(
+    ("raised", "status", "said"),
+    [
+        (ProtochainError("two\nlines"), 2, "protochain: two lines\n"),
+        (
+            ProtochainError(Argument("n_steps"), " 0: ", Argument("force", True)),
+            2,
+            "protochain: --steps 0: --force\n",
+        ),
+        (
+            WriteError("a", "full", "b", Argument("resume", True)),
+            1,
+            "protochain: a: not written (full); saved: b; --resume\n",
+        ),
+        (typer.BadParameter("odd"), 2, "protochain: Invalid value: odd. See protochain --help.\n"),
+        (FileNotFoundError(2, "gone", "a.pdb"), 1, "protochain: a.pdb: gone\n"),
+        (OSError("strange"), 1, "protochain: strange\n"),
+        (KeyboardInterrupt(), 1, "protochain: interrupted before there was a result\n"),
+        (130, 1, "protochain: interrupted before there was a result\n"),
+        (3, 3, ""),
+        (None, 0, ""),
+    ],
+)
+def test_every_end_has_a_status_and_at_most_a_line(raised, status, said, monkeypatch, capsys):
+    seen = []
+
+    def ends(standalone_mode):
+        seen.append((standalone_mode, signal.getsignal(signal.SIGTERM), list(sys.argv)))
+        if isinstance(raised, BaseException):
+            raise raised
+        return raised
+
+    monkeypatch.setattr("protochain.cli.app", ends)
+    monkeypatch.setattr(sys, "argv", ["protochain", "info"])
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert seen == [(False, signal.default_int_handler, ["protochain", "info"])]
+        sys.argv = ["protochain"]
+        with pytest.raises(SystemExit):
+            main()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert ended.value.code == status and seen[1][2] == ["protochain", "--help"]
+    assert capsys.readouterr().err == 2 * said
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    assert run("--version") == 0 and run("--version", "info") == 0
+    assert capsys.readouterr().out == 2 * f"protochain {metadata.version('protochain')}\n"
+
+
+def test_options_make_a_setup():
+    setup = lambda **given: options._made(Setup, given)  # noqa: E731
+    assert setup() == setup(keep=None, disulfide=[], ph=7.0) == Setup()
+    assert setup(no_disulfide=True).disulfide == ("none",) and Setup().disulfide is None
+    chosen = setup(disulfide=["A:3-A:40"], keep="water,ZN", threads=2, altloc="", chains="A, b")
+    assert (chosen.disulfide, chosen.keep, chosen.threads) == ((("A:3", "A:40"),), ("water", "ZN"), 2)
+    assert chosen.chains == ("A", "b") and Setup().keep == ("near",)
+    only = setup(no_disulfide=True, disulfide=["A:3-A:40"]).disulfide
+    assert only == ("none", ("A:3", "A:40")) == setup(disulfide=["none", "A:3-A:40"]).disulfide
+    with pytest.raises(ProtochainError, match='names no bond; leave it out, or disulfide="none" drops'):
+        Setup(disulfide=())
+
+
+def test_statuses_are_what_the_interface_promises(capsys):
+    statuses = (options.CONVERGED, options.FAILED, options.BAD_INPUT, options.UNCONVERGED)
+    assert statuses == (0, 1, 2, 3) and options.fail(" a\n b ") == 1 and options.fail("c", 2) == 2
+    assert capsys.readouterr().err == "protochain: a b\nprotochain: c\n"
+
+
+@pytest.mark.parametrize(
+    ("source", "stem", "suffix"),
+    [
+        ("in/a.b.pdb", "a.b", ".pdb"), ("a.CIF", "a", ".cif"), ("a.mmcif.GZ", "a", ".cif"),
+        ("a.ent.gz", "a", ".pdb"),
+        ("-", "stdin", ".pdb"), ("a", "a", ".pdb"), ("a.gz", "a", ".pdb"),
+    ],
+)  # fmt: skip
+def test_outputs_are_named_after_the_input(source, stem, suffix):
+    assert options.named_after(Path(source)) == (stem, suffix)
+
+
+@pytest.mark.parametrize("n", [0, 5, 6, 8])
+def test_changes_and_the_first_overlaps_are_said(n, monkeypatch, capsys):
+    class Overlap(SimpleNamespace):
+        def __str__(self):
+            return f"overlap {self.k}"
+
+    repairs = [Repair(Kind.OXT_ADDED, {"residue": Residue("A", str(k), "SER")}) for k in range(n + 1)]
+    repairs.append(Repair(Kind.WATERS_LEFT_OUT, {"count": 2, "remedy": EVERYTHING}))
+    structure = SimpleNamespace(repairs=repairs, positions="x")
+    found = [Overlap(k=k, remedy=f"mend {k}") for k in range(n)]
+    monkeypatch.setattr(
+        "protochain.contacts.overlaps", lambda s, x, c: found if (s, x, c) == (structure, "x", "c") else 1
+    )
+    monkeypatch.setattr(options, "perf_counter", iter([1.0, 3.5]).__next__)
+    setup = SimpleNamespace(
+        prepare=lambda source: (structure, "c", "e") if source == Path("in") else None, move="all"
+    )
+    assert options.prepare(Path("in"), setup) == ("c", "e", 2.5)
+    alike = f"missing OXT added in {n + 1} residues: " if n else "residue 0 SER of chain A: missing OXT added"
+    told = ["2 waters left out: the solvent is implicit; --keep all keeps everything", alike]
+    told += [f"protochain info lists all {n + 2} changes"] * (n > 0)
+    told += [*(f"overlap {k}; mend {k}" for k in range(min(n, 5)))]
+    told += [f"and {n - 5} more overlap{'s' * (n > 6)}"] * (n > 5)
+    said = capsys.readouterr().err.splitlines()
+    assert said[1].startswith(f"in: {alike}")
+    said[1] = f"in: {alike}"
+    assert said == [f"in: {line}" for line in told]
+
+
+def test_outputs_are_neither_the_input_nor_one_another(tmp_path):
+    source, other = tmp_path / "in.pdb", tmp_path / "out.pdb"
+    check = options.check_outputs
+    check([source], [source], force=False)
+    source.write_text("")
+    check([source], [other, tmp_path / "b"], force=False)
+    check([source], [source], force=True)
+    other.write_text("")
+    check([source], [other], force=False)
+    (tmp_path / "link.pdb").symlink_to(source)
+    for outputs, force, why in (
+        ([source], False, f"{source}: is the input; give another name, or --force to replace it"),
+        ([tmp_path / "link.pdb"], None, f"{tmp_path}/link.pdb: is the input; give another name"),
+        ([other, other], True, f"{other}: is given for two outputs; give each its own"),
+        ([source / "x"], True, f"{source}/x: in.pdb is not a folder; give another name"),
+    ):
+        with pytest.raises(ProtochainError) as refused:
+            check([tmp_path / "c", source], outputs, force=force)
+        assert str(refused.value) == why
+
+
+def test_build_checks_its_file_first_and_writes_it(tmp_path, monkeypatch, capsys):
+    built = []
+    monkeypatch.setattr(
+        "protochain.structure.from_sequence", lambda sequence: built.append(sequence) or ring()
+    )
+    assert "unknown suffix '.xyz'" in refusal("build", "GG", "-o", tmp_path / "a.xyz")
+    (tmp_path / "b.pdb").mkdir()
+    assert "is a folder" in refusal("build", "GG", "-o", tmp_path / "b.pdb")
+    assert built == []
+    path = tmp_path / "new" / "a.pdb"
+    assert run("build", "GG", "-o", path) is None and built == ["GG"]
+    assert path.read_text() == as_text(ring(), ".pdb")
+    assert capsys.readouterr().out == f"written: {path} (4 residues, 14 atoms)\n"
+    assert run("build", "GG", "-o", "-") is None
+    told = capsys.readouterr()
+    assert told.out == as_text(ring(), ".pdb")
+    assert told.err == "written: standard output (4 residues, 14 atoms)\n"
+
+
+@pytest.fixture
+def info(monkeypatch):
+    """``info`` on crambin with an energy that is none; the clock goes on by 1, 2, 3 and 4 s."""
+    s, c = load("1ejg.pdb"), chain("1ejg.pdb")
+    s = pc.Structure("x", s.topology, s.positions, (noted("one"), noted("two")), {"waters": 3, "ZN": 1})
+    reduced = SimpleNamespace(engine="native", reason="why", threads=2, left_out={"bonds": 5})
+
+    def energy(self, structure):
+        assert structure is s
+        return SimpleNamespace(
+            without_constants=lambda g, x: reduced if (g, x) == (c.rigid_groups, s.positions) else 1
+        )
+
+    monkeypatch.setattr(Setup, "load", lambda self, source: s)
+    monkeypatch.setattr(Setup, "chain", lambda self, structure: c)
+    monkeypatch.setattr(Setup, "energy", energy)
+    near = SimpleNamespace(remedy="mend")
+    monkeypatch.setattr(
+        "protochain.contacts.overlaps", lambda *given: [near] if given == (s, s.positions, c) else []
+    )
+    command = importlib.import_module("protochain.cli.inspect")
+    monkeypatch.setattr(command, "perf_counter", iter([0.0, 1.0, 3.0, 6.0, 10.0]).__next__)
+    return s, c, near
+
+
+def facts_of(s, c, near):
+    kinds = [hinge.kind for hinge in c.hinges]
+    return {
+        "input": "in.pdb", "n_chains": 1, "n_residues": 46, "n_atoms": s.n_atoms, "n_bodies": c.n_bodies,
+        "n_hinges": len(kinds), "n_q": c.n_q, "n_v": c.n_v,
+        "hinges": {kind: kinds.count(kind) for kind in kinds},
+        "loops": [f"{s.describe(a)} - {s.describe(b)}" for a, b in c.loops.tolist()],
+        "left_out": {"waters": 3, "ZN": 1}, "lost_atoms": [],
+        "repairs": [str(noted("one")), str(noted("two"))],
+        "overlaps": [f"{near}; mend"],
+        "engine": "native", "engine_reason": "why", "threads": 2, "constant_terms": {"bonds": 5},
+        "seconds_import": 1.0,
+        "seconds_preparation": 2.0, "seconds_chain": 3.0, "seconds_energy": 4.0,
+    }  # fmt: skip
+
+
+def test_info_is_one_object_of_all_facts(info, capsys):
+    s, c, near = info
+    run("info", "in.pdb", "--json")
+    assert json.loads(capsys.readouterr().out) == facts_of(s, c, near)
+
+
+def test_info_is_a_line_for_each_fact_and_each_repair(info, capsys):
+    s, c, near = info
+    run("info", "in.pdb")
+    expected = []
+    for key, value in facts_of(s, c, near).items():
+        if isinstance(value, list):
+            expected += [f"{key}: {len(value)}", *(f"  {line}" for line in value)]
+        elif isinstance(value, dict):
+            expected.append(f"{key}: " + ", ".join(f"{count} {name}" for name, count in value.items()))
+        else:
+            expected.append(f"{key}: {value:.2f}" if key.startswith("seconds") else f"{key}: {value}")
+    assert capsys.readouterr().out.splitlines() == expected
+    assert "seconds_energy: 4.00" in expected and "left_out: 3 waters, 1 ZN" in expected
+
+
+ROWS = [{"message": "", "rmsd_angstrom": 1 / 3}, {"message": "bad", "rmsd_angstrom": None}]
+
+
+@pytest.mark.parametrize(("chosen", "status"), [((0,), 0), ((0, 1), 3), ((1,), 1), ((1, 1), 1)])
+def test_rmsd_ends_by_how_many_were_measured(chosen, status, monkeypatch, tmp_path, capsys):
+    asked, printed = [], []
+    table = pd.DataFrame([ROWS[k] for k in chosen])
+    monkeypatch.setattr(
+        "protochain.analysis.deviation.rmsd_table", lambda *given: asked.append(given) or table
+    )
+    command = importlib.import_module("protochain.cli.rmsd")
+    monkeypatch.setattr(command, "print_deviations", printed.append)
+    csv = tmp_path / "t.csv"
+    assert run("rmsd", "ref.pdb", "a", "b", "--json", "-o", csv, "--align", "x", "--measure", "y") == status
+    assert run("rmsd", "ref.pdb", "a", "--align", "x") == status
+    a, b = Path("a"), Path("b")
+    assert asked == [(Path("ref.pdb"), [a, b], "x", "y"), (Path("ref.pdb"), [a], "x", "x")]
+    rows = [ROWS[k] for k in chosen]
+    found = json.loads(capsys.readouterr().out)
+    results = found.pop("results")
+    assert found == {"reference": "ref.pdb", "align": "x", "measure": "y"} and printed == [results]
+    assert [row["message"] for row in results] == [row["message"] for row in rows]
+    assert [row["rmsd_angstrom"] for row in results] == pytest.approx(
+        [row["rmsd_angstrom"] for row in rows], abs=1e-14
+    )
+    assert csv.read_text().splitlines()[0] == "message,rmsd_angstrom" and len(
+        csv.read_text().splitlines()
+    ) == 1 + len(rows)
+    (tmp_path / "ref.pdb").write_text("")
+    assert "is the input" in refusal("rmsd", tmp_path / "ref.pdb", "a", "-o", tmp_path / "ref.pdb")
+    assert len(asked) == 2
+
+
+def test_bench_runs_the_studies_and_scenes_it_is_asked_for(monkeypatch, tmp_path, capsys):
+    ran = []
+
+    def module(name, found):
+        own = SimpleNamespace(run=lambda *given: ran.append((name, *given)) or found)
+        monkeypatch.setitem(sys.modules, f"protochain.{name}", own)
+
+    for name in ("one", "two"):
+        module(f"analysis.studies.{name}", [pd.DataFrame({"a": [1], "b": ["x"]})])
+    bad = Extreme("odd", Outcome.WRONG, "so")
+    module("scenes.three", Scene("three", "a scene", (), work_table([]), (bad,)))
+    monkeypatch.setattr("protochain.analysis.studies.STUDIES", {"one": "first", "two": "second"})
+    monkeypatch.setattr("protochain.scenes.SCENES", {"three": "third"})
+    assert run("bench") == 0 and capsys.readouterr().out == "one    first\ntwo    second\nthree  third\n"
+    out = tmp_path / "out"
+    studied = "analysis.studies"
+    assert run("bench", "all", "-o", out) == 1
+    assert ran == [(f"{studied}.{name}", out / name, []) for name in ("one", "two")] + [
+        ("scenes.three", False)
+    ]
+    said = capsys.readouterr()
+    assert said.out.startswith(2 * " a b\n 1 x\n\n" + f"written: tables and plots in {out}\nthree: a scene")
+    assert said.err.endswith(f"scene three: wrong: odd; the tables in {out / 'three'} say how\n")
+    assert run("bench", "two", "a.pdb", "-o", out) == 0 and ran[3:] == [
+        (f"{studied}.two", out, [Path("a.pdb")])
+    ]
+    assert run("bench", "three", "--quick", "-o", out) == 1 and ran[4:] == [("scenes.three", True)]
+    assert (out / "checks.csv").exists()
+    assert refusal("bench", "odd") == "there is no study or scene 'odd'; choose from one, two, three"
+    for words in (("a.pdb",), ("--jobs", "2")):
+        assert refusal("bench", "three", *words).startswith(
+            "three: a scene takes no files, and of the options"
+        )
+    (tmp_path / "file").write_text("")
+    assert "is not a folder" in refusal("bench", "two", "-o", tmp_path / "file") and len(ran) == 5
+
+
+READ = {
+    "minimise": {"source": "{0}", "resume": "--resume {0}", "forcefield": "--forcefield amber14,{0}"},
+    "relax": {"inputs": "{0}", "manifest": "--manifest {0}", "forcefield": "--forcefield amber14,{0}"},
+    "compare": {"source": "{0}", "reference": "--reference {0}", "forcefield": "--forcefield amber14,{0}"},
+    "batch": {"inputs": "{0}", "manifest": "--manifest {0}", "forcefield": "--forcefield amber14,{0}"},
+    "simulate": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
+    "validate": {"inputs": "{0}", "reference": "--reference {0}"},
+    "rmsd": {"reference": "{0} b.pdb", "models": "b.pdb {0}"},
+    "bench": {"inputs": "kcm {0}"},
+    "info": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
+}
+"""Options and arguments that name what a command reads, and how they are given."""
+
+WRITTEN = {
+    "minimise": {
+        "output": ("-o {0}", "a.pdb"), "checkpoint": ("--checkpoint {0}", "a.npz"),
+        "trace": ("--trace {0}", "a.csv"), "trajectory": ("--trajectory {0}", "a.dcd"),
+        "report": ("--report {0}", "a.html"),
+    },
+    "relax": {"output": ("-o {0}", "a.pdb"), "report": ("--report {0}", "a.html")},
+    "compare": {"output": ("--force -o d", "d/in.kcm.pdb", "d/in.start.cif", "d/summary.csv")},
+    "batch": {"output": ("-o d", "d/summary.csv", "d/traces.csv", "d/report.html")},
+    "simulate": {"output": ("--force -o d", "d/last.pdb", "d/log.csv", "d/trajectory.dcd")},
+    "validate": {"csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv")},
+    "rmsd": {"output": ("-o {0}", "a.csv")},
+    "build": {"output": ("-o {0}", "a.pdb")},
+    "bench": {"output": ("-o d", "d/a.pdb")},
+    "scene": {"output": ("-o d", "d/checks.csv")},
+}  # fmt: skip
+"""Options that name what a command writes, how they are given, and files that come of it."""
+
+
+def test_all_that_is_read_and_written_is_known():
+    """Options are told by their help: a new one must be added above, where it is tried."""
+    for name, command in typer.main.get_command(app).commands.items():
+        named = {
+            p.name
+            for p in command.params
+            if (p.help or "").startswith(("File", "CSV", "DCD", "Page", "Folder", "PDB", "Structure"))
+        }
+        named |= {
+            p.name
+            for p in command.params
+            if p.name in ("output", "forcefield", "inputs", "source", "models", "reference")
+        }
+        if not command.hidden:
+            known = READ.get(name, {}).keys() | WRITTEN.get(name, {}).keys()
+            assert named - known <= {"sequence"}, name
+
+
+@pytest.mark.parametrize(
+    ("command", "read", "written", "file"),
+    [
+        (command, read, written, file)
+        for command in WRITTEN
+        for read in READ.get(command, ())
+        for written, (_, *files) in WRITTEN[command].items()
+        for file in files
+        # Ends are named after the input.
+        if (command, read) != ("compare", "source") or Path(file).stem in ("summary", "report")
+        # Of a manifest, the output is a folder: tests/cli/test_relax_command.py.
+        if (command, read) != ("relax", "manifest")
+    ],
+)
+def test_no_output_of_any_command_is_an_input(command, read, written, file, tmp_path, monkeypatch):
+    """A reference, a manifest, a checkpoint or a force field was replaced without a word."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("in.pdb", "b.pdb", file):
+        Path(name).parent.mkdir(exist_ok=True)
+        Path(name).write_text("path\nin.pdb\n")
+    Path("link").symlink_to(file)
+    for given in (file, "link"):
+        asked = READ[command][read].format(given)
+        # All have a structure beside the input that is in danger.
+        lacks = not {"source", "inputs", "models", "reference"} & {read} or (command, read) in (
+            ("compare", "reference"), ("validate", "reference"),
+        )  # fmt: skip
+        said = refusal(
+            command, *(["in.pdb"] * lacks), *asked.split(), *WRITTEN[command][written][0].format(file).split()
+        )
+        assert (
+            "is the input" in said or "lies in the folder for the results" in said or "holds a batch" in said
+        ), said
+        assert Path(file).read_text() == "path\nin.pdb\n"

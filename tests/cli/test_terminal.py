@@ -1,0 +1,307 @@
+"""What a run says: before it begins, of its stage, and how long it will take; what bars show."""
+
+import importlib
+import io
+import re
+from types import SimpleNamespace
+
+import pytest
+from fixtures.molecules import crowded
+from fixtures.samples import chain, energy
+from fixtures.texts import numbers
+from rich.console import Console
+
+import protochain as pc
+from protochain.batches.api import BatchProgress
+from protochain.batches.jobs import BatchSettings, Row, failure, find_jobs
+from protochain.cli import terminal
+from protochain.minimisers import METHODS, recipe_of
+
+
+class Clock:
+    """Seconds that pass only when told."""
+
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(terminal, "monotonic", clock)
+    return clock
+
+
+def seconds_of(text):
+    """A time with its unit, as a number of seconds with the last digit's half as the error."""
+    value, unit = re.search(r"([\d.]+) (s|min|h)\b", text).groups()
+    each = {"s": 1.0, "min": 60.0, "h": 3600.0}[unit]
+    return pytest.approx(float(value) * each, abs=0.5 * each * (0.1 if "." in value else 1.0))
+
+
+class Bar:
+    """Stands for rich's Progress; remembers what it is told."""
+
+    made = ()
+
+    def __init__(self, *columns, console, disable):
+        self.console, self.disable = console, disable
+        self.added, self.updates, self.tasks = [], [], [SimpleNamespace(speed=None)]
+        Bar.made = (*Bar.made, self)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.added.append("closed")
+
+    def add_task(self, name, **more):
+        self.added.append((name, more))
+        return 7
+
+    def update(self, task, **more):
+        assert task == 7
+        self.updates.append(more)
+
+
+@pytest.fixture
+def bar(monkeypatch):
+    monkeypatch.setattr("rich.progress.Progress", Bar)
+    monkeypatch.setattr(Bar, "made", ())
+    return lambda: Bar.made[-1]
+
+
+def row(evaluations, torque=3.0):
+    return {"evaluations": evaluations, "energy_kj_mol": -1234.5, "max_torque_kj_mol_rad": torque}
+
+
+def test_the_bar_of_a_run_shows_stage_evaluations_energy_torque_and_time_left(bar, clock, monkeypatch):
+    seen, typical = [], 150
+    monkeypatch.setattr(terminal, "typical_evaluations", lambda method, most: min(typical, most))
+    with terminal.run_progress("lbfgs", 500, seen.append) as watch:
+        made = bar()
+        assert made.disable and made.console.stderr
+
+        def shown(seconds, told, *given):
+            clock.now = seconds
+            told(*given)
+            *_, last = made.updates
+            assert last["total"] == (500 if last["completed"] >= typical else typical)
+            assert last["description"].startswith("lbfgs")
+            return last
+
+        def evaluated(n, torque=1234.5):
+            watch(row(n, torque), n)
+
+        first = shown(0.0, evaluated, 20.0)
+        assert first["completed"] == 20 and numbers(first["now"])[:2] == [20.0, -1234.5]
+        assert numbers(first["now"])[2] == pytest.approx(1234.5, rel=0.01) and first["left"] == ""
+        # One a second: of 150, 126 are left.
+        staged = shown(4.0, watch.at_stage, "parting", 24)
+        assert "parting" in staged["description"] and numbers(staged["now"]) == [24.0]
+        assert seconds_of(staged["left"]) == 126
+        without = shown(40.0, evaluated, 60.0, float("nan"))
+        assert numbers(without["now"]) == [60.0, -1234.5] and seconds_of(without["left"]) == 90
+        # The energy stays until the next stage begins.
+        assert shown(50.0, watch.at_stage, "parting", 70)["now"] == without["now"]
+        following = shown(60.0, watch.at_stage, "next", 80)
+        assert "next" in following["description"] and numbers(following["now"]) == [80.0]
+        # Two seconds each from the first on, and none is typical any more.
+        assert seconds_of(shown(260.0, evaluated, 150.0)["left"]) == 2 * 350
+        # The next of many starts is timed by itself.
+        assert shown(300.0, evaluated, 10.0)["left"] == ""
+        assert seconds_of(shown(301.0, evaluated, 60.0)["left"]) == 90 / 50
+    assert made.added[-1] == "closed" and seen == [20.0, 60.0, 150.0, 10.0, 60.0]
+
+
+def test_the_bar_of_a_simulation_shows_time_temperature_speed_and_time_left(bar, clock):
+    with terminal.simulation_progress("x", 1000, 0.005) as watch:
+        now = {"time_ps": 1.04, "temperature_k": 299.6}
+        watch(now | {"step": 200}, None)
+        # 100 steps a second of 0.005 ps: 0.5 ps/s, 86400 s a day.
+        clock.now = 2.0
+        watch(now | {"step": 400}, None)
+        made = bar()
+    assert made.disable and made.console.stderr and made.added[-1] == "closed"
+    first, second = made.updates
+    assert [(each["completed"], each["total"]) for each in (first, second)] == [(200, 1000), (400, 1000)]
+    assert numbers(first["now"]) == [1.0, 300.0] and first["left"] == ""
+    assert numbers(second["now"]) == [1.0, 300.0, 43.2] and seconds_of(second["left"]) == 6.0
+
+
+def test_the_bar_of_a_batch_shows_counts_and_the_dashboard_once(bar, capsys):
+    with terminal.batch_progress() as watch:
+        watch(BatchProgress(10, 0, 0, 3, 2.0, ""))
+        for line in ("", "[b]a: 'odd' 12"):
+            watch(BatchProgress(10, 4, 1, 3, 60.0, "http://x:8787", line))
+        watch(BatchProgress(10, 4, 1, 3, 60.0, "http://other"))
+        made = bar()
+    assert made.disable and made.console.stderr and made.added[-1] == "closed"
+    assert [(each["completed"], each["total"]) for each in made.updates] == [(3, 10), *[(7, 10)] * 3]
+    # Done, of all, failed, a minute.
+    assert [numbers(each["now"]) for each in made.updates] == [[3, 10, 0, 0], *[[7, 10, 1, 4]] * 3]
+    dashboard, done = capsys.readouterr().err.splitlines()
+    assert "http://x:8787" in dashboard and done.endswith("[b]a: 'odd' 12") and numbers(done)[:2] == [7, 10]
+
+
+def test_lines_beside_a_bar_are_printed_as_they_are_in_colour_too(bar, clock, capsys, monkeypatch):
+    """rich would paint numbers and addresses, and take square brackets for styles."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "30")
+    with terminal.batch_progress() as watch:
+        watch(BatchProgress(10, 4, 1, 3, 60.0, "http://x:8787", "[b]a: 'odd' 12 and more"))
+    with terminal.run_progress("lbfgs", 9) as watch:
+        watch.at_warning("'odd' 12 [b]")
+    lines = capsys.readouterr().err.splitlines()
+    for line, told in zip(lines, ("http://x:8787", "[b]a: 'odd' 12 and more", "'odd' 12 [b]"), strict=True):
+        assert told in line
+
+
+def test_a_terminal_gets_a_bar_and_no_lines(bar, clock, monkeypatch, capsys):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with terminal.run_progress("lbfgs", 9) as watch:
+        assert bar().disable is False
+        for clock.now in (0.0, 100.0):
+            watch(row(1.0 + clock.now), None)
+    with terminal.simulation_progress("x", 1, 1.0), terminal.batch_progress():
+        assert [made.disable for made in Bar.made] == [False] * 3
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("seconds", [0.4, 99.4, 100.0, 5999.0, 6000.0, 1e5])
+def test_times_are_in_seconds_minutes_or_hours(seconds):
+    assert seconds == seconds_of(terminal._clock(seconds)) and len(terminal._clock(seconds)) <= 7
+
+
+def test_without_a_terminal_a_line_comes_every_minute(clock, capsys, monkeypatch):
+    monkeypatch.setattr(terminal, "typical_evaluations", lambda method, most: 500)
+    with terminal.run_progress("hybrid", 5000) as watch:
+        for k in range(1, 200):
+            clock.now = 2.0 * k
+            watch.at_stage("torsions" if k < 100 else "all atoms", k)
+            watch(row(k, 3.0 if k < 100 else float("nan")), None)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 6
+    evaluations, energy, torque, *_ = numbers(lines[0])
+    assert "torsions" in lines[0] and (evaluations in (29, 30), energy, torque) == (True, -1234.5, 3.0)
+    # 470 evaluations of the 500 that such runs take are left, at two seconds each.
+    assert 2 * (500 - evaluations) == seconds_of(lines[0])
+    assert "all atoms" in lines[-1] and numbers(lines[-1])[0] in (179, 180) and "torque" not in lines[-1]
+
+
+def test_beyond_what_is_typical_the_time_left_is_that_to_the_last_evaluation(clock, capsys):
+    with terminal.run_progress("lbfgs", 1000) as watch:
+        for k in (1, 501):
+            clock.now = float(k)
+            watch(row(k), None)
+    assert seconds_of(capsys.readouterr().err) == 499
+
+
+def test_an_interrupt_is_answered_at_once_and_says_what_will_be_written(clock, capsys):
+    said = []
+    for writes in (True, False):
+        with terminal.run_progress("lbfgs", 1000, writes=writes) as watch:
+            watch.at_stage("torsions", 3)
+            watch.at_stage("interrupted", 4)
+            (line,) = capsys.readouterr().err.splitlines()
+            said.append(line)
+    assert all("lbfgs" in line and "interrupted" in line for line in said)
+    assert "written" in said[0] and "written" not in said[1]
+
+
+def test_on_a_terminal_the_bar_names_the_stage_and_the_time_left(clock, monkeypatch):
+    drawn = io.StringIO()
+    monkeypatch.setattr(terminal, "printer", lambda **_: Console(file=drawn, force_terminal=True, width=120))
+    c, stages = crowded(), []
+    with terminal.run_progress("hybrid", 5000) as watch:
+
+        def follow(name, evaluations):
+            clock.now += 1.0
+            watch.at_stage(name, evaluations)
+            if not stages or stages[-1] != name:
+                stages.append(name)
+            watch.bar.refresh()
+
+        class Both:
+            at_stage = staticmethod(follow)
+
+            def __call__(self, row, x):
+                watch(row, x)
+                watch.bar.refresh()
+
+        pc.minimise(c, energy("1l2y.pdb"), "hybrid", tolerance=200.0, watch=Both())
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue())
+    for stage in ("parting overlaps", "held by springs", "all atoms", "judging the end"):
+        assert f"hybrid: {stage}" in plain, stage
+    assert re.search(r"parting overlaps .* \d+ evaluations .* \d+ (s|min)", plain)
+    assert re.search(r"held by springs .* kJ/mol .* \d+ (s|min)", plain)
+
+
+def test_what_is_wrong_with_a_start_is_printed(capsys):
+    assert not terminal.print_outlook("a.pdb", chain("1l2y.pdb").structure, "hybrid")
+    assert capsys.readouterr().err == ""
+    assert terminal.print_outlook("a.pdb", crowded().structure, "hybrid")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines and all(line.startswith("a.pdb: ") for line in lines)
+    assert "relax" in lines[-1] and "pc." not in "".join(lines)
+
+
+def test_a_run_that_strays_says_so_at_once(clock, capsys):
+    with terminal.run_progress("hybrid", 1000) as watch:
+        watch.at_warning("2.1 angstrom from a start; relax keeps the fold")
+        (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("hybrid: ") and line.endswith("2.1 angstrom from a start; relax keeps the fold")
+
+
+def test_a_long_run_says_so_before_it_begins(monkeypatch, capsys):
+    c, e = chain("1l2y.pdb"), energy("1l2y.pdb")
+    terminal.foretell("1l2y.pdb", c, e, 100, 5000)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(terminal, "_LONG", 0.0)
+    for evaluations in (100, 5000):
+        terminal.foretell("1l2y.pdb", c, e, evaluations, 5000)
+        (line,) = capsys.readouterr().err.splitlines()
+        atoms, each, *counts, seconds = numbers(line.removeprefix("1l2y.pdb: "))
+        assert atoms == c.n_atoms and counts == ([100, 5000] if evaluations < 5000 else [5000])
+        # Two digits of one energy, and whole seconds.
+        assert seconds == pytest.approx(each * evaluations, rel=0.05, abs=0.5)
+
+
+def test_one_slow_energy_makes_no_run_long(monkeypatch, capsys):
+    # On a busy machine a single call may wait long for the other core.
+    clock = SimpleNamespace(now=0.0, waits=[0.0, 9.0, 0.01, 9.0])
+
+    def slow(x):
+        clock.now += clock.waits.pop(0)
+
+    monkeypatch.setattr(terminal, "monotonic", lambda: clock.now)
+    terminal.foretell("1l2y.pdb", chain("1l2y.pdb"), slow, 100, 5000)
+    assert capsys.readouterr().err == "" and clock.waits == [9.0]
+    clock.waits = [0.0, 2.0, 1.0, 3.0, 1.5, 9.0, 9.0]
+    terminal.foretell("1l2y.pdb", chain("1l2y.pdb"), slow, 100, 5000)
+    assert 1.0 in numbers(capsys.readouterr().err.removeprefix("1l2y.pdb")) and clock.waits == [9.0]
+
+
+def test_what_is_typical_is_within_what_is_allowed():
+    for method in METHODS:
+        typical = terminal.typical_evaluations(method, 5000)
+        assert typical == (recipe_of(method).typical or 5000) and terminal.typical_evaluations(method, 7) == 7
+
+
+def test_a_batch_says_a_line_for_each_structure(tmp_path, capsys):
+    api = importlib.import_module("protochain.batches.api")
+    path = tmp_path / "a.pdb"
+    path.write_text("nothing")
+    (job,) = find_jobs([path], BatchSettings(("lbfgs", "kcm")))
+    failed = [failure(job, method, "refused", "a.pdb: holds no atoms") for method in ("lbfgs", "kcm")]
+    assert api._line(failed).startswith("a: ") and api._line(failed).count("a.pdb: holds no atoms") == 1
+    done = {
+        "structure": "a", "method": "lbfgs", "status": "converged", "output": "a.lbfgs.pdb", "seconds": 1.26,
+        "energy_end_reference_kj_mol": -12.341, "ca_rmsd_angstrom": 0.456, "message": "converged: ...",
+    }  # fmt: skip
+    line = api._line([Row(done, []), failed[1]])
+    assert line.startswith("a: ") and "lbfgs converged" in line and line.endswith("a.pdb: holds no atoms")
+    assert numbers(line) == [-12.34, 0.46, 1.3]

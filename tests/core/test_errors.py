@@ -1,0 +1,181 @@
+"""What messages say: arguments in Python, options in commands, units, and what was changed."""
+
+import pickle
+import sys
+import threading
+
+import numpy as np
+import pytest
+from distributed import LocalCluster
+from fixtures.repairs import sentences
+from fixtures.samples import STRUCTURES, chain, energy
+
+import protochain as pc
+from protochain.batches import cluster
+from protochain.batches.jobs import BatchSettings, find_jobs
+from protochain.cli import as_said, main
+from protochain.core.errors import Angle, Argument, ProtochainError, WriteError
+
+SAMPLE = STRUCTURES / "ala10.pdb"
+
+
+def said(monkeypatch, capsys, *arguments):
+    """Status and last line of a command."""
+    monkeypatch.setattr(sys, "argv", ["protochain", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code, capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda c, e: pc.minimise(c, e, max_evaluations=0), "max_evaluations 0: give at least 1"),
+        (lambda c, e: pc.minimise(c, e, max_rmsd=0.0), "max_rmsd 0: "),
+        (lambda c, e: pc.explore(c, e, n_starts=0), "n_starts 0: "),
+        (lambda c, e: pc.simulate(c, e, n_steps=0), "n_steps 0: "),
+        (lambda c, e: pc.simulate(c, e, time_step=0.0), "time_step 0 ps: "),
+        (lambda c, e: pc.simulate(c, e, time_step=2), "time_step 2 ps: .* 0.002 are 2 fs"),
+        (lambda c, e: pc.simulate(c, e, hydrogen_mass=0.0), "hydrogen_mass 0 amu"),
+        (lambda c, e: pc.simulate(c, e, trajectory_length=0), "trajectory_length 0: "),
+        (lambda c, e: pc.simulate(c, e, resume=True), "resume=True: give the folder"),
+        (lambda c, e: pc.batch(SAMPLE, "x", time_limit=0), "time_limit, threads and workers"),
+    ],
+)
+def test_python_hears_of_its_arguments(call, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(pc.ProtochainError, match=words) as raised:
+        call(chain("ala10.pdb"), energy("ala10.pdb"))
+    assert "--" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("minimise", SAMPLE, "--max-evaluations", 0), "--max-evaluations 0: give at least 1"),
+        (("minimise", SAMPLE, "--restrain", "-1"), "--restrain (-1.0,): give strengths in kJ/mol/nm^2"),
+        (("minimise", SAMPLE, "--restrain", "strong"), "--restrain 'strong': give strengths"),
+        (("minimise", SAMPLE, "--starts", 3, "--restrain", 10), ": --restrain and --max-rmsd refer to"),
+        (("minimise", SAMPLE, "--starts", 3, "--spread", "-30"), "--spread -30 degrees: give an angle"),
+        (("batch", SAMPLE, "--starts", 3, "--spread", 0), "--spread 0 degrees: give an angle above 0"),
+        (("simulate", SAMPLE, "--steps", 0), "--steps 0: "),
+        (("simulate", SAMPLE, "--resume"), "leave out --resume"),
+        (("simulate", SAMPLE, "--time-step", "0.002"), "0.002 fs: give femtoseconds: 2 are 0.002 ps"),
+        (("simulate", SAMPLE, "--time-step", "2000"), "--time-step 2000 fs: "),
+        (("simulate", SAMPLE, "--time-step", "0"), "--time-step 0 fs: give a number above 0"),
+    ],
+)  # fmt: skip
+def test_commands_hear_of_their_options(arguments, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    status, line = said(monkeypatch, capsys, *arguments)
+    assert status == 2 and words in line and "_" not in line
+
+
+def test_only_arguments_are_told_as_options():
+    """Not words and names of files that look like them, nor arguments that no command has."""
+    error = pc.ProtochainError(
+        "max_rmsd.pdb: a restraint: ", Argument("time_step"), " 3; give ", Argument("resume", True), ", ",
+        Argument("keep", "all"), ", ", Argument("restraint"), " or ", Argument("path"), " ", Angle(np.pi),
+    )  # fmt: skip
+    assert str(error) == (
+        'max_rmsd.pdb: a restraint: time_step 3; give resume=True, keep="all", restraint or path 3.14159 rad'
+    )
+    assert as_said(error) == (
+        "max_rmsd.pdb: a restraint: --time-step 3; give --resume, --keep all, --restrain or path 180 degrees"
+    )
+    assert as_said(pickle.loads(pickle.dumps(error))) == as_said(error)
+
+
+def test_every_error_is_told_from_its_parts():
+    """One with words of its own beside them would be another on the command line."""
+    kinds = [ProtochainError]
+    for each in kinds:
+        kinds += each.__subclasses__()
+        assert each is ProtochainError or not {"__str__", "told"} & vars(each).keys(), each
+
+
+def test_an_error_that_says_where_keeps_the_arguments_of_what_it_says(tmp_path):
+    (tmp_path / "m.csv").write_text("path,spread\na.pdb,0\n")
+    with pytest.raises(pc.ProtochainError) as raised:
+        find_jobs([], BatchSettings(n_starts=2), tmp_path / "m.csv")
+    where = f"{tmp_path}/m.csv: line 2: "
+    assert str(raised.value) == f"{where}spread 0 rad: give an angle above 0"
+    assert as_said(raised.value) == f"{where}--spread 0 degrees: give an angle above 0"
+
+
+def test_a_file_that_is_not_written_says_how_to_go_on_in_the_words_of_the_caller():
+    error = WriteError("x", "full").with_saved("nothing", "continue with ", Argument("resume", True))
+    assert str(error) == "x: not written (full); saved: nothing; continue with resume=True"
+    assert as_said(pickle.loads(pickle.dumps(error))) == str(error).replace("resume=True", "--resume")
+
+
+def test_what_is_left_out_is_told_with_the_words_of_whoever_asks(monkeypatch, capsys):
+    assert (
+        pc.load(STRUCTURES / "1ubq.pdb")
+        .changes[0]
+        .endswith('left out: the solvent is implicit; keep="all" keeps everything')
+    )
+    monkeypatch.setattr(sys, "argv", ["protochain", "info", str(STRUCTURES / "1ubq.pdb")])
+    with pytest.raises(SystemExit):
+        main()
+    told = capsys.readouterr()
+    assert "--keep all keeps everything" in told.out + told.err and "keep=" not in told.out + told.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "command"),
+    [
+        (("minimise", SAMPLE, "--metod", "kcm"), "protochain minimise --help"),
+        (("minimise",), "protochain minimise --help"),
+        (("simulate", SAMPLE, "--steps", "many"), "protochain simulate --help"),
+        (("frobnicate",), "protochain --help"),
+    ],
+)
+def test_errors_of_usage_name_the_help_of_the_command(arguments, command, monkeypatch, capsys):
+    status, line = said(monkeypatch, capsys, *arguments)
+    assert status == 2 and line.endswith(f"See {command}.")
+
+
+def test_a_cluster_without_workers_says_so_and_goes_on_when_one_comes(monkeypatch, caplog):
+    monkeypatch.setattr(cluster, "_PATIENCE", 0.2)
+    with LocalCluster(n_workers=0, processes=False, dashboard_address=None) as scheduler:
+        address = scheduler.scheduler_address
+        later = threading.Timer(1.0, scheduler.scale, (1,))
+        later.start()
+        with cluster.at_work(cluster.Processes(scheduler=address)) as workers:
+            assert workers.count() > 0
+        later.join()
+    (line,) = [record.getMessage() for record in caplog.records if record.name.startswith("protochain")]
+    assert line.startswith(f"scheduler {address}: no workers after 0.2 s") and "dask worker" in line
+
+
+@pytest.mark.parametrize("name", ["1ejg.pdb", "ala10.pdb"])
+def test_an_alternate_location_that_no_atom_has_is_refused(name):
+    words = "its atoms have A, B" if name == "1ejg.pdb" else "no atom of it has one"
+    with pytest.raises(pc.ProtochainError, match=rf"{name}: .*'Z'.*{words}"):
+        pc.load(STRUCTURES / name, altloc="Z")
+
+
+def test_an_alternate_location_that_some_atoms_have_is_preferred():
+    kept = [line for line in sentences(pc.load(STRUCTURES / "1ejg.pdb", altloc="B")) if "alternate" in line]
+    assert len(kept) > 5 and all("location B kept" in line for line in kept)
+
+
+def test_what_is_no_checkpoint_is_said_to_be_none(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.npz").write_text("nothing of use\n")
+    np.save(tmp_path / "b.npy", np.zeros(3))
+    np.savez(tmp_path / "c.npz", x=np.zeros(3))
+    pc.simulate(chain("ala10.pdb"), energy("ala10.pdb"), n_steps=2, output=tmp_path / "run")
+    (tmp_path / "empty.npz").touch()
+    for name in (SAMPLE, "a.npz", "b.npy", "c.npz", "empty.npz", "run/checkpoint.npz", "run"):
+        status, line = said(monkeypatch, capsys, "minimise", SAMPLE, "-o", "o.pdb", "--resume", name)
+        assert status == 2 and line == (
+            f"protochain: {name}: is no checkpoint of a minimisation; give a file that an earlier run "
+            "wrote as its checkpoint"
+        )
+    with pytest.raises(pc.ProtochainError, match="no checkpoint of a minimisation"):
+        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), resume=SAMPLE)
+    (tmp_path / "run" / "checkpoint.npz").write_text("nothing of use\n")
+    status, line = said(monkeypatch, capsys, "simulate", SAMPLE, "-o", "run", "--resume")
+    assert status == 2 and "run/checkpoint.npz: is no checkpoint of a simulation; start again" in line

@@ -1,0 +1,659 @@
+"""Pulling: a moving spring's forces and work, against closed forms; names, files, the command."""
+
+import json
+
+import gemmi
+import numpy as np
+import pandas as pd
+import pytest
+from fixtures.command_line import protochain
+from fixtures.samples import STRUCTURES, chain, energy, load, shared
+from fixtures.tolerances import ROUND_OFF
+from scipy.integrate import solve_ivp
+
+import protochain as pc
+from protochain.core.units import MOLAR_GAS
+from protochain.dynamics import (
+    Isolated,
+    Langevin,
+    Leapfrog,
+    Propagator,
+    State,
+    System,
+    advance,
+    simulate,
+)
+from protochain.dynamics.integrators import INTEGRATORS
+from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import HingeKind, Tree
+from protochain.structure.select import atoms_at
+
+ENDS = "A:1:N-A:10:C"
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Ten alanines at a minimum of their torsions."""
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    return c, e, pc.minimise(c, e, "lbfgs", 1.0).q
+
+
+# --- The spring alone
+
+
+def centre(s, x, atoms):
+    return np.average(x[atoms], axis=0, weights=s.atom_mass[atoms])
+
+
+@pytest.mark.parametrize("between", ["A:2:CA-A:17:CB", "A:3-A:18", "resid 1:4 - resid 12:20 and name CA CB"])
+def test_distance_energy_and_torques_are_those_of_the_places(between):
+    """Places of one body, of several, and that share bodies with one another."""
+    c = pc.build_chain(load("1l2y.pdb"), root="free")
+    s, pull = c.structure, pc.Pull(between, stiffness=700.0, speed=0.3)
+    spring = moving_spring(pull, c, c.q0)
+    number = s.residue_number[s.atom_residue].astype(int)
+    atoms = {
+        "A:2:CA-A:17:CB": (
+            (number == 2) & (s.atom_name == "CA"), (number == 17) & (s.atom_name == "CB"),
+        ),
+        "A:3-A:18": (number == 3, number == 18),
+    }.get(between, (number <= 4, (number >= 12) & np.isin(s.atom_name, ["CA", "CB"])))  # fmt: skip
+    rng = np.random.default_rng(1)
+    q = multibody.integrate(c.tree, c.q0, 0.1 * rng.normal(size=c.n_v))
+
+    def distance(at):
+        x = pc.pose(c, at).x
+        return np.linalg.norm(centre(s, x, atoms[1]) - centre(s, x, atoms[0]))
+
+    time = 0.7
+    rest = distance(c.q0) + 0.3 * time
+
+    def stored(at):
+        return 350.0 * (distance(at) - rest) ** 2
+
+    frames = pc.pose(c, q).frames
+    assert spring.start == pytest.approx(distance(c.q0), rel=ROUND_OFF)
+    assert spring.tension(time, frames) == pytest.approx(
+        (distance(q), 700.0 * (rest - distance(q))), rel=1e-11
+    )
+    assert spring.energy(time, frames) == pytest.approx(stored(q), rel=1e-11)
+    torque = spring.load().along(c.tree, time, q, np.zeros(c.n_v), frames)
+    h = 1e-6
+    numeric = [
+        -(stored(multibody.integrate(c.tree, q, h * e)) - stored(multibody.integrate(c.tree, q, -h * e)))
+        / (2 * h)
+        for e in np.eye(c.n_v)
+    ]
+    assert np.abs(torque - numeric).max() < 1e-7 * np.abs(torque).max()
+    # Nothing pushes the molecule as a whole.
+    total = np.sum(torque[:6].reshape(2, 3)[1])
+    assert abs(total) < 1e-9 * np.abs(torque).max()
+
+
+def test_length_never_falls_below_nothing():
+    spring = held_slider(stiffness=50.0, speed=-0.5)
+    assert spring.length(1.0) == pytest.approx(1.5) and spring.length(4.1) == spring.length(9.0) == 0.0
+    tree = spring.tree
+    for x in (1e-3, -1e-3, 1e-15, 0.0):
+        frames = multibody.pose(tree, np.array([x]))
+        torque = spring.load().along(tree, 9.0, np.array([x]), np.zeros(1), frames)
+        assert torque[0] == pytest.approx(-50.0 * x, abs=1e-12)
+
+
+def slider():
+    """The world, and a ball of 2 amu on a rail along z."""
+    return Tree(
+        [-1, 0], [HingeKind.FIXED, HingeKind.PRISMATIC], np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)),
+        np.full(2, 2.0), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)),
+    )  # fmt: skip
+
+
+MASS, K, SPRING, REST, KT = 2.0, 300.0, 800.0, 2.0, 2.5
+"""A ball held by K at 2 nm from the world, and pulled by a spring between the two."""
+
+
+def held_slider(stiffness=SPRING, speed=0.1):
+    return MovingSpring(
+        slider(), np.array([0, 1]), np.zeros((2, 3)), np.array([-1.0, 1.0]), stiffness, speed, REST
+    )
+
+
+def held(q, factors):
+    away = q[0] - REST
+    return 0.5 * K * away * away, np.array([-K * away])
+
+
+def free(q, factors):
+    return 0.0, np.zeros(1)
+
+
+def pulled(speed, friction, n_steps, time_step, kt=0.0, potential=held, seed=0, start=None):
+    """Work done by then, and the state; from rest at the minimum, or from a start."""
+    spring = held_slider(speed=speed)
+    system = System(spring.tree, potential, loads=(spring.load(),))
+    thermostat = Langevin(kt, friction) if friction else Isolated()
+    propagator = Propagator(system, Leapfrog(), thermostat, time_step, kt, seed, False)
+    q, qd = (np.array([REST]), np.zeros(1)) if start is None else start
+    at = system.at(q, qd)
+    state = State(0, at, thermostat.init(at))
+    for _ in range(n_steps):
+        state = advance(propagator, state)
+    return spring.row(state.at)["pull_work_kj_mol"], state
+
+
+def exactly(speed, friction, until, k=K):
+    """Work and place of the damped ball by DOP853; work is what the moving end does."""
+
+    def rates(t, y):
+        tension = SPRING * (REST + speed * t - y[0])
+        return [y[1], (tension - k * (y[0] - REST)) / MASS - friction * y[1], speed * tension]
+
+    return solve_ivp(rates, (0.0, until), [REST, 0.0, 0.0], method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+
+
+@pytest.mark.parametrize(("speed", "friction"), [(0.5, 0.0), (0.5, 3.0), (-0.5, 3.0), (20.0, 0.5)])
+def test_place_and_work_are_those_of_the_equation_of_motion(speed, friction):
+    x, _, work = exactly(speed, friction, 1.0)
+    errors = []
+    for n in (200, 400):
+        ours, state = pulled(speed, friction, n, 1.0 / n)
+        errors.append((abs(ours - work) / abs(work), abs(state.at.q[0] - x) / (abs(speed) + 0.1)))
+        assert state.at.time == pytest.approx(1.0, abs=1e-12)
+    assert max(errors[1]) < 2e-3
+    # The thermostat alternates with the leapfrog, which is of order two without it.
+    assert errors[0][0] / errors[1][0] > (1.7 if friction else 3.5)
+
+
+def test_slow_pulling_costs_the_free_energy_and_friction_the_rest():
+    """dF = kK/2(k + K) (v t)^2 of two springs in a row; friction takes m gamma (k/(k + K))^2 v^2 t more."""
+    series, share, friction, far = SPRING * K / (SPRING + K), SPRING / (SPRING + K), 20.0, 0.5
+    free_energy = 0.5 * series * far**2
+    over = []
+    for speed in (0.2, 0.1):
+        work, _ = pulled(speed, friction, round(far / speed / 0.005), 0.005)
+        over.append(work - free_energy)
+        lost = MASS * friction * share**2 * speed * far
+        # The first relaxation time is not yet steady.
+        assert over[-1] == pytest.approx(lost, rel=0.1 * speed / 0.1) and lost < 0.1 * free_energy
+    assert over[0] / over[1] == pytest.approx(2.0, rel=0.1)
+
+
+def test_a_free_particle_takes_friction_times_speed_times_way():
+    speed, friction, until = 0.4, 25.0, 10.0
+    work, state = pulled(speed, friction, 4000, until / 4000, potential=free)
+    steady = MASS * friction * speed
+    assert held_slider(speed=speed).tension(until, state.at.factors.frames)[1] == pytest.approx(
+        steady, rel=5e-3
+    )
+    lag = steady / SPRING
+    expected = steady * speed * until + 0.5 * SPRING * lag**2
+    assert work == pytest.approx(expected, rel=0.02)
+    assert state.conserved == pytest.approx(0.0, abs=1e-3 * work)
+
+
+def test_work_is_spread_as_jarzynskis_equation_says():
+    """Work in a harmonic pair is normal: of mean dF + variance/2kT."""
+    speed, friction, n, runs = 2.0, 4.0, 60, 120
+    h, rng = 0.004, np.random.default_rng(7)
+    wide = np.sqrt(KT / (K + SPRING)), np.sqrt(KT / MASS)
+    works = np.array(
+        [
+            pulled(
+                speed, friction, n, h, KT, seed=i,
+                start=(REST + wide[0] * rng.normal(size=1), wide[1] * rng.normal(size=1)),
+            )[0]
+            for i in range(runs)
+        ]
+    )  # fmt: skip
+    free_energy = 0.5 * SPRING * K / (SPRING + K) * (speed * n * h) ** 2
+    # Of linear equations the mean is the motion without noise.
+    mean = exactly(speed, friction, n * h)[2]
+    assert mean - free_energy > KT
+    variance = 2.0 * KT * (mean - free_energy)
+    assert abs(works.mean() - mean) < 3.5 * np.sqrt(variance / runs)
+    assert works.var(ddof=1) == pytest.approx(variance, rel=3.5 * np.sqrt(2.0 / runs))
+    by_cumulants = works.mean() - works.var(ddof=1) / (2.0 * KT)
+    assert by_cumulants == pytest.approx(
+        free_energy, abs=3.5 * np.sqrt(variance / runs) + 0.4 * variance / KT / 2
+    )
+
+
+# --- Energy less work
+
+
+def spread(m):
+    return np.ptp(m.trace["conserved_kj_mol"])
+
+
+def test_energy_less_work_is_kept_to_the_second_order(small):
+    settings = {"thermostat": "none", "pull": pc.Pull(ENDS, 2000.0, 0.5), "every": 1, "seed": 3}
+    runs = [simulate(*small, time_step=h, n_steps=round(0.4 / h), **settings) for h in (0.004, 0.002)]
+    assert spread(runs[0]) / spread(runs[1]) == pytest.approx(4.0, rel=0.3)
+    done = runs[1].trace["pull_work_kj_mol"].iloc[-1]
+    assert done > 5.0 and spread(runs[1]) < 0.02 * done
+    # What is kept is not the total energy: the spring has given work.
+    assert np.ptp(runs[1].trace["total_kj_mol"]) > 20 * spread(runs[1])
+
+
+@pytest.mark.parametrize("integrator", sorted(INTEGRATORS))
+def test_every_integrator_counts_the_work(integrator, small):
+    m = simulate(
+        *small, time_step=0.002, n_steps=20, thermostat="none", integrator=integrator, every=1, seed=3,
+        pull=pc.Pull(ENDS, 2000.0, 2.0),
+    )  # fmt: skip
+    allowed = {"dormand-prince": 1e-6, "rk4": 1e-4}.get(integrator, 2e-2)
+    assert spread(m) < allowed < 0.01 * np.ptp(m.trace["total_kj_mol"]) + allowed
+    assert m.trace["pull_work_kj_mol"].iloc[-1] > 1.0
+    # Work as the moving end has it: the force on it over its way.
+    force = m.trace["pull_force_kj_mol_nm"].to_numpy()
+    way = 2.0 * 0.002 * (0.5 * force[0] + force[1:-1].sum() + 0.5 * force[-1])
+    assert m.trace["pull_work_kj_mol"].iloc[-1] == pytest.approx(way, rel=5e-3)
+
+
+@pytest.mark.parametrize("thermostat", ["none", "langevin", "nose-hoover", "rescale"])
+def test_every_thermostat_counts_the_work(thermostat, small):
+    m = simulate(
+        *small, time_step=0.002, n_steps=500, thermostat=thermostat, friction=5.0, every=10, seed=2,
+        pull=pc.Pull(ENDS, speed=1.0),
+    )  # fmt: skip
+    assert m.ending == "completed"
+    assert spread(m) < 0.03 * np.ptp(m.trace["kinetic_kj_mol"]) < np.ptp(m.trace["total_kj_mol"])
+    last = m.trace.iloc[-1]
+    assert last["pull_extension_nm"] == pytest.approx(
+        last["pull_distance_nm"] - m.trace["pull_distance_nm"].iloc[0], abs=1e-12
+    )
+    spring = 1000.0 * (m.trace["pull_distance_nm"].iloc[0] + 1.0 - last["pull_distance_nm"])
+    assert last["pull_force_kj_mol_nm"] == pytest.approx(spring, abs=1e-6)
+
+
+def test_closed_loops_keep_the_order_and_what_they_keep_cannot_be_pulled():
+    """The power at the end of a step is that of velocities that the loops allow."""
+    c, e = chain("3i40.pdb"), energy("3i40.pdb", solvent="vacuum")
+    settings = {"thermostat": "none", "loops": "closed", "every": 1, "seed": 1, "temperature": 100.0}
+
+    def run(between, h):
+        return simulate(
+            c, e, time_step=h, n_steps=round(0.01 / h), pull=pc.Pull(between, 20000.0, 20.0), **settings
+        )
+
+    runs = [run("A:7:SG-B:1:N", h) for h in (0.001, 0.0005)]
+    assert spread(runs[0]) / spread(runs[1]) == pytest.approx(4.0, rel=0.1)
+    assert runs[0].trace["closure_error_nm"].max() < 1e-11
+    # A bond that the loops keep, and one of the distances that keep its angles.
+    for between in ("A:7:SG-B:7:SG", "A:7:CB-B:7:SG"):
+        with pytest.raises(pc.ProtochainError, match="closed loops keep this distance"):
+            run(between, 0.001)
+
+
+def test_nothing_turns_or_drifts_by_pulling(small):
+    m = simulate(*small, n_steps=50, thermostat="none", every=50, pull=pc.Pull(ENDS, speed=1.0))
+    linear, angular = multibody.momentum(m.chain.tree, m.state.at.factors.frames, m.qd)
+    assert np.abs(linear).max() < 1e-8 and np.abs(angular).max() < 1e-8
+
+
+# --- A spring that stands still
+
+
+def test_a_spring_that_stands_still_does_no_work_and_is_the_limit_of_slow_ones(small):
+    settings = {"n_steps": 100, "time_step": 0.002, "every": 20, "seed": 1}
+    still, slow = (simulate(*small, pull=pc.Pull(ENDS, 500.0, v), **settings) for v in (0.0, 1e-9))
+    assert np.abs(still.q - slow.q).max() < 1e-6
+    assert (still.trace["pull_work_kj_mol"] == 0.0).all()
+    assert slow.trace["pull_work_kj_mol"].abs().max() < 1e-4
+    for name in ("pull_distance_nm", "pull_force_kj_mol_nm", "potential_kj_mol", "total_kj_mol"):
+        assert np.allclose(still.trace[name], slow.trace[name], atol=1e-4), name
+    # Its energy is in what is conserved, and not in the molecule's.
+    assert spread(still) < 0.05
+    assert np.ptp(still.trace["conserved_kj_mol"] - still.trace["total_kj_mol"]) > 0.1
+
+
+def test_a_held_distance_is_sampled_as_boltzmann_says():
+    """Hybrid Monte Carlo of two alanines with one hinge, held: against quadrature over the angle."""
+    s = pc.from_sequence("AA")
+    c = pc.build_chain(s, "phi")
+    pull, temperature = pc.Pull("A:1:N-A:2:O", 3000.0, 0.0), 400.0
+    spring = moving_spring(pull, pc.build_chain(s, "phi", "free"), np.array([1.0, 0, 0, 0, 0, 0, 0, c.q0[0]]))
+    angles = c.q0[0] + np.linspace(-np.pi, np.pi, 721)[:-1]
+    apart = np.array(
+        [np.linalg.norm(np.subtract(*pc.pose(c, np.array([a])).x[places(s)])) for a in angles]
+    )  # fmt: skip
+    kt = MOLAR_GAS * temperature
+    weight = np.exp(-0.5 * 3000.0 * (apart - spring.start) ** 2 / kt)
+    m = simulate(
+        c, lambda x: (0.0, np.zeros_like(x)), None, temperature, 0.05, 4000, "hmc", 5, fixman=True,
+        trajectory_length=10, every=10, pull=pull,
+    )  # fmt: skip
+    assert m.accepted > 0.5
+    seen = m.trace["pull_distance_nm"].iloc[20:].to_numpy()
+    blocks = seen[: len(seen) // 20 * 20].reshape(20, -1).mean(axis=1)
+    error = blocks.std(ddof=1) / np.sqrt(20)
+    assert abs(seen.mean() - weight @ apart / weight.sum()) < 4.0 * error
+    assert abs(seen.mean() - apart.mean()) > 10.0 * error
+
+
+def places(s):
+    at = {(int(r), str(n)): i for i, (r, n) in enumerate(zip(s.atom_residue, s.atom_name, strict=True))}
+    return [at[0, "N"], at[1, "O"]]
+
+
+# --- Going on
+
+
+@pytest.mark.parametrize("thermostat", ["none", "langevin", "nose-hoover", "rescale"])
+@pytest.mark.parametrize("integrator", ["leapfrog", "midpoint"])
+def test_a_run_in_parts_is_the_run_in_one(thermostat, integrator, small, tmp_path):
+    c, e, q = small
+    settings = {
+        "thermostat": thermostat, "integrator": integrator, "every": 5, "seed": 3,
+        "pull": pc.Pull(ENDS, speed=0.7),
+    }  # fmt: skip
+    n = 30 if integrator == "leapfrog" else 15
+    whole = simulate(c, e, q, n_steps=n, **settings)
+    simulate(c, e, q, n_steps=n - 10, output=tmp_path, checkpoint_every=1, **settings)
+    # Resumed without q, as the command does: the spring has the length of its own start.
+    part = simulate(c, e, n_steps=n, output=tmp_path, resume=True, **settings)
+    assert np.array_equal(part.q, whole.q) and np.array_equal(part.qd, whole.qd)
+    assert (
+        np.array_equal(part.state.at.work, whole.state.at.work) and part.state.at.time == whole.state.at.time
+    )
+    pd.testing.assert_frame_equal(part.trace, whole.trace, check_exact=True, check_dtype=False)
+
+
+def test_a_held_run_of_hybrid_monte_carlo_goes_on_too(small, tmp_path):
+    c, e, q = small
+    settings = {
+        "thermostat": "hmc", "every": 10, "seed": 3, "pull": pc.Pull(ENDS, 300.0, 0.0), "fixman": True,
+        "hinge_springs": "psi 5",
+    }  # fmt: skip
+    whole = simulate(c, e, q, n_steps=40, **settings)
+    simulate(c, e, q, n_steps=20, output=tmp_path, **settings)
+    part = simulate(c, e, n_steps=40, output=tmp_path, resume=True, **settings)
+    assert np.array_equal(part.q, whole.q) and whole.accepted > 0.0
+    pd.testing.assert_frame_equal(part.trace, whole.trace, check_exact=True, check_dtype=False)
+    # All that is added to the force field's energy is a column of its own.
+    row = whole.trace.iloc[-1]
+    held = 0.5 * row["pull_force_kj_mol_nm"] ** 2 / 300.0
+    added = row["fixman_kj_mol"] + row["hinge_springs_kj_mol"] + held
+    assert row["potential_kj_mol"] + added == pytest.approx(whole.state.at.potential, rel=1e-12)
+    assert row["potential_kj_mol"] == pytest.approx(e(whole.x)[0], abs=1e-6)
+
+
+def test_another_pull_is_another_run(small, tmp_path):
+    simulate(*small, n_steps=10, every=5, output=tmp_path, pull=pc.Pull(ENDS))
+    for other, word in (
+        (pc.Pull(ENDS, speed=0.02), "pull_speed"),
+        (pc.Pull(ENDS, 900.0), "pull_stiffness"),
+        (pc.Pull("A:1:N-A:9:C"), "A:9:C"),
+        (None, "pull"),
+    ):
+        with pytest.raises(pc.ProtochainError, match=word):
+            simulate(*small, n_steps=20, every=5, output=tmp_path, resume=True, pull=other)
+
+
+# --- Names of places
+
+
+def test_places_are_found_by_chain_number_insertion_code_and_name(tmp_path):
+    """In PDB and mmCIF, with a number below zero and two residues of one number."""
+    read = gemmi.read_structure(str(STRUCTURES / "ala10.pdb"))
+    for i, residue in enumerate(read[0][0]):
+        residue.seqid = gemmi.SeqId(-3 if i == 0 else min(i, 5), " " if i < 5 else chr(60 + i))
+    read.setup_entities()
+    read.write_pdb(str(tmp_path / "odd.pdb"))
+    read.make_mmcif_document().write_file(str(tmp_path / "odd.cif"))
+    for name in ("odd.pdb", "odd.cif"):
+        s = pc.load(tmp_path / name)
+        c = pc.build_chain(s)
+        assert list(s.residue_number[-2:]) == ["5", "5"] and s.residue_insertion_code[-1] == "E"
+        spring = moving_spring(pc.Pull("A:-3:N-A:5E:C"), c, c.q0)
+        named = {
+            (int(r), str(n)): i for i, (r, n) in enumerate(zip(s.atom_residue, s.atom_name, strict=True))
+        }
+        apart = s.positions[named[9, "C"]] - s.positions[named[0, "N"]]
+        assert spring.start == pytest.approx(np.linalg.norm(apart), rel=1e-9)
+        with pytest.raises(
+            pc.ProtochainError, match=r"A:7:C: there are no residues A:7; chain A has -3 to 5E"
+        ):
+            moving_spring(pc.Pull("A:-3:N-A:7:C"), c, c.q0)
+
+
+def test_a_water_of_the_same_number_does_not_stand_in_the_way(tmp_path):
+    water = "HETATM 9998  O   HOH A   5       5.000  20.000  20.000  1.00  0.00           O\n"
+    text = (STRUCTURES / "ala10.pdb").read_text().partition("END")[0] + water + "END\n"
+    (tmp_path / "wet.pdb").write_text(text)
+    s = pc.load(tmp_path / "wet.pdb", keep="water")
+    assert s.obstacle.sum() == 3
+    (at,) = atoms_at(s, "A:5:O")
+    assert s.residue_name[s.atom_residue[at]] == "ALA" and not s.obstacle[at]
+
+
+def test_a_chain_without_a_name_is_named_by_nothing(tmp_path):
+    lines = (STRUCTURES / "ala10.pdb").read_text().splitlines(keepends=True)
+    named = ("ATOM", "TER")
+    blank = [f"{line[:21]} {line[22:]}" if line.startswith(named) else line for line in lines]
+    (tmp_path / "blank.pdb").write_text("".join(blank))
+    c = pc.build_chain(pc.load(tmp_path / "blank.pdb"), root="free")
+    check_pull(pc.Pull(":1:N-:10:C"), c)
+    with pytest.raises(pc.ProtochainError, match=r"no residues A:1; its chains are \(blank\)"):
+        check_pull(pc.Pull(ENDS), c)
+
+
+@pytest.mark.parametrize(
+    ("between", "read"),
+    [
+        ("A:1:N-A:20:C", ("A:1:N", "A:20:C")),
+        ("A:-3:N-B:-1A:CG2", ("A:-3:N", "B:-1A:CG2")),
+        (":1:N-:20:C", (":1:N", ":20:C")),
+        ("A-2:1:N-B-x:20:O5'", ("A-2:1:N", "B-x:20:O5'")),
+        ("A:1-A:20", ("A:1", "A:20")),
+        ("A:1-A:20:CA", ("A:1", "A:20:CA")),
+        ("resid -5:-3 - name CA", ("resid -5:-3", "name CA")),
+        (["A:1:N", "resid 5"], ("A:1:N", "resid 5")),
+    ],
+)
+def test_two_places_are_read_as_they_are_meant(between, read):
+    assert pc.Pull(between).between == read
+
+
+@pytest.mark.parametrize(
+    "between", ["", "A:1:N", "A:1:N A:20:C", "resid 5", ("A:1:N",), ("a", "b", "c"), 5, None]
+)
+def test_other_than_two_places_is_refused(between):
+    with pytest.raises(pc.ProtochainError, match="give two atoms, as A:1:N-A:20:C") as refused:
+        pc.Pull(between)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "word"),
+    [
+        ({"stiffness": 0.0}, "stiffness 0 kJ/mol/nm"),
+        ({"stiffness": -1.0}, "stiffness"),
+        ({"stiffness": np.inf}, "stiffness"),
+        ({"stiffness": "5"}, "stiffness=5"),
+        ({"speed": np.nan}, "speed nan nm/ps"),
+        ({"speed": -np.inf}, "speed"),
+    ],
+)
+def test_numbers_that_make_no_sense_are_refused(given, word):
+    with pytest.raises(pc.ProtochainError, match=word):
+        pc.Pull(ENDS, **given)
+
+
+@pytest.mark.parametrize(
+    ("between", "said"),
+    [
+        ("A:1:N-A:2:XX", "A:2:XX: no atom XX in residue 2 ALA of chain A; its atoms are N H CA"),
+        ("A:1:N-B:2:N", "there are no residues B:2; its chains are A"),
+        ("A:1:N-A:11:N", "chain A has 1 to 10"),
+        ("A:1:N-A:1:CA", "no hinge changes this distance"),
+        # Both lie on the axis of a hinge between their bodies.
+        ("A:2:N-A:2:CA", "no hinge changes this distance"),
+        ("A:2:CA-A:3:CA", "no hinge changes this distance"),
+        ("name N and resid 99 - resid 5", "selects no atom"),
+        ("nonsense ( - resid 5", "cannot be read"),
+        ("name CA - name CA", "both are at one point"),
+    ],
+)
+def test_places_that_cannot_be_pulled_are_refused(between, said):
+    with pytest.raises(pc.ProtochainError, match=said.replace("(", r"\(")) as refused:
+        check_pull(pc.Pull(between), pc.build_chain(load("ala10.pdb"), root="free"))
+    assert "\n" not in str(refused.value)
+
+
+def test_what_nothing_moves_cannot_be_pulled():
+    """Two chains with fixed roots: their roots stay as far apart as they are, other parts do not."""
+    s = load("3i40.pdb")
+    c = pc.build_chain(s, root="fixed")
+    roots = c.tree.parent < 0
+    fixed = [np.flatnonzero((c.atom_body == b) & (s.atom_name == "CA"))[0] for b in np.flatnonzero(roots)]
+    names = [
+        f"{s.residue_chain[r]}:{s.residue_number[r]}:CA" for r in s.atom_residue[fixed]
+    ]  # fmt: skip
+    with pytest.raises(pc.ProtochainError, match="no hinge changes"):
+        check_pull(pc.Pull(names), c)
+    check_pull(pc.Pull(names), pc.build_chain(s, root="free"))
+    check_pull(pc.Pull(("A:1:N", "B:1:N")), c)
+
+
+def test_chains_are_pulled_apart_and_towards_what_stands_beside_them():
+    c, e = pc.build_chain(load("3i40.pdb")), energy("3i40.pdb", solvent="vacuum")
+    m = simulate(
+        c, e, temperature=10.0, time_step=0.001, n_steps=20, every=20, hydrogen_mass=3.0,
+        pull=pc.Pull("chainID A - chainID B", 1e4, 5.0),
+    )  # fmt: skip
+    s = c.structure
+    of_a = s.residue_chain[s.atom_residue] == "A"
+    apart = [np.linalg.norm(centre(s, x, ~of_a) - centre(s, x, of_a)) for x in (s.positions, m.x)]
+    assert m.trace["pull_distance_nm"].to_numpy() == pytest.approx(apart, rel=1e-9)
+    assert apart[1] > apart[0]
+
+
+def test_an_atom_that_the_file_lacks_is_pulled_where_it_was_added(tmp_path):
+    read = gemmi.read_structure(str(STRUCTURES / "1l2y.pdb"))
+    for residue in read[0][0]:
+        if residue.seqid.num == 6:
+            for name in [a.name for a in residue if a.name not in ("N", "CA", "C", "O")]:
+                residue.remove_atom(name, "\0")
+    while len(read) > 1:
+        del read[1]
+    read.write_pdb(str(tmp_path / "short.pdb"))
+    s = pc.load(tmp_path / "short.pdb")
+    c = pc.build_chain(s)
+    (at,) = np.flatnonzero((s.atom_residue == 5) & (s.atom_name == "CZ2"))
+    (first,) = np.flatnonzero((s.atom_residue == 0) & (s.atom_name == "CA"))
+    spring = moving_spring(pc.Pull("A:1:CA-A:6:CZ2"), c, c.q0)
+    assert spring.start == pytest.approx(np.linalg.norm(s.positions[at] - s.positions[first]), rel=1e-9)
+
+
+def test_a_ligand_is_a_place_too():
+    s = pc.load(shared("4cup_missing.cif"))
+    ligand = (s.residue_name == "ZYB")[s.atom_residue]
+    assert (ligand & s.obstacle).any()
+    c = pc.build_chain(s)
+    spring = moving_spring(pc.Pull(("A:1900:CA", "resname ZYB")), c, c.q0)
+    (at,) = np.flatnonzero((s.residue_number[s.atom_residue] == "1900") & (s.atom_name == "CA"))
+    expected = np.linalg.norm(centre(s, s.positions, ligand) - s.positions[at])
+    assert spring.start == pytest.approx(expected, rel=1e-9)
+
+
+# --- Extremes
+
+
+def test_a_spring_too_fast_or_too_stiff_is_said_so(small):
+    m = simulate(*small, n_steps=400, every=50, pull=pc.Pull(ENDS, 1e5, speed=19.0))
+    assert m.ending == "unstable" and "pull more slowly" in m.message
+    for speed in (21.0, -21.0, 1e200):
+        with pytest.raises(
+            pc.ProtochainError, match=r"moves the spring by more than 0\.1 nm in a step; .* 20$"
+        ):
+            simulate(*small, n_steps=400, pull=pc.Pull(ENDS, speed=speed))
+    for stiffness in (1e9, 1e30):
+        m = simulate(*small, n_steps=50, every=50, pull=pc.Pull(ENDS, stiffness))
+        assert m.ending == "unstable" and "softer spring" in m.message
+
+
+def test_ends_are_drawn_together_to_nothing(small):
+    """The spring has no length after 0.5 ps, and goes on drawing; work stops with it."""
+    m = simulate(
+        *small, n_steps=400, every=10, time_step=0.002, friction=20.0, pull=pc.Pull(ENDS, 500.0, -8.0)
+    )
+    assert m.ending == "completed"
+    start = m.trace["pull_distance_nm"].iloc[0]
+    after = m.trace["time_ps"] > start / 8.0
+    assert after.sum() > 10 and m.trace["pull_distance_nm"].iloc[-1] < 0.95 * start
+    assert np.ptp(m.trace.loc[after, "pull_work_kj_mol"]) < 0.02 * m.trace["pull_work_kj_mol"].iloc[-1]
+    drawn = -500.0 * m.trace.loc[after, "pull_distance_nm"]
+    assert np.allclose(m.trace.loc[after, "pull_force_kj_mol_nm"], drawn)
+
+
+def test_hybrid_monte_carlo_has_no_time_in_which_to_pull(small):
+    with pytest.raises(pc.ProtochainError, match=r"hmc: .* speed of 0"):
+        simulate(*small, n_steps=10, thermostat="hmc", every=10, pull=ENDS)
+
+
+def test_a_dormand_prince_of_the_pull_is_what_others_come_near(small):
+    settings = {"thermostat": "none", "every": 1, "seed": 3, "pull": pc.Pull(ENDS, 2000.0, 2.0)}
+    c, e, q = small
+    wanted = simulate(c, e, q, time_step=0.02, n_steps=1, integrator="dormand-prince", **settings)
+    off = [
+        np.abs(simulate(c, e, q, time_step=0.02 / n, n_steps=n, **settings).q - wanted.q).max()
+        for n in (10, 20)
+    ]
+    assert off[0] / off[1] == pytest.approx(4.0, rel=0.2)
+
+
+# --- The command
+
+
+def test_the_command_pulls_and_goes_on(tmp_path):
+    work = (
+        "simulate",
+        STRUCTURES / "ala10.pdb",
+        "-o",
+        "run",
+        "--pull",
+        ENDS,
+        "--pull-speed",
+        0.5,
+        "--every",
+        10,
+    )
+    done = protochain(*work, "--steps", 40, "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    record = json.loads(done.stdout)
+    log = pd.read_csv(tmp_path / "run" / "log.csv")
+    assert record["pull"] == "A:1:N - A:10:C" and record["pull_speed_nm_ps"] == 0.5
+    assert record["pull_stiffness_kj_mol_nm2"] == 1000.0
+    assert record["pull_work_end_kj_mol"] == log["pull_work_kj_mol"].iloc[-1] != 0.0
+    assert record["pull_distance_end_nm"] == log["pull_distance_nm"].iloc[-1]
+    assert (
+        "PULLED A:1:N - A:10:C BY 1000 KJ/MOL/NM^2 AT 0.5 NM/PS"
+        in (tmp_path / "run" / "last.pdb").read_text()
+    )
+    more = protochain(*work, "--steps", 60, "--resume", cwd=tmp_path)
+    assert more.returncode == 0 and "pulled A:1:N - A:10:C: " in more.stdout
+    whole = protochain(*work[:3], "whole", *work[4:], "--steps", 60, cwd=tmp_path)
+    assert whole.returncode == 0
+    assert (tmp_path / "run" / "log.csv").read_bytes() == (tmp_path / "whole" / "log.csv").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--pull", "A:1:N-A:99:C"), "A:99:C"),
+        (("--pull", "A:1:N-A:2:NZ"), "no atom NZ in residue 2 ALA"),
+        (("--pull", "A:1:N"), "pull 'A:1:N': give two atoms"),
+        (("--pull", "A:1:N-A:1:CA"), "no hinge changes"),
+        (("--pull", ENDS, "--pull-stiffness", "-5"), "stiffness -5 kJ/mol/nm^2"),
+        (("--pull", ENDS, "--pull-speed", "nan"), "speed nan"),
+        (("--pull", ENDS, "--thermostat", "hmc"), "hmc"),
+    ],
+)
+def test_the_command_refuses_in_one_line(arguments, said, tmp_path):
+    done = protochain("simulate", STRUCTURES / "ala10.pdb", "-o", "run", *arguments, cwd=tmp_path)
+    assert done.returncode == 2 and said in done.stderr, done.stderr
+    said_by_us = [line for line in done.stderr.splitlines() if line.startswith("protochain: ")]
+    assert len(said_by_us) == 1 and not (tmp_path / "run").exists()
+    assert len(done.stderr.splitlines()) <= 2  # Beside it only what was changed in the file.

@@ -1,0 +1,577 @@
+"""The native engine against OpenMM's Reference platform, quadrature, differences and itself."""
+
+import copy
+import os
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import openmm
+import pytest
+from fixtures.samples import STRUCTURES, chain, load, shared
+from fixtures.tolerances import LEFT_OUT, NATIVE_ENERGY, NATIVE_FORCE
+from numba import njit
+from openmm import app, unit
+from scipy.integrate import quad
+from scipy.spatial.distance import pdist
+
+import protochain as pc
+from protochain.chain import pose, pull_back
+from protochain.energies import NativeEnergy, OpenMMEnergy, UnsupportedForceError
+from protochain.energies.native import born, neighbours, series
+from protochain.energies.native.evaluate import Layout
+from protochain.energies.native.layout import W
+
+PARTS_OF = {
+    "HarmonicBondForce": ("bonds",), "HarmonicAngleForce": ("angles",), "PeriodicTorsionForce": ("torsions",),
+    "CustomTorsionForce": ("impropers",), "CMAPTorsionForce": ("maps",), "NonbondedForce": ("nonbonded",),
+    "CustomNonbondedForce": ("nonbonded",), "CustomBondForce": ("nonbonded",),
+    "GBSAOBCForce": ("polar", "surface"), "CustomGBForce": ("polar", "surface"), "CMMotionRemover": (),
+}  # fmt: skip
+"""Parts of the native energy that hold what an OpenMM force gives."""
+
+TEN = (
+    "ala10.pdb", "1l2y.pdb", "1vii.pdb", "1ejg.pdb", "3i40.pdb", "4pti.pdb", "1ubq.pdb", "1hel.pdb",
+    "1bta_barstar.pdb", "1fas_fasciculin.cif",
+)  # fmt: skip
+
+
+def structure(name):
+    return pc.load(shared(name)) if "_" in name else load(name)
+
+
+def shaken(s, nm=0.002):
+    return s.positions + np.random.default_rng(0).normal(scale=nm, size=s.positions.shape)
+
+
+def by_force(system, x):
+    """Energy of each kind, and all forces, on the Reference platform."""
+    system = copy.deepcopy(system)
+    for group, force in enumerate(system.getForces()):
+        force.setForceGroup(group)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    context.setPositions(x)
+    energies = {}
+    for group, force in enumerate(system.getForces()):
+        value = context.getState(energy=True, groups={group}).getPotentialEnergy()._value
+        parts = PARTS_OF[type(force).__name__]
+        if parts:
+            energies[parts] = energies.get(parts, 0.0) + value
+    forces = context.getState(forces=True).getForces(asNumpy=True)
+    return energies, np.array(forces.value_in_unit(unit.kilojoule_per_mole / unit.nanometer))
+
+
+def assert_same(native, system, x):
+    theirs, their_forces = by_force(system, x)
+    ours, forces = native.parts(x)
+    # OpenMM reports a force's whole energy: where large parts cancel, digits of these are what is compared.
+    for parts, value in theirs.items():
+        assert sum(ours[part] for part in parts) == pytest.approx(value, rel=NATIVE_ENERGY)
+    size = sum(abs(value) for value in theirs.values())
+    assert abs(native(x)[0] - sum(theirs.values())) < NATIVE_ENERGY * size
+    assert np.linalg.norm(forces - their_forces) < NATIVE_FORCE * np.linalg.norm(their_forces)
+
+
+@pytest.mark.parametrize(
+    ("forcefield", "solvent"),
+    [("amber14", "obc2"), ("amber14", "gbn2"), ("amber19", "vacuum"), ("charmm36", "vacuum")],
+)
+@pytest.mark.parametrize("name", TEN)
+def test_every_term_equals_the_reference_platforms(name, forcefield, solvent):
+    s = structure(name)
+    native = pc.energy(s, forcefield, solvent, engine="native")
+    assert native.engine == "native"
+    assert_same(native, native.system, shaken(s))
+
+
+def implicit_system(name, model, cutoff=None):
+    force_field = app.ForceField("amber14/protein.ff14SB.xml", *([f"implicit/{model}.xml"] if model else []))
+    method = {"nonbondedMethod": app.NoCutoff}
+    if cutoff:
+        method = {"nonbondedMethod": app.CutoffNonPeriodic, "nonbondedCutoff": cutoff * unit.nanometer}
+    return force_field.createSystem(structure(name).topology, **method)
+
+
+@pytest.mark.parametrize("model", ["hct", "obc1", "obc2", "gbn", "gbn2"])
+@pytest.mark.parametrize("cutoff", [None, 1.0])
+def test_every_implicit_model_as_the_force_field_builds_it(model, cutoff):
+    system = implicit_system("1l2y.pdb", model, cutoff)
+    s = load("1l2y.pdb")
+    assert_same(pc.energy(s, system=system, engine="native"), system, shaken(s))
+
+
+@pytest.mark.parametrize("name", ["1l2y.pdb", "1ubq.pdb"])
+def test_a_cutoff_with_reaction_field(name):
+    system = implicit_system(name, None, 0.9)
+    assert_same(pc.energy(load(name), system=system, engine="native"), system, shaken(load(name)))
+
+
+def test_gbsa_obc_force_with_a_cutoff():
+    s = load("1ubq.pdb")
+    system = implicit_system("1ubq.pdb", None, 1.1)
+    for force in system.getForces():
+        if isinstance(force, openmm.NonbondedForce):
+            force.setReactionFieldDielectric(1.0)
+    plain = pc.energy(s, engine="openmm").system
+    (gb,) = (copy.deepcopy(f) for f in plain.getForces() if isinstance(f, openmm.GBSAOBCForce))
+    gb.setNonbondedMethod(gb.CutoffNonPeriodic)
+    gb.setCutoffDistance(1.1)
+    system.addForce(gb)
+    assert_same(pc.energy(s, system=system, engine="native"), system, shaken(s))
+
+
+@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
+def test_forces_are_minus_the_gradient(solvent):
+    s = load("1l2y.pdb")
+    e, x = pc.energy(s, "amber19", solvent, engine="native"), shaken(s)
+    _, f = e(x)
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        direction, h = rng.normal(size=x.shape), 1e-6
+        numeric = (e(x + h * direction)[0] - e(x - h * direction)[0]) / (2 * h)
+        # Cancellation: eps of ten thousand kJ/mol over the step, and its square times third derivatives.
+        assert -numeric == pytest.approx(np.sum(f * direction), rel=1e-6, abs=1e-3)
+
+
+@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
+def test_the_number_of_threads_changes_no_bit(solvent):
+    s = load("1ejg.pdb")
+    found = []
+    for threads in (1, 2):
+        value, forces = pc.energy(s, solvent=solvent, engine="native", threads=threads)(s.positions)
+        found.append((value, forces.tobytes()))
+    assert found[0] == found[1]
+
+
+def test_lists_hold_while_atoms_move_and_are_made_anew_when_they_must():
+    s = load("1ubq.pdb")
+    e, rng = pc.energy(s, engine="native"), np.random.default_rng(2)
+    x = s.positions.copy()
+    made = set()
+    for _ in range(12):
+        x = x + rng.normal(scale=0.006, size=x.shape)
+        value, forces = e(x)
+        made.add(id(e._lists))
+        fresh_value, fresh = pc.energy(s, engine="native")(x)
+        assert value == pytest.approx(fresh_value, rel=1e-12)
+        assert np.linalg.norm(forces - fresh) < 1e-11 * np.linalg.norm(fresh)
+    assert 1 < len(made) < 12
+
+
+def test_positions_may_have_a_unit():
+    s, e = load("ala10.pdb"), pc.energy(load("ala10.pdb"), engine="native")
+    value, forces = e(10.0 * s.positions * unit.angstrom)
+    assert value == pytest.approx(e(s.positions)[0], rel=NATIVE_ENERGY)
+    assert np.linalg.norm(forces - e(s.positions)[1]) < NATIVE_FORCE * np.linalg.norm(forces)
+
+
+@pytest.mark.parametrize("solvent", ["vacuum", "obc2"])
+def test_no_place_is_taken_by_the_padding_of_the_last_block(solvent):
+    s = load("ala10.pdb")
+    e = pc.energy(s, solvent=solvent, engine="native")
+    assert s.n_atoms % W
+    value, forces = e(s.positions)
+    for atom in range(0, s.n_atoms, 9):
+        moved, by_moved = e(s.positions - s.positions[atom])
+        assert moved == pytest.approx(value, rel=NATIVE_ENERGY)
+        assert np.linalg.norm(by_moved - forces) < NATIVE_FORCE * np.linalg.norm(forces)
+
+
+def test_lists_hold_every_pair():
+    rng = np.random.default_rng(3)
+    x = rng.uniform(0, 3, size=(500, 3))
+    excepted = np.array([[i, i + 1] for i in range(0, 400, 2)])
+    groups = np.arange(500)[:, None] // 5
+    block_near = np.full(-(-500 // W), 0.8)
+    every = np.full(len(block_near), -1)
+    exceptions = neighbours.partners(excepted, 500)
+    lists = neighbours.make_lists(x, 0.35, block_near, 0.6, 1.5, exceptions, groups, every)
+    distance = np.linalg.norm(x[:, None] - x[None], axis=2)
+    i, j = np.nonzero(np.triu(distance < 0.35 + neighbours.SKIN, 1) & (groups != groups.T))
+    assert {*zip(i.tolist(), j.tolist(), strict=True)} == {tuple(p) for p in lists.close.tolist()}
+    bonded = {tuple(p) for p in excepted.tolist()}
+    assert {tuple(p) for p in lists.free.tolist()} == {tuple(p) for p in lists.close.tolist()} - bonded
+    marks = zip(lists.is_near, lists.is_necked, strict=True)
+    tiles = {tuple(t): mark for t, mark in zip(lists.tiles.tolist(), marks, strict=True)}
+    for a in range(500):
+        for b in range(a, 500):
+            tile = a // W, b // W
+            assert distance[a, b] > 1.5 or tile in tiles
+            assert distance[a, b] > 0.8 or tiles[tile][0]
+            assert distance[a, b] > 0.6 or tiles[tile][1]
+
+
+def two_blocks(gap):
+    """Two flat blocks of atoms, with this gap between them along x."""
+    x = np.zeros((2 * W, 3))
+    x[:, 1] = 0.01 * (np.arange(2 * W) % W)
+    x[W:, 0] = gap
+    return x
+
+
+def lists_of_two_blocks(gap, close, block_near, necked, cutoff):
+    none = neighbours.partners(np.zeros((0, 2), np.int64), 2 * W)
+    groups = np.full((2 * W, 1), -1)
+    every = np.full(2, -1)
+    return neighbours.make_lists(
+        two_blocks(gap), close, np.array(block_near), necked, cutoff, none, groups, every
+    )
+
+
+def of_the_two(lists):
+    """Whether the list has the tile of both blocks, and its marks."""
+    for (i, j), near, necked in zip(lists.tiles.tolist(), lists.is_near, lists.is_necked, strict=True):
+        if (i, j) == (0, 1):
+            return True, bool(near), bool(necked)
+    return False, False, False
+
+
+@pytest.mark.parametrize("reach", ["cutoff", "near", "necked", "close"])
+def test_while_lists_hold_they_have_what_comes_within_reach(reach):
+    gap, limits = 1.0, {"close": 0.1, "block_near": [0.2, 0.2], "necked": 0.2, "cutoff": 3.0}
+    within = gap - 0.9 * neighbours.SKIN
+    limits |= {
+        "cutoff": {"cutoff": within}, "near": {"block_near": [within] * 2}, "necked": {"necked": within},
+        "close": {"close": within, "block_near": [within] * 2},
+    }[reach]  # fmt: skip
+    lists = lists_of_two_blocks(gap, **limits)
+    moved = lists.x.copy()
+    moved[:W, 0] += 0.49 * neighbours.SKIN
+    moved[W:, 0] -= 0.49 * neighbours.SKIN
+    assert lists.still_hold(moved) and moved[W, 0] - moved[0, 0] < within
+    has_tile, is_near, is_necked = of_the_two(lists)
+    is_close = [0, W] in lists.close.tolist()
+    assert {"cutoff": has_tile, "near": is_near, "necked": is_necked, "close": is_close}[reach]
+
+
+def test_lists_no_longer_hold_when_one_atom_has_moved_more_than_half_the_skin():
+    lists = lists_of_two_blocks(1.0, 0.1, [0.2, 0.2], 0.2, 3.0)
+    for move, held in ((0.499, True), (0.501, False)):
+        x = lists.x.copy()
+        x[7] += move * neighbours.SKIN * np.array([0.6, 0.0, 0.8])
+        assert lists.still_hold(x) is held
+
+
+@pytest.mark.parametrize("block_near", [[0.3, 0.8], [0.8, 0.3]])
+def test_two_blocks_are_near_within_the_larger_of_their_distances(block_near):
+    assert of_the_two(lists_of_two_blocks(0.6, 0.1, block_near, 0.2, 3.0)) == (True, True, False)
+    assert of_the_two(lists_of_two_blocks(1.0, 0.1, block_near, 0.2, 3.0)) == (True, False, False)
+
+
+@pytest.mark.parametrize("qq", [0.0, 0.2])
+def test_an_exception_between_atoms_beyond_the_cutoff(qq):
+    s, system = load("1l2y.pdb"), implicit_system("1l2y.pdb", None, 0.9)
+    (force,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    x = shaken(s)
+    distance = np.linalg.norm(x[0] - x, axis=1)
+    charged = np.array([abs(force.getParticleParameters(i)[0]._value) > 0.3 for i in range(s.n_atoms)])
+    beyond = np.flatnonzero(charged & (distance > 1.1) & (distance < 1.5))[:10]
+    for i in (np.flatnonzero(charged & (distance > 0.5) & (distance < 0.8))[0], *beyond):
+        force.addException(0, int(i), qq, 0.3, 0.4 * qq)
+    assert len(beyond) == 10
+    assert_same(pc.energy(s, system=system, engine="native"), system, x)
+
+
+def test_pairs_of_a_table_are_added_to_the_lennard_jones_of_nonbonded_force():
+    s = load("ala10.pdb")
+    system = copy.deepcopy(pc.energy(s, "charmm36", "vacuum", engine="openmm").system)
+    (force,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    for i in range(s.n_atoms):
+        force.setParticleParameters(i, force.getParticleParameters(i)[0], 0.25 + 0.002 * (i % 7), 0.4)
+    for i in range(force.getNumExceptions()):
+        first, second, qq, *_ = force.getExceptionParameters(i)
+        force.setExceptionParameters(i, first, second, qq, 0.25, 0.3 if qq._value else 0.0)
+    assert_same(pc.energy(s, system=system, engine="native"), system, shaken(s))
+
+
+@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
+def test_atoms_on_top_of_one_another_give_large_numbers(solvent):
+    s = load("1l2y.pdb")
+    e, x = pc.energy(s, solvent=solvent, engine="native"), s.positions.copy()
+    for apart in (0.0, 1e-9, 1e-5, 1e-2):
+        x[200] = x[20] + [apart, 0, 0]
+        value, forces = e(x)
+        assert np.isfinite(value)
+        assert np.isfinite(forces).all()
+        assert apart > 1e-3 or value > 1e10
+    x[:] = 0.0
+    value, forces = e(x)
+    assert np.isfinite(value)
+    assert np.isfinite(forces).all()
+
+
+def test_positions_that_are_not_numbers_are_an_infinite_energy():
+    s = load("ala10.pdb")
+    e, x = pc.energy(s, engine="native"), s.positions.copy()
+    x[3, 1] = np.nan
+    value, forces = e(x)
+    assert value == np.inf
+    assert np.isnan(forces).all()
+
+
+@pytest.mark.parametrize("hinges", ["phi psi", "phi psi chi", "phi psi chi omega rotors"])
+@pytest.mark.parametrize(
+    ("name", "solvent"), [("1l2y.pdb", "gbn2"), ("4pti.pdb", "obc2"), ("1ubq.pdb", "vacuum")]
+)
+def test_leaving_out_constants_changes_nothing(name, solvent, hinges):
+    c = chain(name, hinges)
+    whole = pc.energy(c.structure, "amber19", solvent, engine="native")
+    less = whole.without_constants(c.rigid_groups, pose(c, c.q0).x)
+    assert less.left_out["bonds"] == whole.system.getForce(0).getNumBonds() - len(c.loops)
+    assert less.left_out["torsions"] > 0
+    rng = np.random.default_rng(4)
+    for turn in (1e-3, 0.3):
+        q = c.q0.copy()
+        q[c.tree.q_start[c.hinge_body]] += rng.normal(scale=turn, size=c.n_hinges)
+        at = pose(c, q)
+        (value, forces), (same, fewer) = whole(at.x), less(at.x)
+        assert same == pytest.approx(value, rel=1e-12, abs=1e-8)
+        tau, of_less = pull_back(c, at, forces), pull_back(c, at, fewer)
+        assert np.linalg.norm(tau - of_less) < LEFT_OUT * np.linalg.norm(tau)
+
+
+def test_more_hinges_leave_less_out():
+    counts = []
+    for hinges in ("phi psi", "phi psi chi", "phi psi chi omega rotors"):
+        c = chain("1l2y.pdb", hinges)
+        less = pc.energy(c.structure, engine="native").without_constants(
+            c.rigid_groups, c.structure.positions
+        )
+        counts.append(less.left_out)
+        assert f"{less.left_out['torsions']} torsions" in less.reason
+    for kind in ("torsions", "exceptions", "close pairs"):
+        assert counts[0][kind] > counts[1][kind] > counts[2][kind] > 0
+
+
+def test_rigid_groups_are_rigid():
+    c = chain("1l2y.pdb", "phi psi chi omega rotors")
+    groups = c.rigid_groups
+    rng = np.random.default_rng(5)
+    q = c.q0.copy()
+    q[c.tree.q_start[c.hinge_body]] += rng.normal(size=c.n_hinges)
+    before, after = pose(c, c.q0).x, pose(c, q).x
+    assert np.array_equal(groups[:, 0], c.atom_body)
+    on_axes = 0
+    for body in range(c.n_bodies):
+        members = np.flatnonzero((groups == body).any(axis=1))
+        on_axes += len(members) - np.sum(c.atom_body == body)
+        change = pdist(before[members]) - pdist(after[members])
+        assert np.abs(change).max(initial=0.0) < 1e-11
+    # Both ends of a turning bond lie on its axis, and one of them in the other body.
+    assert on_axes >= 2 * c.n_hinges - len(c.loops)
+
+
+def with_force(force):
+    s = load("ala10.pdb")
+    system = copy.deepcopy(pc.energy(s, solvent="vacuum", engine="openmm").system)
+    system.addForce(force)
+    return s, system
+
+
+def custom_gb(old, new):
+    """The standard GBn2 force with one expression changed."""
+    system = implicit_system("ala10.pdb", "gbn2")
+    (force,) = (f for f in system.getForces() if isinstance(f, openmm.CustomGBForce))
+    for i in range(force.getNumComputedValues()):
+        name, expression, kind = force.getComputedValueParameters(i)
+        force.setComputedValueParameters(i, name, expression.replace(old, new), kind)
+    for i in range(force.getNumEnergyTerms()):
+        expression, kind = force.getEnergyTermParameters(i)
+        force.setEnergyTermParameters(i, expression.replace(old, new), kind)
+    return load("ala10.pdb"), system
+
+
+def gb_with_dielectrics(inside, outside):
+    force = openmm.GBSAOBCForce()
+    force.setSoluteDielectric(inside)
+    force.setSolventDielectric(outside)
+    for _ in range(load("ala10.pdb").n_atoms):
+        force.addParticle(0.1, 0.15, 0.8)
+    return force
+
+
+def changed(model, kind, change, name="ala10.pdb"):
+    """A System as the force field builds it with a 1 nm cutoff, and one of its forces changed."""
+    system = implicit_system(name, model, 1.0)
+    (force,) = (f for f in system.getForces() if isinstance(f, kind))
+    change(force)
+    return load(name), system
+
+
+def charmm_with_another_cutoff():
+    s = load("ala10.pdb")
+    force_field = app.ForceField("charmm36.xml")
+    system = force_field.createSystem(s.topology, nonbondedMethod=app.CutoffNonPeriodic)
+    (force,) = (f for f in system.getForces() if isinstance(f, openmm.CustomNonbondedForce))
+    force.setCutoffDistance(0.8)
+    return s, system
+
+
+UNKNOWN = {
+    "CustomExternalForce": lambda: with_force(openmm.CustomExternalForce("x^2")),
+    "RBTorsionForce": lambda: with_force(openmm.RBTorsionForce()),
+    "CustomTorsionForce": lambda: with_force(openmm.CustomTorsionForce("theta")),
+    "CustomBondForce": lambda: with_force(openmm.CustomBondForce("r")),
+    "more than one NonbondedForce": lambda: with_force(openmm.NonbondedForce()),
+    "CustomGBForce with Born integral": lambda: custom_gb("neckCut=0.68", "neckCut=0.7"),
+    "CustomGBForce with Born radius": lambda: custom_gb("tanh(", "sin("),
+    "CustomGBForce with energy": lambda: custom_gb("kappa=0", "kappa=1"),
+    "GBSAOBCForce or CustomGBForce with a cutoff of 1 nm": lambda: changed(
+        "obc2", openmm.NonbondedForce, lambda force: force.setCutoffDistance(1.2)
+    ),
+    "CustomNonbondedForce with a cutoff of 0.8 nm": charmm_with_another_cutoff,
+    "NonbondedForce with a cutoff below": lambda: changed(
+        None, openmm.NonbondedForce, lambda force: force.setCutoffDistance(0.3)
+    ),
+    "CustomGBForce with alpha = 0": lambda: changed(
+        "gbn2",
+        openmm.CustomGBForce,
+        lambda force: [
+            force.setParticleParameters(i, [*values[:3], 0.0, *values[4:]])
+            for i in range(force.getNumParticles())
+            for values in [force.getParticleParameters(i)]
+        ],
+    ),
+    "generalised Born of dielectric 80 inside": lambda: with_force(gb_with_dielectrics(80.0, 2.0)),
+}
+
+
+@pytest.mark.parametrize("what", UNKNOWN)
+def test_what_has_no_exact_counterpart_is_refused_by_name(what):
+    s, system = UNKNOWN[what]()
+    with pytest.raises(UnsupportedForceError, match=what.split()[0]) as refusal:
+        pc.energy(s, system=system, engine="native")
+    assert str(refusal.value).startswith(what)
+    fallen_back = pc.energy(s, system=system, engine="auto")
+    assert isinstance(fallen_back, OpenMMEnergy)
+    assert str(refusal.value) in fallen_back.reason
+
+
+def test_two_runs_with_one_energy_are_the_same():
+    c = chain("1l2y.pdb")
+    e = pc.energy(c.structure, engine="native")
+    e(shaken(c.structure, 0.05))
+    first, second = (pc.minimise(c, e, "hybrid", max_evaluations=80) for _ in range(2))
+    assert np.array_equal(first.x, second.x)
+    assert first.constant_terms["bonds"] == second.record()["constant_terms"]["bonds"] > 0
+
+
+def test_periodic_systems_are_refused():
+    s = load("ala10.pdb")
+    system = copy.deepcopy(pc.energy(s, solvent="vacuum", engine="openmm").system)
+    for force in system.getForces():
+        if isinstance(force, openmm.NonbondedForce):
+            force.setNonbondedMethod(force.PME)
+    with pytest.raises(UnsupportedForceError, match="NonbondedForce"):
+        pc.energy(s, system=system, engine="native")
+
+
+def test_auto_is_native_for_the_named_force_fields():
+    for forcefield in ("amber14", "amber19", "amber99sb", "amber99sbildn", "charmm36"):
+        for solvent in ("vacuum", "obc2", "gbn2"):
+            e = pc.energy(load("ala10.pdb"), forcefield, solvent)
+            assert isinstance(e, NativeEnergy)
+            assert e.reference.platform == "Reference"
+
+
+def callable_from_python(function):
+    """A function that only kernels call, in a kernel."""
+    return njit(lambda *values: function(*values))
+
+
+def test_powers_of_two():
+    power_of_two = callable_from_python(series.power_of_two)
+    y = np.linspace(-60.0, 0.0, 20001)
+    ours = np.array([power_of_two(value) for value in y])
+    assert np.abs(ours / np.exp2(y) - 1).max() < 1e-13
+    assert power_of_two(-1e6) == power_of_two(-60.0)
+
+
+def test_inverse_roots_over_all_exponents():
+    inverse_root = callable_from_python(series.inverse_root)
+    mantissa = np.linspace(1.0, 2.0, 401)
+    x = np.concatenate([mantissa * 2.0**exponent for exponent in range(-80, 81)])
+    ours = np.array([inverse_root(value) for value in x])
+    assert np.abs(ours * np.sqrt(x) - 1).max() < 1e-15
+    assert np.isfinite(inverse_root(0.0))
+
+
+def test_logarithms_over_all_exponents():
+    logarithm = callable_from_python(series.logarithm)
+    mantissa = np.linspace(1.0, 2.0, 401)[:-1]
+    x = np.concatenate([mantissa * 2.0**exponent for exponent in range(-60, 61)])
+    ours = np.array([logarithm(value) for value in x])
+    assert np.abs(ours - np.log(x)).max() < 1e-13
+    assert logarithm(1.0) == 0.0
+    beside_1 = 1.0 + np.linspace(-1e-3, 1e-3, 101)
+    assert [logarithm(value) for value in beside_1] == pytest.approx(np.log(beside_1), rel=1e-12, abs=0)
+
+
+@pytest.mark.parametrize("near", [True, False])
+def test_the_series_are_the_closed_form(near):
+    largest = series.NEAR_RATIO if near else series.FAR_RATIO
+
+    @njit
+    def values_at(y):
+        return series.integral_series(y, near), series.slope_series(y, near)
+
+    descreening = callable_from_python(born.descreening)
+    s = 0.12
+    for ratio in np.linspace(0.05, 0.999 * largest, 40):
+        r = s / ratio
+        value, over_r = descreening(r, 0.01, s, False)
+        # The closed form loses what cancels in it: some eps / ratio^3.
+        lost = 20 * np.finfo(float).eps / ratio**3
+        integral, slope = values_at(ratio**2)
+        assert 0.5 * s**3 / r**4 * integral == pytest.approx(value, rel=lost + 6e-13)
+        assert -0.5 * s**3 / r**6 * slope == pytest.approx(over_r, rel=lost + 3e-12)
+
+
+@pytest.mark.parametrize("r", [0.05, 0.11, 0.2, 0.3, 0.7])
+def test_the_descreening_integral_is_that_of_a_sphere(r):
+    """1/(4 pi) times the integral of 1/t^4 over the part of the sphere outside the atom."""
+    radius, s = 0.14, 0.12
+    descreening = callable_from_python(born.descreening)
+
+    def inside(t):
+        """Share of the shell of radius t about the atom that lies in the sphere."""
+        if t <= s - r:
+            return 1.0
+        return np.clip((s**2 - (r - t) ** 2) / (4 * r * t), 0.0, 1.0)
+
+    ends = sorted({max(radius, abs(r - s)), max(radius, r + s)})
+    by_quadrature = quad(lambda t: inside(t) / t**2, ends[0], ends[-1], epsabs=1e-13)[0]
+    assert descreening(r, radius, s, True)[0] == pytest.approx(by_quadrature, rel=1e-9, abs=1e-12)
+    h = 1e-6
+    numeric = (descreening(r + h, radius, s, True)[0] - descreening(r - h, radius, s, True)[0]) / (2 * h)
+    assert r * descreening(r, radius, s, True)[1] == pytest.approx(numeric, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_no_bit_depends_on_what_was_compiled_first(tmp_path):
+    chain_first = "pc.build_chain(s); print(repr(float(pc.energy(s)(s.positions)[0])))"
+    energy_first = "e = pc.energy(s); print(repr(float(e(s.positions)[0]))); pc.build_chain(s)"
+    found = []
+    for name, then in (("chain", chain_first), ("energy", energy_first)):
+        program = f"import protochain as pc; s = pc.load({str(STRUCTURES / '1l2y.pdb')!r}); {then}"
+        alone = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / name)}
+        run = subprocess.run(
+            [sys.executable, "-c", program], env=alone, capture_output=True, text=True, check=True
+        )
+        found.append(run.stdout)
+    assert found[0] == found[1] != ""
+
+
+def test_a_block_is_near_up_to_where_the_far_series_of_its_largest_radius_hold():
+    s = np.full(40, 0.1)
+    s[3], s[39] = -0.3, 0.15
+    solvent = SimpleNamespace(scaled_radius=s, offset_radius=np.full(40, 0.2))
+    made = Layout(SimpleNamespace(solvent=solvent, n_atoms=40), np.full((40, 1), -1), (s, s))
+    assert made.near == pytest.approx(0.3 / 0.5)
+    assert made.block_near == pytest.approx([0.3 / 0.24, 0.15 / 0.24])
+    s[39] = 0.01
+    small = Layout(made.terms, made.groups, made.exceptions)
+    assert small.block_near == pytest.approx([0.3 / 0.24, max(0.1 / 0.24, small.near)])
+    none = Layout(SimpleNamespace(solvent=None, n_atoms=40), made.groups, made.exceptions)
+    assert none.block_near.tolist() == [none.near] * 2

@@ -1,0 +1,458 @@
+"""Mechanisms that cannot be, extremes, events, and what a run that needs none of it pays."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from fixtures.pendulum import DOWN, G, pendulum
+from fixtures.tolerances import AUDITED
+
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import (
+    Applied,
+    DormandPrince,
+    ImplicitMidpoint,
+    Leapfrog,
+    Load,
+    Rosenbrock,
+    RungeKutta4,
+    StepTooLargeError,
+)  # fmt: skip
+from protochain.mechanisms import Mechanism
+
+ORIGIN = (0, 0, 0)
+
+
+def two():
+    m = pendulum()
+    m.body("tip", 1.0, inertia=1.0)
+    return m
+
+
+def chained(*pairs):
+    m = Mechanism()
+    for name in sorted({name for pair in pairs for name in pair} - {"world"}):
+        m.body(name, 1.0, inertia=1.0)
+    for parent, child in pairs:
+        m.hinge(f"{parent}-{child}", parent, child)
+    return m
+
+
+@pytest.mark.parametrize(
+    ("act", "words"),
+    [
+        (lambda m: Mechanism().build(), "the mechanism is empty; add a body"),
+        (lambda m: Mechanism(gravity=-9.81), "gravity -9.81: give three numbers"),
+        (lambda m: m.body("rod", 1.0), 'body "rod" is named twice'),
+        (lambda m: m.body("world", 1.0), '"world" is no name for a body'),
+        (lambda m: m.body(7, 1.0), "the name 7 of a body: give a text"),
+        (lambda m: m.body("b", -1.0), 'body "b": its mass -1.0: give none below zero'),
+        (lambda m: m.body("b", np.nan), 'body "b": its mass nan: give a number, finite'),
+        (lambda m: m.body("b", "heavy"), "body \"b\": its mass 'heavy': give a number"),
+        (lambda m: m.body("b", 1.0, com=(0, 0)), 'body "b": its centre of mass'),
+        (lambda m: m.body("b", 1.0, inertia=np.eye(3) + np.eye(3, k=1)), "its inertia is not symmetric"),
+        (lambda m: m.body("b", 1.0, rotation=2 * np.eye(3)), "its rotation is none"),
+        (lambda m: m.body("b", 1.0, rotation=-np.eye(3)), "its rotation is none"),
+        (lambda m: m.hinge("pin", "rod", "tip"), 'hinge "pin" is named twice'),
+        (lambda m: m.hinge("h", "rod", "tip", axis=ORIGIN), 'hinge "h": its axis has length zero'),
+        (lambda m: m.hinge("h", "rod", "tip", "ball"), "its kind 'ball': give revolute, prismatic, screw or"),
+        (lambda m: m.hinge("h", "rod", "tip", q=np.inf), 'hinge "h": its q inf'),
+        (lambda m: m.hinge("h", "rod", "tip", "screw"), "its pitch is zero; give a pitch, or kind revolute"),
+        (lambda m: m.hinge("h", "rod", "tip", pitch=1.0), "pitch is of screws only"),
+        (lambda m: m.hinge("h", "rod", "tip", "fixed", q=1.0), "must be zero as it is fixed"),
+        (lambda m: m.spring("s", ("rod", ORIGIN), ("tip", ORIGIN), -1.0), 'spring "s": its stiffness -1.0'),
+        (lambda m: m.spring("s", ("rod", ORIGIN), ("tip", ORIGIN)), 'spring "s": it does nothing'),
+        (lambda m: m.spring("s", ("rod", ORIGIN), ("rod", DOWN), 1.0), 'both of its ends are on "rod"'),
+        (lambda m: m.spring("s", "rod", ("tip", ORIGIN), 1.0), "give its ends as"),
+        (
+            lambda m: m.spring("damping", ("rod", ORIGIN), ("tip", ORIGIN), 1.0),
+            '"damping" is no name for a spring',
+        ),
+        (lambda m: m.bushing("u", ("rod", ORIGIN), ("tip", ORIGIN), (1, 2, 3)), "give six numbers"),
+        (lambda m: m.torsion("t", "pin", damping=-1.0), 'torsion "t": its damping -1.0'),
+        (lambda m: m.load("f", "rod"), "nothing acts"),
+        (lambda m: m.load("f", "rod", force=lambda: 1), "callable of t, or of t and state"),
+        (lambda m: m.force("f", 3.0), "bind"),
+        (lambda m: m.on("e", 1.0, lambda s: None), "value must be a function"),
+    ],
+)
+def test_what_cannot_be_is_refused_where_it_is_given(act, words):
+    with pytest.raises(MechanicsError) as refusal:
+        act(two())
+    assert words in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("act", "words"),
+    [
+        (lambda m: m.hinge("h", "pod", "tip"), 'its parent "pod" is no body; there are "rod", "tip"'),
+        (lambda m: m.hinge("h", "rod", "world"), "the world cannot be a child; swap"),
+        (lambda m: m.hinge("h", "tip", "rod"), 'body "rod" has two inward hinges, "pin" and "h"'),
+        (lambda m: m.hinge("h", "tip", "tip"), 'body "tip" hangs on itself: hinge "h"'),
+        (lambda m: m.spring("s", ("rod", ORIGIN), ("top", ORIGIN), 1.0), '"s": there is no body "top"'),
+        (lambda m: m.torsion("t", "pan", 1.0), 'torsion "t": there is no hinge "pan"; there are "pin"'),
+        (lambda m: m.load("f", "top", force=DOWN), 'load "f": there is no body "top"'),
+        (lambda m: m.load("f", "world", force=DOWN), "the world does not move"),
+        (lambda m: m.torque("f", "pan", 1.0), 'torque "f": there is no hinge "pan"'),
+        (lambda m: m.drive("pan", lambda t: (0, 0, 0)), 'there is no hinge "pan"'),
+        (lambda m: m.drive("pin", lambda t: (0, 0)), 'drive of hinge "pin": at time 0 it gives (0, 0)'),
+        (lambda m: m.drive("pin", lambda t: (0, 0, 0)), "its drive begins at q = 0, qd = 0, not at those"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused_by_build(act, words):
+    m = two()
+    act(m)
+    with pytest.raises(MechanicsError) as refusal:
+        m.build()
+    assert words in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_hinges_in_a_loop_are_refused_by_name():
+    with pytest.raises(MechanicsError, match=r'hangs on itself: hinge "c-a" is part of a loop.*bushing'):
+        chained(("a", "b"), ("b", "c"), ("c", "a")).build()
+
+
+@pytest.mark.parametrize("inertia", [0.0, (1.0, 1.0, 0.0), (0.0, 1.0, 1.0)])
+def test_a_free_point_or_needle_is_refused_unless_others_resist(inertia):
+    m = Mechanism()
+    m.body("dust", 1e-9, inertia=inertia)
+    with pytest.raises(MechanicsError, match='body "dust": it is free, and nothing resists its turning'):
+        m.build()
+    m.body("tail", 1.0, com=(1, 2, 3), inertia=1.0)
+    m.hinge("h", "dust", "tail", "fixed")
+    assert m.build().simulate(0.1, 0.01).audit().energy < AUDITED
+
+
+@pytest.mark.parametrize(
+    ("motion", "words"),
+    [
+        (
+            lambda t: (np.sin(t), 2.0 * np.cos(t), -np.sin(t)),
+            "its coordinate changes by 0.9[0-9]* per time, but",
+        ),
+        (
+            lambda t: (np.sin(t), np.cos(t), np.sin(t)),
+            "its rate changes by -0.[0-9]* per time, but its accel",
+        ),
+        (lambda t: (t if t < 0.5 else np.nan, 1.0, 0.0), "it gives"),
+    ],
+)
+def test_a_drive_that_is_no_motion_is_refused(motion, words):
+    m = pendulum(q=0.0)
+    m.drive("pin", motion)
+    with pytest.raises(MechanicsError, match=f'drive of hinge "pin": at time .* {words}'):
+        m.build().simulate(1.0, 0.01)
+
+
+def test_drives_of_any_size_and_with_steps_of_acceleration_are_motions():
+    for size in (1e-6, 1.0, 1e6):
+        m = pendulum(q=0.0)
+        m.drive("pin", lambda t, a=size: (a * np.cos(t), -a * np.sin(t), -a * np.cos(t)))
+        m.build().simulate(0.1, 0.01, balance=np.inf)
+    m = pendulum(q=0.0)
+    m.drive("pin", lambda t: (0.5 * t * t, t, 1.0) if t < 0.5 else (0.125 + 0.5 * (t - 0.5), 0.5, 0.0))
+    m.build().simulate(1.0, 0.1, balance=np.inf)
+
+
+def test_a_drive_whose_first_angles_are_rounding_is_a_motion():
+    """The spin-up of Kane, Ryan, Banerjee (1987): from rest, terms of order one cancel to 1e-12 rad."""
+    share, w = 0.4, 2.0 * np.pi / 15.0
+    m = pendulum(q=0.0)
+    m.drive("pin", lambda t: (
+        share * (0.5 * t * t + (np.cos(w * t) - 1.0) / w**2), share * (t - np.sin(w * t) / w),
+        share * (1.0 - np.cos(w * t)),
+    ))  # fmt: skip
+    for step in (1e-1, 4e-3, 1e-4):
+        m.build().simulate(3.0 * step, step, balance=np.inf)
+
+
+def test_a_hinged_body_starts_by_its_hinge():
+    m = Mechanism()
+    m.body("b", 1.0, inertia=1.0, position=(0, 0, 1))
+    m.hinge("h", "world", "b")
+    with pytest.raises(MechanicsError, match=r'body "b": position is of free bodies only'):
+        m.build()
+
+
+def test_what_the_tree_refuses_is_said_by_name():
+    m = pendulum()
+    m.body("needle", 1.0, com=(0, 0, 1.0))
+    m.hinge("h", "rod", "needle", axis=(0, 0, 1))
+    with pytest.raises(MechanicsError, match=r'^body "needle": '):
+        m.build()
+    m = pendulum()
+    m.body("odd", 1.0, inertia=(1, 1, 3))
+    with pytest.raises(MechanicsError, match=r'^body "odd": its inertia is not that of any rigid body'):
+        m.build()
+
+
+def test_a_torsion_on_a_fixed_hinge_is_refused():
+    m = two()
+    m.hinge("weld", "rod", "tip", "fixed")
+    m.torsion("t", "weld", 1.0)
+    with pytest.raises(MechanicsError, match='torsion "t": hinge "weld" is fixed'):
+        m.build()
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"until": 0.0}, "until 0.0: give a finite number above 0"),
+        ({"until": np.nan}, "until nan"),
+        ({"time_step": -1e-3}, "time_step -0.001: give a finite number above 0"),
+        ({"every": 0}, "every 0: give a whole number from 1"),
+        ({"balance": -1.0}, "balance -1.0"),
+    ],
+)
+def test_arguments_of_simulate_are_checked(more, words):
+    with pytest.raises(MechanicsError, match=words):
+        pendulum().build().simulate(**{"until": 1.0, "time_step": 0.1} | more)
+
+
+def test_forces_that_are_no_numbers_are_refused_by_name():
+    m = pendulum()
+    m.load("gust", "rod", force=lambda t: (np.nan if t > 0.1 else 0.0, 0, 0))
+    with pytest.raises(MechanicsError, match=r'after time 0\.1: load "gust": its force'):
+        m.build().simulate(1.0, 0.01)
+
+
+# --- Extremes
+
+
+def oscillator(stiffness, mass, damping=0.0, qd=0.0):
+    m = Mechanism()
+    m.body("a", mass)
+    m.hinge("rail", "world", "a", "prismatic", axis=(1, 0, 0), q=0.0 if qd else 0.1, qd=qd)
+    m.torsion("s", "rail", stiffness, damping=damping)
+    return m.build()
+
+
+@pytest.mark.parametrize("mass", [1.0, 1e-9])
+@pytest.mark.parametrize("stiffness", [1.0, 1e4, 1e8, 1e12])
+def test_any_stiffness_and_mass_is_right_with_steps_that_resolve_it(stiffness, mass):
+    omega = np.sqrt(stiffness / mass)
+    run = oscillator(stiffness, mass).simulate(3.0 / omega, 0.02 / omega)
+    assert np.allclose(run.q[:, 0], 0.1 * np.cos(omega * run.time), atol=1e-9)
+    assert run.audit().energy < AUDITED
+
+
+@pytest.mark.parametrize("mass", [1.0, 1e-9])
+@pytest.mark.parametrize("stiffness", [1e8, 1e12])
+@pytest.mark.parametrize("integrator", [RungeKutta4(), Leapfrog(), Rosenbrock()])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_steps_that_resolve_no_vibration_are_refused(stiffness, mass, integrator):
+    with pytest.raises(StepTooLargeError, match=r"time step 0\.001 is too long; take a shorter one"):
+        oscillator(stiffness, mass).simulate(0.05, 1e-3, integrator)
+
+
+@pytest.mark.parametrize("damping", [1e3, 1e8, 1e12])
+def test_a_damper_of_any_stiffness_is_right_by_rosenbrock(damping):
+    """Much stiffer than the step, the body follows the force."""
+    m = Mechanism()
+    m.body("a", 1.0)
+    m.hinge("rail", "world", "a", "prismatic", axis=(1, 0, 0), qd=1.0)
+    m.torsion("d", "rail", damping=damping)
+    m.load("push", "a", force=(1.0, 0, 0))
+    run = m.build().simulate(0.1, 1e-3, Rosenbrock())
+    assert run.qd[-1, 0] * damping == pytest.approx(1.0, rel=1e-6)
+    assert run.q[-1, 0] == pytest.approx((1.0 + 0.1) / damping, rel=0.01, abs=1e-15)
+    if damping > 3e3:
+        with pytest.raises(StepTooLargeError, match="too long"):
+            m.build().simulate(0.1, 1e-3)
+
+
+def test_substeps_without_end_are_refused(monkeypatch):
+    """A stiff damper keeps explicit substeps short, however little moves; the true number takes seconds."""
+    monkeypatch.setattr("protochain.mechanics.motion.substeps._MOST", 1000)
+    model = oscillator(0.0, 1.0, damping=1e8, qd=1.0)
+    with pytest.raises(StepTooLargeError, match=r"1000 substeps make only 0\.000\d of .*Rosenbrock\(\)"):
+        model.simulate(0.1, 0.1, DormandPrince())
+    assert model.simulate(0.1, 0.1, Rosenbrock()).qd[-1, 0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_reason_why_no_substep_is_taken_is_said():
+    m = Mechanism()
+    m.body("wheel", 1.0, inertia=1.0, spin=(0, 0, 10.0))
+    m.bushing("soft", ("wheel", ORIGIN), ("world", ORIGIN), stiffness=1.0)
+    with pytest.raises(StepTooLargeError, match=r'accurate .bushing "soft": it is turned by half a turn'):
+        m.build().simulate(1.0, 0.01, DormandPrince())
+
+
+def test_balance_says_what_is_no_error():
+    model = oscillator(1e8, 1.0)
+    with pytest.raises(StepTooLargeError):
+        model.simulate(0.05, 1e-3, Rosenbrock())
+    run = model.simulate(0.05, 1e-3, Rosenbrock(), balance=np.inf)
+    assert run.audit().energy == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_stiff_spring_that_holds_little_energy_is_damped_by_rosenbrock():
+    """A cart on a stiff spring under its weight: what vibrates is a trace, and goes; it rests at m g / k."""
+    m = Mechanism(gravity=DOWN)
+    m.body("a", 1.0)
+    m.hinge("rail", "world", "a", "prismatic", axis=(0, 0, 1))
+    m.torsion("s", "rail", stiffness=1e12)
+    m.body("b", 1.0, velocity=(1.0, 0, 0), inertia=1.0)
+    run = m.build().simulate(0.1, 1e-3, Rosenbrock())
+    assert run.q[-1, run.model.bodies.freedom("rail")[0]] == pytest.approx(-G / 1e12, rel=1e-6)
+
+
+def test_a_turning_point_at_every_look_is_no_error():
+    """Nothing moves at the rows that are looked at: the energy in motion is that of the rows between."""
+    period = 2.0 * np.pi
+    run = oscillator(1.0, 1.0).simulate(2.0 * period, period / 256.0)
+    assert run.audit().energy < 1e-4
+
+
+# --- Events, and going on
+
+
+def test_events_happen_and_their_energy_is_counted():
+    """A ball that bounces with restitution 0.8; the row of an event is that after its jump."""
+    m = Mechanism(gravity=DOWN)
+    m.body("ball", 2.0)
+    m.hinge("drop", "world", "ball", "prismatic", axis=(0, 0, 1), q=1.0)
+    m.on("floor", lambda s: s.angle("drop"), lambda s: -0.8 * s.qd)
+    marks = []
+    m.on("half", lambda s: s.point("ball")[2] - 0.5, lambda s: marks.append(s.t), passes=True)
+    run = m.build().simulate(1.4, 0.01)
+    first = np.sqrt(2.0 / G)
+    assert [event.name for event in run.events] == ["half", "floor", "half", "floor"]
+    times = [np.sqrt(1.0 / G), first, first * 1.8 + np.sqrt(2.0 * (0.64 - 0.5) / G), first * 2.6]
+    assert np.allclose([event.time for event in run.events], times, atol=1e-9)
+    assert np.allclose(marks, [times[0], times[2]], atol=1e-9)
+    lost = 2.0 * G * np.array([0.0, -0.36, 0.0, -0.36 * 0.64])
+    assert np.allclose([event.energy for event in run.events], lost, atol=1e-9)
+    assert run.table["events"].iloc[-1] == pytest.approx(np.sum(lost))
+    assert run.audit().energy < AUDITED
+    assert np.any(np.isclose(run.time, first, atol=1e-12))
+    assert np.all(np.diff(run.time) > 0.0)
+
+
+@pytest.mark.parametrize("passes", [True, False])
+def test_momentum_is_audited_past_marks_but_not_after_strikes(passes):
+    m = Mechanism()
+    m.body("ball", 1.0, inertia=1.0, velocity=(-1.0, 0, 0), position=(0.25, 0, 0))
+    m.on("wall", lambda s: s.point("ball")[0], lambda s: None if passes else -s.qd, passes=passes)
+    run = m.build().simulate(0.5, 0.1)
+    assert [event.name for event in run.events] == ["wall"]
+    assert (run.audit().momentum is not None) == passes
+    assert run.momenta[-1, 0, 0] == pytest.approx(-1.0 if passes else 1.0)
+
+
+def test_a_jump_that_is_none_or_no_velocities():
+    m = pendulum(q=0.5)
+    m.on("down", lambda s: s.angle("pin"), lambda s: (1.0, 2.0))
+    with pytest.raises(MechanicsError, match='event "down": its jump must give 1 finite velocities'):
+        m.build().simulate(2.0, 0.05)
+    m = pendulum(q=0.5)
+    m.on("down", lambda s: float("nan"), lambda s: None)
+    with pytest.raises(MechanicsError, match='event "down": its value is not a number at time'):
+        m.build().simulate(2.0, 0.05)
+
+
+def test_a_run_goes_on_where_it_ended():
+    m = pendulum()
+    m.load("push", "rod", (0, 0, -1), lambda t: (np.sin(5.0 * t), 0, 0))
+    m.torsion("t", "pin", damping=0.1)
+    model = m.build()
+    whole = model.simulate(1.0, 1 / 128)
+    half = model.simulate(0.5, 1 / 128)
+    rest = model.simulate(1.0, 1 / 128, start=half.end)
+    assert np.array_equal(rest.q[-1], whole.q[-1])
+    assert np.array_equal(rest.work[-1], whole.work[-1])
+    assert rest.audit().energy < AUDITED
+
+
+def test_every_keeps_the_end():
+    run = pendulum().build().simulate(1.0, 0.01, every=30)
+    assert np.allclose(run.time, [0.0, 0.3, 0.6, 0.9, 1.0])
+    assert np.array_equal(run.q[-1], pendulum().build().simulate(1.0, 0.01).q[-1])
+
+
+def test_every_with_events_keeps_their_rows_too():
+    m = pendulum(q=0.0, qd=1.0)
+    m.on("mark", lambda s: 0.15 - s.angle("pin"), lambda s: None, passes=True)
+    run = m.build().simulate(0.5, 1 / 32, every=6)
+    assert len(run.events) == 1
+    happened = run.events[0].time
+    assert 4 / 32 < happened < 6 / 32
+    assert np.allclose(run.time[:2], [0.0, happened])
+    # The step with the event is cut in two, so that steps no longer end at multiples of their length.
+    assert run.time[2] == pytest.approx(happened + (6 - int(32 * happened)) / 32, abs=1e-12)
+    assert np.allclose(np.diff(run.time[2:-1]), 6 / 32)
+    assert run.time[-1] == pytest.approx(0.5, abs=1e-12)
+
+
+# --- What costs nothing unused
+
+
+def test_a_scene_without_loads_is_the_bare_integrator():
+    """As many evaluations as of the integrator's own steps, and the same bits."""
+    model, counts = pendulum().build(), []
+    potential = model.system.potential
+
+    def counted(q, factors):
+        counts.append(1)
+        return potential(q, factors)
+
+    object.__setattr__(model.system, "potential", counted)
+    start = model.start()
+    counts.clear()
+    at = start
+    for _ in range(64):
+        at = RungeKutta4().step(model.system, at, 1 / 64)
+    bare = len(counts)
+    counts.clear()
+    run = model.simulate(1.0, 1 / 64, start=start)
+    assert len(counts) == bare
+    assert np.array_equal(run.q[-1], at.q)
+    assert (model.loads, model.drive, model.events, run.end.loads) == ((), None, (), None)
+
+
+@pytest.mark.parametrize("load", ["torsion", "load", "torque", "force"])
+def test_only_the_leapfrog_refuses_what_depends_on_velocity(load):
+    m = pendulum()
+    if load == "torsion":
+        m.torsion("t", "pin", damping=1.0)
+    if load == "load":
+        m.load("t", "rod", force=lambda t, s: -s.velocity("rod"))
+    if load == "torque":
+        m.torque("t", "pin", lambda t, s: -s.rate("pin"))
+    if load == "force":
+        m.force("t", Load(lambda t, q, qd, frames: Applied(torques=-qd)))
+    with pytest.raises(MechanicsError, match="velocities"):
+        m.build().simulate(0.1, 0.01, Leapfrog())
+    m = pendulum()
+    m.torque("t", "pin", lambda t: np.sin(t))
+    assert m.build().simulate(0.1, 0.01, Leapfrog()).audit().energy < 1e-3
+
+
+@pytest.mark.parametrize(
+    "integrator", [DormandPrince(1e-10), ImplicitMidpoint(), Leapfrog(), Rosenbrock(1e-7)]
+)
+def test_integrators_agree(integrator):
+    model = pendulum(q=1.0).build()
+    exact = model.simulate(0.5, 1e-3)
+    run = model.simulate(0.5, 1e-3, integrator, every=500)
+    assert abs(run.q[-1, 0] - exact.q[-1, 0]) < 1e-5
+
+
+def test_proteins_import_none_of_it():
+    code = (
+        "import sys, protochain, protochain.cli, protochain.dynamics; protochain.minimise, protochain.batch; "
+        "print([m for m in sys.modules if m.startswith(('protochain.mechanisms', 'protochain.scenes'))])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_mechanisms_know_nothing_of_proteins():
+    code = "import sys, protochain.mechanisms; print(list(sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "openmm" not in loaded and "'pandas'" not in loaded
+    for part in ("structure", "energies", "chain", "dynamics", "minimisers"):
+        assert f"'protochain.{part}" not in loaded

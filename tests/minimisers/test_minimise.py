@@ -1,0 +1,371 @@
+import json
+import signal
+from importlib.metadata import version
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from fixtures.oracles import angle_triples, angles, bond_lengths
+from fixtures.samples import SAMPLES, STRUCTURES, chain, energy, load
+from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD
+
+import protochain as pc
+from protochain.cli import main
+from protochain.contacts import overlaps
+from protochain.minimisers import KCM, LBFGS, METHODS, Descent, Status, StrongWolfe
+from protochain.minimisers.lbfgs import quasi_newton
+from protochain.minimisers.loop import Stop, run
+from protochain.minimisers.problem import Evaluation, Problem
+from protochain.minimisers.solution import TRACE_COLUMNS
+from protochain.minimisers.spaces import Positions, Torsions
+from protochain.minimisers.steps import Fixed
+from protochain.minimisers.verdict import verdict
+from protochain.structure.chirality import changed_hands
+from protochain.structure.superpose import superpose
+
+MAIN = ("kcm", "lbfgs", "cartesian", "hybrid", "openmm")
+"""The methods users meet first; the others are run on fewer structures."""
+
+
+class Wrapped:
+    """An energy with something wrong with it; its judge is the honest one."""
+
+    def __init__(self, inner, spoil):
+        self.inner, self.spoil, self.calls = inner, spoil, 0
+
+    def __getattr__(self, name):
+        return getattr(self.inner, name)
+
+    def without_constants(self, groups, x):
+        return self
+
+    def __call__(self, x):
+        self.calls += 1
+        return self.spoil(self.calls, *self.inner(x))
+
+
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [(name, method) for name in SAMPLES for method in (METHODS if name == "1l2y.pdb" else MAIN)],
+)
+def test_every_method_lowers_the_energy_of_every_sample(name, method):
+    # Annealing climbs before it descends.
+    r = pc.minimise(chain(name), energy(name), method, max_evaluations=2100 if method == "anneal" else 60)
+    assert r.end.energy < r.start.energy
+    assert np.isfinite(r.x).all() and np.isfinite(r.energy)
+    assert r.end.energy == pytest.approx(energy(name).reference(r.x)[0], abs=1e-6)
+    assert list(r.trace.columns) == list(TRACE_COLUMNS)
+    assert r.trace["energy_kj_mol"].iloc[0] == pytest.approx(r.start.energy, rel=1e-5)
+    assert r.trace["evaluations"].is_monotonic_increasing and r.trace["seconds"].is_monotonic_increasing
+    assert r.trace["ca_rmsd_angstrom"].iloc[0] < 1e-6
+    assert np.allclose(pc.pose(pc.build_chain(r.structure), pc.build_chain(r.structure).q0).x, r.x, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["kcm", "lbfgs"])
+@pytest.mark.parametrize("name", ["1l2y.pdb", "3i40.pdb"])
+def test_a_torsion_space_result_keeps_bond_lengths_and_angles(name, method):
+    r = pc.minimise(chain(name), energy(name), method, max_evaluations=150)
+    s = r.chain.structure
+    cut = {tuple(pair) for pair in r.chain.loops.tolist()}
+    bonds = np.array([pair for pair in s.bonds.tolist() if tuple(pair) not in cut])
+    triples = angle_triples(bonds)
+    assert r.ca_rmsd_angstrom > 0.01
+    assert np.abs(bond_lengths(bonds, r.x) - bond_lengths(bonds, s.positions)).max() < GEOMETRY_NM
+    assert np.abs(angles(triples, r.x) - angles(triples, s.positions)).max() < GEOMETRY_RAD
+    assert np.allclose(superpose(pc.pose(r.chain, r.q).x, r.x), r.x, atol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "openmm"])
+def test_converged_means_converged_in_double_precision(method):
+    name = "1l2y.pdb"
+    r = pc.minimise(chain(name), energy(name), method, tolerance=1.0)
+    assert r.status == Status.CONVERGED and r.message.startswith("converged: ")
+    value, forces = energy(name).reference(r.x)
+    if method == "lbfgs":
+        c = pc.build_chain(r.structure)
+        size = np.abs(pc.pull_back(c, pc.pose(c, c.q0), forces)).max()
+        assert size == pytest.approx(r.end.max_torque, rel=1e-4)
+    else:
+        size = np.sqrt(np.mean(forces**2))
+        assert size == pytest.approx(r.end.rms_force, rel=1e-9)
+    assert size <= 1.0
+    assert value == pytest.approx(r.end.energy, abs=1e-6)
+
+
+def test_a_tolerance_below_single_precision_is_still_met():
+    single = energy("1l2y.pdb", engine="openmm")
+    r = pc.minimise(chain("1l2y.pdb"), single, "lbfgs", tolerance=0.01)
+    assert r.status == Status.CONVERGED and r.end.max_torque <= 0.01
+
+
+def test_an_engine_that_lies_about_its_forces_is_not_believed():
+    liar = Wrapped(energy("1l2y.pdb", engine="openmm"), lambda calls, value, f: (value, 1e-9 * f))
+    for budget in (1, 5):
+        r = pc.minimise(chain("1l2y.pdb"), liar, "lbfgs", max_evaluations=budget)
+        assert r.status == Status.BUDGET and r.message.startswith(f"budget: {budget} evaluations")
+        assert r.end.max_torque > 100
+
+
+def test_an_engine_that_climbs_is_caught_and_the_start_returned():
+    climber = Wrapped(energy("1l2y.pdb"), lambda calls, value, f: (-value, -f))
+    r = pc.minimise(chain("1l2y.pdb"), climber, "kcm", max_evaluations=20)
+    assert r.trace["energy_kj_mol"].iloc[-1] < r.trace["energy_kj_mol"].iloc[0]
+    assert r.end == r.start and np.array_equal(r.x, pc.pose(chain("1l2y.pdb"), chain("1l2y.pdb").q0).x)
+
+
+def test_kcm_is_as_published():
+    c, e = chain("1l2y.pdb"), energy("1l2y.pdb").reference
+    problem = Problem(Torsions(c), e, 100)
+    points = []
+    run(problem, Descent(KCM(), Fixed(0.002)), c.q0, 1e-6, 1000, points.append)
+    assert len(points) == problem.n_evaluations == 100
+    for before, after in pairwise(points):
+        turn = after.q - before.q
+        assert np.abs(turn).max() == pytest.approx(0.002, rel=1e-9)
+        assert np.allclose(turn, 0.002 * before.torque / np.abs(before.torque).max(), atol=1e-14)
+
+
+def test_the_two_loop_recursion_is_the_dense_bfgs_inverse():
+    rng = np.random.default_rng(0)
+    n, root = 6, rng.normal(size=(6, 6))
+    hessian = root @ root.T + np.eye(n)
+    steps = rng.normal(size=(4, n))
+    pairs = tuple((s, hessian @ s, s @ hessian @ s) for s in steps)
+    s, y, _ = pairs[-1]
+    inverse = (s @ y) / (y @ y) * np.eye(n)
+    for s, y, _ in pairs:
+        left = np.eye(n) - np.outer(s, y) / (s @ y)
+        inverse = left @ inverse @ left.T + np.outer(s, s) / (s @ y)
+    torque = rng.normal(size=n)
+    assert np.allclose(quasi_newton(torque, pairs), inverse @ torque, rtol=1e-10)
+    assert np.array_equal(quasi_newton(torque, ()), torque)
+
+
+def test_a_line_search_meets_the_strong_wolfe_conditions():
+    c = chain("1l2y.pdb")
+    problem = Problem(Torsions(c), energy("1l2y.pdb").reference, 50)
+    at = problem.evaluate(c.q0)
+    direction = 1e-4 * at.torque / at.residual
+    length, found, _ = StrongWolfe().step(problem, at, direction, None)
+    slope = -at.torque @ direction
+    assert found.energy <= at.energy + 1e-4 * length * slope
+    assert abs(found.torque @ direction) <= 0.9 * abs(slope)
+    assert np.allclose(found.q, problem.move(at.q, length * direction))
+
+
+def test_lbfgs_never_accepts_a_higher_energy():
+    c = chain("1ejg.pdb")
+    points = []
+    run(
+        Problem(Torsions(c), energy("1ejg.pdb"), 60),
+        Descent(LBFGS(), StrongWolfe()),
+        c.q0,
+        1e-3,
+        1000,
+        points.append,
+    )
+    values = [point.energy for point in points]
+    assert len(values) > 40 and all(b < a for a, b in pairwise(values))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("budget", [1, 2, 3])
+def test_a_tiny_budget_gives_a_result_no_worse_than_the_start(method, budget):
+    r = pc.minimise(chain("1vii.pdb"), energy("1vii.pdb"), method, max_evaluations=budget)
+    assert r.end.energy <= r.start.energy
+    assert r.status in (Status.BUDGET, Status.CLASH)
+    assert r.n_evaluations == r.trace["evaluations"].iloc[-1] == budget or method != "kcm"
+    assert r.n_evaluations <= budget and len(r.trace) >= 1
+
+
+def test_the_budget_is_kept_to_the_last_evaluation():
+    counted = Wrapped(energy("1l2y.pdb"), lambda calls, value, f: (value, f))
+    r = pc.minimise(chain("1l2y.pdb"), counted, "lbfgs", max_evaluations=19)
+    assert r.n_evaluations == 19 and r.status == Status.BUDGET and "19 evaluations" in r.message
+    # Two before the clock starts, one for the energy reported.
+    assert counted.calls == 19 + 3
+
+
+def test_a_fixed_step_that_is_too_long_stalls_and_returns_the_start():
+    c, e = chain("1hel.pdb"), energy("1hel.pdb")
+    problem = Problem(Torsions(c), e, 200)
+    ending = run(problem, Descent(KCM(), Fixed(0.5)), c.q0, 1.0, 20, lambda at: None)
+    assert ending.stop is Stop.CIRCLING
+    assert problem.best.energy == pytest.approx(e(c.structure.positions)[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("method", ["kcm", "lbfgs"])
+def test_a_run_that_meets_no_number_goes_on_in_double_precision(method):
+    single = energy("1l2y.pdb", engine="openmm")
+    spoilt = Wrapped(single, lambda calls, value, f: (value, f if calls < 12 else f * np.nan))
+    r = pc.minimise(chain("1l2y.pdb"), spoilt, method, max_evaluations=300)
+    assert np.isfinite(r.x).all() and r.end.energy < r.start.energy
+    assert r.status == (Status.BUDGET if method == "kcm" else Status.CONVERGED)
+
+
+@pytest.mark.parametrize("method", ["kcm", "lbfgs"])
+def test_a_run_without_numbers_keeps_the_best_before(method):
+    def spoil(calls, value, f):
+        return value, f if calls < 12 else f * np.nan
+
+    spoilt = Wrapped(energy("1l2y.pdb", engine="openmm"), spoil)
+    spoilt.reference = Wrapped(energy("1l2y.pdb").reference, spoil)
+    r = pc.minimise(chain("1l2y.pdb"), spoilt, method, max_evaluations=300)
+    assert np.isfinite(r.x).all() and r.end.energy < r.start.energy
+    assert r.status == (Status.NON_FINITE if method == "kcm" else Status.STALLED)
+    assert r.n_evaluations < 300
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_interrupt_returns_the_best_so_far(method):
+    def watch(row, x):
+        if row["iteration"] == 8:
+            raise KeyboardInterrupt
+
+    r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), method, watch=watch)
+    assert r.status == Status.INTERRUPTED and r.message.startswith("interrupted after")
+    # Annealing climbs before it descends: so far the start is best.
+    assert r.end.energy < r.start.energy or (method == "anneal" and r.end.energy == r.start.energy)
+    assert len(r.trace) == 9
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_signal_ends_a_run(method, signals):
+    def watch(row, x):
+        if row["iteration"] == 8:
+            signal.raise_signal(signal.SIGTERM)
+
+    r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), method, watch=watch)
+    assert r.status == Status.INTERRUPTED and len(r.trace) <= 10
+
+
+def test_what_is_written_says_where_it_came_from(tmp_path):
+    r = pc.minimise(chain("1ejg.pdb"), energy("1ejg.pdb"), "lbfgs", max_evaluations=3)
+    for name in ("out.pdb", "out.cif"):
+        r.save(tmp_path / name)
+        text = " ".join((tmp_path / name).read_text().split())
+        assert "METHOD lbfgs" in text and f"OPENMM {version('openmm')}" in text
+        assert "residue 22 PRO of chain A: alternate location A kept" in text.replace(" REMARK 3", "")
+        assert pc.load(tmp_path / name).repairs == ()
+
+
+def test_a_signal_after_the_last_step_changes_nothing(signals, monkeypatch, tmp_path):
+    def interrupted(what):
+        def call(*given):
+            signal.raise_signal(signal.SIGINT)
+            return what(*given)
+
+        return call
+
+    monkeypatch.setattr("protochain.minimisers.api.verdict", interrupted(verdict))
+    monkeypatch.setattr(pc.Solution, "save", interrupted(pc.Solution.save))
+    source, output = str(STRUCTURES / "ala10.pdb"), tmp_path / "out.pdb"
+    monkeypatch.setattr("sys.argv", ["protochain", "minimise", source, "-o", str(output)])
+    with pytest.raises(SystemExit, match="0"):
+        main()
+    assert output.exists()
+
+
+@pytest.mark.filterwarnings("ignore::protochain.core.errors.StrayWarning")
+@pytest.mark.parametrize("method", METHODS)
+def test_atoms_on_top_of_one_another_give_no_nan_and_a_verdict_that_names_them(method):
+    c = chain("1l2y.pdb")
+    s = c.structure
+    q = c.q0.copy()
+    # Turn one side chain and one phi until atoms overlap badly.
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        q = c.q0 + rng.uniform(-1.5, 1.5, c.n_q)
+        crowded = s.with_positions(pc.pose(c, q).x)
+        if overlaps(crowded, crowded.positions):
+            break
+    else:
+        pytest.fail("nothing overlaps")
+    e = energy("1l2y.pdb")
+    start = pc.build_chain(crowded)
+    r = pc.minimise(start, e, method, max_evaluations=6)
+    assert np.isfinite(r.x).all() and r.end.energy <= r.start.energy
+    # All atoms may move through one another: then the hand that changed is named first.
+    assert (r.status in (Status.CLASH, Status.INVERTED)) == bool(overlaps(crowded, r.x))
+    assert (r.status == Status.INVERTED) == bool(changed_hands(crowded, r.x, crowded.positions))
+    at_once = pc.minimise(start, e, method, max_evaluations=1)
+    assert at_once.status == Status.CLASH
+    assert "angstrom apart" in at_once.message and "of residue" in at_once.message
+    longer = pc.minimise(start, e, method, max_evaluations=400)
+    assert longer.end.energy < r.start.energy and np.isfinite(longer.trace["energy_kj_mol"]).all()
+
+
+@pytest.mark.filterwarnings("ignore::protochain.core.errors.StrayWarning")
+@pytest.mark.parametrize("method", METHODS)
+def test_atoms_at_one_point_end_in_a_verdict(method):
+    s = load("ala10.pdb")
+    x = s.positions.copy()
+    x[s.n_atoms - 3] = x[0]
+    c = pc.build_chain(s.with_positions(x))
+    r = pc.minimise(c, energy("ala10.pdb"), method, max_evaluations=50)
+    assert r.status in (Status.CLASH, Status.NON_FINITE) or r.end.energy < r.start.energy
+    assert np.isfinite(r.x).all()
+    json.dumps(r.record(), allow_nan=False)
+
+
+def test_a_line_search_goes_on_towards_a_wall():
+    class Wall:
+        """Falls by 1 for every unit until a wall at 1e-6."""
+
+        def move(self, q, step):
+            return q + step
+
+        def evaluate(self, q):
+            inside = q[0] < 1e-6
+            energy, torque = (-q[0], 1.0) if inside else (1e9 * (q[0] + 1) ** 3, -3e9 * (q[0] + 1) ** 2)
+            return Evaluation(Positions(q), float(energy), np.array([torque]), abs(torque))
+
+    wall = Wall()
+    length, found, _ = StrongWolfe().step(wall, wall.evaluate(np.zeros(1)), np.array([0.5]), None)
+    assert 0 < 0.5 * length < 1e-6 and found.energy < 0
+
+
+def test_overlaps_are_found_by_distance_and_bonds():
+    s = load("1l2y.pdb")
+    assert not overlaps(s, s.positions)
+    x = s.positions.copy()
+    far = np.flatnonzero((s.atom_residue == 17) & (s.atom_name == "CG"))[0]
+    x[far] = x[0] + [0.05, 0.0, 0.0]
+    named = str(overlaps(s, x)[0])
+    assert "atom CG of residue 18 PRO of chain A" in named and "atom N of residue 1 ASN of chain A" in named
+    assert "0.50 angstrom apart" in named
+
+
+def test_a_start_at_the_minimum_is_recognised_at_once():
+    once = pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", tolerance=0.1)
+    assert once.status == Status.CONVERGED
+    again = pc.minimise(pc.build_chain(once.structure), energy("ala10.pdb"), "lbfgs", tolerance=0.2)
+    assert again.status == Status.CONVERGED and again.n_iterations == 0 and again.ca_rmsd_angstrom < 1e-6
+
+
+def test_a_file_a_structure_or_a_chain_may_be_given():
+    by_file = pc.minimise(STRUCTURES / "ala10.pdb", max_evaluations=5)
+    by_structure = pc.minimize(load("ala10.pdb"), max_evaluations=5)
+    assert by_file.method == by_structure.method == "cartesian"
+    assert by_file.end.energy == pytest.approx(by_structure.end.energy, abs=1e-2)
+
+
+@pytest.mark.parametrize("method", MAIN)
+def test_one_thread_gives_the_same_bits_twice(method):
+    one = pc.energy(load("1l2y.pdb"), threads=1)
+    first, second = (pc.minimise(chain("1l2y.pdb"), one, method, max_evaluations=120) for _ in range(2))
+    assert np.array_equal(first.x, second.x) and first.end == second.end
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"method": "magic"}, "method 'magic' is not known; choose from kcm, kcm-2norm"),
+        ({"tolerance": 0.0}, "tolerance 0: give a number above 0, at most 1e6"),
+        ({"tolerance": float("nan")}, "tolerance nan"),
+        ({"max_evaluations": 0}, "at least 1"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(options, word):
+    with pytest.raises(pc.ProtochainError, match=word):
+        pc.minimise(chain("ala10.pdb"), **options)

@@ -1,0 +1,344 @@
+"""Methods by name: what each runs, in which space, on which energy."""
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from fixtures.molecules import crowded
+from fixtures.samples import chain, energy
+
+import protochain as pc
+from protochain.minimisers import METHODS, RECIPES, Recipe, Run, recipe_of
+from protochain.minimisers.annealing import Annealing, AnnealingState
+from protochain.minimisers.curvature import near_terms
+from protochain.minimisers.descent import Descent, DescentState
+from protochain.minimisers.fire import Fire, FireState
+from protochain.minimisers.kcm import KCM, Proportional, by_largest, by_length, by_sign
+from protochain.minimisers.lbfgs import LBFGS
+from protochain.minimisers.loop import Stop
+from protochain.minimisers.metrics import Damped, Euclidean, Mass, Stiffness
+from protochain.minimisers.newton import Newton, PseudoTransient, PseudoTransientState
+from protochain.minimisers.parting import FIRM, once_ordinary
+from protochain.minimisers.restraints import SOFT_TETHER, Bound, Given, Hold, SoftRepulsion, Tethers
+from protochain.minimisers.spaces import spaces
+from protochain.minimisers.stages import PATIENCE, Stage, last, lowest
+from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
+
+TURNING = {
+    "kcm": (Descent(KCM(Euclidean(), by_largest), Fixed(0.0005)), False),
+    "kcm-2norm": (Descent(KCM(Euclidean(), by_length), Fixed(0.002)), False),
+    "kcm-sign": (Descent(KCM(Euclidean(), by_sign), AcceptReject(0.0005)), False),
+    "kcm-proportional": (Descent(Proportional(0.25, 8), Fixed(1.0)), False),
+    "kcm-decaying": (Descent(KCM(), Decaying(0.002, 200.0)), False),
+    "kcm-adaptive": (Descent(KCM(), AcceptReject(0.0005)), False),
+    "kcm-armijo": (Descent(KCM(), Armijo(0.0005, 5)), False),
+    "kcm-transient": (PseudoTransient(), False),
+    "kcm-metric": (Descent(KCM(Mass(1)), AcceptReject(0.0005, 1.2, 0.5)), False),
+    "kcm-stiffness": (Descent(KCM(Stiffness(20)), AcceptReject(0.0005)), False),
+    "fire": (Fire(), False),
+    "quench": (Fire(mixing=1.0, fade=1.0), False),
+    "newton": (Descent(Newton(), StrongWolfe()), True),
+}
+"""Methods in torsions: what runs, and whether overlaps are parted before."""
+TYPICAL = {"newton": 400, "lbfgs": 50}
+"""Evaluations they usually take; the others use up all there are."""
+NEAR = Descent(LBFGS(Stiffness(5), 5), StrongWolfe())
+BY_LBFGS = Run(NEAR, by_springs=Descent(LBFGS(Stiffness(20), 100), StrongWolfe()))
+ALL_ATOMS = Run(NEAR, in_torsions=False, by_springs=Descent(LBFGS(Stiffness(40), 100), StrongWolfe()))
+NEARBY = replace(ALL_ATOMS, method=Descent(LBFGS(Damped(5, 300.0), 5), StrongWolfe()))
+"""The default: what all atoms do, damped in proportion to the RMS force."""
+
+
+def test_each_method_in_torsions_is_as_documented():
+    for name, (method, parts) in TURNING.items():
+        expected = Run(method, True, None, 500, lowest, True)
+        assert RECIPES[name] == Recipe(name, (expected,), parts, False, False, TYPICAL.get(name, 0))
+
+
+def test_lbfgs_is_fitted_to_the_near_terms_and_without_them_to_springs():
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    for name, runs in (("lbfgs", [BY_LBFGS]), ("hybrid", [BY_LBFGS, ALL_ATOMS])):
+        known = RECIPES[name].plan(c, e, e, 2.0, Hold(), 0)
+        assert [stage.method for stage in known] == [run.method for run in runs]
+        assert [stage.space.terms for stage in known] == [near_terms(e)] * len(runs)
+        assert [stage.method for stage in plan_of(RECIPES[name], c)] == [run.by_springs for run in runs]
+
+
+def test_dynamics_run_to_their_end_and_end_in_a_minimum():
+    for name, method, random in (
+        ("md", Annealing(0.0, 1000, 10.0, 0.004, 0), False),
+        ("anneal", Annealing(600.0, 2000, 10.0, 0.004, 0), True),
+    ):
+        moved = Run(method, True, 0.0, method.n_steps, last, False)
+        assert RECIPES[name] == Recipe(name, (moved, BY_LBFGS), True, random, False, method.n_steps + 50)
+
+
+def test_the_other_methods_are_as_documented():
+    expected = (
+        Recipe("lbfgs", (BY_LBFGS,), True, typical=TYPICAL["lbfgs"]),
+        Recipe("cartesian", (NEARBY,), True, typical=100),
+        Recipe("hybrid", (replace(BY_LBFGS, tolerance=300.0), ALL_ATOMS), True, typical=100),
+        Recipe("openmm", (), False, False, True, 1500),
+        Recipe("openmm-md", (), False, True, True, 3000),
+    )
+    for recipe in expected:
+        assert RECIPES[recipe.name] == recipe
+    assert set(METHODS) == {*TURNING, "md", "anneal", *(recipe.name for recipe in expected)}
+    assert list(RECIPES) == list(METHODS)
+
+
+def test_a_recipe_says_what_moves_and_which_states_it_has():
+    turned, moved = Run(Fire()), Run(Fire(), in_torsions=False)
+    for runs, keeps, turns in (
+        ((turned,), True, True), ((moved,), False, False), ((turned, moved), False, True), ((), True, False),
+    ):  # fmt: skip
+        recipe = Recipe("own", runs)
+        assert (recipe.keeps_geometry, recipe.in_torsions) == (keeps, turns)
+        assert not Recipe("own", runs, by_openmm=True).keeps_geometry
+    states = (AnnealingState, FireState, DescentState, PseudoTransientState)
+    all_of_them = (Annealing(), Fire(), BY_LBFGS.method, PseudoTransient())
+    assert Recipe("own", tuple(map(Run, all_of_them))).states == states
+    assert Recipe("own", (Run(Fire()), Run(object()))).states == () == RECIPES["openmm"].states
+
+
+@pytest.mark.parametrize(
+    ("engine", "threads", "by_openmm", "in_order"),
+    [
+        ("native", 1, False, True), ("native", 2, False, True), ("native", 1, True, True),
+        ("native", 2, True, False), ("openmm", 1, False, True), ("openmm", 2, False, False),
+    ],
+)  # fmt: skip
+def test_runs_repeat_exactly_where_sums_are_in_order_and_nothing_is_drawn(
+    engine, threads, by_openmm, in_order
+):
+    energy = SimpleNamespace(engine=engine, threads=threads)
+    assert Recipe("own", by_openmm=by_openmm).repeats_exactly(energy) is in_order
+    assert Recipe("own", by_openmm=by_openmm, draws_random=True).repeats_exactly(energy) is False
+
+
+def test_openmms_methods_need_a_system():
+    without = SimpleNamespace(system=None)
+    with pytest.raises(pc.ProtochainError) as refusal:
+        RECIPES["openmm"].check(without)
+    assert str(refusal.value) == (
+        "method 'openmm' needs an OpenMM System, and a callable has none; choose another"
+    )
+    RECIPES["openmm"].check(SimpleNamespace(system="some"))
+    RECIPES["lbfgs"].check(without)
+
+
+def plan_of(recipe, c, hold=None, tolerance=2.0, seed=7, exact=True):
+    whole, reduced = (
+        SimpleNamespace(is_exact=exact, name=name, reference=name) for name in ("whole", "reduced")
+    )
+    return recipe.plan(c, whole, reduced, tolerance, hold or Hold(), seed)
+
+
+def test_a_plan_is_of_the_recipes_runs_in_their_spaces_on_their_energies():
+    c = chain("ala10.pdb")
+    torsions, atoms = spaces(c)
+    first, second = plan_of(RECIPES["hybrid"], c)
+    assert (first.space, first.energy.name, first.tolerance) == (torsions, "reduced", 300.0)
+    assert (second.space, second.energy.name, second.tolerance) == (atoms, "whole", 2.0)
+    assert (first.method, second.method) == (BY_LBFGS.by_springs, ALL_ATOMS.by_springs)
+    assert (first.name, second.name) == ("torsions", "all atoms")
+    for stage in (first, second):
+        assert stage.restraint is None and stage.recorded and stage.after == ()
+        assert (stage.patience, stage.answer) == (PATIENCE, lowest)
+    moved, quenched = plan_of(RECIPES["anneal"], c)
+    assert (moved.tolerance, moved.patience, moved.answer) == (0.0, 2000, last)
+    # The seed is that of the run.
+    assert moved.method == Annealing(600.0, 2000, seed=7) and quenched.tolerance == 2.0
+
+
+def test_single_precision_goes_on_in_double_where_the_recipe_says_so():
+    c = chain("ala10.pdb")
+    stages = plan_of(RECIPES["anneal"], c, exact=False)
+    assert [getattr(stage.energy, "name", stage.energy) for stage in stages] == ["reduced"] * 3
+    ends = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
+    assert [stage.after for stage in stages] == [(), (), ends] and stages[2].energy == "reduced"
+    assert stages[2].method == BY_LBFGS.by_springs and stages[2].tolerance == 2.0
+
+
+def test_the_last_run_is_repeated_for_each_restraint():
+    c = chain("ala10.pdb")
+    hold = Hold((100.0, 10.0, 0.0))
+    stages = plan_of(RECIPES["hybrid"], c, hold)
+    weights = [stage.restraint and stage.restraint.parts[0].weight.max() for stage in stages]
+    assert weights == [100.0, 100.0, 10.0, None]
+    assert [stage.space for stage in stages] == [spaces(c)[0], *[spaces(c)[1]] * 3]
+
+
+def test_the_springs_of_a_restraint_are_in_the_metric():
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    for name in ("cartesian", "hybrid", "newton", "kcm-stiffness"):
+        *_, last_held, free = RECIPES[name].plan(c, e, e, 2.0, Hold((100.0, 0.0), term=term), 0)
+        metric = last_held.method.direction.metric
+        assert (
+            np.array_equal(metric.tether, last_held.restraint.parts[0].weight)
+            and metric.tether.max() == 100.0
+        )
+        assert not metric.is_soft and metric.refresh_every == free.method.direction.metric.refresh_every
+        assert isinstance(free.method.direction.metric, Stiffness)
+    # The mass is no model of the energy.
+    kept = RECIPES["kcm-metric"].plan(c, e, e, 2.0, Hold((100.0,)), 0)[-1]
+    assert kept.method.direction.metric == Mass()
+
+
+def test_overlaps_are_parted_in_torsions_and_springs_let_go_one_after_the_other():
+    c = crowded()
+    s, (torsions, _) = c.structure, spaces(c)
+    soft, *held, free = plan_of(RECIPES["lbfgs"], c)
+    assert [stage.name for stage in (soft, free)] == ["parting overlaps", "torsions"]
+    assert [stage.name for stage in held] == ["held by springs"] * 3
+    assert all(stage.space is torsions for stage in (soft, *held, free))
+    assert not soft.recorded and all(stage.recorded for stage in (*held, free))
+    assert {stage.energy.name for stage in (*held, free)} == {
+        "reduced"
+    } and free.method == BY_LBFGS.by_springs
+    repulsion, tethers, bound = soft.energy.parts
+    assert [type(part) for part in soft.energy.parts] == [SoftRepulsion, Tethers, Bound]
+    assert repulsion.structure is s and not len(repulsion.passing)
+    backbone = np.isin(s.atom_name, ["N", "CA", "C", "O"])
+    assert set(tethers.weight[backbone]) == {FIRM} and set(tethers.weight[~backbone]) == {SOFT_TETHER}
+    assert np.array_equal(tethers.home, s.positions) and np.array_equal(bound.home, s.positions)
+    # Springs to where the stage before ended, beside the restraint that the user gives.
+    x = s.positions + 0.1
+    assert [stage.fit(stage, x).restraint.parts[0].weight.max() for stage in held] == [4184.0, 400.0, 40.0]
+    user = plan_of(RECIPES["lbfgs"], c, Hold(term=term))[1]
+    springs, own = user.fit(user, x).restraint.parts
+    assert np.array_equal(springs.home, x) and own.parts == [Given(term)]
+    assert not springs.weight[s.atom_element == "H"].any()
+    assert len(plan_of(RECIPES["kcm"], c)) == 1 and len(plan_of(RECIPES["lbfgs"], chain("1l2y.pdb"))) == 1
+
+
+def term(x):
+    return 0.0, np.zeros_like(x)
+
+
+def test_methods_that_may_move_all_atoms_part_overlaps_with_all_atoms():
+    c, e = crowded(), energy("1l2y.pdb")
+    torsions, atoms = spaces(c, near_terms(e))
+    soft, held, *settled, turned, free = RECIPES["hybrid"].plan(c, e, e, 5.0, Hold(), 0)
+    assert [stage.space for stage in (soft, held, turned, free)] == [atoms, atoms, torsions, atoms]
+    # Side chains settle while springs hold the backbone.
+    backbone = np.isin(c.structure.atom_name, ["N", "CA", "C", "O"])
+    weights = [stage.fit(stage, c.structure.positions).restraint.parts[0].weight for stage in settled]
+    assert [set(weight[backbone]) for weight in weights] == [{1000.0}, {100.0}]
+    assert not any(weight[~backbone].any() for weight in weights)
+    assert [stage.tolerance for stage in settled] == [5.0, 5.0]
+    assert soft.energy.parts[0].forcefield == "amber14" and held.energy is e and held.tolerance == 10.0
+    bonded = soft.energy.parts[0].parts(c.structure.positions)[0]
+    assert bonded["nonbonded"] == 0.0 and bonded["bonds"] == e.parts(c.structure.positions)[0]["bonds"]
+    # Torsions go on from a chain rebuilt where the atoms are, if anything overlaps not at all.
+    x = held.space.structure.positions + 0.001 * np.arange(3)
+    fitted = turned.fit(turned, x)
+    assert np.array_equal(fitted.space.chain.structure.positions, x) and fitted.energy.left_out
+    assert not turned.ready(turned, atoms.place(atoms.start(c.structure.positions)))
+    # A callable has no bonds to hold the molecule together: torsions part the atoms.
+    own = pc.energies.as_energy(lambda x: (0.0, 0.0 * x), c.structure)
+    assert RECIPES["hybrid"].plan(c, own, own, 2.0, Hold(), 0)[0].space is spaces(c)[0]
+
+
+def test_all_atoms_are_parted_near_their_start_and_then_all_go():
+    c, e = crowded(), energy("1l2y.pdb")
+    atoms = spaces(c, near_terms(e))[1]
+    *parting, free = RECIPES["cartesian"].plan(c, e, e, 5.0, Hold(), 0)
+    names = [stage.name for stage in parting]
+    assert names == ["parting overlaps", *["held by springs"] * 3] and free.name == "all atoms"
+    assert all(stage.space is atoms for stage in (*parting, free)) and free.tolerance == 5.0
+    # Without overlaps all atoms go at once, however large the torques: they have no levers.
+    for torque in (0.0, 1e9, np.inf):
+        (only,) = RECIPES["cartesian"].plan(chain("1l2y.pdb"), e, e, 5.0, Hold(), 0, torque)
+        assert only.name == "all atoms" and only.method == NEARBY.method
+
+
+def test_the_default_tolerance_is_of_what_moves_last():
+    assert [RECIPES[name].tolerance() for name in ("cartesian", "hybrid", "openmm")] == [10.0] * 3
+    assert [RECIPES[name].tolerance() for name in ("lbfgs", "kcm", "md")] == [1.0] * 3
+    assert RECIPES["cartesian"].tolerance(0.5) == 0.5
+
+
+@pytest.mark.parametrize(("torque", "parts"), [(9e4, False), (2e5, True), (np.nan, True), (np.inf, True)])
+def test_strain_without_overlaps_is_held_too(torque, parts):
+    c = chain("1l2y.pdb")
+    whole = SimpleNamespace(is_exact=True, name="whole", system=None)
+    for name, stages in (("hybrid", 2), ("lbfgs", 1)):
+        plan = RECIPES[name].plan(c, whole, whole, 2.0, Hold(), 0, torque)
+        assert (plan[0].name == "held by springs") is parts
+        assert len(plan) == stages + parts * 3
+    assert len(RECIPES["kcm"].plan(c, whole, whole, 2.0, Hold(), 0, torque)) == 1
+
+
+@pytest.mark.parametrize(("share", "runs"), [(0.9, True), (1.1, False)])
+def test_torsions_take_over_once_the_largest_torque_is_ordinary(share, runs):
+    """That of the stage; after one in all atoms a tenth as large, of the whole energy where the atoms are."""
+    c = chain("ala10.pdb")
+    pull = np.random.default_rng(0).normal(size=c.structure.positions.shape)
+    stage = Stage(spaces(c)[0], None, None, 1.0)
+    moved = c.structure.with_positions(c.structure.positions * [1.0, 1.02, 0.98])
+    for structure, energy_of, limit in (
+        (c.structure, lambda pulled: (replace(stage, energy=pulled),), 1e4),
+        (moved, lambda pulled: (stage, pulled), 1e3),
+    ):
+        space = spaces(pc.build_chain(structure))[0]
+        at = space.place(space.start(structure.positions))
+        size = space.residual(space.torque(at, pull))
+        held = once_ordinary(*energy_of(lambda x, by=limit * share / size: (0.0, by * pull)))
+        assert held.ready(held, at) is runs
+    crowd = spaces(crowded())[0]
+    calm = once_ordinary(Stage(crowd, None, lambda x: (0.0, 0.0 * x), 1.0))
+    assert not calm.ready(calm, crowd.place(crowd.chain.q0))
+
+
+@dataclass(frozen=True)
+class Own:
+    """A random method of somebody's own."""
+
+    seed: int = 0
+
+    def init(self, problem, at):
+        """Nothing."""
+
+    def step(self, problem, state):
+        """Nothing."""
+
+
+def test_a_method_is_found_by_name_by_import_or_as_it_is():
+    assert recipe_of("kcm") is RECIPES["kcm"] is recipe_of(RECIPES["kcm"])
+    assert recipe_of(Own(3)) == Recipe("Own", (Run(Own(3)),), draws_random=True)
+    assert recipe_of(Fire(fade=0.5)) == Recipe("Fire", (Run(Fire(fade=0.5)),))
+    named = recipe_of(Descent(KCM(), Fixed(0.1)))
+    assert named == Recipe("KCM", (Run(Descent(KCM(), Fixed(0.1))),))
+    assert recipe_of("protochain.minimisers:Fire") == Recipe("Fire", (Run(Fire()),))
+    assert recipe_of("protochain.minimisers.recipes:_LBFGS").name == "LBFGS"
+    (stage,) = plan_of(recipe_of(Own(3)), chain("ala10.pdb"))
+    assert stage.method == Own(7)
+
+
+NAMES = ", ".join(METHODS)
+
+
+@pytest.mark.parametrize(
+    ("method", "said"),
+    [
+        ("gradient", f"method 'gradient' is not known; choose from {NAMES}, or give module:name"),
+        ("no_such:Thing", "method 'no_such:Thing' cannot be imported: No module named 'no_such'"),
+        (":Thing", "method ':Thing' cannot be imported: Empty module name"),
+        ("math:Thing", "method 'math:Thing' cannot be imported: module 'math' has no attribute 'Thing'"),
+        (3, "method 3: give a name, or an object with init and step, as Descent(direction, rule)"),
+        (Fixed(1.0), "method Fixed(length=1.0) is a step rule: give it with a direction, as "
+                     "Descent(direction, Fixed(length=1.0))"),
+        (StrongWolfe(), "method StrongWolfe() is a step rule: give it with a direction, as "
+                        "Descent(direction, StrongWolfe())"),
+        (SimpleNamespace(init=1), "method namespace(init=1): give a name, or an object with init and step, "
+                                  "as Descent(direction, rule)"),
+        (SimpleNamespace(step=1), "method namespace(step=1): give a name, or an object with init and step, "
+                                  "as Descent(direction, rule)"),
+    ],
+)  # fmt: skip
+def test_what_is_no_method_is_refused(method, said):
+    with pytest.raises(pc.ProtochainError) as refusal:
+        recipe_of(method)
+    assert str(refusal.value) == said

@@ -1,0 +1,247 @@
+"""A solution made by hand: its record, its texts, its trace and its file."""
+
+from dataclasses import MISSING, fields, replace
+from importlib.metadata import version
+from types import SimpleNamespace
+
+import gemmi
+import numpy as np
+import pytest
+from fixtures.repairs import sentences
+from fixtures.samples import chain
+from scipy.spatial.transform import Rotation
+
+from protochain.frame import Frame
+from protochain.minimisers.recipes import RECIPES
+from protochain.minimisers.record import COLUMNS, SHOWN
+from protochain.minimisers.restraints import Hold
+from protochain.minimisers.solution import TRACE_COLUMNS, Recorder, Solution, trace_of
+from protochain.minimisers.verdict import Judgement, Status
+from protochain.results.columns import Column, flat, heading
+from protochain.validation import MEASURES, measures
+
+ENERGY = SimpleNamespace(
+    engine="native", reason="two kernels", forcefield="amber14", solvent="obc2", threads=2
+)
+
+
+def traced(recorder):
+    return trace_of(recorder.structure, recorder.rows, recorder.alphas)
+
+
+def solution(**changed):
+    c = chain("ala10.pdb")
+    made = Solution(
+        recipe=RECIPES["lbfgs"], chain=c, energy_function=ENERGY, constant_terms={"bonds": 3, "angles": 4},
+        q=c.q0, x=c.structure.positions, energy=-12.25, status=Status.BUDGET, ended="budget: used",
+        n_iterations=5, n_evaluations=6, seconds=1.5, trace=None, start=Judgement(-10.0, 300.0, 40.0),
+        end=Judgement(-12.5, 30.0, 4.0), frame=Frame(c.structure), ca_rmsd_angstrom=0.25, tolerance=1.0,
+        hold=Hold((100.0,), 0.5), seed=9, lowest_eigenvalue=7.5,
+    )  # fmt: skip
+    return replace(made, **changed)
+
+
+def test_a_record_holds_each_value_under_its_name():
+    c = chain("ala10.pdb")
+    found = measures(c.structure)
+    expected = {
+        "structure": "ala10", "method": "lbfgs", "status": "budget", "message": "budget: used",
+        "energy_start_kj_mol": -10.0, "energy_end_kj_mol": -12.25, "energy_end_reference_kj_mol": -12.5,
+        "max_torque_end_kj_mol_rad": 30.0, "rms_force_end_kj_mol_nm": 4.0,
+        "lowest_eigenvalue_kj_mol_rad2": 7.5, "ca_rmsd_angstrom": 0.25,
+        "ca_rmsd_as_filed_angstrom": 0.0, "frame": "superposed on the start",
+        **{f"{key}_{when}": value for key, value in found.items() for when in ("start", "end")},
+        "iterations": 5, "evaluations": 6, "seconds": 1.5, "n_chains": 1, "n_residues": 10,
+        "n_atoms": c.structure.n_atoms, "n_bodies": c.n_bodies, "n_hinges": c.n_hinges,
+        "n_atoms_moving": c.n_atoms,
+        "protochain": version("protochain"), "engine": "native", "engine_reason": "two kernels",
+        "forcefield": "amber14", "solvent": "obc2", "hinges": "phi psi chi", "tolerance": 1.0,
+        "tolerance_unit": "kJ/mol/rad", "move": "all", "restraint_kj_mol_nm2": [100.0],
+        "max_rmsd_angstrom": 0.5, "left_out": {}, "constant_terms": {"bonds": 3, "angles": 4},
+        "lost_atoms": [], "n_lost_atoms": 0, "far_molecules": [], "repairs": sentences(c.structure),
+        "seed": 9, "threads": 2,
+    }  # fmt: skip
+    assert solution().record() == expected and list(solution().record()) == list(expected)
+    assert type(solution().record()["status"]) is str
+    moved = solution(
+        frame=Frame(c.structure, "a spring"), x=c.structure.positions + np.array([0.03, 0.0, 0.04])
+    ).record()
+    assert moved["ca_rmsd_as_filed_angstrom"] == pytest.approx(0.5) and moved["ca_rmsd_angstrom"] == 0.25
+    assert moved["frame"] == "held by a spring"
+    turned = c.structure.positions * [-1.0, 1.0, 1.0]
+    mirrored = solution(x=turned).record()
+    assert mirrored["wrong_hands_start"] == 0 and mirrored["wrong_hands_end"] == 10
+    assert {key: mirrored[f"{key}_end"] for key in MEASURES} == measures(c.structure, turned)
+    free = solution(recipe=RECIPES["hybrid"], hold=Hold(), end=Judgement(np.inf, np.nan, 4.0)).record()
+    assert free["tolerance_unit"] == "kJ/mol/nm" and free["restraint_kj_mol_nm2"] == []
+    assert free["max_rmsd_angstrom"] is free["energy_end_reference_kj_mol"] is None
+    assert free["max_torque_end_kj_mol_rad"] is None and free["rms_force_end_kj_mol_nm"] == 4.0
+
+
+def test_columns_of_short_tables_have_headings_with_units():
+    assert [(column.key, column.title, column.short) for column in SHOWN] == [
+        ("method", "method", ""),
+        ("status", "status", ""),
+        ("energy_start_kj_mol", "energy at start, kJ/mol", "start"),
+        ("energy_end_reference_kj_mol", "energy at end, kJ/mol", "end"),
+        ("max_torque_end_kj_mol_rad", "largest torque, kJ/mol/rad", "torque"),
+        ("rms_force_end_kj_mol_nm", "RMS force, kJ/mol/nm", "force"),
+        ("ca_rmsd_angstrom", "C-alpha RMSD, angstrom", "RMSD"),
+        ("evaluations", "evaluations", "evals"),
+        ("seconds", "seconds", "time s"),
+    ]
+    assert all(column in COLUMNS for column in SHOWN)
+    units = {column.key: column.unit for column in COLUMNS}
+    assert units["restraint_kj_mol_nm2"] == "kJ/mol/nm^2" and units["engine"] == ""
+    assert Column("bend_degrees", len, "bend").title == "bend, degrees"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("energy_end_kj_mol", "energy end, kJ/mol"),
+        ("max_torque_kj_mol_rad", "max torque, kJ/mol/rad"),
+        ("rms_force_kj_mol_nm", "RMS force, kJ/mol/nm"),
+        ("restraint_kj_mol_nm2", "restraint, kJ/mol/nm^2"),
+        ("ca_rmsd_angstrom", "C-alpha RMSD, angstrom"),
+        ("turn_degrees", "turn, degrees"),
+        ("n_within_1_kj_mol", "n within 1 kJ/mol"),
+        ("tm_score", "TM score"),
+        ("ramachandran", "Ramachandran"),
+    ],
+)
+def test_a_heading_spells_a_columns_name(name, said):
+    assert heading(name) == said
+
+
+def test_cells_are_text_where_values_are_lists_or_counts():
+    assert flat(["one", 2]) == "one; 2" and flat({"bonds": 3, "angles": 4}) == "3 bonds; 4 angles"
+    assert flat([]) == flat({}) == "" and flat(1.5) == 1.5 and flat(None) is None and flat("text") == "text"
+
+
+def test_a_solution_shows_itself():
+    s = solution()
+    assert (
+        repr(s)
+        == "<Solution lbfgs: budget, -10.00 -> -12.50 kJ/mol, 6 evaluations, C-alpha RMSD 0.250 angstrom>"
+    )
+    rows = (
+        ("status", "budget: used"), ("energy", "-10.00 to -12.50 kJ/mol"),
+        ("largest torque", "300 to 30 kJ/mol/rad"), ("RMS force", "40 to 4 kJ/mol/nm"),
+        ("C-alpha RMSD to the start", "0.250 angstrom"), ("work", "6 evaluations, 1.50 s"),
+    )  # fmt: skip
+    cells = "".join(f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in rows)
+    assert s._repr_html_() == f"<table><caption>ala10 by lbfgs</caption>{cells}</table>"
+    assert s.method == "lbfgs" and s.keeps_geometry and s.is_usable
+    assert not solution(end=Judgement(np.nan, 1.0, 1.0)).is_usable
+    # Where it began: an end if it converged there, and otherwise no result.
+    there = solution().start
+    assert solution(end=there, status=Status.CONVERGED).is_usable
+    assert not solution(end=there, status=Status.BUDGET).is_usable
+    x = s.x + 0.1
+    assert np.array_equal(solution(x=x).structure.positions, x)
+
+
+def test_a_solution_in_scipys_terms():
+    found = solution(status=Status.CONVERGED).to_scipy()
+    expected = {"fun": -12.5, "success": True, "status": 0, "message": "budget: used", "nit": 5, "nfev": 6,
+                "njev": 6}  # fmt: skip
+    assert {name: found[name] for name in expected} == expected
+    assert np.array_equal(found.x, chain("ala10.pdb").q0) and set(found) == {*expected, "x"}
+    assert (solution().to_scipy().success, solution().to_scipy().status) == (False, 2)
+
+
+def test_the_provenance_of_a_structure(tmp_path):
+    c = chain("1ejg.pdb")
+    start = c.structure.positions
+    s = solution(chain=c, x=start + np.array([0.3, 0.0, -0.4]), frame=Frame(c.structure, "a spring"))
+    packages = [f"{name.upper()} {version(name)}" for name in ("openmm", "gemmi", "pdbfixer")]
+    assert list(s.provenance()) == [
+        f"PROTOCHAIN {version('protochain')}, METHOD lbfgs, STATUS budget",
+        f"WITH {', '.join(packages)}",
+        "FORCE FIELD amber14, SOLVENT obc2, ENGINE native",
+        "ENERGY -12.5000 KJ/MOL BEFORE ROUNDING, AT THE START -10.0000",
+        "ENERGIES BY THE OPENMM REFERENCE PLATFORM",
+        "C-ALPHA RMSD TO THE START 0.250 ANGSTROM, AS FILED 5.000, HELD BY A SPRING",
+    ]
+    s = solution(chain=c, x=start, frame=Frame(c.structure))
+    told = "C-ALPHA RMSD TO THE START 0.250 ANGSTROM, AS FILED 0.000, SUPERPOSED ON THE START"
+    assert list(s.provenance())[-1] == told
+    # The file itself lists what was changed, once.
+    s.save(tmp_path / "a.cif")
+    block = gemmi.cif.read(str(tmp_path / "a.cif")).sole_block()
+    for category, lines in (("provenance", s.provenance()), ("repair", sentences(c.structure))):
+        said = [gemmi.cif.as_string(each) for each in block.find_values(f"_protochain_{category}.text")]
+        assert said == list(lines) and said
+    assert any("alternate location" in line for line in sentences(c.structure))
+
+
+def test_a_recorder_numbers_its_rows_and_measures_rmsds_afterwards(monkeypatch):
+    s = chain("ala10.pdb").structure
+    seen, clock = [], iter((10.0, 12.5, 13.0, 99.0))
+    monkeypatch.setattr("protochain.minimisers.solution.perf_counter", lambda: next(clock))
+    held = Frame(s, "a spring")
+    recorder = Recorder(s, held, lambda row, x: seen.append((row, x)), started=8.0)
+    larger = s.positions.copy()
+    alpha = s.alpha_carbons
+    middle = s.positions[alpha] - s.positions[alpha].mean(axis=0)
+    larger[alpha] += 0.01 * middle
+    none = np.full_like(larger, np.nan)
+    for k, x in enumerate((s.positions, larger, none)):
+        recorder(x, -float(k), 10.0 * k, 3 * k)
+    assert [row["iteration"] for row, _ in seen] == [0, 1, 2] and seen[1][1] is larger
+    trace = traced(recorder)
+    assert tuple(trace.columns) == TRACE_COLUMNS == (
+        "iteration", "evaluations", "seconds", "energy_kj_mol", "max_torque_kj_mol_rad", "ca_rmsd_angstrom",
+    )  # fmt: skip
+    assert trace["evaluations"].tolist() == [0, 3, 6] and trace["energy_kj_mol"].tolist() == [0.0, -1.0, -2.0]
+    assert trace["max_torque_kj_mol_rad"].tolist() == [0.0, 10.0, 20.0]
+    assert trace["seconds"].tolist() == [2.0, 4.5, 5.0]
+    size = 10.0 * 0.01 * np.sqrt(np.mean(np.sum(middle**2, axis=1)))
+    assert trace["ca_rmsd_angstrom"].tolist() == pytest.approx([0.0, size, np.nan], abs=1e-6, nan_ok=True)
+
+
+def test_a_recorder_shows_and_keeps_positions_in_the_frame_of_the_start():
+    s = chain("ala10.pdb").structure
+    turned = s.positions @ Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix().T + [1.0, 2.0, 3.0]
+    none = np.full_like(turned, np.nan)
+    for held_by, expected in (("", s.positions), ("a spring", turned)):
+        seen = []
+        recorder = Recorder(s, Frame(s, held_by), lambda row, x, seen=seen: seen.append(x))
+        for x in (turned, none, turned):
+            recorder(x, 0.0, 1.0, 1)
+        for x, kept in zip(seen[::2], (recorder.kept()[0], recorder.kept()[2]), strict=True):
+            assert np.abs(x - expected).max() < 1e-12 and np.abs(kept - expected).max() < 1e-6
+        assert seen[1] is none and list(recorder.kept()) == [0, 1, 2]
+        assert traced(recorder)["ca_rmsd_angstrom"].tolist() == pytest.approx(
+            [0.0, np.nan, 0.0], abs=1e-6, nan_ok=True
+        )
+
+
+def test_a_recorder_tells_its_watcher_of_stages_if_it_listens():
+    s, told = chain("ala10.pdb").structure, []
+
+    class Bar:
+        def __call__(self, row, x):
+            told.append(row["evaluations"])
+
+        def at_stage(self, *given):
+            told.append(given)
+
+    recorder = Recorder(s, Frame(s), Bar())
+    recorder.at_stage("torsions", 3)
+    recorder(s.positions, 0.0, 1.0, 4)
+    assert told == [("torsions", 3), 4] and len(traced(recorder)) == 1
+    for watch in (None, lambda row, x: told.append(x)):
+        Recorder(s, Frame(s), watch).at_stage("torsions", 3)
+    assert len(told) == 2
+
+
+def test_a_trace_is_made_once_when_it_is_first_read():
+    made = []
+    solution = Solution(
+        **{field.name: None for field in fields(Solution)} | {"trace": lambda: made.append(1) or [7]}
+    )
+    assert not made
+    assert solution.trace == [7] and solution.trace is solution.trace and made == [1]
+    assert Solution.__dataclass_fields__["trace"].default is MISSING

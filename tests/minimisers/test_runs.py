@@ -1,0 +1,461 @@
+"""Whole runs: parted overlaps, restraints, limits, selections, many starts, checkpoints."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from fixtures.molecules import crowded
+from fixtures.oracles import angle_triples, angles, bond_lengths
+from fixtures.samples import STRUCTURES, chain, energy, load
+from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD, ROUND_OFF_NM
+
+import protochain as pc
+from protochain.contacts import OVERLAP, overlaps
+from protochain.minimisers import LBFGS, BudgetSpentError, Descent, Run, Status, StrongWolfe, starts
+from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
+from protochain.minimisers.loop import Ending, Snapshot, Stop, Unstarted
+from protochain.minimisers.problem import Evaluation, Problem, Tally
+from protochain.minimisers.restraints import Hold, Leash
+from protochain.minimisers.spaces import Positions, Torsions
+from protochain.minimisers.stages import SINGLE_PRECISION_ENDS, Stage, lowest, parting, walk
+from protochain.minimisers.starts import _accept
+from protochain.minimisers.verdict import verdict
+
+FREE = ("lbfgs", "cartesian", "hybrid")
+
+
+def test_overlaps_are_parted_at_exact_geometry():
+    c = crowded()
+    s = c.structure
+    assert len(overlaps(s, s.positions)) > 10
+    space = Torsions(c)
+    done = walk([parting(space)], c.structure.positions, 500, None, lambda *_: None)
+    assert not overlaps(s, done.x)
+    triples = angle_triples(s.bonds)
+    assert np.abs(bond_lengths(s.bonds, done.x) - bond_lengths(s.bonds, s.positions)).max() < GEOMETRY_NM
+    assert np.abs(angles(triples, done.x) - angles(triples, s.positions)).max() < GEOMETRY_RAD
+
+
+@pytest.mark.parametrize(("name", "spread"), [("1l2y.pdb", 0.3), ("1vii.pdb", 0.6), ("3i40.pdb", 0.3)])
+def test_hybrid_clears_what_overlaps_and_leaves_bonds_as_the_force_field_has_them(name, spread):
+    c = crowded(name, spread)
+    worst = overlaps(c.structure, c.structure.positions, c)[0]
+    assert worst.share < 0.2
+    r = pc.minimise(c, energy(name), "hybrid", tolerance=10.0)
+    assert np.isfinite(r.trace["energy_kj_mol"]).all() and r.trace["energy_kj_mol"].iloc[0] > 1e6
+    assert r.status == Status.CONVERGED and not overlaps(c.structure, r.x)
+    lengths = bond_lengths(c.structure.bonds, r.x)
+    usual = bond_lengths(c.structure.bonds, load(name).positions)
+    assert np.abs(lengths - usual).max() < 0.015
+    assert r.ca_rmsd_angstrom > 0.1
+
+
+def test_overlaps_say_what_can_part_them():
+    s = load("1l2y.pdb")
+    c = chain("1l2y.pdb")
+    ring = np.flatnonzero((s.atom_residue == 5) & np.isin(s.atom_name, ("CD1", "CZ3")))
+    x = s.positions.copy()
+    x[ring[1]] = x[ring[0]] + [0.05, 0.0, 0.0]
+    (same,) = [o for o in overlaps(s, x, c) if "CD1" in o.first + o.second and "CZ3" in o.first + o.second]
+    assert same.distance_angstrom == pytest.approx(0.5) and "one rigid body" in same.remedy
+    assert "turning bonds" in overlaps(crowded().structure, crowded().structure.positions, c)[0].remedy
+    x[ring[1]] = x[ring[0]]
+    assert "which way" in overlaps(s, x, c)[0].remedy
+    shares = [o.share for o in overlaps(crowded().structure, crowded().structure.positions)]
+    assert shares == sorted(shares) and shares[-1] < OVERLAP
+
+
+def test_a_minimum_of_atoms_inside_one_another_is_a_clash():
+    c = crowded()
+    status, message = verdict(Stop.TOLERANCE, True, "all is well", c.structure, c.structure.positions, 5)
+    assert status == Status.CLASH and message.startswith("clash: atom")
+    at_rest = load("1l2y.pdb")
+    assert verdict(Stop.TOLERANCE, True, "", at_rest, at_rest.positions, 5)[0] == Status.CONVERGED
+
+
+@pytest.mark.parametrize("met", [True, False])
+def test_an_interrupt_is_not_hidden_by_a_clash(met):
+    s = crowded().structure
+    status, message = verdict(Stop.INTERRUPTED, met, "so far", s, s.positions, 5)
+    assert status == Status.INTERRUPTED and message == "interrupted after 5 evaluations: so far"
+    for stop in set(Stop) - {Stop.INTERRUPTED}:
+        assert verdict(stop, met, "", s, s.positions, 5)[0] == Status.CLASH
+
+
+def at_height(energy, q):
+    return Evaluation(Positions(np.full(3, q)), energy, np.zeros(3), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("stop", "end", "best", "answer"),
+    [
+        (Stop.TOLERANCE, -3.0, -4.0, 2.0),
+        (Stop.TOLERANCE, 0.0, -4.0, 2.0),
+        (Stop.TOLERANCE, 1.0, -4.0, 1.0),
+        (Stop.NO_DESCENT, -3.0, -4.0, 1.0),
+        (Stop.TOLERANCE, 1.0, None, 0.0),
+    ],
+)
+def test_an_end_above_the_start_is_no_answer(stop, end, best, answer):
+    start, low = at_height(0.0, 0.0), None if best is None else at_height(best, 1.0)
+    problem = Problem(Torsions(chain("ala10.pdb")), energy("ala10.pdb"), 9, tally=Tally(9, low))
+    ending = Ending(stop, Snapshot(Unstarted(at_height(end, 2.0)), start, problem.tally, 3, None))
+    assert np.array_equal(lowest(problem, ending, start.q), np.full(3, answer))
+
+
+@pytest.mark.parametrize("method", FREE)
+def test_stronger_restraints_hold_tighter_and_count_for_nothing_in_the_energy(method):
+    s, c, e = load("1l2y.pdb"), chain("1l2y.pdb"), energy("1l2y.pdb")
+    heavy = s.atom_element != "H"
+    moved = []
+    for strength in (10.0, 10_000.0):
+        r = pc.minimise(c, e, method, restraint=strength)
+        assert r.status == Status.CONVERGED and "restraints included" in r.message
+        assert r.end.energy == pytest.approx(e(r.x)[0], abs=1e-6)
+        assert r.trace["energy_kj_mol"].iloc[-1] == pytest.approx(r.end.energy, abs=1e-6)
+        moved.append(np.sqrt(np.mean(np.sum((r.x - s.positions)[heavy] ** 2, axis=1))))
+    assert moved[1] < 0.3 * moved[0]
+
+
+def test_each_strength_comes_with_whatever_else_restrains():
+    s = load("ala10.pdb")
+    x = s.positions.copy()
+    x[:, 0] *= 1.1
+    moved, heavy = x, s.atom_element != "H"
+    spring = 0.5 * np.sum((x - s.positions)[heavy] ** 2)
+    leash, _ = Leash(s, 0.1)(x)
+    assert leash > 1.0
+
+    def term(x):
+        return 7.0 - 3.0 * float(np.sum(x - moved)), np.full_like(x, 3.0)
+
+    def energies(hold):
+        return [None if part is None else part(x)[0] for part in hold.restraints(s)]
+
+    strengths = (100.0, 10.0, 0.0)
+    alone = [strength * spring for strength in strengths]
+    assert energies(Hold(strengths)) == [*map(pytest.approx, alone[:2]), None]
+    for hold, more in (
+        (Hold(strengths, 0.1), leash),
+        (Hold(strengths, term=term), 7.0),
+        (Hold(strengths, 0.1, term), leash + 7.0),
+    ):
+        assert energies(hold) == pytest.approx([each + more for each in alone])
+        assert energies(Hold((), hold.max_rmsd, hold.term)) == pytest.approx([more])
+    assert energies(Hold()) == [None]
+    (held,) = Hold((100.0,), term=term).restraints(s)
+    pull = np.where(heavy[:, None], 100.0 * (s.positions - x), 0.0) + 3.0
+    assert held(x)[1] == pytest.approx(pull, abs=1e-9)
+
+
+def test_a_ramp_of_restraints_ends_free():
+    r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), "cartesian", 1.0, restraint=(1000.0, 100.0, 0.0))
+    assert r.status == Status.CONVERGED and "restraints" not in r.message and r.end.rms_force <= 1.0
+
+
+@pytest.mark.parametrize("method", [*FREE, "kcm-stiffness"])
+def test_an_rmsd_is_not_passed(method):
+    c, e = chain("1l2y.pdb"), energy("1l2y.pdb")
+    free = pc.minimise(c, e, method)
+    assert free.ca_rmsd_angstrom > 0.3
+    held = pc.minimise(c, e, method, max_rmsd=0.2)
+    assert 0.1 < held.ca_rmsd_angstrom <= 0.2
+    assert free.end.energy < held.end.energy < held.start.energy
+
+
+def test_what_is_not_selected_stays():
+    s = load("1l2y.pdb")
+    sides = pc.build_chain(s, move="not backbone")
+    assert {hinge.kind[:3] for hinge in sides.hinges} == {"chi"}
+    r = pc.minimise(sides, energy("1l2y.pdb"), "lbfgs")
+    backbone = np.isin(s.atom_name, ("N", "CA", "C", "O"))
+    assert r.status == Status.CONVERGED and r.end.energy < r.start.energy - 10
+    assert np.abs(r.x - s.positions)[backbone].max() < 1e-12
+    region = pc.build_chain(s, move="resid 5:9")
+    assert {int(hinge.residue_number) for hinge in region.hinges} == set(range(5, 10))
+    r = pc.minimise(region, energy("1l2y.pdb"), "cartesian")
+    chosen = np.isin(s.atom_residue, range(4, 9))
+    assert r.status == Status.CONVERGED and np.array_equal(region.moving, chosen)
+    assert np.abs(r.x - s.positions)[~chosen].max() < ROUND_OFF_NM
+    assert np.abs(r.x - s.positions)[chosen].min() > 0
+
+
+def test_a_chain_that_holds_what_stays_does_not_move_as_a_whole():
+    s = load("3i40.pdb")
+    c = pc.build_chain(s, move="chainID A and not backbone")
+    other = s.residue_chain[s.atom_residue] != "A"
+    assert c.n_q == c.n_v == c.n_hinges > 0
+    r = pc.minimise(c, energy("3i40.pdb"), "lbfgs", max_evaluations=30)
+    assert np.abs(r.x - s.positions)[other].max() < ROUND_OFF_NM and r.end.energy < r.start.energy
+    assert pc.build_chain(s, move="chainID A").n_v == pc.build_chain(s, move="chainID A").n_hinges + 6
+
+
+def test_selections_that_cannot_be_are_refused():
+    s = load("1l2y.pdb")
+    for selection, word in (
+        ("rezid 5", "cannot be read"),
+        ("resid 300", "selects no atom"),
+        ("name OXT", "no bond"),
+    ):
+        with pytest.raises(pc.ProtochainError, match=word):
+            pc.build_chain(s, move=selection)
+
+
+def test_open_angles_change_and_lower_the_energy_further():
+    s, e = load("1l2y.pdb"), energy("1l2y.pdb")
+    c = pc.build_chain(s, "phi psi chi angles")
+    assert {hinge.kind for hinge in c.hinges if hinge.is_angle} == {"angle N", "angle CA"}
+    r, closed = pc.minimise(c, e, "lbfgs"), pc.minimise(chain("1l2y.pdb"), e, "lbfgs")
+    assert r.status == Status.CONVERGED and r.end.energy < closed.end.energy - 5
+    opened = np.array([hinge.atoms for hinge in c.hinges if hinge.is_angle])
+    at = c.tree.q_start[c.hinge_body[[hinge.is_angle for hinge in c.hinges]]]
+    assert angles(opened, r.x) == pytest.approx(r.q[at], abs=GEOMETRY_RAD)
+    assert np.abs(r.q - c.q0)[at].max() > 0.01
+    assert np.abs(bond_lengths(s.bonds, r.x) - bond_lengths(s.bonds, s.positions)).max() < GEOMETRY_NM
+    with pytest.raises(pc.ProtochainError, match="articulated"):
+        pc.solve_mass(c, pc.pose(c, c.q0), np.ones(c.n_v), method="fixman")
+
+
+def test_starts_are_a_distribution_that_a_seed_repeats():
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    first, again, other = (pc.explore(c, e, "lbfgs", 5, seed=seed, spread=0.5) for seed in (3, 3, 4))
+    assert all(np.array_equal(a.x, b.x) for a, b in zip(first.solutions, again.solutions, strict=True))
+    assert not np.array_equal(first.solutions[1].x, other.solutions[1].x)
+    assert np.array_equal(first.solutions[0].x, pc.minimise(c, e, "lbfgs", seed=3).x)
+    energies = first.table["energy_end_reference_kj_mol"]
+    assert first.best.end.energy == energies.min() == first.summary()["energy_lowest_kj_mol"]
+    assert len(set(energies.round(1))) > 1 and first.summary()["n_starts"] == 5
+    assert len(pc.explore(c, e, "lbfgs", 2, seed=3, spread=0.5).solutions) == 2
+    json.dumps(first.overall())
+
+
+def test_starts_take_a_file_and_the_default_energy():
+    found = pc.explore(STRUCTURES / "ala10.pdb", None, "lbfgs", 2, seed=3, max_evaluations=20)
+    again = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", 2, seed=3, max_evaluations=20)
+    assert [s.end.energy for s in found.solutions] == [s.end.energy for s in again.solutions]
+
+
+def test_hops_keep_minima_as_metropolis_does():
+    found = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", 6, spread=0.5, hop_temperature=0.0)
+    kept = [s.end.energy for s, ok in zip(found.solutions, found.accepted, strict=True) if ok]
+    assert kept == sorted(kept, reverse=True) and len(kept) < 6
+    random = np.random.default_rng(0)
+    share = np.mean([_accept(2.0, 300.0, random) for _ in range(20_000)])
+    assert share == pytest.approx(np.exp(-2.0 / (8.31446e-3 * 300.0)), abs=0.01)
+    assert _accept(-1.0, 0.0, random) and not _accept(1e-3, 0.0, random)
+
+
+def test_hops_go_on_from_the_present_minimum_however_low_an_earlier_one(monkeypatch):
+    rng, temperature = np.random.default_rng(1), 300.0
+    energies, came_from = rng.uniform(0.0, 10.0, size=2000), []
+
+    def minimise(start, *_, **__):
+        came_from.append(start)
+        end = SimpleNamespace(energy=energies[len(came_from) - 1])
+        return SimpleNamespace(end=end, status=Status.CONVERGED, number=len(came_from) - 1)
+
+    monkeypatch.setattr(starts, "minimise", minimise)
+    monkeypatch.setattr(starts, "perturbed", lambda here, *_: here)
+    monkeypatch.setattr(starts, "_home", lambda solution, _: solution)
+    monkeypatch.setattr(starts, "_chain_at", lambda solution: solution.number)
+    given = chain("ala10.pdb")
+    found = starts.explore(given, energy("ala10.pdb"), n_starts=2000, hop_temperature=temperature)
+    assert found.accepted[0] and came_from[0] is given
+    present, chances, climbed = 0, [], []
+    for k in range(1, 2000):
+        assert came_from[k] == present
+        rise = energies[k] - energies[present]
+        if rise > 0:
+            chances.append(np.exp(-rise / (8.31446e-3 * temperature)))
+            climbed.append(found.accepted[k])
+        else:
+            assert found.accepted[k]
+        present = k if found.accepted[k] else present
+    # Four standard deviations of some thousand draws.
+    spread = np.sqrt(np.sum(np.multiply(chances, np.subtract(1.0, chances))))
+    assert abs(np.sum(climbed) - np.sum(chances)) < 4 * spread
+
+
+class Ended:
+    """A method whose run ends as told, and which notes that it was run."""
+
+    def __init__(self, name, stop, ran):
+        self.name, self.stop, self.ran = name, stop, ran
+
+    def init(self, problem, at):
+        self.ran.append(self.name)
+        return Unstarted(at)
+
+    def step(self, problem, state):
+        if self.stop is Stop.BUDGET:
+            raise BudgetSpentError
+        if self.stop is Stop.INTERRUPTED:
+            raise KeyboardInterrupt
+
+    def stage(self, space, after=()):
+        value = np.nan if self.stop is Stop.NON_FINITE else 1.0
+        return Stage(
+            space,
+            self,
+            lambda x: (value, np.zeros_like(x)),
+            1.0 if self.stop is Stop.TOLERANCE else -1.0,
+            patience=-1 if self.stop is Stop.CIRCLING else 10,
+            after=after,
+        )
+
+
+@pytest.mark.parametrize(
+    ("stop", "ran", "complete"),
+    [
+        (Stop.TOLERANCE, "first again last", True), (Stop.NO_DESCENT, "first again last", True),
+        (Stop.NON_FINITE, "first again last", True), (Stop.CIRCLING, "first last", True),
+        (Stop.BUDGET, "first", False), (Stop.INTERRUPTED, "first", False),
+    ],
+)  # fmt: skip
+def test_a_stage_runs_after_the_endings_it_names_and_what_is_left_out_is_said(stop, ran, complete):
+    c, done = chain("ala10.pdb"), []
+    space = Torsions(c)
+    first = Ended("first", stop, done).stage(space)
+    again = Ended("again", Stop.TOLERANCE, done).stage(space, SINGLE_PRECISION_ENDS)
+    last = Ended("last", Stop.TOLERANCE, done).stage(space)
+    outcome = walk([first, again, last], c.structure.positions, 100, None, lambda *_: None)
+    assert done == ran.split() and outcome.complete is complete
+    assert outcome.stop is (Stop.TOLERANCE if complete else stop)
+    # A stage that would have run in certain cases only is not missing.
+    assert walk([first, again], c.structure.positions, 100, None, lambda *_: None).complete
+    cut_off = walk([first, last], c.structure.positions, 100, None, lambda *_: None)
+    assert cut_off.complete is (complete and stop is not Stop.NON_FINITE)
+
+
+def test_single_precision_is_followed_by_double_and_double_by_nothing():
+    c = chain("ala10.pdb")
+    space, single, double = Torsions(c), pc.energy(c.structure, engine="openmm"), energy("ala10.pdb")
+
+    def engines(run, e):
+        return [(stage.energy, stage.after) for stage in run.stages(space, e, 1.0, None)]
+
+    ends = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
+    assert engines(Run(None), single) == [(single, ()), (single.reference, ends)]
+    assert engines(Run(None), double) == [(double, ())]
+    assert engines(Run(None, continued=False), single) == [(single, ())]
+
+
+def test_a_checkpoint_keeps_the_pairs_of_lbfgs_to_the_bit(tmp_path):
+    c = chain("ala10.pdb")
+    plan = [Stage(Torsions(c), Descent(LBFGS(memory=5), StrongWolfe()), energy("ala10.pdb"), 1e-9)]
+
+    def walked(max_evaluations, resume=None):
+        return walk(plan, c.structure.positions, max_evaluations, None, lambda *_: None, resume)
+
+    kept = walked(12).waypoint
+    save_checkpoint(tmp_path / "run.npz", kept, {})
+    read = load_checkpoint(tmp_path / "run.npz", plan, {}, c.structure.positions)
+    before, after = kept.last.state, read.last.state
+    assert len(after.memory) == len(before.memory) == 5
+    for mine, theirs in zip(after.memory, before.memory, strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
+    assert after.preconditioner.age == before.preconditioner.age > 0 and after.rule == before.rule
+    assert np.array_equal(after.preconditioner.made_at.q, before.preconditioner.made_at.q)
+    ends = [walked(20, resume).q for resume in (kept, read)]
+    assert np.array_equal(*ends) and not np.array_equal(ends[0], after.at.q)
+
+
+RESUMED = ("kcm", "kcm-decaying", "kcm-stiffness", "kcm-armijo", "kcm-transient", "fire", "newton", "lbfgs",
+           "md", "anneal", "cartesian", "hybrid")  # fmt: skip
+
+
+@pytest.mark.parametrize("method", RESUMED)
+def test_a_run_that_goes_on_takes_the_steps_of_one_that_never_stopped(method, tmp_path):
+    c, s = chain("1l2y.pdb"), load("1l2y.pdb")
+    file = tmp_path / "run.npz"
+    whole = pc.minimise(c, pc.energy(s), method, max_evaluations=90)
+    pc.minimise(c, pc.energy(s), method, max_evaluations=37, checkpoint=file)
+    rest = pc.minimise(c, pc.energy(s), method, max_evaluations=90, resume=file)
+    assert np.array_equal(rest.x, whole.x) and rest.end == whole.end
+    assert (rest.n_evaluations, rest.n_iterations) == (whole.n_evaluations, whole.n_iterations)
+    assert rest.status == whole.status
+
+
+def test_an_interrupted_run_goes_on(tmp_path):
+    def watch(row, x):
+        if row["iteration"] == 20:
+            raise KeyboardInterrupt
+
+    c, e = crowded(), energy("1l2y.pdb")
+    file = tmp_path / "run.npz"
+    whole = pc.minimise(c, e, "hybrid", max_evaluations=300)
+    stopped = pc.minimise(c, e, "hybrid", max_evaluations=300, checkpoint=file, watch=watch)
+    assert stopped.status == Status.INTERRUPTED
+    assert np.array_equal(pc.minimise(c, e, "hybrid", max_evaluations=300, resume=file).x, whole.x)
+
+
+def test_checkpoints_that_do_not_fit_are_refused(tmp_path):
+    c, e = chain("ala10.pdb"), energy("ala10.pdb")
+    file = tmp_path / "run.npz"
+    pc.minimise(c, e, "lbfgs", max_evaluations=5, checkpoint=file)
+    for options, word in (
+        ({"method": "newton"}, "method 'lbfgs', not 'newton'"),
+        ({"method": "lbfgs", "tolerance": 2.0}, "tolerance 1.0, not 2.0"),
+        ({"method": "openmm"}, "keeps no state"),
+    ):
+        with pytest.raises(pc.ProtochainError, match=word):
+            pc.minimise(c, e, resume=file, **options)
+    with pytest.raises(pc.ProtochainError, match="start"):
+        pc.minimise(pc.build_chain(pc.from_sequence("AAAAAAAAAA")), e, "lbfgs", resume=file)
+    for content, word in ((b"", "no checkpoint"), (file.read_bytes()[:300], "no checkpoint")):
+        bad = tmp_path / "bad.npz"
+        bad.write_bytes(content)
+        with pytest.raises(pc.ProtochainError, match=word):
+            pc.minimise(c, e, "lbfgs", resume=bad)
+    with pytest.raises(pc.ProtochainError, match="not found"):
+        pc.minimise(c, e, "lbfgs", resume=tmp_path / "none.npz")
+
+
+def test_what_an_energy_computed_before_changes_no_bit():
+    c = chain("1ejg.pdb")
+    used, fresh = pc.energy(c.structure), pc.energy(c.structure)
+    x = c.structure.positions
+    # Near enough for its neighbour lists to hold at the start too, and to be others.
+    used(x + np.random.default_rng(0).uniform(-0.02, 0.02, x.shape))
+    first, second = (pc.minimise(c, e, "cartesian", max_evaluations=30) for e in (used, fresh))
+    assert np.array_equal(first.x, second.x)
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "hybrid", "kcm-stiffness", "newton"])
+def test_the_number_of_threads_changes_no_bit_of_a_result(method):
+    c = chain("1l2y.pdb")
+    one, two = (
+        pc.minimise(c, pc.energy(c.structure, threads=threads), method, max_evaluations=120)
+        for threads in (1, 2)
+    )
+    assert np.array_equal(one.x, two.x) and one.end == two.end
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"restraint": -1.0}, "none below 0"),
+        ({"restraint": (1.0, float("nan"))}, "none below 0"),
+        ({"max_rmsd": 0.0}, "max_rmsd 0"),
+        ({"method": "openmm", "max_rmsd": 1.0}, "cannot be held"),
+    ],
+)
+def test_restraints_that_make_no_sense_are_refused(options, word):
+    with pytest.raises(pc.ProtochainError, match=word):
+        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"n_starts": 0}, "at least 1"),
+        ({"spread": 0.0}, "above 0"),
+        ({"hop_temperature": -1.0}, "not below 0"),
+        ({"max_rmsd": 1.0}, "each start's own"),
+        ({"restraint": (10.0,)}, "each start's own"),
+    ],
+)
+def test_starts_that_make_no_sense_are_refused(options, word):
+    with pytest.raises(pc.ProtochainError, match=word):
+        pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", **options)

@@ -1,0 +1,428 @@
+"""Public calls: arguments are taken as users mean them, or refused in one line that names them."""
+
+import copy
+import inspect
+import pickle
+import re
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache, partial
+
+import gemmi
+import numpy as np
+import pandas as pd
+import pytest
+from fixtures.samples import STRUCTURES, chain, load
+from fixtures.tolerances import RMSD_ANGSTROM
+from openmm import app, unit
+
+import protochain as pc
+from protochain.analysis.deviation import deviation
+from protochain.energies import NativeEnergy
+from protochain.frame import Frame
+from protochain.minimisers import KCM, Descent, Fixed
+from protochain.minimisers.solution import N_FRAMES, Recorder
+from protochain.validation import MEASURES
+
+FILE = STRUCTURES / "ala10.pdb"
+S, C = partial(load, "ala10.pdb"), partial(chain, "ala10.pdb")
+
+
+@cache
+def vacuum():
+    return pc.energy(S(), solvent="vacuum", threads=1)
+
+
+@cache
+def solution():
+    return pc.minimise(C(), vacuum(), "lbfgs", max_evaluations=200)
+
+
+class Odd:
+    """No public call knows what to do with it."""
+
+    def __repr__(self):
+        return "Odd()"
+
+
+def at():
+    return pc.pose(C(), C().q0)
+
+
+REQUIRED = {
+    "EveryFrame": lambda: (pc.to_mdanalysis(S()),),
+    "HingeSpring": lambda: ("omega", 40.0),
+    "Pull": lambda: ("A:1:N-A:10:C",),
+    "Setup": tuple,
+    "as_structure": lambda: (S(),),
+    "batch": lambda: ([FILE], "never-written"),
+    "build_chain": lambda: (S(),),
+    "ca_rmsd": lambda: (S(), S().positions, S().positions),
+    "compare": lambda: (C(),),
+    "deviation": lambda: (S(), S()),
+    "energy": lambda: (S(),),
+    "explore": lambda: (C(), vacuum()),
+    "from_sequence": lambda: ("AA",),
+    "kcm": tuple,
+    "load": lambda: (FILE,),
+    "log_det_mass": lambda: (C(), at()),
+    "mass_matrix": lambda: (C(), at()),
+    "minimise": lambda: (C(), vacuum()),
+    "pose": lambda: (C(), C().q0),
+    "pull_back": lambda: (C(), at(), np.zeros((C().n_atoms, 3))),
+    "quality": lambda: (S(),),
+    "relax": lambda: (S(),),
+    "rmsd": lambda: (S(), S()),
+    "save": lambda: (S(), "never-written.pdb"),
+    "simulate": lambda: (C(), vacuum()),
+    "solve_mass": lambda: (C(), at(), np.zeros(C().n_v)),
+    "to_ase": lambda: (S(), vacuum()),
+    "to_mdanalysis": lambda: (S(),),
+    "to_mdtraj": lambda: (S(),),
+    "validate": lambda: (S(),),
+    "view": lambda: (S(),),
+}
+"""Arguments with which each public function works, and which are replaced by wrong ones in turn."""
+ANYTHING_GOES = {
+    ("as_structure", "name"), ("save", "remarks"),
+}  # fmt: skip
+"""Names that no work depends on."""
+FURTHER = {
+    "batch": (
+        "curvature",
+        "max_evaluations",
+        "tolerance",
+        "max_rmsd",
+        "seed",
+        "workers",
+        "threads",
+        "time_limit",
+        "ph",
+        "hinges",
+    ),
+    "explore": ("tolerance", "max_evaluations", "watch"),
+    "relax": (
+        "protocol",
+        "tolerance",
+        "stiffness",
+        "max_iterations",
+        "max_outer_iterations",
+        "exclude",
+        "keep_hydrogens",
+        "repack",
+        "threads",
+        "ph",
+    ),
+    "EveryFrame": ("hinges", "ph", "threads", "keep"),
+}
+"""Names that a function takes by ``**``."""
+
+
+def arguments():
+    for name in REQUIRED:
+        parameters = inspect.signature(getattr(pc, name)).parameters.values()
+        for each in parameters:
+            if each.kind is not each.VAR_KEYWORD and (name, each.name) not in ANYTHING_GOES:
+                yield name, each.name
+        yield from ((name, more) for more in FURTHER.get(name, ()))
+
+
+def test_every_public_function_is_tried():
+    functions = {name for name in pc.__all__ if inspect.isfunction(getattr(pc, name))}
+    assert functions - {"minimize", "progress"} == set(REQUIRED) - {
+        "EveryFrame",
+        "HingeSpring",
+        "Pull",
+        "Setup",
+    }
+
+
+@pytest.mark.parametrize(("name", "argument"), list(arguments()))
+def test_what_makes_no_sense_is_refused_in_one_line_that_names_it(name, argument, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    call = getattr(pc, name)
+    given = inspect.signature(call).bind(*REQUIRED[name]())
+    for wrong in (Odd(), [Odd()]):
+        with pytest.raises(pc.ProtochainError) as refused:
+            call(**dict(given.arguments) | {argument: wrong})
+        said = str(refused.value)
+        assert "\n" not in said and len(said) < 300
+        assert argument in said or "Odd" in said, said
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: pc.energy(S(), threads="2"), "threads '2': give a whole number, not a text: threads=2"),
+        (lambda: pc.energy(S(), threads=1.5), "threads 1.5: give a whole number"),
+        (lambda: pc.energy(S(), threads=True), "threads True: give a whole number"),
+        (lambda: pc.load(FILE, ph="7"), "ph '7': give a number, not a text: ph=7"),
+        (lambda: pc.load(FILE, model="2"), "model '2': give a whole number, not a text: model=2"),
+        (lambda: pc.Setup(ph="seven"), "ph 'seven': give a number"),
+        (lambda: pc.minimise(C(), vacuum(), tolerance="1"), "tolerance '1': give a number, not a text"),
+        (lambda: pc.minimise(C(), vacuum(), max_evaluations=None), "max_evaluations None: give a"),
+        (lambda: pc.minimise(C(), vacuum(), watch=True), "watch True: give a callable of row, x"),
+        (lambda: pc.minimise(C(), vacuum(), watch=pc.progress), "watch progress: give a callable of row, x"),
+        (lambda: pc.compare(C(), watch=lambda: None), "give a callable of method"),
+        (lambda: pc.compare(C(), "lbfgs", vacuum(), tolerance="1"), "tolerance=1"),
+        (lambda: pc.explore(C(), vacuum(), n_starts="3"), "n_starts=3"),
+        (lambda: pc.explore(C(), vacuum(), seed=-1), "seed -1: give 0 or more"),
+        (lambda: pc.minimise(C(), vacuum(), "anneal", seed=-1), "seed -1: give 0 or more"),
+        (lambda: pc.simulate(C(), vacuum(), time_step="0.002"), "time_step=0.002"),
+        (lambda: pc.simulate(C(), vacuum(), pull=("A:1:N", 3)), "pull ('A:1:N', 3): give two atoms, as"),
+        (lambda: pc.simulate(C(), vacuum(), pull=pc.Setup()), "give two atoms, as A:1:N-A:20:C"),
+        (lambda: pc.simulate(C(), vacuum(), hinge_springs=[pc.Setup()]), "give HingeSprings"),
+        (lambda: pc.Pull("A:1:N-A:10:C", speed=1 * unit.kelvin), "speed is in kelvin; give it in nanometer"),
+        (lambda: pc.Pull("A:1-A:10", "1e3"), "stiffness '1e3': give a number, not a text: stiffness=1e3"),
+        (lambda: pc.HingeSpring("omega", None), "stiffness None: give a number"),
+        (lambda: pc.simulate(C(), vacuum(), resume="folder"), "resume 'folder': give True or False"),
+        (lambda: pc.simulate(C(), vacuum(), time_step=3 * unit.kelvin), "time_step is in kelvin; give it in"),
+        (lambda: pc.batch(FILE, "x", workers="2"), "workers=2"),
+        (lambda: pc.batch(FILE, "x", tolerance="1"), "tolerance=1"),
+        (lambda: pc.EveryFrame(FILE), "give an MDAnalysis Universe or AtomGroup"),
+        (lambda: pc.pose(S(), C().q0), "give a Chain, as of pc.build_chain"),
+        (lambda: pc.ca_rmsd(S(), load("1l2y.pdb").positions, S()), "x has shape (304, 3), not (103, 3)"),
+        (lambda: pc.ca_rmsd(S(), load("1l2y.pdb"), S()), "other atoms than ala10; pc.rmsd matches"),
+        (lambda: pc.build_chain(S(), hinges=["phi", "fi"]), "hinges 'fi' is not a kind of hinge"),
+        (lambda: vacuum()("positions"), "x: give an array of numbers of shape (103, 3)"),
+        (lambda: vacuum()(S().positions * unit.kelvin), "x is in kelvin; give it in nanometer"),
+    ],
+)  # fmt: skip
+def test_a_message_says_what_to_give(call, said):
+    with pytest.raises(pc.ProtochainError, match=re.escape(said)):
+        call()
+
+
+def test_files_structures_and_results_are_taken_everywhere(tmp_path):
+    """A path, a Structure, and what holds one: each call takes any."""
+    r = solution()
+    by_file = pc.energy(FILE, solvent="vacuum")
+    assert by_file.fingerprint == vacuum().fingerprint
+    assert pc.minimise(FILE, by_file, "lbfgs", max_evaluations=3).n_evaluations <= 3
+    assert np.array_equal(pc.build_chain(str(FILE)).q0, C().q0)
+    assert pc.view(C()).shown["ala10"] is S() and list(pc.view(r).shown) == ["start", "lbfgs"]
+    assert [*pc.view(str(FILE)).shown] == ["ala10"]
+    few = pc.minimise(pc.build_chain(S(), "phi", move="resid 3:8"), by_file, "lbfgs", max_evaluations=5)
+    more = pc.minimise(few, by_file, "lbfgs", max_evaluations=5)
+    assert (more.chain.opened, more.chain.move) == ("phi", "resid 3:8")
+    assert np.array_equal(more.chain.structure.positions, few.x)
+    k = pc.compare(few, ("lbfgs", "kcm"), by_file, max_evaluations=2)
+    assert list(pc.view(k).shown) == ["start", "lbfgs", "kcm"]
+    with pytest.raises(pc.ProtochainError, match="Comparison of lbfgs, kcm on ala10>: give a file"):
+        pc.save(k, tmp_path / "k.pdb")
+    assert np.array_equal(pc.as_structure(r).positions, r.x)
+    pc.save(r, tmp_path / "r.pdb")
+    assert np.allclose(pc.load(tmp_path / "r.pdb").positions, r.x, atol=1e-4)
+    assert pc.to_mdtraj(r).xyz.shape == (1, 103, 3) and len(pc.to_mdanalysis(C()).atoms) == 103
+    pytest.importorskip("ase")
+    assert len(pc.to_ase(FILE)) == 103
+
+
+def test_words_are_taken_as_a_text_or_as_a_list(tmp_path):
+    assert np.array_equal(pc.build_chain(S(), ["phi", "psi"]).q0, pc.build_chain(S(), "phi psi").q0)
+    assert pc.build_chain(S(), ("phi", "psi")).opened == pc.build_chain(S(), "phi,psi").opened == "phi psi"
+    assert pc.Setup(hinges=["phi", "psi"]) == pc.Setup(hinges="phi psi")
+    water = (
+        f"HETATM 9998  O   HOH A{n:4d}    {5 + n:8.3f}  20.000  20.000  1.00  0.00           O\n"
+        for n in (90, 95)
+    )
+    text = FILE.read_text().partition("END")[0] + "".join(water) + "END\n"
+    (tmp_path / "wet.pdb").write_text(text)
+    assert pc.load(tmp_path / "wet.pdb").obstacle.sum() == 0
+    for keep in ("water", ("water",), "ions, water", ["water"]):
+        assert pc.load(tmp_path / "wet.pdb", keep=keep).obstacle.sum() == 6
+        made = gemmi.read_structure(str(tmp_path / "wet.pdb"))
+        assert pc.as_structure(made, keep=keep).obstacle.sum() == 6
+    assert [s.method for s in pc.compare(C(), "lbfgs,kcm", vacuum(), max_evaluations=2).solutions] == [
+        "lbfgs",
+        "kcm",
+    ]
+    own = Descent(KCM(), Fixed(0.001))
+    assert [s.method for s in pc.compare(C(), own, vacuum(), max_evaluations=2).solutions] == ["KCM"]
+    bpti = STRUCTURES / "4pti.pdb"
+    pairs = ([("A:5", "A:55")], ["A:5-A:55"], "A:5-A:55", [["A:5", "A:55"]])
+    assert len({pc.load(bpti, disulfide=pair).fingerprint for pair in pairs}) == 1
+
+
+def test_quantities_are_converted():
+    x, s = S().positions, S()
+    moved = x.copy()
+    moved[s.alpha_carbons[0]] += 0.1
+    in_angstrom = moved * 10.0 * unit.angstrom
+    assert pc.ca_rmsd(s, in_angstrom, x * unit.nanometer) == pytest.approx(pc.ca_rmsd(s, moved, x), rel=1e-12)
+    assert pc.ca_rmsd(s, s.with_positions(moved), s) == pc.ca_rmsd(s, moved, x)
+    value = vacuum()(x)[0]
+    for engine in (vacuum(), vacuum().reference):
+        assert engine(x * 10.0 * unit.angstrom)[0] == pytest.approx(value, rel=1e-9)
+    forces = vacuum()(x)[1]
+    # kcal/mol/angstrom are 41.84 kJ/mol/nm.
+    tau = pc.pull_back(C(), at(), forces / 41.84 * unit.kilocalorie_per_mole / unit.angstrom)
+    assert np.allclose(tau, pc.pull_back(C(), at(), forces), rtol=1e-9)
+    settings = {"n_steps": 5, "every": 5, "seed": 1}
+    plainly = pc.simulate(C(), vacuum(), time_step=0.002, temperature=250.0, friction=5.0, **settings)
+    units = pc.simulate(
+        C(), vacuum(), time_step=2.0 * unit.femtosecond, temperature=250.0 * unit.kelvin,
+        friction=5.0 / unit.picosecond, **settings,
+    )  # fmt: skip
+    assert np.allclose(units.x, plainly.x, atol=1e-12)
+    per_mol = unit.kilocalorie_per_mole
+    pull = pc.Pull("A:1:N-A:10:C", 1.0 * per_mol / unit.angstrom**2, 1.0 * unit.angstrom / unit.picosecond)
+    assert (pull.stiffness, pull.speed) == (pytest.approx(418.4), pytest.approx(0.1))
+    degree = pc.HingeSpring("omega", 1.0 * per_mol / unit.degree**2)
+    assert degree.stiffness == pytest.approx(4.184 * np.degrees(1.0) ** 2)
+    assert pc.minimise(C(), vacuum(), "lbfgs", max_evaluations=3e0).n_evaluations <= 3
+    assert pc.to_mdtraj(s, x[None] * 10.0 * unit.angstrom).xyz == pytest.approx(x[None], rel=1e-6)
+
+
+def test_checks_leave_signatures_and_defaults_as_they_are():
+    assert str(inspect.signature(pc.energy)).startswith("(structure: Any, forcefield: str = 'amber14'")
+    assert pc.energy.__name__ == "energy" and "Build the potential energy" in pc.energy.__doc__
+    with pytest.raises(TypeError, match="unexpected keyword argument 'colour'"):
+        pc.energy(S(), colour="red")
+
+
+@pytest.mark.parametrize("name", [name for name in pc.__all__ if inspect.isfunction(getattr(pc, name))])
+def test_a_signature_can_be_read(name):
+    said = str(inspect.signature(getattr(pc, name)))
+    assert "numpy" not in said and "<class" not in said
+
+
+CLONES = {
+    "pickle": lambda value: pickle.loads(pickle.dumps(value)),
+    "copy": copy.copy,
+    "deepcopy": copy.deepcopy,
+}
+
+
+def same(a, b):
+    """Whether two values are equal, field by field, and arrays of the second are as little writable."""
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b) and a.flags.writeable == b.flags.writeable
+    if isinstance(a, pd.DataFrame):
+        return a.equals(b)
+    if isinstance(a, Mapping):
+        return dict(a) == dict(b)
+    if is_dataclass(a):
+        return all(same(getattr(a, each.name), getattr(b, each.name)) for each in fields(a))
+    return a == b or isinstance(a, app.Topology | NativeEnergy)
+
+
+@pytest.mark.parametrize("clone", CLONES.values(), ids=CLONES)
+def test_values_can_be_pickled_and_copied(clone):
+    r = solution()
+    for value in (S(), C(), C().tree, at(), r):
+        _ = [getattr(value, name, None) for name in ("fingerprint", "rigid_groups", "bonds", "n_q")]
+        again = clone(value)
+        assert type(again) is type(value) and same(value, again)
+    s = clone(S())
+    assert s.fingerprint == S().fingerprint and repr(s) == repr(S())
+    with pytest.raises(TypeError):
+        s.left_out["x"] = 1
+    c = clone(C())
+    assert np.array_equal(pc.pose(c, c.q0).x, at().x)
+    again = clone(r)
+    assert again.record() == r.record() and again.provenance and again.structure.n_atoms == 103
+    more = pc.minimise(again.chain, again.energy_function, "lbfgs", max_evaluations=200)
+    assert np.array_equal(more.x, r.x)
+    assert clone(pc.Setup(keep="water")) == pc.Setup(keep="water")
+
+
+@pytest.mark.parametrize("clone", CLONES.values(), ids=CLONES)
+def test_energies_can_be_pickled_and_copied(clone):
+    x = S().positions
+    whole = vacuum()
+    reduced = whole.without_constants(C().rigid_groups, x)
+    for e in (whole, reduced, whole.reference, pc.energy(S(), solvent="vacuum", engine="openmm", threads=1)):
+        again = clone(e)
+        assert again.fingerprint == e.fingerprint and again.reason == e.reason and again.atoms == e.atoms
+        assert dict(again.left_out) == dict(e.left_out)
+        assert again(x)[0] == pytest.approx(e(x)[0], rel=1e-6)
+    m = pc.simulate(C(), whole, n_steps=2, every=1)
+    assert np.array_equal(clone(m).x, m.x) and clone(m).record() == m.record()
+    starts = pc.explore(C(), whole, "lbfgs", 2, max_evaluations=3)
+    assert clone(starts).summary() == starts.summary()
+
+
+def test_a_pickle_does_not_nest_with_the_number_of_atoms():
+    s = load("1hel.pdb")
+    assert CLONES["pickle"](s).fingerprint == s.fingerprint
+
+
+def test_parts_of_an_energy_add_up_for_every_engine():
+    x = S().positions
+    native = pc.energy(S())
+    for e in (native, native.reference, pc.energy(S(), engine="openmm", threads=1)):
+        parts, forces = e.parts(x)
+        value, whole = e(x)
+        assert sum(parts.values()) == pytest.approx(value, rel=1e-5) and np.allclose(forces, whole, atol=1e-2)
+    assert native.parts(x)[0]["bonds"] == pytest.approx(native.reference.parts(x)[0]["HarmonicBondForce"])
+    own = pc.minimise(
+        C(), lambda y: (float(np.sum(y**2)), -2 * y), "lbfgs", max_evaluations=2
+    ).energy_function
+    assert own.parts(x)[0] == {own.name: own(x)[0]}
+
+
+def test_rmsd_and_quality_take_what_users_have():
+    r, s = solution(), S()
+    assert pc.rmsd(s, r) == pytest.approx(r.ca_rmsd_angstrom, abs=RMSD_ANGSTROM)
+    assert pc.rmsd(FILE, r, "name CA C N") == deviation(s, r.structure, "name CA C N", "name CA C N").rmsd
+    off = pc.rmsd(FILE, r, "resid 1:5 and name CA", "resid 6:10 and name CA")
+    assert off == pc.deviation(s, r, "resid 1:5 and name CA", "resid 6:10 and name CA").rmsd > 0.1
+    row = pc.quality(r)
+    assert row == pc.quality(r.structure, s, C()) and row["ca_rmsd_to_start_angstrom"] == r.ca_rmsd_angstrom
+    alone = pc.quality(r.structure)
+    assert alone == {key: row[key] for key in alone} and len(alone) == 3 + len(MEASURES)
+    with pytest.raises(pc.ProtochainError, match="other atoms than"):
+        pc.quality(s, load("1l2y.pdb"))
+
+
+def test_a_solution_has_frames_and_the_displacement_of_each_residue():
+    r = solution()
+    n = len(r.frame_rows)
+    assert r.frames.shape == (n, 103, 3) and r.frame_rows[0] == 0 and r.frame_rows[-1] == len(r.trace) - 1
+    assert np.allclose(r.frames[0], S().positions, atol=1e-6) and np.allclose(r.frames[-1], r.x, atol=1e-6)
+    along = [pc.ca_rmsd(S(), x, S().positions) for x in r.frames]
+    assert np.allclose(along, r.trace["ca_rmsd_angstrom"].iloc[r.frame_rows], atol=1e-4)
+    assert pc.to_mdtraj(r, r.frames).n_frames == n
+    away = r.displacements
+    assert away.columns.tolist() == ["chain", "residue", "name", "displacement_angstrom"] and len(away) == 10
+    rms = np.sqrt(np.mean(away["displacement_angstrom"] ** 2))
+    assert rms == pytest.approx(r.ca_rmsd_angstrom, abs=RMSD_ANGSTROM)
+
+
+@pytest.mark.parametrize("length", [0, 1, 7, 50, 51, 101, 1000])
+def test_frames_are_few_evenly_spaced_and_include_the_ends(length):
+    record = Recorder(S(), Frame(S(), "a test"))
+    for k in range(length):
+        record(S().positions + k, 0.0, 0.0, k)
+    rows = list(record.kept())
+    assert len(rows) <= N_FRAMES + 1 and rows == sorted(rows)
+    if length:
+        assert rows[0] == 0 and rows[-1] == length - 1 and len(set(np.diff(rows[:-1]))) <= 1
+        assert len(rows) >= min(length, N_FRAMES // 2)
+        assert all(np.allclose(x, S().positions + k) for k, x in record.kept().items())
+
+
+def test_figures_are_drawn_where_the_caller_says():
+    from matplotlib import pyplot as plt
+
+    k = pc.compare(C(), ("lbfgs", "cartesian"), vacuum(), max_evaluations=30)
+    panels = {
+        "energy": (1, 2), "torque": (1, 2), "rmsd": (1, 2), "displacement": (1,), "ramachandran": (3,),
+        "work_precision": (4,),
+    }  # fmt: skip
+    for name, counts in panels.items():
+        plot = getattr(k, f"plot_{name}")
+        for n in counts:
+            figure, axes = plt.subplots(1, n, squeeze=False)
+            drawn = plot(ax=axes[0, 0] if n == 1 else axes[0])
+            assert drawn is figure and all(ax.has_data() for ax in axes.flat), name
+            plt.close(figure)
+        assert plot() is not figure and plot().get_suptitle()
+        wrong = plt.subplots(1, 5)[1]
+        with pytest.raises(pc.ProtochainError, match=r"ax: give .* Axes"):
+            plot(ax=wrong)
+        with pytest.raises(pc.ProtochainError, match=r"ax: give .* Axes"):
+            plot(ax=True)
+        plt.close("all")

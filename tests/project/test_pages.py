@@ -1,0 +1,338 @@
+"""Pages and the results they quote: tables made from CSV, commands that exist, and the one that makes all."""
+
+import contextlib
+import importlib
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from fixtures.command_line import COMMANDS
+from fixtures.samples import MORE_STRUCTURES, ROOT
+from fixtures.texts import blocks
+from typer.exceptions import TyperException
+
+from protochain.analysis.studies import STUDIES
+from protochain.scenes import SCENES
+
+FOLDER = ROOT / "analysis" / "benchmarks"
+sys.path.insert(0, str(FOLDER))
+import made  # noqa: E402
+import pages  # noqa: E402
+import tables  # noqa: E402
+from tables import minimisers  # noqa: E402
+
+benchmarks = importlib.import_module("all")
+HELPERS = {"all", "made", "pages", "relax_openmm"}
+NOTEBOOKS = sorted((ROOT / "analysis" / "notebooks").glob("*.ipynb"))
+MADE = re.compile(r"<!-- table made -->.*?<!-- end -->", re.DOTALL)
+"""Past commands, which were true at their commits."""
+TEXTS = {str(page.relative_to(ROOT)): MADE.sub("", page.read_text()) for page in pages.PAGES} | {
+    path.name: "\n".join("".join(cell["source"]) for cell in json.loads(path.read_text())["cells"])
+    for path in NOTEBOOKS
+}
+SCRIPTS = sorted(
+    {
+        found.strip()
+        for text in TEXTS.values()
+        for found in re.findall(r"python ((?:analysis|tests)/[\w/]+\.py[^`)\n#;]*)", text)
+    }
+)
+PROGRAM = sorted(
+    {
+        found.strip()
+        for name, text in TEXTS.items()
+        if name != "analysis/docs/commands.md"  # Synopses: tests/project/test_docs.py.
+        for code in (
+            *re.findall(r"^```\n(.*?)^```$", text, flags=re.M | re.S),
+            *(" ".join(span.split()) for span in re.findall(r"`([^`]+)`", pages.FENCED.sub("", text))),
+        )
+        for found in re.findall(r"^(?:.*(?:&&|\|) )?(protochain [a-z]+[^\n#]*)", code, flags=re.M)
+    }
+)
+"""Commands of the program, in blocks and in the text."""
+every_job = pytest.mark.parametrize("job", benchmarks.JOBS, ids=lambda job: job.name)
+every_page = pytest.mark.parametrize("page", pages.PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+
+
+def accepted(script, words):
+    """Whether the parser of a script takes these words."""
+    module = importlib.import_module(script.removesuffix(".py"))
+    with contextlib.suppress(SystemExit):
+        module.parser().parse_args(words)
+        return True
+    return False
+
+
+@every_page
+def test_tables_of_a_page_are_those_of_the_results(page):
+    text = page.read_text()
+    assert pages.rendered(text, pages.RESULTS) == text
+
+
+def test_every_table_is_used_and_has_results():
+    used = {name for page in pages.PAGES for _, name, _, _ in pages.MARKED.findall(page.read_text())}
+    assert used == set(tables.TABLES)
+    assert all(make(pages.RESULTS) for make in tables.TABLES.values())
+
+
+@every_page
+def test_every_table_of_numbers_is_made_from_results(page):
+    """But of synopses, words and names."""
+    typed = pages.MARKED.sub("", page.read_text())
+    for block in re.findall(r"^\|.*\n\|[-:| ]+\|\n((?:\|.*\n)+)", typed, re.M):
+        rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in block.splitlines()]
+        numbers = [cell for row in rows for cell in row[1:] if re.fullmatch(r"[-+]?[\d.,]+( ?%|x)?", cell)]
+        assert numbers == [], f"typed numbers {numbers[:5]}"
+
+
+def test_the_contents_list_every_page_and_section():
+    contents = (ROOT / "analysis" / "README.md").read_text()
+    for page in pages.DOCS.rglob("*.md"):
+        place = page.relative_to(ROOT / "analysis")
+        for line in pages.FENCED.sub("", page.read_text()).splitlines():
+            if re.match("## ", line):
+                assert f"]({place}#{pages.anchor(line[3:])})" in contents, line
+        assert f"]({place})" in contents, place
+
+
+def test_pages_say_which_tables_are_of_the_undamped_metric():
+    """Beside each such table, until it is measured again."""
+    for page in pages.PAGES:
+        text = page.read_text()
+        for name in ("precision", "race-medians", "race-short", "metric"):
+            before, found, _ = text.partition(f"<!-- table {name} -->")
+            if found:
+                assert re.search(
+                    "`cartesian`.*damped", before.rpartition("\n\n")[0].rpartition("\n\n")[2], re.S
+                )
+
+
+def test_the_readme_tests_as_ci_does():
+    (tested,) = [line for line in (ROOT / ".ci" / "run").read_text().splitlines() if "pytest" in line]
+    (quoted,) = [
+        line for block in blocks(ROOT / "README.md", "") for line in block.splitlines() if "pytest" in line
+    ]
+    assert quoted.endswith(tested.replace("pip install -q", "pip install"))
+
+
+def test_a_table_follows_its_results(tmp_path):
+    """New results change it, and nothing around it; without them it stays."""
+    text = "before\n<!-- table mechanics-scaling -->\nstale\n<!-- end -->\nafter\n"
+    assert pages.rendered(text, tmp_path) == text
+    for ns in (130.0, 250.0):
+        row = {"hinges": [100], "ns_per_hinge": [ns], "bytes_per_hinge": [np.nan]}
+        pd.DataFrame(row).to_csv(tmp_path / "mechanics_scaling.csv", index=False)
+        lines = pages.rendered(text, tmp_path).splitlines()
+        assert [lines[0], lines[-1]] == ["before", "after"] and "stale" not in lines
+        assert [cell.strip() for cell in lines[4].split("|")[1:-1]] == ["100", f"{ns:.0f}", "-"]
+    with pytest.raises(KeyError):
+        pages.rendered("<!-- table nothing -->\n<!-- end -->", pages.RESULTS)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
+def test_what_was_not_reached_has_no_ratio(value):
+    assert tables.ratio(value) == "never"
+
+
+@pytest.mark.parametrize("value", [0.0123, 0.62, 0.994, 0.996, 5.0, 9.94, 9.96, 133.4])
+def test_a_ratio_is_shown_to_two_digits(value):
+    shown = tables.ratio(value)
+    assert shown.endswith("x") and float(shown[:-1]) == pytest.approx(value, rel=0.05)
+
+
+def test_the_lowest_ends_are_those_of_each_kind():
+    """Within 1 kJ/mol per 100 residues; methods that move all atoms have their own lowest."""
+    methods = ("lbfgs", "newton", "hybrid", "openmm")
+    ends = pd.DataFrame([{"method": m, "structure": s, "residues": 50, "energy_end_reference_kj_mol": -10.0}
+                         for m in methods for s in "ab"])  # fmt: skip
+    # 0.4 kJ/mol of 50 residues are 0.8 of a hundred.
+    for (method, structure), rise in {
+        ("lbfgs", "a"): 0.4,
+        ("lbfgs", "b"): 0.6,
+        ("hybrid", "a"): -9.0,
+    }.items():
+        its = (ends["method"] == method) & (ends["structure"] == structure)
+        ends.loc[its, "energy_end_reference_kj_mol"] += rise
+    assert dict(minimisers.lowest(ends)) == {"lbfgs": 1, "newton": 2, "hybrid": 2, "openmm": 1}
+
+
+@pytest.mark.parametrize("quoted", SCRIPTS)
+def test_commands_that_are_quoted_exist(quoted):
+    name, *words = shlex.split(quoted)
+    script = ROOT / name
+    text = script.read_text()
+    if script.parent == FOLDER and "def parser()" in text:
+        shown = [word for word in words if word != "..."]
+        assert accepted(script.name, shown), quoted
+    options = [word for word in words if re.fullmatch(r"--?[a-z][\w-]*", word)]
+    helped = text + (FOLDER / "made.py").read_text()
+    assert [option for option in options if f'"{option}"' not in helped] == []
+
+
+@pytest.mark.parametrize("quoted", PROGRAM)
+def test_commands_of_the_program_that_are_quoted_are_parsed(quoted):
+    _, command, *words = shlex.split(re.split(r" [<>|] ", quoted)[0])
+    assert command in COMMANDS
+    if words:
+        COMMANDS[command].make_context(command, [word for word in words if word != "..."])
+    if command == "bench" and words:
+        assert words[0] in {*STUDIES, *SCENES}
+
+
+def test_pages_quote_commands_that_make_their_tables():
+    """Each is a command of the one table, or its beginning; "..." or FILES stand for names of files."""
+    known = [job.command for job in benchmarks.JOBS]
+    for page in pages.PAGES:
+        text = pages.MARKED.sub("", page.read_text())
+        for quoted in re.findall(
+            r"`(python analysis/benchmarks/[^`]+|protochain bench [^`]+-o DIR[^`]*)`", text
+        ):
+            quoted = " ".join(quoted.split())
+            if quoted.split()[1] in ("analysis/benchmarks/all.py", "analysis/benchmarks/pages.py"):
+                continue
+            if "..." in quoted or "FILES" in quoted:
+                first, last = re.split(r" \S+ \.\.\. | FILES ", quoted)
+                assert any(line.startswith(first) and line.endswith(last) for line in known), quoted
+            else:
+                assert any(line.startswith(quoted) for line in known), quoted
+
+
+def test_every_benchmark_is_run_by_all():
+    run = {word for job in benchmarks.JOBS for word in job.command.split() if word.endswith(".py")}
+    assert {path.name for path in FOLDER.glob("*.py")} - {f"{name}.py" for name in HELPERS} == {
+        word.rpartition("/")[2] for word in run
+    }
+    names = [job.name for job in benchmarks.JOBS]
+    assert len(set(names)) == len(names)
+
+
+@every_job
+@pytest.mark.parametrize("quick", [True, False])
+def test_every_job_is_a_command_that_exists(job, quick, tmp_path):
+    assert job.minutes > 0
+    program, *words = benchmarks.words_of(job, tmp_path, MORE_STRUCTURES, quick)
+    if program == sys.executable:
+        script, *words = words
+        assert (ROOT / script).parent == FOLDER
+        assert accepted((ROOT / script).name, words)
+    else:
+        command, *words = words
+        COMMANDS[command].make_context(command, list(words))
+    assert str(tmp_path) in words
+    for word in words:
+        if word.endswith((".pdb", ".cif")) and (MORE_STRUCTURES.exists() or word.startswith("structures/")):
+            assert (ROOT / word).is_file(), word
+
+
+def test_a_job_with_an_unknown_option_would_be_noticed():
+    assert not accepted("race.py", ["--force", "gbsa", "--nothing"])
+    assert not accepted("dynamics.py", ["energies"])
+    with pytest.raises(TyperException, match="nothing"):
+        COMMANDS["bench"].make_context("bench", ["precision", "--nothing"])
+
+
+def all_py(*words):
+    surroundings = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(FOLDER / "all.py"), *words]
+    return subprocess.run(command, env=surroundings, capture_output=True, text=True)
+
+
+def test_all_makes_a_table_and_the_page_that_quotes_it(tmp_path):
+    done = all_py("--quick", "--only", "search", "-o", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    record = pd.read_csv(tmp_path / "made.csv", dtype=str, keep_default_na=False).set_index("table")
+    assert list(record.index) == ["search.csv", "search_lists.csv"]
+    row = record.loc["search.csv"]
+    assert row["command"] == "python analysis/benchmarks/search.py -o DIR --quick"
+    assert row["commit"] and row["versions"] and row["machine"] and float(row["load"]) >= 0
+    for page in pages.PAGES:
+        assert (tmp_path / "pages" / page.relative_to(ROOT)).exists()
+    page = (tmp_path / "pages" / "analysis" / "docs" / "measured" / "mechanics.md").read_text()
+    (shown,) = [found for _, name, found, _ in pages.MARKED.findall(page) if name == "search"]
+    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in shown.splitlines()]
+    sizes = [int(cell.replace(",", "")) for cell in cells[0][1:-1]]
+    measured = pd.read_csv(tmp_path / "search.csv").pivot(index="search", columns="bodies", values="ns_each")
+    assert {row[0] for row in cells[2:]} == set(measured.index)
+    for name, *values, _ in cells[2:]:
+        assert [float(value) for value in values] == pytest.approx(measured.loc[name, sizes], abs=0.51)
+
+
+def test_all_goes_on_after_a_failure_and_says_so(tmp_path, monkeypatch, capfd):
+    fails = benchmarks.Job(
+        "fails", "python -c 'raise SystemExit(4)'", 1, quick="python -c 'raise SystemExit(4)'"
+    )
+    works = replace(fails, name="works", quick='python -c \'open("there", "w")\'')
+    works = replace(
+        fails, name="works", quick=f"python -c 'import pathlib; pathlib.Path(\"{tmp_path}/there\").touch()'"
+    )
+    monkeypatch.setattr(benchmarks, "JOBS", (fails, works))
+    monkeypatch.setattr(sys, "argv", ["all.py", "--quick", "-o", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        benchmarks.main()
+    assert ended.value.code == 1 and (tmp_path / "there").exists()
+    assert "failed: fails: exit status 4\n" in capfd.readouterr().err
+
+
+def test_all_takes_the_tables_of_a_study(tmp_path, monkeypatch):
+    monkeypatch.setattr(made, "MORE", tmp_path / "more")
+    (tmp_path / "more").mkdir()
+    script = "import sys, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(); "
+    script += "(p / 'a.csv').write_text('x,y\\n1,2\\n')"
+    job = benchmarks.Job(
+        "study", f'python -c "{script}" DIR MORE/1abc.pdb', 1, collects={"a.csv": ("study.csv", ("y",))}
+    )
+    out = tmp_path / "out"
+    assert benchmarks.run(job, out, tmp_path / "nowhere", False).endswith("name their folder by --more")
+    assert benchmarks.run(job, out, tmp_path / "more", False) == ""
+    assert (out / "study.csv").read_text() == "y\n2\n"
+    lacks = replace(job, collects={"b.csv": ("study.csv", ())})
+    assert benchmarks.run(lacks, out, tmp_path / "more", False) == "wrote no b.csv"
+    record = pd.read_csv(out / "made.csv", dtype=str).set_index("table")
+    assert record.loc["study.csv", "inputs"] == "1abc.pdb"
+    assert record.loc["study.csv", "command"].endswith("MORE/1abc.pdb")
+
+
+def test_some_are_chosen_by_how_they_begin():
+    names = [job.name for job in benchmarks.chosen(["race", "dynamics-steps"])]
+    assert names == ["race", "race-custom", "dynamics-steps"]
+    with pytest.raises(SystemExit, match="no benchmark 'nothing'"):
+        benchmarks.chosen(["nothing"])
+
+
+def test_quick_does_not_write_where_pages_look():
+    done = all_py("--quick")
+    assert done.returncode == 1 and "-o DIR" in done.stderr
+
+
+def test_a_result_says_how_it_was_made(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", [str(FOLDER / "race.py"), "-o", str(tmp_path), "--forces", "obc2"])
+    for value in (1, 2):
+        made.write(pd.DataFrame({"a": [value]}), tmp_path / "race.csv", ["some/folder/1l2y.pdb"], threads=2)
+    made.write(pd.DataFrame({"b": [3]}), tmp_path / "other.csv")
+    rows = pd.read_csv(tmp_path / "made.csv", dtype=str, keep_default_na=False).set_index("table")
+    assert list(rows.index) == ["other.csv", "race.csv"]
+    row = rows.loc["race.csv"]
+    assert row["command"] == "python analysis/benchmarks/race.py -o DIR --forces obc2"
+    assert (row["inputs"], row["threads"]) == ("1l2y.pdb", "2")
+    head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
+    assert row["commit"] == made.COMMIT
+    assert made.commit().removesuffix(" and changes") == (head.stdout.strip() or "none: an installed package")
+    assert pd.read_csv(tmp_path / "race.csv")["a"].tolist() == [2]
+
+
+def test_no_result_names_a_folder_of_a_machine():
+    for path in sorted(made.RESULTS.glob("*.csv")):
+        assert not re.search(r"(?:^|[ ,\"'])/(?:home|work|tmp|root|usr)/", path.read_text(), re.M), path.name
+
+
+def test_the_dipeptide_is_capped_alanine():
+    structure = importlib.import_module("dipeptide").molecule()
+    assert list(structure.residue_name) == ["ACE", "ALA", "NME"]
+    assert structure.n_atoms == 22

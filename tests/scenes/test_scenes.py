@@ -1,0 +1,287 @@
+"""Scenes: their parts, the command, and that commands for proteins load none of them."""
+
+import json
+import subprocess
+import sys
+from importlib import import_module
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from fixtures.command_line import refusal
+from fixtures.command_line import run as command
+from fixtures.samples import STRUCTURES
+
+import protochain.scenes
+from protochain.core.errors import Argument, Fault, MechanicsError, ProtochainError
+from protochain.lab.cases import check, extreme, left_out, tried, vanishes
+from protochain.lab.cost import in_turn, timed, work_table
+from protochain.lab.discovery import modules
+from protochain.lab.fits import exponent, extrapolated, order
+from protochain.mechanics.multibody import kinetic_energy, pose
+from protochain.scenes import SCENES, Check, Extreme, LeftOut, Scene, plot_work, run, serial
+from protochain.scenes.beam.extremes import REFUSED
+
+
+def some(checks=(), extremes=(), left=()):
+    work = work_table([("a", "h", 0.1, 1e-3), ("a", "h/2", 0.2, 1e-4)])
+    return Scene("some", "a scene", checks, work, extremes, left, {"trace": pd.DataFrame({"t": [0.0, 1.0]})})
+
+
+def test_a_check_says_how_far_off_it_is_and_nan_is_wrong():
+    assert check("k", 2.02, 2.0, 0.011, "by hand").error == pytest.approx(0.01)
+    assert check("k", 2.02, 2.0, 0.011, "by hand", "absolute").error == pytest.approx(0.02)
+    assert check("k", -2.0, 2.0, 1.9, "a sign").error == 2.0
+    verdicts = {value: check("k", value, 1.0, 0.1, "").right for value in (0.89, 0.91, 1.09, 1.11, np.inf)}
+    assert verdicts == {0.89: False, 0.91: True, 1.09: True, 1.11: False, np.inf: False}
+    assert not check("k", np.nan, 1.0, np.inf, "").right
+    assert check("none", 0.0, 0.0, 0.0, "").right and not check("some", 1e-300, 0.0, 1.0, "").right
+
+
+def test_an_extreme_is_right_refused_as_expected_or_wrong():
+    def refuses(text):
+        def call():
+            raise MechanicsError(Argument("step"), text, fault=Fault.STEP)
+
+        return call
+
+    def of(value):
+        return lambda: check("k", value, 1.0, 0.1, "one")
+
+    assert extreme("e", of(1.05)) == Extreme("e", "right", "relative error 0.05, bound 0.1: one")
+    assert extreme("e", of(1.2)).outcome == "wrong"
+    assert extreme("e", lambda: of(np.float64(1.0) / np.zeros(1)[0])()).outcome == "wrong"
+    for expected in (Fault.STEP, Argument("step")):
+        assert extreme("e", refuses(" 2 s"), expected) == Extreme("e", "refused", "step 2 s")
+    for expected in (None, Fault.NO_INERTIA, Argument("steps")):
+        assert extreme("e", refuses(" 2 s"), expected).outcome == "wrong"
+    assert extreme("e", refuses(" 2 s\nreally"), Fault.STEP).outcome == "wrong"
+    assert extreme("e", of(1.0), Fault.STEP).outcome == "wrong"
+    broken = extreme("e", lambda: {}["k"], Fault.STEP)
+    assert broken.outcome == "wrong" and broken.detail == "KeyError: 'k'"
+
+
+def test_what_is_left_out_must_leave_the_answer():
+    def slow():
+        for _ in range(50):
+            np.linalg.eigvalsh(np.eye(30))
+        return np.array([1.0, 2.0])
+
+    found = left_out("the rest", slow, lambda: np.array([1.0, 2.0 + 1e-6]), 1e-6, repeats=2)
+    assert found.right and found.difference == pytest.approx(5e-7, rel=1e-6)
+    assert not left_out("the rest", slow, lambda: np.array([1.0, 2.1]), 1e-6, 1).right
+    assert not left_out("the rest", slow, lambda: np.array([1.0, np.nan]), np.inf, 1).right
+    assert not left_out("the rest", slow, lambda: 1.0, 1e-6, 1).right
+    assert left_out("the rest", lambda: 0.0, lambda: 0.0, 0.0, 1).difference == 0.0
+
+
+def test_the_least_time_and_the_exponent_of_a_line():
+    calls = []
+    result, seconds = timed(lambda: calls.append(1) or len(calls), repeats=4)
+    assert result == 4 and 0.0 <= seconds < np.inf
+    made = []
+    # Two in a row of each, of which the first counts only where it is slow, or the first of all.
+    ticks = iter(np.arange(100.0))
+    both = in_turn([lambda: made.append("a"), lambda: made.append("b")], turns=3, row=2, clock=lambda: 0.0)
+    assert "".join(made) == "abaabbaabb" and [len(each.seconds) for each in both] == [3, 3]
+    slow = in_turn([lambda: made.append("c")], turns=2, row=5, clock=lambda: next(ticks))
+    assert made.count("c") == 2 and slow[0].seconds == (1.0, 1.0) and slow[0].least == slow[0].median == 1.0
+    h = np.array([0.1, 0.05, 0.02, 0.01])
+    assert extrapolated(1.0 + h, 1.0 + 0.25 * h) == pytest.approx(np.ones(4), rel=1e-15)
+    assert order(*(1.0 + 0.3 / n**2 for n in (4, 8, 16))) == pytest.approx(2.0)
+    assert order(*(np.array([1.0, 2.0]) + 0.3 / n**2 for n in (4, 8, 16))) == pytest.approx(2.0)
+    assert exponent(h, 3.0 * h**4) == pytest.approx(4.0)
+    assert exponent([*h, 0.005, 0.002], [*(3.0 * h**-1.5), 0.0, np.nan]) == pytest.approx(-1.5)
+    assert np.isnan(exponent([1.0, 1.0], [1.0, 2.0])) and np.isnan(exponent([1.0], [1.0]))
+
+
+def test_a_scene_names_what_is_wrong_and_has_a_table_for_each_file():
+    good, bad = check("good", 1.0, 1.0, 0.1, "one"), check("bad", 2.0, 1.0, 0.1, "one")
+    of = some(
+        (good, bad),
+        (Extreme("odd", "refused", "no"), Extreme("worse", "wrong", "nan")),
+        (LeftOut("all", 2.0, 0.0, 0.0), LeftOut("too much", 9.0, 1.0, 0.5)),
+    )
+    assert of.wrong == ("bad", "worse", "too much")
+    frames = of.frames()
+    assert list(frames) == ["checks", "work", "extremes", "left_out", "trace"]
+    assert frames["checks"]["verdict"].tolist() == ["right", "wrong"]
+    assert frames["left_out"]["verdict"].tolist() == ["right", "wrong"]
+    assert frames["extremes"]["outcome"].tolist() == ["refused", "wrong"]
+    assert some().wrong == () and list(some().frames()["checks"].columns) == [
+        *Check.__annotations__,
+        "verdict",
+    ]
+
+
+def test_a_point_of_work_has_its_error_and_what_is_refused_an_infinite_one():
+    def refuses():
+        raise MechanicsError("too long")
+
+    method, setting, seconds, error = tried("a", "h", lambda: 2.0, lambda found: found - 1.5)
+    assert (method, setting, error) == ("a", "h", 0.5) and 0.0 <= seconds < 1.0
+    _, _, seconds, error = tried("a", "h", refuses, float)
+    assert np.isnan(seconds) and error == np.inf
+    assert vanishes("k", -1e-3, 1e-2, "one") == Check("k", -1e-3, 0.0, 1e-3, 1e-2, "one", "absolute")
+
+
+@pytest.fixture
+def scenes(monkeypatch):
+    """Make the command run scenes of one's own: by name, a function of quick."""
+
+    def put(**made):
+        monkeypatch.setattr(protochain.scenes, "SCENES", {name: f"one of {name}" for name in made})
+        for name, function in made.items():
+            module = SimpleNamespace(run=function)
+            monkeypatch.setitem(sys.modules, f"protochain.scenes.{name}", module)
+
+    return put
+
+
+def test_every_scene_is_found_with_its_line(tmp_path):
+    for name, line in SCENES.items():
+        assert 20 < len(line) < 90 and "\n" not in line
+        assert callable(import_module(f"protochain.scenes.{name}").run)
+    (tmp_path / "one.py").write_text('"""The first."""\n1 / 0\n')
+    (tmp_path / "one_part.py").write_text('"""Of the first."""\n')
+    (tmp_path / "two").mkdir()
+    (tmp_path / "two" / "__init__.py").write_text('"""The second: more.\n\nAnd more.\n"""\n')
+    assert modules([str(tmp_path)]) == {"one": "The first", "two": "The second: more"}
+
+
+def test_the_command_writes_what_a_scene_finds(scenes, tmp_path, capsys, monkeypatch):
+    asked = []
+    left = (LeftOut("half of it", 2.0, 0.0, 0.0),)
+    found = some((check("k", 1.0, 1.0, 0.1, "one"),), (Extreme("odd", "refused", "no"),), left)
+    scenes(some=lambda quick: asked.append(quick) or found)
+    monkeypatch.chdir(tmp_path)
+    assert command("scene", "some") == 0 and command("scene", "some", "--quick", "-o", "there") == 0
+    assert asked == [False, True]
+    files = {"checks", "work", "extremes", "left_out", "trace"}
+    for folder in (tmp_path / "scene-some", tmp_path / "there"):
+        assert {path.stem for path in folder.glob("*.csv")} == files
+        assert pd.read_csv(folder / "checks.csv")["verdict"].tolist() == ["right"]
+        assert pd.read_csv(folder / "work.csv")["error"].tolist() == [1e-3, 1e-4]
+        assert (folder / "work.png").stat().st_size > 5000
+        record = json.loads((folder / "made.json").read_text())
+        assert set(record) == {"machine", "threads", "versions", "commit"} and "numba" in record["versions"]
+    out, said = capsys.readouterr()
+    assert said == "scene some: may take two minutes; --quick takes some seconds\n"
+    assert out.startswith("some: a scene\n") and "half of it" in out and "1 extremes: 1 refused" in out
+    assert "written: tables and work.png in scene-some" in out
+    assert command("scene", "some", "--json", "-o", tmp_path / "there") == 0
+    text = json.loads(capsys.readouterr().out)
+    assert text["scene"] == "some" and text["wrong"] == [] and text["output"] == str(tmp_path / "there")
+    assert text["checks"][0]["oracle"] == 1.0 and text["work"][1]["setting"] == "h/2"
+    assert text["left_out"][0]["ratio"] == 2.0 and text["extremes"][0]["outcome"] == "refused"
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        ((check("odd one", np.nan, 1.0, 0.1, "one"),),),
+        ((), (Extreme("odd one", "wrong", "no"),)),
+        ((), (), (LeftOut("odd one", 2.0, 1.0, 0.1),)),
+    ],
+)
+def test_what_is_wrong_fails_the_command(parts, scenes, tmp_path, capsys):
+    scenes(some=lambda quick: some(*parts))
+    assert command("scene", "some", "--quick", "--json", "-o", tmp_path) == 1
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["wrong"] == ["odd one"]
+    assert captured.err == f"protochain: scene some: wrong: odd one; the tables in {tmp_path} say how\n"
+
+
+def test_many_extremes_are_counted_and_the_wrong_ones_listed(scenes, tmp_path, capsys):
+    many = tuple(Extreme(f"case {k}", "wrong" if k == 33 else "right", "so") for k in range(40))
+    scenes(some=lambda quick: some(extremes=many))
+    assert command("scene", "some", "-o", tmp_path) == 1
+    out = capsys.readouterr().out
+    assert "40 extremes: 39 right, 1 wrong" in out and "case 33" in out and "case 32" not in out
+
+
+def test_without_a_name_scenes_are_listed_and_an_unknown_one_is_refused(scenes, tmp_path, capsys):
+    scenes(some=lambda quick: some(), other=lambda quick: some())
+    assert command("scene") == 0
+    assert capsys.readouterr().out == "some   one of some\nother  one of other\n"
+    assert command("scene", "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {"scenes": {"some": "one of some", "other": "one of other"}}
+    assert refusal("scene", "odd") == "there is no scene 'odd'; choose from some, other"
+    with pytest.raises(ProtochainError, match="choose from"):
+        run("odd")
+    (tmp_path / "file").write_text("")
+    assert "is not a folder" in refusal("scene", "some", "-o", tmp_path / "file")
+
+
+def test_a_picture_has_a_line_for_each_method_with_its_finite_errors():
+    rows = [("a", "1", 0.1, 1e-3), ("a", "2", 0.2, np.inf), ("a", "3", 0.4, 0.0), ("b", "1", 0.1, 1e-2)]
+    of = Scene("some", "a scene", (), work_table(rows), error_of="error, rad")
+    (ax,) = plot_work(of).axes
+    assert [line.get_label() for line in ax.lines] == ["a", "b"]
+    np.testing.assert_array_equal(ax.lines[0].get_xydata(), [[0.1, 1e-3], [0.4, 1e-17]])
+    assert (ax.get_xscale(), ax.get_yscale(), ax.get_ylabel()) == ("log", "log", "error, rad")
+    assert plot_work(Scene("some", "none", (), work_table([]))).axes[0].lines[:] == []
+
+
+def test_commands_for_proteins_load_no_scene(tmp_path):
+    code = (
+        "import sys; from protochain.cli import app; app(['minimise', sys.argv[1], '-o', sys.argv[2],"
+        " '--max-evaluations', '5', '--solvent', 'vacuum'], standalone_mode=False);"
+        " print(*sys.modules, file=sys.__stdout__)"
+    )
+    words = [sys.executable, "-c", code, str(STRUCTURES / "ala10.pdb"), str(tmp_path / "out.pdb")]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    loaded = {name for name in done.stdout.split() if name.startswith("protochain.")}
+    assert "protochain.minimisers" in loaded and (tmp_path / "out.pdb").exists()
+    assert not {name for name in loaded if name.split(".")[1] in ("scenes", "mechanisms")}
+
+
+def test_scenes_load_nothing_of_proteins():
+    """But for serial, which takes its cases from a study."""
+    names = ["", *(f".{name}" for name in SCENES if name != "serial")]
+    code = f"import sys, {', '.join(f'protochain.scenes{name}' for name in names)}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert not loaded & {"openmm", "gemmi", "MDAnalysis", "protochain.structure", "protochain.chain"}
+
+
+def test_rods_have_the_kinetic_energy_and_weight_of_rods():
+    tree, rate = serial.rods(3, 1.5, 6.0), np.array([2.0, 0.0, 0.0])
+    straight = pose(tree, np.array([0.3, 0.0, 0.0]))
+    # One rod of 1.5 m and 6 kg about its end.
+    assert kinetic_energy(tree, straight, rate) == pytest.approx(0.5 * 6.0 * 1.5**2 / 3.0 * 4.0, rel=1e-14)
+    energy, torque = serial.weight(tree, straight)
+    assert energy == pytest.approx(6.0 * 9.81 * 0.75 * np.sin(0.3), rel=1e-14)
+    assert torque[0] == pytest.approx(-6.0 * 9.81 * 0.75 * np.cos(0.3), rel=1e-14)
+
+
+def test_serial_chains_are_right():
+    found = run("serial", quick=True)
+    assert found.wrong == () and len(found.checks) == 8
+    names = {each.name.partition(":")[0] for each in found.extremes}
+    assert names == set(serial.SERIAL)
+    assert {each.outcome for each in found.extremes} == {"right", "refused"}
+    assert {"articulated", "Fixman", "dense Cholesky", "conjugate gradients"} <= set(found.work["method"])
+    assert found.work["setting"].str.len().min() > 0 and np.isfinite(found.work["error"]).all()
+    assert len(found.left_out) == 2
+
+
+def test_a_beam_is_right():
+    found = run("beam", quick=True)
+    assert found.wrong == () and len(found.checks) == 33
+    outcomes = {each.name: each.outcome for each in found.extremes}
+    assert {name for name, outcome in outcomes.items() if outcome == "refused"} == {
+        "steps three times too long", *(name for name, *_ in REFUSED)
+    }  # fmt: skip
+    assert {"spin_up", "rotation", "lengths"} == set(found.tables)
+
+
+def test_a_manipulator_is_right():
+    found = run("manipulator", quick=True)
+    assert found.wrong == () and len(found.checks) == 8
+    refused = [each.name for each in found.extremes if each.outcome == "refused"]
+    assert len(refused) == 2 and "explicit steps of 1.1 of" in refused[0]
+    assert refused[1] == "steps three times too long for Kutta's method"
+    assert {"cells", "rigid_ends", "motion", "dampers"} == set(found.tables)
+    assert {name.partition(",")[0] for name in found.work["method"]} == {"Kutta", "midpoint", "Rosenbrock"}

@@ -1,0 +1,660 @@
+"""Disulfides, amide bonds, what is kept and how it is held, and alternates, on residues made by hand."""
+
+import re
+
+import gemmi
+import numpy as np
+import pytest
+from fixtures.repairs import noted, sentences
+
+import protochain as pc
+from protochain.structure.bridges import disulfides, refuse_crosslinks
+from protochain.structure.conformation import likeliest, same_place
+from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.kept import Candidate, by_element, check_words, choose, water_named
+from protochain.structure.linkage import is_metal
+from protochain.structure.sites import find_links, measure, moves, ties
+from protochain.structure.templates import Template
+
+
+def member(name, number, *atoms, chain="A", code=""):
+    made = [atom(label, label[0], [x, 0.0, 0.0]) for label, x in atoms]
+    return Member(name, str(number), code, chain, made)
+
+
+def drafted(*members):
+    return Draft("x", "x", [Part("A", list(members[:1])), Part("A", list(members[1:]))])
+
+
+def cysteines(*places):
+    return [member("CYS", k, ("CB", x), ("SG", x)) for k, x in enumerate(places, 1)]
+
+
+def place(number, name="SG"):
+    return ("A", str(number), name)
+
+
+@pytest.mark.parametrize(("far", "bonded"), [(2.99, True), (3.01, False)])
+def test_sulphurs_within_three_angstrom_are_bonded_and_that_is_said_unless_stated(far, bonded):
+    pair = cysteines(0.0, far)
+    other = [member("CYS", 3, ("CB", 0.1)), member("MET", 4, ("SG", 0.2))]
+    draft = drafted(*other, *pair)
+    assert disulfides(draft) == [tuple(pair)] * bonded
+    bond = "disulfide bond between residue 1 CYS of chain A and residue 2 CYS of chain A"
+    assert sentences(draft) == [bond] * bonded
+    draft = drafted(*pair)
+    draft.stated = [(place(2), place(1))]
+    disulfides(draft)
+    said = (
+        "disulfide bond of the file between residue 2 CYS of chain A and residue 1 CYS of chain A ignored: "
+        "it is 3.0 angstrom long; request it as disulfide if it is real"
+    )
+    assert sentences(draft) == [said] * (not bonded)
+
+
+def test_bonds_are_in_the_order_of_their_cysteines_and_the_nearest_first():
+    a, b, c, d, e = cysteines(50.0, 0.0, 52.1, 2.0, 4.1)
+    draft = drafted(a, b, c, d, e)
+    draft.stated = [
+        (place(1), place(3)),
+        (place(1, "CB"), place(3)),
+        (place(9), place(1)),
+        (place(5), place(8)),
+    ]
+    assert disulfides(draft) == [(a, c), (b, d)]
+    assert sentences(draft) == [
+        "disulfide bond between residue 2 CYS of chain A and residue 4 CYS of chain A"
+    ]
+    assert disulfides(drafted(member("ALA", 1), member("CYS", 2))) == []
+
+
+def test_bonds_asked_for_are_added_to_those_found_or_take_their_place():
+    a, b, c, d = cysteines(0.0, 2.0, 30.0, 40.0)
+    b.insertion_code = "B"
+    found = "disulfide bond between residue 1 CYS of chain A and residue 2B CYS of chain A"
+    asked = "disulfide bond between residue 4 CYS of chain A and residue 3 CYS of chain A, as requested"
+    draft = drafted(a, b, c, d)
+    assert disulfides(draft, [("A:4", "A:3"), ("A:2B", "A:1")]) == [(a, b), (d, c)]
+    assert sentences(draft) == [found, f"{asked}; their sulphurs are 10.0 angstrom apart"]
+    draft = drafted(a, c)
+    draft.stated = [(("A", "1", "SG"), ("A", "3", "SG"))]
+    assert disulfides(draft, [("A:1", "A:3")]) == [(a, c)] and "ignored" not in "".join(sentences(draft))
+    draft = drafted(a, b, c, d)
+    assert disulfides(draft, ["none", ("A:3", "A:2B")]) == [(c, b)]
+    assert (
+        sentences(draft)[0] == "disulfide bonds left out, as requested: A:1-A:2B" and len(draft.repairs) == 2
+    )
+    draft = drafted(a, b, c, d)
+    assert disulfides(draft, ["none"]) == [] and len(draft.repairs) == 1
+    draft = drafted(a, c)
+    assert disulfides(draft, ["none"]) == [] and draft.repairs == []
+    taken = "no cysteine has two bonds; leave one out, or drop the bonds that are found"
+    for members, bonds, why in (
+        ((a, b), [("A:1", "B:1")], "disulfide A:1-B:1: no cysteine B:1; its cysteines are A:1, A:2B"),
+        (
+            (member("ALA", 1),),
+            [("A:1", "A:2")],
+            "disulfide A:1-A:2: residue 1 ALA of chain A is no cysteine; its cysteines are none",
+        ),
+        ((a, c), [("A:1", "A:1")], "disulfide A:1-A:1: one cysteine is no bond; give two"),
+        (
+            (a, b, c),
+            ["none", ("A:1", "A:3"), ("A:2B", "A:3")],
+            f'disulfide A:2B-A:3: A:1 and A:3 are bonded, and {taken}: disulfide="none"',
+        ),
+        (
+            (a, b, c),
+            [("A:2B", "A:3")],
+            f'disulfide A:2B-A:3: A:1 and A:2B are bonded, and {taken}: disulfide="none"',
+        ),
+    ):
+        with pytest.raises(pc.ProtochainError) as refused:
+            disulfides(drafted(*members), bonds)
+        assert str(refused.value) == f"x: {why}"
+    c.metals = [c.atom("SG")]
+    with pytest.raises(pc.ProtochainError, match="A:3 is bonded to a molecule beside the protein"):
+        disulfides(drafted(a, c), [("A:1", "A:3")])
+
+
+@pytest.mark.parametrize(("amine", "nitrogen"), [("LYS", "NZ"), ("ORN", "NE"), ("DAB", "ND")])
+@pytest.mark.parametrize(("acid", "carbon"), [("ASP", "CG"), ("GLU", "CD")])
+def test_side_chains_joined_by_an_amide_bond_are_refused(amine, nitrogen, acid, carbon):
+    lone = member(amine, 1, ("CA", 0.1), (nitrogen, 0.0))
+    for far in (1.71, 1.69):
+        draft = drafted(lone, member(acid, 2, ("CA", 0.2), (carbon, 9.0)), member(acid, 3, (carbon, far)))
+        if far > 1.7:
+            refuse_crosslinks(draft)
+            continue
+        with pytest.raises(pc.ProtochainError) as refused:
+            refuse_crosslinks(draft)
+        assert str(refused.value) == (
+            f"x: residue 1 {amine} of chain A and residue 3 {acid} of chain A are joined by an amide bond "
+            f"({nitrogen}-{carbon}), which the force fields lack; remove that bond"
+        )
+    # With both oxygens it is an acid, and the two only overlap.
+    oxygens = [({"CG": "OD", "CD": "OE"}[carbon] + number, 1.0) for number in "12"]
+    refuse_crosslinks(drafted(lone, member(acid, 2, (carbon, 0.1), *oxygens)))
+    for one in oxygens:
+        with pytest.raises(pc.ProtochainError, match="amide bond"):
+            refuse_crosslinks(drafted(lone, member(acid, 2, (carbon, 0.1), one)))
+    refuse_crosslinks(drafted(lone, member("ALA", 2, (carbon, 0.1))))
+    refuse_crosslinks(drafted(member(acid, 2, (carbon, 0.1)), member("ARG", 1, (nitrogen, 0.0))))
+    refuse_crosslinks(drafted(lone, member(acid, 2, ("CB", 0.1))))
+
+
+CENTRE = 0.5
+
+
+@pytest.mark.parametrize(
+    ("residue", "kind"),
+    [
+        (member("HOH", 1, ("O", CENTRE)), "water"),
+        (member("ZN", 1, ("N", CENTRE)), "ions"),
+        (member("DA", 1, ("P", CENTRE), ("O", CENTRE + 1)), "nucleic"),
+        (member("LIG", 1, ("C", CENTRE), ("O", CENTRE + 1)), "ligands"),
+    ],
+)
+def test_molecules_are_kept_by_kind_or_by_either_name(residue, kind):
+    def kept(word):
+        given = Candidate(residue, "OLD", [noted("oddly")])
+        draft = drafted(glycine())
+        parts = choose(draft, [given], (word,), {})
+        assert given.kind == kind and draft.left_out == ({} if parts else {_told(kind): 1})
+        assert (noted("oddly") in draft.repairs) == bool(parts)
+        return [part.members for part in parts] == [[residue]]
+
+    every = ("none", "near", "all", "water", "ions", "nucleic", "ligands", residue.name, "OLD")
+    near = {"near"} if kind != "water" else set()
+    assert {word for word in every if kept(word)} == {"all", kind, residue.name, "OLD", *near}
+    told = re.escape(f"x: keep QWK: no molecule beside the protein has this name; there are 1 {_told(kind)}")
+    for words in (("QWK",), ("OLD", "QWK"), ("near", "QWK")):
+        with pytest.raises(pc.ProtochainError, match=f"^{told}$"):
+            choose(drafted(glycine()), [Candidate(residue, "OLD")], words, {})
+    assert choose(drafted(glycine()), [Candidate(residue, "OLD")], (), {}) == []
+
+
+def _told(kind):
+    return "waters" if kind == "water" else "OLD"
+
+
+def glycine():
+    return member("GLY", 1, ("N", 0.0), ("CA", 0.0), ("HA", 9.0))
+
+
+def candidates(*places, name="LIG"):
+    return [Candidate(member(name, k, ("C", x), ("H", x + 90.0)), name) for k, x in enumerate(places, 2)]
+
+
+@pytest.mark.parametrize(
+    ("places", "near"),
+    [
+        ((4.9, 5.1, -4.9), (0, 1, 2)),
+        ((5.1, -5.1, -4.9), (1, 2)),
+        # One joins the next, in any order; a gap of 2 angstrom ends the row.
+        ((6.7, 8.6, 4.9, 10.7), (0, 1, 2)),
+        ((6.9, 8.8, 4.8), ()),
+    ],
+)
+def test_near_is_five_angstrom_from_heavy_atoms_of_the_protein_or_joined_to_what_is(places, near):
+    """The protein's heavy atoms are at 0, its hydrogen at 9."""
+    given = candidates(*places)
+    if near == ():
+        given[2].member.atoms[0].pos.y = 1.7
+    draft = drafted(glycine())
+    kept = [part.members[0] for part in choose(draft, given, ("near",), {})]
+    assert kept == [given[k].member for k in near]
+    gone = len(places) - len(near)
+    said = (
+        f'{gone} LIG (it is further than 5 angstrom from the protein) left out; keep="all" keeps everything'
+    )
+    assert draft.left_out == ({"LIG": gone} if gone else {}) and (sentences(draft)[0] == said) == bool(gone)
+
+
+def test_what_is_left_out_is_said_first_and_then_what_is_kept():
+    odd = member("UNX", 9, ("C", 1.0))
+    odd.atoms[0].element = gemmi.Element("X")
+    bare = member("DUM", 9, ("H", 1.0))
+    given = [
+        *candidates(1.0, 40.0, 30.0), *candidates(1.1, name="HOH"), Candidate(odd, "UNX"),
+        Candidate(bare, "DUM"), *candidates(3.0, name="BIG"), *candidates(3.2, name="BIG"),
+    ]  # fmt: skip
+    draft = drafted(glycine())
+    draft.repairs.append(noted("earlier"))
+    choose(draft, given, ("near",), {})
+    assert sentences(draft) == [
+        "2 LIG (it is further than 5 angstrom from the protein), 1 waters, 1 UNX (its element is unknown), "
+        '1 DUM (its element is unknown) left out; keep="all" keeps everything',
+        "2 BIG, 1 LIG kept beside the protein (BIG, LIG by element, unless the force field has parameters)",
+        str(noted("earlier")),
+    ]
+    assert draft.left_out == {"LIG": 2, "waters": 1, "UNX": 1, "DUM": 1}
+    dry = drafted(glycine())
+    choose(dry, candidates(1.0, 2.0, name="HOH"), ("near",), {})
+    assert sentences(dry) == ['2 waters left out: the solvent is implicit; keep="all" keeps everything']
+    many = drafted(glycine())
+    choose(many, [each for k in range(9) for each in candidates(1.0, name=f"L{k}")], ("all",), {})
+    names = [f"L{k}" for k in range(8)]
+    assert sentences(many) == [
+        f"{', '.join('1 ' + name for name in names)} and 1 more kept beside the protein "
+        f"({', '.join(names)} and 1 more by element, unless the force field has parameters)"
+    ]
+    silent = drafted(glycine())
+    assert choose(silent, [], ("near",), {}) == [] and silent.repairs == []
+
+
+@pytest.mark.parametrize("word", ["near", "ligands", "LIG", "NA+", "A", "12345"])
+def test_words_that_can_be_a_name_or_are_a_kind_are_taken(word):
+    check_words([word])
+
+
+@pytest.mark.parametrize("word", ["ligand", "lig", "ABCDEF", "", "A B", "ALL*"])
+def test_other_words_are_refused(word):
+    with pytest.raises(pc.ProtochainError) as refused:
+        check_words(["near", word])
+    assert str(refused.value) == (
+        f"keep {word!r} is not known; give none, near, all, water, ions, nucleic, ligands or names of "
+        "residues"
+    )
+
+
+def template(name, *heavy):
+    return Template(name, {**dict.fromkeys(heavy, "C"), "H": "H"}, {}, (), {"O1P": "OP1"})
+
+
+DNA = {
+    "DA5": template("DA5", "O3'"),
+    "DA3": template("DA3", "P", "O3'"),
+    "DAN": template("DAN", "O3'"),
+    "LIG": template("LIG", "C"),
+    "ALA": template("ALA", "C"),
+}
+
+
+@pytest.mark.parametrize(("far", "bonded"), [(2.5, True), (9.99, True), (10.0, False)])
+def test_bonded_nucleotides_are_a_strand_and_others_stand_alone(far, bonded):
+    first = member("DA", 1, ("P", -5.0), ("O3'", 0.0), chain="B")
+    second = member("DA", 2, ("P", far), ("O3'", 9.0), chain="B")
+    water, last = member("LIG", 3, ("C", 9.1), chain="B"), member("LIG", 4, ("C", 9.1), chain="C")
+    draft = Draft("x", "x")
+    given = [Candidate(each, each.name) for each in (first, second, water, last)]
+    parts = choose(draft, given, ("all",), DNA)
+    strands = [[first, second]] if bonded else [[first], [second]]
+    assert [part.members for part in parts] == [*strands, [water], [last]]
+    assert all(part.obstacle and not part.cyclic for part in parts)
+    assert [part.chain_id for part in parts] == ["B"] * (len(parts) - 1) + ["C"]
+    said = "residue {} of chain B: 5' phosphate left out: the force fields do not have it"
+    assert sentences(draft) == [
+        "2 DA, 2 LIG kept beside the protein",
+        said.format("1 DA"), *([] if bonded else [said.format("2 DA")]),
+    ]  # fmt: skip
+    assert (second.atom("P") is not None) is bonded and first.atom("P") is None
+    assert all(each.own is None for each in (first, second, water, last))
+
+
+def test_each_strand_is_one_part_and_ends_of_two_are_not_joined():
+    """Where numbers go on from one chain to the next, O3' and P of a duplex may be 10 angstrom apart."""
+    strands = [
+        [member("DA", n, ("P", at + 7.0 * n), ("O3'", at + 7.0 * n + 5.4), chain=chain) for n in numbers]
+        for chain, numbers, at in (("B", (1, 2, 3), 0.0), ("C", (4, 5, 6), 5.0))
+    ]
+    given = [Candidate(each, each.name) for strand in strands for each in strand]
+    assert [part.members for part in choose(Draft("x", "x"), given, ("all",), DNA)] == strands
+
+
+def test_a_strand_that_the_templates_do_not_fit_is_kept_whole_and_by_element():
+    first = member("DA", 1, ("P", -5.0), ("O3'", 0.0))
+    second = member("DA", 2, ("P", 1.6), ("O3'", 9.0), ("CX", 10.0))
+    draft = Draft("x", "x")
+    choose(draft, [Candidate(first, "DA"), Candidate(second, "DA")], ("all",), DNA)
+    assert [a.name for a in first.atoms] == ["P", "O3'"] and first.own.element == {"P": "P", "O3'": "O"}
+    assert second.own.element == {"P": "P", "O3'": "O", "CX": "C"}
+    assert sentences(draft) == [
+        "2 DA kept beside the protein (DA by element, unless the force field has parameters)"
+    ]
+
+
+def test_a_template_fits_the_same_heavy_atoms_by_any_name_and_no_amino_acid():
+    for name, atoms, fits in (
+        ("LIG", ("C",), True), ("LIG", ("C", "H9"), True), ("LIG", ("C", "O"), False), ("XXX", ("C",), False),
+        ("ALA", ("C",), False), ("DA", ("P", "O3'"), True),
+    ):  # fmt: skip
+        residue = member(name, 1, *((atom_name, float(k)) for k, atom_name in enumerate(atoms)))
+        choose(Draft("x", "x"), [Candidate(residue, name)], ("all",), DNA)
+        assert (residue.own is None) is fits, (name, atoms)
+    known = {"LIG": template("LIG", "OP1")}
+    residue = member("LIG", 1, ("O1P", 0.0))
+    choose(Draft("x", "x"), [Candidate(residue, "LIG")], ("all",), known)
+    assert residue.own is None
+
+
+def test_all_of_a_phosphate_is_left_out_of_the_first_nucleotide_only():
+    names = ("P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P", "O5'", "O3'", "O2'")
+    strand = member("A", 1, *((name, 0.0) for name in names))
+    ligand = member("ATP", 2, ("P", 9.0))
+    draft = Draft("x", "x")
+    known = {"AN": template("AN", "O5'", "O3'", "O2'"), "DGN": template("DGN", "O5'")}
+    choose(draft, [Candidate(strand, "A"), Candidate(ligand, "ATP")], ("all",), known)
+    assert [a.name for a in strand.atoms] == ["O5'", "O3'", "O2'"] and [a.name for a in ligand.atoms] == ["P"]
+    clean = Draft("x", "x")
+    assert len(choose(clean, [Candidate(member("DG", 1, ("O5'", 0.0)), "DG")], ("all",), known)) == 1
+    assert sentences(clean) == ["1 DG kept beside the protein"]
+
+
+def test_molecules_by_element_have_bonds_by_distance():
+    """C-O bonds up to 0.73 + 0.66 + 0.4 = 1.8 angstrom, and not below 0.5."""
+    ligand = member("LIG", 1, ("C1", 0.0), ("O1", 1.7), ("O2", -1.9), ("C2", 0.4), ("H1", 1.8), ("H2", -9.0))
+    reach = [gemmi.Element(e).covalent_r for e in "CO"]
+    assert 1.7 < sum(reach) + 0.4 < 1.9
+    ligand.atoms[1].charge = -1
+    made = by_element(ligand)
+    assert made.name == "LIG" and made.synonyms == {}
+    assert made.element == {"C1": "C", "O1": "O", "O2": "O", "C2": "C", "H1": "H", "H2": "H"}
+    assert made.charge == {"C1": 0.0, "O1": -1.0, "O2": 0.0, "C2": 0.0, "H1": 0.0, "H2": 0.0}
+    # Each hydrogen is bonded to the nearest heavy atom, however far.
+    assert {frozenset(bond) for bond in made.bonds} == {
+        frozenset(pair) for pair in (("C1", "O1"), ("O1", "C2"), ("O1", "H1"), ("O2", "H2"))
+    }
+    assert len(made.bonds) == 4
+
+
+@pytest.mark.parametrize(("given", "name"), [("HOH", "HOH"), ("DOD", "HOH"), ("ATP", "XXX"), ("Q?Q", "XXX")])
+def test_waters_of_the_tables_get_the_name_of_water(given, name):
+    found = water_named(member("XXX", 5, ("O", 1.0), code="B"), given)
+    assert (found.name, found.seqid, found.atoms[0].name) == (name, "5B", "O")
+
+
+# --- Bonds to what is kept
+
+
+def beside(*parts):
+    """A cysteine, a histidine and an aspartate, and molecules beside them."""
+    return Draft(
+        "x", "x", [Part("A", [*parts[0]]), *(Part("B", [each], obstacle=True) for each in parts[1:])]
+    )
+
+
+def ion(symbol, number, *place):
+    return Member(symbol.upper(), str(number), "", "B", [atom(symbol.upper(), symbol, list(place))])
+
+
+def placed(name, number, **atoms):
+    return Member(name, str(number), "", "A", [atom(n, n[0], list(x)) for n, x in atoms.items()])
+
+
+@pytest.mark.parametrize(
+    ("name", "donor", "metal", "limit"),
+    [
+        ("CYS", "SG", "Zn", 1.99 + 0.75), ("HIS", "NE2", "Zn", 1.99 + 0.5), ("ASP", "OD1", "Ca", 2.36 + 0.5),
+        ("ASP", "OD1", "K", 2.74 + 0.5), ("CYS", "SG", "Cd", 2.3 + 0.75), ("HIS", "NE2", "Fe", 2.04 + 0.5),
+    ],
+)  # fmt: skip
+def test_donors_are_bonded_to_a_metal_up_to_its_usual_distance_and_some(name, donor, metal, limit):
+    near = limit - {"SG": 0.75}.get(donor, 0.5) - 0.6
+    for far, bonded in (
+        (limit - 0.01, True),
+        (limit + 0.01, False),
+        (near - 0.01, False),
+        (near + 0.01, True),
+    ):
+        residue = placed(name, 1, CA=(9.0, 9.0, 0.0), **{donor: (far, 0.0, 0.0)}, H=(0.5, 0.0, 0.0))
+        draft = beside([residue], ion(metal, 7, 0.0, 0.0, 0.0))
+        links = find_links(draft)
+        assert [(each.atom.name, each.is_metal) for each in links] == [(donor, True)] * bonded
+        assert [a.name for a in residue.metals] == [donor] * bonded and residue.links == []
+        said = (
+            f"{metal.upper()} of residue 7 {metal.upper()} of chain B is coordinated by {donor} of "
+            f"residue 1 {name} of chain A ({far:.2f} angstrom): held at these distances by springs; the ion "
+            "stays in place"
+        )
+        assert sentences(draft) == [said] * bonded
+
+
+def test_carbon_and_the_amides_of_a_chain_are_no_donors_unless_the_file_says_so():
+    for names, stated, bonded in (
+        ({"N": 2.0, "CA": 9.0}, False, False), ({"N": 2.0, "CA": 9.0}, True, True), ({"N": 2.0}, False, True),
+        ({"CB": 2.0}, False, False), ({"CB": 3.29}, True, True), ({"CB": 3.31}, True, False),
+        ({"CB": 0.7}, True, False),
+    ):  # fmt: skip
+        residue = placed("ALA", 1, **{name: (x, 0.0, 0.0) for name, x in names.items()})
+        draft = beside([residue], ion("Zn", 7, 0.0, 0.0, 0.0))
+        first = next(iter(names))
+        draft.stated = [(("B", "7", "ZN"), ("A", "1", first))] * stated
+        assert [each.atom.name for each in find_links(draft)] == [first] * bonded, names
+
+
+def sugar(*extra):
+    """C1 of a sugar at the origin, with its ring, beside an asparagine whose ND2 is 1.44 angstrom away."""
+    ring = {"C1": (0, 0, 0), "C2": (-0.5, 1.44, 0), "O5": (-0.48, -0.68, 1.16), "C5": (-1.9, -0.7, 1.2)}
+    atoms = [atom(name, name[0], list(map(float, x))) for name, x in ring.items()]
+    made = Member("NAG", "5", "", "B", [*atoms, *(atom(name, name[0], list(x)) for name, x in extra)])
+    made.own = by_element(made)
+    return made
+
+
+def asparagine(far, *extra):
+    at = {"ND2": (far, 0.0, 0.0), "CG": (far + 0.7, -1.1, 0.0), "CB": (far + 2.2, -1.1, 0.0)}
+    return placed("ASN", 1, **at, **dict(extra))
+
+
+def test_a_known_kind_of_bond_is_made_at_its_length_and_waters_have_none():
+    usual = sum(gemmi.Element(e).covalent_r for e in "NC")
+    for far, bonded in ((usual + 0.29, True), (usual + 0.31, False), (usual - 0.31, False)):
+        residue, beside_it = asparagine(far), sugar()
+        draft = beside([residue], beside_it)
+        (link,) = find_links(draft) or [None]
+        assert (link is not None) is bonded
+        assert [a.name for a in residue.links] == ["ND2"] * bonded and residue.metals == []
+        if bonded:
+            assert (link.member, link.atom.name, link.other, link.other_atom.name) == (
+                residue, "ND2", beside_it, "C1",
+            )  # fmt: skip
+            assert not link.is_metal and sentences(draft) == [
+                "C1 of residue 5 NAG of chain B is bonded to ND2 of residue 1 ASN of chain A "
+                f"({far:.2f} angstrom): held at these distances by springs"
+            ]
+    water = Member("HOH", "5", "", "B", [atom("O", "O", [0.0] * 3)])
+    assert find_links(beside([placed("ASN", 1, ND2=(1.4, 0.0, 0.0))], water)) == []
+    assert find_links(beside([placed("ASN", 1, ND2=(1.4, 0.0, 0.0))])) == []
+
+
+@pytest.mark.parametrize(
+    ("residue", "other", "why"),
+    [
+        (asparagine(1.44), sugar(("O1", (-0.48, -0.68, -1.16))), ""),
+        (asparagine(1.44), sugar(("O1", (-0.48, -0.68, -1.16)), ("H1", (0.65, -0.3, 0.8))), "four others"),
+        (asparagine(1.44), sugar(("C9", (0.9, 0.0, 1.1))), "an angle of 39 degrees"),
+        (asparagine(1.44, ("H1", (1.4, 0.9, 0.0)), ("H2", (1.4, -0.3, 0.9))), sugar(), "two hydrogens"),
+        (asparagine(1.44, ("OD1", (-1.9, -0.7, -0.2))), sugar(), "another close pair"),
+        (placed("ARG", 1, NH1=(1.44, 0.0, 0.0), CZ=(2.1, -1.1, 0.0)), sugar(), "no known kind"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_a_bond_is_an_overlap_and_is_named(residue, other, why):
+    residue = Member(residue.name, "1", "", "A", list(residue.atoms))
+    draft = beside([residue], other)
+    assert bool(find_links(draft)) is not bool(why), why
+    assert bool(residue.links) is not bool(why)
+    if why:
+        (line,) = sentences(draft)
+        assert "not bonded (no LINK, CONECT or struct_conn, and no known kind of bond)" in line
+        assert (
+            f"{residue.atoms[0].name} of residue 1 {residue.name} of chain A and C1 of residue 5 NAG" in line
+        )
+        # What the file states is believed, if there is a valence.
+        draft = beside([residue], other)
+        draft.stated = [(("A", "1", residue.atoms[0].name), ("B", "5", "C1"))]
+        assert len(find_links(draft)) == 1
+
+
+def test_a_bond_of_the_file_that_cannot_be_is_said_to_be_ignored():
+    for far, bonded in ((0.81, True), (0.79, False), (2.13, True), (2.15, False), (5.0, False)):
+        draft = beside([placed("ARG", 1, NH1=(far, 0.0, 0.0))], sugar())
+        draft.stated = [(("B", "5", "C1"), ("A", "1", "NH1"))]
+        assert len(find_links(draft)) == bonded
+        ignored = (
+            "bond of the file between NH1 of residue 1 ARG of chain A and C1 of residue 5 NAG of chain B "
+            f"ignored: it is {far:.2f} angstrom long; mend the file if it is real"
+        )
+        assert (ignored in sentences(draft)) is not bonded
+    full = sugar(("O1", (-0.48, -0.68, -1.16)), ("C8", (0.1, 0.9, -1.2)))
+    draft = beside([placed("SER", 1, OG=(1.44, 0.0, 0.0))], full)
+    draft.stated = [(("A", "1", "OG"), ("B", "5", "C1"))]
+    assert (
+        find_links(draft) == []
+        and "ignored: C1 of residue 5 NAG of chain B has no valence left" in sentences(draft)[0]
+    )
+
+
+def test_an_ion_moves_if_the_protein_alone_holds_it_on_all_sides():
+    def site(n, kept=(), absent=(), symbol="Zn"):
+        places = 1.35 * np.array([[1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])
+        holders = [placed("CYS", k, SG=tuple(x)) for k, x in enumerate(places[:n].tolist(), 1)]
+        metal = ion(symbol, 7, 0.0, 0.0, 0.0)
+        water = {
+            far: Member("HOH", "8", "", "B", [atom("O", "O", [0.0, far, 0.0])]) for far in (*kept, *absent)
+        }
+        draft = beside(holders, metal, *(water[far] for far in kept))
+        draft.absent = [water[far] for far in absent]
+        links = find_links(draft)
+        assert len(links) == n and sentences(draft)[0].endswith(", and moves with them") is moves(
+            draft, metal, links
+        )
+        assert not moves(draft, metal, [])
+        return moves(draft, metal, links)
+
+    assert site(4) and site(4, kept=[3.31]) and site(4, absent=[3.31])
+    assert (
+        not site(3) and not site(4, kept=[3.29]) and not site(4, absent=[3.29]) and not site(4, symbol="Ca")
+    )
+    # More than one atom is no ion.
+    pair = Member("ZN2", "9", "", "B", [*ion("Zn", 7, 0.0, 0.0, 0.0).atoms, atom("O", "O", [9.0, 9.0, 9.0])])
+    bound = beside([placed("CYS", 1, SG=(2.3, 0.0, 0.0))], pair)
+    assert len(find_links(bound)) == 1 and not moves(bound, pair, find_links(bound))
+
+
+def test_several_ends_of_a_site_are_one_line():
+    first, second = placed("CYS", 1, SG=(2.3, 0.0, 0.0)), placed("HIS", 2, NE2=(0.0, 2.0, 0.0))
+    draft = beside([first, second], ion("Zn", 7, 0.0, 0.0, 0.0))
+    assert [each.atom.name for each in find_links(draft)] == ["SG", "NE2"]
+    assert sentences(draft) == [
+        "ZN of residue 7 ZN of chain B is coordinated by SG of residue 1 CYS of chain A (2.30 angstrom), "
+        "NE2 of residue 2 HIS of chain A (2.00 angstrom): held at these distances by springs; the ion stays "
+        "in place"
+    ]
+
+
+def tied(draft, bonds):
+    """Springs of a draft whose atoms are numbered in order, by atoms."""
+    links = find_links(draft)
+    at, x, element = {}, [], []
+    for member_ in draft.members:
+        at[id(member_)] = {a.name: len(x) + k for k, a in enumerate(member_.atoms)}
+        x += [a.pos.tolist() for a in member_.atoms]
+        element += [a.element.name for a in member_.atoms]
+    found = ties(links, at, np.array(x) / 10.0, element, np.array(bonds))
+    assert len({tie.atoms for tie in found}) == len(found)
+    return {tie.atoms: (tie.rest, tie.stiffness) for tie in found}
+
+
+def test_springs_hold_distances_and_angles_of_a_metal_site():
+    """CB 0, HB 1, SG 2; CB 3, SG 4; zinc 5: a right angle at zinc, and at the first sulphur."""
+    first = placed("CYS", 1, CB=(2.3, 1.8, 0.0), HB=(2.3, 2.8, 0.0), SG=(2.3, 0.0, 0.0))
+    second = placed("CYS", 2, CB=(0.0, 4.1, 0.0), SG=(0.0, 2.2, 0.0))
+    draft = beside([first, second], ion("Zn", 7, 0.0, 0.0, 0.0))
+    found = tied(draft, [[0, 1], [0, 2], [1, 2], [2, 5], [3, 4], [4, 5]])
+    # The second CB is in line with zinc, whose angle gets no spring, and hydrogens get none.
+    assert found == {
+        (2, 5): (pytest.approx(0.23), 8.0e4), (4, 5): (pytest.approx(0.22), 8.0e4),
+        (0, 2, 5): (pytest.approx(np.pi / 2), 540.0), (2, 5, 4): (pytest.approx(np.pi / 2), 300.0),
+    }  # fmt: skip
+    for degrees, held in ((169.9, True), (170.1, False)):
+        turn = np.radians(180.0 - degrees)
+        second.atom("CB").pos = gemmi.Position(1.9 * np.sin(turn), 2.2 + 1.9 * np.cos(turn), 0.0)
+        assert ((3, 4, 5) in tied(draft, [[0, 1], [0, 2], [2, 5], [3, 4], [4, 5]])) is held
+
+
+@pytest.mark.parametrize(("far", "length"), [(1.5, 0.15), (2.0, 0.144)])
+def test_springs_of_a_covalent_bond_hold_the_angles_at_both_ends(far, length):
+    """CG 0, ND2 1; C1 2, O5 3, H1 4. Too long a bond is drawn in, too small an angle opened."""
+    residue = placed("ASN", 1, CG=(far, 1.3, 0.0), ND2=(far, 0.0, 0.0))
+    atoms = [atom("C1", "C", [0.0] * 3), atom("O5", "O", [0.8, 0.0, 1.4]), atom("H1", "H", [-1.0, 0.0, 0.0])]
+    draft = beside([residue], Member("NAG", "5", "", "B", atoms))
+    draft.stated = [(("A", "1", "ND2"), ("B", "5", "C1"))]
+    assert tied(draft, [[0, 1], [1, 2], [2, 3], [2, 4]]) == {
+        (1, 2): (pytest.approx(length), 2.7e5), (0, 1, 2): (pytest.approx(np.pi / 2), 500.0),
+        (1, 2, 3): (pytest.approx(np.pi / 2), 500.0),
+    }  # fmt: skip
+
+
+def test_distances_are_in_nm_and_angles_at_the_middle():
+    assert measure(np.array([[0.0, 0.3, 0.0], [0.4, 0.0, 0.0]])) == pytest.approx(0.5)
+    assert measure(np.array([[1.0, 0, 0], [0, 0, 0], [-1.0, 1.0, 0]])) == pytest.approx(0.75 * np.pi)
+    assert measure(np.array([[1.0, 0, 0], [0, 0, 0], [-2.0, 0, 0]])) == pytest.approx(np.pi)
+    assert is_metal("Zn") and is_metal("Na") and not is_metal("S")
+
+
+def residue(name, *atoms, number=1):
+    """Atoms (name, altloc, occupancy)."""
+    made = gemmi.Residue()
+    made.name, made.seqid = name, gemmi.SeqId(number, " ")
+    for k, (label, altloc, occupancy) in enumerate(atoms):
+        one = atom(label, label[0], [float(k), 0.0, 0.0])
+        one.altloc, one.occ = altloc or "\0", occupancy
+        made.add_atom(one)
+    return made
+
+
+def told(found):
+    return found.residue.name, found.altloc, found.occupancy, found.others, found.repeated
+
+
+def test_one_location_is_kept_with_what_all_share_and_what_only_another_has():
+    mixed = residue(
+        "SER", ("N", "", 1.0), ("CA", "B", 0.5), ("CA", "A", 0.5), ("OG", "B", 0.25), ("HB", "B", 1.0),
+        ("HG", "A", 0.5), ("H", "", 1.0),
+    )  # fmt: skip
+    found = likeliest([mixed.clone()], "")
+    # B: 0.5, 0.25 and 1.0; A: 0.5 and 0.5.
+    assert told(found) == ("SER", "B", pytest.approx(1.75 / 3), ["SER A"], ["CA"])
+    assert [(a.name, a.pos.x, a.altloc) for a in found.residue] == [
+        ("N", 0.0, "\0"), ("CA", 1.0, "\0"), ("OG", 3.0, "\0"), ("HB", 4.0, "\0"), ("H", 6.0, "\0"),
+    ]  # fmt: skip
+    other = likeliest([mixed.clone()], "A")
+    assert told(other) == ("SER", "A", 0.5, ["SER B"], ["CA"])
+    assert [(a.name, a.pos.x) for a in other.residue] == [
+        ("N", 0.0), ("CA", 2.0), ("OG", 3.0), ("HG", 5.0), ("H", 6.0),
+    ]  # fmt: skip
+    assert told(likeliest([mixed.clone()], "C"))[1] == "B"
+
+
+def test_without_alternates_the_first_of_each_name_is_kept():
+    found = likeliest([residue("ALA", ("N", "", 0.5), ("CB", "", 0.1), ("N", "", 1.0), ("H", "", 1.0))], "")
+    assert told(found) == ("ALA", "", 1.0, [], ["N"])
+    assert [(a.name, a.pos.x) for a in found.residue] == [("N", 0.0), ("CB", 1.0), ("H", 3.0)]
+
+
+def test_a_backbone_that_the_file_gives_once_belongs_to_every_alternative():
+    backbone = [(name, "", 1.0) for name in ("N", "CA", "C", "O")]
+    first = residue("SER", *backbone, ("H", "", 1.0), ("OG", "A", 0.25))
+    second = residue("ALA", ("CA", "B", 0.75), ("CB", "B", 0.75))
+    found = likeliest([first.clone(), second.clone()], "")
+    assert told(found) == ("ALA", "B", 0.75, ["SER A"], [])
+    assert [(a.name, a.pos.x) for a in found.residue] == [
+        ("CA", 0.0), ("CB", 1.0), ("N", 0.0), ("C", 2.0), ("O", 3.0),
+    ]  # fmt: skip
+    bare = residue("ALA", ("CB", "B", 0.75))
+    assert sorted(a.name for a in likeliest([first.clone(), bare], "").residue) == ["C", "CA", "CB", "N", "O"]
+
+
+def test_residues_of_one_number_with_alternates_share_a_place():
+    chain = gemmi.Chain("A")
+    for name, altloc, number in (
+        ("SER", "A", 1), ("THR", "B", 1), ("ALA", "", 1), ("GLY", "B", 2), ("LEU", "C", 2),
+    ):  # fmt: skip
+        chain.add_residue(residue(name, ("N", altloc, 1.0), number=number))
+    assert [[each.name for each in group] for group in same_place(chain)] == [
+        ["SER", "THR"],
+        ["ALA"],
+        ["GLY", "LEU"],
+    ]
+    same_place(chain)[0][0].name = "XXX"
+    assert chain[0].name == "SER"

@@ -1,0 +1,332 @@
+"""Heavy atoms that are missing, too many or under other names: what is added where, and what is said."""
+
+import numpy as np
+import pytest
+from fixtures.repairs import sentences
+
+import protochain as pc
+from protochain.structure import complete as module
+from protochain.structure.complete import add_heavy_atoms
+from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.sidechains.packing import Site
+from protochain.structure.templates import templates
+
+
+def member(name, number, *atoms, x=0.0):
+    """Atoms by name, two angstrom from each other."""
+    made = [
+        atom(label, label[0], [x + 2.0 * k, 0.3 * k * k, 0.0], 10.0 * k) for k, label in enumerate(atoms, 1)
+    ]
+    return Member(name, str(number), "", "A", made)
+
+
+BACKBONE = ("N", "CA", "C", "O")
+
+
+def drafted(*members, **kinds):
+    return Draft("x", "x", [Part("A", list(members), **kinds)])
+
+
+def names(one):
+    return [a.name for a in one.atoms]
+
+
+def completed(*members, **kinds):
+    draft = drafted(*members, **kinds)
+    add_heavy_atoms(draft, templates())
+    return draft
+
+
+def refused(*members, known=None, **kinds):
+    with pytest.raises(pc.ProtochainError) as error:
+        add_heavy_atoms(drafted(*members, **kinds), templates() if known is None else known)
+    return str(error.value)
+
+
+def glycine(number, *more):
+    return member("GLY", number, *BACKBONE, *more)
+
+
+def test_an_open_end_gets_its_oxygen_and_a_continued_one_loses_it():
+    first, second, third = glycine(1, "OXT"), glycine(2, "H", "OXT"), glycine(3, "H")
+    draft = completed(first, second, third)
+    assert sentences(draft) == [
+        "residue 1 GLY of chain A: OXT left out: the chain continues",
+        "residue 2 GLY of chain A: OXT left out: the chain continues",
+        "residue 3 GLY of chain A: missing OXT added",
+    ]
+    assert [names(m) for m in draft.members] == [[*BACKBONE], [*BACKBONE, "H"], [*BACKBONE, "H", "OXT"]]
+    oxygen = third.atoms[-1]
+    assert oxygen.element.name == "O" and oxygen.b_iso == 10.0
+    assert completed(glycine(1), glycine(2, "OXT")).repairs == []
+    assert names(completed(glycine(1), glycine(2), cyclic=True).members[1]) == [*BACKBONE]
+
+
+def carboxyl(alpha, oxygen):
+    """A residue with C at (1, 2, 3)."""
+    c = np.array([1.0, 2.0, 3.0])
+    made = [("CA", c + alpha), ("C", c), ("O", c + oxygen)]
+    atoms = [atom(name, name[0], x.tolist(), b) for (name, x), b in zip(made, (5.0, 6.0, 7.0), strict=True)]
+    return Member("GLY", "7", "", "A", atoms)
+
+
+def test_the_second_oxygen_halves_the_angle_outside():
+    made = module._terminal_oxygen(Draft("x", "x"), carboxyl(np.array([-1.5, 0, 0]), np.array([0, 1.2, 0])))
+    diagonal = 1.25 / np.sqrt(2.0)
+    assert (made.name, made.element.name, made.b_iso) == ("OXT", "O", 5.0)
+    assert made.pos.tolist() == pytest.approx([1.0 + diagonal, 2.0 - diagonal, 3.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("angle", "possible"),
+    [(np.pi - 0.0009, False), (np.pi - 0.0015, True), (0.07, True), (0.05, False), (0, False)],
+)
+def test_the_second_oxygen_needs_an_angle(angle, possible):
+    """Two unit vectors add up to 2 cos(angle / 2): 0.001 or 1.999 and more are refused."""
+    bent = carboxyl(np.array([1.5, 0, 0]), 1.2 * np.array([np.cos(angle), np.sin(angle), 0.0]))
+    if possible:
+        made = module._terminal_oxygen(Draft("x", "x"), bent)
+        assert made.pos.dist(bent.atom("C").pos) == pytest.approx(1.25, abs=1e-9)
+        return
+    with pytest.raises(pc.ProtochainError) as error:
+        module._terminal_oxygen(Draft("x", "x"), bent)
+    assert (
+        str(error.value) == "x: residue 7 GLY of chain A: CA, C and O are collinear; correct the coordinates"
+    )
+
+
+def test_residues_and_atoms_without_parameters_are_named():
+    assert refused(member("LIG", 1, "C"), obstacle=True) == (
+        "x: residue 1 LIG of chain A: the force field has no parameters for it; remove it"
+    )
+    assert refused(glycine(1), member("LIG", 2, "C")) == (
+        "x: residue 2 LIG of chain A: the force field has no parameters for it at the end of a chain; "
+        "remove it"
+    )
+    assert refused(glycine(1), glycine(2, "HQ", "OXT", "CX", "CY")) == (
+        "x: residue 2 GLY of chain A: atom CX does not belong to GLY; rename or remove it"
+    )
+    assert refused(glycine(1), member("HYP", 2, *BACKBONE, "CB"), glycine(3)) == (
+        "x: residue 2 HYP of chain A: atom CD missing; build it, or remove the residue"
+    )
+    assert refused(member("HOH", 1, "H1"), obstacle=True) == (
+        "x: residue 1 HOH of chain A: atom O missing; build it, or remove the residue"
+    )
+
+
+def test_renamed_atoms_are_listed_up_to_four():
+    serine = member("SER", 2, "N", "CA", "C", "OT1", "CB", "OG", "HB1")
+    draft = completed(glycine(1), serine, glycine(3, "OXT"))
+    assert names(serine)[3] == "O" and sentences(draft) == [
+        "atoms renamed: OT1 to O of residue 2 SER of chain A, HB1 to HB3 of residue 2 SER of chain A"
+    ]
+    four = [member("GLY", k, "N", "CA", "C", "OT1") for k in range(1, 6)]
+    said = [f"OT1 to O of residue {k} GLY of chain A" for k in range(1, 5)]
+    assert sentences(completed(*four[:4]))[0] == f"atoms renamed: {', '.join(said)}"
+    again = [member("GLY", k, "N", "CA", "C", "OT1") for k in range(1, 7)]
+    assert sentences(completed(*again))[0] == f"atoms renamed: {', '.join(said)} and 2 more"
+
+
+def test_neighbours_are_those_of_the_chain_and_of_the_ring():
+    first, second, third = (glycine(k) for k in (1, 2, 3))
+    part = Part("A", [first, second, third])
+    assert [module._neighbours(part, k) for k in range(3)] == [
+        (None, second), (first, third), (second, None),
+    ]  # fmt: skip
+    part.cyclic = True
+    assert [module._neighbours(part, k) for k in (0, 2)] == [(third, second), (second, first)]
+
+
+def serines():
+    """Two serines of standard geometry."""
+    s = pc.from_sequence("SS")
+    return [
+        Member("SER", f"{r + 5}", "", "A", [
+            atom(str(s.atom_name[i]), str(s.atom_element[i]), (10.0 * s.positions[i]).tolist(), 1.0 + i)
+            for i in range(s.n_atoms) if s.atom_residue[i] == r
+        ])
+        for r in range(2)
+    ]  # fmt: skip
+
+
+def without(one, *gone):
+    one.atoms = [a for a in one.atoms if a.name not in gone]
+    return one
+
+
+def at(one, name):
+    return np.array(one.atom(name).pos.tolist())
+
+
+def test_missing_atoms_of_a_side_chain_are_built_where_they_belong():
+    part = serines()
+    without(part[0], "CB", "OG"), without(part[1], "OG")
+    mean = np.mean([a.b_iso for a in part[0].atoms])
+    draft = drafted(*part)
+    add_heavy_atoms(draft, templates())
+    assert sentences(draft) == [
+        "residue 5 SER of chain A: missing CB, OG added", "residue 6 SER of chain A: missing OG added",
+    ]  # fmt: skip
+    # Hydrogens of the atoms that get a neighbour are placed anew, those of N are not.
+    assert names(part[0]) == ["N", "H1", "H2", "H3", "CA", "C", "O", "CB", "OG"]
+    assert names(part[1])[-1] == "OG" and {"H", "HA"} < {*names(part[1])} and "HB2" not in names(part[1])
+    assert [a.element.name for a in part[0].atoms[-2:]] == ["C", "O"]
+    assert part[0].atom("CB").b_iso == part[0].atom("OG").b_iso == pytest.approx(mean)
+    assert draft.rebuilt == {id(part[0]): ("CB", "OG"), id(part[1]): ("OG",)}
+    # On its side of CA, and one bond from it.
+    alpha, n, c, beta = (at(part[0], name) for name in ("CA", "N", "C", "CB"))
+    assert np.dot(np.cross(n - alpha, c - alpha), beta - alpha) > 1.0
+    assert np.linalg.norm(beta - alpha) == pytest.approx(1.53, abs=0.02)
+    for one in part:
+        assert one.atom("OG").pos.dist(one.atom("CB").pos) == pytest.approx(1.42, abs=0.01)
+        assert np.array_equal(np.round(at(one, "OG"), 4), at(one, "OG"))
+
+
+def test_a_residue_is_built_twice_the_same():
+    one, two = serines(), serines()
+    for part in (one, two):
+        without(part[0], "OG"), without(part[1], "CB", "OG", "OXT")
+        completed(*part)
+    assert names(one[1]) == names(two[1])
+    for first, second in zip(one, two, strict=True):
+        assert [a.pos.tolist() for a in first.atoms] == [a.pos.tolist() for a in second.atoms]
+
+
+def test_an_atom_between_others_is_not_chosen_but_fitted():
+    part = serines()
+    beta = at(part[0], "CB")
+    without(part[0], "CB")
+    draft = drafted(*part)
+    add_heavy_atoms(draft, templates())
+    assert draft.rebuilt == {} and np.linalg.norm(at(part[0], "CB") - beta) < 0.1
+    assert sentences(draft) == ["residue 5 SER of chain A: missing CB added"]
+
+
+def test_a_residue_of_a_d_name_is_built_in_the_mirror():
+    part = serines()
+    part[0].is_d = True
+    completed(without(part[0], "CB", "OG"), part[1])
+    alpha, n, c, beta = (at(part[0], name) for name in ("CA", "N", "C", "CB"))
+    assert np.dot(np.cross(n - alpha, c - alpha), beta - alpha) < -1.0
+    assert part[0].atom("OG").pos.dist(part[0].atom("CB").pos) == pytest.approx(1.42, abs=0.01)
+
+
+def test_the_hand_is_that_of_the_atoms_then_of_the_name_then_of_the_chain(monkeypatch):
+    draft = Draft("x", "x")
+    whole, d = serines()
+    d.is_d = True
+    assert module._site(draft, Part("A", [whole, d]), 1).sign == 1
+    without(d, "CB")
+    assert module._site(draft, Part("A", [whole, d]), 1).sign == -1
+    without(whole, "CB")
+    site = module._site(draft, Part("A", [whole, d]), 0)
+    assert (site.sign, site.member, site.before, site.after) == (1, whole, None, d) and not sentences(draft)
+    monkeypatch.setattr(module, "_is_misnamed", lambda part, i: True)
+    assert module._site(draft, Part("A", [whole, d]), 0).sign == -1
+    assert sentences(draft) == [
+        "residue 5 SER of chain A: built as a D-amino acid, as others of its chain are under such names"
+    ]
+    assert module._site(draft, Part("A", [whole, d]), 1).sign == -1 and len(draft.repairs) == 1
+
+
+@pytest.mark.parametrize(
+    ("phi", "hands", "named_d", "misnamed"),
+    [
+        ((1, 1, 1, -1), (0, -1, -1, 1), (), True),
+        ((1, 1, 1, -1), (0, -1, 1, 1), (), False),
+        ((-1, 1, 1, -1), (0, -1, -1, 1), (), False),
+        ((1, -1, 1, -1), (0, -1, 1, 1), (), False),
+        ((1, 1, 1, -1), (0, -1, -1, -1), (1, 2), False),
+        ((0, 1, 1, 1), (0, -1, -1, -1), (), False),
+    ],
+)
+def test_names_are_wrong_where_most_of_positive_phi_are_of_the_other_hand(
+    phi, hands, named_d, misnamed, monkeypatch
+):
+    part = Part("A", [glycine(k) for k in range(4)])
+    for k in named_d:
+        part.members[k].is_d = True
+    monkeypatch.setattr(module, "_phi", lambda part, k: phi[k])
+    monkeypatch.setattr(module, "hand", lambda member: hands[part.members.index(member)])
+    assert module._is_misnamed(part, 0) is misnamed
+
+
+def bare(number, **atoms):
+    return Member("GLY", str(number), "", "A", [atom(n, n[0], list(map(float, x))) for n, x in atoms.items()])
+
+
+def test_phi_turns_from_the_carbon_before():
+    before = bare(1, C=(1, 0, 0))
+    one = bare(2, N=(0, 0, 0), CA=(0, 0, 1), C=(0.5, np.sqrt(0.75), 1))
+    part = Part("A", [before, one])
+    assert module._phi(part, 1) == pytest.approx(np.pi / 3) and module._phi(part, 0) == 0.0
+    part = Part("A", [one, before])
+    assert module._phi(part, 0) == 0.0
+    part.cyclic = True
+    assert module._phi(part, 0) == pytest.approx(np.pi / 3)
+
+
+@pytest.mark.parametrize(("aside", "flat"), [(0.06, True), (0.07, False)])
+def test_a_backbone_on_one_line_is_refused_where_something_is_built(aside, flat):
+    """1.5 angstrom times 0.0667 are 0.1 square angstrom."""
+    one = Member("SER", "1", "", "A", bare(1, N=(-1.5, 0, 0), CA=(0, 0, 0), C=(1.5, aside, 0)).atoms)
+    if not flat:
+        module._check_backbone(Draft("x", "x"), one)
+        return
+    with pytest.raises(pc.ProtochainError) as error:
+        module._check_backbone(Draft("x", "x"), one)
+    assert str(error.value) == (
+        "x: residue 1 SER of chain A: N, CA and C are collinear; correct the coordinates"
+    )
+
+
+def test_atoms_that_leave_no_place_for_others_are_refused():
+    draft, one = Draft("x", "x"), serines()[0]
+    wrong = Site(one, -1, None, None)
+    module._check_hand(draft, wrong, {"OG", "O"})
+    module._check_hand(draft, Site(one, 1, None, None), {"CA", "CB"})
+    for name in ("CA", "CB", "N", "C"):
+        with pytest.raises(pc.ProtochainError) as error:
+            module._check_hand(draft, wrong, {name, "OG"})
+        assert str(error.value) == (
+            "x: residue 5 SER of chain A: its atoms leave no place for those missing at CA; "
+            "correct the coordinates, or remove its side chain"
+        )
+
+
+def test_the_oxygen_of_a_peptide_bond_halves_the_angle_outside():
+    one = bare(1, N=(-2, 1.4, 0), CA=(-1.5, 0, 0), C=(0, 0, 0))
+    after = bare(2, N=(0, -1.33, 0), CA=(1, -2, 0), C=(2, -2, 0))
+    wanted = pytest.approx(np.array([1.0, 1.0, 0.0]) * 1.23 / np.sqrt(2.0), abs=1e-9)
+    draft = Draft("x", "x", [Part("A", [one, after])])
+    assert module._oxygen(draft, draft.parts[0], 0) == wanted
+    ring = Part("A", [after, one], cyclic=True)
+    assert module._oxygen(Draft("x", "x", [ring]), ring, 1) == wanted
+    end = bare(1, N=(-2, 1.4, 0), CA=(-1.5, 0, 0), C=(0, 0, 0), OXT=(0, -1.25, 0))
+    alone = Part("A", [end])
+    assert module._oxygen(Draft("x", "x", [alone]), alone, 0) == wanted
+
+
+def test_the_oxygens_of_an_end_have_room():
+    one = bare(1, N=(-2, 1.4, 0), CA=(-1.5, 0, 0), C=(0, 0, 0))
+    part = Part("A", [one])
+    draft = Draft("x", "x", [part])
+    free = module._oxygen(draft, part, 0)
+    # As far from N as the other oxygen: at right angles to the plane of N, CA and C.
+    slope = np.radians(120.4 - 90.0)
+    assert free == pytest.approx(1.23 * np.array([np.sin(slope), 0.0, np.cos(slope)]), abs=1e-6)
+    # An atom there leaves room elsewhere, for both; a hydrogen does not count.
+    for element, moves in (("C", True), ("H", False)):
+        other = Member("LIG", "9", "", "B", [atom("X", element, (1.5 * free).tolist())])
+        draft = Draft("x", "x", [part, Part("B", [other], obstacle=True)])
+        found = module._oxygen(draft, part, 0)
+        assert bool(np.linalg.norm(found - free) > 0.5) is moves
+        opposite = found * [1.0, -1.0, -1.0]
+        rooms = [np.linalg.norm(x - 1.5 * free) for x in (found, opposite)]
+        assert not moves or min(rooms) > np.linalg.norm(0.5 * free) + 0.3
+
+
+def test_what_no_ideal_geometry_has_is_not_built():
+    assert refused(member("ACE", 4, "C", "CH3"), *serines()) == (
+        "x: residue 4 ACE of chain A: atom O missing; build it, or remove the residue"
+    )

@@ -1,0 +1,627 @@
+"""Files as people have them: every oddity is taken, said, or refused in one line."""
+
+import gzip
+import io
+import itertools
+import os
+import signal
+import string
+import subprocess
+import sys
+from pathlib import Path
+
+import gemmi
+import numpy as np
+import pytest
+from fixtures.repairs import sentences
+from fixtures.samples import MORE_STRUCTURES, ROOT, STRUCTURES, energy, load, shared
+from pdbfixer.pdbfixer import substitutions
+
+import protochain as pc
+from protochain.batches import BatchSettings, find_jobs
+from protochain.batches.task import run
+from protochain.structure import residues
+from protochain.structure.files import parse
+from protochain.structure.read import model_numbers
+from protochain.structure.repairs import Why
+from protochain.structure.write import as_text
+
+FILES = sorted(
+    str(path.relative_to(MORE_STRUCTURES))
+    for path in MORE_STRUCTURES.rglob("*")
+    if path.suffix in (".pdb", ".cif")
+)
+SLOW = {"1r19_poor_1176.pdb"}
+REFUSED = {"2n0n_lactam.pdb", "ubiquitin_ca_only.pdb"}
+
+
+def atoms_of(name):
+    return [line for line in (STRUCTURES / name).read_text().splitlines(True) if line[:6].strip() == "ATOM"]
+
+
+def written(tmp_path, text, name="x.pdb"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.skipif(not FILES, reason="the larger collection is not here")
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in FILES]
+)
+def test_every_file_is_taken_whole_or_refused_in_a_line(name):
+    path = MORE_STRUCTURES / name
+    if name in REFUSED:
+        with pytest.raises(pc.ProtochainError) as refused:
+            pc.load(path)
+        assert str(refused.value).startswith(f"{path}: ") and "\n" not in str(refused.value)
+        return
+    s = pc.load(path)
+    said = "\n".join(sentences(s))
+    there = set(zip(s.residue_chain, np.char.add(s.residue_number, s.residue_insertion_code), strict=True))
+    original = parse(path)[0]
+    for chain in original[0]:
+        for residue in chain:
+            if gemmi.find_tabulated_residue(residue.name).is_amino_acid():
+                number = str(residue.seqid).strip()
+                where = residues.Residue(chain.name.strip(), number, residue.name)
+                assert (chain.name.strip(), number) in there or f"{where}: left out" in said, where
+    first, second = s.bonds.T
+    lengths = np.linalg.norm(s.positions[first] - s.positions[second], axis=1)
+    assert lengths.min() > 0.08 and lengths.max() < 0.3
+    assert np.isfinite(s.positions).all() and len(s.b_factor) == s.n_atoms
+    assert dict(s.left_out) == {} or said
+
+
+def test_chains_models_and_rings_of_real_entries():
+    assert pc.load(shared("3i40_insulin.pdb")).n_chains == 2
+    assert model_numbers(shared("2sdf_sdf1_nmr30.pdb")) == list(range(1, 31))
+    first, last = (pc.load(shared("2sdf_sdf1_nmr30.pdb"), model=n) for n in (1, 30))
+    assert first.n_atoms == last.n_atoms and not np.allclose(first.positions, last.positions, atol=0.05)
+    ring = pc.load(shared("5vav_cyclic.pdb"))
+    c, n = (
+        int(np.flatnonzero((ring.atom_name == k) & (ring.atom_residue == r))[0])
+        for k, r in (("C", 13), ("N", 0))
+    )
+    assert [min(c, n), max(c, n)] in ring.bonds.tolist() and "OXT" not in ring.atom_name
+    assert set(ring.atom_name[ring.atom_residue == 0]) >= {"H"} and "H2" not in ring.atom_name
+    assert pc.build_chain(ring).loops.tolist()
+    pc.energy(ring)
+
+
+def test_models_are_numbered_as_the_file_does(tmp_path):
+    lines = "".join(atoms_of("ala10.pdb"))
+    text = "".join(f"MODEL     {n:4d}\n{lines}ENDMDL\n" for n in (3, 7))
+    path = written(tmp_path, text + "END\n")
+    assert model_numbers(path) == [3, 7]
+    assert dict(pc.load(path).left_out) == {"models": 1} and "model 3 used" in sentences(pc.load(path))[0]
+    with pytest.raises(pc.ProtochainError, match=r"has no model 4; its models are 3, 7"):
+        pc.load(path, model=4)
+    unended = written(tmp_path, text.replace("ENDMDL\n", "", 1) + "END\n", "unended.pdb")
+    assert "1 model without an ENDMDL record" in sentences(pc.load(unended))[0]
+    assert np.array_equal(pc.load(unended, model=7).positions, pc.load(path, model=7).positions)
+
+
+def odd(lines):
+    """The same file, as other programs write it."""
+    text = "".join(lines)
+    return {
+        "windows": text.replace("\n", "\r\n"),
+        "old macintosh": text.replace("\n", "\r"),
+        "byte order mark": "\ufeff" + text,
+        "no element": "".join(line[:66].rstrip() + "\n" for line in lines),
+        "old columns": "".join(f"{line[:66]}      1ABC{k:4d}\n" for k, line in enumerate(lines, 1)),
+        "lower case": "".join(line[:21].lower() + line[21:26] + line[26:].lower() for line in lines),
+        "no occupancy": "".join(line[:54] + "\n" for line in lines),
+        "scattered": "".join(
+            [line for line in lines if line[12:16] != " O  "]
+            + [line for line in lines if line[12:16] == " O  "]
+        ),
+        "hybrid-36": "".join(f"{line[:6]}A{int(line[6:11]):04d}{line[11:]}" for line in lines),
+    }
+
+
+def test_a_last_line_may_lack_its_end(tmp_path):
+    """Of a file whose lines end with the coordinates, and of one with elements."""
+    lines = atoms_of("1ubq.pdb")
+    for columns in (54, 66, 80):
+        text = "".join(line[:columns].rstrip() + "\n" for line in lines)
+        whole, cut = (pc.load(written(tmp_path, each)) for each in (text, text[:-1]))
+        assert np.array_equal(whole.positions, cut.positions) and whole.repairs == cut.repairs
+
+
+@pytest.mark.parametrize("kind", list(odd([])))
+def test_the_same_atoms_written_otherwise_are_the_same_structure(kind, tmp_path):
+    lines = atoms_of("1ubq.pdb")
+    straight = pc.load(written(tmp_path, "".join(lines) + "END\n"))
+    path = tmp_path / "odd.pdb"
+    path.write_bytes((odd(lines)[kind] + "END\n").encode())
+    s = pc.load(path)
+    assert np.array_equal(s.positions, straight.positions) or kind == "scattered"
+    assert s.n_atoms == straight.n_atoms and sorted(s.atom_name) == sorted(straight.atom_name)
+    if kind in ("lower case", "old columns"):
+        assert len(s.repairs) == len(straight.repairs) + 1
+
+
+def test_gzipped_and_standard_input(tmp_path, monkeypatch):
+    text = (STRUCTURES / "1l2y.pdb").read_bytes()
+    (tmp_path / "x.pdb.gz").write_bytes(gzip.compress(text))
+    s = pc.load(tmp_path / "x.pdb.gz")
+    assert s.name == "x" and np.array_equal(s.positions, load("1l2y.pdb").positions)
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(gzip.compress(text))))
+    assert np.array_equal(pc.load("-").positions, s.positions)
+    assert model_numbers("-") == [1] and pc.load("-", model=1).n_atoms == s.n_atoms
+    (tmp_path / "cut.pdb.gz").write_bytes(gzip.compress(text)[:-200])
+    with pytest.raises(pc.ProtochainError, match="not a whole gzip file"):
+        pc.load(tmp_path / "cut.pdb.gz")
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"\x00\x01" * 50, "binary"),
+        (b"\x1f\x8b" + b"\x00" * 20, "gzip"),
+        (
+            b"ATOM      1  N   ALA A   x       1.000   2.000   3.000  1.00  0.00           N\nEND\n",
+            "columns 23-26",
+        ),
+        (
+            b"ATOM      1  N   ALA A   1       1.000   *****   3.000  1.00  0.00           N\nEND\n",
+            "columns 39-46",
+        ),
+    ],
+)
+def test_what_is_no_structure_is_refused_with_its_place(content, why, tmp_path):
+    (tmp_path / "x.pdb").write_bytes(content)
+    with pytest.raises(pc.ProtochainError, match=why) as refused:
+        pc.load(tmp_path / "x.pdb")
+    assert str(refused.value).startswith(str(tmp_path / "x.pdb"))
+
+
+BEYOND_ASCII = [b"\xe9", "é".encode()]
+
+
+@pytest.mark.parametrize("letter", BEYOND_ASCII)
+@pytest.mark.parametrize(
+    "column", [14, 17, 18, 22, 27], ids=["atom", "altloc", "residue", "chain", "insertion"]
+)
+def test_a_name_that_is_not_ascii_is_refused_with_its_line_and_column(letter, column, tmp_path):
+    lines = [line.encode() for line in atoms_of("ala10.pdb")]
+    lines[6] = lines[6][: column - 1] + letter + lines[6][column:]
+    (tmp_path / "x.pdb").write_bytes(b"".join([*lines, b"END\n"]))
+    with pytest.raises(pc.ProtochainError, match=rf"x\.pdb: line 7: column {column} .* not ASCII"):
+        pc.load(tmp_path / "x.pdb")
+
+
+@pytest.mark.parametrize("letter", BEYOND_ASCII)
+@pytest.mark.parametrize("quote", [b"", b"'"])
+@pytest.mark.parametrize(
+    "column", ["label_alt_id", "label_atom_id", "auth_comp_id", "auth_asym_id", "pdbx_PDB_ins_code"]
+)
+def test_a_name_that_is_not_ascii_is_refused_in_mmcif_too(letter, quote, column, tmp_path):
+    lines = (STRUCTURES / "1ubq.cif").read_bytes().splitlines(keepends=True)
+    columns = [line.split(b".")[1].strip().decode() for line in lines if line.startswith(b"_atom_site.")]
+    row = next(k for k, line in enumerate(lines) if line.startswith(b"ATOM "))
+    words = lines[row].split()
+    words[columns.index(column)] = quote + letter + quote
+    lines[row] = b" ".join(words) + b"\n"
+    (tmp_path / "x.cif").write_bytes(b"".join(lines))
+    with pytest.raises(pc.ProtochainError, match=rf"x\.cif: line {row + 1}: column \d+ .* not ASCII"):
+        pc.load(tmp_path / "x.cif")
+
+
+@pytest.mark.parametrize("letter", BEYOND_ASCII)
+@pytest.mark.parametrize(
+    "record",
+    [
+        b"REMARK   1 %b\n",
+        b"SSBOND   1 CYS %b    5    CYS A   55\n",
+        b"LINK         SG  CY%b A   5                 SG  CYS A  55     1555   1555  2.03\n",
+    ],
+)
+def test_other_records_may_hold_anything(letter, record, tmp_path):
+    text = "".join(atoms_of("4pti.pdb")).encode()
+    (tmp_path / "x.pdb").write_bytes(record % letter + text + b"END\n")
+    assert np.array_equal(pc.load(tmp_path / "x.pdb").positions, load("4pti.pdb").positions)
+
+
+def test_too_much_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("protochain.structure.files.MAX_ATOMS", 100)
+    with pytest.raises(pc.ProtochainError, match="304 atoms are more than 100"):
+        parse(STRUCTURES / "1l2y.pdb")
+    (tmp_path / "lines.pdb.gz").write_bytes(gzip.compress(b"\n" * 30_000_000))
+    with pytest.raises(pc.ProtochainError, match="more than 8 million lines"):
+        parse(tmp_path / "lines.pdb.gz")
+    monkeypatch.setattr("protochain.structure.files._BYTES", 1000)
+    with pytest.raises(pc.ProtochainError, match="larger than"):
+        parse(STRUCTURES / "1l2y.pdb")
+    (tmp_path / "bomb.pdb.gz").write_bytes(gzip.compress(b" " * 100_000))
+    with pytest.raises(pc.ProtochainError, match="larger than"):
+        parse(tmp_path / "bomb.pdb.gz")
+
+
+def test_the_other_location_can_be_asked_for():
+    a, b = pc.load(STRUCTURES / "1ejg.pdb"), pc.load(STRUCTURES / "1ejg.pdb", altloc="B")
+    assert (a.residue_name[21], b.residue_name[21]) == ("PRO", "SER")
+    assert any("alternate location B kept" in line for line in sentences(b))
+
+
+def test_waters_and_ions_stay_where_they_are(tmp_path):
+    path = shared("1ajj_ldlr.pdb")
+    s = pc.load(path, keep=("ions", "water"))
+    assert pc.load(path, keep=("ions",)).kept.sum() == 1
+    assert pc.load(path, keep=("water",)).obstacle.sum() == 3 * 30
+    assert s.kept.sum() == 1 + 3 * 30 and "SO4" in s.left_out and "waters" not in s.left_out
+    chain, energy = pc.build_chain(s), pc.energy(s)
+    assert (
+        set(chain.atom_body[s.obstacle]) == {chain.atom_body[s.obstacle][0]}
+        and not chain.moving[s.obstacle].any()
+    )
+    assert len(s.alpha_carbons) == 37
+    assert energy(s.positions)[0] == pytest.approx(energy.reference(s.positions)[0], rel=1e-9)
+    for method in ("lbfgs", "cartesian", "openmm"):
+        r = pc.minimise(chain, energy, method, max_evaluations=30)
+        assert np.allclose(r.x[s.obstacle], s.positions[s.obstacle], atol=1e-12)
+        assert r.end.energy < r.start.energy
+    pc.save(s, tmp_path / "out.pdb")
+    again = pc.load(tmp_path / "out.pdb", keep=("all",))
+    assert sentences(again)[0] == "30 waters, 1 CA kept beside the protein"
+    assert (
+        len(again.repairs) == 2 and "CA of residue 73 CA of chain A is coordinated by" in sentences(again)[1]
+    )
+    assert np.array_equal(again.obstacle, s.obstacle)
+
+
+def test_nucleic_acids_are_kept_as_strands(tmp_path):
+    """Two nucleotides of ideal geometry, 6.8 angstrom apart, moved until O3' and P are bonded."""
+    import pdbfixer
+
+    template = Path(pdbfixer.__file__).parent / "templates" / "DG.pdb"
+    lines = [line for line in template.read_text().splitlines() if line.startswith("ATOM")]
+    x = np.array([[float(line[k : k + 8]) for k in (30, 38, 46)] for line in lines]) + 60.0
+    names = [line[12:16].strip() for line in lines]
+    shift = x[names.index("O3'")] - x[names.index("P")] + [-0.9, -0.9, -0.9]
+    text = "".join(atoms_of("ala10.pdb"))
+    for number in (1, 2):
+        for line, at in zip(lines, x + (number - 1) * shift, strict=True):
+            text += f"{line[:20]} B{number:4d}    {at[0]:8.3f}{at[1]:8.3f}{at[2]:8.3f}  1.00  0.00\n"
+    path = written(tmp_path, text + "END\n")
+    far = pc.load(path)
+    assert dict(far.left_out) == {"DG": 2} and "further than 5 angstrom from the protein" in sentences(far)[0]
+    s = pc.load(path, keep=("nucleic",))
+    assert s.n_residues == 12 and s.n_chains == 1 and s.obstacle.sum() == 31 + 34
+    assert any("5' phosphate left out" in line for line in sentences(s))
+    (phosphate,) = s.losses
+    assert (phosphate.name, phosphate.number, phosphate.why) == ("DG", "1", Why.PHOSPHATE)
+    assert set(phosphate.atoms) == {"P", "OP1", "OP2"} and dict(s.left_out) == {"atoms of DG": 3}
+    value, forces = pc.energy(s, engine="openmm").reference(s.positions)
+    assert np.isfinite(value) and np.isfinite(forces).all()
+
+
+def test_disulfides_can_be_asked_for_and_refused():
+    path = STRUCTURES / "4pti.pdb"
+    assert len(pc.build_chain(pc.load(path)).loops) == 3
+    free = pc.load(path, disulfide="none")
+    assert free.n_atoms == load("4pti.pdb").n_atoms + 6 and not len(pc.build_chain(free).loops)
+    assert "disulfide bonds left out, as requested: A:5-A:55, A:14-A:38, A:30-A:51" in sentences(free)
+    one = pc.load(path, disulfide=["none", ("A:5", "A:55")])
+    assert "as requested" in "".join(sentences(one)) and len(pc.build_chain(one).loops) == 1
+    for pair, why in (
+        (("A:5", "A:6"), "residue 6 LEU of chain A is no cysteine"),
+        (("A:5", "A:5"), "give two"),
+    ):
+        with pytest.raises(pc.ProtochainError, match=why):
+            pc.load(path, disulfide=[pair])
+
+
+@pytest.mark.parametrize(
+    ("ph", "names"), [(2.0, {"HIP", "ASH", "GLH"}), (5.0, {"HIP"}), (7.0, {"HID"}), (12.0, {"HID", "LYN"})]
+)
+def test_protonation_follows_the_ph_and_is_said(ph, names):
+    s = pc.load(STRUCTURES / "1hel.pdb", ph=ph)
+    said = [line.rsplit(" taken as ", 1)[1] for line in sentences(s) if " taken as " in line]
+    assert set(said) == names
+    # One hydrogen more or less for each, but for histidine's two neutral states.
+    more = sum({"HIP": 1, "ASH": 1, "GLH": 1, "LYN": -1}.get(name, 0) for name in said)
+    assert s.n_atoms == load("1hel.pdb").n_atoms + more
+    assert np.isfinite(pc.energy(s, solvent="vacuum")(s.positions)[0])
+    with pytest.raises(pc.ProtochainError, match="pH 15"):
+        pc.load(STRUCTURES / "1hel.pdb", ph=15)
+
+
+def test_a_hydrogen_of_an_unknown_name_is_named_by_its_parent_and_that_is_said(tmp_path):
+    lines = (STRUCTURES / "1l2y.pdb").read_text().replace(" HB2 ASP A   9", " HQ7 ASP A   9")
+    s = pc.load(written(tmp_path, lines))
+    assert "1 hydrogens with unknown names renamed after their parent atoms" in sentences(s)
+    assert np.array_equal(np.sort(s.atom_name), np.sort(load("1l2y.pdb").atom_name))
+
+
+def test_breaks_are_refused_when_that_is_asked(tmp_path):
+    gone = [line for line in atoms_of("1ubq.pdb") if not 30 <= int(line[22:26]) <= 33]
+    with pytest.raises(pc.ProtochainError, match=r"chain A is broken between 29 and 34 .* strict=True"):
+        pc.load(written(tmp_path, "".join(gone) + "END\n"), strict=True)
+
+
+def test_modified_residues_become_their_parents_and_d_stays_d(tmp_path):
+    s = pc.load(shared("1grm_gramicidin.pdb"), keep=())
+    assert s.left_out["FOR"] == 2 == s.left_out["ETA"]
+    text = shared("1grm_gramicidin.pdb").read_text().replace("VAL A   6", "DVA A   6")
+    named = pc.load(written(tmp_path, text), keep=())
+    assert "residue 6 DVA of chain A: D-amino acid, with the parameters of its mirror image" in sentences(
+        named
+    )
+    assert np.array_equal(named.positions, s.positions)
+    handed = []
+    for r in np.flatnonzero(s.residue_name == "VAL"):
+        at = {
+            n: s.positions[i]
+            for i, n in zip(
+                np.flatnonzero(s.atom_residue == r), s.atom_name[s.atom_residue == r], strict=True
+            )
+        }
+        n, c, cb, ha = (at[k] - at["CA"] for k in ("N", "C", "CB", "HA"))
+        handed.append(np.sign(np.dot(np.cross(n, c), cb)))
+        assert np.sign(np.dot(np.cross(n, c), ha)) == -handed[-1]
+    assert set(handed) == {-1.0, 1.0}
+    methionine = pc.load(shared("1a8o_mse.pdb"))
+    assert np.count_nonzero(methionine.residue_name == "MET") == 4
+    assert "M3L of chain W: converted to its standard parent LYS, CM1, CM2, CM3 left out" in "".join(
+        sentences(pc.load(shared("1kyo_m3l.pdb")))
+    )
+
+
+AMINO_ACIDS = {
+    name
+    for letters in itertools.product(string.ascii_uppercase + string.digits, repeat=3)
+    if gemmi.find_tabulated_residue(name := "".join(letters)).is_amino_acid()
+}
+
+
+@pytest.mark.parametrize("extra_atom", [False, True])
+def test_every_amino_acid_becomes_its_parent_or_is_refused_by_name(extra_atom, tmp_path):
+    """D forms, tautomers and modified residues, at both ends of a chain and within it."""
+    parents = {letter: name for name, letter in residues.STANDARD.items()}
+    refused = set()
+    for name in AMINO_ACIDS | set(substitutions):
+        letter = gemmi.find_tabulated_residue(name).one_letter_code.upper()
+        parent = substitutions.get(name) or parents.get(letter, "ALA")
+        code = residues.STANDARD[parent]
+        lines = []
+        text = as_text(pc.from_sequence(f"{code}A{code}A{code}"), ".pdb", hydrogens=not extra_atom)
+        for line in text.splitlines(keepends=True):
+            if line.startswith("ATOM") and line[22:26] in ("   1", "   3", "   5"):
+                line = f"{line[:17]}{name}{line[20:]}"
+                if extra_atom and line[12:16] == " CA ":
+                    lines.append(f"{line[:12]} CQ {line[16:30]}{float(line[30:38]) + 1.4:8.3f}{line[38:]}")
+            lines.append(line)
+        path = written(tmp_path, "".join(lines))
+        try:
+            s = pc.load(path)
+        except pc.ProtochainError as error:
+            assert f"{path}: residue " in str(error) and "\n" not in str(error)
+            refused.add(name)
+        else:
+            assert s.residue_name.tolist() == [parent, "ALA", parent, "ALA", parent]
+    # Those without a parent; hydroxyproline, which ff14SB has; and what has an atom too many.
+    unknown = {name for name in AMINO_ACIDS if gemmi.find_tabulated_residue(name).one_letter_code in "XBZUO "}
+    # Of the names of states, the archive has some for other molecules.
+    states = set(residues.STATE_PARENT) - set(substitutions)
+    standard = {*residues.STANDARD, *states} if extra_atom else set()
+    assert refused == unknown | {"HYP"} | (standard & (AMINO_ACIDS | set(substitutions)))
+
+
+SULPHATE = (
+    ("S", (1.0, 0.9, 0.5)),
+    ("O1", (2.2, 0.5, 1.2)),
+    ("O2", (0.2, 1.9, 1.2)),
+    ("O3", (1.2, 1.3, -0.9)),
+)
+
+
+@pytest.mark.parametrize("last", [False, True])
+@pytest.mark.parametrize("has_oxygen", [True, False])
+def test_a_sulphate_is_no_end_of_a_chain(last, has_oxygen, tmp_path):
+    """Sulphotyrosine (TYS) of hirudin: its O1 is not the backbone's O, also where that is missing."""
+    sequence = "AAY" if last else "AYA"
+    place = sequence.index("Y") + 1
+    s = pc.from_sequence(sequence)
+    lines = []
+    for line in as_text(s, ".pdb", hydrogens=False).splitlines(True):
+        if line.startswith("ATOM") and line[17:26] == f"TYR A   {place}":
+            line = f"HETATM{line[6:17]}TYS{line[20:]}"
+            if line[12:16] == " O  " and not has_oxygen:
+                continue
+            if line[12:16] == " OH ":
+                at = [float(line[k : k + 8]) for k in (30, 38, 46)]
+                for name, off in SULPHATE:
+                    here = "".join(f"{a + b:8.3f}" for a, b in zip(at, off, strict=True))
+                    lines.append(f"{line[:12]} {name:<3s}{line[16:30]}{here}{line[54:76]} {name[0]}\n")
+        lines.append(line)
+    made = pc.load(written(tmp_path, "".join(lines)))
+    assert made.residue_name.tolist() == s.residue_name.tolist() and made.n_atoms == s.n_atoms
+    said = "converted to its standard parent TYR, S, O1, O2, O3 left out"
+    assert f"residue {place} TYS of chain A: {said}" in sentences(made)
+    carbon, oxygen = (
+        made.positions[(made.atom_residue == place - 1) & (made.atom_name == name)][0] for name in ("C", "O")
+    )
+    assert np.linalg.norm(carbon - oxygen) == pytest.approx(0.123, abs=0.005)
+
+
+@pytest.mark.parametrize("name", ["HIC", "DHI"])
+def test_modified_histidines_are_read_with_their_own_atoms(name, tmp_path):
+    """4-methylhistidine (HIC) has CZ on NE2; D-histidine (DHI) has no atom more than L-histidine."""
+    lines = []
+    s = pc.from_sequence("AHA")
+    for line in as_text(s, ".pdb", hydrogens=False).splitlines(True):
+        lines.append(line.replace("HIS A   2", f"{name} A   2").replace("ATOM  ", "HETATM"))
+        if name == "HIC" and line[12:26] == " NE2 HIS A   2":
+            x = [float(line[k : k + 8]) + 0.85 for k in (30, 38, 46)]
+            at = "".join(f"{value:8.3f}" for value in x)
+            lines.append(f"HETATM{line[6:12]} CZ  HIC{line[20:30]}{at}{line[54:76]} C\n")
+    made = pc.load(written(tmp_path, "".join(lines)))
+    assert made.residue_name.tolist() == ["ALA", "HIS", "ALA"]
+    assert any(f"residue 2 {name} of chain A" in line for line in sentences(made))
+    assert np.isfinite(pc.energy(made, solvent="vacuum")(made.positions)[0])
+
+
+def test_an_mmcif_file_without_its_last_mark_is_taken_if_its_atoms_are_whole(tmp_path):
+    text = (STRUCTURES / "1ubq.cif").read_text().rstrip()
+    assert text.endswith("#")
+    unmarked = pc.load(written(tmp_path, text.removesuffix("#"), "1ubq.cif"))
+    assert np.array_equal(unmarked.positions, load("1ubq.cif").positions)
+    lines = text.splitlines(True)
+    waters = [k for k, line in enumerate(lines) if line.startswith("HETATM")]
+    pc.load(written(tmp_path, "".join(lines[: waters[3]]), "1ubq.cif"))
+    last = [k for k, line in enumerate(lines) if line.startswith("ATOM ")][-1]
+    for end in (last - 200, last + 1):
+        # All that says that the file is whole would be the waters, which are listed.
+        with pytest.raises(pc.ProtochainError, match=r"line \d+: the file is cut short; .* a line with #"):
+            pc.load(written(tmp_path, "".join(lines[:end]), "1ubq.cif"))
+    pc.save(load("1l2y.pdb"), tmp_path / "own.cif")
+    own = (tmp_path / "own.cif").read_text().rstrip().rstrip("#\n") + "\n"
+    assert np.array_equal(
+        pc.load(written(tmp_path, own, "own.cif")).positions, pc.load(STRUCTURES / "1l2y.pdb").positions
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["4cup_missing.cif", "5pti_bpti.cif", "1as5_conotoxin.cif", "boltz2_5ht2c.cif"]
+)
+def test_real_mmcif_files_do_not_need_their_last_mark(name, tmp_path):
+    text = shared(name).read_text().rstrip()
+    assert text.endswith("#")
+    assert np.array_equal(
+        pc.load(written(tmp_path, text.removesuffix("#"), name)).positions, pc.load(shared(name)).positions
+    )
+
+
+def test_a_crosslink_that_no_force_field_has_is_named(tmp_path):
+    lines = atoms_of("1ubq.pdb")
+    (carbon,) = [line for line in lines if line[12:26] == " CG  ASP A  58"]
+    (amine,) = [line for line in lines if line[12:26] == " NZ  LYS A  48"]
+    x, y = float(carbon[30:38]) + 1.0, float(carbon[38:46]) + 0.8
+    near = f"{amine[:30]}{x:8.3f}{y:8.3f}{carbon[46:54]}{amine[54:]}"
+    text = "".join(near if line is amine else line for line in lines)
+    # With both oxygens it is an overlap of a poor model.
+    assert pc.load(written(tmp_path, text + "END\n")).n_residues == 76
+    joined = "".join(line for line in text.splitlines(keepends=True) if line[12:26] != " OD2 ASP A  58")
+    with pytest.raises(pc.ProtochainError, match=r"residue 48 LYS .* and residue 58 ASP .* amide bond"):
+        pc.load(written(tmp_path, joined + "END\n"))
+
+
+def test_residues_of_a_force_field_of_ones_own_are_known(tmp_path):
+    own = tmp_path / "own.xml"
+    own.write_text(
+        '<ForceField><AtomTypes><Type name="x-N" class="N" element="N" mass="14"/><Type name="x-C" class="C" '
+        'element="C" mass="12"/><Type name="x-O" class="O" element="O" mass="16"/><Type name="x-H" class="H" '
+        'element="H" mass="1"/></AtomTypes><Residues><Residue name="ZZZ"><Atom name="N" type="x-N"/>'
+        '<Atom name="H" type="x-H"/><Atom name="CA" type="x-C"/><Atom name="HA2" type="x-H"/>'
+        '<Atom name="HA3" type="x-H"/><Atom name="C" type="x-C"/><Atom name="O" type="x-O"/>'
+        '<Bond from="0" to="1"/><Bond from="0" to="2"/><Bond from="2" to="3"/><Bond from="2" to="4"/>'
+        '<Bond from="2" to="5"/><Bond from="5" to="6"/></Residue></Residues></ForceField>'
+    )
+    lines = [line.replace("GLY A  10", "ZZZ A  10") for line in atoms_of("1ubq.pdb")]
+    path = written(tmp_path, "".join(lines) + "END\n")
+    with pytest.raises(pc.ProtochainError, match="residue 10 ZZZ"):
+        pc.load(path)
+    s = pc.load(path, forcefield=own)
+    assert s.residue_name[9] == "ZZZ" and np.count_nonzero(s.atom_residue == 9) == 7
+
+
+def test_the_same_file_gives_the_same_bits_in_another_process():
+    code = (
+        "import sys, hashlib, protochain as pc\n"
+        "print(hashlib.sha256(pc.load(sys.argv[1]).positions.tobytes()).hexdigest())"
+    )
+    path = MORE_STRUCTURES / "4cup_missing.cif"
+    path = path if path.exists() else STRUCTURES / "4pti.pdb"
+    runs = {
+        subprocess.run(
+            [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": seed},
+        ).stdout
+        for seed in ("1", "2")
+    }  # fmt: skip
+    assert len(runs) == 1
+
+
+@pytest.mark.parametrize("method", ["kcm-adaptive", "lbfgs", "hybrid", "openmm"])
+@pytest.mark.parametrize(
+    "name", ["1ejg_crambin.pdb", "3i40_insulin.pdb", "5vav_cyclic.pdb", "1a1p_compstatin.pdb"]
+)
+def test_rings_and_bridges_stay_closed(name, method):
+    s = pc.load(shared(name))
+    chain, energy = pc.build_chain(s), pc.energy(s)
+    r = pc.minimise(chain, energy, method, max_evaluations=400)
+    for first, second in chain.loops.tolist():
+        usual = 0.204 if s.atom_name[first] == "SG" else 0.1335
+        assert abs(np.linalg.norm(r.x[first] - r.x[second]) - usual) < 0.015
+
+
+def test_the_largest_complex_loads():
+    s = pc.load(shared("4jsv_2750.pdb"))
+    assert (s.n_residues, s.n_chains) == (2750 + 8, 8)
+    assert pc.build_chain(s).n_hinges > 10_000
+
+
+@pytest.fixture(params=["pipe", "device", "folder"])
+def endless(request, tmp_path):
+    """What is no file, to read which may never end, with a limit of time for a test that would."""
+    path = tmp_path / "odd.pdb"
+    if request.param == "pipe":
+        os.mkfifo(path)
+    elif request.param == "device":
+        path.symlink_to("/dev/null")  # As /dev/zero, which would fill the memory if it were read.
+    else:
+        path.mkdir()
+
+    def late(*_):
+        raise AssertionError("it is read")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.alarm(20)
+    yield path
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        pc.load,
+        lambda path: pc.rmsd(STRUCTURES / "ala10.pdb", path),
+        lambda path: (
+            pc.load(STRUCTURES / "ala10.pdb", forcefield=path) and pc.energy(load("ala10.pdb"), path)
+        ),
+        lambda path: find_jobs([], BatchSettings(), manifest=path),
+    ],
+)
+def test_what_is_no_file_is_refused_unread(call, endless):
+    with pytest.raises(pc.ProtochainError, match=r"odd\.pdb: is not a regular file; give the name of one$"):
+        call(endless)
+
+
+def test_what_is_no_file_is_no_checkpoint(endless):
+    with pytest.raises(pc.ProtochainError, match=r"odd\.pdb: is no checkpoint of a minimisation"):
+        pc.minimise(pc.build_chain(load("ala10.pdb")), energy("ala10.pdb"), resume=endless)
+
+
+def test_what_is_no_file_is_a_row_of_a_batch(endless, tmp_path):
+    (tmp_path / "list.csv").write_text("path\nodd.pdb\n")
+    (job,) = find_jobs([], BatchSettings(), manifest=tmp_path / "list.csv")
+    (row,) = run(job, tmp_path / "out", 1)
+    assert row.record["status"] == "refused" and "is not a regular file" in row.record["message"]
+
+
+def test_a_pipe_that_a_shell_has_opened_is_read():
+    """As ``protochain info <(zcat x.pdb.gz)``; but of a batch, whose processes have other pipes."""
+    reads, writes = os.pipe()
+    with os.fdopen(writes, "wb") as file:
+        file.write((STRUCTURES / "ala10.pdb").read_bytes()[: 1 << 15])
+    try:
+        assert pc.load(f"/dev/fd/{reads}").fingerprint == load("ala10.pdb").fingerprint
+        (job,) = find_jobs([f"/dev/fd/{reads}"], BatchSettings())
+        (row,) = run(job, Path("out"), 1)
+        assert row.record["status"] == "refused"
+    finally:
+        os.close(reads)

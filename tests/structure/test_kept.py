@@ -1,0 +1,554 @@
+"""Molecules beside the protein: what is kept and said, how it is held, and metal sites."""
+
+import importlib.util
+from pathlib import Path
+
+import gemmi
+import numpy as np
+import openmm
+import pytest
+from fixtures.repairs import sentences
+from fixtures.samples import STRUCTURES, shared
+from fixtures.tolerances import NATIVE_ENERGY, NATIVE_FORCE
+from openmm import app
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+import protochain as pc
+from protochain.contacts import overlaps
+from protochain.energies.elements import lennard_jones
+from protochain.mechanics.multibody import HingeKind
+from protochain.structure.files import parse
+from protochain.structure.superpose import superpose
+
+WITH_OTHERS = (
+    "1a8o_mse.cif", "1afs_638.pdb", "1ajj_ldlr.pdb", "1ake_full.cif", "1bx8_hirustasin.pdb",
+    "1fas_fasciculin.cif", "1grm_gramicidin.pdb", "1hpv_oldformat.pdb", "1v6p_cobrotoxin_amber.pdb",
+    "3al1_caps_altloc.pdb",
+    "3enl_enolase.pdb", "4cup_missing.cif", "5pti_bpti.cif", "boltz2_5ht2c.cif",
+)  # fmt: skip
+SITE_NM = 0.02
+"""Zinc and heme sites stay within 0.2 angstrom of the input."""
+
+
+def written(tmp_path: Path, text: str, name: str = "x.pdb") -> Path:
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def records(path: Path, *conditions) -> list[str]:
+    lines = [line for line in path.read_text().splitlines(True) if line[:6] in ("ATOM  ", "HETATM")]
+    return [line for line in lines if all(condition(line) for condition in conditions)]
+
+
+def zinc_finger(tmp_path: Path) -> Path:
+    """3znf with zinc where its four ligands point, whose distances are then 2.28 and 2.03 angstrom."""
+    path = shared("3znf_zinc_finger.pdb")
+    zinc = "HETATM  999 ZN    ZN G 101       5.278   2.167   4.202  1.00  0.00          ZN\n"
+    return written(tmp_path, "".join(records(path)) + zinc + "END\n")
+
+
+def globin(tmp_path: Path) -> Path:
+    """Chain A of the erythrocruorin 2gtl, with carbon monoxide on its heme; from the data of tmtools."""
+    spec = importlib.util.find_spec("tmtools")
+    path = Path(spec.origin).parent / "data" / "2gtl.pdb" if spec else Path("absent")
+    if not path.exists():
+        pytest.skip("2gtl.pdb is not here")
+    return written(tmp_path, "".join(records(path, lambda line: line[21] == "A")) + "END\n")
+
+
+CUBE = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+CLUSTERS = {
+    "SF4": (0.962 * CUBE, -1.308 * CUBE, 2.290 * CUBE),
+    "FES": (
+        np.array([[0.0, 0.0, 1.35], [0.0, 0.0, -1.35]]),
+        np.array([[1.75, 0.0, 0.0], [-1.75, 0.0, 0.0]]),
+        np.array([[0.0, y, z] for z in (2.65, -2.65) for y in (1.897, -1.897)]),
+    ),
+}
+"""Angstrom: irons 2.7 apart, sulphides 2.2 to 2.3 from them, and cysteines' sulphurs 2.3 from their iron."""
+
+
+def iron_sulphur(tmp_path: Path, name: str) -> Path:
+    """A cluster that four peptides GCG, each a chain, hold by their cysteines."""
+    peptide = pc.from_sequence("GCG")
+    x, sulphur = 10 * peptide.positions, peptide.atom_name.tolist().index("SG")
+    irons, sulphides, holders = CLUSTERS[name]
+    lines = []
+
+    def add(record, atom, residue, chain, number, at, element):
+        lines.append(
+            f"{record:<6}{len(lines) + 1:5d} {atom:<4} {residue:>3} {chain}{number:4d}    "
+            f"{at[0]:8.3f}{at[1]:8.3f}{at[2]:8.3f}  1.00  0.00          {element:>2}\n"
+        )
+
+    for chain, target in zip("ABCD", holders, strict=True):
+        iron = irons[np.argmin(np.linalg.norm(irons - target, axis=1))]
+        # The peptide beyond its sulphur, which bends as one does: C-S-Fe of some 110 degrees.
+        out, inward = target - iron, x[sulphur] - x.mean(axis=0)
+        turn, _ = Rotation.align_vectors([out / np.linalg.norm(out)], [-inward / np.linalg.norm(inward)])
+        placed = turn.apply(x - x[sulphur]) + target
+        for k in np.flatnonzero(peptide.atom_element != "H"):
+            r = peptide.atom_residue[k]
+            add("ATOM", f" {peptide.atom_name[k]}", peptide.residue_name[r], chain, r + 1, placed[k],
+                peptide.atom_element[k])  # fmt: skip
+        lines.append("TER\n")
+    for kind, places in (("FE", irons), ("S", sulphides)):
+        for k, at in enumerate(places, 1):
+            add("HETATM", f"{kind}{k}" if kind == "FE" else f" {kind}{k}", name, "E", 1, at, kind)
+    return written(tmp_path, "".join(lines) + "END\n", f"{name}.pdb")
+
+
+def site_of(s: pc.Structure) -> list[int]:
+    """Metals and the atoms that hold them."""
+    return sorted({atom for tie in s.ties if len(tie.atoms) == 2 for atom in tie.atoms})
+
+
+def moved(s: pc.Structure, x: np.ndarray, atoms: list[int]) -> float:
+    """Largest displacement in nm of some atoms, superposed."""
+    there = superpose(s.positions[atoms], x[atoms])
+    return float(np.linalg.norm(there - x[atoms], axis=1).max())
+
+
+@pytest.mark.parametrize("name", WITH_OTHERS)
+def test_nothing_near_the_protein_is_left_out_silently(name):
+    path = shared(name)
+    s = pc.load(path)
+    protein = KDTree(10 * s.positions[~s.kept & (s.atom_element != "H")])
+    there = set(zip(s.residue_chain.tolist(), s.residue_number.tolist(), strict=True))
+    said = " ".join(sentences(s))
+    found, *_ = parse(path)
+    for chain in found[0]:
+        for residue in chain:
+            near = any(protein.query(a.pos.tolist())[0] < 5.0 for a in residue)
+            if not near or (chain.name.strip(), str(residue.seqid.num)) in there:
+                continue
+            if residue.is_water():
+                assert "waters" in sentences(s)[0] and "left out" in sentences(s)[0]
+            else:
+                assert residue.name in said or f"residue {residue.seqid.num} " in said, residue
+
+
+def test_words_choose_what_is_kept():
+    path = shared("1ajj_ldlr.pdb")
+    count = {
+        words: sorted(set(pc.load(path, keep=words.split()).residue_name) & {"HOH", "SO4", "CA"})
+        for words in ("none", "near", "all", "ions", "water", "ligands", "SO4 water")
+    }
+    assert count == {
+        "none": [], "near": ["CA", "SO4"], "all": ["CA", "HOH", "SO4"], "ions": ["CA"], "water": ["HOH"],
+        "ligands": ["SO4"], "SO4 water": ["HOH", "SO4"],
+    }  # fmt: skip
+    s = pc.load(path, keep=("none",))
+    assert sentences(s)[0] == '1 SO4, 1 CA, 30 waters left out; keep="all" keeps everything'
+    assert dict(s.left_out) == {"SO4": 1, "CA": 1, "waters": 30} and not s.ties
+    assert (
+        sentences(pc.load(path))[0]
+        == '30 waters left out: the solvent is implicit; keep="all" keeps everything'
+    )
+    assert pc.Setup().keep == ("near",) and pc.Setup(keep="none").load(path).left_out["SO4"] == 1
+    with pytest.raises(pc.ProtochainError, match=r"keep 'ligand' is not known; give none, near, all, water"):
+        pc.load(path, keep=("ligand",))
+
+
+def test_what_is_far_is_left_out_and_what_joins_it_to_the_protein_stays(tmp_path):
+    """Three in a row: the first touches the protein, the second the first, the third stands alone."""
+    lines = records(STRUCTURES / "1l2y.pdb")
+    end = gemmi.read_structure(str(STRUCTURES / "1l2y.pdb"))[0][0][-1]
+    out = np.array([a.pos.tolist() for a in end]).max(axis=0)
+    for number, shift in ((101, 3.5), (102, 5.1), (103, 13.0)):
+        x = out + np.array([shift, 0.0, 0.0])
+        for k, (atom, way) in enumerate((("P", 0.0), ("O1", 1.5))):
+            name, element = f"{atom:<3}", atom[0]
+            lines.append(
+                f"HETATM{900 + k:5d}  {name} PO3 A {number}    {x[0] + way:8.3f}{x[1]:8.3f}{x[2]:8.3f}"
+                f"  1.00  0.00           {element}\n"
+            )
+    s = pc.load(written(tmp_path, "".join(lines) + "END\n"))
+    assert s.residue_number[-2:].tolist() == ["101", "102"]
+    assert sentences(s)[0].startswith("1 PO3 (it is further than 5 angstrom from the protein) left out")
+
+
+@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
+@pytest.mark.parametrize("name", ["1ajj_ldlr.pdb", "1grm_gramicidin.pdb", "5pti_bpti.cif"])
+def test_both_engines_agree_on_molecules_without_parameters(name, solvent):
+    s = pc.load(shared(name))
+    e = pc.energy(s, solvent=solvent, engine="native")
+    (value, forces), (true, exact) = e(s.positions), e.reference(s.positions)
+    assert value == pytest.approx(true, rel=NATIVE_ENERGY)
+    assert np.linalg.norm(forces - exact) < NATIVE_FORCE * np.linalg.norm(exact)
+
+
+@pytest.mark.slow
+def test_force_fields_with_tables_of_pairs_take_molecules_by_element():
+    s = pc.load(shared("1grm_gramicidin.pdb"))
+    e = pc.energy(s, "charmm36", "vacuum", engine="native")
+    assert e(s.positions)[0] == pytest.approx(e.reference(s.positions)[0], rel=NATIVE_ENERGY)
+
+
+def test_a_ligand_pushes_as_its_elements_do(tmp_path):
+    """Pulling a sulfate away changes the energy by its Lennard-Jones energy with the protein alone."""
+    path = shared("1bx8_hirustasin.pdb")
+    s = pc.load(path)
+    e = pc.energy(s, solvent="vacuum")
+    away = s.positions + np.where(s.obstacle, 1000.0, 0.0)[:, None]
+    nonbonded = next(f for f in e.system.getForces() if isinstance(f, openmm.NonbondedForce))
+    rows = [[v._value for v in nonbonded.getParticleParameters(i)] for i in range(s.n_atoms)]
+    q, sigma, epsilon = np.array(rows).T
+    assert not q[s.obstacle].any()
+    for atom in np.flatnonzero(s.obstacle):
+        assert (sigma[atom], epsilon[atom]) == pytest.approx(lennard_jones(str(s.atom_element[atom])))
+    here, there = np.flatnonzero(s.obstacle), np.flatnonzero(~s.obstacle)
+    r = np.linalg.norm(s.positions[here][:, None] - s.positions[there], axis=-1)
+    mean = 0.5 * (sigma[here][:, None] + sigma[there])
+    depth = np.sqrt(epsilon[here][:, None] * epsilon[there])
+    own = (4 * depth * ((mean / r) ** 12 - (mean / r) ** 6)).sum()
+    assert e(s.positions)[0] - e(away)[0] == pytest.approx(own, rel=1e-6)
+
+
+def crowded(tmp_path: Path) -> Path:
+    """Insulin, and beside it two molecules of two atoms far apart, which lie on one another."""
+    lines = records(STRUCTURES / "3i40.pdb", lambda line: line[17:20] != "HOH")
+    x = np.array([[float(line[k : k + 8]) for k in (30, 38, 46)] for line in lines])
+    out = x[np.argmax(x[:, 0])] + [4.0, 0.0, 0.0]
+    for number, shift in ((901, 0.0), (902, 0.3)):
+        for k, name in enumerate(("P", "O1")):
+            at = out + np.array([5.0 * k, shift, 0.0])
+            lines.append(
+                f"HETATM{number:5d}  {name:<3} PO1 C {number}    {at[0]:8.3f}{at[1]:8.3f}{at[2]:8.3f}"
+                f"  1.00  0.00           {name[0]}\n"
+            )
+    return written(tmp_path, "".join(lines) + "END\n")
+
+
+def test_obstacles_are_one_thing_that_stands_still(tmp_path):
+    """They do not push one another, nor do their overlaps count; the largest chain stays with them."""
+    s = pc.load(crowded(tmp_path))
+    still = np.flatnonzero(s.obstacle)
+    assert len(still) == 4 and s.n_chains == 2
+    e = pc.energy(s, solvent="vacuum")
+    nonbonded = next(f for f in e.system.getForces() if isinstance(f, openmm.NonbondedForce))
+    silent = {
+        tuple(sorted(nonbonded.getExceptionParameters(k)[:2]))
+        for k in range(nonbonded.getNumExceptions())
+        if nonbonded.getExceptionParameters(k)[4]._value == 0.0
+    }
+    # Of one molecule, and touching ones; P of one and O1 of the other are 5 angstrom apart.
+    p1, o1, p2, o2 = still.tolist()
+    assert {(p1, o1), (p2, o2), (p1, p2), (o1, o2)} <= silent and not {(p1, o2), (o1, p2)} & silent
+    assert [e.system.getParticleMass(int(k))._value for k in still] == [0.0] * 4
+    assert not {a for pair in overlaps(s, s.positions) for a in (pair.first, pair.second) if "PO1" in a}
+    c = pc.build_chain(s)
+    kinds = [
+        str(HingeKind(kind).name)
+        for kind, parent in zip(c.tree.kind, c.tree.parent, strict=True)
+        if parent < 0
+    ]
+    assert sorted(kinds) == ["FIXED", "FIXED", "FREE"]
+    size = np.bincount(s.residue_chain_index[s.atom_residue])
+    (free,) = {int(s.residue_chain_index[r]) for r in s.atom_residue[_of_root(c, HingeKind.FREE)]}
+    assert size[free] == sorted(size[:2])[0]
+
+
+def _of_root(c: pc.Chain, kind: HingeKind) -> np.ndarray:
+    """Atoms of the trees whose root is of a kind."""
+    root = np.arange(c.n_bodies)
+    for b in range(c.n_bodies):
+        if c.tree.parent[b] >= 0:
+            root[b] = root[c.tree.parent[b]]
+    return np.flatnonzero(c.tree.kind[root[c.atom_body]] == kind)
+
+
+def test_charges_of_the_file_are_used(tmp_path):
+    lines = records(shared("1bx8_hirustasin.pdb"))
+    charged = [
+        line[:78].rstrip("\n").ljust(78) + "1-\n"
+        if line[17:20] == "SO4" and line[12:16].strip() in ("O1", "O2") else line
+        for line in lines
+    ]  # fmt: skip
+    s = pc.load(written(tmp_path, "".join(charged) + "END\n"))
+    assert s.formal_charge.sum() == -2
+    system = pc.energy(s).system
+    nonbonded = next(f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    q = np.array([nonbonded.getParticleParameters(i)[0]._value for i in range(s.n_atoms)])
+    assert np.array_equal(q[s.obstacle], s.formal_charge[s.obstacle]) and q.sum() == pytest.approx(
+        np.round(q.sum()), abs=1e-6
+    )
+
+
+def test_a_force_field_that_knows_the_ligand_is_used(tmp_path):
+    own = Path(app.__file__).parent / "data" / "amber14" / "protein.ff14SB.xml"
+    text = own.read_text()
+    text = text.replace(
+        "</AtomTypes>",
+        '<Type name="l-S" class="l-S" element="S" mass="32"/>'
+        '<Type name="l-O" class="l-O" element="O" mass="16"/></AtomTypes>',
+    )
+    bonds = "".join(f'<Bond atomName1="S" atomName2="O{k}"/>' for k in range(1, 5))
+    oxygens = "".join(f'<Atom name="O{k}" type="l-O" charge="-0.85"/>' for k in range(1, 5))
+    text = text.replace(
+        "</Residues>",
+        f'<Residue name="SO4"><Atom name="S" type="l-S" charge="1.4"/>{oxygens}{bonds}</Residue></Residues>',
+    )
+    text = text.replace(
+        "</NonbondedForce>",
+        '<Atom type="l-S" sigma="0.36" epsilon="1.0"/>'
+        '<Atom type="l-O" sigma="0.3" epsilon="0.5"/></NonbondedForce>',
+    )
+    path = written(tmp_path, text, "own.xml")
+    with pytest.raises(pc.ProtochainError, match=r"bond of atom S of .* SO4 .* to O1 has no parameters"):
+        pc.energy(pc.load(shared("1bx8_hirustasin.pdb"), forcefield=path), str(path))
+    bond = '<Bond type1="l-S" type2="l-O" length="0.149" k="400000"/>'
+    written(tmp_path, text.replace("</HarmonicBondForce>", f"{bond}</HarmonicBondForce>"), "own.xml")
+    s = pc.load(shared("1bx8_hirustasin.pdb"), forcefield=path)
+    assert not any("by element" in line for line in sentences(s))
+    nonbonded = next(
+        f for f in pc.energy(s, str(path)).system.getForces() if isinstance(f, openmm.NonbondedForce)
+    )
+    rows = [[v._value for v in nonbonded.getParticleParameters(i)] for i in np.flatnonzero(s.mobile)]
+    assert rows[0] == [1.4, 0.36, 1.0] and rows[1:] == [[-0.85, 0.3, 0.5]] * 4
+
+
+def test_glycans_stay_bonded_and_do_not_push_their_residue_away(tmp_path):
+    """Residues 347 to 357 of chain A of 3o21 with the sugar on ASN 352."""
+    path = shared("3o21_1489.pdb")
+
+    def is_part(line):
+        number = int(line[22:26])
+        return line[21] == "A" and (347 <= number <= 357 or number == 390)
+
+    s = pc.load(written(tmp_path, "".join(records(path, is_part)) + "END\n"))
+    (bond,) = (tie for tie in s.ties if len(tie.atoms) == 2)
+    nitrogen, carbon = bond.atoms
+    assert s.describe(nitrogen) == "atom ND2 of residue 352 ASN of chain A" and s.atom_name[carbon] == "C1"
+    partners = {str(s.atom_name[k]) for pair in s.bonds[(s.bonds == nitrogen).any(axis=1)] for k in pair}
+    assert partners == {"ND2", "CG", "C1", "HD21"}
+    c, e = pc.build_chain(s), pc.energy(s)
+    assert [tuple(loop) for loop in c.loops] == [bond.atoms]
+    charge = next(f for f in e.system.getForces() if isinstance(f, openmm.NonbondedForce))
+    total = sum(charge.getParticleParameters(i)[0]._value for i in range(s.n_atoms))
+    assert total == pytest.approx(round(total), abs=1e-6)
+    for method in ("lbfgs", "cartesian"):
+        r = pc.minimise(c, e, method, max_evaluations=100)
+        assert np.array_equal(r.x[s.obstacle], s.positions[s.obstacle])
+        assert np.linalg.norm(r.x[nitrogen] - r.x[carbon]) == pytest.approx(bond.rest, abs=SITE_NM)
+
+
+def test_one_conformation_of_a_ligand_is_taken_and_said():
+    s = pc.load(shared("3al1_caps_altloc.pdb"))
+    assert any("506 ETA" in line and "alternate location B kept" in line for line in sentences(s))
+    for residue in np.unique(s.atom_residue[s.obstacle]):
+        names = s.atom_name[s.atom_residue == residue]
+        assert len(set(names)) == len(names)
+
+
+def test_a_zinc_site_is_prepared_as_one(tmp_path):
+    s = pc.load(zinc_finger(tmp_path))
+    names = set(zip(s.residue_number[s.atom_residue].tolist(), s.atom_name.tolist(), strict=True))
+    assert not {("5", "HG"), ("8", "HG"), ("21", "HE2"), ("27", "HE2")} & names
+    assert {("21", "HD1"), ("27", "HD1")} < names
+    bonds = [tie for tie in s.ties if len(tie.atoms) == 2]
+    assert [f"{10 * tie.rest:.2f}" for tie in bonds] == ["2.28", "2.28", "2.03", "2.03"]
+    assert s.kept.sum() == 1 and not s.obstacle.any() and s.n_chains == 1
+    e = pc.energy(s)
+    stretched = s.positions + np.where(s.kept, 0.01, 0.0)[:, None]
+    parts = e.parts(stretched)[0]
+    own = sum(
+        0.5 * tie.stiffness * (np.linalg.norm(np.subtract(*stretched[list(tie.atoms)])) - tie.rest) ** 2
+        for tie in bonds
+    )
+    assert parts["ties"] == pytest.approx(own) and e.parts(s.positions)[0]["ties"] == pytest.approx(
+        0.0, abs=1e-9
+    )
+    assert e(stretched)[0] == pytest.approx(e.reference(stretched)[0], rel=NATIVE_ENERGY)
+    # The springs are those of the input, wherever a result lies.
+    assert pc.energy(s.with_positions(stretched)).fingerprint == e.fingerprint
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "hybrid"])
+def test_zinc_sites_stay_together(tmp_path, method):
+    s = pc.load(zinc_finger(tmp_path))
+    r = pc.minimise(pc.build_chain(s), pc.energy(s), method, max_evaluations=1000)
+    assert moved(s, r.x, site_of(s)) < SITE_NM
+
+
+def test_without_springs_the_site_falls_apart(tmp_path):
+    """The test above can fail: the same file without its zinc."""
+    s = pc.load(zinc_finger(tmp_path), keep=("none",))
+    r = pc.minimise(pc.build_chain(s), pc.energy(s), "lbfgs", max_evaluations=1000)
+    names = (("5", "SG"), ("8", "SG"), ("21", "NE2"), ("27", "NE2"))
+    at = list(zip(s.residue_number[s.atom_residue].tolist(), s.atom_name.tolist(), strict=True))
+    assert moved(s, r.x, [at.index(name) for name in names]) > SITE_NM
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["lbfgs", "hybrid"])
+def test_heme_sites_stay_together(tmp_path, method):
+    s = pc.load(globin(tmp_path))
+    assert {"HEM", "CMO"} < set(s.residue_name) and len(site_of(s)) == 2
+    r = pc.minimise(pc.build_chain(s), pc.energy(s), method, max_evaluations=1000)
+    heme = np.flatnonzero(s.residue_name[s.atom_residue] == "HEM").tolist()
+    assert moved(s, r.x, sorted({*site_of(s), *heme})) < SITE_NM
+
+
+@pytest.mark.parametrize(("name", "n"), [("SF4", 8), ("FES", 4)])
+def test_iron_sulphur_clusters_are_prepared_as_sites(tmp_path, name, n):
+    s = pc.load(iron_sulphur(tmp_path, name))
+    assert s.obstacle.sum() == n and np.array_equal(s.kept, s.obstacle)
+    bonds = [tie for tie in s.ties if len(tie.atoms) == 2]
+    ends = [(str(s.atom_name[i]), str(s.atom_name[j])[:2]) for i, j in (tie.atoms for tie in bonds)]
+    assert ends == [("SG", "FE")] * 4 and len({tie.atoms[0] for tie in bonds}) == 4
+    assert [tie.rest for tie in bonds] == pytest.approx([0.23] * 4, abs=5e-4)
+    assert not any("disulfide" in line for line in sentences(s))
+    hydrogens = {str(h) for h in s.atom_name[s.atom_element == "H"]}
+    assert "HB2" in hydrogens and "HG" not in hydrogens
+    # Their iron is no bond of the cluster's own sulphides, and sulphides hold no hydrogens.
+    assert {str(e) for e in s.atom_element[s.kept]} == {"Fe", "S"}
+    system = pc.energy(s).system
+    nonbonded = next(f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    q = np.array([nonbonded.getParticleParameters(i)[0]._value for i in range(s.n_atoms)])
+    sulphurs = [tie.atoms[0] for tie in bonds]
+    assert np.all(q[sulphurs] < -0.5) and q.sum() == pytest.approx(round(q.sum()), abs=1e-6)
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "hybrid"])
+@pytest.mark.parametrize("name", ["SF4", "FES"])
+def test_iron_sulphur_clusters_stay_together(tmp_path, name, method):
+    s = pc.load(iron_sulphur(tmp_path, name))
+    r = pc.minimise(pc.build_chain(s), pc.energy(s), method, max_evaluations=300)
+    cluster = np.flatnonzero(s.kept).tolist()
+    assert moved(s, r.x, sorted({*site_of(s), *cluster})) < SITE_NM
+    assert np.linalg.norm(r.x - s.positions, axis=1).max() > SITE_NM
+
+
+def test_an_ion_beside_a_ligand_stays_with_it(tmp_path):
+    """With a water at it, calcium is an obstacle; held by the protein alone, it moves."""
+    path = shared("1ajj_ldlr.pdb")
+    alone = pc.load(path)
+    ion, *donors = (10 * alone.positions[k] for k in site_of(alone)[::-1])
+    away = ion - np.mean(donors, axis=0)
+    x = ion + 2.6 * away / np.linalg.norm(away)
+    water = f"HETATM  999  O   HOH A 999    {x[0]:8.3f}{x[1]:8.3f}{x[2]:8.3f}  1.00  0.00           O\n"
+    beside = written(tmp_path, "".join(records(path)) + water + "END\n")
+    wet, dry = pc.load(beside, keep=("all",)), pc.load(path, keep=("all",))
+    for s, fixed in ((alone, False), (dry, False), (wet, True)):
+        assert s.obstacle[s.residue_name[s.atom_residue] == "CA"].tolist() == [fixed]
+        assert len([tie for tie in s.ties if len(tie.atoms) == 2]) == 6
+    c = pc.build_chain(alone)
+    assert len(c.loops) == 5 + 3 and c.tree.n_q == c.n_hinges
+
+
+def test_metal_sites_and_bonds_to_ligands_can_be_closed_in_dynamics(tmp_path):
+    for path in (zinc_finger(tmp_path), shared("1grm_gramicidin.pdb")):
+        s = pc.load(path)
+        m = pc.simulate(pc.build_chain(s), pc.energy(s, solvent="vacuum"), n_steps=5, loops="closed")
+        for tie in s.ties:
+            if len(tie.atoms) == 2:
+                assert np.linalg.norm(np.subtract(*m.x[list(tie.atoms)])) == pytest.approx(tie.rest, abs=1e-6)
+
+
+def test_a_written_result_is_read_with_what_was_kept(tmp_path):
+    s = pc.load(shared("1ajj_ldlr.pdb"))
+    for suffix in (".pdb", ".cif"):
+        pc.save(s, tmp_path / f"out{suffix}")
+        again = pc.load(tmp_path / f"out{suffix}")
+        assert np.array_equal(again.kept, s.kept) and len(again.ties) == len(s.ties)
+        assert np.array_equal(again.atom_name, s.atom_name)
+
+
+def complexes(name: str) -> Path:
+    """A file of the shared complexes, or skip."""
+    return shared(f"../complexes/{name}")
+
+
+@pytest.mark.parametrize(
+    ("name", "pairs"),
+    [
+        ("clash_dna.pdb", {("OG1", "OP2"), ("NH1", "O6"), ("NH2", "N7")}),
+        ("clash_ligand.cif", {("SG", "C"), ("SG", "O"), ("SG", "CH3")}),
+    ],
+)
+def test_molecules_pushed_into_the_protein_overlap_and_are_not_bonded(name, pairs):
+    s = pc.load(complexes(f"models/{name}"))
+    assert not s.ties and not len(s.links)
+    found = [each for each in overlaps(s, s.positions) if each.beside]
+    named = {tuple(s.atom_name[list(each.atoms)].tolist()) for each in found}
+    assert pairs <= named | {pair[::-1] for pair in named}
+    (line,) = (line for line in sentences(s) if "not bonded" in line)
+    assert line.startswith("3 pairs of atoms as near as bonded ones")
+    # No hydrogen gives way to a bond that is none.
+    whole = pc.load(complexes(f"models/{name}"), keep="none")
+    assert np.array_equal(whole.atom_name, s.atom_name[~s.kept])
+
+
+def test_a_relaxation_parts_the_protein_from_what_overlaps_with_it():
+    r = pc.relax(complexes("models/clash_dna.pdb"), threads=1)
+    record = r.record()
+    assert record["overlaps_beside_start"] >= 3 and record["overlaps_beside_end"] == 0
+    assert r.status == "converged" and np.array_equal(
+        r.x[r.start.obstacle], r.start.positions[r.start.obstacle]
+    )
+    # Where the protein may not give way, the status and the message say so.
+    held = pc.relax(complexes("models/clash_dna.pdb"), threads=1, max_iterations=1, max_outer_iterations=1)
+    assert held.status == "clash" and "apart" in held.message
+
+
+def test_links_are_values_and_those_among_the_kept_are_the_files():
+    s = pc.load(complexes("models/3ave.pdb"))
+    ends = [tuple(s.atom_name[pair].tolist()) for pair in s.links]
+    assert ends[:3] == [("ND1", "ZN"), ("ND2", "C1"), ("ND2", "C1")] and len(ends) == 17
+    first = s.links[:, 0]
+    assert not s.kept[first[:3]].any() and s.kept[first[3:]].all() and s.kept[s.links[:, 1]].all()
+    assert [tie.atoms for tie in s.ties if len(tie.atoms) == 2] == [
+        tuple(pair) for pair in s.links[:3].tolist()
+    ]
+
+
+def methylated(tmp_path: Path, far: float, connected: bool) -> Path:
+    """Trp-cage with a molecule of one carbon beyond NH1 of its arginine, with a CONECT record or without."""
+    model = gemmi.read_structure(str(STRUCTURES / "1l2y.pdb"))[0]
+    arginine = next(each for each in model[0] if each.name == "ARG")
+    nitrogen, centre = (np.array(arginine[name][0].pos.tolist()) for name in ("NH1", "NE"))
+    at = nitrogen + far * (nitrogen - centre) / np.linalg.norm(nitrogen - centre)
+    serial = arginine["NH1"][0].serial
+    carbon = "HETATM 9001  C   XXC A 101    {:8.3f}{:8.3f}{:8.3f}  1.00  0.00           C\n".format(*at)
+    link = f"CONECT{serial:5d} 9001\n" * connected
+    atoms = records(STRUCTURES / "1l2y.pdb", lambda line: line[76:78].strip() != "H")
+    return written(tmp_path, "".join(atoms) + carbon + link + "END\n")
+
+
+@pytest.mark.parametrize(
+    ("far", "connected", "bonded"), [(1.46, True, True), (1.46, False, False), (2.6, True, False)]
+)
+def test_bonds_of_conect_records_are_believed_at_lengths_of_bonds(tmp_path, far, connected, bonded):
+    s = pc.load(methylated(tmp_path, far, connected))
+    assert [tuple(s.atom_name[pair].tolist()) for pair in s.links] == [("NH1", "C")] * bonded
+    assert any("not bonded" in line for line in sentences(s)) is (not connected)
+    assert any("ignored: it is 2.60 angstrom long" in line for line in sentences(s)) is (far > 2.0)
+
+
+@pytest.mark.parametrize("name", ["1V48_HA1", "1P62_GEO"])
+def test_ions_whose_waters_are_left_out_stay_in_place(name):
+    s = pc.load(complexes(f"astex/{name}_protein.pdb"))
+    ions = [tie.atoms[1] for tie in s.ties if len(tie.atoms) == 2]
+    assert len(ions) < 4 and s.obstacle[ions].all()
+    assert any(line.endswith("; the ion stays in place") for line in sentences(s))
+    for r in (pc.relax(s, threads=1), pc.minimise(s, method="cartesian", max_evaluations=40)):
+        assert np.array_equal(r.x[ions], s.positions[ions])
+        for tie in s.ties:
+            if len(tie.atoms) == 2:
+                assert np.linalg.norm(np.subtract(*r.x[list(tie.atoms)])) == pytest.approx(
+                    tie.rest, abs=SITE_NM
+                )
+
+
+def test_a_name_to_keep_that_no_molecule_has_is_refused():
+    path = complexes("models/1a0i.cif")
+    for keep in ("QWK", ["ATP", "QWK"]):
+        with pytest.raises(
+            pc.ProtochainError, match=r"1a0i\.cif: keep QWK: no molecule .* there are .*1 ATP"
+        ) as told:
+            pc.load(path, keep=keep)
+        assert "\n" not in str(told.value)
+    assert "ATP" in pc.load(path, keep="ATP").residue_name

@@ -1,0 +1,276 @@
+"""A structure made by hand, column by column; superposition, selection and sequences."""
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fixtures.molecules import ring
+from fixtures.repairs import noted
+from openmm import app
+
+import protochain as pc
+from protochain.structure import build as build_module
+from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.model import Tie
+from protochain.structure.prepare import _bonds, _indices, _refuse_coincident, _remoteness, user_files
+from protochain.structure.select import select
+from protochain.structure.sites import Link
+from protochain.structure.superpose import ca_rmsd, motion, rmsd, rmsd_angstrom, superpose
+from protochain.structure.templates import Template
+
+S = ring()
+
+
+def test_columns_are_those_of_the_topology():
+    assert (S.n_atoms, S.n_residues, S.n_chains) == (14, 4, 1)
+    assert " ".join(S.atom_name) == "N CA C SG N CA C N CA C SG O H1 H2"
+    assert "".join(S.atom_element) == "NCCSNCCNCCSOHH"
+    assert S.atom_mass[[0, 1, 3, 11, 12]] == pytest.approx([14.007, 12.011, 32.06, 15.999, 1.008], abs=0.01)
+    assert S.atom_residue.tolist() == [0] * 4 + [1] * 3 + [2] * 4 + [3] * 3
+    assert S.residue_name.tolist() == ["CYS", "GLY", "CYS", "HOH"]
+    assert S.residue_number.tolist() == ["1", "2", "3", "4"]
+    assert S.residue_insertion_code.tolist() == ["", "", "B", ""]
+    assert S.residue_chain.tolist() == ["A", "A", "A", ""] and S.residue_chain_index.tolist() == [0, 0, 0, 1]
+    # The smaller index first, also where the topology has it second.
+    assert S.bonds.tolist() == [[0, 1], [1, 2], [2, 4], [6, 7], [0, 9], [3, 10], [11, 12], [11, 13]]
+    assert S.alpha_carbons.tolist() == [1, 5, 8]
+    assert S.describe(7) == "atom N of residue 3B CYS of chain A"
+    assert S.describe_residue(3) == "residue 4 HOH of chain (blank)"
+    for column in (
+        S.positions,
+        S.atom_mass,
+        S.atom_residue,
+        S.bonds,
+        S.alpha_carbons,
+        S.b_factor,
+        S.obstacle,
+        S.occupancy,
+        S.kept,
+        S.formal_charge,
+    ):
+        assert not column.flags.writeable
+
+
+def calcium():
+    topology = app.Topology()
+    residue = topology.addResidue("CA", topology.addChain("A"), "1")
+    topology.addAtom("CA", app.Element.getBySymbol("Ca"), residue, formalCharge=2)
+    return topology
+
+
+def test_what_is_not_given_is_empty():
+    bare = pc.Structure("x", calcium(), np.zeros((1, 3)))
+    assert bare.b_factor.tolist() == [0.0] and bare.obstacle.tolist() == [False]
+    assert bare.obstacle.dtype == bool and dict(bare.left_out) == {} and bare.repairs == ()
+    assert bare.occupancy.tolist() == [1.0] and bare.kept.tolist() == [False]
+    assert (bare.residue_label, bare.header, bare.model_number, bare.ties) == ((), "", 1, ())
+    assert bare.bonds.shape == (0, 2) and bare.alpha_carbons.tolist() == []
+    with pytest.raises(TypeError):
+        bare.left_out["x"] = 1
+
+
+def test_what_springs_hold_is_beside_the_protein():
+    """Of the water, the hydrogens are obstacles; the oxygen and a C-alpha are tied, and may move."""
+    ties = (Tie((3, 11), 0.2, 1.0), Tie((2, 5), 0.2, 1.0), Tie((2, 3, 11), 2.0, 1.0))
+    held = replace(S, obstacle=np.arange(14) >= 12, ties=ties)
+    assert np.flatnonzero(held.kept).tolist() == [5, 11, 12, 13] and held.n_chains == 1
+    assert np.flatnonzero(held.obstacle).tolist() == [12, 13] and held.alpha_carbons.tolist() == [1, 8]
+    assert np.flatnonzero(S.kept).tolist() == [11, 12, 13] and not S.formal_charge.any()
+    assert replace(held, ties=()).n_chains == 2
+    assert pc.Structure("x", calcium(), np.zeros((1, 3))).formal_charge.tolist() == [2]
+
+
+def test_a_structure_says_what_it_is():
+    told = pc.Structure("a<b", S.topology, S.positions, (noted("one"), noted("two")), {"waters": 3, "ZN": 1})
+    assert repr(told) == "<Structure a<b: 2 chains, 4 residues, 14 atoms, 2 repairs>"
+
+    def row(name, value):
+        return f"<tr><th>{name}</th><td>{value}</td></tr>"
+
+    facts = [row("residues", 4), row("atoms", 14)]
+    told_facts = [row("left out", "3 waters; 1 ZN"), row("repairs", f"{noted('one')}; {noted('two')}")]
+    caption = "<table><caption>Structure {}</caption>{}</table>"
+    assert told._repr_html_() == caption.format("a&lt;b", "".join([row("chains", 2), *facts, *told_facts]))
+    nothing = [row("left out", "nothing"), row("repairs", "none")]
+    assert S._repr_html_() == caption.format("ring", "".join([row("chains", 1), *facts, *nothing]))
+
+
+def test_positions_have_their_shape_and_are_numbers():
+    with pytest.raises(pc.ProtochainError) as refused:
+        S.with_positions(np.zeros((13, 3)))
+    assert str(refused.value) == "ring: 14 atoms but positions of shape (13, 3)"
+    x = S.positions.copy()
+    x[9, 2], x[12, 0] = np.inf, np.nan
+    with pytest.raises(pc.ProtochainError) as refused:
+        S.with_positions(x)
+    assert str(refused.value) == "ring: atom C of residue 3B CYS of chain A: its position is not a number"
+    moved = S.with_positions(S.positions + 1.0)
+    assert np.array_equal(moved.positions, S.positions + 1.0) and np.array_equal(moved.b_factor, S.b_factor)
+    assert moved.topology is S.topology and moved.name == "ring"
+    told = replace(S, occupancy=S.b_factor, residue_label=(("A", 1),) * 4, header="data_x", model_number=2)
+    told = replace(told, ties=(Tie((3, 11), 0.25, 1.5),))
+    moved = told.with_positions(S.positions + 1.0)
+    assert np.array_equal(moved.occupancy, S.b_factor)
+    for name in ("residue_label", "header", "model_number", "ties"):
+        assert getattr(moved, name) == getattr(told, name), name
+
+
+def test_a_fingerprint_covers_what_determines_an_energy_and_nothing_else():
+    seen = hashlib.sha256()
+    for column in (
+        S.atom_name, S.atom_element, S.atom_residue, S.residue_name, S.residue_chain_index, S.bonds,
+        S.obstacle, S.formal_charge,
+    ):  # fmt: skip
+        seen.update(f"{column.dtype.str}{column.shape}".encode() + column.tobytes())
+    ties = (Tie((3, 11), 0.25, 1.5),)
+    tied = seen.copy()
+    tied.update(b"(Tie(atoms=(3, 11), rest=0.25, stiffness=1.5),)")
+    seen.update(b"()")
+    assert replace(S, ties=ties).fingerprint == tied.hexdigest()
+    told = replace(S, occupancy=S.b_factor, residue_label=(("A", 1),) * 4, header="data_x", model_number=2)
+    assert told.fingerprint == S.fingerprint
+    assert S.fingerprint == seen.hexdigest() == S.with_positions(S.positions + 1.0).fingerprint
+    free = pc.Structure("ring", S.topology, S.positions)
+    assert free.fingerprint != S.fingerprint
+
+
+TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+SQUARE = np.array([[1.0, 0, 0], [0, 2, 0], [-3, 0, 0], [0, 0, 4], [0, -1, 1]])
+
+
+def test_points_are_superposed_by_a_rotation_and_never_by_a_reflection():
+    moved = SQUARE @ TURN.T + [5.0, -6.0, 7.0]
+    turn, shift = motion(SQUARE, moved)
+    assert np.allclose(turn, TURN, atol=1e-12) and np.allclose(shift, [5.0, -6.0, 7.0], atol=1e-12)
+    assert np.allclose(superpose(SQUARE, moved), moved, atol=1e-12) and rmsd(SQUARE, moved) < 1e-12
+    turn, _ = motion(SQUARE, SQUARE * [1, 1, -1])
+    assert np.linalg.det(turn) == pytest.approx(1.0) and rmsd(SQUARE, SQUARE * [1, 1, -1]) > 0.5
+
+
+def test_the_rmsd_of_two_points_is_half_the_difference_of_their_distances():
+    short, long = np.array([[0.0, 0, 0], [1, 0, 0]]), np.array([[0.0, 0, 0], [0, 3, 0]])
+    assert rmsd(short, long) == pytest.approx(1.0) and rmsd_angstrom(short, long) == pytest.approx(10.0)
+    x = S.positions.copy()
+    x[0] += 5.0
+    assert ca_rmsd(S, x, S.positions) == pytest.approx(0.0, abs=1e-6)
+    x[S.alpha_carbons] *= 2.0
+    expected = rmsd(2.0 * S.positions[S.alpha_carbons], S.positions[S.alpha_carbons])
+    assert ca_rmsd(S, x, S.positions) == pytest.approx(10.0 * expected) and expected > 0.01
+
+
+def test_selected_atoms_are_a_mask():
+    assert np.flatnonzero(select(S, "name CA")).tolist() == [1, 5, 8]
+    mask = select(S, "resid 2 or element H")
+    assert mask.dtype == bool and mask.shape == (14,) and np.flatnonzero(mask).tolist() == [4, 5, 6, 12, 13]
+    with pytest.raises(pc.ProtochainError) as refused:
+        select(S, "name QQ")
+    assert str(refused.value) == "ring: selection 'name QQ' selects no atom; change it"
+    with pytest.raises(
+        pc.ProtochainError, match=r"^ring: selection ' ' selects no atom"
+    ):  # without a warning
+        select(S, " ")
+    with pytest.raises(pc.ProtochainError, match=r"^selection 'nme CA' cannot be read: [^\n]+$"):
+        select(S, "nme CA")
+
+
+@pytest.fixture
+def drafts(monkeypatch):
+    """What a sequence is built into, before it is prepared."""
+    monkeypatch.setattr(build_module, "prepare", lambda draft: draft)
+    return pc.from_sequence
+
+
+def torsion(*points):
+    a, b, c, d = (np.array(p.pos.tolist()) for p in points)
+    axis = (c - b) / np.linalg.norm(c - b)
+    u, v = (a - b) - ((a - b) @ axis) * axis, (d - c) - ((d - c) @ axis) * axis
+    return np.degrees(np.arctan2(np.cross(axis, u) @ v, u @ v))
+
+
+def test_a_sequence_is_an_extended_chain(drafts):
+    draft = drafts(" aP\ng ")
+    assert (draft.name, draft.source) == ("APG", "sequence") and len(draft.parts) == 1
+    assert [str(m) for m in draft.members] == [
+        "residue 1 ALA of chain A", "residue 2 PRO of chain A", "residue 3 GLY of chain A",
+    ]  # fmt: skip
+    ala, pro, gly = draft.members
+    assert draft.parts[0].chain_id == "A" and not draft.parts[0].obstacle
+    n, alpha, c = (pro.atom(name) for name in ("N", "CA", "C"))
+    assert torsion(ala.atom("C"), n, alpha, c) == pytest.approx(-70.0, abs=0.01)
+    assert torsion(n, alpha, c, gly.atom("N")) == pytest.approx(140.0, abs=0.01)
+    assert torsion(c, *(gly.atom(name) for name in ("N", "CA", "C"))) == pytest.approx(-120.0, abs=0.01)
+    assert abs(torsion(alpha, c, *(gly.atom(name) for name in ("N", "CA")))) == pytest.approx(180.0, abs=0.01)
+    assert {a.element.name for m in draft.members for a in m.atoms} == {"C", "N", "O"}
+
+
+def test_long_sequences_have_short_names(drafts):
+    assert drafts("A" * 20).name == "A" * 20
+    assert drafts("G" * 21).name == f"{'G' * 17}_21"
+
+
+@pytest.mark.parametrize(
+    ("sequence", "why"),
+    [
+        (" ", "the sequence is empty; give one-letter codes such as NLYIQWLKDGG"),
+        ("A", "sequence: give at least 2 residues; force fields lack free amino acids"),
+        ("AAb", "sequence: letter 3 is 'B'; use the 20 codes ACDEFGHIKLMNPQRSTVWY"),
+    ],
+)
+def test_sequences_that_cannot_be_built_are_refused(sequence, why):
+    with pytest.raises(pc.ProtochainError) as refused:
+        pc.from_sequence(sequence)
+    assert str(refused.value) == why
+    assert len(pc.from_sequence("AG").residue_name) == 2
+
+
+def test_bonds_are_of_templates_chains_rings_strands_and_disulfides():
+    inner = Template("X", {}, {}, (("N", "C"), ("SG", "N"), ("C", "Q")), {})
+    strand = Template("Y", {}, {}, (("P", "O3'"),), {})
+
+    def made(names):
+        return Member("X", "1", "", "A", [atom(name, name[0], [0.0] * 3) for name in names])
+
+    a, b, c = (made(("N", "C", "SG")) for _ in range(3))
+    d, e = made(("P", "O3'")), made(("P", "O3'"))
+    parts = [Part("A", [a, b]), Part("A", [c], cyclic=False), Part("A", [d, e], obstacle=True)]
+    done = [(m, strand if m in (d, e) else inner) for m in (a, b, c, d, e)]
+    at = _indices(done)
+    assert at[id(a)] == {"N": 0, "C": 1, "SG": 2} and at[id(e)] == {"P": 11, "O3'": 12} and len(at) == 5
+    links = [Link(b, b.atoms[1], e, e.atoms[0])]
+    pairs = _bonds(Draft("x", "x", parts), done, [(c, a)], links, at).tolist()
+    assert sorted(pairs) == [
+        [0, 1], [0, 2], [1, 3], [2, 8], [3, 4], [3, 5], [4, 11], [6, 7], [6, 8], [9, 10], [10, 11], [11, 12],
+    ]  # fmt: skip
+    parts[0].cyclic = True
+    assert [0, 4] in _bonds(Draft("x", "x", parts), done, [], [], at).tolist()
+    outward = [("CB", "CA"), ("CB", "CG"), ("CG", "CD1"), ("CA", "N"), ("CA", "C")]
+    assert sorted(outward, key=_remoteness) == outward
+    assert [_remoteness(("CA", f"C{letter}")) for letter in "ABGDEZH"] == list(range(7))
+
+
+def test_bonded_atoms_in_one_place_are_named():
+    one = Member("GLY", "4", "", "A", [atom(name, "C", [0.0] * 3) for name in ("CA", "C", "O")])
+    owners = [(one, name) for name in ("CA", "C", "O")]
+    bonds = np.array([[0, 1], [1, 2]])
+    for length, refused in ((0.0199, True), (0.0201, False)):
+        x = np.array([[0.0, 0, 0], [0.15, 0, 0], [0.15, length, 0]])
+        if refused:
+            with pytest.raises(pc.ProtochainError) as error:
+                _refuse_coincident(Draft("x", "x"), owners, x, bonds)
+            assert (
+                str(error.value)
+                == "x: residue 4 GLY of chain A: atoms C and O coincide; correct their coordinates"
+            )
+        else:
+            _refuse_coincident(Draft("x", "x"), owners, x, bonds)
+    _refuse_coincident(Draft("x", "x"), owners, np.zeros((3, 3)), bonds[:0])
+
+
+def test_a_force_field_is_a_users_if_it_is_a_file(tmp_path):
+    (tmp_path / "own.xml").write_text("")
+    (tmp_path / "own,or.xml").write_text("")
+    assert user_files(str(tmp_path / "own.xml")) == (tmp_path / "own.xml",)
+    assert user_files(f"amber14, {tmp_path}/own.xml,{tmp_path}/no.xml") == (tmp_path / "own.xml",)
+    assert user_files(tmp_path / "own,or.xml") == (tmp_path / "own,or.xml",)
+    assert user_files("amber14-all") == user_files(None) == user_files(tmp_path) == ()

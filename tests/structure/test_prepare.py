@@ -1,0 +1,207 @@
+"""The choices made while a file is read: alternates, residues of one number, disulfides, histidines."""
+
+from string import Formatter
+
+import gemmi
+import numpy as np
+import pytest
+from fixtures.repairs import noted
+from fixtures.samples import shared
+
+import protochain as pc
+from protochain.cli.options import as_option
+from protochain.structure.bridges import disulfides
+from protochain.structure.conformation import likeliest, same_place
+from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.protonate import protonate
+from protochain.structure.repairs import EVERYTHING, Kind, Repair, summarised
+from protochain.structure.residues import Residue
+from protochain.structure.templates import templates
+
+
+def residue(name, number, occupancies):
+    """A residue of a number with insertion code, and of atoms (name, altloc, occupancy)."""
+    made = gemmi.Residue()
+    made.name, made.seqid = name, gemmi.SeqId(*number)
+    for atom_name, altloc, occupancy in occupancies:
+        one = atom(atom_name, atom_name[0], [0.0, 0.0, 0.0])
+        one.altloc, one.occ = altloc, occupancy
+        made.add_atom(one)
+    return made
+
+
+def test_of_two_residues_in_one_place_the_likelier_is_kept_and_not_the_larger():
+    backbone = ("N", "CA", "C", "O", "CB")
+    serine = residue("SER", (22, " "), [(name, "A", 0.6) for name in (*backbone, "OG")])
+    ring = ("CG", "CD1", "CD2", "CE1", "CE2", "CZ", "OH")
+    tyrosine = residue("TYR", (22, " "), [(name, "B", 0.4) for name in (*backbone, *ring)])
+    for group in ([serine, tyrosine], [tyrosine, serine]):
+        found = likeliest([each.clone() for each in group], "")
+        assert (found.residue.name, found.altloc, found.others) == ("SER", "A", ["TYR B"])
+        assert found.occupancy == pytest.approx(0.6)
+
+
+def test_of_two_locations_the_likelier_is_kept_though_fewer_atoms_have_it():
+    atoms = [("CG", "A", 0.7), ("CG", "B", 0.3), ("CD", "B", 0.3), ("CE", "B", 0.3)]
+    found = likeliest([residue("LYS", (3, " "), atoms)], "")
+    assert found.altloc == "A" and found.occupancy == pytest.approx(0.7)
+
+
+def test_residues_of_one_number_and_different_insertion_codes_are_different_places():
+    chain = gemmi.Chain("H")
+    for name, code, altloc in (("SER", " ", "A"), ("THR", " ", "B"), ("SER", "A", "A"), ("ARG", "B", "A")):
+        chain.add_residue(residue(name, (82, code), [("N", altloc, 0.5)]))
+    groups = [[(each.name, each.seqid.icode) for each in group] for group in same_place(chain)]
+    assert groups == [[("SER", " "), ("THR", " ")], [("SER", "A")], [("ARG", "B")]]
+
+
+def drafted(*members):
+    return Draft("made", "made", [Part("A", list(members))])
+
+
+def cysteine(number, *sulphur):
+    return Member("CYS", str(number), "", "A", [atom("SG", "S", list(sulphur))])
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
+def test_a_cysteine_between_two_others_is_bonded_to_the_nearer_only(order):
+    near, middle, far = cysteine(1, 0, 0, 0), cysteine(2, 2.05, 0, 0), cysteine(3, 4.6, 0, 0)
+    ((first, second),) = disulfides(drafted(*[(near, middle, far)[k] for k in order]))
+    assert {first, second} == {near, middle}
+
+
+def test_a_cysteine_requested_in_two_bonds_is_refused():
+    members = [cysteine(number, 9.0 * number, 0, 0) for number in (1, 2, 3)]
+    with pytest.raises(pc.ProtochainError, match="A:2-A:3: A:1 and A:2 are bonded, and no cysteine has two"):
+        disulfides(drafted(*members), [("A:1", "A:2"), ("A:2", "A:3")])
+
+
+def ring_and_acceptors(*places):
+    """A regular imidazole with acceptors 3 angstrom from a nitrogen, at an angle from its bisector."""
+    names = ("CG", "ND1", "CE1", "NE2", "CD2")
+    turns = np.radians(72.0) * np.arange(5)
+    radius = 0.5 * 1.36 / np.sin(np.radians(36.0))
+    outward = dict(zip(names, np.stack([np.cos(turns), np.sin(turns), 0 * turns], axis=1), strict=True))
+    ring = Member("HIS", "1", "", "A", [atom(n, n[0], (radius * outward[n]).tolist()) for n in names])
+    parts = [Part("A", [ring])]
+    for donor, degrees in places:
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        way = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ outward[donor]
+        at = radius * outward[donor] + 3.0 * way
+        water = Member("HOH", "2", "", "A", [atom("O", "O", at.tolist())])
+        parts.append(Part("A", [water], obstacle=True))
+    return Draft("made", "made", parts)
+
+
+def state(draft):
+    (_, template) = protonate(draft, templates(), set(), 7.0)[0]
+    return template.name[-3:]
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize(("degrees", "bonded"), [(0, True), (30, True), (41, False), (60, False)])
+def test_histidines_hydrogen_goes_where_an_acceptor_is_straight_ahead(degrees, bonded, side):
+    """A hydrogen 1 angstrom ahead sees the acceptor within 50 degrees where NE2 sees it within 35.2."""
+    assert np.degrees(np.arctan2(np.sin(r := np.radians(35.2)), np.cos(r) - 1 / 3)) == pytest.approx(
+        50, abs=0.1
+    )
+    at = ("NE2", side * degrees)
+    assert state(ring_and_acceptors(at)) == ("HIE" if bonded else "HID")
+    other = ("ND1", side * degrees)
+    assert state(ring_and_acceptors(("NE2", 0), other)) == ("HID" if bonded else "HIE")
+
+
+# --- What was changed, in few lines
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "lines"),
+    [
+        ("3i40_insulin.pdb", "35 waters left out: the solvent is implicit", 3),
+        ("6lfo_gap_model.pdb", "split at 6 gaps in the chains, with charged termini: R:67-72 (10.7 ang", 4),
+    ],
+)
+def test_changes_are_few_lines_losses_first_and_histidines_one(name, first, lines):
+    s = pc.load(shared(name))
+    assert s.changes[0].startswith(first) and len(s.changes) <= lines < len(s.repairs)
+    assert sum("taken as HI" in line or line.startswith("HIS states") for line in s.changes) == 1
+    assert "hydrogens added" in s.changes[-1]
+
+
+def repair(kind, place=("A", "1", "LYS"), **facts):
+    return Repair(kind, {"residue": Residue(*place), **facts})
+
+
+def test_histidines_are_told_by_state():
+    chosen, named = Kind.STATE_CHOSEN, Kind.STATE_NAMED
+    changes = summarised(
+        [
+            repair(chosen, ("A", "5", "HIS"), state="HID"),
+            repair(chosen, ("A", "9", "HIS"), state="HIE"),
+            repair(chosen, ("", "12A", "HIS"), state="HID"),
+            repair(named, ("B", "4", "HIP"), name="HIS", state="HIP"),
+            repair(chosen, ("A", "5", "ASP"), state="ASH"),
+        ]
+    )
+    assert changes == (
+        "residue 5 ASP of chain A taken as ASH",
+        "HIS states: HID A:5, 12A; HIE A:9; HIP B:4",
+    )
+
+
+def test_every_repair_is_told_once_alone_or_in_a_group():
+    hydrogens = Repair(Kind.HYDROGENS_ADDED, {"count": 12, "ph": 7, "present": 0})
+    last, first = Residue("A", "3", "SER"), Residue("", "5A", "GLY")
+    gap = Repair(Kind.GAP, {"last": last, "first": first, "length": 5.0})
+    waters = Repair(Kind.WATERS_LEFT_OUT, {"count": 3, "remedy": EVERYTHING})
+    lost = [
+        repair(Kind.ALTERNATES, ("A", "4", "SER"), taken="A", occupancy=0.6, others=("SER B",)),
+        repair(Kind.NO_BACKBONE, ("A", "7", "GLY"), atom="N"),
+        Repair(Kind.MODELS_LEFT_OUT, {"taken": 1, "count": 9}),
+    ]
+    changed = [
+        noted("CB"),
+        repair(Kind.OXT_ADDED, ("B", "3", "LYS")),
+        Repair(Kind.BRIDGE, {"first": last, "second": first}),
+    ]
+    many = [repair(Kind.ATOMS_ADDED, ("A", f"{n}", "LYS"), atoms=("CE", f"N{n}")) for n in range(20)]
+    places = ", ".join(f"A:{n} LYS" for n in range(8))
+    given = [hydrogens, *changed, *lost, gap, waters, *many]
+    assert summarised(given) == (
+        *map(str, (waters, gap, *lost, *changed)),
+        f"missing atoms added in 20 residues: {places} and 12 more",
+        str(hydrogens),
+    )
+    assert summarised(()) == () and summarised([waters, waters]) == (str(waters),)
+    assert summarised([gap, gap])[0].startswith(
+        "split at 2 gaps in the chains, with charged termini: A:3-5A (5.0"
+    )
+
+
+def test_whoever_reads_a_repair_hears_of_arguments_in_their_words():
+    waters = Repair(Kind.WATERS_LEFT_OUT, {"count": 3, "remedy": EVERYTHING})
+    said = "3 waters left out: the solvent is implicit; {} keeps everything"
+    assert str(waters) == said.format('keep="all"')
+    for words in (waters.told(as_option), *summarised([waters], as_option)):
+        assert words == said.format("--keep all")
+
+
+@pytest.mark.parametrize("kind", Kind)
+def test_every_kind_of_repair_is_told_by_its_facts(kind):
+    """Each stands in the sentence; what is said of many is not about one residue."""
+    names = {name.partition(".")[0] for _, name, _, _ in Formatter().parse(kind.value.one) if name}
+    given = {name: FACTS.get(name, f"<{name}>") for name in names}
+    told = str(Repair(kind, given))
+    for name, value in given.items():
+        if name != "last" and name != "first":
+            assert all(str(each) in told for each in (value if isinstance(value, tuple) else (value,)))
+    assert "{" not in told and "{residue}" not in kind.value.many
+    assert not kind.value.many or kind.value.one.startswith("{residue}")
+
+
+FACTS = {
+    "residue": Residue("A", "1", "LYS"), "last": Residue("A", "1", "LYS"), "first": Residue("B", "2", "GLY"),
+    "second": Residue("B", "3", "GLY"), "count": 3, "length": 2.5, "occupancy": 0.25, "ph": 4.5,
+    **dict.fromkeys(("atoms", "others", "counts", "bare", "ends", "pairs", "changes"), ("<one>", "<two>")),
+    "residues": ("<one>",),
+}  # fmt: skip

@@ -1,0 +1,527 @@
+"""Side chains built by hand: ideal geometries, rotamers, the choice among them, and hands."""
+
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+from fixtures.samples import STRUCTURES, load
+
+import protochain as pc
+from protochain.core.markup import listed
+from protochain.structure import residues
+from protochain.structure.chirality import centres, changed_hands, hand, volume, wrong_hands
+from protochain.structure.draft import Member, atom
+from protochain.structure.read import read
+from protochain.structure.sidechains import arms, packing, relief
+from protochain.structure.sidechains.arms import wrapped
+from protochain.structure.sidechains.ideal import (
+    beta_carbon,
+    bridged,
+    conformers,
+    dihedral,
+    fixed_chi,
+    grown,
+    ideal,
+    placed,
+    unit,
+)
+from protochain.structure.sidechains.packing import Choices, Site, choosable, packed
+from protochain.structure.sidechains.relief import relieved
+from protochain.structure.sidechains.rotamers import rotamers
+from protochain.structure.templates import templates
+
+NAMES = tuple(residues.STANDARD)
+ORIGIN = np.zeros(3)
+
+
+def degrees(*angles):
+    return pytest.approx(np.deg2rad(angles), abs=1e-9)
+
+
+# --- Geometry
+
+
+def test_dihedrals_are_positive_clockwise_from_the_front():
+    a, b, c = np.array([1.0, 0, 0]), ORIGIN, np.array([0, 0, 1.0])
+    turns = np.deg2rad([-170.0, -60.0, 0.0, 30.0, 90.0, 150.0])
+    d = np.stack([np.cos(turns), np.sin(turns), 1.0 + 0 * turns], axis=1)
+    assert dihedral(a, b, c, d) == pytest.approx(turns)
+    assert unit(np.array([[0.0, 3.0, 4.0], [0, 0, 0]])).tolist() == [[0, 0.6, 0.8], [0, 0, 0]]
+
+
+def test_points_are_placed_at_a_distance_an_angle_and_dihedrals():
+    random = np.random.default_rng(3)
+    a, b, c = random.normal(size=(3, 3))
+    turns = np.deg2rad([-120.0, 0.0, 75.0])
+    x = placed(a, b, c, 1.5, np.deg2rad(110.0), turns)
+    assert np.linalg.norm(x - c, axis=1) == pytest.approx(1.5)
+    assert unit(x - c) @ unit(b - c) == pytest.approx(np.cos(np.deg2rad(110.0)))
+    assert dihedral(a, b, c, x) == pytest.approx(turns)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bonds_of_ideal_residues_are_those_of_the_force_field(name):
+    known = templates()[{"HIS": "HIE"}.get(name, name)]
+    wanted = {frozenset(bond) for bond in known.bonds if not any(known.element[end] == "H" for end in bond)}
+    geometry = ideal(name)
+    assert {frozenset((a, b)) for a, others in geometry.bonds.items() for b in others} == wanted
+    assert set(geometry.x) == set(known.heavy)
+    assert all(branch.element == known.element[branch.name] for branch in geometry.branches)
+    assert {b.name for b in geometry.branches} == set(known.heavy) - {"N", "CA", "C", "O", "CB"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_branches_and_dihedrals_of_ideal_residues_repeat_their_positions(name):
+    geometry = ideal(name)
+    for branch in geometry.branches:
+        a, b, c = (geometry.x[each] for each in branch.before)
+        (x,) = placed(a, b, c, branch.length, branch.angle, np.array([branch.dihedral]))
+        assert x == pytest.approx(geometry.x[branch.name], abs=1e-6)
+        assert set(branch.before[1:]) <= geometry.within(branch.name, 2)
+    quartets = residues.CHI.get(name, ())
+    if name != "PRO":
+        assert geometry.chi == pytest.approx(
+            [float(dihedral(*(geometry.x[n] for n in quartet))) for quartet in quartets]
+        )
+    assert name == "GLY" or volume(np.array([geometry.x[n] for n in ("CA", "N", "C", "CB")])) > 2.0
+    for centre, beside in centres(name).items():
+        if name != "GLY":
+            assert volume(np.array([geometry.x[n] for n in (centre, *beside)])) > 2.0
+
+
+def crystal():
+    """Places of the heavy atoms, by name, of the whole residues of three crystals."""
+    found = {}
+    for file in ("1ubq.pdb", "4pti.pdb", "1hel.pdb"):
+        for member in read(STRUCTURES / file).members:
+            at = {a.name: np.array(a.pos.tolist()) for a in member.atoms if not a.is_hydrogen()}
+            if member.name in NAMES and set(ideal(member.name).x) <= at.keys():
+                found.setdefault(member.name, []).append(at)
+    return found
+
+
+def test_ideal_residues_are_like_those_of_crystals():
+    """Bonds, distances of atoms two bonds apart, and on which side of two others a third hangs."""
+    seen = crystal()
+    assert set(seen) == set(NAMES)
+    for name, copies in seen.items():
+        geometry = ideal(name)
+        for first, second in combinations(geometry.x, 2):
+            near = [n for n in (1, 2) if second in geometry.within(first, n)]
+            if near:
+                apart = np.median([np.linalg.norm(at[first] - at[second]) for at in copies])
+                wanted = np.linalg.norm(geometry.x[first] - geometry.x[second])
+                assert wanted == pytest.approx(apart, abs=(0.05, 0.1)[near[0] - 1]), (name, first, second)
+        for centre, beside in geometry.bonds.items():
+            if len(beside) == 3:
+                atoms = (centre, *beside)
+                own = volume(np.array([geometry.x[n] for n in atoms]))
+                there = np.median([volume(np.array([at[n] for n in atoms])) for at in copies])
+                assert own == pytest.approx(there, abs=0.3), (name, centre)
+
+
+def test_atoms_within_some_bonds_are_counted_along_the_bonds():
+    serine = ideal("SER")
+    assert serine.within("OG", 1) == {"CB"} and serine.within("OG", 2) == {"CB", "CA"}
+    assert serine.within("OG", 3) == {"CB", "CA", "N", "C"} and serine.within("OG", 0) == set()
+
+
+# --- Rotamers
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rotamers_have_the_dihedrals_of_their_residue_and_frequencies_of_sum_one(name):
+    chi, frequency = rotamers(name)
+    if name in ("ALA", "GLY", "PRO"):
+        assert not len(chi) and not len(frequency)
+        return
+    # The fifth chi of arginine is planar.
+    assert chi.shape == (len(frequency), min(4, len(residues.CHI[name])))
+    assert frequency.sum() == pytest.approx(1.0) and frequency.min() > 0
+    assert len({tuple(row) for row in np.round(chi, 6).tolist()}) == len(chi)
+    assert not chi.flags.writeable and not frequency.flags.writeable
+
+
+def test_names_of_rotamers_give_the_dihedrals():
+    chi, frequency = rotamers("CYS")
+    assert chi[:, 0] == degrees(62, 180, -65) and frequency == pytest.approx(np.array([23, 26, 50]) / 99)
+    first = {"ASN": (62, -10), "LYS": (62, 180, 62, 180), "GLU": (62, 180, -20), "ARG": (62, 180, 62, 85)}
+    for name, wanted in first.items():
+        assert rotamers(name)[0][0] == degrees(*wanted)
+    assert rotamers("ASP")[0][2] == degrees(180, 0) and rotamers("LEU")[0][-1] == degrees(-65, 180)
+    common = {"LEU": (-65, 180), "VAL": (180,), "ILE": (-65, 170), "SER": (62,), "LYS": (-65, 180, 180, 180)}
+    for name, wanted in common.items():
+        chi, frequency = rotamers(name)
+        assert chi[np.argmax(frequency)] == degrees(*wanted)
+
+
+def test_conformers_are_rotamers_puckers_or_the_only_one():
+    chi, frequency = conformers("PRO")
+    assert chi[0] == pytest.approx(np.array(ideal("PRO").chi)) and np.array_equal(chi[1], -chi[0])
+    assert chi.shape == (2, 2) and frequency.tolist() == [0.5, 0.5]
+    for name in ("ALA", "GLY"):
+        chi, frequency = conformers(name)
+        assert chi.shape == (1, 0) and frequency.tolist() == [1.0]
+    assert conformers("LEU")[0] is rotamers("LEU")[0]
+
+
+# --- Building
+
+
+def backbone(name):
+    return {n: ideal(name).x[n] for n in ("N", "CA", "C", "O")}
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("GLY", "PRO")])
+def test_side_chains_grow_with_the_dihedrals_given(name):
+    chi, _ = conformers(name)
+    made = grown(name, backbone(name), chi)
+    assert set(made) == set(ideal(name).x) - {"N", "CA", "C", "O"}
+    at = backbone(name) | made
+    for k, quartet in enumerate(residues.CHI.get(name, ())[: chi.shape[1]]):
+        off = wrapped(dihedral(*(at[n] for n in quartet)) - chi[:, k])
+        assert off == pytest.approx(0.0, abs=1e-6)
+    for centre, beside in centres(name).items():
+        x = [np.broadcast_to(at[n], (len(chi), 3)) for n in (centre, *beside)]
+        assert np.all(volume(np.stack(x, axis=1)) > 2.0) or name == "GLY"
+    for branch in ideal(name).branches:
+        apart = np.linalg.norm(at[branch.name] - at[branch.before[2]], axis=1)
+        assert apart == pytest.approx(branch.length, abs=1e-6)
+    whole = {n: np.broadcast_to(x, (len(chi), 3))[-1] for n, x in at.items()}
+    assert grown(name, whole, chi) == {}
+    fixed = fixed_chi(name, whole)
+    assert all(wrapped(fixed[k] - chi[-1, k]) == pytest.approx(0.0, abs=1e-6) for k in range(chi.shape[1]))
+
+
+def test_atoms_in_place_decide_their_dihedrals_and_what_hangs_beside_them():
+    chi, _ = conformers("LYS")
+    one = {n: np.array(x[4]) for n, x in grown("LYS", backbone("LYS"), chi).items()}
+    known = backbone("LYS") | {n: one[n] for n in ("CB", "CG", "CD")}
+    fixed = fixed_chi("LYS", known)
+    assert set(fixed) == {0, 1} and wrapped(np.array([fixed[0], fixed[1]]) - chi[4, :2]) == degrees(0, 0)
+    assert set(grown("LYS", known, chi)) == {"CE", "NZ"} and fixed_chi("LYS", backbone("LYS")) == {}
+    for name, there, gone in (("VAL", "CG2", "CG1"), ("LEU", "CD2", "CD1"), ("ASP", "OD2", "OD1")):
+        geometry = ideal(name)
+        known = {n: x for n, x in geometry.x.items() if n != gone}
+        chi, _ = conformers(name)
+        built = grown(name, known, chi)[gone]
+        assert there in known and built == pytest.approx(np.tile(geometry.x[gone], (len(chi), 1)), abs=1e-6)
+        last = len(geometry.chi) - 1
+        assert fixed_chi(name, known)[last] == pytest.approx(geometry.chi[last])
+
+
+def test_the_beta_carbon_follows_its_backbone_wherever_it_is():
+    turn, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    x = {n: turn @ at + [3.0, -2.0, 9.0] for n, at in ideal("LEU").x.items()}
+    assert beta_carbon("LEU", x) == pytest.approx(x["CB"], abs=1e-9)
+    # A wider angle at CA leaves it on the bisecting plane.
+    x["N"] = x["CA"] + 2.0 * (x["N"] - x["CA"])
+    assert beta_carbon("LEU", x) == pytest.approx(x["CB"], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "gone", "built"),
+    [
+        ("SER", ("CB",), ("CB",)), ("LYS", ("CD",), ("CD",)), ("LYS", ("CG", "CD"), ("CG", "CD")),
+        ("PHE", ("CG",), ("CG",)), ("TYR", ("CZ",), ("CZ",)), ("ILE", ("CB",), ("CB",)),
+        # Nothing beyond them, or only what hangs beside them.
+        ("LYS", ("NZ",), ()), ("VAL", ("CG1",), ()), ("LEU", ("CG", "CD1", "CD2"), ()),
+        ("LYS", ("CG", "NZ"), ("CG",)),
+    ],
+)  # fmt: skip
+def test_atoms_between_others_are_fitted_to_them(name, gone, built):
+    geometry = ideal(name)
+    found = bridged(name, {n: x for n, x in geometry.x.items() if n not in gone})
+    assert set(found) == set(built)
+    for atom_name, x in found.items():
+        limit = 0.02 if len(built) == 1 else 0.6
+        assert np.linalg.norm(x - geometry.x[atom_name]) < limit
+
+
+# --- Choice
+
+
+def test_angles_are_wrapped_and_overlaps_cost():
+    assert wrapped(np.array([0.5, 2 * np.pi - 0.1, -4.0, 3 * np.pi])) == pytest.approx(
+        [0.5, -0.1, 2 * np.pi - 4.0, -np.pi]
+    )
+    assert packing._repulsion(np.array([0.0, 1.5, 3.0, 4.0]), 3.0).tolist() == [30.0, 15.0, 0.0, 0.0]
+    assert packing._radii(("CB", "OG", "NZ", "SG")).tolist() == [1.77, 1.45, 1.5, 1.82]
+    sulphurs = np.array([2.05, 2.2, 1.9, 4.0])
+    wanted = [-40.0, -40.0 * np.exp(-0.5), -40.0 * np.exp(-0.5), 0.0]
+    for betas, near in ((3.1, False), (3.3, True), (4.6, True), (4.8, False)):
+        found = packing._disulfide(sulphurs, betas)
+        assert found == pytest.approx(wanted if near else [0.0] * 4, abs=1e-6)
+
+
+def made(name, at, number=1, chain="A", is_d=False):
+    atoms = [atom(n, n[0], np.asarray(x, dtype=float).tolist()) for n, x in at.items()]
+    return Member(name, str(number), "", chain, atoms, is_d=is_d)
+
+
+def test_conformers_unlike_the_atoms_in_place_are_rare():
+    chi, frequency = rotamers("LEU")
+    bare_chi, rarity = choosable(Site(made("LEU", backbone("LEU")), 1, None, None))
+    assert np.array_equal(bare_chi, chi) and rarity == pytest.approx(-np.log(frequency))
+    grew = {n: x[1] for n, x in grown("LEU", backbone("LEU"), chi + np.deg2rad(10.0)).items()}
+    known = backbone("LEU") | {n: grew[n] for n in ("CB", "CG")}
+    _, strained = choosable(Site(made("LEU", known), 1, None, None))
+    off = wrapped(chi[:, 0] - chi[1, 0] - np.deg2rad(10.0)) / np.deg2rad(20.0)
+    assert strained - rarity == pytest.approx(0.5 * off**2, abs=1e-4) and (strained - rarity)[1] < 0.13
+
+
+def test_cysteines_turn_in_steps_of_ten_degrees():
+    chi, rarity = choosable(Site(made("CYS", backbone("CYS")), 1, None, None))
+    assert chi[:, 0] == degrees(*range(-180, 180, 10))
+    best = np.rad2deg(chi[np.argsort(rarity)[:2], 0])
+    assert sorted(best.tolist()) == pytest.approx([-70.0, -60.0])
+    assert rarity[0] == pytest.approx(-np.log(26 / 99), abs=0.01)
+
+
+def test_what_a_site_knows_is_its_heavy_atoms_in_its_hand():
+    one = made("SER", {"N": [1, 2, 3], "H": [4, 5, 6]})
+    assert {n: x.tolist() for n, x in Site(one, 1, None, None).known.items()} == {"N": [1, 2, 3]}
+    assert Site(one, -1, None, None).known["N"].tolist() == [-1, -2, -3]
+
+
+def test_atoms_within_three_bonds_along_the_chain_do_not_repel():
+    before, one, after = (made(n, backbone(n), k) for k, n in enumerate(("GLY", "SER", "GLY")))
+    own = id(one)
+    found = packing._joined(Site(one, 1, before, after))
+    assert found["OG"] == {(own, n) for n in ("OG", "CB", "CA", "N", "C")}
+    near = {(own, n) for n in ("CB", "OG", "CA", "N", "C", "O")}
+    assert found["CB"] == near | {(id(before), "C"), (id(after), "N")}
+    assert packing._joined(Site(one, 1, None, None))["CB"] == near
+    edge = packing._joined(Site(one, 1, before, after))["C"]
+    assert (id(after), "CA") in edge and (id(before), "C") in edge and (id(before), "CA") not in edge
+    assert {(id(before), n) for n in ("C", "CA", "O")} <= packing._joined(Site(one, 1, before, after))["N"]
+
+
+def test_conformers_are_repelled_by_others_and_by_themselves_beyond_three_bonds():
+    one = made("LYS", {"N": [10.0, 1, 0], "CA": [-9.0, 0, 0]})
+    water = made("HOH", {"O": [12.0, 1, 0]}, 2)
+    x = np.array([[[10.0, 0, 0], [12.0, 0, 0]], [[10.0, -50, 0], [12.0, -50, 0]]])
+    felt = packing._Surroundings([one, water]).repulsion(Site(one, 1, None, None), ("CB", "NZ"), x)
+    # N is two bonds from CB and five from NZ, which is four from CB.
+    inside, far = 1.0 - 2.0 / (1.77 + 1.5), np.sqrt(5.0)
+    others = (1.0 - 1.0 / (1.5 + 1.45)) + (1.0 - far / (1.77 + 1.45)) + (1.0 - far / (1.5 + 1.5))
+    assert felt == pytest.approx([30.0 * (inside + others), 30.0 * inside])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_other_choice_of_one_or_of_two_residues_costs_less(seed):
+    random = np.random.default_rng(seed)
+    dummy = Site(made("SER", backbone("SER")), 1, None, None)
+    choices = [
+        Choices(dummy, ("CB", "OG"), random.uniform(0.0, 5.0, (4, 2, 3)), random.uniform(0.0, 20.0, 4))
+        for _ in range(5)
+    ]
+
+    def total(taken):
+        cost = sum(each.cost[k] for each, k in zip(choices, taken, strict=True))
+        for (one, i), (other, j) in combinations(list(zip(choices, taken, strict=True)), 2):
+            contact = {("CB", "CB"): 3.54, ("CB", "OG"): 3.22, ("OG", "CB"): 3.22, ("OG", "OG"): 2.9}
+            for (m, first), (n, second) in product(enumerate(one.names), enumerate(other.names)):
+                apart = np.linalg.norm(one.x[i, m] - other.x[j, n])
+                cost += 30.0 * max(0.0, 1.0 - apart / contact[first, second])
+        return cost
+
+    taken = packing._settled(choices)
+    least = total(taken)
+    for i, j in combinations(range(5), 2):
+        for k, m in product(range(4), range(4)):
+            other = list(taken)
+            other[i], other[j] = k, m
+            assert total(other) >= least - 1e-5
+    assert packing._settled(choices[:1]) == [int(np.argmin(choices[0].cost))]
+
+
+def test_a_conformer_that_overlaps_is_not_taken():
+    alone = made("SER", backbone("SER"))
+    site = Site(alone, 1, None, None)
+    (free,) = packed([alone], [site])
+    assert set(free) == {"CB", "OG"} and packed([alone], []) == []
+    water = made("HOH", {"O": free["OG"], "H1": [0, 0, 0]}, 2)
+    (moved,) = packed([alone, water], [site])
+    assert moved["CB"] == pytest.approx(free["CB"]) and np.linalg.norm(moved["OG"] - free["OG"]) > 2.0
+    # Its hydrogens alone would not matter.
+    water.atoms = [atom("H", "H", free["OG"].tolist())]
+    (again,) = packed([alone, water], [site])
+    assert again["OG"] == pytest.approx(free["OG"])
+    mirrored = made("SER", {n: -x for n, x in backbone("SER").items()})
+    (d,) = packed([mirrored], [Site(mirrored, -1, None, None)])
+    assert all(d[n] == pytest.approx(-free[n]) for n in free)
+
+
+def test_rebuilt_cysteines_close_their_bonds():
+    members = read(STRUCTURES / "4pti.pdb").members
+    by_number = {m.seqid: (k, m) for k, m in enumerate(members)}
+    for first, second, both in (("5", "55", False), ("14", "38", True), ("30", "51", True)):
+        sites = []
+        for number in (first, second)[: 1 + both]:
+            k, member = by_number[number]
+            member.atoms = [a for a in member.atoms if a.name != "SG"]
+            sites.append(Site(member, 1, members[k - 1], members[k + 1] if k + 1 < len(members) else None))
+        built = [places["SG"] for places in packed(members, sites)]
+        other = built[1] if both else by_number[second][1].atom("SG").pos.tolist()
+        assert np.linalg.norm(built[0] - other) == pytest.approx(2.05, abs=0.3)
+
+
+# --- Turned out of overlaps
+
+
+def relief_of(number, *built, beside=None, sequence="ASA", away=(0.05, 0.0, 0.0), mirror=1):
+    """Positions before and after of a made chain and an oxygen (nm), and the index of each atom."""
+    s = pc.from_sequence(sequence)
+    s = s.with_positions(s.positions * [mirror, 1, 1])
+    owners, members = [], []
+    for r in range(s.n_residues):
+        members.append(Member(str(s.residue_name[r]), str(r + 1), "", "A", []))
+    for i in range(s.n_atoms):
+        member = members[int(s.atom_residue[i])]
+        member.atoms.append(atom(str(s.atom_name[i]), str(s.atom_element[i]), (10 * s.positions[i]).tolist()))
+        owners.append((member, str(s.atom_name[i])))
+    x, elements = s.positions, [str(e) for e in s.atom_element]
+    at = {(m.seqid, n): i for i, (m, n) in enumerate(owners)}
+    if beside is not None:
+        x = np.vstack([x, x[at[beside]] + away])
+        owners.append((Member("HOH", "9", "", "B", []), "O"))
+        elements.append("O")
+    rebuilt = {id(members[number - 1]): built}
+    return x, relieved(x, owners, elements, s.bonds, rebuilt), at, s.bonds
+
+
+def test_a_rebuilt_side_chain_turns_out_of_an_overlap():
+    x, there, at, bonds = relief_of(2, "CB", "OG", beside=("2", "OG"))
+    turned = {at["2", n] for n in ("OG", "HG", "HB2", "HB3")}
+    changed = set(np.flatnonzero((x != there).any(axis=1)).tolist())
+    assert changed == turned and np.array_equal(np.round(there[sorted(turned)], 6), there[sorted(turned)])
+    own = np.linalg.norm(there[at["2", "OG"]] - there[-1])
+    assert own > 0.65 * 2 * residues.VAN_DER_WAALS["O"] > np.linalg.norm(x[at["2", "OG"]] - x[-1])
+    lengths, before = (np.linalg.norm(y[bonds[:, 0]] - y[bonds[:, 1]], axis=1) for y in (there, x))
+    assert lengths == pytest.approx(before, abs=2e-6)
+    names = ("CB", "CA", "OG", "HB2")
+    volumes = [volume(y[[at["2", n] for n in names]]) for y in (x, there)]
+    assert volumes[0] == pytest.approx(volumes[1], rel=1e-3)
+
+
+@pytest.mark.parametrize(("fraction", "moved"), [(0.64, True), (0.66, False)])
+def test_an_overlap_is_nearer_than_0_65_of_contact(fraction, moved):
+    x, _, at, _ = relief_of(2, "CB", "OG")
+    way = unit(x[at["2", "OG"]] - x[at["2", "CB"]])
+    x, there, *_ = relief_of(2, "CB", "OG", beside=("2", "OG"), away=fraction * 2 * 0.152 * way)
+    assert bool((x != there).any()) is moved
+
+
+def test_in_a_mirror_the_same_conformers_are_taken():
+    _, there, *_ = relief_of(2, "CB", "CG", "CD1", "CD2", beside=("2", "CG"), sequence="ALA")
+    _, other, *_ = relief_of(
+        2, "CB", "CG", "CD1", "CD2", beside=("2", "CG"), sequence="ALA", away=(-0.05, 0, 0), mirror=-1
+    )
+    assert other == pytest.approx(there * [-1, 1, 1], abs=2e-6)
+
+
+def test_turned_atoms_repel_others_and_each_other_beyond_three_bonds():
+    """Five carbons in a row, whose ends meet, and an oxygen at the middle one."""
+    x = np.array([[0.0, 0, 0], [5, 0, 0], [10, 0, 0], [15, 0, 0], [0.1, 0, 0], [10, 0.1, 0]])
+    owners = [(made("LIG", {}), f"C{k}") for k in range(6)]
+    room = relief._Room(x, owners, [*"CCCCCO"], np.array([[0, 1], [1, 2], [2, 3], [3, 4]]))
+    moved = np.arange(5)
+    felt = room._repulsion(moved, np.stack([x[:5], x[:5] + np.array([0, 0, 40.0])]))
+    ends = 100.0 * (1.0 - 0.1 / (0.7 * 0.34))
+    assert felt == pytest.approx([ends + 100.0 * (1.0 - 0.1 / (0.7 * (0.17 + 0.152))), ends])
+
+
+def test_dihedrals_tried_are_those_of_now_and_around_each_rotamer():
+    """The cost of a dihedral is that of its rotamer, and half the square of its distance in widths."""
+    x, _, at, bonds = relief_of(2, "CB", "CG", "CD1", "CD2", sequence="ALA")
+    quartet = tuple(at["2", name] for name in ("N", "CA", "CB", "CG"))
+    turns, width = np.deg2rad([0.0, -12, 12, -24, 24]), np.deg2rad(20.0)
+    rotamer = np.deg2rad([[60.0], [-170.0]])
+    turning = relief._Turning(arms.Arm((quartet,), (np.array([0]),)), rotamer, np.array([1.0, 3.0]))
+    room = relief._Room(x, [(made("LIG", {}), str(k)) for k in range(len(x))], ["C"] * len(x), bonds)
+    chi, cost = room._tried(turning)
+    now = float(dihedral(*x[list(quartet)]))
+    assert chi[:, 0] == pytest.approx([now, *(rotamer[0] + turns), *(rotamer[1] + turns)])
+    away = np.abs((rotamer[:, 0] - now + np.pi) % (2 * np.pi) - np.pi)
+    strain = np.array([1.0, 3.0]) + 0.5 * (away / width) ** 2
+    around = 0.5 * (turns / width) ** 2
+    assert cost == pytest.approx([strain.min(), *(1.0 + around), *(3.0 + around)])
+
+
+def test_only_what_was_built_and_overlaps_turns():
+    for built, beside, sequence in (
+        (("CB", "OG"), None, "ASA"), (("CB",), ("2", "OG"), "ASA"), (("CB",), ("2", "CB"), "AAA"),
+    ):  # fmt: skip
+        x, there, *_ = relief_of(2, *built, beside=beside, sequence=sequence)
+        assert np.array_equal(x, there)
+    x, there, *_ = relief_of(1, "CB", beside=("2", "OG"))
+    assert np.array_equal(x, there)
+    # Of a chain whose first atoms are those of the file, the end turns alone.
+    x, there, at, _ = relief_of(2, "CE", "NZ", beside=("2", "NZ"), sequence="AKA")
+    changed = set(np.flatnonzero((x != there).any(axis=1)).tolist())
+    heavy = {n for (_, n), i in at.items() if i in changed and n[0] != "H"}
+    assert "NZ" in heavy and heavy <= {"CE", "NZ"}
+    same = np.zeros((1, 3))
+    assert relieved(same, [], [], np.zeros((0, 2), int), {}) is same
+
+
+def test_rotation_adds_to_a_dihedral():
+    a, start, end = np.array([1.0, 0, 0]), ORIGIN, np.array([0, 0, 1.0])
+    x = np.array([[[0.5, 0.5, 2.0]], [[0.5, 0.5, 2.0]]])
+    turned = arms.rotated(x, start, end, np.deg2rad([90.0, -45.0]))
+    assert np.rad2deg(dihedral(a, start, end, turned[:, 0])) == pytest.approx([135.0, 0.0], abs=1e-9)
+    assert turned[0, 0] == pytest.approx([-0.5, 0.5, 2.0])
+
+
+# --- Hands
+
+
+L_ALANINE = {"CA": ORIGIN, "N": [1.0, 0, 0], "C": [0, 1.0, 0], "CB": [0, 0, 1.0]}
+
+
+def mirrored(at):
+    return {n: [x, y, -z] for n, (x, y, z) in at.items()}
+
+
+def test_hands_are_signs_of_volumes():
+    x = np.array(list(L_ALANINE.values()))
+    assert volume(x) == 1.0 and volume(np.stack([x, x[[0, 2, 1, 3]], 2 * x + 7])).tolist() == [1, -1, 8]
+    assert hand(made("ALA", L_ALANINE)) == 1 and hand(made("ALA", mirrored(L_ALANINE))) == -1
+    assert hand(made("GLY", {n: L_ALANINE[n] for n in ("CA", "N", "C")})) == 0
+    threonine = L_ALANINE | {"OG1": [0, 1, 2], "CG2": [1, 0, 2]}
+    assert hand(made("THR", threonine), "CB") == int(
+        np.sign(np.linalg.det(np.array([[0, 0, -1.0], [0, 1, 1], [1, 0, 1]])))
+    )
+    assert hand(made("SER", threonine), "CB") == 0
+    assert set(centres("THR")) == set(centres("ILE")) == {"CA", "CB"} and set(centres("VAL")) == {"CA"}
+
+
+def test_wrong_hands_are_those_that_a_name_does_not_say():
+    left, right = made("ALA", L_ALANINE, 1), made("ALA", mirrored(L_ALANINE), 2)
+    d_left, d_right = made("ALA", L_ALANINE, 3, is_d=True), made("ALA", mirrored(L_ALANINE), 4, is_d=True)
+    glycine = made("GLY", {"CA": [0, 0, 0]}, 5)
+    assert [str(atom) for atom in wrong_hands([left, right, d_left, d_right, glycine])] == [
+        "CA of residue 2 ALA of chain A", "CA of residue 3 DAL of chain A",
+    ]  # fmt: skip
+    assert listed([]) == "" and listed(list("abcdef")) == "a, b, c, d, e, f"
+    assert listed(list("abcdefgh")) == "a, b, c, d, e, f and 2 more"
+
+
+def test_changed_hands_are_found_atom_by_atom():
+    s = load("1ubq.pdb")
+    at = {
+        (str(s.residue_number[r]), str(n)): i
+        for i, (r, n) in enumerate(zip(s.atom_residue, s.atom_name, strict=True))
+    }
+    x = s.positions.copy()
+    for first, second in ((("9", "OG1"), ("9", "CG2")), (("17", "HA"), ("17", "CB"))):
+        x[[at[first], at[second]]] = x[[at[second], at[first]]]
+    assert changed_hands(s, x, s.positions) == [
+        "CB of residue 9 THR of chain A", "CA of residue 17 VAL of chain A",
+    ]  # fmt: skip
+    assert changed_hands(s, s.positions, s.positions) == [] and changed_hands(s, x, x) == []
+    assert len(changed_hands(s, s.positions * [1, 1, -1], s.positions)) == (76 - 6) + 7 + 7
+    glycine = pc.from_sequence("GG")
+    assert changed_hands(glycine, -glycine.positions, glycine.positions) == []

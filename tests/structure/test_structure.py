@@ -1,0 +1,378 @@
+import gemmi
+import numpy as np
+import pytest
+from fixtures.repairs import sentences
+from fixtures.samples import STRUCTURES, load, shared
+from fixtures.tolerances import PDB_ROUNDING_NM
+
+import protochain as pc
+from protochain.chain import dihedral
+from protochain.core.errors import WriteError
+from protochain.core.storage import write_atomically
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.read import read
+from protochain.structure.write import as_text
+
+OXYGEN_NM = 0.02
+"""Of a carboxylate of ideal geometry, built on an experiment's three other atoms."""
+
+
+def identities(path):
+    """(chain, number, insertion code, residue name) in the order of the file's first model, by gemmi."""
+    structure = gemmi.read_structure(str(path))
+    return [
+        (chain.name, str(residue.seqid.num), residue.seqid.icode.strip(), residue.name)
+        for chain in structure[0]
+        for residue in chain
+        if gemmi.find_tabulated_residue(residue.name).is_amino_acid()
+    ]
+
+
+def own_identities(s):
+    columns = (s.residue_chain, s.residue_number, s.residue_insertion_code, s.residue_name)
+    return [tuple(map(str, row)) for row in zip(*columns, strict=True)]
+
+
+def written(tmp_path, text, name="x.pdb"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def lines_of(name):
+    return (STRUCTURES / name).read_text().splitlines(keepends=True)
+
+
+def test_a_complete_file_is_taken_as_it_is():
+    s = load("1l2y.pdb")
+    assert s.repairs == () and dict(s.left_out) == {}
+    original = gemmi.read_structure(str(STRUCTURES / "1l2y.pdb"))
+    # Each hydrogen is put after its parent: compare by name, not by order.
+    theirs = {
+        (str(residue.seqid), atom.name): atom.pos.tolist() for residue in original[0][0] for atom in residue
+    }
+    for atom in range(s.n_atoms):
+        key = (str(s.residue_number[s.atom_residue[atom]]), str(s.atom_name[atom]))
+        assert np.allclose(ANGSTROM_PER_NM * s.positions[atom], theirs[key], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["1ubq.pdb", "1ubq.cif", "4pti.pdb", "3i40.pdb", "1hel.pdb"])
+def test_heavy_atoms_stay_where_they_were(name):
+    s = load(name)
+    theirs = {}
+    original = gemmi.read_structure(str(STRUCTURES / name))
+    for chain in original[0]:
+        for residue in chain:
+            for atom in residue:
+                theirs[chain.name, str(residue.seqid), atom.name] = atom.pos.tolist()
+    heavy = np.flatnonzero(s.atom_element != "H")
+    for atom in heavy:
+        r = s.atom_residue[atom]
+        key = (s.residue_chain[r], f"{s.residue_number[r]}{s.residue_insertion_code[r]}", s.atom_name[atom])
+        if tuple(map(str, key)) in theirs:
+            there = theirs[tuple(map(str, key))]
+            assert np.allclose(ANGSTROM_PER_NM * s.positions[atom], there, atol=1e-6)
+        else:
+            assert s.atom_name[atom] == "OXT"
+
+
+def test_every_change_is_said():
+    repairs = "\n".join(sentences(load("3i40.pdb")))
+    assert "35 waters left out" in repairs
+    # The file says them itself.
+    assert "disulfide" not in repairs
+    assert "379 hydrogens added at pH 7 (0 were in the file)" in repairs
+    assert "residue 5 HIS of chain B taken as" in repairs
+
+
+def test_both_formats_of_one_entry_give_one_structure():
+    pdb, cif = load("1ubq.pdb"), load("1ubq.cif")
+    assert own_identities(pdb) == own_identities(cif)
+    assert np.array_equal(pdb.atom_name, cif.atom_name)
+    assert np.allclose(pdb.positions, cif.positions, atol=1e-7)
+
+
+def test_the_same_file_gives_the_same_bits_and_leaves_the_generator_alone():
+    import random
+
+    random.seed(7)
+    expected = random.random()
+    random.seed(7)
+    again = pc.load(STRUCTURES / "4pti.pdb")
+    assert np.array_equal(again.positions, load("4pti.pdb").positions)
+    assert random.random() == expected
+
+
+def test_crambin_keeps_the_likelier_alternate_and_says_so():
+    s = load("1ejg.pdb")
+    assert s.n_residues == 46
+    names = dict(zip(s.residue_number, s.residue_name, strict=True))
+    assert (names["22"], names["25"]) == ("PRO", "LEU")
+    for number in ("22", "25"):
+        assert any(line.startswith(f"residue {number} ") and "left out" in line for line in sentences(s))
+    for r in range(s.n_residues):
+        atoms = s.atom_name[s.atom_residue == r]
+        assert len(set(atoms)) == len(atoms)
+
+
+@pytest.mark.parametrize("name", ["1l2y.pdb", "1ejg.pdb", "3i40.pdb"])
+@pytest.mark.parametrize("suffix", [".pdb", ".cif"])
+def test_what_is_written_loads_again_with_nothing_repaired(name, suffix, tmp_path):
+    s = load(name)
+    pc.save(s, tmp_path / f"out{suffix}", ["a remark of more than sixty-eight characters, " * 3])
+    again = pc.load(tmp_path / f"out{suffix}")
+    assert own_identities(again) == own_identities(s)
+    assert np.array_equal(again.atom_name, s.atom_name)
+    assert np.array_equal(again.bonds[np.lexsort(again.bonds.T)], s.bonds[np.lexsort(s.bonds.T)])
+    tolerance = PDB_ROUNDING_NM * 1.001 if suffix == ".pdb" else 1e-7
+    assert np.abs(again.positions - s.positions).max() <= tolerance
+    assert again.repairs == () and dict(again.left_out) == {}
+    assert np.allclose(again.b_factor, s.b_factor, atol=0.01)
+
+
+def test_insertion_codes_and_alternates_of_a_real_entry():
+    path = shared("4zhl_icodes.cif")
+    s = pc.load(path)
+    assert own_identities(s) == identities(path)
+    assert np.count_nonzero(s.residue_insertion_code != "") == 19
+
+
+def test_an_insertion_code_survives_the_round_trip(tmp_path):
+    text = "".join(lines_of("1l2y.pdb")).replace("A   7 ", "A   6A")
+    s = pc.load(written(tmp_path, text))
+    assert str(s.residue_insertion_code[6]) == "A" and str(s.residue_number[6]) == "6"
+    pc.save(s, tmp_path / "out.pdb")
+    assert own_identities(pc.load(tmp_path / "out.pdb")) == own_identities(s)
+
+
+def test_missing_side_chain_atoms_are_added_and_named(tmp_path):
+    gone = [
+        line for line in lines_of("1ubq.pdb") if not (line[:4] == "ATOM" and line[12:26] == " CD1 LEU A   8")
+    ]
+    assert len(gone) == len(lines_of("1ubq.pdb")) - 1
+    s = pc.load(written(tmp_path, "".join(gone)))
+    assert "residue 8 LEU of chain A: missing CD1 added" in sentences(s)
+    assert s.n_atoms == load("1ubq.pdb").n_atoms
+
+
+def test_a_terminal_oxygen_is_where_the_files_own_was(tmp_path):
+    gone = [line for line in lines_of("1ubq.pdb") if line[12:16] != " OXT"]
+    s, file = pc.load(written(tmp_path, "".join(gone))), load("1ubq.pdb")
+    assert any(line.endswith("missing OXT added") for line in sentences(s))
+    (ours,), (theirs,) = (np.flatnonzero(each.atom_name == "OXT") for each in (s, file))
+    assert np.linalg.norm(s.positions[ours] - file.positions[theirs]) < OXYGEN_NM
+
+
+def test_a_broken_chain_becomes_two_under_one_id(tmp_path):
+    gone = [
+        line for line in lines_of("1ubq.pdb") if not (line[:4] == "ATOM" and 30 <= int(line[22:26]) <= 33)
+    ]
+    s = pc.load(written(tmp_path, "".join(gone)))
+    assert s.n_chains == 2 and set(s.residue_chain) == {"A"}
+    assert any("chain A is broken between 29 and 34" in line for line in sentences(s))
+    first, second = s.bonds.T
+    assert np.linalg.norm(s.positions[first] - s.positions[second], axis=1).max() < 0.22
+    pc.save(s, tmp_path / "out.cif")
+    pc.save(s, tmp_path / "out.pdb")
+    for name in ("out.cif", "out.pdb"):
+        assert own_identities(pc.load(tmp_path / name)) == own_identities(s)
+
+
+def test_the_parts_of_a_broken_chain_are_different_molecules_in_mmcif(tmp_path):
+    gone = [
+        line for line in lines_of("1ubq.pdb") if not (line[:4] == "ATOM" and 30 <= int(line[22:26]) <= 33)
+    ]
+    text = as_text(pc.load(written(tmp_path, "".join(gone))), ".cif")
+    columns = ["label_asym_id", "auth_asym_id", "auth_seq_id"]
+    table = gemmi.cif.read_string(text).sole_block().find("_atom_site.", columns)
+    residues = {
+        (asym, chain): {int(row[2]) for row in table if (row[0], row[1]) == (asym, chain)}
+        for asym, chain in {(row[0], row[1]) for row in table}
+    }
+    assert {chain for _, chain in residues} == {"A"} and len({asym for asym, _ in residues}) == 2
+    assert sorted(residues.values(), key=min) == [set(range(1, 30)), set(range(34, 77))]
+
+
+def test_selenomethionine_and_gaps_in_real_entries():
+    s = pc.load(shared("1a8o_mse.pdb"))
+    assert sum("selenomethionine converted to MET" in line for line in sentences(s)) == 4
+    assert "Se" not in set(s.atom_element)
+
+
+def test_deuterium_is_replaced_by_hydrogen():
+    s = pc.load(shared("5pti_bpti.cif"), keep=())
+    assert s.left_out["deuterium atoms"] > 100
+    assert set(s.atom_element) <= set("HCNOS")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "place"),
+    [
+        ("empty.pdb", "", "no atoms found"),
+        ("empty.cif", "", "no atoms found"),
+        ("words.pdb", "this is not a structure\nat all\n", "no atoms found"),
+        ("words.cif", "data_x\nthis is not a structure\nat all\n", "cannot be read"),
+        ("none.cif", "data_x\n_cell.length_a 1\n", "no atoms found"),
+        (
+            "water.pdb",
+            "HETATM    1  O   HOH A   1      26.266  25.413   2.842  1.00 10.38           O\nEND\n",
+            "no protein",
+        ),
+    ],
+)
+def test_files_without_a_protein_are_refused_in_one_line(name, text, place, tmp_path):
+    with pytest.raises(pc.ProtochainError) as refused:
+        pc.load(written(tmp_path, text, name))
+    message = str(refused.value)
+    assert place in message and name in message and "\n" not in message
+
+
+def test_a_name_of_a_protonation_state_is_taken_at_its_word(tmp_path):
+    text = (STRUCTURES / "1l2y.pdb").read_text()
+    heavy = [line for line in text.splitlines(True) if line[76:78].strip() != "H"]
+    path = written(tmp_path, "".join(heavy).replace("ASP A   9", "ASH A   9"))
+    s = pc.load(path)
+    assert any(line.startswith("residue 9 ASH of chain A: taken as ASP") for line in sentences(s))
+    assert "HD2" in s.atom_name[s.atom_residue == 8] and s.n_atoms == load("1l2y.pdb").n_atoms + 1
+
+
+def test_a_file_of_ours_that_was_cut_is_refused(tmp_path):
+    pc.save(load("1l2y.pdb"), tmp_path / "whole.cif")
+    lines = (tmp_path / "whole.cif").read_text().splitlines(True)
+    atoms = [i for i, line in enumerate(lines) if line.startswith("ATOM")]
+    for end in atoms[40:200:20]:
+        with pytest.raises(pc.ProtochainError, match="cut short"):
+            read(written(tmp_path, "".join(lines[:end]), "cut.cif"))
+    assert [part.chain_id for part in read(tmp_path / "whole.cif").parts] == ["A"]
+
+
+def test_a_file_without_an_end_is_taken_with_a_warning(tmp_path):
+    text = (STRUCTURES / "ala10.pdb").read_text()
+    atoms = [line for line in text.splitlines(True) if line.startswith("ATOM")]
+    assert not any("ends at" in line for line in sentences(pc.load(written(tmp_path, "".join(atoms)))))
+    cut = [line for line in atoms if int(line[22:26]) <= 8]
+    said = sentences(pc.load(written(tmp_path, "".join(cut))))[0]
+    assert "ends at residue 8 ALA of chain A" in said and "complete" in said
+
+
+def test_a_position_too_far_out_for_the_columns_is_refused(tmp_path):
+    s = load("ala10.pdb")
+    far = s.with_positions(s.positions + 1500.0)
+    with pytest.raises(pc.ProtochainError, match=r"atom N of residue 1 ALA .* write .cif"):
+        pc.save(far, tmp_path / "far.pdb")
+    pc.save(far, tmp_path / "far.cif")
+    assert np.allclose(pc.load(tmp_path / "far.cif").positions, far.positions, atol=PDB_ROUNDING_NM)
+
+
+def test_a_blank_chain_id_survives_both_formats(tmp_path):
+    text = (STRUCTURES / "ala10.pdb").read_text().replace("ALA A", "ALA  ")
+    s = pc.load(written(tmp_path, text))
+    assert set(s.residue_chain) == {""} and "chain (blank)" in s.describe(0)
+    for name in ("out.cif", "out.pdb"):
+        pc.save(s, tmp_path / name)
+        assert set(pc.load(tmp_path / name).residue_chain) == {""}
+
+
+def test_a_missing_file_is_named():
+    with pytest.raises(pc.ProtochainError, match=r"nowhere\.pdb: cannot be read"):
+        pc.load("nowhere.pdb")
+
+
+def test_a_c_alpha_trace_is_refused(tmp_path):
+    trace = [line for line in lines_of("1ubq.pdb") if line[:4] == "ATOM" and line[12:16] == " CA "]
+    with pytest.raises(pc.ProtochainError, match="chain A holds only C-alpha atoms"):
+        pc.load(written(tmp_path, "".join(trace)))
+
+
+def test_a_residue_without_its_backbone_is_left_out_and_said_or_refused(tmp_path):
+    gone = [
+        line for line in lines_of("1ubq.pdb") if not (line[:4] == "ATOM" and line[12:26] == " C   GLU A  18")
+    ]
+    path = written(tmp_path, "".join(gone))
+    with pytest.raises(pc.ProtochainError, match="residue 18 GLU of chain A: atom C missing"):
+        pc.load(path, strict=True)
+    s = pc.load(path)
+    assert "residue 18 GLU of chain A: left out: its backbone atom C is missing" in sentences(s)
+    assert s.n_residues == 75 and s.n_chains == 2
+
+
+def test_an_unknown_residue_is_named(tmp_path):
+    text = "".join(lines_of("1ubq.pdb")).replace("GLU A  18", "XYZ A  18")
+    with pytest.raises(pc.ProtochainError, match="residue 18 XYZ of chain A is an unknown amino acid"):
+        pc.load(written(tmp_path, text))
+
+
+@pytest.mark.parametrize("name", ["1ubq.pdb", "1ubq.cif"])
+def test_a_cut_file_is_refused_wherever_it_was_cut(name, tmp_path):
+    text = (STRUCTURES / name).read_text()
+    atoms = text.index("\nATOM") if name.endswith("pdb") else text.index("\nATOM   1 ")
+    end = text.rindex("\nATOM")
+    rng = np.random.default_rng(0)
+    for place in rng.integers(atoms + 1, end, size=60):
+        with pytest.raises(pc.ProtochainError, match=r"cut short|cannot be read|missing") as refused:
+            read(written(tmp_path, text[:place], name))
+        assert "\n" not in str(refused.value)
+
+
+def test_every_amino_acid_is_built_with_standard_geometry():
+    sequence = "ACDEFGHIKLMNPQRSTVWY"
+    s = pc.from_sequence(sequence.lower())
+    from protochain.structure.residues import STANDARD
+
+    assert "".join(STANDARD[name] for name in s.residue_name) == sequence
+    assert set(s.residue_chain) == {"A"} and list(s.residue_number) == [str(i) for i in range(1, 21)]
+    first, second = s.bonds.T
+    lengths = np.linalg.norm(s.positions[first] - s.positions[second], axis=1)
+    assert lengths.min() > 0.09 and lengths.max() < 0.19
+    at = {
+        (int(r), str(n)): s.positions[i]
+        for i, (r, n) in enumerate(zip(s.atom_residue, s.atom_name, strict=True))
+    }
+    for r, name in enumerate(s.residue_name):
+        if r:
+            omega = [at[r - 1, "CA"], at[r - 1, "C"], at[r, "N"], at[r, "CA"]]
+            assert abs(dihedral(np.array(omega))) > np.radians(179)
+        if name != "GLY":
+            # L amino acids: N, C, CB run clockwise seen from the hydrogen on CA.
+            n, c, cb, ha = (at[r, k] - at[r, "CA"] for k in ("N", "C", "CB", "HA"))
+            assert np.dot(np.cross(n, c), cb) > 0 > np.dot(np.cross(n, c), ha)
+
+
+@pytest.mark.parametrize(
+    ("sequence", "word"), [("", "empty"), ("  ", "empty"), ("A", "at least 2"), ("AAX", "letter 3 is 'X'")]
+)
+def test_a_sequence_that_makes_no_sense_is_refused(sequence, word):
+    with pytest.raises(pc.ProtochainError, match=word):
+        pc.from_sequence(sequence)
+
+
+def test_a_format_that_does_not_fit_is_refused(tmp_path):
+    with pytest.raises(pc.ProtochainError, match=r"unknown suffix '\.xyz'"):
+        pc.save(load("ala10.pdb"), tmp_path / "a.xyz")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_litter(tmp_path):
+    path = tmp_path / "kept.txt"
+    path.write_text("old")
+
+    def fails(target):
+        target.write_text("half")
+        raise OSError("disk full")
+
+    with pytest.raises(WriteError) as refused:
+        write_atomically(path, fails)
+    assert str(refused.value) == (
+        f"{path}: not written (disk full); free space there, or give another place, and run again"
+    )
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_positions_that_are_not_numbers_are_refused():
+    s = load("ala10.pdb")
+    x = s.positions.copy()
+    x[3, 1] = np.nan
+    with pytest.raises(pc.ProtochainError, match="of residue 1 ALA of chain A: its position is not a number"):
+        s.with_positions(x)
+    with pytest.raises(pc.ProtochainError, match="positions of shape"):
+        s.with_positions(x[:-1])
