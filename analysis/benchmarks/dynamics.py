@@ -34,8 +34,9 @@ from protochain.dynamics import (
     chain_potential,
 )  # fmt: skip
 from protochain.energies import build_system, constrain_hydrogens
-from protochain.lab import draw_lines, in_turn
+from protochain.lab import in_turn
 from protochain.mechanics.multibody import sample_velocities
+from protochain.results.figures import draw_lines
 
 LARGEST = "1ake_A.pdb"
 THREADS = 2

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from protochain.lab import commit as commit_of
-from protochain.lab import processor
+from protochain.results.provenance import commit as commit_of
+from protochain.results.provenance import processor
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "structures"

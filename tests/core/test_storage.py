@@ -18,7 +18,7 @@ import protochain as pc
 from protochain.analysis.folder import clear
 from protochain.batches import table as tables
 from protochain.cli import main
-from protochain.cli.minimise import _frames
+from protochain.cli.minimise import _Frames
 from protochain.core.errors import WriteError
 from protochain.core.storage import claimed, read_arrays, write_arrays, write_atomically
 from protochain.structure.trajectory import TrajectoryFile
@@ -87,7 +87,7 @@ def test_a_trajectory_that_fills_the_disk_does_not_cost_the_result(suffix, tmp_p
 def test_a_trajectory_that_fills_the_disk_makes_room_at_once(suffix, tmp_path):
     """The space may save the result, so that it is not kept until the run has ended."""
     c, lost = chain("ala10.pdb"), []
-    with full_above(20_000), _frames(tmp_path / f"t.{suffix}", c.structure, lost) as frames:
+    with full_above(20_000), _Frames(tmp_path / f"t.{suffix}", c.structure, lost) as frames:
         while not lost:
             frames(c.structure.positions)
             assert lost or list(tmp_path.iterdir())
