@@ -216,11 +216,11 @@ def words(runs: pd.DataFrame, table: pd.DataFrame) -> Iterator[str]:
     """Sentences that the contrasts carry; where an interval leaves it open, they say so."""
     done = runs[runs["energy_kj_mol"].notna()]
     n_starts = len(done[START].drop_duplicates())
+    named = ", ".join(done["protein"].unique())
     yield (
-        f"{len(runs)} runs from {n_starts} starts of these {done['protein'].nunique()} proteins "
-        f"({', '.join(done['protein'].unique())}). "
-        f"Only finished pairs count: both runs within {LEFT:g} kJ/mol of the minimum that their own "
-        "continuation leads to."
+        f"{len(runs)} runs from {n_starts} starts (each of a model with an energy) of these "
+        f"{done['protein'].nunique()} proteins: {named}. Only finished pairs count: both runs within "
+        f"{LEFT:g} kJ/mol of the minimum that their own continuation leads to."
     )
     together = table[(table["start"] == "all") & (table["energy"] == "all")]
     for row in together.to_dict("records"):
