@@ -24,6 +24,7 @@ MAY_IMPORT = {
     # The wing of proteins.
     "structure": {"core"},
     "energies": {"core", "structure"},
+    "ligands": {"core"},
     **{part: {"core", *CHAIN} for part in CHAIN - {"structure", "energies", "mechanics"}},
     "dynamics": {"core", *CHAIN},
     "validation": {"core", *CHAIN},
@@ -48,6 +49,7 @@ OPEN = (
     "dynamics",
     "energies",
     "lab",
+    "ligands",
     "mechanisms",
     "minimisers",
     "mechanics.motion",
