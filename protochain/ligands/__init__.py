@@ -1,6 +1,7 @@
 """Small molecules: their chemistry, and parameters for it."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ class Ligand(Value):
         at = self.molecule.positions if x is None else x
         if at is None:
             raise StructureError(
-                f"{self.molecule.source}: has no coordinates in space; give a file that has, or positions as ",
+                f"{self.molecule.source}: has no coordinates in space; give a file that has, or ",
                 Argument("x"),
             )
         return energy.terms(self.parameters, floats(at, (self.molecule.n_atoms, 3), "x", "nanometer"))
@@ -96,6 +97,7 @@ def ligand(
     Returns
     -------
     Ligand
+        With ``molecule``, ``parameters`` as arrays, and ``terms()``, the energies at the file's coordinates.
 
     Raises
     ------
@@ -118,6 +120,10 @@ def ligand(
     as_given = read(molecule)
     read_as, charged = (as_given, ()) if ph is None else at_ph(as_given, ph)
     by_rule = charges in ("mmff94", "gasteiger")
-    found = charging.by_rule(read_as, charges) if by_rule else charging.from_file(read_as, Path(charges))
+    found = (
+        partial(charging.by_rule, rule=charges)
+        if by_rule
+        else partial(charging.from_file, path=Path(charges))
+    )
     rules = smirnoff.read(smirnoff.SAGE if forcefield is None else Path(forcefield))
     return Ligand(read_as, smirnoff.parametrised(read_as, rules, found, not by_rule), charged)

@@ -12,8 +12,8 @@ from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.molecule import Molecule, assembled, library, place, to_rdkit
 
-_MOST_MATCHES = 10_000
-"""Of symmetric molecules: six phenyl groups have 64, six t-butyl groups 46656."""
+_MOST_MATCHES = 1000
+"""Of symmetric molecules: six phenyl groups have 64, four t-butyl groups 1296."""
 _REACH = 1.3
 """Of the sum of covalent radii: bonds of distorted models count. Only which atoms are joined follows."""
 _FLAT = 0.1
@@ -44,8 +44,9 @@ def placed(
 ) -> Placed:
     """Put a molecule where a model has it; names need not agree.
 
-    Of several matches that symmetry allows, the one with most names that agree is taken, then that with
-    fewest stereocentres inverted, then that whose distances are most like those of the source.
+    Of several matches that symmetry allows, the one in which all names agree is taken, else that with fewest
+    stereocentres inverted, then that whose distances are most like those of the source. (Some names may agree
+    by chance: those of SMILES and SDF files are counted off.)
 
     Parameters
     ----------
@@ -84,12 +85,9 @@ def placed(
             f"{_formula(molecule.elements[heavy])}, or bonded otherwise; give the one that it has"
         )
     found = [kept[list(match)] for match in matches]
-    agreeing = [sum(names[i] == molecule.names[k] for i, k in zip(m, heavy, strict=True)) for m in found]
-    most = [each for each, n in zip(found, agreeing, strict=True) if n == max(agreeing)]
-    tried = [_inverted(molecule, x[each]) for each in most]
-    fewest = min(map(len, tried))
-    best = [(_away(molecule, x[each]), k) for k, each in enumerate(most) if len(tried[k]) == fewest]
-    chosen = most[min(best)[1]]
+    own_names = [molecule.names[i] for i in heavy]
+    same = [each for each in found if [names[i] for i in each] == own_names]
+    chosen = min(same or found, key=lambda i: (len(_inverted(molecule, x[i])), _away(molecule, x[i])))
     atoms = np.full(molecule.n_atoms, -1)
     atoms[heavy] = chosen
     renamed = tuple(names[i] if i >= 0 else name for i, name in zip(atoms, molecule.names, strict=True))
@@ -139,9 +137,15 @@ def _inverted(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
 
 
 def _away(molecule: Molecule, heavy: Floats) -> float:
-    """Root mean square difference of distances between heavy atoms; 0 if the source has no positions."""
+    """Root mean square difference of distances between heavy atoms, in nm.
+
+    If the source has no positions, bonds' orders times lengths: double bonds are the shorter ones.
+    """
     if molecule.positions is None:
-        return 0.0
+        x = np.full((molecule.n_atoms, 3), np.nan)
+        x[molecule.heavy] = heavy
+        length = np.linalg.norm(np.subtract(*x[molecule.bonds.T]), axis=1)
+        return float(np.nansum(molecule.orders * length))
     there, here = (
         np.linalg.norm(each[:, None] - each, axis=2) for each in (molecule.positions[molecule.heavy], heavy)
     )

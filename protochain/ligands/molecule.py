@@ -2,7 +2,7 @@
 
 import importlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import Any
@@ -28,6 +28,12 @@ def library(name: str) -> Any:
         which = name.partition(".")[0]
         remedy = 'pip install "protochain[ligands]"'
         raise ProtochainError(f"small molecules need {which}, which is not installed: {remedy}") from None
+
+
+def quietly(call: Callable[..., Any], *args: Any, **named: Any) -> Any:
+    """Call RDKit without its log, which goes to the terminal; what it raises is kept."""
+    with library("rdkit.rdBase").BlockLogs():
+        return call(*args, **named)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +165,10 @@ def from_rdkit(made: Any, source: str) -> Molecule:
             raise StructureError(f"{source}: atom {name} lacks a bond or a charge; complete the file")
     if in_space:
         chem.AssignStereochemistryFrom3D(made)
+    for atom in made.GetAtoms():
+        if _acid(atom):
+            atom.SetChiralTag(chem.ChiralType.CHI_UNSPECIFIED)
+            atom.ClearProp("_CIPCode")
     chem.Kekulize(made, clearAromaticFlags=True)
     double_bonds, stereo = _double_bonds(made, names)
     centres = [
@@ -181,6 +191,12 @@ def from_rdkit(made: Any, source: str) -> Molecule:
         None if positions is None else read_only(positions),
         source,
     )
+
+
+def _acid(atom: Any) -> bool:
+    """Whether two oxygens end at this atom: which of them has the proton of an acid makes no stereocentre."""
+    ends = [near for near in atom.GetNeighbors() if near.GetAtomicNum() == 8]
+    return sum(all(o.GetAtomicNum() in (1, atom.GetAtomicNum()) for o in e.GetNeighbors()) for e in ends) > 1
 
 
 def _double_bonds(made: Any, names: tuple[str, ...]) -> tuple[list[list[int]], list[tuple[str, str]]]:

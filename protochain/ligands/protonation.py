@@ -1,13 +1,17 @@
 """Charges of acids and bases at a pH: the most populated state of each site, by dimorphite-dl's table.
 
+Its pKa of phenols, and of nitrogens that lose a proton, are means of classes with deviations of three units:
+these lose theirs only if the pH is above by one deviation.
+
 Ropp, Kaminsky, Yablonski, Durrant, J. Cheminform. 11:14 (2019).
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 from protochain.core.arrays import Value
 from protochain.core.errors import StructureError
-from protochain.ligands.molecule import Molecule, from_rdkit, library, to_rdkit
+from protochain.ligands.molecule import Molecule, from_rdkit, library, quietly, to_rdkit
 
 
 @dataclass(frozen=True)
@@ -37,19 +41,21 @@ def at_ph(molecule: Molecule, ph: float) -> tuple[Molecule, tuple[Charged, ...]]
     """
     chem = library("rdkit.Chem")
     made = to_rdkit(molecule)
+    # Isotopes number the atoms: dimorphite-dl drops map numbers of atoms that it neutralises.
     for atom in made.GetAtoms():
-        atom.SetAtomMapNum(atom.GetIdx() + 1 if atom.GetAtomicNum() != 1 else 0)
-    smiles = chem.MolToSmiles(chem.RemoveAllHs(made))
-    # Without a margin each site has one state, but one whose pKa is the pH itself, which may be either.
-    states = library("dimorphite_dl").protonate_smiles(
-        smiles, ph_min=ph, ph_max=ph, precision=0.0, max_variants=1
-    )
-    charged = chem.MolFromSmiles(states[0]) if states else chem.Mol()
-    chem.Kekulize(charged, clearAromaticFlags=True)
-    chem.Kekulize(made, clearAromaticFlags=True)
-    wanted = {atom.GetAtomMapNum() - 1: atom for atom in charged.GetAtoms()}
-    if wanted.keys() != set(molecule.heavy.tolist()):
+        atom.SetIsotope(atom.GetIdx() + 1 if atom.GetAtomicNum() != 1 else 0)
+    neutral = library("rdkit.Chem.MolStandardize.rdMolStandardize").Uncharger()
+    smiles = chem.MolToSmiles(quietly(neutral.uncharge, chem.RemoveAllHs(made)))
+    states = _states(smiles, ph, 0.0)
+    if not states or states[0].keys() != set(molecule.heavy.tolist()):
         raise StructureError(f"{molecule.source}: cannot be charged for pH {ph:g}; give it as it is there")
+    wanted, unsure = states[0], _states(smiles, ph, 1.0)
+    bonds = next(iter(wanted.values())).GetOwningMol().GetBonds()
+    for number, atom in wanted.items():
+        aromatic = atom.GetAtomicNum() == 7 or any(near.GetIsAromatic() for near in atom.GetNeighbors())
+        if atom.GetFormalCharge() < 0 and aromatic:
+            other = (state[number] for state in unsure if not state[number].GetFormalCharge())
+            wanted[number] = next(other, atom)
     surplus, changed = [], []
     for number, as_is in wanted.items():
         atom = made.GetAtomWithIdx(number)
@@ -62,10 +68,25 @@ def at_ph(molecule: Molecule, ph: float) -> tuple[Molecule, tuple[Charged, ...]]
         atom.SetNumExplicitHs(max(0, n - len(hydrogens)))
     if not surplus and not any(atom.GetNumExplicitHs() for atom in made.GetAtoms()):
         return molecule, ()
-    for bond in charged.GetBonds():
-        ends = (bond.GetBeginAtom().GetAtomMapNum() - 1, bond.GetEndAtom().GetAtomMapNum() - 1)
+    chem.Kekulize(made, clearAromaticFlags=True)
+    for bond in bonds:
+        ends = (bond.GetBeginAtom().GetIsotope() - 1, bond.GetEndAtom().GetIsotope() - 1)
         made.GetBondBetweenAtoms(*ends).SetBondType(bond.GetBondType())
+    for atom in made.GetAtoms():
+        atom.SetIsotope(0)
     for number in sorted(surplus, reverse=True):
         made.RemoveAtom(number)
     chem.SanitizeMol(made)
     return from_rdkit(made, molecule.source), tuple(sorted(changed, key=lambda each: each.atom))
+
+
+def _states(smiles: str, ph: float, precision: float) -> list[dict[int, Any]]:
+    """Atoms of each state by number; sites whose pKa is within so many standard deviations have two."""
+    chem, most = library("rdkit.Chem"), 128 if precision else 1
+    made = library("dimorphite_dl").protonate_smiles(
+        smiles, ph_min=ph, ph_max=ph, precision=precision, max_variants=most
+    )
+    read = [chem.MolFromSmiles(each) for each in made]
+    for each in read:
+        chem.Kekulize(each)
+    return [{atom.GetIsotope() - 1: atom for atom in each.GetAtoms()} for each in read]

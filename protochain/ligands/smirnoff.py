@@ -105,7 +105,7 @@ def read(path: Path) -> ForceField:
 
 
 def parametrised(
-    molecule: Molecule, force_field: ForceField, charges: Floats, own_charges: bool
+    molecule: Molecule, force_field: ForceField, charges: Callable[[Molecule], Floats], own_charges: bool
 ) -> Parameters:
     """Give a molecule the parameters of a force field.
 
@@ -113,7 +113,8 @@ def parametrised(
     ----------
     molecule : Molecule
     force_field : ForceField
-    charges : (na,) float
+    charges : callable
+        Of the molecule, its charges (na,); asked when all atoms are known to have a type.
     own_charges : bool
         Whether the user has given them: library charges of the force field stand back only then.
 
@@ -138,7 +139,7 @@ def parametrised(
         _term([(*atoms, *rule.values[0]) for atoms, rule in bonds.items()], 2, 2),
         _term([(*atoms, *rule.values[0]) for atoms, rule in angles.items()], 3, 2),
         _term(rows, 4, 3),
-        read_only(charges), read_only(sigma), read_only(epsilon),
+        read_only(charges(molecule)), read_only(sigma), read_only(epsilon),
         force_field.scale_lj, force_field.scale_coulomb,
     )  # fmt: skip
 
@@ -165,8 +166,8 @@ class _Typing:
             if key(atoms) not in found:
                 names = "-".join(self.molecule.names[i] for i in atoms)
                 raise ForceFieldError(
-                    f"{self.molecule.source}: {self.force_field.path.name} has no {section} for {names}; give "
-                    "a force field that has as ", Argument("forcefield"),
+                    f"{self.molecule.source}: {self.force_field.path.name} has no {section} for {names}; "
+                    "give a force field that has as ", Argument("forcefield"),
                 )  # fmt: skip
         return found
 
@@ -186,14 +187,17 @@ class _Typing:
 
     def refuse_unhandled(self, allowed: set[str]) -> None:
         """Other sections may be there, but none of their patterns may fit this molecule."""
-        for section in self.force_field.rules.keys() - _VALUES.keys() - _CHARGE_MODELS - allowed:
-            for rule in self.force_field.rules[section]:
+        for section, rules in self.force_field.rules.items():
+            for rule in () if section in {*_VALUES, *_CHARGE_MODELS, *allowed} else rules:
                 for atoms in self.matches(rule):
                     names = ", ".join(self.molecule.names[i] for i in atoms)
-                    remedy = "charges" if section == "LibraryCharges" else "forcefield"
+                    remedy = (
+                        ("give a file of charges as ", Argument("charges")) if section == "LibraryCharges"
+                        else ("give another force field as ", Argument("forcefield"))
+                    )  # fmt: skip
                     raise ForceFieldError(
-                        f"{self.force_field.path}: {section} ({rule.name}) fits {names} of "
-                        f"{self.molecule.source}, and is not handled; give other ", Argument(remedy),
+                        f"{self.molecule.source}: {section} ({rule.name}) of {self.force_field.path.name} "
+                        f"fits {names}, and is not handled; ", *remedy,
                     )  # fmt: skip
 
     def angles(self) -> Iterator[Atoms]:

@@ -13,7 +13,7 @@ import numpy as np
 from protochain.core.errors import Argument, StructureError
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library
+from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library, quietly
 
 _LARGEST = 10_000_000
 """Bytes. Of a molecule; a model with its ligand is larger."""
@@ -55,7 +55,7 @@ def read(given: str | Path) -> Molecule:
     path = Path(given)
     if isinstance(given, Path) or path.suffix.lower() in _SUFFIXES:
         return _from_file(path)
-    made = _quietly(library("rdkit.Chem").MolFromSmiles, given)
+    made = quietly(library("rdkit.Chem").MolFromSmiles, given)
     if made is None or not made.GetNumAtoms():
         raise StructureError(
             f"{_short(given)} is neither SMILES nor the name of a file with suffix {', '.join(_SUFFIXES)}; "
@@ -118,9 +118,9 @@ def _from_file(path: Path) -> Molecule:
         raise StructureError(f"{path}: is none of {', '.join(_SUFFIXES)}; give one of them, or SMILES")
     if n != 1:
         raise StructureError(f"{path}: has {n} molecules; give a file with one")
-    made = _quietly(parse, text, removeHs=False)
+    made = quietly(parse, text, removeHs=False)
     if made is None:  # Without its checks RDKit says what is wrong.
-        made = _quietly(parse, text, removeHs=False, sanitize=False)
+        made = quietly(parse, text, removeHs=False, sanitize=False)
         if made is None:
             raise StructureError(f"{path}: is no {suffix[1:].upper()} file that can be read; mend it")
         return _sanitised(made, str(path))
@@ -199,17 +199,11 @@ def _of_conect(structure: Any, path: Path, name: str, source: str) -> Molecule |
 def _sanitised(made: Any, source: str) -> Molecule:
     chem = library("rdkit.Chem")
     try:
-        _quietly(chem.SanitizeMol, made)
+        quietly(chem.SanitizeMol, made)
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise StructureError(f"{source}: is no molecule ({reason}); give its SDF or SMILES") from None
     return from_rdkit(made, source)
-
-
-def _quietly(call: Callable[..., Any], *args: Any, **named: Any) -> Any:
-    """Call RDKit without its log, which goes to the terminal; what it raises is kept."""
-    with library("rdkit.rdBase").BlockLogs():
-        return call(*args, **named)
 
 
 def _atomic_number(symbol: str) -> int:
