@@ -339,6 +339,9 @@ def test_bad_force_fields_are_refused_in_one_line(tmp_path):
         (text.replace("1.533682189836 * angstrom ** 1", "1.5 * angstrom ** 2"), "another dimension"),
         (text.replace("1.533682189836 * angstrom ** 1", "1e999 * angstrom"), "another dimension or no size"),
         (text.replace('"[#6X4:1]-[#6X4:2]"', '"[#6X4:1"', 1), "is no SMIRKS pattern"),
+        (text.replace('"[#6X4:1]-[#6X4:2]"', '"[#6X4:1]-[#6X4]"', 1), "is no SMIRKS pattern of 2 atoms"),
+        (text.replace('idivf1="1.0"', 'idivf1="0.0"', 1), "has a strange idivf"),
+        (text.replace('periodicity1="3"', 'periodicity1="2.5"', 1), "has a strange idivf or periodicity"),
         (text.replace("OEAroModel_MDL", "Daylight"), "aromaticity_model"),
         (text.replace("Lorentz-Berthelot", "geometric"), "combining_rules"),
     ):

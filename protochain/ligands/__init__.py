@@ -74,7 +74,7 @@ def _file_or_smiles(value: Any, name: str) -> str | Path:
 @checked(molecule=_file_or_smiles, charges=file_name, forcefield=optional(path), ph=optional(acidity))
 def ligand(
     molecule: str | Path,
-    charges: str = "mmff94",
+    charges: str | Path = "mmff94",
     forcefield: str | Path | None = None,
     ph: float | None = None,
 ) -> Ligand:
@@ -86,7 +86,7 @@ def ligand(
     ----------
     molecule : str or path-like
         An SDF or MOL2 file with one molecule, or SMILES. RDKit adds hydrogens that lack.
-    charges : str
+    charges : str or path-like
         ``mmff94`` [1]_, ``gasteiger``, or a file: MOL2 with the same atoms in the same order, or a line with
         name and charge of each atom. They sum to the formal charge; what rounding leaves is spread over all.
     forcefield : path-like, optional
@@ -119,9 +119,9 @@ def ligand(
     """
     as_given = read(molecule)
     read_as, charged = (as_given, ()) if ph is None else at_ph(as_given, ph)
-    by_rule = charges in ("mmff94", "gasteiger")
+    by_rule = charges in charging.RULES
     found = (
-        partial(charging.by_rule, rule=charges)
+        partial(charging.by_rule, rule=str(charges))
         if by_rule
         else partial(charging.from_file, path=Path(charges))
     )

@@ -6,9 +6,10 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.core.errors import Argument, ForceFieldError
-from protochain.ligands.molecule import Molecule, library, to_rdkit
-from protochain.ligands.sources import text_of
+from protochain.ligands.molecule import Molecule, library, quietly, to_rdkit
+from protochain.ligands.sources import read, text_of
 
+RULES = ("mmff94", "gasteiger")
 _ROUNDING = 0.01
 """e. Sums of charges in files are off by their rounded digits."""
 
@@ -23,7 +24,7 @@ def by_rule(molecule: Molecule, rule: str) -> Floats:
     """
     chem, made = library("rdkit.Chem.AllChem"), to_rdkit(molecule)
     if rule == "mmff94":
-        found = chem.MMFFGetMoleculeProperties(made)
+        found = quietly(chem.MMFFGetMoleculeProperties, made)
         values = [found.GetMMFFPartialCharge(i) for i in range(molecule.n_atoms)] if found else []
     else:
         chem.ComputeGasteigerCharges(made)
@@ -52,7 +53,7 @@ def from_file(molecule: Molecule, path: Path) -> Floats:
     except ValueError:
         raise ForceFieldError(f"{path}: give lines of an atom's name and its charge") from None
     of = dict(found)
-    if in_order and len(found) == molecule.n_atoms:
+    if in_order and np.array_equal(read(path).elements, molecule.elements):
         values = [charge for _, charge in found]
     elif len(found) == len(of) == molecule.n_atoms and of.keys() == set(molecule.names):
         values = [of[name] for name in molecule.names]

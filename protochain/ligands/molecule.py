@@ -13,6 +13,9 @@ from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 
+_MOST_ATOMS = 2000
+"""Memory grows with their square."""
+
 
 def library(name: str) -> Any:
     """Import a library of the extra ``ligands``, which starts late for those who need none.
@@ -152,6 +155,8 @@ def from_rdkit(made: Any, source: str) -> Molecule:
         If it is no single molecule, has a radical, or coordinates that are not numbers.
     """
     chem = library("rdkit.Chem")
+    if made.GetNumAtoms() > _MOST_ATOMS:
+        raise StructureError(f"{source}:has {made.GetNumAtoms()} atoms; give a small molecule")
     in_space = made.GetNumConformers() > 0 and made.GetConformer().Is3D()
     if in_space and not np.isfinite(made.GetConformer().GetPositions()).all():
         raise StructureError(f"{source}: has coordinates that are not finite numbers; mend them")

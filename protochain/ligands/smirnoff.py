@@ -17,7 +17,7 @@ from protochain.core.arrays import Floats, Value, neighbours, read_only
 from protochain.core.errors import Argument, ForceFieldError
 from protochain.core.storage import regular
 from protochain.ligands.energy import Parameters, Term
-from protochain.ligands.molecule import Molecule, library, to_rdkit
+from protochain.ligands.molecule import Molecule, library, quietly, to_rdkit
 
 SAGE = Path(__file__).with_name("openff_unconstrained-2.2.1.offxml")
 """Sage 2.2.1: Boothroyd et al., J. Chem. Theory Comput. 19:3251 (2023). CC BY 4.0, see NOTICE."""
@@ -40,6 +40,7 @@ _UNITS = {
 _QUANTITY = re.compile(
     r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*((?:[*/]\s*[a-z_]+\s*(?:\*\*\s*-?\d\s*)?)*)", re.ASCII
 )
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _FACTOR = re.compile(r"([*/])\s*([a-z_]+)\s*(?:\*\*\s*(-?\d))?")
 
 
@@ -161,7 +162,7 @@ class _Typing:
     def of(self, section: str, key: Callable[[Atoms], Atoms], wanted: Iterable[Atoms]) -> dict[Atoms, Rule]:
         """The last rule that fits, by atoms; all wanted atoms have one."""
         rules = self.force_field.rules.get(section, ())
-        found = {key(atoms): rule for rule in rules for atoms in self.matches(rule)}
+        found = {key(atoms): rule for rule in rules for atoms in self.matches(rule, _ATOMS[section])}
         for atoms in wanted:
             if key(atoms) not in found:
                 names = "-".join(self.molecule.names[i] for i in atoms)
@@ -171,13 +172,15 @@ class _Typing:
                 )  # fmt: skip
         return found
 
-    def matches(self, rule: Rule) -> set[Atoms]:
-        query = self.chem.MolFromSmarts(rule.smirks)
+    def matches(self, rule: Rule, n: int = 0) -> set[Atoms]:
+        query = quietly(self.chem.MolFromSmarts, rule.smirks)
         place = f"{self.force_field.path}: {rule.name}"
-        if query is None:
-            raise ForceFieldError(f"{place}: {rule.smirks[:60]!r} is no SMIRKS pattern; mend it")
-        numbers = {atom.GetAtomMapNum(): atom.GetIdx() for atom in query.GetAtoms() if atom.GetAtomMapNum()}
-        tagged = [numbers[n] for n in sorted(numbers)]
+        atoms = query.GetAtoms() if query is not None else ()
+        numbers = {atom.GetAtomMapNum(): atom.GetIdx() for atom in atoms if atom.GetAtomMapNum()}
+        if query is None or (n and sorted(numbers) != [*range(1, n + 1)]):
+            what = f"is no SMIRKS pattern of {n} atoms" if n else "is no SMIRKS pattern"
+            raise ForceFieldError(f"{place}: {rule.smirks[:60]!r} {what}; mend it")
+        tagged = [numbers[number] for number in sorted(numbers)]
         found = self.made.GetSubstructMatches(
             query, uniquify=False, useChirality=True, maxMatches=_MOST_MATCHES
         )
@@ -268,7 +271,11 @@ def _require(path: Path, node: ElementTree.Element, **wanted: str) -> None:
 
 
 def _number(text: str) -> float | None:
-    return float(text) if re.fullmatch(r"[-+]?\d*\.?\d+(?:[eE][-+]?\d+)?", text.strip(), re.ASCII) else None
+    return (
+        float(text)
+        if re.fullmatch(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", text.strip(), re.ASCII)
+        else None
+    )
 
 
 def _quantity(path: Path, node: ElementTree.Element, name: str, dimension: tuple[int, int, int]) -> float:
@@ -304,23 +311,17 @@ def _angle(path: Path, row: ElementTree.Element) -> Rows:
     yield _quantity(path, row, "angle", _ANGLE), _quantity(path, row, "k", _PER_ANGLE)
 
 
-def _proper(path: Path, row: ElementTree.Element) -> Rows:
-    return _torsion(path, row, "")
-
-
-def _improper(path: Path, row: ElementTree.Element) -> Rows:
-    # "auto", the default of impropers, shares the barrier among the three.
-    return _torsion(path, row, "3.0")
-
-
-def _torsion(path: Path, row: ElementTree.Element, divisor: str) -> Rows:
-    for number in range(1, 1 + sum(re.fullmatch(r"periodicity\d+", name) is not None for name in row.attrib)):
-        row.attrib.setdefault(f"idivf{number}", divisor)
-        periodicity = _quantity(path, row, f"periodicity{number}", _ANGLE)
-        phase, k = (
-            _quantity(path, row, f"phase{number}", _ANGLE), _quantity(path, row, f"k{number}", _ENERGY)
-        )  # fmt: skip
-        yield periodicity, phase, k / _quantity(path, row, f"idivf{number}", _ANGLE)
+def _torsion(path: Path, row: ElementTree.Element) -> Rows:
+    for number in [name.removeprefix("periodicity") for name in row.attrib if name.startswith("periodicity")]:
+        if row.tag == "Improper":  # The default, "auto", shares the barrier among the three.
+            row.attrib.setdefault(f"idivf{number}", "3.0")
+        periodicity, phase, divisor = (
+            _quantity(path, row, f"{name}{number}", _ANGLE) for name in ("periodicity", "phase", "idivf")
+        )
+        if divisor <= 0.0 or periodicity % 1.0:
+            place = f"{path}: <{row.tag}> {row.get('id')}"
+            raise ForceFieldError(f"{place} has a strange idivf or periodicity; mend it")
+        yield periodicity, phase, _quantity(path, row, f"k{number}", _ENERGY) / divisor
 
 
 def _vdw(path: Path, row: ElementTree.Element) -> Rows:
@@ -328,11 +329,15 @@ def _vdw(path: Path, row: ElementTree.Element) -> Rows:
         sigma = _quantity(path, row, "sigma", _LENGTH)
     else:
         sigma = _quantity(path, row, "rmin_half", _LENGTH) * 2.0 ** (5 / 6)
-    yield sigma, _quantity(path, row, "epsilon", _ENERGY)
+    epsilon = _quantity(path, row, "epsilon", _ENERGY)
+    if sigma < 0.0 or epsilon < 0.0:
+        raise ForceFieldError(f"{path}: <Atom> {row.get('id')} has a negative radius or well; mend it")
+    yield sigma, epsilon
 
 
 _VALUES: dict[str, Callable[[Path, ElementTree.Element], Rows]] = {
-    "Bonds": _bond, "Angles": _angle, "ProperTorsions": _proper, "ImproperTorsions": _improper, "vdW": _vdw,
+    "Bonds": _bond, "Angles": _angle, "ProperTorsions": _torsion, "ImproperTorsions": _torsion, "vdW": _vdw,
 }  # fmt: skip
+_ATOMS = {"vdW": 1, "Bonds": 2, "Angles": 3, "ProperTorsions": 4, "ImproperTorsions": 4}
 _CHARGE_MODELS = {"ToolkitAM1BCC", "ChargeIncrementModel", "NAGLCharges", "Electrostatics"}
 """Sections in whose place the charges are that the caller names."""
