@@ -34,7 +34,7 @@ def by_rule(molecule: Molecule, rule: str) -> Floats:
             f"{molecule.source}: {rule} has no charges for one of its atoms; give a file of them as ",
             Argument("charges"),
         )
-    return _neutral(molecule, np.array(values), rule)
+    return _summed(molecule, np.array(values), rule)
 
 
 def from_file(molecule: Molecule, path: Path) -> Floats:
@@ -63,7 +63,7 @@ def from_file(molecule: Molecule, path: Path) -> Floats:
             f"{path}: has {len(found)} charges for the {molecule.n_atoms} atoms of {molecule.source}; "
             f"give also {missing}"
         )
-    return _neutral(molecule, np.array(values), str(path))
+    return _summed(molecule, np.array(values), str(path))
 
 
 def _of_mol2(lines: list[str]) -> list[list[str]]:
@@ -74,7 +74,7 @@ def _of_mol2(lines: list[str]) -> list[list[str]]:
     return [[row[1], row[8]] if len(row) > 8 else row for row in fields]
 
 
-def _neutral(molecule: Molecule, charges: Floats, source: str) -> Floats:
+def _summed(molecule: Molecule, charges: Floats, source: str) -> Floats:
     """Charges whose sum is the formal charge: what rounding leaves is spread over all atoms."""
     off = molecule.charge - float(charges.sum())
     if not abs(off) <= _ROUNDING:

@@ -271,11 +271,7 @@ def _require(path: Path, node: ElementTree.Element, **wanted: str) -> None:
 
 
 def _number(text: str) -> float | None:
-    return (
-        float(text)
-        if re.fullmatch(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", text.strip(), re.ASCII)
-        else None
-    )
+    return float(text) if _NUMBER.fullmatch(text.strip()) else None
 
 
 def _quantity(path: Path, node: ElementTree.Element, name: str, dimension: tuple[int, int, int]) -> float:
