@@ -8,3 +8,6 @@ ANGSTROM_PER_NM = 10.0
 
 MOLAR_GAS = 8.31446261815324e-3
 """kJ/mol/K: Boltzmann's constant times Avogadro's (exact since 2019)."""
+
+COULOMB = 138.93545764438198
+"""kJ nm/mol/e^2, 1/(4 pi epsilon0), as OpenMM's NonbondedForce and GBSAOBCForce round it."""

@@ -24,9 +24,10 @@ from protochain.core.checks import (
 )
 from protochain.core.errors import ForceFieldError
 from protochain.core.storage import regular
+from protochain.core.units import COULOMB
 from protochain.energies.elements import create_system
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
-from protochain.energies.native.implicit import COULOMB, COULOMB_CUSTOM, OBC_OFFSET
+from protochain.energies.native.implicit import COULOMB_CUSTOM, OBC_OFFSET
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 from protochain.energies.untrusted import check_passive

@@ -24,6 +24,7 @@ MAY_IMPORT = {
     "structure": {"core"},
     "results": {"core", "structure"},
     "energies": {"core", "structure"},
+    "ligands": {"core", "structure"},
     **{part: {"core", *CHAIN} for part in CHAIN - {"structure", "energies", "mechanics"}},
     "dynamics": {"core", *CHAIN},
     "validation": {"core", *CHAIN},

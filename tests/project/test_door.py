@@ -64,6 +64,7 @@ REQUIRED = {
     "explore": lambda: (C(), vacuum()),
     "from_sequence": lambda: ("AA",),
     "kcm": tuple,
+    "ligand": lambda: ("CCO",),
     "load": lambda: (FILE,),
     "log_det_mass": lambda: (C(), at()),
     "mass_matrix": lambda: (C(), at()),

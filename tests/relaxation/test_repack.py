@@ -13,7 +13,7 @@ import protochain as pc
 from protochain.cli import app
 from protochain.contacts import OVERLAP, near_pairs
 from protochain.core.errors import StructureError
-from protochain.energies.native.implicit import COULOMB
+from protochain.core.units import COULOMB
 from protochain.relaxation.assignment import best
 from protochain.relaxation.repack import repacked, troubled
 from protochain.relaxation.rotamer_energies import Interactions

@@ -7,13 +7,12 @@ import numpy as np
 import openmm
 
 from protochain.core.arrays import Floats, Integers
+from protochain.core.units import COULOMB
 from protochain.energies.native.neck import REACH
 from protochain.energies.native.reading import UnsupportedForceError, bare, plain
 
-COULOMB = 138.93545764438198
-"""kJ nm/mol/e^2, 1/(4 pi epsilon0), as OpenMM's NonbondedForce and GBSAOBCForce round it."""
 COULOMB_CUSTOM = 138.935485
-"""The same as the implicit-solvent files round it."""
+"""COULOMB as the implicit-solvent files round it."""
 _PROBE = 0.14
 """nm. Radius of water."""
 _AREA_CUSTOM = 28.3919551

@@ -8,7 +8,8 @@ import numpy as np
 import openmm
 
 from protochain.core.arrays import Floats, Integers
-from protochain.energies.native.implicit import COULOMB, Solvent, from_custom_gb, from_gbsa_obc
+from protochain.core.units import COULOMB
+from protochain.energies.native.implicit import Solvent, from_custom_gb, from_gbsa_obc
 from protochain.energies.native.maps import spline_coefficients
 from protochain.energies.native.reading import UnsupportedForceError, bare, one_cutoff, plain
 

@@ -1,0 +1,129 @@
+"""Small molecules: their chemistry, and parameters for it."""
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from protochain.core.arrays import Floats, Value, floats
+from protochain.core.checks import acidity, checked, file_name, optional, path, text
+from protochain.core.errors import Argument, StructureError
+from protochain.ligands import charges as charging
+from protochain.ligands import energy, smirnoff
+from protochain.ligands.molecule import Molecule
+from protochain.ligands.protonation import Charged, at_ph
+from protochain.ligands.sources import read
+
+__all__ = ["Ligand", "ligand"]
+
+
+@dataclass(frozen=True, eq=False)
+class Ligand(Value):
+    """A small molecule with its parameters; see :func:`protochain.ligand`.
+
+    Parameters
+    ----------
+    molecule : Molecule
+        Elements, bonds, formal charges, stereo, positions and source.
+    parameters : Parameters
+        Arrays of its energy.
+    charged : tuple of Charged
+        Atoms whose formal charge the pH changed.
+    """
+
+    molecule: Molecule
+    parameters: energy.Parameters
+    charged: tuple[Charged, ...] = ()
+
+    def __repr__(self) -> str:
+        of = self.molecule
+        return f"<Ligand {of.source}: {of.n_atoms} atoms, charge {of.charge:+d}>"
+
+    def terms(self, x: Floats | None = None) -> dict[str, float]:
+        """Energies by term.
+
+        Parameters
+        ----------
+        x : (na, 3) float, nm, optional
+            Positions in the order of the molecule's atoms; those of the file by default.
+
+        Returns
+        -------
+        dict of str to float
+            ``bonds``, ``angles``, ``torsions`` (impropers included), ``lj`` and ``coulomb`` in kJ/mol, over
+            all pairs without a cutoff.
+
+        Raises
+        ------
+        ProtochainError
+            If there are no positions, or of another shape.
+        """
+        at = self.molecule.positions if x is None else x
+        if at is None:
+            raise StructureError(
+                f"{self.molecule.source}: has no coordinates in space; give a file that has, or ",
+                Argument("x"),
+            )
+        return energy.terms(self.parameters, floats(at, (self.molecule.n_atoms, 3), "x", "nanometer"))
+
+
+def _file_or_smiles(value: Any, name: str) -> str | Path:
+    return value if isinstance(value, Path) else text(value, name)
+
+
+@checked(molecule=_file_or_smiles, charges=file_name, forcefield=optional(path), ph=optional(acidity))
+def ligand(
+    molecule: str | Path,
+    charges: str | Path = "mmff94",
+    forcefield: str | Path | None = None,
+    ph: float | None = None,
+) -> Ligand:
+    """Give a small molecule its chemistry and parameters.
+
+    It needs ``pip install "protochain[ligands]"``.
+
+    Parameters
+    ----------
+    molecule : str or path-like
+        An SDF or MOL2 file with one molecule, or SMILES. RDKit adds hydrogens that lack.
+    charges : str or path-like
+        ``mmff94`` [1]_, ``gasteiger``, or a file: MOL2 with the same atoms in the same order, or a line with
+        name and charge of each atom. They sum to the formal charge; what rounding leaves is spread over all.
+    forcefield : path-like, optional
+        An .offxml file [2]_. By default Sage 2.2.1 without constraints [3]_, which comes with the package.
+    ph : float, optional
+        Acids and bases get the charges that are most populated at this pH. By default they are as given.
+
+    Returns
+    -------
+    Ligand
+        With ``molecule``, ``parameters`` as arrays, and ``terms()``, the energies at the file's coordinates.
+
+    Raises
+    ------
+    StructureError
+        If the molecule cannot be read.
+    ForceFieldError
+        If the force field cannot be read or has no parameters for an atom, which is named, as metals and
+        boron in Sage; or if charges do not fit.
+
+    References
+    ----------
+    .. [1] Halgren, J. Comput. Chem. 17:490 (1996).
+    .. [2] SMIRNOFF: Mobley et al., J. Chem. Theory Comput. 14:6076 (2018).
+    .. [3] Boothroyd et al., J. Chem. Theory Comput. 19:3251 (2023).
+
+    Examples
+    --------
+    >>> pc.ligand("imatinib.sdf").terms()["coulomb"]  # doctest: +SKIP
+    """
+    as_given = read(molecule)
+    read_as, charged = (as_given, ()) if ph is None else at_ph(as_given, ph)
+    by_rule = charges in charging.RULES
+    found = (
+        partial(charging.by_rule, rule=str(charges))
+        if by_rule
+        else partial(charging.from_file, path=Path(charges))
+    )
+    rules = smirnoff.read(smirnoff.SAGE if forcefield is None else Path(forcefield))
+    return Ligand(read_as, smirnoff.parametrised(read_as, rules, found, not by_rule), charged)

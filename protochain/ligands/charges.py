@@ -1,0 +1,85 @@
+"""Partial charges of a molecule: by a rule, or of a file."""
+
+from pathlib import Path
+
+import numpy as np
+
+from protochain.core.arrays import Floats
+from protochain.core.errors import Argument, ForceFieldError
+from protochain.ligands.molecule import Molecule, library, quietly, to_rdkit
+from protochain.ligands.sources import read, text_of
+
+RULES = ("mmff94", "gasteiger")
+_ROUNDING = 0.01
+"""e. Sums of charges in files are off by their rounded digits."""
+
+
+def by_rule(molecule: Molecule, rule: str) -> Floats:
+    """Charges by ``mmff94`` (Halgren, J. Comput. Chem. 17:490, 1996) or ``gasteiger``.
+
+    Raises
+    ------
+    ForceFieldError
+        If the rule does not know an atom.
+    """
+    chem, made = library("rdkit.Chem.AllChem"), to_rdkit(molecule)
+    if rule == "mmff94":
+        found = quietly(chem.MMFFGetMoleculeProperties, made)
+        values = [found.GetMMFFPartialCharge(i) for i in range(molecule.n_atoms)] if found else []
+    else:
+        chem.ComputeGasteigerCharges(made)
+        values = [atom.GetDoubleProp("_GasteigerCharge") for atom in made.GetAtoms()]
+    if not values or not np.isfinite(values).all():
+        raise ForceFieldError(
+            f"{molecule.source}: {rule} has no charges for one of its atoms; give a file of them as ",
+            Argument("charges"),
+        )
+    return _summed(molecule, np.array(values), rule)
+
+
+def from_file(molecule: Molecule, path: Path) -> Floats:
+    """Charges of a MOL2 file, in the order of the atoms, or of lines with name and charge.
+
+    Raises
+    ------
+    ForceFieldError
+        If atoms are missing or strange, or charges are no numbers or of another sum.
+    """
+    lines = text_of(path).splitlines()
+    in_order = path.suffix.lower() == ".mol2"
+    rows = _of_mol2(lines) if in_order else [line.split() for line in lines if line.strip()]
+    try:
+        found = [(name, float(charge)) for name, charge in rows]
+    except ValueError:
+        raise ForceFieldError(f"{path}: give lines of an atom's name and its charge") from None
+    of = dict(found)
+    if in_order and np.array_equal(read(path).elements, molecule.elements):
+        values = [charge for _, charge in found]
+    elif len(found) == len(of) == molecule.n_atoms and of.keys() == set(molecule.names):
+        values = [of[name] for name in molecule.names]
+    else:
+        missing = next((name for name in molecule.names if name not in of), "each atom once")
+        raise ForceFieldError(
+            f"{path}: has {len(found)} charges for the {molecule.n_atoms} atoms of {molecule.source}; "
+            f"give also {missing}"
+        )
+    return _summed(molecule, np.array(values), str(path))
+
+
+def _of_mol2(lines: list[str]) -> list[list[str]]:
+    """Name and charge of each atom."""
+    start = next((i for i, line in enumerate(lines) if line.startswith("@<TRIPOS>ATOM")), len(lines)) + 1
+    end = next((i for i in range(start, len(lines)) if lines[i].startswith("@")), len(lines))
+    fields = [line.split() for line in lines[start:end] if line.strip()]
+    return [[row[1], row[8]] if len(row) > 8 else row for row in fields]
+
+
+def _summed(molecule: Molecule, charges: Floats, source: str) -> Floats:
+    """Charges whose sum is the formal charge: what rounding leaves is spread over all atoms."""
+    off = molecule.charge - float(charges.sum())
+    if not abs(off) <= _ROUNDING:
+        raise ForceFieldError(
+            f"{source}: charges sum to {charges.sum():g}, not to {molecule.charge}, the formal charge of "
+            f"{molecule.source}; give its charges as ", Argument("charges"),
+        )  # fmt: skip
+    return charges + off / len(charges)

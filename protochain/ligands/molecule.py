@@ -1,0 +1,233 @@
+"""A small molecule as a value, and the same as RDKit has it."""
+
+import importlib
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import count
+from typing import Any
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.errors import ProtochainError, StructureError
+from protochain.core.units import ANGSTROM_PER_NM
+
+_MOST_ATOMS = 2000
+"""Memory grows with their square."""
+
+
+def library(name: str) -> Any:
+    """Import a library of the extra ``ligands``, which starts late for those who need none.
+
+    Raises
+    ------
+    ProtochainError
+        If it is not installed, with the command that does.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        which = name.partition(".")[0]
+        remedy = 'pip install "protochain[ligands]"'
+        raise ProtochainError(f"small molecules need {which}, which is not installed: {remedy}") from None
+
+
+def quietly(call: Callable[..., Any], *args: Any, **named: Any) -> Any:
+    """Call RDKit without its log, which goes to the terminal; what it raises is kept."""
+    with library("rdkit.rdBase").BlockLogs():
+        return call(*args, **named)
+
+
+@dataclass(frozen=True, eq=False)
+class Molecule(Value):
+    """A molecule with all its hydrogens.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Unique; made of element and number where the source has none.
+    elements : (na,) int
+        Atomic numbers.
+    formal_charges : (na,) int
+    bonds : (m, 2) int
+    orders : (m,) int
+        1, 2 or 3: one Kekule structure.
+    handedness : (na,) int
+        0, or for a stereocentre RDKit's tag: 1 if the other atoms of its bonds, in their order, follow
+        clockwise as seen from the first, 2 if counter-clockwise.
+    double_bonds : (k, 5) int
+        Four atoms about a double bond with stereo, and 1 if the outer two are cis, else 0.
+    stereo : tuple of (str, str)
+        The same for people: atoms with R or S, as ``("C3", "R")``, and bonds with E or Z.
+    positions : (na, 3) float, nm, or None
+        None if the source has no coordinates in space.
+    source : str
+    """
+
+    names: tuple[str, ...]
+    elements: Integers
+    formal_charges: Integers
+    bonds: Integers
+    orders: Integers
+    handedness: Integers
+    double_bonds: Integers
+    stereo: tuple[tuple[str, str], ...]
+    positions: Floats | None
+    source: str
+
+    @property
+    def n_atoms(self) -> int:
+        """Number of atoms, hydrogens included."""
+        return len(self.names)
+
+    @property
+    def charge(self) -> int:
+        """Sum of the formal charges."""
+        return int(self.formal_charges.sum())
+
+    @property
+    def heavy(self) -> Integers:
+        """Numbers of the atoms that are not hydrogen."""
+        return np.flatnonzero(self.elements != 1)
+
+
+def to_rdkit(molecule: Molecule, positions: Floats | None = None) -> Any:
+    """Return the molecule as RDKit's, sanitised, with other positions if they are given."""
+    chem = library("rdkit.Chem")
+    made = assembled(
+        molecule.names, molecule.elements, molecule.formal_charges, molecule.bonds, molecule.orders,
+        molecule.positions if positions is None else positions,
+    )  # fmt: skip
+    for atom, tag in zip(made.GetAtoms(), molecule.handedness.tolist(), strict=True):
+        atom.SetNoImplicit(True)
+        atom.SetChiralTag(chem.ChiralType.values[tag])
+    chem.SanitizeMol(made)
+    for first, begin, end, last, cis in molecule.double_bonds.tolist():
+        bond = made.GetBondBetweenAtoms(begin, end)
+        ends = (first, last) if bond.GetBeginAtomIdx() == begin else (last, first)
+        bond.SetStereoAtoms(*ends)
+        bond.SetStereo(chem.BondStereo.STEREOCIS if cis else chem.BondStereo.STEREOTRANS)
+    chem.AssignStereochemistry(made)
+    return made
+
+
+def assembled(
+    names: Sequence[str], elements: Any, charges: Any, bonds: Any, orders: Any, positions: Floats | None
+) -> Any:
+    """Return RDKit's molecule of these atoms and bonds, neither sanitised nor with more hydrogens.
+
+    Orders are 1, 2 or 3, or 12 as RDKit numbers aromatic ones; positions are in nm.
+    """
+    chem = library("rdkit.Chem")
+    made = chem.RWMol()
+    for name, element, charge in zip(names, elements, charges, strict=True):
+        atom = chem.Atom(int(element))
+        atom.SetFormalCharge(int(charge))
+        atom.SetProp("name", name)
+        made.AddAtom(atom)
+    for (i, j), order in zip(bonds, orders, strict=True):
+        made.AddBond(int(i), int(j), chem.BondType.values[int(order)])
+        if order == 12:
+            made.GetBondBetweenAtoms(int(i), int(j)).SetIsAromatic(True)
+            made.GetAtomWithIdx(int(i)).SetIsAromatic(True)
+            made.GetAtomWithIdx(int(j)).SetIsAromatic(True)
+    if positions is not None:
+        place(made, positions)
+    return made
+
+
+def place(made: Any, positions: Floats) -> None:
+    """Give a molecule of RDKit these positions, in nm, in place of those it has."""
+    conformer = library("rdkit.Chem").Conformer(made.GetNumAtoms())
+    conformer.SetPositions(np.array(positions * ANGSTROM_PER_NM))
+    conformer.Set3D(True)
+    made.RemoveAllConformers()
+    made.AddConformer(conformer)
+
+
+def from_rdkit(made: Any, source: str) -> Molecule:
+    """Return a sanitised molecule of RDKit as a value, with the hydrogens that it lacks.
+
+    Raises
+    ------
+    StructureError
+        If it is no single molecule, has a radical, or coordinates that are not numbers.
+    """
+    chem = library("rdkit.Chem")
+    if made.GetNumAtoms() > _MOST_ATOMS:
+        raise StructureError(f"{source}:has {made.GetNumAtoms()} atoms; give a small molecule")
+    in_space = made.GetNumConformers() > 0 and made.GetConformer().Is3D()
+    if in_space and not np.isfinite(made.GetConformer().GetPositions()).all():
+        raise StructureError(f"{source}: has coordinates that are not finite numbers; mend them")
+    made = chem.AddHs(made, addCoords=in_space)
+    names = _names(made)
+    n_pieces = len(chem.GetMolFrags(made))
+    if n_pieces != 1:
+        raise StructureError(f"{source}: has {n_pieces} molecules; give one, without its salt and water")
+    for name, atom in zip(names, made.GetAtoms(), strict=True):
+        if atom.GetNumRadicalElectrons():
+            raise StructureError(f"{source}: atom {name} lacks a bond or a charge; complete the file")
+    if in_space:
+        chem.AssignStereochemistryFrom3D(made)
+    for atom in made.GetAtoms():
+        if _acid(atom):
+            atom.SetChiralTag(chem.ChiralType.CHI_UNSPECIFIED)
+            atom.ClearProp("_CIPCode")
+    chem.Kekulize(made, clearAromaticFlags=True)
+    double_bonds, stereo = _double_bonds(made, names)
+    centres = [
+        (name, atom.GetProp("_CIPCode"))
+        for name, atom in zip(names, made.GetAtoms(), strict=True)
+        if atom.HasProp("_CIPCode")
+    ]
+    atoms, bonds = made.GetAtoms(), made.GetBonds()
+    tags = {chem.ChiralType.values[tag]: tag for tag in (1, 2)}
+    positions = made.GetConformer().GetPositions() / ANGSTROM_PER_NM if in_space else None
+    return Molecule(
+        names,
+        read_only([a.GetAtomicNum() for a in atoms], np.int64),
+        read_only([a.GetFormalCharge() for a in atoms], np.int64),
+        read_only([(b.GetBeginAtomIdx(), b.GetEndAtomIdx()) for b in bonds], np.int64).reshape(-1, 2),
+        read_only([round(b.GetBondTypeAsDouble()) for b in bonds], np.int64),
+        read_only([tags.get(a.GetChiralTag(), 0) for a in atoms], np.int64),
+        read_only(double_bonds, np.int64).reshape(-1, 5),
+        (*centres, *stereo),
+        None if positions is None else read_only(positions),
+        source,
+    )
+
+
+def _acid(atom: Any) -> bool:
+    """Whether two oxygens end at this atom: which of them has the proton of an acid makes no stereocentre."""
+    ends = [near for near in atom.GetNeighbors() if near.GetAtomicNum() == 8]
+    return sum(all(o.GetAtomicNum() in (1, atom.GetAtomicNum()) for o in e.GetNeighbors()) for e in ends) > 1
+
+
+def _double_bonds(made: Any, names: tuple[str, ...]) -> tuple[list[list[int]], list[tuple[str, str]]]:
+    """Rows of ``double_bonds``, and the same as E and Z."""
+    rows, letters = [], []
+    for bond in made.GetBonds():
+        kind = str(bond.GetStereo())
+        if kind in ("STEREOE", "STEREOZ", "STEREOCIS", "STEREOTRANS"):
+            first, last = bond.GetStereoAtoms()
+            begin, end = bond.GetBeginAtomIdx(), bond.GetEndAtomIdx()
+            cis = kind in ("STEREOZ", "STEREOCIS")
+            rows.append([first, begin, end, last, int(cis)])
+            letters.append((f"{names[begin]}={names[end]}", "Z" if cis else "E"))
+    return rows, letters
+
+
+def _names(made: Any) -> tuple[str, ...]:
+    """Names that the atoms have, if they are unique; made of element and number for the others."""
+    given = [atom.GetProp("name") if atom.HasProp("name") else "" for atom in made.GetAtoms()]
+    often = Counter(given)
+    taken = {name for name in given if name and often[name] == 1}
+    names = []
+    for name, atom in zip(given, made.GetAtoms(), strict=True):
+        if name not in taken:
+            made_up = (f"{atom.GetSymbol()}{number}" for number in count(1))
+            name = next(each for each in made_up if each not in taken)
+            taken.add(name)
+        names.append(name)
+    return tuple(names)

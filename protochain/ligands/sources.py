@@ -1,0 +1,225 @@
+"""Where the chemistry of a small molecule comes from: what the user gives, a file's bonds, the dictionary.
+
+Never from distances: orders of bonds, charges and hydrogens do not follow from coordinates.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from protochain.core.errors import Argument, StructureError
+from protochain.core.storage import regular
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library, quietly
+
+_LARGEST = 10_000_000
+"""Bytes. Of a molecule; a model with its ligand is larger."""
+_ORDERS = {"sing": 1, "doub": 2, "trip": 3, "arom": 12, "delo": 12}
+"""Of mmCIF's bond tables, by the first four letters; the last as RDKit numbers them."""
+_SUFFIXES = (".sdf", ".mol", ".mol2")
+
+
+def of_residue(name: str, model: Path | None = None, given: str | Path | None = None) -> Molecule:
+    """Return the chemistry of a residue of a model, from the first of three sources that has it.
+
+    Parameters
+    ----------
+    name : str
+        Of the residue, as ``ATP``.
+    model : Path, optional
+        Its file, which may have its bonds: mmCIF's ``_chem_comp_bond``, or CONECT records with orders.
+    given : str or Path, optional
+        What the user gives: SMILES, or an SDF or MOL2 file.
+
+    Raises
+    ------
+    StructureError
+        If no source has it, with what to give.
+    """
+    if given is not None:
+        return read(given)
+    return (model and _of_model(model, name)) or from_dictionary(name)
+
+
+def read(given: str | Path) -> Molecule:
+    """Read what a user gives: the path of an SDF or MOL2 file, or SMILES.
+
+    Raises
+    ------
+    StructureError
+        If it is neither, or not one molecule.
+    """
+    path = Path(given)
+    if isinstance(given, Path) or path.suffix.lower() in _SUFFIXES:
+        return _from_file(path)
+    made = quietly(library("rdkit.Chem").MolFromSmiles, given)
+    if made is None or not made.GetNumAtoms():
+        raise StructureError(
+            f"{_short(given)} is neither SMILES nor the name of a file with suffix {', '.join(_SUFFIXES)}; "
+            "give one of them"
+        )
+    return from_rdkit(made, _short(given))
+
+
+def from_dictionary(name: str) -> Molecule:
+    """Return a molecule of the Chemical Component Dictionary, which biotite carries.
+
+    Raises
+    ------
+    StructureError
+        If it has none of that name.
+    """
+    try:
+        atoms = library("biotite.structure.info").residue(name)
+    except KeyError:
+        raise _unknown(name) from None
+    kinds = library("biotite.structure").BondType
+    orders = dict.fromkeys((kinds.SINGLE, kinds.AROMATIC_SINGLE), 1)
+    orders |= dict.fromkeys((kinds.DOUBLE, kinds.AROMATIC_DOUBLE), 2) | {kinds.TRIPLE: 3}
+    table = atoms.bonds.as_array()
+    known = [orders.get(kinds(kind)) for kind in table[:, 2]]
+    if None in known:
+        raise _unknown(name)
+    elements = [_atomic_number(symbol) for symbol in atoms.element]
+    x = np.asarray(atoms.coord, dtype=float) / ANGSTROM_PER_NM
+    made = assembled(list(map(str, atoms.atom_name)), elements, atoms.charge, table[:, :2], known, x)
+    return _sanitised(made, f"{name} of the Chemical Component Dictionary")
+
+
+def text_of(path: Path) -> str:
+    """Return the text of a file of bounded size.
+
+    Raises
+    ------
+    StructureError
+        If it cannot be read.
+    """
+    try:
+        if regular(path).stat().st_size > _LARGEST:
+            raise StructureError(f"{path}: is too large for one molecule; give one of it alone")
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise StructureError(f"{path}: cannot be read ({error.strerror}); give another file") from None
+
+
+def _from_file(path: Path) -> Molecule:
+    text, suffix = text_of(path), path.suffix.lower()
+    chem = library("rdkit.Chem")
+    if suffix == ".mol2":
+        n = sum(line.startswith("@<TRIPOS>MOLECULE") for line in text.splitlines())
+        parse: Callable[..., Any] = chem.MolFromMol2Block
+    elif suffix in _SUFFIXES:
+        records = [each for each in text.replace("\r\n", "\n").split("\n$$$$") if each.strip()]
+        n, parse = len(records), chem.MolFromMolBlock
+    else:
+        raise StructureError(f"{path}: is none of {', '.join(_SUFFIXES)}; give one of them, or SMILES")
+    if n != 1:
+        raise StructureError(f"{path}: has {n} molecules; give a file with one")
+    made = quietly(parse, text, removeHs=False)
+    if made is None:  # Without its checks RDKit says what is wrong.
+        made = quietly(parse, text, removeHs=False, sanitize=False)
+        if made is None:
+            raise StructureError(f"{path}: is no {suffix[1:].upper()} file that can be read; mend it")
+        return _sanitised(made, str(path))
+    for atom in made.GetAtoms():
+        if atom.HasProp("_TriposAtomName"):
+            atom.SetProp("name", atom.GetProp("_TriposAtomName"))
+    if not made.GetNumAtoms():
+        raise StructureError(f"{path}: has no atoms; give a file with one molecule")
+    return from_rdkit(made, str(path))
+
+
+def _of_model(path: Path, name: str) -> Molecule | None:
+    """Chemistry from the bonds that a model's own file has of a residue, or None."""
+    import gemmi
+
+    source = f"{name} of {path}"
+    try:
+        if path.suffix.lower() in (".cif", ".mmcif"):
+            return _of_cif(gemmi.cif.read(str(path)), name, source)
+        return _of_conect(gemmi.read_structure(str(path), format=gemmi.CoorFormat.Pdb), path, name, source)
+    except (OSError, ValueError, RuntimeError) as error:
+        if isinstance(error, StructureError):
+            raise
+        raise StructureError(f"{path}: cannot be read ({' '.join(str(error).split())}); mend it") from None
+
+
+def _of_cif(document: Any, name: str, source: str) -> Molecule | None:
+    """Chemistry by ``_chem_comp_bond``; elements by ``_chem_comp_atom``, else by ``_atom_site``."""
+    for block in document:
+        columns = ["comp_id", "atom_id_1", "atom_id_2", "value_order"]
+        bonds = [[row.str(i) for i in range(4)] for row in block.find("_chem_comp_bond.", columns)]
+        bonds = [row[1:] for row in bonds if row[0] == name]
+        if not bonds:
+            continue
+        atoms: dict[str, tuple[str, int]] = {}
+        for prefix, columns in (
+            ("_chem_comp_atom.", ["comp_id", "atom_id", "type_symbol", "?charge"]),
+            ("_atom_site.", ["label_comp_id", "label_atom_id", "type_symbol", "?pdbx_formal_charge"]),
+        ):
+            for row in [] if atoms else block.find(prefix, columns):
+                if row.str(0) == name:
+                    charge = row.str(3) if row.has(3) else ""
+                    atoms[row.str(1)] = (row.str(2), int(charge) if charge.lstrip("+-").isdigit() else 0)
+        # A model has some of the atoms in the table of bonds: leaving atoms and hydrogens it may lack.
+        bonds = [row for row in bonds if row[0] in atoms and row[1] in atoms]
+        names = list(atoms)
+        orders = [_ORDERS.get(row[2].lower()[:4], 0) for row in bonds]
+        if 0 in orders:
+            raise StructureError(f"{source}: has bonds of an unknown order; mend value_order")
+        elements = [_atomic_number(symbol) for symbol, _ in atoms.values()]
+        pairs = [(names.index(row[0]), names.index(row[1])) for row in bonds]
+        charges = [charge for _, charge in atoms.values()]
+        return _sanitised(assembled(names, elements, charges, pairs, orders, None), source)
+    return None
+
+
+def _of_conect(structure: Any, path: Path, name: str, source: str) -> Molecule | None:
+    """Chemistry by CONECT records, if some of them are doubled: a bond's order is how often it is told."""
+    residue = next((r for model in structure for chain in model for r in chain if r.name == name), None)
+    if residue is None:
+        return None
+    place = {atom.serial: i for i, atom in enumerate(residue)}
+    told: Counter[tuple[int, int]] = Counter()
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        if line.startswith("CONECT"):
+            ends = [int(line[i : i + 5]) for i in range(6, 31, 5) if line[i : i + 5].strip().isdigit()]
+            told.update((place[ends[0]], place[end]) for end in ends[1:] if {ends[0], end} <= place.keys())
+    orders = {(i, j): max(told[i, j], told[j, i]) for i, j in (tuple(sorted(pair)) for pair in told)}
+    if not orders or max(orders.values()) == 1 or max(orders.values()) > 3:
+        return None
+    names = [atom.name for atom in residue]
+    elements, charges = [atom.element.atomic_number for atom in residue], [atom.charge for atom in residue]
+    return _sanitised(assembled(names, elements, charges, orders.keys(), orders.values(), None), source)
+
+
+def _sanitised(made: Any, source: str) -> Molecule:
+    chem = library("rdkit.Chem")
+    try:
+        quietly(chem.SanitizeMol, made)
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise StructureError(f"{source}: is no molecule ({reason}); give its SDF or SMILES") from None
+    return from_rdkit(made, source)
+
+
+def _atomic_number(symbol: str) -> int:
+    import gemmi
+
+    element = gemmi.Element(str(symbol))
+    return 1 if element.atomic_number == 1 or str(symbol).upper() == "D" else int(element.atomic_number)
+
+
+def _unknown(name: str) -> StructureError:
+    return StructureError(
+        f"the chemistry of {name!r} is unknown: neither its file nor the Chemical Component Dictionary has "
+        "its bonds; give them as ", Argument("ligands", f"{name}=FILE.sdf"),
+    )  # fmt: skip
+
+
+def _short(text: object) -> str:
+    said = ascii(str(text))
+    return said if len(said) <= 60 else f"{said[:57]}..."

@@ -1,0 +1,357 @@
+"""Small molecules: their chemistry from each source, their parameters, and what is refused."""
+
+import csv
+import re
+
+import numpy as np
+import openmm
+import pytest
+from fixtures.samples import ROOT, STRUCTURES
+
+import protochain as pc
+
+pytest.importorskip("rdkit")
+pytest.importorskip("biotite")
+pytest.importorskip("dimorphite_dl")
+
+from protochain.ligands import matching, smirnoff, sources
+from protochain.ligands.molecule import from_rdkit, to_rdkit
+from protochain.ligands.protonation import at_ph
+
+COMPLEXES = ROOT.parent / "shared" / "complexes"
+KJ_MOL = 1e-6
+"""Of the oracle's ten digits."""
+TERMS = {
+    "1P2Y_NCT": (5.890382313, 25.16669124, 50.37128858, 37.32178428, -17.11451648),
+    "1N2J_PAF": (14.29148391, 9.046005779, 18.01814654, 47.68739406, 322.9680027),
+    "1MEH_MOA": (45.15037238, 49.81081641, 69.86623456, 33.22971687, -203.473102),
+}
+"""Of the Open Force Field toolkit 0.18, interchange 0.5 and OpenMM's Reference platform."""
+NAMES = ("bonds", "angles", "torsions", "lj", "coulomb")
+
+
+def file(name):
+    return STRUCTURES / f"{name}.sdf"
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_terms_are_those_of_the_toolkit(name):
+    found = pc.ligand(file(name)).terms()
+    assert tuple(found) == NAMES
+    assert list(found.values()) == pytest.approx(TERMS[name], abs=KJ_MOL, rel=0)
+
+
+@pytest.mark.skipif(not COMPLEXES.exists(), reason="needs ../shared/complexes")
+def test_terms_are_those_of_the_toolkit_for_all_74():
+    with (COMPLEXES / "terms.csv").open() as lines:
+        rows = list(csv.DictReader(lines))
+    assert len(rows) == 74
+    for row in rows:
+        made = pc.ligand(COMPLEXES / "ligands" / f"{row['ligand']}.sdf")
+        assert (made.molecule.n_atoms, made.molecule.charge) == (int(row["n_atoms"]), int(row["charge"]))
+        for name, value in made.terms().items():
+            assert value == pytest.approx(float(row[name]), abs=KJ_MOL, rel=0), (row["ligand"], name)
+
+
+def system_of(parameters):
+    """The same energy as an OpenMM System, a force group for each of its terms."""
+    bonds, angles = openmm.HarmonicBondForce(), openmm.HarmonicAngleForce()
+    torsions, pairs = openmm.PeriodicTorsionForce(), openmm.NonbondedForce()
+    system = openmm.System()
+    for charge, sigma, epsilon in zip(parameters.charge, parameters.sigma, parameters.epsilon, strict=True):
+        system.addParticle(1.0)
+        pairs.addParticle(charge, sigma, epsilon)
+    for atoms, row in zip(parameters.bonds.atoms.tolist(), parameters.bonds.parameters, strict=True):
+        bonds.addBond(*atoms, *row)
+    for atoms, row in zip(parameters.angles.atoms.tolist(), parameters.angles.parameters, strict=True):
+        angles.addAngle(*atoms, *row)
+    for atoms, (n, *row) in zip(
+        parameters.torsions.atoms.tolist(), parameters.torsions.parameters, strict=True
+    ):
+        torsions.addTorsion(*atoms, int(n), *row)
+    pairs.createExceptionsFromBonds(
+        parameters.bonds.atoms.tolist(), parameters.scale_coulomb, parameters.scale_lj
+    )
+    for group, force in enumerate((bonds, angles, torsions, pairs)):
+        force.setForceGroup(group)
+        system.addForce(force)
+    return system
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_terms_are_those_of_openmm(name):
+    made = pc.ligand(file(name))
+    context = openmm.Context(
+        system_of(made.parameters), openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference")
+    )
+    context.setPositions(made.molecule.positions)
+    parts = [context.getState(getEnergy=True, groups={g}).getPotentialEnergy()._value for g in range(4)]
+    found = made.terms()
+    expected = [found["bonds"], found["angles"], found["torsions"], found["lj"] + found["coulomb"]]
+    assert parts == pytest.approx(expected, abs=1e-8)
+
+
+def test_the_last_rule_that_fits_wins(tmp_path):
+    """A longer bond for all C-C, told last, is taken; told first, it is not."""
+    text = smirnoff.SAGE.read_text()
+    spring = "1 * kilocalories_per_mole/angstrom**2"
+    rule = f'<Bond smirks="[#6:1]-[#6:2]" id="x" length="2 * angstroms" k="{spring}"/>'
+    start = re.search("<Bonds [^>]*>", text)[0]
+    for place, told in (("first", (start, start + rule)), ("last", ("</Bonds>", rule + "</Bonds>"))):
+        (tmp_path / f"{place}.offxml").write_text(text.replace(*told))
+    ethane = [
+        pc.ligand("CC", forcefield=path).parameters.bonds.parameters[0]
+        for path in (None, tmp_path / "first.offxml", tmp_path / "last.offxml")
+    ]
+    assert np.array_equal(ethane[0], ethane[1])
+    assert ethane[2] == pytest.approx([0.2, 418.4])
+
+
+def test_an_improper_is_shared_among_three():
+    """Formaldehyde: one centre, Sage's i1 with a third of its barrier each, the oxygen once last."""
+    made = pc.ligand("C=O").parameters.torsions
+    assert made.atoms[:, 0].tolist() == [0, 0, 0] and sorted(made.atoms[:, 3].tolist()) == [1, 2, 3]
+    assert made.parameters == pytest.approx(np.tile([2, np.pi, 5.300125669502 * 4.184 / 3], (3, 1)))
+
+
+def test_charges_by_rule_and_from_files(tmp_path):
+    nicotine = pc.ligand(file("1P2Y_NCT"))
+    assert nicotine.parameters.charge.sum() == pytest.approx(0.0, abs=1e-12)
+    other = pc.ligand(file("1P2Y_NCT"), charges="gasteiger").parameters.charge
+    assert np.abs(other - nicotine.parameters.charge).max() > 0.1
+    names, charges = nicotine.molecule.names, nicotine.parameters.charge
+    table = tmp_path / "charges.txt"
+    lines = [f"{name} {charge!r}\n" for name, charge in zip(names, charges.tolist(), strict=True)]
+    table.write_text("".join(reversed(lines)))
+    assert pc.ligand(file("1P2Y_NCT"), charges=str(table)).terms() == pytest.approx(nicotine.terms())
+    for text, said in (
+        ("".join(lines[:-1]), f"has 25 charges for the 26 atoms .* give also {names[-1]}"),
+        ("".join(lines[:-1]) + f"{names[-1]} nan", "sum to nan, not to 0"),
+        ("".join(lines[:-1]) + f"{names[-1]} 5", "not to 0, the formal charge"),
+        ("a b c\n", "give lines of an atom's name and its charge"),
+    ):
+        table.write_text(text)
+        with pytest.raises(pc.ProtochainError, match=said):
+            pc.ligand(file("1P2Y_NCT"), charges=str(table))
+
+
+WATER = """@<TRIPOS>MOLECULE
+water
+3 2 1 0 0
+SMALL
+USER_CHARGES
+@<TRIPOS>ATOM
+1 OW 0.0000 0.0000 0.0000 O.3 1 HOH -0.8340
+2 HW 0.9572 0.0000 0.0000 H 1 HOH 0.4170
+3 HX -0.2400 0.9266 0.0000 H 1 HOH 0.4170
+@<TRIPOS>BOND
+1 1 2 1
+2 1 3 1
+"""
+
+
+def test_a_mol2_file_has_names_and_charges(tmp_path):
+    path = tmp_path / "water.mol2"
+    path.write_text(WATER)
+    made = sources.read(path)
+    assert made.names == ("OW", "HW", "HX") and made.orders.tolist() == [1, 1]
+    assert made.positions[1] == pytest.approx([0.09572, 0.0, 0.0])
+    with pytest.raises(pc.ProtochainError, match=r"Constraints .* fits H"):
+        pc.ligand(path)
+
+
+def test_stereo_is_kept_as_data():
+    for smiles, stereo in (
+        ("C[C@H](N)C(=O)O", (("C2", "S"),)),
+        ("C[C@@H](N)C(=O)O", (("C2", "R"),)),
+        ("C/C=C/C", (("C2=C3", "E"),)),
+        ("C/C=C\\C", (("C2=C3", "Z"),)),
+        ("COP(=O)(O)OC", ()),
+    ):
+        made = sources.read(smiles)
+        assert made.stereo == stereo and from_rdkit(to_rdkit(made), "again").stereo == stereo
+    assert sources.from_dictionary("ATP").stereo == (("C4'", "R"), ("C3'", "S"), ("C2'", "R"), ("C1'", "R"))
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_a_model_is_matched_by_its_graph_and_its_stereo_compared(name):
+    """Atoms in another order and by other names; of a mirror image all centres are inverted, but no bond."""
+    source = sources.read(file(name))
+    order = np.random.default_rng(1).permutation(source.heavy)
+    names = tuple(f"X{i}" for i in range(len(order)))
+    x = source.positions[order]
+    found = matching.placed(source, source.elements[order], names, x)
+    assert found.molecule.positions == pytest.approx(source.positions, abs=1e-12)
+    assert found.inverted == () and sorted(found.atoms[source.heavy]) == list(range(len(order)))
+    mirrored = matching.placed(source, source.elements[order], names, x * [1, 1, -1])
+    centres = [each for each, _ in source.stereo if "=" not in each]
+    at = dict(zip(mirrored.molecule.names, source.names, strict=True))
+    assert [at[each] for each in mirrored.inverted] == centres
+
+
+def test_double_bonds_of_a_model_are_where_they_are_short():
+    """SMILES have no coordinates: ends of phosphates would fit in several ways."""
+    model = sources.from_dictionary("ATP")
+    heavy = model.heavy
+    smiles = "Nc1ncnc2c1ncn2[C@@H]1O[C@H](COP(=O)(O)OP(=O)(O)OP(=O)(O)O)[C@@H](O)[C@H]1O"
+    given = sources.read(smiles)
+    found = matching.placed(
+        given, model.elements[heavy], tuple(np.array(model.names)[heavy]), model.positions[heavy]
+    )
+    assert found.inverted == () and "C1'" in found.molecule.names
+    other = sources.read(smiles.replace("[C@@H]1O[C", "[C@H]1O[C"))
+    found = matching.placed(
+        other, model.elements[heavy], tuple(np.array(model.names)[heavy]), model.positions[heavy]
+    )
+    assert found.inverted == ("C1'",)
+
+
+def test_another_molecule_is_refused():
+    source, other = sources.read(file("1P2Y_NCT")), sources.read(file("1N2J_PAF"))
+    with pytest.raises(pc.ProtochainError, match="another molecule than the model has: C6O4, not C10N2"):
+        matching.placed(source, other.elements, other.names, other.positions)
+
+
+@pytest.mark.parametrize(
+    ("smiles", "ph", "charges"),
+    [
+        ("CC(=O)O", 7.4, {"O2": -1}),
+        ("CC(=O)O", 2.0, {}),
+        ("CC(=O)[O-]", 2.0, {"O2": 0}),
+        ("CCCN", 7.4, {"N1": 1}),
+        ("CCCN", 12.0, {}),
+        ("OC(=O)CCN", 7.4, {"O1": -1, "N1": 1}),
+        ("Oc1ccc(F)cc1", 7.4, {}),
+        ("O=c1cccc[nH]1", 7.4, {}),
+        ("COP(=O)(O)O", 7.4, {"O3": -1, "O4": -1}),
+        ("CC(=O)NC", 7.4, {}),
+        ("C[N+](=O)[O-]", 7.4, {}),
+    ],
+)
+def test_acids_and_bases_are_charged_at_a_ph(smiles, ph, charges):
+    before = sources.read(smiles)
+    after, changed = at_ph(before, ph)
+    assert {each.atom: each.after for each in changed} == charges
+    gained = sum(each.after - each.before for each in changed)
+    assert after.charge == before.charge + gained and after.n_atoms == before.n_atoms + gained
+
+
+def test_hydrogens_that_stay_are_where_they_were():
+    before = sources.read(file("1MEH_MOA"))
+    after, changed = at_ph(before, 7.4)
+    assert [each.after for each in changed] == [-1] and after.stereo == before.stereo
+    kept = [before.names.index(name) for name in after.names]
+    assert np.array_equal(after.positions, before.positions[kept])
+
+
+CIF = """data_x
+loop_
+_chem_comp_bond.comp_id
+_chem_comp_bond.atom_id_1
+_chem_comp_bond.atom_id_2
+_chem_comp_bond.value_order
+01 CA CB sing
+01 CB OX {order}
+01 CB OY sing
+01 OY HY sing
+loop_
+_atom_site.group_PDB
+_atom_site.label_comp_id
+_atom_site.label_atom_id
+_atom_site.type_symbol
+_atom_site.pdbx_formal_charge
+HETATM 01 CA C 0
+HETATM 01 CB C 0
+HETATM 01 OX O 0
+HETATM 01 OY O -1
+"""
+PDB = """HETATM    1  CA   01 A   1       0.000   0.000   0.000  1.00  0.00           C
+HETATM    2  OX   01 A   1       1.200   0.000   0.000  1.00  0.00           O
+CONECT    1    2    2
+CONECT    2    1    1
+END
+"""
+
+
+def test_chemistry_comes_from_the_first_source_that_has_it(tmp_path):
+    cif, pdb = tmp_path / "model.cif", tmp_path / "model.pdb"
+    cif.write_text(CIF.format(order="doub"))
+    acetate = sources.of_residue("01", cif)
+    assert acetate.names[:4] == ("CA", "CB", "OX", "OY") and acetate.n_atoms == 7 and acetate.charge == -1
+    assert sources.of_residue("01", cif, "CC").n_atoms == 8
+    pdb.write_text(PDB)
+    assert sources.of_residue("01", pdb).orders.tolist() == [2, 1, 1]
+    assert sources.of_residue("GOL", pdb).n_atoms == 14
+    cif.write_text(CIF.format(order="odd"))
+    with pytest.raises(pc.ProtochainError, match=r"01 of .*model.cif: has bonds of an unknown order"):
+        sources.of_residue("01", cif)
+    pdb.write_text(PDB.replace("    2    2\n", "    2\n").replace("    1    1\n", "    1\n"))
+    with pytest.raises(pc.ProtochainError, match="chemistry of '01' is unknown"):
+        sources.of_residue("01", pdb)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("notsmiles(", "is neither SMILES nor the name of a file"),
+        ("missing.sdf", "missing.sdf: cannot be read"),
+        ("C.C", "has 2 molecules; give one"),
+        ("[CH2]C", "atom C1 lacks a bond or a charge"),
+        ("CCB(O)O", "has no vdW for B1"),
+        ("[Zn+2]", "has no vdW for Zn1"),
+        ("C[Hg]C", "has no vdW for Hg1"),
+        ("[Na+]", "LibraryCharges .* fits Na1"),
+    ],
+)
+def test_what_has_no_sense_or_no_parameters_is_refused_by_name(given, said):
+    with pytest.raises(pc.ProtochainError, match=said) as refused:
+        pc.ligand(given)
+    assert "\n" not in str(refused.value)
+
+
+def test_bad_files_are_refused_in_one_line(tmp_path):
+    text, path = file("1P2Y_NCT").read_text(), tmp_path / "bad.sdf"
+    for bad, said in (
+        (text + text, "has 2 molecules"),
+        ("", "has 0 molecules"),
+        (text.replace("   14.5300", "       nan"), "not finite|can be read"),
+        ("some text\n", "can be read"),
+        (text.replace(" N   0", " Xq  0"), "can be read|no molecule"),
+    ):
+        path.write_text(bad)
+        with pytest.raises(pc.ProtochainError, match=said) as refused:
+            pc.ligand(path)
+        assert "bad.sdf" in str(refused.value) and "\n" not in str(refused.value)
+    with pytest.raises(pc.ProtochainError, match="has no coordinates in space"):
+        pc.ligand("CCO").terms()
+
+
+def test_bad_force_fields_are_refused_in_one_line(tmp_path):
+    text, path = smirnoff.SAGE.read_text(), tmp_path / "bad.offxml"
+    entity = '<!DOCTYPE x [<!ENTITY a "a">]>'
+    for bad, said in (
+        ("no xml", "is no XML"),
+        (entity + "<SMIRNOFF/>", "has a DOCTYPE"),
+        ("<ForceField/>", "is no SMIRNOFF force field"),
+        ('<SMIRNOFF version="0.3"/>', "has no vdW parameters"),
+        (text.replace("1.533682189836 * angstrom ** 1", "__import__('os')"), "length of <Bond> b1"),
+        (text.replace("1.533682189836 * angstrom", "1.5 * furlong"), "unit 'furlong' is unknown"),
+        (text.replace("1.533682189836 * angstrom ** 1", "1.5 * angstrom ** 2"), "another dimension"),
+        (text.replace("1.533682189836 * angstrom ** 1", "1e999 * angstrom"), "another dimension or no size"),
+        (text.replace('"[#6X4:1]-[#6X4:2]"', '"[#6X4:1"', 1), "is no SMIRKS pattern"),
+        (text.replace('"[#6X4:1]-[#6X4:2]"', '"[#6X4:1]-[#6X4]"', 1), "is no SMIRKS pattern of 2 atoms"),
+        (text.replace('idivf1="1.0"', 'idivf1="0.0"', 1), "has a strange idivf"),
+        (text.replace('periodicity1="3"', 'periodicity1="2.5"', 1), "has a strange idivf or periodicity"),
+        (text.replace("OEAroModel_MDL", "Daylight"), "aromaticity_model"),
+        (text.replace("Lorentz-Berthelot", "geometric"), "combining_rules"),
+    ):
+        path.write_text(bad)
+        with pytest.raises(pc.ProtochainError, match=said) as refused:
+            pc.ligand("CC", forcefield=path)
+        assert "bad.offxml" in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_without_the_extra_one_line_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "rdkit.Chem", None)
+    with pytest.raises(pc.ProtochainError, match=re.escape('pip install "protochain[ligands]"')):
+        pc.ligand("CCO")
