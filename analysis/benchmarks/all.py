@@ -102,6 +102,7 @@ OF_CRYSTALS = (
 )  # fmt: skip
 CURVES = "solvers,energies,integrators,sampling,closures,fixman,hessians"
 HERE = "python analysis/benchmarks"
+KCM_RUNS = "analysis/results/kcm_runs.csv analysis/results/kcm_traces.csv"
 
 JOBS = (
     Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1),
@@ -139,7 +140,12 @@ JOBS = (
         "protochain bench kcm --quick -o DIR",
         {"runs.csv": ("kcm_runs.csv", ()), "traces.csv": ("kcm_traces.csv", ())},
     ),
-    Job("kcm", f"{HERE}/kcm.py -o DIR", 1),
+    Job(
+        "kcm", f"protochain bench kcm {KCM_RUNS} -o DIR --minutes 0", 1,
+        f"protochain bench kcm {KCM_RUNS} -o DIR --minutes 0",
+        {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in ("contrasts", "cost", "deposited")}
+        | {"kcm.png": ("kcm.png", ())},
+    ),
     Job("relax", f"{HERE}/relax.py {RELAXED} --made 4 -o DIR", 16),
     Job("relax-many", f"{HERE}/relax.py --many 1000 -o DIR", 15),
     Job(

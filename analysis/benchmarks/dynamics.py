@@ -36,7 +36,7 @@ from protochain.dynamics import (
 from protochain.energies import build_system, constrain_hydrogens
 from protochain.lab import in_turn
 from protochain.mechanics.multibody import sample_velocities
-from protochain.results.figures import draw_lines
+from protochain.results import draw_lines
 
 LARGEST = "1ake_A.pdb"
 THREADS = 2

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from protochain.results.provenance import commit as commit_of
-from protochain.results.provenance import processor
+from protochain.results import commit as commit_of
+from protochain.results import processor
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ROOT / "structures"

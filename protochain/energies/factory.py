@@ -290,13 +290,17 @@ def _checked_file(path: Path, trusted: bool) -> str | bytes:
     return content
 
 
-def torsion_forces(system: openmm.System) -> list[int]:
-    """Places of the forces of a System that depend on dihedrals."""
+def lacks_dihedrals(system: Any) -> bool:
+    """Whether it is a System without a force that depends on dihedrals."""
+    return isinstance(system, openmm.System) and not _torsion_forces(system)
+
+
+def _torsion_forces(system: openmm.System) -> list[int]:
     return [i for i, force in enumerate(system.getForces()) if "Torsion" in type(force).__name__]
 
 
 def _leave_out_torsions(system: openmm.System) -> None:
-    for place in reversed(torsion_forces(system)):
+    for place in reversed(_torsion_forces(system)):
         system.removeForce(place)
 
 

@@ -15,7 +15,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats
 from protochain.core.checks import number
 from protochain.core.errors import ProtochainError
-from protochain.energies.factory import torsion_forces
+from protochain.energies.factory import lacks_dihedrals
 from protochain.energies.protocol import Energy
 from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.curvature import near_terms
@@ -90,7 +90,7 @@ def check_dihedrals(energy: Energy, what: str) -> None:
     ProtochainError
         Naming what moves them.
     """
-    if energy.system is not None and not torsion_forces(energy.system):
+    if lacks_dihedrals(energy.system):
         raise ProtochainError(
             f"{what} moves all atoms, and an energy without dihedral terms would twist peptide bonds; "
             "choose a method that only turns hinges, as lbfgs, or all terms"

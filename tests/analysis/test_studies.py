@@ -172,7 +172,8 @@ def test_the_norm_and_the_error_are_those_of_the_dense_matrix():
 
 def test_a_study_that_is_not_there_is_named():
     with pytest.raises(
-        pc.ProtochainError, match="there is no study 'speed'; choose from precision, stability, kcm"
+        pc.ProtochainError,
+        match="there is no study 'speed'; choose from kcm, omissions, precision, stability",
     ):
         study("speed")
 

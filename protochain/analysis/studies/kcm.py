@@ -20,7 +20,7 @@ from protochain.analysis.studies import kcm_cases, kcm_summary
 from protochain.analysis.studies.kcm_cases import ENERGIES, MODELS, MOST, N_STARTS, Case, measured
 from protochain.analysis.studies.kcm_plots import SHOWN as TRACED_METHODS
 from protochain.core.errors import ProtochainError
-from protochain.core.storage import writing
+from protochain.core.storage import regular, write_text, writing
 from protochain.results.tables import save
 
 MINUTES = 60.0
@@ -54,7 +54,7 @@ def run(
     output : Path
         Folder. Runs that are in its ``runs.csv`` are not repeated.
     inputs : sequence of Path
-        Structures, beside three peptides from their sequences.
+        Structures, beside three peptides from their sequences; tables (.csv) of runs and traces to go on from.
     quick : bool
         Only two peptides and a few short runs.
     minutes : float
@@ -77,8 +77,11 @@ def run(
         If a setting makes no sense, or the folder holds another table.
     """
     _check(minutes, jobs, starts, evaluations)
-    tasks = list(planned(inputs, quick, starts, evaluations))
     path = output / "runs.csv"
+    for table in (each for each in inputs if each.suffix == ".csv"):
+        _adopt(table, output)
+    inputs = [each for each in inputs if each.suffix != ".csv"]
+    tasks = list(planned(inputs, quick, starts, evaluations))
     done = _keys(stored(path))
     left = [task for task in tasks if _key(task) not in done]
     for row in _rows(left, jobs, monotonic() + 60.0 * minutes):
@@ -132,6 +135,14 @@ def stored(path: Path) -> pd.DataFrame:
             f"{path}: is no table of this study, or of another version; give another folder"
         )
     return runs
+
+
+def _adopt(table: Path, folder: Path) -> None:
+    """Copy a table of runs, or of traces, to the folder, unless it has one."""
+    text = regular(table).read_text(encoding="utf-8")
+    own = folder / ("runs.csv" if kcm_cases.COLUMNS[-1] in text.partition("\n")[0] else "traces.csv")
+    if not own.exists():
+        write_text(own, text)
 
 
 def append(path: Path, row: dict[str, Any]) -> None:

@@ -8,7 +8,13 @@ from protochain.core.errors import ForceFieldError
 
 
 class UnsupportedForceError(ForceFieldError):
-    """A force for which there is no exact native kernel; its text names the force."""
+    """A force for which there is no exact native kernel; its text names the force.
+
+    Parameters
+    ----------
+    *parts, fault
+        As of ``ProtochainError``.
+    """
 
 
 def plain(value: Any) -> float:

@@ -29,7 +29,13 @@ distance of solutions."""
 
 
 class StepTooLargeError(ProtochainError):
-    """A time step so large that no solution of its equations is found, or the energy jumps."""
+    """A time step so large that no solution of its equations is found, or the energy jumps.
+
+    Parameters
+    ----------
+    *parts, fault
+        As of ``ProtochainError``.
+    """
 
     fault = Fault.STEP
 
