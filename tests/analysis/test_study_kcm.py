@@ -184,6 +184,17 @@ def test_it_goes_on_where_it_stopped(small, tmp_path, monkeypatch):
     assert "0 of 12 runs planned, and 12 others" in said["summary"][0] and len(ran) == 1
 
 
+def test_tables_of_runs_are_inputs(small, tmp_path):
+    """What follows from runs is made anew of them alone, wherever they lie, and they stay as they are."""
+    list(kcm.run(tmp_path / "first", **small))
+    tables = [tmp_path / "first" / name for name in ("runs.csv", "traces.csv")]
+    before = [table.read_bytes() for table in tables]
+    list(kcm.run(tmp_path / "second", tables, minutes=0.0, **small))
+    for name in ("contrasts.csv", "cost.csv", "traces.csv", "runs.csv", "summary.md"):
+        assert (tmp_path / "second" / name).read_bytes() == (tmp_path / "first" / name).read_bytes()
+    assert [table.read_bytes() for table in tables] == before
+
+
 def test_a_refused_run_is_recorded_and_left_out(small, tmp_path, monkeypatch):
     def refused(start, run):
         raise pc.ProtochainError("no")

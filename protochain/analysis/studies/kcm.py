@@ -54,7 +54,7 @@ def run(
     output : Path
         Folder. Runs that are in its ``runs.csv`` are not repeated.
     inputs : sequence of Path
-        Structures, beside three peptides from their sequences; tables (.csv) of runs and traces to go on from.
+        Structures, beside three peptides from their sequences; tables (.csv) of runs and traces to continue.
     quick : bool
         Only two peptides and a few short runs.
     minutes : float

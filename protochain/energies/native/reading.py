@@ -12,7 +12,9 @@ class UnsupportedForceError(ForceFieldError):
 
     Parameters
     ----------
-    *parts, fault
+    *parts
+        As of ``ProtochainError``.
+    fault : Fault, optional
         As of ``ProtochainError``.
     """
 

@@ -33,7 +33,9 @@ class StepTooLargeError(ProtochainError):
 
     Parameters
     ----------
-    *parts, fault
+    *parts
+        As of ``ProtochainError``.
+    fault : Fault, optional
         As of ``ProtochainError``.
     """
 
