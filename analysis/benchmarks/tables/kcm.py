@@ -69,9 +69,11 @@ def kcm_contrasts(contrasts: pd.DataFrame) -> str:
 
 
 def share(row: pd.Series, name: str) -> str:
-    """A share with its interval, if there is one."""
+    """A share with its interval, if there is one and it is of enough proteins."""
     if pd.isna(row[name]):
         return "-"
+    if row["proteins"] < kcm_summary.FEW:
+        return f"of {row['proteins']:.0f}"
     return percent(pd.Series({"value": row[name], "low": row[f"{name}_low"], "high": row[f"{name}_high"]}))
 
 
@@ -86,7 +88,7 @@ def kcm_words(runs: pd.DataFrame, contrasts: pd.DataFrame) -> str:
 def kcm_rise(contrasts: pd.DataFrame) -> str:
     """How far minima of one method lie above those of another."""
     own = contrasts[(contrasts["start"] == "all") & contrasts["rise_kj_mol"].notna()]
-    own = own[own["what"].str.startswith("KCM and")]
+    own = own[own["what"].str.startswith("KCM and") & (own["proteins"] >= kcm_summary.FEW)]
 
     def cells(row: pd.Series) -> Iterator[str]:
         yield f"{row['what']}, {row['energy']}"
