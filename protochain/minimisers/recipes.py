@@ -90,7 +90,8 @@ def check_dihedrals(energy: Energy, what: str) -> None:
     ProtochainError
         Naming what moves them.
     """
-    if lacks_dihedrals(energy.system):
+    # A System that the caller gave is as the caller wants it.
+    if lacks_dihedrals(energy.system) and energy.atoms:
         raise ProtochainError(
             f"{what} moves all atoms, and an energy without dihedral terms would twist peptide bonds; "
             "choose a method that only turns hinges, as lbfgs, or all terms"
