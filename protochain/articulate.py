@@ -14,10 +14,10 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import checked, kinds, quantity, selection, text
 from protochain.core.errors import Argument, ChainError
+from protochain.core.graph import components
 from protochain.hinges import HINGES, Hinge, cross_links, find_hinges, turning_hinges
 from protochain.mechanics.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.convert import as_structure
-from protochain.structure.graph import components
 from protochain.structure.model import Structure
 from protochain.structure.select import moving as moving_atoms
 

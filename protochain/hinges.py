@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
+from protochain.core.graph import components
 from protochain.structure import residues
-from protochain.structure.graph import components
 from protochain.structure.model import Structure
 
 HINGES = ("phi", "psi", "omega", "chi", "rotors", "angles")

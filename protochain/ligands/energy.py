@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.graph import neighbours
 from protochain.core.units import COULOMB
-from protochain.structure.graph import neighbours
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,10 +15,10 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.core.errors import Argument, ForceFieldError
+from protochain.core.graph import neighbours
 from protochain.core.storage import regular
 from protochain.ligands.energy import Parameters, Term
 from protochain.ligands.molecule import Molecule, library, quietly, to_rdkit
-from protochain.structure.graph import neighbours
 
 SAGE = Path(__file__).with_name("openff_unconstrained-2.2.1.offxml")
 """Sage 2.2.1: Boothroyd et al., J. Chem. Theory Comput. 19:3251 (2023). CC BY 4.0, see NOTICE."""

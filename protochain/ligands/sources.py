@@ -3,9 +3,9 @@
 Never from distances: orders of bonds, charges and hydrogens do not follow from coordinates.
 """
 
-from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,15 +22,22 @@ _ORDERS = {"sing": 1, "doub": 2, "trip": 3, "arom": 12, "delo": 12}
 _SUFFIXES = (".sdf", ".mol", ".mol2")
 
 
-def of_residue(name: str, model: Path | None = None, given: str | Path | None = None) -> Molecule:
+def of_residue(
+    name: str,
+    header: str = "",
+    atoms: Mapping[str, tuple[str, int]] = MappingProxyType({}),
+    given: str | Path | None = None,
+) -> Molecule:
     """Return the chemistry of a residue of a model, from the first of three sources that has it.
 
     Parameters
     ----------
     name : str
         Of the residue, as ``ATP``.
-    model : Path, optional
-        Its file, which may have its bonds: mmCIF's ``_chem_comp_bond``, or CONECT records with orders.
+    header : str
+        mmCIF text of what the model's file says beside its atoms, ``_chem_comp_bond`` perhaps.
+    atoms : mapping of str to (str, int)
+        Element and formal charge of its atoms in the model, for a header without ``_chem_comp_atom``.
     given : str or Path, optional
         What the user gives: SMILES, or an SDF or MOL2 file.
 
@@ -41,7 +48,7 @@ def of_residue(name: str, model: Path | None = None, given: str | Path | None = 
     """
     if given is not None:
         return read(given)
-    return (model and _of_model(model, name)) or from_dictionary(name)
+    return _of_tables(header, name, atoms) or from_dictionary(name)
 
 
 def read(given: str | Path) -> Molecule:
@@ -132,68 +139,34 @@ def _from_file(path: Path) -> Molecule:
     return from_rdkit(made, str(path))
 
 
-def _of_model(path: Path, name: str) -> Molecule | None:
-    """Chemistry from the bonds that a model's own file has of a residue, or None."""
+def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> Molecule | None:
+    """Chemistry by ``_chem_comp_bond``; elements by ``_chem_comp_atom``, else those of the model."""
     import gemmi
 
-    source = f"{name} of {path}"
-    try:
-        if path.suffix.lower() in (".cif", ".mmcif"):
-            return _of_cif(gemmi.cif.read(str(path)), name, source)
-        return _of_conect(gemmi.read_structure(str(path), format=gemmi.CoorFormat.Pdb), path, name, source)
-    except (OSError, ValueError, RuntimeError) as error:
-        if isinstance(error, StructureError):
-            raise
-        raise StructureError(f"{path}: cannot be read ({' '.join(str(error).split())}); mend it") from None
-
-
-def _of_cif(document: Any, name: str, source: str) -> Molecule | None:
-    """Chemistry by ``_chem_comp_bond``; elements by ``_chem_comp_atom``, else by ``_atom_site``."""
-    for block in document:
-        columns = ["comp_id", "atom_id_1", "atom_id_2", "value_order"]
-        bonds = [[row.str(i) for i in range(4)] for row in block.find("_chem_comp_bond.", columns)]
-        bonds = [row[1:] for row in bonds if row[0] == name]
-        if not bonds:
-            continue
-        atoms: dict[str, tuple[str, int]] = {}
-        for prefix, columns in (
-            ("_chem_comp_atom.", ["comp_id", "atom_id", "type_symbol", "?charge"]),
-            ("_atom_site.", ["label_comp_id", "label_atom_id", "type_symbol", "?pdbx_formal_charge"]),
-        ):
-            for row in [] if atoms else block.find(prefix, columns):
-                if row.str(0) == name:
-                    charge = row.str(3) if row.has(3) else ""
-                    atoms[row.str(1)] = (row.str(2), int(charge) if charge.lstrip("+-").isdigit() else 0)
-        # A model has some of the atoms in the table of bonds: leaving atoms and hydrogens it may lack.
-        bonds = [row for row in bonds if row[0] in atoms and row[1] in atoms]
-        names = list(atoms)
-        orders = [_ORDERS.get(row[2].lower()[:4], 0) for row in bonds]
-        if 0 in orders:
-            raise StructureError(f"{source}: has bonds of an unknown order; mend value_order")
-        elements = [_atomic_number(symbol) for symbol, _ in atoms.values()]
-        pairs = [(names.index(row[0]), names.index(row[1])) for row in bonds]
-        charges = [charge for _, charge in atoms.values()]
-        return _sanitised(assembled(names, elements, charges, pairs, orders, None), source)
-    return None
-
-
-def _of_conect(structure: Any, path: Path, name: str, source: str) -> Molecule | None:
-    """Chemistry by CONECT records, if some of them are doubled: a bond's order is how often it is told."""
-    residue = next((r for model in structure for chain in model for r in chain if r.name == name), None)
-    if residue is None:
+    if "_chem_comp_bond." not in header:
         return None
-    place = {atom.serial: i for i, atom in enumerate(residue)}
-    told: Counter[tuple[int, int]] = Counter()
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-        if line.startswith("CONECT"):
-            ends = [int(line[i : i + 5]) for i in range(6, 31, 5) if line[i : i + 5].strip().isdigit()]
-            told.update((place[ends[0]], place[end]) for end in ends[1:] if {ends[0], end} <= place.keys())
-    orders = {(i, j): max(told[i, j], told[j, i]) for i, j in (tuple(sorted(pair)) for pair in told)}
-    if not orders or max(orders.values()) == 1 or max(orders.values()) > 3:
+    source, block = f"{name} of the file's bonds", gemmi.cif.read_string(header).sole_block()
+    columns = ["comp_id", "atom_id_1", "atom_id_2", "value_order"]
+    bonds = [[row.str(i) for i in range(4)] for row in block.find("_chem_comp_bond.", columns)]
+    bonds = [row[1:] for row in bonds if row[0] == name]
+    if not bonds:
         return None
-    names = [atom.name for atom in residue]
-    elements, charges = [atom.element.atomic_number for atom in residue], [atom.charge for atom in residue]
-    return _sanitised(assembled(names, elements, charges, orders.keys(), orders.values(), None), source)
+    atoms: dict[str, tuple[str, int]] = {}
+    for row in block.find("_chem_comp_atom.", ["comp_id", "atom_id", "type_symbol", "?charge"]):
+        if row.str(0) == name:
+            charge = row.str(3) if row.has(3) else ""
+            atoms[row.str(1)] = (row.str(2), int(charge) if charge.lstrip("+-").isdigit() else 0)
+    atoms = atoms or dict(here)
+    # The table of bonds has leaving atoms and hydrogens, which a model may lack.
+    bonds = [row for row in bonds if row[0] in atoms and row[1] in atoms]
+    names = list(atoms)
+    orders = [_ORDERS.get(row[2].lower()[:4], 0) for row in bonds]
+    if 0 in orders:
+        raise StructureError(f"{source}: has bonds of an unknown order; mend value_order")
+    elements = [_atomic_number(symbol) for symbol, _ in atoms.values()]
+    pairs = [(names.index(row[0]), names.index(row[1])) for row in bonds]
+    charges = [charge for _, charge in atoms.values()]
+    return _sanitised(assembled(names, elements, charges, pairs, orders, None), source)
 
 
 def _sanitised(made: Any, source: str) -> Molecule:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from protochain.contacts import near_pairs, overlapping
 from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.graph import both_ways
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers.curvature import near_terms
@@ -28,7 +29,6 @@ from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.planarity_restraint import Planes
 from protochain.relaxation.presets import Preset
 from protochain.structure import Structure
-from protochain.structure.graph import both_ways
 from protochain.validation import threaded_rings, violations
 from protochain.validation.rings import ThreadedRing
 from protochain.validation.violations import Violations

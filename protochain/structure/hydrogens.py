@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
-from protochain.structure.graph import neighbours
+from protochain.core.graph import neighbours
 
 _LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336}
 """nm: bond lengths to hydrogen."""

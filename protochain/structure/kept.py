@@ -11,9 +11,9 @@ from scipy.spatial import KDTree
 
 from protochain.core import defaults
 from protochain.core.errors import StructureError
+from protochain.core.graph import components
 from protochain.structure import residues
 from protochain.structure.draft import Draft, Member, Part, losses
-from protochain.structure.graph import components
 from protochain.structure.recognise import recognised
 from protochain.structure.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
 from protochain.structure.templates import Template

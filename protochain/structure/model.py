@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import Fault, StructureError
+from protochain.core.graph import Neighbours, neighbours
 from protochain.core.markup import facts
-from protochain.structure.graph import Neighbours, neighbours
 from protochain.structure.header import Label
 from protochain.structure.repairs import Loss, Repair, summarised
 from protochain.structure.residues import Atom, Residue, name_in_file

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
+from protochain.core.graph import neighbours
 from protochain.structure.draft import Address, Draft, Member, Part
-from protochain.structure.graph import neighbours
 from protochain.structure.kept import JOINED
 from protochain.structure.linkage import COVALENT_SLACK, Link, told_apart, usual_length
 from protochain.structure.model import Tie

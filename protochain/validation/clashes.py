@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from protochain.contacts import joined
 from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.graph import both_ways
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.graph import both_ways
 from protochain.structure.model import Structure
 from protochain.validation.layout import positions
 from protochain.validation.rings import rings

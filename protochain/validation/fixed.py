@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 
 from protochain.contacts import radii
 from protochain.core.arrays import Floats, Integers
+from protochain.core.graph import components, joined
 from protochain.core.markup import counted, listed
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.graph import components, joined
 from protochain.structure.model import Structure
 from protochain.structure.residues import NUCLEOTIDES
 from protochain.structure.templates import DNA, RNA, templates

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, floats, read_only
-from protochain.structure.graph import both_ways
+from protochain.core.graph import both_ways
 from protochain.structure.model import Structure
 from protochain.structure.residues import BACKBONE
 

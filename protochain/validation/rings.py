@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, read_only
-from protochain.structure.graph import Neighbours, neighbours
+from protochain.core.graph import Neighbours, neighbours
 from protochain.structure.model import Structure
 from protochain.validation.layout import positions
 

@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.graph import bond_angles
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.graph import bond_angles
 from protochain.structure.model import Structure
 from protochain.structure.templates import PROTEIN, Template, standard_name, templates
 from protochain.validation.layout import positions

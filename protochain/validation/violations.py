@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.graph import both_ways
 from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.graph import both_ways
 from protochain.structure.model import Structure
 from protochain.validation.geometry import TYPES, distances, places, slots
 from protochain.validation.layout import positions

@@ -244,7 +244,7 @@ def test_hydrogens_that_stay_are_where_they_were():
     assert np.array_equal(after.positions, before.positions[kept])
 
 
-CIF = """data_x
+HEADER = """data_x
 loop_
 _chem_comp_bond.comp_id
 _chem_comp_bond.atom_id_1
@@ -254,40 +254,20 @@ _chem_comp_bond.value_order
 01 CB OX {order}
 01 CB OY sing
 01 OY HY sing
-loop_
-_atom_site.group_PDB
-_atom_site.label_comp_id
-_atom_site.label_atom_id
-_atom_site.type_symbol
-_atom_site.pdbx_formal_charge
-HETATM 01 CA C 0
-HETATM 01 CB C 0
-HETATM 01 OX O 0
-HETATM 01 OY O -1
 """
-PDB = """HETATM    1  CA   01 A   1       0.000   0.000   0.000  1.00  0.00           C
-HETATM    2  OX   01 A   1       1.200   0.000   0.000  1.00  0.00           O
-CONECT    1    2    2
-CONECT    2    1    1
-END
-"""
+ATOMS = {"CA": ("C", 0), "CB": ("C", 0), "OX": ("O", 0), "OY": ("O", -1)}
 
 
-def test_chemistry_comes_from_the_first_source_that_has_it(tmp_path):
-    cif, pdb = tmp_path / "model.cif", tmp_path / "model.pdb"
-    cif.write_text(CIF.format(order="doub"))
-    acetate = sources.of_residue("01", cif)
+def test_chemistry_comes_from_the_first_source_that_has_it():
+    header = HEADER.format(order="doub")
+    acetate = sources.of_residue("01", header, ATOMS)
     assert acetate.names[:4] == ("CA", "CB", "OX", "OY") and acetate.n_atoms == 7 and acetate.charge == -1
-    assert sources.of_residue("01", cif, "CC").n_atoms == 8
-    pdb.write_text(PDB)
-    assert sources.of_residue("01", pdb).orders.tolist() == [2, 1, 1]
-    assert sources.of_residue("GOL", pdb).n_atoms == 14
-    cif.write_text(CIF.format(order="odd"))
-    with pytest.raises(pc.ProtochainError, match=r"01 of .*model.cif: has bonds of an unknown order"):
-        sources.of_residue("01", cif)
-    pdb.write_text(PDB.replace("    2    2\n", "    2\n").replace("    1    1\n", "    1\n"))
+    assert sources.of_residue("01", header, ATOMS, "CC").n_atoms == 8
+    assert sources.of_residue("GOL", header).n_atoms == 14
+    with pytest.raises(pc.ProtochainError, match="01 of the file's bonds: has bonds of an unknown order"):
+        sources.of_residue("01", HEADER.format(order="odd"), ATOMS)
     with pytest.raises(pc.ProtochainError, match="chemistry of '01' is unknown"):
-        sources.of_residue("01", pdb)
+        sources.of_residue("01")
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import protochain
 PACKAGE = ROOT / "protochain"
 MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
 
-CHAIN = {"structure", "energies", "mechanics", "chain", "hinges", "articulate", "contacts", "frame", "setup"}
+CHAIN = {"structure", "ligands", "energies", "mechanics", "chain", "hinges", "articulate", "contacts", "frame", "setup"}
 MAY_IMPORT = {
     "core": set(),
     "mechanics": {"core"},
@@ -21,11 +21,11 @@ MAY_IMPORT = {
     "mechanisms": {"core", "mechanics"},
     "lab": {"core", "results"},
     # The wing of proteins.
-    "structure": {"core"},
+    "structure": {"core", "ligands"},
     "results": {"core", "structure"},
     "energies": {"core", "structure"},
-    "ligands": {"core", "structure"},
-    **{part: {"core", *CHAIN} for part in CHAIN - {"structure", "energies", "mechanics"}},
+    "ligands": {"core"},
+    **{part: {"core", *CHAIN} for part in CHAIN - {"structure", "ligands", "energies", "mechanics"}},
     "dynamics": {"core", *CHAIN},
     "validation": {"core", *CHAIN},
     "minimisers": {"core", *CHAIN, "dynamics", "validation", "results"},

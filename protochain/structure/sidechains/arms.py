@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.structure.graph import beyond
+from protochain.core.graph import beyond
 from protochain.structure.sidechains.ideal import dihedral, unit
 
 WIDTH = np.deg2rad(20.0)

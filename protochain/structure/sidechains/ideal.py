@@ -12,8 +12,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from protochain.core.arrays import Floats
+from protochain.core.graph import within
 from protochain.structure import residues
-from protochain.structure.graph import within
 from protochain.structure.sidechains.rotamers import rotamers
 
 Places = dict[str, Floats]

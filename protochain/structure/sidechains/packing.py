@@ -14,8 +14,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
+from protochain.core.graph import within
 from protochain.structure.draft import Member
-from protochain.structure.graph import within
 from protochain.structure.sidechains.arms import WIDTH, wrapped
 from protochain.structure.sidechains.conflicts import beside, touching
 from protochain.structure.sidechains.ideal import Places, conformers, fixed_chi, grown, ideal

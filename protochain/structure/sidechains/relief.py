@@ -10,10 +10,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
+from protochain.core.graph import neighbours, within
 from protochain.structure import residues
 from protochain.structure.chirality import hand
 from protochain.structure.draft import Member
-from protochain.structure.graph import neighbours, within
 from protochain.structure.sidechains.arms import WIDTH, Arm, arm_of, around, wrapped
 from protochain.structure.sidechains.ideal import conformers
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from protochain.structure.graph import beyond, bond_angles, both_ways, components, joined, neighbours, within
+from protochain.core.graph import beyond, bond_angles, both_ways, components, joined, neighbours, within
 from protochain.structure.sidechains.conflicts import beside, touching
 
 SQUARE = np.array([[0, 1], [1, 2], [2, 3], [0, 3], [3, 4], [5, 6]])
