@@ -9,6 +9,7 @@ from protochain.core import defaults
 from protochain.core.checks import (
     NO_BONDS,
     Bond,
+    LigandSource,
     acidity,
     at_least,
     bonds,
@@ -22,6 +23,7 @@ from protochain.core.checks import (
     text,
     words,
 )
+from protochain.core.checks import ligands as ligands_of
 from protochain.core.errors import ProtochainError, refused
 from protochain.core.settings import Settings, setting
 
@@ -75,6 +77,10 @@ class Setup(Settings):
         Refuse chain breaks and incomplete backbones.
     chains : tuple of str
         Chains to take, or their names in one text with commas between; all by default.
+    ligands : tuple of (str, str)
+        Sources of ligands' chemistry, and poses to add, as in :func:`protochain.load`.
+    ligand_charges : str
+        As in :func:`protochain.load`.
 
     Raises
     ------
@@ -143,6 +149,17 @@ class Setup(Settings):
         option="--chain --chains",
         metavar="A,B",
     )
+    ligands: tuple[LigandSource, ...] = setting(
+        (),
+        "Chemistry of a ligand by the name of its residue, or a pose to add (FILE alone); repeat for more.",
+        ligands_of,
+        list[str],
+        option="--ligand",
+        metavar="NAME=SDF|MOL2|SMILES",
+    )
+    ligand_charges: str = setting(
+        "mmff94", "Partial charges of ligands: mmff94, gasteiger, or a file.", file_name
+    )
 
     def prepare(
         self, source: Any, name: str = "structure", build_energy: "Callable[..., Energy] | None" = None
@@ -180,6 +197,7 @@ class Setup(Settings):
         return as_structure(
             source, name, model=self.model, altloc=self.altloc, keep=self.keep, disulfide=self.disulfide,
             ph=self.ph, strict=self.strict, forcefield=self.forcefield, chains=self.chains,
+            ligands=self.ligands, ligand_charges=self.ligand_charges,
         )  # fmt: skip
 
     def chain(self, structure: "Structure") -> "Chain":

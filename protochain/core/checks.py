@@ -6,7 +6,7 @@ A check takes a value and the name of its argument, and returns the value that t
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
 from numbers import Integral, Real
 from pathlib import Path
@@ -66,7 +66,7 @@ def refuse_misplaced(call: str, name: str) -> None:
 
 
 _TAKEN_BY = {
-    "pc.load(file, {}=...)": "model altloc keep disulfide ph strict chains",
+    "pc.load(file, {}=...)": "model altloc keep disulfide ph strict chains ligands ligand_charges",
     "pc.build_chain(structure, {}=...)": "hinges root move hydrogen_mass",
     "pc.energy(structure, {}=...)": "forcefield solvent engine cutoff threads trust_forcefield system",
 }
@@ -270,6 +270,54 @@ def _pair(bond: Any, name: str) -> tuple[str, str]:
     elif isinstance(bond, tuple | list) and len(bond) == 2 and all(isinstance(end, str) for end in bond):
         return bond[0], bond[1]
     raise refused(name, shown(bond), "give chain:number-chain:number, as A:3-A:40")
+
+
+LigandSource = tuple[str, str]
+"""Name of a residue, or none for a molecule that is added; SMILES, or the path of a file."""
+MOLECULE_SUFFIXES = (".sdf", ".mol", ".mol2")
+"""Of files with one small molecule."""
+
+
+def ligands(given: Any, name: str) -> tuple[LigandSource, ...]:
+    """Read sources of ligands: a mapping, or one or several of ``NAME=FILE``, ``NAME=SMILES``, ``FILE``."""
+    if given is None:
+        return ()
+    if isinstance(given, Mapping):
+        given = [*given.items()]
+    elif isinstance(given, str | Path):
+        given = [given]
+    if not isinstance(given, Iterable):
+        raise refused(name, shown(given), "give names and molecules, as {'LIG': 'ligand.sdf'}")
+    read = tuple(_ligand(each, name) for each in given)
+    named = [its for its, _ in read if its]
+    twice = next((its for its in named if named.count(its) > 1), None)
+    if twice:
+        raise refused(name, repr(twice), "is given twice; give each name one molecule")
+    return read
+
+
+def _ligand(given: Any, name: str) -> LigandSource:
+    if isinstance(given, tuple | list) and len(given) == 2:
+        its, source = given
+    else:
+        its, source = "", given
+        is_file = str(given).lower().endswith(MOLECULE_SUFFIXES)
+        before, sign, after = str(given).partition("=")
+        # ./a=b.sdf is a file.
+        if (
+            sign
+            and re.fullmatch(r"[A-Za-z0-9+-]{1,5}", before)
+            and not (is_file and Path(str(given)).exists())
+        ):
+            its, source = before, after
+        elif not is_file:
+            raise refused(name, shown(given), f"give NAME=SMILES, NAME=FILE, or a file of {_SUFFIXES}")
+    if isinstance(its, str) and isinstance(source, str | Path) and str(source).strip():
+        return its.strip().upper(), str(source).strip()
+    raise refused(name, shown(given), "give a name and a file or SMILES, as LIG=ligand.sdf")
+
+
+_SUFFIXES = ", ".join(MOLECULE_SUFFIXES)
 
 
 def ends(given: Any, name: str) -> tuple[str, str]:

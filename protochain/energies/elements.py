@@ -8,7 +8,7 @@ import copy
 import io
 from collections.abc import Callable, Iterable, Mapping
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,7 +21,7 @@ from protochain.core.arrays import Integers
 from protochain.core.errors import ForceFieldError
 from protochain.energies.native.terms import TIES
 from protochain.structure.linkage import is_metal
-from protochain.structure.model import Structure, Tie
+from protochain.structure.model import BoundLigand, Structure, Tie
 
 _UFF = {
     "H": (2.886, 0.044), "He": (2.362, 0.056), "Li": (2.451, 0.025), "Be": (2.745, 0.085),
@@ -82,16 +82,20 @@ def create_system(
         If a residue that is bonded to an obstacle, or a molecule that moves, has no template, or a bond of
         the latter no parameters.
     """
-    topology, unknown = _recognised(force_field, structure)
+    small = {int(structure.atom_residue[each.atoms[0]]): each for each in structure.ligands}
+    topology, unknown = _recognised(force_field, structure, small)
     _refuse_unknown_mobile(structure, unknown)
     linked = _linked(structure)
-    if unknown or linked:
+    if unknown or linked or small:
         force_field = fresh()
     residues = list(topology.residues())
     chosen = {residues[r]: _register(force_field, structure, residues[r]) for r in unknown}
+    chosen |= {residues[r]: _register(force_field, structure, residues[r], small[r]) for r in small}
     for r, atoms in linked.items():
         chosen[residues[r]] = _variant(force_field, residues[r], atoms)
     system = force_field.createSystem(topology, rigidWater=False, residueTemplates=chosen, **pairs)
+    for ligand in structure.ligands:
+        add_ligand(system, ligand)
     _refuse_unheld(structure, system)
     by_element = np.isin(structure.atom_residue, list(unknown))
     _exclude(system, _not_interacting(structure, by_element))
@@ -101,15 +105,23 @@ def create_system(
     return system
 
 
-def _recognised(force_field: app.ForceField, structure: Structure) -> tuple[app.Topology, list[int]]:
-    """Topology for the force field, without bonds it does not know, and indices of unknown obstacles."""
-    kept, residue = structure.kept, structure.atom_residue
+def _recognised(
+    force_field: app.ForceField, structure: Structure, small: Iterable[int]
+) -> tuple[app.Topology, list[int]]:
+    """Topology for the force field, without bonds it does not know, and indices of unknown obstacles.
+
+    Those of ``small`` have parameters of their own.
+    """
+    residue = structure.atom_residue
+    kept = structure.kept & ~np.isin(residue, [*small])
     bonds = structure.bonds
-    bonds = bonds[kept[bonds[:, 0]] == kept[bonds[:, 1]]]
+    beside = structure.kept[bonds]
+    bonds = bonds[beside[:, 0] == beside[:, 1]]
     unknown: set[int] = set()
     while True:
-        beside = _topology(structure, bonds, only=kept)
-        found = {int(res.id) for res in force_field.getUnmatchedResidues(beside)}
+        found = {
+            int(res.id) for res in force_field.getUnmatchedResidues(_topology(structure, bonds, only=kept))
+        }
         if not found - unknown:
             return _topology(structure, bonds), sorted(unknown)
         unknown |= found
@@ -162,36 +174,56 @@ def _topology(structure: Structure, bonds: Integers, only: Any = None) -> app.To
     return made
 
 
-def _register(force_field: app.ForceField, structure: Structure, residue: Any) -> str:
-    """Add the template of an unknown molecule to a force field; return its name."""
-    name = f"by-element-{residue.index}"
+def _register(
+    force_field: app.ForceField, structure: Structure, residue: Any, ligand: BoundLigand | None = None
+) -> str:
+    """Add the template of an unknown molecule, or of a ligand, to a force field; return its name.
+
+    Of a ligand it has charges and Lennard-Jones parameters, one type an atom; bonded terms are added later.
+    """
+    name = f"molecule-{residue.index}"
     atoms = list(residue.atoms())
     root = ElementTree.Element("ForceField")
     types, templates = (ElementTree.SubElement(root, tag) for tag in ("AtomTypes", "Residues"))
     template = ElementTree.SubElement(templates, "Residue", name=name)
-    kinds: dict[tuple[str, int], str] = {}
+    kinds: dict[str, _Kind] = {}
+    its = ligand.ligand.parameters if ligand else None
+    place = {int(k): i for i, k in enumerate(ligand.atoms)} if ligand else {}
     for a in atoms:
-        charge = int(structure.formal_charge[a.index])
         symbol = a.element.symbol
-        kind = kinds.setdefault((symbol, charge), f"by-element-{symbol}{charge:+d}")
-        ElementTree.SubElement(template, "Atom", name=f"{a.index}", type=kind, charge=f"{charge}")
+        if its is None:
+            charge = float(structure.formal_charge[a.index])
+            kind, pair = f"by-element-{symbol}{charge:+g}", lennard_jones(symbol)
+        else:
+            i = place[a.index]
+            charge, pair = float(its.charge[i]), (float(its.sigma[i]), float(its.epsilon[i]))
+            kind = f"{name}-{a.name}"
+        kinds[kind] = _Kind(symbol, charge, *pair)
+        ElementTree.SubElement(template, "Atom", name=f"{a.index}", type=kind, charge=f"{charge!r}")
     for bond in residue.internal_bonds():
         ends = {f"atomName{i}": f"{a.index}" for i, a in enumerate(bond, 1)}
         ElementTree.SubElement(template, "Bond", ends)
-    for (symbol, _), kind in kinds.items():
+    for kind, of in kinds.items():
         if kind not in force_field._atomTypes:
-            mass = app.Element.getBySymbol(symbol).mass._value
+            mass = app.Element.getBySymbol(of.symbol).mass._value
             ElementTree.SubElement(
-                types, "Type", {"name": kind, "class": kind, "element": symbol, "mass": f"{mass}"}
+                types, "Type", {"name": kind, "class": kind, "element": of.symbol, "mass": f"{mass}"}
             )
     _add_pairs(root, force_field, kinds)
     force_field.loadFile(io.StringIO(ElementTree.tostring(root, encoding="unicode")))
     return name
 
 
-def _add_pairs(
-    root: ElementTree.Element, force_field: app.ForceField, kinds: Mapping[tuple[str, int], str]
-) -> None:
+class _Kind(NamedTuple):
+    """An atom type: element, charge (e), sigma (nm) and epsilon (kJ/mol)."""
+
+    symbol: str
+    charge: float
+    sigma: float
+    epsilon: float
+
+
+def _add_pairs(root: ElementTree.Element, force_field: app.ForceField, kinds: Mapping[str, _Kind]) -> None:
     """Add nonbonded parameters in the form that the force field has: with or without a table of pairs."""
     generators = {type(each).__name__: each for each in force_field.getGenerators()}
     tabulated = "LennardJonesGenerator" in generators
@@ -206,13 +238,46 @@ def _add_pairs(
         if tag == "NonbondedForce":
             scales["coulomb14scale"] = f"{its.coulomb14scale}"
         node = ElementTree.SubElement(root, tag, scales)
-        for (symbol, charge), kind in kinds.items():
-            sigma, epsilon = lennard_jones(symbol)
-            values = {"type": kind, "sigma": f"{sigma!r}", "epsilon": f"{epsilon!r}"}
+        for kind, of in kinds.items():
+            values = {"type": kind, "sigma": f"{of.sigma!r}", "epsilon": f"{of.epsilon!r}"}
             if tag == "NonbondedForce":
-                values["charge"] = f"{charge}"
+                values["charge"] = f"{of.charge!r}"
                 values |= {"sigma": "1.0", "epsilon": "0.0"} if tabulated else {}
             ElementTree.SubElement(node, "Atom", values)
+
+
+def add_ligand(system: openmm.System, bound: BoundLigand) -> None:
+    """Add the bonded terms of a ligand to a System, and scale its pairs three bonds apart as they ask for."""
+    its, at = bound.ligand.parameters, bound.atoms
+    bonds, angles = _force(system, openmm.HarmonicBondForce), _force(system, openmm.HarmonicAngleForce)
+    torsions = _force(system, openmm.PeriodicTorsionForce)
+    for term, add in ((its.bonds, bonds.addBond), (its.angles, angles.addAngle)):
+        for atoms, values in zip(at[term.atoms].tolist(), term.parameters.tolist(), strict=True):
+            add(*atoms, *values)
+    for atoms, (n, *values) in zip(
+        at[its.torsions.atoms].tolist(), its.torsions.parameters.tolist(), strict=True
+    ):
+        torsions.addTorsion(*atoms, round(n), *values)
+    place = {int(k): i for i, k in enumerate(at)}
+    nonbonded = _force(system, openmm.NonbondedForce)
+    for k in range(nonbonded.getNumExceptions()):
+        i, j, product, _, epsilon = nonbonded.getExceptionParameters(k)
+        if i in place and j in place and (product._value or epsilon._value):
+            a, b = place[i], place[j]
+            charges = its.scale_coulomb * its.charge[a] * its.charge[b]
+            sigma = 0.5 * (its.sigma[a] + its.sigma[b])
+            depth = its.scale_lj * np.sqrt(its.epsilon[a] * its.epsilon[b])
+            # Of a force field with a table of pairs, Lennard-Jones is another force.
+            nonbonded.setExceptionParameters(k, i, j, charges, sigma, depth if epsilon._value else 0.0)
+
+
+def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:
+    """The first force of a kind, added if there is none."""
+    for force in system.getForces():
+        if isinstance(force, kind):
+            return force
+    system.addForce(kind())
+    return system.getForce(system.getNumForces() - 1)
 
 
 def _linked(structure: Structure) -> dict[int, set[int]]:

@@ -119,6 +119,16 @@ def ligand(
     """
     as_given = read(molecule)
     read_as, charged = (as_given, ()) if ph is None else at_ph(as_given, ph)
+    return parametrised(read_as, charges, forcefield, charged)
+
+
+def parametrised(
+    molecule: Molecule,
+    charges: str | Path = "mmff94",
+    forcefield: str | Path | None = None,
+    charged: tuple[Charged, ...] = (),
+) -> Ligand:
+    """Give a molecule its parameters; arguments as for :func:`ligand`."""
     by_rule = charges in charging.RULES
     found = (
         partial(charging.by_rule, rule=str(charges))
@@ -126,4 +136,4 @@ def ligand(
         else partial(charging.from_file, path=Path(charges))
     )
     rules = smirnoff.read(smirnoff.SAGE if forcefield is None else Path(forcefield))
-    return Ligand(read_as, smirnoff.parametrised(read_as, rules, found, not by_rule), charged)
+    return Ligand(molecule, smirnoff.parametrised(molecule, rules, found, not by_rule), charged)

@@ -6,6 +6,7 @@ these lose theirs only if the pH is above by one deviation.
 Ropp, Kaminsky, Yablonski, Durrant, J. Cheminform. 11:14 (2019).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,6 +79,46 @@ def at_ph(molecule: Molecule, ph: float) -> tuple[Molecule, tuple[Charged, ...]]
         made.RemoveAtom(number)
     chem.SanitizeMol(made)
     return from_rdkit(made, molecule.source), tuple(sorted(changed, key=lambda each: each.atom))
+
+
+def with_hydrogens(molecule: Molecule, count: Mapping[int, int]) -> Molecule | None:
+    """Return a molecule with these numbers of hydrogens, each more or less a charge; None if they do not fit.
+
+    They fit if carbons keep theirs, and others gain or lose one, all alike: of a tautomer bonds would change.
+
+    Parameters
+    ----------
+    molecule : Molecule
+        With positions.
+    count : mapping of int to int
+        Of every heavy atom.
+    """
+    chem = library("rdkit.Chem")
+    made = to_rdkit(molecule)
+    more = set()
+    surplus = []
+    for i, wanted in count.items():
+        here = made.GetAtomWithIdx(i)
+        hydrogens = [near.GetIdx() for near in here.GetNeighbors() if near.GetAtomicNum() == 1]
+        change = wanted - len(hydrogens)
+        if change:
+            more.add(change)
+            if here.GetAtomicNum() == 6:
+                return None
+        here.SetFormalCharge(here.GetFormalCharge() + change)
+        here.SetNumExplicitHs(max(change, 0))
+        surplus += hydrogens[wanted:]
+    if not more:
+        return molecule
+    if more not in ({1}, {-1}):
+        return None
+    for i in sorted(surplus, reverse=True):
+        made.RemoveAtom(i)
+    try:
+        quietly(chem.SanitizeMol, made)
+        return from_rdkit(made, molecule.source)
+    except (ValueError, StructureError):
+        return None
 
 
 def _states(smiles: str, ph: float, precision: float) -> list[dict[int, Any]]:

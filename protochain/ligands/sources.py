@@ -3,6 +3,7 @@
 Never from distances: orders of bonds, charges and hydrogens do not follow from coordinates.
 """
 
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from protochain.core.checks import MOLECULE_SUFFIXES
 from protochain.core.errors import Argument, StructureError
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
@@ -17,9 +19,9 @@ from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library
 
 _LARGEST = 10_000_000
 """Bytes. Of a molecule; a model with its ligand is larger."""
+_LISTED = ", ".join(MOLECULE_SUFFIXES)
 _ORDERS = {"sing": 1, "doub": 2, "trip": 3, "arom": 12, "delo": 12}
 """Of mmCIF's bond tables, by the first four letters; the last as RDKit numbers them."""
-_SUFFIXES = (".sdf", ".mol", ".mol2")
 
 
 def of_residue(
@@ -60,12 +62,12 @@ def read(given: str | Path) -> Molecule:
         If it is neither, or not one molecule.
     """
     path = Path(given)
-    if isinstance(given, Path) or path.suffix.lower() in _SUFFIXES:
+    if isinstance(given, Path) or path.suffix.lower() in MOLECULE_SUFFIXES:
         return _from_file(path)
     made = quietly(library("rdkit.Chem").MolFromSmiles, given)
     if made is None or not made.GetNumAtoms():
         raise StructureError(
-            f"{_short(given)} is neither SMILES nor the name of a file with suffix {', '.join(_SUFFIXES)}; "
+            f"{_short(given)} is neither SMILES nor the name of a file with suffix {_LISTED}; "
             "give one of them"
         )
     return from_rdkit(made, _short(given))
@@ -80,7 +82,10 @@ def from_dictionary(name: str) -> Molecule:
         If it has none of that name.
     """
     try:
-        atoms = library("biotite.structure.info").residue(name)
+        with warnings.catch_warnings():
+            # Of some entries coordinates lack; those of the model are used.
+            warnings.simplefilter("ignore", UserWarning)
+            atoms = library("biotite.structure.info").residue(name)
     except KeyError:
         raise _unknown(name) from None
     kinds = library("biotite.structure").BondType
@@ -118,11 +123,11 @@ def _from_file(path: Path) -> Molecule:
     if suffix == ".mol2":
         n = sum(line.startswith("@<TRIPOS>MOLECULE") for line in text.splitlines())
         parse: Callable[..., Any] = chem.MolFromMol2Block
-    elif suffix in _SUFFIXES:
+    elif suffix in MOLECULE_SUFFIXES:
         records = [each for each in text.replace("\r\n", "\n").split("\n$$$$") if each.strip()]
         n, parse = len(records), chem.MolFromMolBlock
     else:
-        raise StructureError(f"{path}: is none of {', '.join(_SUFFIXES)}; give one of them, or SMILES")
+        raise StructureError(f"{path}: is none of {_LISTED}; give one of them, or SMILES")
     if n != 1:
         raise StructureError(f"{path}: has {n} molecules; give a file with one")
     made = quietly(parse, text, removeHs=False)

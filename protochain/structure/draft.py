@@ -8,6 +8,7 @@ from typing import Any
 
 import gemmi
 
+from protochain.ligands import Ligand
 from protochain.structure import residues
 from protochain.structure.header import NO_LABEL, Label
 from protochain.structure.repairs import Kind, Loss, Repair, Why
@@ -90,7 +91,11 @@ class Part:
     obstacle : bool
         Whether it is kept beside the protein: fixed, unless it is mobile.
     mobile : bool
-        Whether the user's force field has its parameters.
+        Whether it moves: the user's force field has its parameters, or it is a ligand of known chemistry.
+    ligand : Ligand, optional
+        Chemistry and parameters of such a ligand, under the names of its atoms.
+    inverted : tuple of str
+        Its stereocentres, and double bonds, that the file has the other way round.
     cyclic : bool
         Whether the last residue is bonded to the first.
     """
@@ -99,6 +104,8 @@ class Part:
     members: list[Member]
     obstacle: bool = False
     mobile: bool = False
+    ligand: Ligand | None = None
+    inverted: tuple[str, ...] = ()
     cyclic: bool = False
 
     def template(self, known: Mapping[str, Template], i: int, state: str = "") -> Template | None:

@@ -13,8 +13,9 @@ from protochain.core import defaults
 from protochain.core.errors import StructureError
 from protochain.core.graph import components
 from protochain.structure import residues
+from protochain.structure.bound import AS_KNOWN, Chemist, Chemistry
 from protochain.structure.draft import Draft, Member, Part, losses
-from protochain.structure.recognise import recognised
+from protochain.structure.recognise import by_element, recognised
 from protochain.structure.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
 from protochain.structure.templates import Template
 
@@ -29,9 +30,6 @@ _PHOSPHATE = ("P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
 _LARGEST = 2000
 """Atoms of a molecule by element, none of which interact: memory grows with their square. The largest of the
 archive have some hundreds."""
-_BOND_SLACK, _BOND_SHORTEST = 0.4, 0.5
-"""Angstrom: atoms at most this much further apart than the sum of their covalent radii are bonded, and not
-below the second."""
 _NAMED = 20
 
 
@@ -76,7 +74,11 @@ def check_words(words: Iterable[str]) -> None:
 
 
 def choose(
-    draft: Draft, candidates: Sequence[Candidate], keep: Sequence[str], known: Mapping[str, Template]
+    draft: Draft,
+    candidates: Sequence[Candidate],
+    keep: Sequence[str],
+    known: Mapping[str, Template],
+    chemistry: Chemistry = AS_KNOWN,
 ) -> list[Part]:
     """Choose the molecules to keep; count and report the others.
 
@@ -89,6 +91,8 @@ def choose(
     keep : sequence of str
         Words of ``KINDS``, and names of residues.
     known : mapping of str to Template
+    chemistry : Chemistry
+        Of ligands; those given are kept.
 
     Returns
     -------
@@ -97,10 +101,12 @@ def choose(
     Raises
     ------
     StructureError
-        If a word is neither a kind nor the name of a molecule of the file.
+        If a word is neither a kind nor the name of a molecule of the file, or no molecule has the name of a
+        ligand.
     """
     check_words(keep)
-    _refuse_unknown_names(draft, candidates, keep)
+    _refuse_unknown_names(draft, candidates, keep, "keep ")
+    _refuse_unknown_names(draft, candidates, [*chemistry.named], "ligand ")
     usable = [candidate for candidate in candidates if _is_usable(candidate.member)]
     near = _near(draft, usable) if "near" in keep else set()
     chosen = []
@@ -108,10 +114,11 @@ def choose(
     lost: list[Loss] = []
     for candidate in candidates:
         words = {"all", candidate.kind, candidate.member.name, candidate.given}
+        is_given = candidate.given in chemistry.named
         # A result names what it kept, which may have come further away.
         if id(candidate) in near or draft.says_of(candidate.member):
             words.add("near")
-        if words & {*keep} and _is_usable(candidate.member):
+        if (is_given or words & {*keep}) and _is_usable(candidate.member):
             chosen.append(candidate)
             continue
         draft.absent.append(candidate.member)
@@ -125,21 +132,24 @@ def choose(
         gone[("waters" if candidate.kind == "water" else candidate.given, why)] += 1
     for (kind, _), count in gone.items():
         draft.left_out[kind] += count
-    parts = _parts(draft, chosen, known)
-    _report(draft, gone, tuple(lost), chosen)
+    parts = _parts(draft, chosen, known, Chemist(draft, chemistry))
+    moves = {id(member) for part in parts if part.mobile for member in part.members}
+    _report(draft, gone, tuple(lost), chosen, moves)
     return parts
 
 
-def _refuse_unknown_names(draft: Draft, candidates: Sequence[Candidate], keep: Sequence[str]) -> None:
-    """Refuse the name of a residue that no molecule has: it would keep nothing."""
+def _refuse_unknown_names(
+    draft: Draft, candidates: Sequence[Candidate], asked: Sequence[str], why: str
+) -> None:
+    """Refuse the name of a residue that no molecule has: it would keep, or tell, nothing."""
     names = {name for candidate in candidates for name in (candidate.given, candidate.member.name)}
-    unknown = next((word for word in keep if word not in KINDS and word not in names), None)
+    unknown = next((word for word in asked if word not in KINDS and word not in names), None)
     if unknown is not None:
         count = Counter("waters" if each.kind == "water" else each.given for each in candidates)
         there = ", ".join(f"{number} {name}" for name, number in count.most_common(_NAMED)) or "nothing"
         more = f" and {len(count) - _NAMED} more kinds" if len(count) > _NAMED else ""
         raise StructureError(
-            f"{draft.source}: keep {unknown}: no molecule beside the protein has this name; there are "
+            f"{draft.source}: {why}{unknown}: no molecule beside the protein has this name; there are "
             f"{there}{more}"
         )
 
@@ -164,7 +174,9 @@ def _near(draft: Draft, candidates: Sequence[Candidate]) -> set[int]:
     return {id(candidate) for candidate, its in zip(dry, group, strict=True) if its in touching}
 
 
-def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Template]) -> list[Part]:
+def _parts(
+    draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Template], chemist: Chemist
+) -> list[Part]:
     """Group residues into molecules: bonded nucleotides form a strand, all others stand alone."""
     parts: list[Part] = []
     for candidate in chosen:
@@ -197,6 +209,9 @@ def _parts(draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Templa
                 users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)
                 known_as = recognised(first, first.own, users) if first.own else None
                 first.own, part.mobile = known_as or first.own, known_as is not None
+                n_heavy = sum(not atom.is_hydrogen() for atom in first.atoms)
+                if not part.mobile and n_heavy > 1 and first.name not in residues.NUCLEOTIDES:
+                    chemist.settle(part)
         elif len(whole) > len(first.atoms):
             lost = losses(first, [atom for atom in whole if atom.name in gone], Why.PHOSPHATE)
             draft.note(Kind.PHOSPHATE, lost, residue=first.residue)
@@ -219,41 +234,14 @@ def _fits(member: Member, template: Template | None) -> bool:
     return heavy == {*template.heavy}
 
 
-def by_element(member: Member) -> Template:
-    """Template of a molecule as it is in the file: its elements and formal charges, and bonds by distance.
-
-    A hydrogen is bonded to the nearest heavy atom.
-    """
-    atoms = member.atoms
-    x = np.array([a.pos.tolist() for a in atoms])
-    radius = np.array([a.element.covalent_r for a in atoms])
-    bonds = []
-    for i, j in sorted(KDTree(x).query_pairs(2 * radius.max() + _BOND_SLACK)):
-        if atoms[i].is_hydrogen() or atoms[j].is_hydrogen():
-            continue
-        distance = float(np.linalg.norm(x[i] - x[j]))
-        if _BOND_SHORTEST < distance < radius[i] + radius[j] + _BOND_SLACK:
-            bonds.append((atoms[i].name, atoms[j].name))
-    heavy = [a for a in atoms if not a.is_hydrogen()]
-    for atom in atoms:
-        if atom.is_hydrogen():
-            bonds.append((min(heavy, key=lambda a: a.pos.dist(atom.pos)).name, atom.name))
-    return Template(
-        member.name,
-        {a.name: a.element.name for a in atoms},
-        {a.name: float(a.charge) for a in atoms},
-        tuple(bonds),
-        {},
-    )
-
-
 def _report(
     draft: Draft,
     gone: Mapping[tuple[str, Why | None], int],
     lost: tuple[Loss, ...],
     chosen: Sequence[Candidate],
+    moves: set[int],
 ) -> None:
-    """Say what is left out, before all other repairs, and then what is kept."""
+    """Say what is left out, before all other repairs, and then what is kept; ``moves``: ``id`` of members."""
     told = []
     if gone:
         counts = tuple(Count(n, kind, why or "") for (kind, why), n in gone.items())
@@ -266,7 +254,7 @@ def _report(
     if chosen:
         its = Counter("waters" if each.kind == "water" else each.given for each in chosen)
         kept = tuple(Count(n, name) for name, n in its.most_common())
-        bare = {each.given for each in chosen if each.member.own and not each.member.own.is_users}
+        bare = {each.given for each in chosen if each.member.own and id(each.member) not in moves}
         kind = Kind.KEPT_BY_ELEMENT if bare else Kind.KEPT
         told.append(Repair(kind, {"counts": kept, "bare": tuple(sorted(bare))}))
     draft.repairs[:0] = told

@@ -14,6 +14,7 @@ from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import Fault, StructureError
 from protochain.core.graph import Neighbours, neighbours
 from protochain.core.markup import facts
+from protochain.ligands import Ligand
 from protochain.structure.header import Label
 from protochain.structure.repairs import Loss, Repair, summarised
 from protochain.structure.residues import Atom, Residue, name_in_file
@@ -35,6 +36,37 @@ class Tie:
     atoms: tuple[int, ...]
     rest: float
     stiffness: float
+
+
+@dataclass(frozen=True, eq=False)
+class BoundLigand(Value):
+    """A small molecule beside the protein whose chemistry is known, so that it moves.
+
+    Parameters
+    ----------
+    ligand : Ligand
+        Its chemistry and parameters; names and positions are those of the file.
+    atoms : (n,) int
+        The structure's atom of each atom of the molecule, hydrogens included.
+    inverted : tuple of str
+        Stereocentres, and double bonds as ``C1=C2``, that the file has the other way round than the source.
+    """
+
+    ligand: Ligand
+    atoms: Integers
+    inverted: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "atoms", read_only(self.atoms, np.int64))
+
+    def in_energy(self) -> bytes:
+        """What of it determines the energy."""
+        its = self.ligand.parameters
+        terms = (
+            each for term in (its.bonds, its.angles, its.torsions) for each in (term.atoms, term.parameters)
+        )
+        values = (self.atoms, *terms, its.charge, its.sigma, its.epsilon)
+        return b"".join(np.ascontiguousarray(each).tobytes() for each in values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +100,8 @@ class Structure(Value):
     ties : tuple of Tie
         Springs between the protein and these molecules, part of every energy.
     mobile : (na,) bool
-        Atoms of molecules beside the protein that move, because the user's force field has their parameters.
+        Atoms of molecules beside the protein that move: the user's force field has their parameters, or they
+        are ligands of known chemistry.
     links : (n, 2) int
         Bonds, coordinated metals included, of the protein to atoms beside it, the protein's atom first; then
         those between residues beside it that the file states (LINK, CONECT, ``_struct_conn``). A metal among
@@ -77,6 +110,8 @@ class Structure(Value):
         D-amino acids, whose ``residue_name`` is that of their mirror image; files have their own.
     built : (na,) bool
         Heavy atoms that the file lacks.
+    ligands : tuple of BoundLigand
+        Small molecules beside the protein that move with parameters of their own.
 
     Raises
     ------
@@ -100,6 +135,7 @@ class Structure(Value):
     links: Integers = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
     mirrored: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
     built: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
+    ligands: tuple[BoundLigand, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions))
@@ -236,6 +272,8 @@ class Structure(Value):
         seen.update(repr(self.ties).encode())
         if self.mobile.any():
             seen.update(self.mobile.tobytes())
+        for each in self.ligands:
+            seen.update(each.in_energy())
         return seen.hexdigest()
 
     @property

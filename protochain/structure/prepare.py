@@ -4,7 +4,7 @@ Atoms are placed by geometry, missing side chains on rotamers: the same file giv
 for bit.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import gemmi
@@ -15,15 +15,17 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import acidity, checked, file_name, force_field_parts, words
 from protochain.core.checks import bonds as bonds_of
+from protochain.core.checks import ligands as ligands_of
 from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.bound import Chemistry, put_hydrogens, take_up
 from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
 from protochain.structure.complete import add_heavy_atoms
 from protochain.structure.draft import Draft, Member, Part
 from protochain.structure.hydrogens import place_hydrogens
 from protochain.structure.linkage import Link
-from protochain.structure.model import Structure
+from protochain.structure.model import BoundLigand, Structure
 from protochain.structure.protonate import protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.sidechains.relief import relieved
@@ -43,6 +45,8 @@ def load(
     strict: bool = False,
     forcefield: str | Path | None = None,
     chains: str | Sequence[str] = (),
+    ligands: Mapping[str, str | Path] | str | Path | Sequence[str | Path] | None = None,
+    ligand_charges: str | Path = "mmff94",
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
@@ -64,8 +68,8 @@ def load(
     keep : str or sequence of str
         Molecules to keep beside the protein: ``near`` for all but waters that have an atom within 5 angstrom
         of the protein, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``, or residue names.
-        They are fixed obstacles, unless ``forcefield`` has their parameters; those that no force field has
-        parameters for are kept as they are, by element.
+        Small molecules of known chemistry move, as do those whose parameters ``forcefield`` has; others are
+        fixed obstacles, those that no force field has parameters for by element.
     disulfide : str, or sequence of pairs of str, optional
         Disulfide bonds beside those between sulphurs that are close, as ``[("A:3", "A:40")]`` or
         ``"A:3-A:40"``; ``"none"`` among them drops those: ``"none"`` alone leaves no bond.
@@ -78,6 +82,14 @@ def load(
         bundled ones. A molecule beside the protein whose parameters it has moves.
     chains : str or sequence of str
         Chains to take, as ``"A,B"`` or ``("A", "B")``; all by default.
+    ligands : mapping of str to path-like or str, optional
+        Chemistry of molecules beside the protein by the name of their residue: an SDF or MOL2 file, or
+        SMILES. ``"NAME=FILE"`` is taken, too, and a list of such; a file without a name is a pose, which is
+        added. Others have the bonds that the file states (``_chem_comp_bond``, CONECT records with orders),
+        or those of the Chemical Component Dictionary. Their force field is that of :func:`protochain.ligand`.
+        It needs ``pip install "protochain[ligands]"``.
+    ligand_charges : str or path-like
+        Their partial charges, as ``charges`` of :func:`protochain.ligand`.
 
     Returns
     -------
@@ -91,7 +103,8 @@ def load(
     """
     acidity(ph, "ph")
     residues = user_files(forcefield)
-    reading = Reading(model, altloc, words(keep), strict, residues, words(chains, "chains"))
+    chemistry = Chemistry(ligands_of(ligands, "ligands"), file_name(ligand_charges, "ligand_charges"), ph)
+    reading = Reading(model, altloc, words(keep), strict, residues, words(chains, "chains"), chemistry)
     return prepare(read(as_path(path, "path"), reading), disulfide, ph, residues)
 
 
@@ -118,12 +131,14 @@ def prepare(
     known = templates(forcefield)
     links, beside = find_links(draft), stated_beside(draft)
     settle_mobile(draft, links)
+    take_up(draft, ph)
     # Before oxygens that the file lacks are added.
     refuse_crosslinks(draft)
     given = {id(atom): atom for member in draft.members for atom in member.atoms}
     add_heavy_atoms(draft, known)
     bridges = disulfides(draft, wanted)
     done = protonate(draft, known, {id(member) for pair in bridges for member in pair}, ph)
+    put_hydrogens(draft)
     atoms = [atom for member, _ in done for atom in member.atoms]
     elements = [atom.element.name for atom in atoms]
     at = _indices(done)
@@ -163,7 +178,16 @@ def prepare(
         links=np.array([*_linked(links, at), *_linked(beside, at)], dtype=np.int64).reshape(-1, 2),
         mirrored=np.array([member.is_d for member in draft.members]),
         built=np.array([id(atom) not in given and not atom.is_hydrogen() for atom in atoms]),
+        ligands=tuple(_bound(part, at) for part in draft.parts if part.ligand is not None),
     )
+
+
+def _bound(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:
+    """A ligand with the atoms of the structure."""
+    assert part.ligand is not None
+    index = at[id(part.members[0])]
+    atoms = np.array([index[name] for name in part.ligand.molecule.names])
+    return BoundLigand(part.ligand, atoms, part.inverted)
 
 
 def _linked(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int, int]]:

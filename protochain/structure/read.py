@@ -5,7 +5,7 @@ raises an error of one line.
 """
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from protochain.core.errors import Argument, OnlyAlphaError, StructureError
 from protochain.core.markup import counted, listed
 from protochain.structure import residues
 from protochain.structure.apart import refuse_crowds
+from protochain.structure.bound import AS_KNOWN, Chemistry, pose
 from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place, without_nan
@@ -67,6 +68,8 @@ class Reading:
         Force-field files whose residues are recognised besides the bundled ones.
     chains : tuple of str
         Names of the chains to take; all by default.
+    chemistry : Chemistry
+        Of ligands.
     """
 
     model: int | None = None
@@ -75,6 +78,7 @@ class Reading:
     strict: bool = False
     forcefield: tuple[Path, ...] = ()
     chains: tuple[str, ...] = ()
+    chemistry: Chemistry = AS_KNOWN
 
     def __post_init__(self) -> None:
         check_fields(self, model=optional(integer), altloc=text, keep=words, strict=flag, chains=words)
@@ -151,9 +155,16 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     beside.sort(
         key=lambda each: order.index(each.member.chain_id) if each.member.chain_id in order else len(order)
     )
+    chemistry = reading.chemistry
+    for path in chemistry.poses:
+        taken = {(each.chain_id, each.number) for each in (*draft.members, *(b.member for b in beside))}
+        names = {*chemistry.named, *(each.given for each in beside)}
+        member = pose(path, {chain for chain, _ in taken}, names)
+        chemistry = replace(chemistry, sources=(*chemistry.sources, (member.name, path)))
+        beside.append(Candidate(member, member.name))
     there = [*draft.members, *(each.member for each in beside)]
     refuse_crowds([atom for member in there for atom in member.atoms], draft.source)
-    draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield))
+    draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield), chemistry)
     return draft
 
 

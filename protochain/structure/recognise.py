@@ -2,11 +2,45 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
+import numpy as np
+from scipy.spatial import KDTree
+
 from protochain.structure.draft import Member
 from protochain.structure.templates import Template
 
+_BOND_SLACK, _BOND_SHORTEST = 0.4, 0.5
+"""Angstrom: atoms at most this much further apart than the sum of their covalent radii are bonded, and not
+below the second."""
 _Graph = tuple[dict[str, tuple[str, int]], dict[str, set[str]]]
 """What each heavy atom is, by name, and its heavy neighbours."""
+
+
+def by_element(member: Member) -> Template:
+    """Template of a molecule as it is in the file: its elements and formal charges, and bonds by distance.
+
+    A hydrogen is bonded to the nearest heavy atom.
+    """
+    atoms = member.atoms
+    x = np.array([a.pos.tolist() for a in atoms])
+    radius = np.array([a.element.covalent_r for a in atoms])
+    bonds = []
+    for i, j in sorted(KDTree(x).query_pairs(2 * radius.max() + _BOND_SLACK)):
+        if atoms[i].is_hydrogen() or atoms[j].is_hydrogen():
+            continue
+        distance = float(np.linalg.norm(x[i] - x[j]))
+        if _BOND_SHORTEST < distance < radius[i] + radius[j] + _BOND_SLACK:
+            bonds.append((atoms[i].name, atoms[j].name))
+    heavy = [a for a in atoms if not a.is_hydrogen()]
+    for atom in atoms:
+        if atom.is_hydrogen():
+            bonds.append((min(heavy, key=lambda a: a.pos.dist(atom.pos)).name, atom.name))
+    return Template(
+        member.name,
+        {a.name: a.element.name for a in atoms},
+        {a.name: float(a.charge) for a in atoms},
+        tuple(bonds),
+        {},
+    )
 
 
 def recognised(member: Member, seen: Template, known: Iterable[Template]) -> Template | None:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from protochain.core import defaults
 from protochain.core.arrays import Value
-from protochain.core.errors import Argument
+from protochain.core.errors import Angle, Argument, ProtochainError
 from protochain.core.markup import counted, listed
 from protochain.structure.residues import Atom
 
@@ -19,8 +19,8 @@ _SHOWN = 8
 EVERYTHING = Argument("keep", "all")
 """How to keep what is left out."""
 
-Say = Callable[[Argument], str]
-"""An argument in the words of whoever reads: ``str`` in those of Python."""
+Say = Callable[[Argument | Angle], str]
+"""An argument, or angle, in the words of whoever reads: ``str`` in those of Python."""
 
 
 class Rank(IntEnum):
@@ -140,9 +140,15 @@ class Kind(Enum):
         "no known kind of bond): {pairs:6}"
     )
     STAYS = Words(
-        "{residue} stays in place, though the force field has its parameters: it is bonded to another "
-        "molecule"
+        "{residue} stays in place, though its parameters are known: it is bonded to another molecule"
     )
+    STAYS_UNKNOWN = Words("{residue} stays in place: {why}")
+    BOUND = Words(
+        "{residue} moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
+        "moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
+    )
+    CHARGED = Words("{residue}: charged for pH {ph:g}: {atoms}")
+    INVERTED = Words("{residue}: of the other hand than in its source: {atoms}", rank=Rank.LOSS)
     MOBILE = Words("{counts} with parameters of the force field: free to move, in torsions as a rigid body")
     # Heavy atoms.
     ATOMS_RENAMED = Words("atoms renamed: {changes:4}")
@@ -310,6 +316,8 @@ class _Form(Formatter):
     def format_field(self, value: Any, spec: str) -> str:
         if isinstance(value, Argument):
             return self.say(value)
+        if isinstance(value, ProtochainError):
+            return value.told(self.say)
         if isinstance(value, tuple):
             each = [str(one) for one in value]
             return " and ".join(each) if spec == "and" else listed(each, int(spec or len(each)))

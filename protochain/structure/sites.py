@@ -180,7 +180,7 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
         if any(beside[k][0] is not part for k in near) or tied & {id(m) for m in part.members}:
             part.mobile = False
             draft.note(Kind.STAYS, residue=part.members[0].residue)
-        else:
+        elif part.ligand is None:
             names[part.members[0].name] += 1
     if names:
         draft.note(Kind.MOBILE, counts=tuple(Count(n, name) for name, n in names.items()))

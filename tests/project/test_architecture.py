@@ -13,7 +13,8 @@ import protochain
 PACKAGE = ROOT / "protochain"
 MODULES = sorted(path for path in PACKAGE.rglob("*.py"))
 
-CHAIN = {"structure", "ligands", "energies", "mechanics", "chain", "hinges", "articulate", "contacts", "frame", "setup"}
+SINGLE = {"chain", "hinges", "articulate", "contacts", "frame", "setup"}
+CHAIN = {"structure", "ligands", "energies", "mechanics", *SINGLE}
 MAY_IMPORT = {
     "core": set(),
     "mechanics": {"core"},
@@ -25,7 +26,7 @@ MAY_IMPORT = {
     "results": {"core", "structure"},
     "energies": {"core", "structure"},
     "ligands": {"core"},
-    **{part: {"core", *CHAIN} for part in CHAIN - {"structure", "ligands", "energies", "mechanics"}},
+    **{part: {"core", *CHAIN} for part in SINGLE},
     "dynamics": {"core", *CHAIN},
     "validation": {"core", *CHAIN},
     "minimisers": {"core", *CHAIN, "dynamics", "validation", "results"},

@@ -11,8 +11,9 @@ import protochain as pc
 from protochain.structure.bridges import disulfides, refuse_crosslinks
 from protochain.structure.conformation import likeliest, same_place
 from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.kept import Candidate, by_element, check_words, choose, water_named
+from protochain.structure.kept import Candidate, check_words, choose, water_named
 from protochain.structure.linkage import is_metal
+from protochain.structure.recognise import by_element
 from protochain.structure.sites import find_links, measure, moves, ties
 from protochain.structure.templates import Template
 

@@ -425,7 +425,7 @@ def test_iron_sulphur_clusters_stay_together(tmp_path, name, method):
 def test_an_ion_beside_a_ligand_stays_with_it(tmp_path):
     """With a water at it, calcium is an obstacle; held by the protein alone, it moves."""
     path = shared("1ajj_ldlr.pdb")
-    alone = pc.load(path)
+    alone = pc.load(path, keep=("ions",))
     ion, *donors = (10 * alone.positions[k] for k in site_of(alone)[::-1])
     away = ion - np.mean(donors, axis=0)
     x = ion + 2.6 * away / np.linalg.norm(away)

@@ -9,7 +9,7 @@ from fixtures.tolerances import PDB_ROUNDING_NM
 
 import protochain as pc
 from protochain.relaxation.chirality_restraint import Hands
-from protochain.structure.repairs import Why
+from protochain.structure.repairs import Kind, Why
 from protochain.structure.residues import D_NAMES
 from protochain.structure.write import as_text
 
@@ -218,7 +218,8 @@ def d_arginine(tmp_path, is_d, alone=False):
 )
 def test_one_line_tells_of_a_d_arginine(is_d, alone, said, tmp_path):
     s = pc.load(d_arginine(tmp_path, is_d, alone))
-    named = [line for line in sentences(s) if "DAR of" in line]
+    told = [each for each in s.repairs if each.kind is not Kind.STAYS_UNKNOWN]
+    named = [str(each) for each in told if "DAR of" in str(each)]
     assert named == [said] and not any("ARG" in line for line in sentences(s))
     assert int(s.mirrored.sum()) == 1 and s.kept.any() == alone
     wrong = [s.describe(int(k)) for k in Hands.of(s).wrong(s.positions)]

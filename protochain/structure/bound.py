@@ -1,0 +1,237 @@
+"""Ligands that move: chemistry of the molecules beside the protein, with hydrogens and parameters.
+
+Orders of bonds and charges are never taken from distances. A molecule whose chemistry no source has, or to
+which the force field of small molecules has no parameters, stays in place, and its repair says why.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import count
+from pathlib import Path
+from string import ascii_lowercase, ascii_uppercase, digits
+
+import gemmi
+import numpy as np
+
+from protochain.core import defaults
+from protochain.core.arrays import read_only
+from protochain.core.checks import LigandSource
+from protochain.core.errors import ProtochainError, StructureError
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.ligands import Ligand, parametrised
+from protochain.ligands.matching import Placed, placed
+from protochain.ligands.molecule import Molecule, library
+from protochain.ligands.protonation import Charged, at_ph, with_hydrogens
+from protochain.ligands.sources import of_residue
+from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.repairs import Kind
+from protochain.structure.templates import Template
+
+_BONDED = 1.5
+"""Angstrom: a hydrogen further than this from every heavy atom of its residue is not taken."""
+_DECIMALS = 5
+"""Of angstrom: libraries differ in the last bits."""
+
+
+@dataclass(frozen=True)
+class Chemistry:
+    """Where the chemistry of molecules beside the protein comes from.
+
+    Parameters
+    ----------
+    sources : tuple of (str, str)
+        What the user gives: the name of a residue, or none for a pose that is added; SMILES, or a path.
+    charges : str
+        As for :func:`protochain.ligand`.
+    ph : float
+    """
+
+    sources: tuple[LigandSource, ...] = ()
+    charges: str = "mmff94"
+    ph: float = defaults.PH
+
+    @property
+    def named(self) -> dict[str, str]:
+        """What is given, by the name of the residue."""
+        return {name: given for name, given in self.sources if name}
+
+    @property
+    def poses(self) -> list[str]:
+        """Paths of the molecules to add."""
+        return [given for name, given in self.sources if not name]
+
+
+AS_KNOWN = Chemistry()
+"""Of the file, or of the dictionary."""
+
+
+def pose(path: str, chains: set[str], names: set[str]) -> Member:
+    """Return the molecule of a file as a residue beside the protein, in a chain and under a name of its own.
+
+    Parameters
+    ----------
+    path : str
+    chains, names : set of str
+        That others have.
+
+    Raises
+    ------
+    StructureError
+        If the file cannot be read, or has no coordinates.
+    """
+    molecule = of_residue("", given=Path(path))
+    if molecule.positions is None:
+        raise StructureError(f"{path}: has no coordinates in space; dock it first")
+    name = next(each for k in count() if (each := f"L{k:02d}" if k else "LIG") not in names)
+    chain = next((each for each in ascii_uppercase + ascii_lowercase + digits if each not in chains), "Z")
+    atoms = []
+    for called, z, charge, x in zip(
+        molecule.names, molecule.elements, molecule.formal_charges, molecule.positions, strict=True
+    ):
+        atoms.append(atom(called, gemmi.Element(int(z)).name, (x * ANGSTROM_PER_NM).tolist()))
+        atoms[-1].charge = int(charge)
+    return Member(name, "1", "", chain, atoms, given=name)
+
+
+class Chemist:
+    """Gives molecules of a draft their chemistry; those of one name share what is looked up."""
+
+    def __init__(self, draft: Draft, chemistry: Chemistry) -> None:
+        self.draft, self.chemistry = draft, chemistry
+        self.known: dict[str, tuple[Molecule, tuple[Charged, ...]]] = {}
+
+    def settle(self, part: Part) -> None:
+        """Let a molecule move if its chemistry is known; a repair says why one is not.
+
+        Raises
+        ------
+        StructureError
+            If what the user gives is another molecule than the file has.
+        """
+        (member,) = part.members
+        name = member.given or member.name
+        try:
+            library("rdkit.Chem")
+            molecule, charged = self._looked_up(name, member)
+            at = _placed(molecule, member)
+            molecule = _as_shown(at.molecule, member)
+            part.ligand = parametrised(molecule, self.chemistry.charges, charged=charged)
+        except ProtochainError as error:
+            if name in self.chemistry.named:
+                raise StructureError(f"{self.draft.source}: {member}: ", *error.parts) from None
+            self.draft.note(Kind.STAYS_UNKNOWN, residue=member.residue, why=error)
+            return
+        part.inverted, part.mobile = at.inverted, True
+
+    def _looked_up(self, name: str, member: Member) -> tuple[Molecule, tuple[Charged, ...]]:
+        """Chemistry of a residue by name, charged for the pH unless its source shows how it is charged."""
+        if name not in self.known:
+            given = self.chemistry.named.get(name)
+            atoms = {a.name: (a.element.name, int(a.charge)) for a in member.atoms}
+            found = of_residue(name, self.draft.header, atoms, given)
+            # SO4, without a rule in the table, is as its source has it; so is what a user gives with charges.
+            as_it_is = not (found.elements == 6).any() or (given and found.formal_charges.any())
+            self.known[name] = (found, ()) if as_it_is else at_ph(found, self.chemistry.ph)
+        return self.known[name]
+
+
+def _placed(molecule: Molecule, member: Member) -> Placed:
+    """The molecule where the file has it; where all names agree, distorted bonds do not matter."""
+    atoms = [a for a in member.atoms if not a.is_hydrogen()]
+    names = tuple(a.name for a in atoms)
+    bonds = None
+    if {*names} == {molecule.names[i] for i in molecule.heavy}:
+        place = {name: i for i, name in enumerate(names)}
+        ends = [[place.get(molecule.names[i], -1) for i in pair] for pair in molecule.bonds]
+        bonds = [pair for pair in ends if min(pair) >= 0]
+    x = np.array([a.pos.tolist() for a in atoms]) / ANGSTROM_PER_NM
+    return placed(molecule, [a.element.atomic_number for a in atoms], names, x, bonds)
+
+
+def _as_shown(molecule: Molecule, member: Member) -> Molecule:
+    """The molecule with the hydrogens that the file has, in number, name and place, if it has them all.
+
+    Where an oxygen or nitrogen has one more, or one less, that is its charge.
+    """
+    there = _hydrogens(member)
+    if not any(there.values()):
+        return _named_apart(molecule)
+    count = {i: len(there[molecule.names[i]]) for i in molecule.heavy.tolist()}
+    made = with_hydrogens(molecule, count)
+    if made is None:
+        return _named_apart(molecule)
+    names, x = list(made.names), np.array(made.positions)
+    for i in made.heavy.tolist():
+        near = [k for pair in made.bonds.tolist() if i in pair for k in pair if made.elements[k] == 1]
+        for k, hydrogen in zip(near, there[made.names[i]], strict=True):
+            names[k] = hydrogen.name
+            x[k] = np.array(hydrogen.pos.tolist()) / ANGSTROM_PER_NM
+    return _named_apart(replace(made, names=tuple(names), positions=read_only(x)))
+
+
+def _hydrogens(member: Member) -> dict[str, list[gemmi.Atom]]:
+    """Hydrogens of a file by the name of the nearest heavy atom, in the order of the file."""
+    heavy = [a for a in member.atoms if not a.is_hydrogen()]
+    found: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
+    for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
+        nearest = min(heavy, key=lambda a: a.pos.dist(hydrogen.pos))
+        if nearest.pos.dist(hydrogen.pos) <= _BONDED:
+            found[nearest.name].append(hydrogen)
+    return found
+
+
+def _named_apart(molecule: Molecule) -> Molecule:
+    """The molecule with names of hydrogens that no other atom has."""
+    taken = {molecule.names[i] for i in molecule.heavy}
+    names, number = list(molecule.names), 1
+    for k in np.flatnonzero(molecule.elements == 1).tolist():
+        while names[k] in taken:
+            names[k], number = f"H{number}", number + 1
+        taken.add(names[k])
+    return replace(molecule, names=tuple(names))
+
+
+def take_up(draft: Draft, ph: float) -> None:
+    """Say what the ligands of a draft that move are, and give them their templates."""
+    for part in draft.parts:
+        part.ligand = part.ligand if part.mobile else None
+        if part.ligand is None:
+            continue
+        (member,), molecule = part.members, part.ligand.molecule
+        member.own, its = _template(member.name, part.ligand), member.residue
+        draft.note(Kind.BOUND, residue=its, source=molecule.source, charge=f"{molecule.charge:+d}")
+        if part.ligand.charged:
+            atoms = tuple(f"{each.atom} {each.after:+d}" for each in part.ligand.charged)
+            draft.note(Kind.CHARGED, residue=its, ph=ph, atoms=atoms)
+        if part.inverted:
+            draft.note(Kind.INVERTED, residue=its, atoms=part.inverted)
+
+
+def put_hydrogens(draft: Draft) -> None:
+    """Put hydrogens of ligands that have no place where their molecules have them.
+
+    Those at oxygen and sulphur turn to where the energy is lowest, as others do.
+    """
+    for part in draft.parts:
+        if part.ligand is None:
+            continue
+        molecule = part.ligand.molecule
+        assert molecule.positions is not None
+        (member,), parent = part.members, ""
+        for each in member.atoms:
+            if not each.is_hydrogen():
+                parent = each.element.name
+            elif np.isnan(each.pos.x) and parent not in ("O", "S"):
+                x = ANGSTROM_PER_NM * molecule.positions[molecule.names.index(each.name)]
+                each.pos = gemmi.Position(*np.round(x, _DECIMALS))
+
+
+def _template(name: str, ligand: Ligand) -> Template:
+    molecule, charge = ligand.molecule, ligand.parameters.charge
+    return Template(
+        name,
+        {each: gemmi.Element(int(z)).name for each, z in zip(molecule.names, molecule.elements, strict=True)},
+        dict(zip(molecule.names, charge.tolist(), strict=True)),
+        tuple((molecule.names[i], molecule.names[j]) for i, j in molecule.bonds),
+        {},
+        is_users=True,
+    )
