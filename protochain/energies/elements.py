@@ -267,8 +267,15 @@ def add_ligand(system: openmm.System, bound: BoundLigand) -> None:
             charges = its.scale_coulomb * its.charge[a] * its.charge[b]
             sigma = 0.5 * (its.sigma[a] + its.sigma[b])
             depth = its.scale_lj * np.sqrt(its.epsilon[a] * its.epsilon[b])
-            # Of a force field with a table of pairs, Lennard-Jones is another force.
             nonbonded.setExceptionParameters(k, i, j, charges, sigma, depth if epsilon._value else 0.0)
+    # Of a force field with a table of pairs, Lennard-Jones of pairs three bonds apart is a force of its own.
+    for force in system.getForces():
+        if isinstance(force, openmm.CustomBondForce) and force.getNumPerBondParameters() == 2:
+            for k in range(force.getNumBonds()):
+                i, j, (sigma, epsilon) = force.getBondParameters(k)
+                if i in place and j in place:
+                    depth = np.sqrt(its.epsilon[place[i]] * its.epsilon[place[j]])
+                    force.setBondParameters(k, i, j, [sigma, its.scale_lj * depth])
 
 
 def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:

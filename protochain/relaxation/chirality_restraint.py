@@ -36,11 +36,12 @@ class Hands:
 
     @classmethod
     def of(cls, structure: Structure) -> "Hands":
-        """Find the chiral atoms of a protein, and the hands that they should have.
+        """Find the chiral atoms of a protein and its ligands, and the hands that they should have.
 
         These are those that the names of the residues in the file say, but where D-amino acids have names of
         L, as in older files: residues whose C-alpha is well-formed and whose phi is positive, as theirs is,
-        and chains most of whose C-alphas are of the other hand keep what they have.
+        and chains most of whose C-alphas are of the other hand keep what they have. Those of ligands are the
+        ones of their sources.
         """
         centres, rows = chiral_atoms(structure), list[tuple[int, ...]]()
         for (centre, a, b, c), wanted in zip(centres.tolist(), _wanted(structure, centres), strict=True):
@@ -56,6 +57,10 @@ class Hands:
         """(n,) int: chiral atoms of the wrong hand at positions x (na, 3), nm."""
         heavy = self.atoms[self.least == _HEAVY]
         return np.unique(heavy[volume(x[heavy]) < 0.0, 0])
+
+    def short(self, x: Floats) -> Integers:
+        """(n,) int: chiral atoms that are pushed at positions x (na, 3), nm."""
+        return np.unique(self.atoms[volume(x[self.atoms]) < self.least, 0])
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
@@ -77,7 +82,7 @@ def _wanted(structure: Structure, centres: Integers) -> Floats:
     size = volume(x[centres])
     has = np.where(size < 0.0, -1.0, 1.0)
     phi = peptides(structure, x)[0][of]
-    alpha, other = structure.atom_name[centres[:, 0]] == "CA", has != by_name
+    alpha, other = np.isin(centres[:, 0], structure.alpha_carbons), has != by_name
     # NaN, at the start of a chain, may be that of D as well.
     meant = alpha & other & (by_name > 0.0) & (np.abs(size) > WELL_FORMED) & ~(phi < 0.0)
     chain, n = structure.residue_chain_index[of], structure.n_chains

@@ -172,7 +172,7 @@ class Relaxer:
         """Free rings, if bonds go through any, walk through the stages, and look at what is left."""
         began, structure, freed = perf_counter(), self.structure, 0
         springs = [self._springs(share, *strength) for strength in strengths]
-        plan = [*(self._begin(springs[0]) if not before else []), self._right(springs[0])]
+        plan = [*(self._begin(springs[0]) if not before else []), *self._right(springs[0])]
         plan += [stage for each in springs for stage in self._whole(each)]
         if threaded and (freeing := unthreading(self._space, self.energy)):
             free = self._walked(freeing, x, before)
@@ -229,15 +229,23 @@ class Relaxer:
     def _is_high(self, stage: Stage, at: Placement) -> bool:
         return evaluate(self._space, self.energy, at.q).residual > _HIGH
 
-    def _right(self, springs: Tethers) -> Stage:
-        """Stage for folded or nearly flat atoms, wrong hands and reversed peptide bonds, where there are any.
+    def _right(self, springs: Tethers) -> list[Stage]:
+        """Stages for folded or nearly flat atoms, wrong hands and reversed peptide bonds, where there are any.
 
-        Bonds that are only twisted are turned by the stages that follow.
+        Bonds that are only twisted are turned by the stages that follow. One goes on where a ligand's centre
+        is half turned: the mean force of a large protein does not tell.
         """
         stage = self._gentle(getattr(self.energy, "coarse", self.energy), springs)
-        return replace(
-            stage, ready=lambda _, at: bool(self.shapes(at.x)[0] or len(self.peptides.reversed(at.x)))
-        )
+        stages = [
+            replace(
+                stage, ready=lambda _, at: bool(self.shapes(at.x)[0] or len(self.peptides.reversed(at.x)))
+            )
+        ]
+        if ligands := self.structure.ligands:
+            atoms = np.concatenate([each.atoms for each in ligands])
+            on = replace(stage, tolerance=_TURNED)
+            stages += [replace(on, ready=lambda _, at: bool(np.isin(atoms, self.hands.short(at.x)).any()))]
+        return stages
 
     def _gentle(self, energy: Force, springs: Tethers, is_soft: bool = False) -> Stage:
         """Stage whose energy is not the force field's, whose end is no result, and which may fail."""
@@ -324,6 +332,8 @@ class Relaxer:
         return touching
 
 
+_TURNED = 1.0
+"""kJ/mol/nm, RMS force at which the turning of a ligand's centre ends."""
 _ENDLESS = 1_000_000_000
 _FINAL = (Stop.INTERRUPTED, Stop.NON_FINITE)
 

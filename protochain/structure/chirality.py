@@ -1,15 +1,17 @@
-"""Handedness of C-alpha, and of C-beta of threonine and isoleucine."""
+"""Handedness of C-alpha, of C-beta of threonine and isoleucine, and of ligands."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers
+from protochain.core.graph import neighbours
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.draft import Member
-from protochain.structure.model import Structure
+from protochain.structure.model import BoundLigand, Structure
 from protochain.structure.residues import Atom
 
 WELL_FORMED = 2.2e-3
@@ -104,7 +106,10 @@ def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) ->
 
 @lru_cache(maxsize=16)
 def chiral_atoms(structure: Structure) -> Integers:
-    """(n, 4) int: every chiral atom of the protein, and three neighbours."""
+    """(n, 4) int: every chiral atom of the protein and of ligands, and three neighbours.
+
+    Those of a ligand are in the order that spans a positive volume if the hand is that of its source.
+    """
     names: list[dict[str, int]] = [{} for _ in range(structure.n_residues)]
     for i in np.flatnonzero(~structure.kept).tolist():
         names[int(structure.atom_residue[i])][str(structure.atom_name[i])] = i
@@ -114,4 +119,19 @@ def chiral_atoms(structure: Structure) -> Integers:
         for centre, neighbours in centres(str(residue)).items()
         if {centre, *neighbours} <= at.keys()
     ]
+    found += [row for bound in structure.ligands for row in _of_ligand(bound)]
     return np.array(found, dtype=np.int64).reshape(-1, 4)
+
+
+def _of_ligand(bound: BoundLigand) -> Iterator[list[int]]:
+    """Stereocentres of a ligand, each with three neighbours, heavy ones first."""
+    molecule = bound.ligand.molecule
+    near = neighbours(molecule.bonds, molecule.n_atoms)
+    for centre in np.flatnonzero(molecule.handedness).tolist():
+        its = near[centre]
+        order = sorted(range(len(its)), key=lambda k: (molecule.elements[its[k]] == 1, k))
+        swaps = sum(a > b for a, b in combinations(order, 2))
+        # RDKit's clockwise: the first three neighbours span a negative volume.
+        positive = (molecule.handedness[centre] == 2) == (swaps % 2 == 0)
+        a, b, c = (its[k] for k in order[:3])
+        yield bound.atoms[[centre, *((a, b, c) if positive else (b, a, c))]].tolist()

@@ -177,7 +177,12 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
         near = {
             k for m in part.members for a in _heavy(m) for k in tree.query_ball_point(a.pos.tolist(), JOINED)
         }
-        if any(beside[k][0] is not part for k in near) or tied & {id(m) for m in part.members}:
+        joined = any(beside[k][0] is not part for k in near)
+        if part.ligand is not None:
+            # Of a whole molecule near others are no bonds, unless the file says so.
+            its = {(m.chain_id, m.seqid) for m in part.members}
+            joined = any(len({a[:2], b[:2]} & its) == 1 for a, b in draft.stated)
+        if joined or tied & {id(m) for m in part.members}:
             part.mobile = False
             draft.note(Kind.STAYS, residue=part.members[0].residue)
         elif part.ligand is None:

@@ -1,0 +1,216 @@
+"""Ligands beside the protein: where their chemistry comes from, their parameters, hydrogens and hands."""
+
+import gemmi
+import numpy as np
+import openmm
+import pytest
+from fixtures.samples import ROOT, STRUCTURES
+
+import protochain as pc
+from protochain.energies.factory import build_system
+from protochain.structure.chirality import chiral_atoms, volume
+from protochain.structure.repairs import Kind
+
+Chem, AllChem = (pytest.importorskip(f"rdkit.Chem{name}") for name in ("", ".AllChem"))
+pytest.importorskip("biotite")
+pytest.importorskip("dimorphite_dl")
+
+
+PROTEIN = STRUCTURES / "1l2y.pdb"
+COMPLEXES = ROOT.parent / "shared" / "complexes"
+THREONINE_LIKE = "C[C@H](O)[C@@H](N)C(=O)OC"
+
+
+def put(made, away=0.9):
+    """Positions of a molecule (nm) beside the sample protein, ``away`` beyond its outermost atom."""
+    x = 0.1 * made.GetConformer().GetPositions()
+    protein = pc.load(PROTEIN).positions
+    x += [protein[:, 0].max() + away - x[:, 0].min(), *(protein.mean(0) - x.mean(0))[1:]]
+    return x
+
+
+def embedded(smiles, away=0.3):
+    made = Chem.AddHs(Chem.MolFromSmiles(smiles))
+    assert AllChem.EmbedMolecule(made, randomSeed=7) == 0
+    made.GetConformer().SetPositions(10.0 * put(made, away))
+    return made
+
+
+def posed(tmp_path, smiles, name="pose.sdf", away=0.3):
+    """An SDF file of a molecule beside the sample protein."""
+    path = tmp_path / name
+    Chem.MolToMolFile(embedded(smiles, away), str(path))
+    return path
+
+
+def beside(tmp_path, made, name="XYZ", label="X{}", hydrogens=False, suffix=".pdb"):
+    """The sample protein with a molecule as a residue whose atoms have these names."""
+    structure = gemmi.read_structure(str(PROTEIN))
+    del structure[1:]
+    residue = gemmi.Residue()
+    residue.name, residue.seqid, residue.het_flag = name, gemmi.SeqId("1"), "H"
+    x = made.GetConformer().GetPositions()
+    for k, each in enumerate(made.GetAtoms()):
+        if each.GetAtomicNum() > 1 or hydrogens:
+            atom = gemmi.Atom()
+            atom.name, atom.element = label.format(k), gemmi.Element(each.GetSymbol())
+            atom.pos = gemmi.Position(*x[k])
+            residue.add_atom(atom)
+    chain = gemmi.Chain("L")
+    chain.add_residue(residue)
+    structure[0].add_chain(chain)
+    path = tmp_path / f"complex{suffix}"
+    structure.write_pdb(str(path))
+    return path
+
+
+def kinds(structure):
+    return {each.kind for each in structure.repairs}
+
+
+def test_a_pose_is_added_and_moves_with_all_its_hydrogens(tmp_path):
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, "CC(=O)[O-]"))
+    (bound,) = s.ligands
+    assert bound.ligand.molecule.charge == -1 and len(bound.atoms) == 7
+    assert set(np.flatnonzero(s.mobile)) == set(bound.atoms) and not s.obstacle.any()
+    assert s.atom_name[bound.atoms].tolist() == list(bound.ligand.molecule.names)
+    assert s.atom_element[bound.atoms].tolist() == ["C", "C", "O", "O", "H", "H", "H"]
+    pairs = {frozenset(bound.atoms[pair].tolist()) for pair in bound.ligand.molecule.bonds}
+    assert pairs <= {frozenset(pair) for pair in s.bonds.tolist()}
+    assert Kind.BOUND in kinds(s)
+
+
+@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
+def test_the_energy_is_that_of_openmms_reference_platform(tmp_path, solvent):
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, THREONINE_LIKE))
+    value, forces = pc.energy(s, solvent=solvent, engine="native")(s.positions)
+    system = build_system(s, solvent=solvent)
+    context = openmm.Context(
+        system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference")
+    )
+    context.setPositions(s.positions)
+    state = context.getState(getEnergy=True, getForces=True)
+    assert value == pytest.approx(state.getPotentialEnergy()._value, rel=1e-8)
+    reference = np.array(state.getForces(asNumpy=True)._value)
+    assert np.abs(forces - reference).max() < 1e-8 * np.abs(reference).max()
+
+
+@pytest.mark.parametrize("forcefield", ["amber14", "amber19", "charmm36"])
+def test_the_ligands_own_terms_are_in_the_system_whatever_the_proteins_force_field(tmp_path, forcefield):
+    """Without the protein's charges and wells, moving its atoms changes the energy by its own terms."""
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, THREONINE_LIKE))
+    (bound,) = s.ligands
+    system = build_system(s, forcefield, "vacuum")
+    mine = {*bound.atoms.tolist()}
+    for force in system.getForces():
+        if isinstance(force, openmm.NonbondedForce):
+            for k in set(range(s.n_atoms)) - mine:
+                force.setParticleParameters(k, 0.0, 1.0, 0.0)
+        elif isinstance(force, openmm.CustomNonbondedForce):
+            force.addInteractionGroup(mine, mine)
+    context = openmm.Context(
+        system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference")
+    )
+
+    def total(x):
+        context.setPositions(x)
+        return context.getState(getEnergy=True).getPotentialEnergy()._value
+
+    moved = s.positions.copy()
+    moved[bound.atoms] += 0.01 * np.random.default_rng(3).standard_normal((len(bound.atoms), 3))
+    own = [sum(bound.ligand.terms(x[bound.atoms]).values()) for x in (s.positions, moved)]
+    assert total(moved) - total(s.positions) == pytest.approx(own[1] - own[0], rel=1e-7)
+
+
+def test_atoms_are_matched_by_their_bonds_whatever_their_names(tmp_path):
+    made = embedded("OC[C@H](O)CN")
+    path = beside(tmp_path, made)
+    s = pc.load(path, ligands={"XYZ": "NC[C@@H](O)CO"})
+    (bound,) = s.ligands
+    molecule = bound.ligand.molecule
+    assert molecule.charge == 1 and Kind.CHARGED in kinds(s)
+    by_name = dict(zip(molecule.names, molecule.elements.tolist(), strict=True))
+    for k, each in enumerate(made.GetAtoms()):
+        if each.GetAtomicNum() > 1:
+            assert by_name[f"X{k}"] == each.GetAtomicNum()
+    heavy = np.array([each.GetAtomicNum() > 1 for each in made.GetAtoms()])
+    x = {f"X{k}": at for k, at in enumerate(made.GetConformer().GetPositions()) if heavy[k]}
+    for name, at in zip(molecule.names, s.positions[bound.atoms], strict=True):
+        assert name not in x or np.allclose(10.0 * at, x[name], atol=1e-3)
+
+
+def test_hydrogens_of_the_file_show_the_charge_and_stay_where_they_are(tmp_path):
+    made = embedded("CC(=O)O")
+    s = pc.load(beside(tmp_path, made, "ACY", hydrogens=True), ligands={"ACY": "CC(=O)[O-]"})
+    (bound,) = s.ligands
+    assert bound.ligand.molecule.charge == 0 and len(bound.atoms) == 8
+    there = {f"X{k}": x for k, x in enumerate(made.GetConformer().GetPositions())}
+    for name, at in zip(s.atom_name[bound.atoms], 10.0 * s.positions[bound.atoms], strict=True):
+        assert np.allclose(at, there[name], atol=1e-3)
+
+
+@pytest.mark.parametrize("suffix", [".pdb", ".cif"])
+def test_a_saved_complex_is_read_again_as_it_is(tmp_path, suffix):
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, THREONINE_LIKE))
+    pc.save(s, tmp_path / f"saved{suffix}")
+    again = pc.load(tmp_path / f"saved{suffix}", ligands={"LIG": THREONINE_LIKE})
+    assert np.allclose(again.positions, s.positions, atol=1e-4)
+    assert again.atom_name.tolist() == s.atom_name.tolist()
+    assert again.ligands[0].ligand.molecule.charge == s.ligands[0].ligand.molecule.charge
+
+
+def test_a_mirrored_stereocentre_is_told_and_relax_turns_it_right(tmp_path):
+    other = THREONINE_LIKE.replace("C[C@H]", "C[C@@H]")
+    path = beside(tmp_path, embedded(other), "LIG")
+    s = pc.load(path, ligands={"LIG": THREONINE_LIKE})
+    (bound,) = s.ligands
+    assert len(bound.inverted) == 1 and Kind.INVERTED in kinds(s)
+    centres = chiral_atoms(s)
+    mine = centres[np.isin(centres[:, 0], bound.atoms)]
+    assert len(mine) == 2 and sorted(np.sign(volume(s.positions[mine]))) == [-1.0, 1.0]
+    relaxed = pc.relax(s)
+    assert (volume(relaxed.x[mine]) > 0.0).all()
+    right = pc.load(path, ligands={"LIG": other})
+    assert right.ligands[0].inverted == () and Kind.INVERTED not in kinds(right)
+
+
+def test_methods_move_it_torsions_as_a_rigid_body(tmp_path):
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, THREONINE_LIKE))
+    atoms = s.ligands[0].atoms
+    apart = np.linalg.norm(s.positions[atoms][:, None] - s.positions[atoms], axis=2)
+    for method, rigid in (("lbfgs", True), ("cartesian", False)):
+        x = pc.minimise(s, method=method, max_evaluations=60).x[atoms]
+        assert np.abs(x - s.positions[atoms]).max() > 1e-3
+        same = np.abs(np.linalg.norm(x[:, None] - x, axis=2) - apart).max() < 1e-9
+        assert same == rigid
+
+
+def test_what_no_source_knows_stays_in_place_and_says_what_to_give(tmp_path):
+    s = pc.load(beside(tmp_path, embedded("CC(=O)OC"), "ZZ9"), keep="all")
+    (told,) = [each for each in s.repairs if each.kind is Kind.STAYS_UNKNOWN]
+    assert "ZZ9" in str(told) and not s.ligands and s.obstacle.sum() == 5
+
+
+def test_what_the_force_field_cannot_type_stays_in_place(tmp_path):
+    s = pc.load(beside(tmp_path, embedded("CCB(O)O"), "XBO"), ligands=None, keep="all")
+    assert not s.ligands and Kind.STAYS_UNKNOWN in kinds(s)
+
+
+@pytest.mark.parametrize(
+    ("ligands", "said"),
+    [
+        ({"XYZ": "notsmiles("}, "is neither SMILES nor"),
+        ({"XYZ": "CCO"}, "another molecule"),
+        ({"XYZ": "missing.sdf"}, "missing.sdf"),
+        ({"ABC": "CCO"}, "ABC"),
+        (["XYZ=CCO", "XYZ=CCC"], "twice"),
+        ("CCO", "NAME=SMILES"),
+        (3, "give names and molecules"),
+        ({"XYZ": "CC[BH2]"}, "another molecule"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_line(tmp_path, ligands, said):
+    path = beside(tmp_path, embedded("CC(=O)OC"))
+    with pytest.raises(pc.ProtochainError, match=said) as refused:
+        pc.load(path, ligands=ligands)
+    assert "\n" not in str(refused.value)
