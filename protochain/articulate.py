@@ -78,7 +78,7 @@ def build_chain(
     bonds = structure.bonds[~cut]
     wanted = [hinge for hinge in find_hinges(structure, opened) if moving[hinge.atoms[2]]]
     turning, group = turning_hinges(structure, bonds, wanted)
-    if not turning:
+    if not turning and not structure.mobile.any():
         of = "" if move == "all" else f" in {move!r}"
         raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}{of}; open more of them")
     molecule = components(bonds, structure.n_atoms)
