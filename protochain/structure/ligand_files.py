@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from protochain.core.checks import path as as_path
-from protochain.core.errors import StructureError
+from protochain.core.errors import Argument, StructureError
 from protochain.core.storage import write_text
 from protochain.ligands.molecule import library, to_rdkit
 from protochain.structure.convert import as_structure
@@ -47,6 +47,21 @@ def check_ligand_file(path: Path) -> None:
         raise StructureError(f"{path}: ligands are written as SDF; give a name that ends in .sdf")
 
 
+def check_ligands(structure: Structure) -> None:
+    """Refuse a structure without ligands whose chemistry is known.
+
+    Raises
+    ------
+    StructureError
+        Naming it.
+    """
+    if not structure.ligands:
+        raise StructureError(
+            f"{structure.name}: has no ligand whose chemistry is known, so no SDF can be written; name its "
+            "molecules with ", Argument("ligands"),
+        )  # fmt: skip
+
+
 def ligand_text(structure: Structure) -> str:
     """Return the text that :func:`save_ligands` writes.
 
@@ -55,8 +70,7 @@ def ligand_text(structure: Structure) -> str:
     StructureError
         If there are none.
     """
-    if not structure.ligands:
-        raise StructureError(f"{structure.name}: has no ligand whose chemistry is known; no SDF is written")
+    check_ligands(structure)
     chem, records = library("rdkit.Chem"), []
     for each in structure.ligands:
         molecule = each.ligand.molecule

@@ -1,8 +1,11 @@
 """Ligands in the files written, read again: tables of atoms and bonds, CONECT records, SDF."""
 
+import json
+
 import gemmi
 import numpy as np
 import pytest
+from fixtures.command_line import refusal, run
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
@@ -140,4 +143,27 @@ def test_ligands_that_are_not_there_are_no_file(tmp_path):
         pc.save_ligands(pc.load(PROTEIN), tmp_path / "out.sdf")
     with pytest.raises(pc.ProtochainError, match="sdf"):
         pc.save_ligands(pc.load(PROTEIN), tmp_path / "out.mol2")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "command", [["relax"], ["minimise", "--method", "cartesian", "--max-evaluations", "30"]]
+)
+def test_commands_write_the_ligands(tmp_path, command, capsys):
+    pose = posed(tmp_path, SMILES["phosphate"])
+    saved, sdf = tmp_path / "saved.cif", tmp_path / "out.sdf"
+    run(*command, PROTEIN, "--ligand", pose, "-o", saved, "--ligand-out", sdf, "--json")
+    record = json.loads(capsys.readouterr().out)
+    assert record["ligands_written"] == str(sdf)
+    (made,) = Chem.SDMolSupplier(str(sdf), removeHs=False)
+    end = pc.load(saved)
+    x = 10.0 * end.positions[end.ligands[0].atoms]
+    assert np.abs(np.sort(x, axis=0) - np.sort(made.GetConformer().GetPositions(), axis=0)).max() < 2e-4
+
+
+def test_a_protein_alone_has_no_sdf(tmp_path):
+    said = refusal("relax", PROTEIN, "-o", tmp_path / "out.pdb", "--ligand-out", tmp_path / "out.sdf")
+    assert "no ligand" in said
+    said = refusal("relax", PROTEIN, "-o", tmp_path / "out.pdb", "--ligand-out", tmp_path / "out.mol2")
+    assert ".sdf" in said
     assert not list(tmp_path.iterdir())
