@@ -5,7 +5,7 @@ from protochain.results.columns import Column
 
 COLUMNS = (
     *(column.key for column in OF_RECORD if column.key not in ("rounds", "ligands")),
-    "seconds_preparation", "input", "model", "output", "key",
+    "seconds_preparation", "input", "model", "output", "confidences", "key",
 )  # fmt: skip
 """Columns of ``relaxed.csv``."""
 

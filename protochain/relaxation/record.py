@@ -90,8 +90,8 @@ def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         ("overlaps with molecules beside the protein", record["overlaps_beside_start"],
          record["overlaps_beside_end"])
     )  # fmt: skip
-    strains = (record.get(f"ligand_strain_{when}_kj_mol") for when in ("start", "end"))
-    rows.append(("largest strain of a ligand, kJ/mol", *strains))
+    before, after = (record.get(f"ligand_strain_{when}_kj_mol") for when in ("start", "end"))
+    rows.append(("largest strain of a ligand, kJ/mol", before, after))
     rows = [row for row in rows if not {row[1], row[2]} <= {0, None}]
     rows.append(("overlapping pairs of atoms", record["overlaps_start"], record["overlaps_end"]))
     rows.append(("energy, kJ/mol", record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))

@@ -133,8 +133,7 @@ def ligand_findings(structure: Structure, x: Floats, clashing: Clashes) -> tuple
 
 def _distances(tree: cKDTree, bound: BoundLigand, x: Floats) -> Floats:
     heavy = bound.atoms[bound.ligand.molecule.heavy]
-    found: Floats = tree.query(ANGSTROM_PER_NM * x[heavy], distance_upper_bound=CONTACT)[0]
-    return found
+    return np.asarray(tree.query(ANGSTROM_PER_NM * x[heavy], distance_upper_bound=CONTACT)[0])
 
 
 def _strain(bound: BoundLigand, x: Floats) -> float | None:
