@@ -128,8 +128,9 @@ class Chemist:
             given = self.chemistry.named.get(name)
             atoms = {a.name: (a.element.name, int(a.charge)) for a in member.atoms}
             found = of_residue(name, self.draft.header, atoms, given)
-            # SO4, without a rule in the table, is as its source has it; so is what a user gives with charges.
-            as_it_is = not (found.elements == 6).any() or (given and found.formal_charges.any())
+            # The table knows acids of carbon and phosphorus. SO4 is as its source has it, as is what users
+            # give with charges.
+            as_it_is = not np.isin(found.elements, (6, 15)).any() or (given and found.formal_charges.any())
             self.known[name] = (found, ()) if as_it_is else at_ph(found, self.chemistry.ph)
         return self.known[name]
 
