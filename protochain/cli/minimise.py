@@ -28,6 +28,7 @@ from protochain.cli.options import (
     named_after,
     prepare,
     print_lost,
+    with_confidences,
     with_settings,
     write_models,
 )
@@ -203,6 +204,7 @@ class _Writer:
 
                 Comparison(solution.chain.structure, (solution,), origin).write_page(self.report)
                 written["report"] = str(self.report)
+            written["confidences"] = with_confidences(Path(origin["input"]), path)
             if self.ligands:
                 save_ligands(solution, self.ligands)
                 written["ligands_written"] = str(self.ligands)
@@ -344,6 +346,6 @@ def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool) -> Non
     )
     for record in records:
         print_written(record)
-        for key in ("ligands_written", "report"):
-            if key in record:
-                print(f"written: {record[key]}")
+        for name in (*record.get("confidences", ()), record.get("ligands_written"), record.get("report")):
+            if name:
+                print(f"written: {name}")

@@ -264,6 +264,16 @@ def write_models(
     sys.stdout.write(as_text(models, suffix, remarks, hydrogens=hydrogens))
 
 
+def with_confidences(source: Path, output: Path) -> list[str]:
+    """Copy what a predictor wrote beside a model to beside its result; say what was not; return the rest."""
+    from protochain.structure.confidences import copy_confidences
+
+    copied = copy_confidences(source, output)
+    for line in copied.left:
+        print(line, file=sys.stderr)
+    return [str(path) for path in copied.written]
+
+
 def beside_structure(output: Path) -> AbstractContextManager[Any]:
     """Where a command prints, while a structure may be on standard output."""
     return redirect_stdout(sys.stderr) if str(output) == STANDARD_OUTPUT else nullcontext()

@@ -23,6 +23,7 @@ from protochain.cli.options import (
     check_outputs,
     fail,
     inputs_of,
+    with_confidences,
     with_settings,
     write_models,
 )
@@ -139,7 +140,7 @@ def _one(
         record = result.record() | {
             "input": str(source), "output": str(output), "seconds_preparation": preparation,
         }  # fmt: skip
-        lost = _write_beside(result, record, report, ligand_out)
+        lost = _write_beside(result, record, source, report, ligand_out)
     if lost:
         record["not_written"] = lost
         fail(f"{lost}; saved: {output}")
@@ -152,13 +153,18 @@ def _one(
 
 
 def _write_beside(
-    result: "Relaxation", record: dict[str, Any], report: Path | None, ligand_out: Path | None
+    result: "Relaxation",
+    record: dict[str, Any],
+    source: Path,
+    report: Path | None,
+    ligand_out: Path | None,
 ) -> str:
-    """Write page and ligands; return why one could not be written, which loses nothing else."""
+    """Write confidences, page and ligands; return why one could not be written, which loses nothing else."""
     from protochain.core.errors import WriteError
     from protochain.structure.ligand_files import save_ligands
 
     try:
+        record["confidences"] = with_confidences(source, Path(record["output"]))
         if ligand_out:
             save_ligands(result, ligand_out)
             record["ligands_written"] = str(ligand_out)

@@ -128,9 +128,9 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
     print_lost([record])
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
-    for key in ("ligands_written", "report"):
-        if key in record:
-            print(f"written: {record[key]}")
+    for name in (*record.get("confidences", ()), record.get("ligands_written"), record.get("report")):
+        if name:
+            print(f"written: {name}")
 
 
 def print_folder(table: "DataFrame", folder: Path) -> None:

@@ -154,8 +154,8 @@ def pdb_lines(header: str, out: gemmi.Structure, ligands: Mapping[str, Rows]) ->
         if _plain(row["id"]) in het and _is_given(row, "name")
         for k, line in enumerate(textwrap.wrap(_plain(row["name"]), _NAME_WIDTH), 1)
     ]
-    said = [f"REMARK {_TERMS:3} {line}".rstrip() for line in terms]
-    return [*citation, *said, *tables.as_remarks(found.get(tables.CATEGORY, []))], names
+    stated = [f"REMARK {_TERMS:3} {line}".rstrip() for line in terms]
+    return [*citation, *stated, *tables.as_remarks(found.get(tables.CATEGORY, []))], names
 
 
 def orders(header: str, ligands: Mapping[str, Rows]) -> dict[tuple[str, str, str], int]:
