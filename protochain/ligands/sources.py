@@ -5,17 +5,20 @@ Never from distances: orders of bonds, charges and hydrogens do not follow from 
 
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from protochain.core.arrays import read_only
 from protochain.core.checks import MOLECULE_SUFFIXES
 from protochain.core.errors import Argument, StructureError
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library, quietly
+from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library, quietly, to_rdkit
+from protochain.ligands.tables import CATEGORY, stereo
 
 _LARGEST = 10_000_000
 """Bytes. Of a molecule; a model with its ligand is larger."""
@@ -187,7 +190,21 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
     elements = [_atomic_number(symbol) for symbol, _ in atoms.values()]
     pairs = [(names.index(row[0]), names.index(row[1])) for row in bonds]
     charges = [charge for _, charge in atoms.values()]
-    return _sanitised(assembled(names, elements, charges, pairs, orders, None), source), is_charged
+    made = _sanitised(assembled(names, elements, charges, pairs, orders, None), source)
+    own = [
+        {"kind": row.str(1), "atoms": row.str(2)}
+        for row in block.find(CATEGORY, ["comp_id", "kind", "atoms"])
+        if row.str(0) == name
+    ]
+    hand, double = stereo(own, made.names, made.bonds.tolist())
+    if not any(hand) and not double:
+        return made, is_charged
+    handed = replace(
+        made,
+        handedness=read_only(hand, np.int64),
+        double_bonds=read_only(double, np.int64).reshape(-1, 5),
+    )
+    return from_rdkit(to_rdkit(handed), source), is_charged
 
 
 def _sanitised(made: Any, source: str) -> Molecule:
