@@ -112,8 +112,8 @@ NUCLEIC = {
     }
     for name in sorted(NUCLEOTIDES)
 }
-"""Torsions of nucleotides (IUPAC-IUB, Eur. J. Biochem. 131:9, 1983) but delta and those of the sugar, whose ring
-is rigid; ``base`` is chi."""
+"""Torsions of nucleotides (IUPAC-IUB, Eur. J. Biochem. 131:9, 1983) but delta and those of the sugar, whose
+ring is rigid; ``base`` is chi."""
 
 
 BLANK = "(blank)"

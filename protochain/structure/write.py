@@ -336,7 +336,7 @@ def _pdb(
 ) -> str:
     chemistry = _chemistry(models[0])
     before, names = pdb_lines(models[0].header, out, chemistry)
-    out.raw_remarks = [
+    lines = [
         *before,
         *(
             f"REMARK   3 {line}"
@@ -345,6 +345,7 @@ def _pdb(
         ),
         *as_remarks(_springs(models)),
     ]
+    out.raw_remarks = sorted(lines, key=lambda line: int(line[6:10]) if line.startswith("REMARK") else 0)
     _draw(out, models[0], orders(models[0].header, chemistry))
     head = gemmi.PdbWriteOptions(
         atom_records=False, end_record=False, cryst1_record=out.cell.is_crystal(), cispep_records=True
