@@ -6,6 +6,7 @@ They are found by the names that each program gives, never by looking into files
 import re
 import shutil
 from filecmp import cmp
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -79,7 +80,7 @@ def copy_confidences(model: Path, result: Path) -> Copied:
         if path.stat().st_size > _LARGEST:
             left.append(f"{path}: is larger than {_LARGEST // 10**9} GB and was not copied beside the result")
         elif not to.exists():
-            write_atomically(to, lambda new, path=path: shutil.copyfile(path, new))
+            write_atomically(to, partial(shutil.copyfile, path))
             written.append(to)
         elif not cmp(path, to, shallow=False):
             left.append(f"{path}: was not copied beside the result, because another {to.name} is there")
