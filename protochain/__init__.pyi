@@ -40,6 +40,7 @@ from .structure import ca_rmsd as ca_rmsd
 from .structure import from_sequence as from_sequence
 from .structure import load as load
 from .structure import save as save
+from .structure import save_ligands as save_ligands
 from .structure import to_mdanalysis as to_mdanalysis
 from .structure import to_mdtraj as to_mdtraj
 from .validation import Validation as Validation

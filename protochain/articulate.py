@@ -39,7 +39,8 @@ def build_chain(
         Structure with all its hydrogens.
     hinges : str or sequence of str
         Kinds of bond that turn, of ``phi psi omega chi rotors``; with ``angles``, also the backbone bond
-        angles at N and C-alpha, wherever the phi or psi beside them turns. Rings are always rigid.
+        angles at N and C-alpha, wherever the phi or psi beside them turns; ``nucleic`` for the backbone and
+        the bases of DNA and RNA, ``ligand`` for single bonds of ligands. Rings are always rigid.
     root : str
         ``fixed``, ``free``, or ``auto``: free if there are several chains, which then move relative to one
         another, as do molecules beside them that the force field has parameters for; beside obstacles the
@@ -78,7 +79,7 @@ def build_chain(
     bonds = structure.bonds[~cut]
     wanted = [hinge for hinge in find_hinges(structure, opened) if moving[hinge.atoms[2]]]
     turning, group = turning_hinges(structure, bonds, wanted)
-    if not turning:
+    if not turning and not structure.mobile.any():
         of = "" if move == "all" else f" in {move!r}"
         raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}{of}; open more of them")
     molecule = components(bonds, structure.n_atoms)

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.core.graph import beyond, components
+from protochain.core.graph import Neighbours, beyond, components, neighbours
+from protochain.ligands.molecule import Molecule
 from protochain.structure import residues
 from protochain.structure.model import Structure
 
-HINGES = ("phi", "psi", "omega", "chi", "rotors", "angles")
+HINGES = ("phi", "psi", "omega", "chi", "rotors", "angles", "nucleic", "ligand")
 """Kinds of hinge that can be opened."""
 
 ON_AXIS = np.deg2rad(5.0)
@@ -27,7 +28,8 @@ class Hinge:
     chain, residue_name, residue_number, insertion_code : str
         Residue of the dihedral, as in the file.
     kind : str
-        ``phi``, ``psi``, ``omega``, ``chi1`` ... ``chi5`` or ``rotor``; ``angle N`` or ``angle CA``.
+        ``phi``, ``psi``, ``omega``, ``chi1`` ... ``chi5`` or ``rotor``; ``angle N`` or ``angle CA``; of a
+        nucleotide ``alpha``, ``beta``, ``gamma``, ``epsilon``, ``zeta`` or ``base``; ``torsion`` of a ligand.
     atoms : tuple of int
         Four of a dihedral about the bond atoms[1]-atoms[2], or three of a bond angle at atoms[1].
     """
@@ -55,15 +57,17 @@ class Hinge:
 
 
 def cross_links(structure: Structure) -> np.ndarray:
-    """(nbonds,) bool: bonds between residues other than the peptide bond to the next residue.
+    """(nbonds,) bool: bonds between residues other than those of chains and strands to the next residue.
 
     An ion that moves stays rigidly at the first of the atoms that hold it.
     """
     first, second = structure.bonds.T
     r1, r2 = structure.atom_residue[first], structure.atom_residue[second]
     peptide = (r2 == r1 + 1) & (structure.atom_name[first] == "C") & (structure.atom_name[second] == "N")
+    phosphate = (r2 == r1 + 1) & (structure.atom_name[first] == "O3'") & (structure.atom_name[second] == "P")
+    strand = phosphate & structure.mobile[first] & structure.mobile[second]
     beside = structure.kept[first] | structure.kept[second]
-    cut = (r1 != r2) & (beside | ~peptide)
+    cut = (r1 != r2) & (beside | ~peptide) & ~strand
     held = np.flatnonzero(cut & structure.kept[second] & ~structure.obstacle[second] & ~structure.kept[first])
     _, rows = np.unique(second[held], return_index=True)
     cut[held[rows]] = False
@@ -93,15 +97,48 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
         table += [("chi", f"chi{i}", names) for i, names in enumerate(chis, 1)]
         rotors = (*residues.ROTORS.get(str(residue_name), ()), residues.ROTOR_N_TERMINAL)
         table += [("rotors", "rotor", names) for names in rotors]
+        table += [("nucleic", *torsion) for torsion in residues.NUCLEIC.get(str(residue_name), {}).items()]
         found = [(kind, label, [atom_at(r, name) for name in names]) for kind, label, names in table]
-        if r in modified:
+        if r in modified and {*residues.BACKBONE} <= index[r].keys():
             found += _by_graph(structure, index[r])
         for kind, label, (a, b, c, d) in found:
             if kind in kinds and a is not None and b is not None and c is not None and d is not None:
-                yield Hinge(
-                    str(structure.residue_chain[r]), str(residue_name), str(structure.residue_number[r]),
-                    str(structure.residue_insertion_code[r]), label, (a, b, c, d),
-                )  # fmt: skip
+                yield _hinge(structure, r, label, (a, b, c, d))
+    if "ligand" in kinds:
+        for bound in structure.ligands:
+            of = int(structure.atom_residue[bound.atoms[0]])
+            for atoms in _turning_bonds(bound.ligand.molecule):
+                yield _hinge(structure, of, "torsion", tuple(bound.atoms[list(atoms)].tolist()))
+
+
+def _hinge(structure: Structure, r: int, label: str, atoms: tuple[int, ...]) -> Hinge:
+    return Hinge(
+        str(structure.residue_chain[r]), str(structure.residue_name[r]), str(structure.residue_number[r]),
+        str(structure.residue_insertion_code[r]), label, atoms,
+    )  # fmt: skip
+
+
+def _turning_bonds(molecule: Molecule) -> Iterator[tuple[int, int, int, int]]:
+    """Single bonds outside rings, between heavy atoms that have others, with an atom before and one after."""
+    heavy = molecule.elements != 1
+    bonds = molecule.bonds
+    near = neighbours(bonds[heavy[bonds].all(axis=1)], molecule.n_atoms)
+    for k, (b, c) in enumerate(bonds.tolist()):
+        if molecule.orders[k] != 1 or min(len(near[b]), len(near[c])) < 2:
+            continue
+        piece = components(np.delete(bonds, k, axis=0), molecule.n_atoms)
+        if piece[b] != piece[c] and not _is_amide(molecule, near, b, c):
+            yield next(a for a in near[b] if a != c), b, c, next(d for d in near[c] if d != b)
+
+
+def _is_amide(molecule: Molecule, near: Neighbours, b: int, c: int) -> bool:
+    """Whether a bond is one of a nitrogen to a carbon with a double bond to oxygen, nitrogen or sulphur."""
+    double = {frozenset(bond) for bond in molecule.bonds[molecule.orders == 2].tolist()}
+    return any(
+        molecule.elements[n] == 7
+        and any(molecule.elements[k] in (7, 8, 16) and frozenset((o, k)) in double for k in near[o])
+        for n, o in ((b, c), (c, b))
+    )
 
 
 def _modified(structure: Structure) -> set[int]:

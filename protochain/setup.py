@@ -91,7 +91,7 @@ class Setup(Settings):
     """
 
     hinges: str = setting(
-        defaults.HINGES, "Degrees of freedom: any of phi psi omega chi rotors angles.", kinds
+        defaults.HINGES, "Degrees of freedom: any of phi psi omega chi rotors angles nucleic ligand.", kinds
     )
     root: str = setting(defaults.ROOT, "", text)
     move: str = setting(

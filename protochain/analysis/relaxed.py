@@ -15,7 +15,7 @@ from protochain.relaxation import Relaxation
 from protochain.relaxation.record import before_and_after
 from protochain.results.figures import data_url
 from protochain.results.page import write_page
-from protochain.results.viewer import scene, superposed
+from protochain.results.viewer import pockets, scene, superposed
 from protochain.structure.losses import told
 
 _FULL_RED = 2.0
@@ -47,6 +47,7 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         command=shlex.join(sys.argv),
         name=strength.name,
         source=strength.source,
+        pockets=pockets(relaxation.start, relaxation.start.positions, relaxation.x),
         **coloured(relaxation),
     )
 

@@ -4,8 +4,8 @@ from protochain.relaxation.record import COLUMNS as OF_RECORD
 from protochain.results.columns import Column
 
 COLUMNS = (
-    *(column.key for column in OF_RECORD if column.key != "rounds"), "seconds_preparation", "input", "model",
-    "output", "key",
+    *(column.key for column in OF_RECORD if column.key not in ("rounds", "ligands")),
+    "seconds_preparation", "input", "model", "output", "confidences", "key",
 )  # fmt: skip
 """Columns of ``relaxed.csv``."""
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 COLUMNS = (
     *(column.key for column in record.COLUMNS), "ca_rmsd_to_openmm_angstrom", "n_starts",
     "energy_median_kj_mol", "energy_highest_kj_mol", "n_within_1_kj_mol_of_lowest", "seconds_preparation",
-    "input", "model", "output", "key",
+    "input", "model", "output", "confidences", "key",
 )  # fmt: skip
 """Columns of ``summary.csv``: those of a record of a minimisation, and those of a batch."""
 

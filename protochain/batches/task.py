@@ -14,6 +14,7 @@ from protochain.core.errors import ProtochainError, WriteError
 from protochain.core.storage import regular
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.setup import Setup
+from protochain.structure.confidences import copy_confidences
 from protochain.structure.files import suffix_of
 
 if TYPE_CHECKING:
@@ -102,6 +103,8 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
             suffix = common_suffix([result.structure]) if suffix == ".pdb" else suffix
             record["output"] = f"{output_stem(job.name, method)}{suffix}"
             result.save(folder / record["output"])
+            copied = copy_confidences(job.path, folder / record["output"])
+            record["confidences"] = flat([*(path.name for path in copied.written), *copied.left])
         if method == "openmm":
             reference = structure, result.x
         elif reference and reference[0] is structure:

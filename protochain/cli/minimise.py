@@ -18,6 +18,7 @@ from protochain.cli.options import (
     AsJson,
     Force,
     Input,
+    LigandOut,
     Report,
     beside_structure,
     check_names,
@@ -27,6 +28,7 @@ from protochain.cli.options import (
     named_after,
     prepare,
     print_lost,
+    with_confidences,
     with_settings,
     write_models,
 )
@@ -77,6 +79,7 @@ def minimise(
     trace: Trace = None,
     trajectory: Trajectory = None,
     report: Report = None,
+    ligand_out: LigandOut = None,
     one_file: OneFile = False,
     as_json: AsJson = False,
     force: Force = False,
@@ -97,10 +100,10 @@ def minimise(
     state = [path for path in vars(saving).values() if path]
     if starting.n_starts > 1 and (state or trajectory):
         raise ProtochainError("starts: a checkpoint or trajectory belongs to one run; give one start")
-    beside = [Path(path) for path in (trace, trajectory, saving.checkpoint, report) if path]
+    beside = [Path(path) for path in (trace, trajectory, saving.checkpoint, report, ligand_out) if path]
     stem, suffix = named_after(source)
     output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
-    check_names(output, report, as_json)
+    check_names(output, report, ligand_out, as_json)
     if trajectory:
         check_trajectory(trajectory)
     runs = _runs(source, output, setup, bool(beside or saving.resume), one_file)
@@ -116,7 +119,7 @@ def minimise(
     most = minimising.max_evaluations
     lengths = starting.n_starts * typical_evaluations(chosen, most), starting.n_starts * most
     records: list[dict[str, Any]] = []
-    with _Writer(output, suffix, one_file, trace, report) as write:
+    with _Writer(output, suffix, one_file, trace, report, ligand_out) as write:
         for own, path in runs:
             records.append(_solved(context, source, own, path, chosen, solve, lengths, write))
             if records[-1]["status"] == "interrupted":
@@ -167,10 +170,16 @@ class _Writer:
     """Writer of solutions, each to its own file or at the end all to one, and of their other files."""
 
     def __init__(
-        self, output: Path, suffix: str, one_file: bool, trace: Path | None, report: Path | None
+        self,
+        output: Path,
+        suffix: str,
+        one_file: bool,
+        trace: Path | None,
+        report: Path | None,
+        ligands: Path | None,
     ) -> None:
         self.output, self.suffix, self.one_file = output, suffix, one_file
-        self.trace, self.report = trace, report
+        self.trace, self.report, self.ligands = trace, report, ligands
         self.done: list[Solution] = []
 
     def __call__(
@@ -181,6 +190,7 @@ class _Writer:
         A full disk loses only what does not fit; ``lost`` are the lines that say so.
         """
         from protochain.core.storage import write_atomically
+        from protochain.structure.ligand_files import save_ligands
 
         self.done.append(solution)
         if not self.one_file:
@@ -194,6 +204,10 @@ class _Writer:
 
                 Comparison(solution.chain.structure, (solution,), origin).write_page(self.report)
                 written["report"] = str(self.report)
+            written["confidences"] = with_confidences(Path(origin["input"]), path)
+            if self.ligands:
+                save_ligands(solution, self.ligands)
+                written["ligands_written"] = str(self.ligands)
         except WriteError as error:
             lost = [*lost, str(error)]
         return written | ({"not_written": lost} if lost else {})
@@ -220,9 +234,12 @@ def _solved(
     write: _Writer,
 ) -> dict[str, Any]:
     """Prepare and minimise one model, write it, and return its record."""
+    from protochain.structure.ligand_files import check_ligands
     from protochain.structure.write import check_fits
 
     chain, energy, preparation = prepare(source, setup)
+    if write.ligands:
+        check_ligands(chain.structure)
     check_fits(chain.structure, output)
     troubled = print_outlook(source, chain.structure, method)
     typical, most = lengths
@@ -329,5 +346,6 @@ def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool) -> Non
     )
     for record in records:
         print_written(record)
-        if "report" in record:
-            print(f"written: {record['report']}")
+        for name in (*record.get("confidences", ()), record.get("ligands_written"), record.get("report")):
+            if name:
+                print(f"written: {name}")

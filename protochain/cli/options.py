@@ -44,6 +44,9 @@ Manifest = Annotated[Path | None, typer.Option(help="CSV with a column path, and
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
+LigandOut = Annotated[
+    Path | None, typer.Option(help="SDF of the ligands whose chemistry is known, a record for each.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
 
 
@@ -233,8 +236,9 @@ def check_outputs(inputs: Sequence[Path], outputs: Sequence[Path], force: bool |
         check_writable(output)
 
 
-def check_names(output: Path, report: Path | None, as_json: bool) -> None:
-    """Refuse names of a structure and a page that tell no format, and two outputs on standard output."""
+def check_names(output: Path, report: Path | None, ligands: Path | None, as_json: bool) -> None:
+    """Refuse names of outputs that tell another format or none, and two outputs on standard output."""
+    from protochain.structure.ligand_files import check_ligand_file
     from protochain.structure.write import check_format
 
     if str(output) != STANDARD_OUTPUT:
@@ -243,6 +247,8 @@ def check_names(output: Path, report: Path | None, as_json: bool) -> None:
         raise ProtochainError("output -: structure and --json both go to standard output; give a file")
     if report and report.suffix.lower() != ".html":
         raise ProtochainError(f"{report}: give a name that ends in .html")
+    if ligands:
+        check_ligand_file(ligands)
 
 
 def write_models(
@@ -256,6 +262,16 @@ def write_models(
         return save(models, output, remarks, hydrogens=hydrogens)
     suffix = suffix if suffix != ".pdb" else common_suffix(models)
     sys.stdout.write(as_text(models, suffix, remarks, hydrogens=hydrogens))
+
+
+def with_confidences(source: Path, output: Path) -> list[str]:
+    """Copy what a predictor wrote beside a model to beside its result; say what was not; return the rest."""
+    from protochain.structure.confidences import copy_confidences
+
+    copied = copy_confidences(source, output)
+    for line in copied.left:
+        print(line, file=sys.stderr)
+    return [str(path) for path in copied.written]
 
 
 def beside_structure(output: Path) -> AbstractContextManager[Any]:

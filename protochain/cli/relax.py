@@ -14,6 +14,7 @@ from protochain.cli.options import (
     UNCONVERGED,
     AsJson,
     Force,
+    LigandOut,
     Manifest,
     Report,
     Scheduler,
@@ -22,6 +23,7 @@ from protochain.cli.options import (
     check_outputs,
     fail,
     inputs_of,
+    with_confidences,
     with_settings,
     write_models,
 )
@@ -60,6 +62,7 @@ def relax(
     output: Output = None,
     manifest: Manifest = None,
     report: Report = None,
+    ligand_out: LigandOut = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     time_limit: TimeLimit = defaults.TIME_LIMIT,
@@ -80,11 +83,13 @@ def relax(
     if inputs and len(inputs) == 1 and _is_one_file(inputs[0]) and not several:
         if resume:
             raise ProtochainError(f"resume: {inputs[0]} is one file, which is not resumed; leave it out")
-        raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, as_json, force))
+        raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, ligand_out, as_json, force))
     if report:
         raise ProtochainError(
             f"report {report}: several structures have report.html in their folder; leave it out"
         )
+    if ligand_out:
+        raise ProtochainError(f"ligand-out {ligand_out}: is of one structure; relax them one by one")
     processes = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
     raise typer.Exit(_several(inputs or [], output, manifest, relaxing, setup, processes, as_json, resume))
 
@@ -99,6 +104,7 @@ def _one(
     relaxing: RelaxSettings,
     setup: Setup,
     report: Path | None,
+    ligand_out: Path | None,
     as_json: bool,
     force: bool,
 ) -> int:
@@ -108,15 +114,18 @@ def _one(
     from protochain.relaxation.api import relax_structure
     from protochain.relaxation.names import relaxed_name
     from protochain.structure.files import suffix_of
+    from protochain.structure.ligand_files import check_ligands
     from protochain.structure.write import check_fits
 
     output = Path(relaxed_name(source)) if output is None else output
     if output.is_dir():
         output = output / relaxed_name(source)
-    check_names(output, report, as_json)
-    check_outputs(inputs_of(setup, source), [output, *([report] if report else [])], force)
+    check_names(output, report, ligand_out, as_json)
+    check_outputs(inputs_of(setup, source), [output, *(each for each in (report, ligand_out) if each)], force)
     began = perf_counter()
     structure = setup.load(source)
+    if ligand_out:
+        check_ligands(structure)
     energy = setup.energy(structure)
     check_fits(structure, output)
     preparation = perf_counter() - began
@@ -131,12 +140,10 @@ def _one(
         record = result.record() | {
             "input": str(source), "output": str(output), "seconds_preparation": preparation,
         }  # fmt: skip
-        lost = _write_report(result, record, report)
+        lost = _write_beside(result, record, source, report, ligand_out)
     if lost:
         record["not_written"] = lost
         fail(f"{lost}; saved: {output}")
-    elif report:
-        record["report"] = str(report)
     if as_json:
         print(json.dumps(record, allow_nan=False))
     else:
@@ -145,16 +152,27 @@ def _one(
     return CONVERGED if record["status"] == "converged" and not lost else UNCONVERGED
 
 
-def _write_report(result: "Relaxation", record: dict[str, Any], report: Path | None) -> str:
-    """Write the page; return why it could not be written, which loses nothing else."""
+def _write_beside(
+    result: "Relaxation",
+    record: dict[str, Any],
+    source: Path,
+    report: Path | None,
+    ligand_out: Path | None,
+) -> str:
+    """Write confidences, page and ligands; return why one could not be written, which loses nothing else."""
     from protochain.core.errors import WriteError
-
-    if report is None:
-        return ""
-    from protochain.analysis.relaxed import write_relaxed
+    from protochain.structure.ligand_files import save_ligands
 
     try:
-        write_relaxed(result, record, report)
+        record["confidences"] = with_confidences(source, Path(record["output"]))
+        if ligand_out:
+            save_ligands(result, ligand_out)
+            record["ligands_written"] = str(ligand_out)
+        if report:
+            from protochain.analysis.relaxed import write_relaxed
+
+            write_relaxed(result, record, report)
+            record["report"] = str(report)
     except WriteError as error:
         return str(error)
     return ""

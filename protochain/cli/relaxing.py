@@ -113,11 +113,12 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     for what, before, after in rows:
         print(f"{what:{wide}} {before:>12} {after:>12}")
     rounds = record["n_rounds"]
+    rmsd = record["ca_rmsd_angstrom"]
     moved = (
-        f"C-alpha RMSD to the input {record['ca_rmsd_angstrom']:.2f} angstrom, farthest atom "
-        f"{record['farthest_atom_angstrom']:.2f}; {rounds} round{'s' * (rounds > 1)}, "
-        f"{record['evaluations']} evaluations, {record['seconds']:.1f} s"
+        f"farthest atom moved by {record['farthest_atom_angstrom']:.2f} angstrom; "
+        f"{rounds} round{'s' * (rounds > 1)}, {record['evaluations']} evaluations, {record['seconds']:.1f} s"
     )
+    moved = moved if rmsd is None else f"C-alpha RMSD to the input {rmsd:.2f} angstrom, {moved}"
     said = [moved, record["message"]]
     if record["repacked"]:
         told = summarised(result.turned) or ("no side chain is better turned",)
@@ -127,8 +128,9 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
     print_lost([record])
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
-    if "report" in record:
-        print(f"written: {record['report']}")
+    for name in (*record.get("confidences", ()), record.get("ligands_written"), record.get("report")):
+        if name:
+            print(f"written: {name}")
 
 
 def print_folder(table: "DataFrame", folder: Path) -> None:

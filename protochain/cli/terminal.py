@@ -257,6 +257,11 @@ def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
         yield watch
 
 
+def _distance(angstrom: float | None) -> str:
+    """A distance; of nucleic acids alone there is none of C-alphas."""
+    return "-" if angstrom is None else f"{angstrom:.2f}"
+
+
 def print_simulation(record: dict[str, Any]) -> None:
     """Print a short summary of a simulation."""
     drift = record["conserved_drift_kj_mol_ps_per_100_atoms"]
@@ -266,9 +271,9 @@ def print_simulation(record: dict[str, Any]) -> None:
         f"{record['structure']}: {record['message']}, {record['ns_per_day']:.1f} ns/day\n"
         f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half{drifts}{kept}\n"
         f"{_pulled(record)}"
-        f"C-alpha RMSD to the start {record['ca_rmsd_angstrom']:.2f} angstrom\n"
-        f"to the input {record['ca_rmsd_input_angstrom']:.2f}, as filed "
-        f"{record['ca_rmsd_input_as_filed_angstrom']:.2f}: {record['frame']}"
+        f"C-alpha RMSD to the start {_distance(record['ca_rmsd_angstrom'])} angstrom\n"
+        f"to the input {_distance(record['ca_rmsd_input_angstrom'])}, as filed "
+        f"{_distance(record['ca_rmsd_input_as_filed_angstrom'])}: {record['frame']}"
     )
     print_lost([record])
     print(f"written: {record['output']}")
@@ -316,8 +321,8 @@ def print_table(records: list[dict[str, Any]]) -> None:
 
 def print_written(record: dict[str, Any]) -> None:
     """Print the file of a result, and how far it lies from its start: superposed, and as filed."""
-    superposed, filed = (record[f"ca_rmsd_{name}angstrom"] for name in ("", "as_filed_"))
-    print(f"C-alpha RMSD {superposed:.2f} angstrom, as filed {filed:.2f}: {record['frame']}")
+    superposed, filed = (_distance(record[f"ca_rmsd_{name}angstrom"]) for name in ("", "as_filed_"))
+    print(f"C-alpha RMSD {superposed} angstrom, as filed {filed}: {record['frame']}")
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
 
 

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,6 +37,9 @@ def validate(
     residues: Annotated[
         Path | None, typer.Option(help="CSV to write: a row for each residue of each structure.")
     ] = None,
+    posebusters: Annotated[
+        bool, typer.Option(help="Whether PoseBusters' tests are run on ligands; seconds for each.")
+    ] = True,
     as_json: AsJson = False,
     *,
     setup: Setup,
@@ -54,20 +57,25 @@ def validate(
     compared = measurable(reference) if reference else None
     rows: list[dict[str, Any]] = []
     tables: list[DataFrame] = []
+    notes: dict[str, list[str]] = {}
     # Structures are not kept: there may be thousands.
-    for name, result in _validated(files, compared):
+    for name, result in _validated(files, compared, posebusters):
         if isinstance(result, ProtochainError):
             print(" ".join(str(result).split()), file=sys.stderr)
             rows.append({"file": name, "message": str(result)})
             continue
-        told = {"added": result.added, "findings": result.listing(), "message": ""}
+        told = {
+            "added": result.added, "findings": result.listing(), "message": "",
+            "ligands": [each.record() for each in result.ligands],
+        }  # fmt: skip
+        notes[name] = [*map(str, result.ligands), *filter(None, [result.posebusters_missing])]
         rows.append({"file": name, **result.record(), **told})
         if residues:
             tables.append(result.residues.assign(file=name, model=result.structure.model_number))
     if outputs:
         import pandas as pd
     if csv:
-        table = pd.DataFrame(rows).drop(columns="findings", errors="ignore").convert_dtypes()
+        table = pd.DataFrame(rows).drop(columns=["findings", "ligands"], errors="ignore").convert_dtypes()
         write_atomically(csv, lambda to: table.to_csv(to, index=False))
     if residues:
         every = pd.concat(tables) if tables else pd.DataFrame()
@@ -76,12 +84,12 @@ def validate(
     if as_json:
         print(json.dumps({"reference": str(reference) if reference else None, "results": rows}))
     elif done:
-        _print(done)
+        _print(done, notes)
     raise typer.Exit(CONVERGED if len(done) == len(rows) else BAD_INPUT)
 
 
 def _validated(
-    files: Sequence[tuple[str, Path, Setup]], reference: "Structure | None"
+    files: Sequence[tuple[str, Path, Setup]], reference: "Structure | None", posebusters: bool
 ) -> Iterator[tuple[str, "Validation | ProtochainError"]]:
     """Name and validation of each structure, or why there is none."""
     from protochain.validation import validate
@@ -89,7 +97,7 @@ def _validated(
     for name, path, own in files:
         named = f"{name}, model {own.model}" if own.model is not None else name
         try:
-            yield named, validate(own.load(path), reference)
+            yield named, validate(own.load(path), reference, posebusters)
         except ProtochainError as error:
             yield named, error
 
@@ -113,8 +121,8 @@ def _name(path: Path) -> str:
     return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
 
 
-def _print(rows: Sequence[dict[str, Any]]) -> None:
-    """Print the numbers of all structures, then the residues concerned in words."""
+def _print(rows: Sequence[dict[str, Any]], notes: Mapping[str, Sequence[str]]) -> None:
+    """Print the numbers of all structures, then the ligands and the residues concerned in words."""
     from protochain.validation import LIKENESS, MEASURES
 
     console = printer()
@@ -129,7 +137,10 @@ def _print(rows: Sequence[dict[str, Any]]) -> None:
         )
         mapping = row.get("chain_mapping") if row["n_chains"] > 1 else None
         chains = [f"chains of the reference and their match: {mapping}"] if mapping else []
-        told = [f"  {line}" for line in [*filter(None, [row["added"]]), *chains, *lines[:_SHOWN], *more]]
+        told = [
+            f"  {line}"
+            for line in [*filter(None, [row["added"]]), *chains, *notes[row["file"]], *lines[:_SHOWN], *more]
+        ]
         for line in [f"{row['file']}:", *told] if told else []:
             console.print(line, markup=False, highlight=False, soft_wrap=True)
 

@@ -55,7 +55,7 @@ SOLVENTS = {"vacuum": None, "obc2": "implicit/obc2.xml", "gbn2": "implicit/gbn2.
 
 _BESIDE = {
     "amber14": ("amber14/tip3p.xml", "amber14/DNA.OL15.xml", "amber14/RNA.OL3.xml"),
-    "amber19": ("amber19/tip3p.xml", "amber14/DNA.OL15.xml", "amber14/RNA.OL3.xml"),
+    "amber19": ("amber19/tip3p.xml", "amber19/DNA.OL21.xml", "amber14/RNA.OL3.xml"),
     "amber99sb": ("tip3p.xml",),
     "amber99sbildn": ("tip3p.xml",),
     "charmm36": ("charmm36/water.xml",),

@@ -88,11 +88,11 @@ def placed(
     found = [kept[list(match)] for match in matches]
     own_names = [molecule.names[i] for i in heavy]
     same = [each for each in found if [names[i] for i in each] == own_names]
-    chosen = min(same or found, key=lambda i: (len(_inverted(molecule, x[i])), _away(molecule, x[i])))
+    chosen = min(same or found, key=lambda i: (len(inverted_atoms(molecule, x[i])), _away(molecule, x[i])))
     atoms = np.full(molecule.n_atoms, -1)
     atoms[heavy] = chosen
     renamed = tuple(names[i] if i >= 0 else name for i, name in zip(atoms, molecule.names, strict=True))
-    inverted = tuple("=".join(renamed[i] for i in each) for each in _inverted(molecule, x[chosen]))
+    inverted = tuple("=".join(renamed[i] for i in each) for each in inverted_atoms(molecule, x[chosen]))
     moved = replace(molecule, names=renamed, positions=read_only(_with_hydrogens(molecule, x[chosen])))
     return Placed(moved, read_only(atoms, np.int64), inverted)
 
@@ -113,8 +113,15 @@ def _skeleton(elements: Any, x: Floats, bonds: ArrayLike | None, kept: Integers)
     return assembled([""] * n, elements[kept], [0] * n, pairs, [1] * len(pairs), None)
 
 
-def _inverted(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
-    """Atoms of each stereocentre and double bond that is not as in the source, by heavy atoms."""
+def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
+    """Return the atoms of each stereocentre and double bond that is not as in the source.
+
+    Parameters
+    ----------
+    molecule : Molecule
+    heavy : (n, 3) float, nm
+        Positions of its heavy atoms.
+    """
     x = np.zeros((molecule.n_atoms, 3))
     x[molecule.heavy] = heavy
     near = neighbours(molecule.bonds, molecule.n_atoms)

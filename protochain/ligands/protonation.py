@@ -7,11 +7,12 @@ Ropp, Kaminsky, Yablonski, Durrant, J. Cheminform. 11:14 (2019).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from protochain.core.arrays import Value
+from protochain.core.arrays import Value, read_only
 from protochain.core.errors import StructureError
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.molecule import Molecule, from_rdkit, library, quietly, to_rdkit
 
 
@@ -116,7 +117,11 @@ def with_hydrogens(molecule: Molecule, count: Mapping[int, int]) -> Molecule | N
         made.RemoveAtom(i)
     try:
         quietly(chem.SanitizeMol, made)
-        return from_rdkit(made, molecule.source)
+        made = chem.AddHs(made, addCoords=True)
+        x = made.GetConformer().GetPositions() / ANGSTROM_PER_NM
+        # The stereo is that of the source: at these positions it may be another.
+        made.RemoveAllConformers()
+        return replace(from_rdkit(made, molecule.source), positions=read_only(x))
     except (ValueError, StructureError):
         return None
 

@@ -5,17 +5,20 @@ Never from distances: orders of bonds, charges and hydrogens do not follow from 
 
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from protochain.core.arrays import read_only
 from protochain.core.checks import MOLECULE_SUFFIXES
 from protochain.core.errors import Argument, StructureError
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library, quietly
+from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library, quietly, to_rdkit
+from protochain.ligands.tables import CATEGORY, stereo
 
 _LARGEST = 10_000_000
 """Bytes. Of a molecule; a model with its ligand is larger."""
@@ -50,7 +53,18 @@ def of_residue(
     """
     if given is not None:
         return read(given)
-    return _of_tables(header, name, atoms) or from_dictionary(name)
+    found, is_charged = _of_tables(header, name, atoms)
+    if found is None:
+        return from_dictionary(name)
+    if is_charged:
+        return found
+    try:
+        known = from_dictionary(name)
+    except StructureError:
+        return found
+    # Bonds without charges do not tell a sulphate from its acid.
+    same = {known.names[i] for i in known.heavy} == {found.names[i] for i in found.heavy}
+    return known if same else found
 
 
 def read(given: str | Path) -> Molecule:
@@ -144,21 +158,26 @@ def _from_file(path: Path) -> Molecule:
     return from_rdkit(made, str(path))
 
 
-def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> Molecule | None:
-    """Chemistry by ``_chem_comp_bond``; elements by ``_chem_comp_atom``, else those of the model."""
+def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> tuple[Molecule | None, bool]:
+    """Chemistry by ``_chem_comp_bond``, and whether the file says how atoms are charged.
+
+    Elements and charges are those of ``_chem_comp_atom``, else of the model.
+    """
     import gemmi
 
     if "_chem_comp_bond." not in header:
-        return None
+        return None, False
     source, block = f"{name} of the file's bonds", gemmi.cif.read_string(header).sole_block()
     columns = ["comp_id", "atom_id_1", "atom_id_2", "value_order"]
     bonds = [[row.str(i) for i in range(4)] for row in block.find("_chem_comp_bond.", columns)]
     bonds = [row[1:] for row in bonds if row[0] == name]
     if not bonds:
-        return None
+        return None, False
     atoms: dict[str, tuple[str, int]] = {}
+    is_charged = any(charge for _, charge in here.values())
     for row in block.find("_chem_comp_atom.", ["comp_id", "atom_id", "type_symbol", "?charge"]):
         if row.str(0) == name:
+            is_charged |= row.has(3)
             charge = row.str(3) if row.has(3) else ""
             atoms[row.str(1)] = (row.str(2), int(charge) if charge.lstrip("+-").isdigit() else 0)
     atoms = atoms or dict(here)
@@ -171,7 +190,21 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> M
     elements = [_atomic_number(symbol) for symbol, _ in atoms.values()]
     pairs = [(names.index(row[0]), names.index(row[1])) for row in bonds]
     charges = [charge for _, charge in atoms.values()]
-    return _sanitised(assembled(names, elements, charges, pairs, orders, None), source)
+    made = _sanitised(assembled(names, elements, charges, pairs, orders, None), source)
+    own = [
+        {"kind": row.str(1), "atoms": row.str(2)}
+        for row in block.find(CATEGORY, ["comp_id", "kind", "atoms"])
+        if row.str(0) == name
+    ]
+    hand, double = stereo(own, made.names, made.bonds.tolist())
+    if not any(hand) and not double:
+        return made, is_charged
+    handed = replace(
+        made,
+        handedness=read_only(hand, np.int64),
+        double_bonds=read_only(double, np.int64).reshape(-1, 5),
+    )
+    return from_rdkit(to_rdkit(handed), source), is_charged
 
 
 def _sanitised(made: Any, source: str) -> Molecule:

@@ -9,6 +9,7 @@ from protochain.core.arrays import Floats
 from protochain.results.columns import Column, of_energy, of_losses, of_measures, of_structure
 from protochain.validation import MEASURES
 from protochain.validation.fixed import fixed_counts
+from protochain.validation.ligands import LigandFound, at_both_ends
 
 METHOD = "relax"
 
@@ -36,6 +37,9 @@ COLUMNS = (
     Column("overlaps_end", lambda r: r.rounds[r.best].overlaps),
     Column("overlaps_beside_start", lambda r: _beside(r, r.start.positions)),
     Column("overlaps_beside_end", lambda r: _beside(r, r.x)),
+    Column("ligand_strain_start_kj_mol", lambda r: _strain(r.ligands_start)),
+    Column("ligand_strain_end_kj_mol", lambda r: _strain(r.ligands_end)),
+    Column("ligands", lambda r: list(map(at_both_ends, r.ligands_start, r.ligands_end))),
     Column("n_rounds", lambda r: len(r.rounds)),
     Column("n_residues_let_go", lambda r: r.rounds[r.best].let_go),
     Column("rounds", lambda r: [asdict(each) for each in r.rounds]),
@@ -74,6 +78,11 @@ def _beside(relaxation: Any, x: Floats) -> int:
     return sum(each.beside for each in overlaps(relaxation.start, x))
 
 
+def _strain(found: tuple[LigandFound, ...]) -> float | None:
+    """Largest strain of a ligand."""
+    return max((each.strain_kj_mol for each in found if each.strain_kj_mol is not None), default=None)
+
+
 def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Return what is compared in words, before and after; measures that are 0 in both are left out."""
     rows = [(measure.what, record[f"{key}_start"], record[f"{key}_end"]) for key, measure in MEASURES.items()]
@@ -81,6 +90,8 @@ def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         ("overlaps with molecules beside the protein", record["overlaps_beside_start"],
          record["overlaps_beside_end"])
     )  # fmt: skip
+    before, after = (record.get(f"ligand_strain_{when}_kj_mol") for when in ("start", "end"))
+    rows.append(("largest strain of a ligand, kJ/mol", before, after))
     rows = [row for row in rows if not {row[1], row[2]} <= {0, None}]
     rows.append(("overlapping pairs of atoms", record["overlaps_start"], record["overlaps_end"]))
     rows.append(("energy, kJ/mol", record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))

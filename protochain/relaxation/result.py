@@ -28,6 +28,7 @@ from protochain.structure import Structure, save
 from protochain.structure.repairs import Kind, Repair, summarised
 from protochain.structure.superpose import displacements
 from protochain.validation import MEASURES, measures
+from protochain.validation.ligands import LigandFound, findings_of
 from protochain.validation.omega import PLANAR
 
 if TYPE_CHECKING:
@@ -148,6 +149,16 @@ class Relaxation(Value):
     def measures_end(self) -> dict[str, Any]:
         """What is wrong with the end."""
         return measures(self.start, self.x)
+
+    @cached_property
+    def ligands_start(self) -> tuple[LigandFound, ...]:
+        """What is found of each ligand at the start."""
+        return findings_of(self.start, self.start.positions, posebusters=self.settings.posebusters)[0]
+
+    @cached_property
+    def ligands_end(self) -> tuple[LigandFound, ...]:
+        """What is found of each ligand at the end."""
+        return findings_of(self.start, self.x, posebusters=self.settings.posebusters)[0]
 
     @cached_property
     def displacements(self) -> "pd.DataFrame":

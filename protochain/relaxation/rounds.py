@@ -230,7 +230,7 @@ class Relaxer:
         return evaluate(self._space, self.energy, at.q).residual > _HIGH
 
     def _right(self, springs: Tethers) -> list[Stage]:
-        """Stages for folded or nearly flat atoms, wrong hands and reversed peptide bonds, where there are any.
+        """Stages for folded or nearly flat atoms, wrong hands, reversed peptide bonds, where there are any.
 
         Bonds that are only twisted are turned by the stages that follow. One goes on where a ligand's centre
         is half turned: the mean force of a large protein does not tell.

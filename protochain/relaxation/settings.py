@@ -87,6 +87,9 @@ class RelaxSettings(Settings):
         flag,
         bool,
     )
+    posebusters: bool = setting(
+        False, "Run PoseBusters' tests on ligands before and after: seconds for each.", flag, bool
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,17 +1,22 @@
 """Interactive viewer of reports and notebooks: superposed structures, drawn by 3Dmol.js."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from html import escape
 from importlib.resources import files
 from typing import Any
 
+from scipy.spatial import cKDTree
+
+from protochain.core.arrays import Floats
 from protochain.results.figures import COLOURS
 from protochain.results.page import render
 from protochain.structure import Structure, as_structure
 from protochain.structure.superpose import motion
 from protochain.structure.write import as_text, common_suffix
 
+_POCKET = 0.5
+"""nm from a ligand."""
 _ALL_ATOMS = 5000
 """Larger structures are shown without hydrogens, which would add megabytes to the page."""
 
@@ -25,6 +30,34 @@ def scene(shown: Mapping[str, Structure]) -> dict[str, Any]:
         for name, each in shown.items()
     ]
     return {"models": models, "library": library(), "colours": ("#999999", *COLOURS)}
+
+
+def pockets(structure: Structure, *ends: Floats) -> list[dict[str, Any]]:
+    """What the viewer of pockets needs: each ligand and the residues that are near it at any end.
+
+    Parameters
+    ----------
+    structure : Structure
+    *ends : (na, 3) float, nm
+    """
+
+    def selected(residues: Iterable[int]) -> list[dict[str, Any]]:
+        return [
+            {"chain": str(structure.residue_chain[r]) or " ", "resi": int(structure.residue_number[r])}
+            for r in residues
+        ]
+
+    found = []
+    for each in structure.ligands:
+        own = int(structure.atom_residue[each.atoms[0]])
+        near = {
+            r
+            for x in ends
+            for r in structure.atom_residue[cKDTree(x[each.atoms]).query(x)[0] < _POCKET].tolist()
+        }
+        name = str(structure.residue(own))
+        found.append({"name": name, "ligand": selected([own]), "near": selected(sorted(near - {own}))})
+    return found
 
 
 class View:

@@ -2,6 +2,7 @@
 
 from protochain.structure.build import from_sequence
 from protochain.structure.convert import as_structure, to_mdanalysis, to_mdtraj
+from protochain.structure.ligand_files import save_ligands
 from protochain.structure.model import Structure
 from protochain.structure.prepare import load
 from protochain.structure.superpose import ca_rmsd
@@ -14,6 +15,7 @@ __all__ = [
     "from_sequence",
     "load",
     "save",
+    "save_ligands",
     "to_mdanalysis",
     "to_mdtraj",
 ]

@@ -113,7 +113,7 @@ class Chemist:
             library("rdkit.Chem")
             molecule, charged = self._looked_up(name, member)
             at = _placed(molecule, member)
-            molecule = _as_shown(at.molecule, member)
+            molecule = _as_filed(_as_shown(at.molecule, member), member)
             part.ligand = parametrised(molecule, self.chemistry.charges, charged=charged)
         except ProtochainError as error:
             if name in self.chemistry.named:
@@ -128,8 +128,9 @@ class Chemist:
             given = self.chemistry.named.get(name)
             atoms = {a.name: (a.element.name, int(a.charge)) for a in member.atoms}
             found = of_residue(name, self.draft.header, atoms, given)
-            # SO4, without a rule in the table, is as its source has it; so is what a user gives with charges.
-            as_it_is = not (found.elements == 6).any() or (given and found.formal_charges.any())
+            # The table knows acids of carbon and phosphorus. SO4 is as its source has it, as is what users
+            # give with charges.
+            as_it_is = not np.isin(found.elements, (6, 15)).any() or (given and found.formal_charges.any())
             self.known[name] = (found, ()) if as_it_is else at_ph(found, self.chemistry.ph)
         return self.known[name]
 
@@ -168,6 +169,31 @@ def _as_shown(molecule: Molecule, member: Member) -> Molecule:
     return _named_apart(replace(made, names=tuple(names), positions=read_only(x)))
 
 
+def _as_filed(molecule: Molecule, member: Member) -> Molecule:
+    """The molecule with its heavy atoms in the order of the file, then its hydrogens by name.
+
+    SMIRNOFF's impropers depend on the order: a file written of a structure is to have the same energy.
+    """
+    place = {each.name: k for k, each in enumerate(member.atoms) if not each.is_hydrogen()}
+    order = sorted(
+        range(molecule.n_atoms), key=lambda i: (place.get(molecule.names[i], len(place)), molecule.names[i])
+    )
+    now = np.argsort(order)
+    assert molecule.positions is not None
+    double = molecule.double_bonds.copy()
+    double[:, :4] = now[double[:, :4]]
+    return replace(
+        molecule,
+        names=tuple(molecule.names[i] for i in order),
+        elements=molecule.elements[order],
+        formal_charges=molecule.formal_charges[order],
+        bonds=read_only(now[molecule.bonds], np.int64),
+        handedness=molecule.handedness[order],
+        double_bonds=read_only(double, np.int64),
+        positions=read_only(molecule.positions[order]),
+    )
+
+
 def _hydrogens(member: Member) -> dict[str, list[gemmi.Atom]]:
     """Hydrogens of a file by the name of the nearest heavy atom, in the order of the file."""
     heavy = [a for a in member.atoms if not a.is_hydrogen()]
@@ -198,6 +224,9 @@ def take_up(draft: Draft, ph: float) -> None:
             continue
         (member,), molecule = part.members, part.ligand.molecule
         member.own, its = _template(member.name, part.ligand), member.residue
+        charge = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
+        for each in member.atoms:
+            each.charge = charge.get(each.name, 0)
         draft.note(Kind.BOUND, residue=its, source=molecule.source, charge=f"{molecule.charge:+d}")
         if part.ligand.charged:
             atoms = tuple(f"{each.atom} {each.after:+d}" for each in part.ligand.charged)
@@ -227,11 +256,13 @@ def put_hydrogens(draft: Draft) -> None:
 
 def _template(name: str, ligand: Ligand) -> Template:
     molecule, charge = ligand.molecule, ligand.parameters.charge
+    bonds = [(molecule.names[i], molecule.names[j]) for i, j in molecule.bonds.tolist()]
     return Template(
         name,
         {each: gemmi.Element(int(z)).name for each, z in zip(molecule.names, molecule.elements, strict=True)},
         dict(zip(molecule.names, charge.tolist(), strict=True)),
-        tuple((molecule.names[i], molecule.names[j]) for i, j in molecule.bonds),
+        # By name, so that a file written of it gives the same again.
+        tuple(sorted((min(bond), max(bond)) for bond in bonds)),
         {},
         is_users=True,
     )

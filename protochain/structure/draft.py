@@ -108,6 +108,11 @@ class Part:
     inverted: tuple[str, ...] = ()
     cyclic: bool = False
 
+    @property
+    def is_strand(self) -> bool:
+        """Whether it is of nucleotides."""
+        return self.members[0].name in residues.NUCLEOTIDES
+
     def template(self, known: Mapping[str, Template], i: int, state: str = "") -> Template | None:
         """Template of residue i, in a protonation state or in the usual one.
 

@@ -161,7 +161,9 @@ def _is_usable(member: Member) -> bool:
 
 def _near(draft: Draft, candidates: Sequence[Candidate]) -> set[int]:
     """``id`` of the candidates with an atom near the protein, and of those joined to one that has."""
-    protein = [a.pos.tolist() for member in draft.members for a in member.atoms if not a.is_hydrogen()]
+    # Of a file without protein, its nucleic acids.
+    whole = draft.members or [each.member for each in candidates if each.kind == "nucleic"]
+    protein = [a.pos.tolist() for member in whole for a in member.atoms if not a.is_hydrogen()]
     dry = [candidate for candidate in candidates if candidate.kind != "water"]
     if not dry or not protein:
         return set()
@@ -187,6 +189,7 @@ def _parts(
         else:
             parts.append(Part(member.chain_id, [member], obstacle=True))
     for part in parts:
+        _trim(draft, part)
         first = part.members[0]
         gone = [atom.name for atom in first.atoms if atom.name in _PHOSPHATE]
         whole = [*first.atoms]
@@ -194,9 +197,12 @@ def _parts(
             first.atoms = [atom for atom in first.atoms if atom.name not in gone]
         found = [part.template(known, i) for i in range(len(part.members))]
         fits = all(_fits(member, its) for member, its in zip(part.members, found, strict=True))
-        # Of a strand bonds would have to hold, which torsions do not know.
-        part.mobile = fits and len(found) == 1 and found[0] is not None and found[0].is_users
+        is_users = len(found) == 1 and found[0] is not None and found[0].is_users
+        part.mobile = fits and (is_users or part.is_strand)
         if not fits:
+            if part.is_strand and len(part.members) > 1:
+                strange = [m.residue for m, its in zip(part.members, found, strict=True) if not _fits(m, its)]
+                draft.note(Kind.STRAND_STAYS, count=len(part.members), residues=tuple(strange))
             first.atoms = whole
             for member in part.members:
                 if len(member.atoms) > _LARGEST:
@@ -216,6 +222,14 @@ def _parts(
             lost = losses(first, [atom for atom in whole if atom.name in gone], Why.PHOSPHATE)
             draft.note(Kind.PHOSPHATE, lost, residue=first.residue)
     return parts
+
+
+def _trim(draft: Draft, part: Part) -> None:
+    """Leave out the end of a strand of which only the phosphate was seen."""
+    while len(part.members) > 1 and part.is_strand and not part.members[-1].atom("C1'"):
+        last = part.members.pop()
+        lost = losses(last, last.atoms, Why.BACKBONE)
+        draft.note(Kind.NO_BACKBONE, lost, residue=last.residue, atom="C1'")
 
 
 def _is_bonded(last: Member, first: Member) -> bool:

@@ -59,14 +59,20 @@ class BoundLigand(Value):
     def __post_init__(self) -> None:
         object.__setattr__(self, "atoms", read_only(self.atoms, np.int64))
 
-    def in_energy(self) -> bytes:
-        """What of it determines the energy."""
+    def in_energy(self) -> str:
+        """What of it determines the energy, in whatever order its atoms and terms are."""
         its = self.ligand.parameters
-        terms = (
-            each for term in (its.bonds, its.angles, its.torsions) for each in (term.atoms, term.parameters)
-        )
-        values = (self.atoms, *terms, its.charge, its.sigma, its.epsilon)
-        return b"".join(np.ascontiguousarray(each).tobytes() for each in values)
+        rows = []
+        for term in (its.bonds, its.angles, its.torsions):
+            for atoms, values in zip(self.atoms[term.atoms].tolist(), term.parameters, strict=True):
+                rows.append((min(atoms, atoms[::-1]), np.round(values, _DIGITS).tolist()))
+        single = np.column_stack([its.charge, its.sigma, its.epsilon])
+        rows += zip(([k] for k in self.atoms.tolist()), np.round(single, _DIGITS).tolist(), strict=True)
+        return repr(sorted(rows))
+
+
+_DIGITS = 9
+"""Of parameters that are compared: sums of charges differ in the last."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +279,7 @@ class Structure(Value):
         if self.mobile.any():
             seen.update(self.mobile.tobytes())
         for each in self.ligands:
-            seen.update(each.in_energy())
+            seen.update(each.in_energy().encode())
         return seen.hexdigest()
 
     @property

@@ -29,7 +29,15 @@ from protochain.structure.model import BoundLigand, Structure
 from protochain.structure.protonate import protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.sidechains.relief import relieved
-from protochain.structure.sites import find_links, moves, settle_mobile, stated_beside, stated_ties, ties
+from protochain.structure.sites import (
+    find_links,
+    metal_ties,
+    moves,
+    settle_mobile,
+    stated_beside,
+    stated_ties,
+    ties,
+)
 from protochain.structure.templates import Template, templates
 
 
@@ -179,7 +187,7 @@ def prepare(
         residue_label=tuple(member.label for member in draft.members),
         header=draft.header,
         model_number=draft.model_number,
-        ties=stated_ties(draft, links, at) or ties(links, at, x, elements, bonds),
+        ties=stated_ties(draft, links, at) or (*ties(links, at, x, elements, bonds), *metal_ties(draft, at)),
         mobile=mobile,
         links=np.array([*_linked(links, at), *_linked(beside, at)], dtype=np.int64).reshape(-1, 2),
         mirrored=np.array([member.is_d for member in draft.members]),

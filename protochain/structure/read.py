@@ -114,7 +114,8 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
     source = "standard input" if path == STANDARD_INPUT else str(path)
     draft = Draft(name, source, repairs=overlooked, springs=springs(records), header=records)
     draft = read_structure(structure, draft, reading or Reading())
-    last = next(part for part in reversed(draft.parts) if not part.obstacle).members[-1]
+    chains = [part for part in draft.parts if not part.obstacle] or draft.parts
+    last = chains[-1].members[-1]
     if not ends and not last.atom("OXT"):
         draft.note(Kind.NO_END, residue=last.residue)
     return draft
@@ -147,11 +148,11 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         unknown += reader.refused
     if unknown:
         raise StructureError(f"{draft.source}: ", *_unknown_told(draft, unknown))
-    if not draft.parts:
+    if not draft.parts and not any(each.kind == "nucleic" for each in beside):
         kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
         found = ", ".join(_counted(kind, count) for kind, count in kinds.items())
         single = any(each.given in residues.STANDARD for each in beside)
-        remedy = "a chain has two amino acids or more" if single else "give a file with amino acids"
+        remedy = "a chain has two amino acids or more" if single else "give a file with protein, DNA or RNA"
         raise StructureError(f"{draft.source}: no protein found{found and f', only {found}'}; {remedy}")
     draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})
     if deuterium := draft.left_out["deuterium atoms"]:

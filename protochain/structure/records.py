@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import gemmi
 
+from protochain.ligands import tables
 from protochain.structure.header import Label
 from protochain.structure.springs import CATEGORY, of_remarks
 
@@ -20,10 +21,14 @@ _MODIFIED = "_pdbx_struct_mod_residue."
 _ALWAYS = (
     "_chem_comp.", "_chem_comp_atom.", "_chem_comp_bond.", "_citation.", "_citation_author.",
     "_pdbx_data_usage.", _MODIFIED, "_database_pdb_remark.", CATEGORY,
+    tables.CATEGORY,
 )  # fmt: skip
 _OF_MODELS = ("_ma_", "_audit_author.", "_audit_conform.", "_software.")
 """Of predicted models; of an experiment it would be said of positions that are not its own."""
-_COMPONENT = {"_chem_comp.": "id", "_chem_comp_atom.": "comp_id", "_chem_comp_bond.": "comp_id"}
+_COMPONENT = {
+    "_chem_comp.": "id", "_chem_comp_atom.": "comp_id", "_chem_comp_bond.": "comp_id",
+    tables.CATEGORY: "comp_id",
+}  # fmt: skip
 _NO_VALUE = (".", "?")
 _TERMS = 1
 """Number of the remark in which PDB files of AlphaFold's database, among others, state their terms."""
@@ -68,12 +73,14 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
          "details": _quoted(mod.details)}
         for k, mod in enumerate(structure.mod_residues, 1)
     ]  # fmt: skip
+    own = tables.of_remarks(lines.get("REMARK", ()))
     return _text(
         {
             "_chem_comp.": [
                 {"id": _quoted(name), "name": _quoted(_joined(said))} for name, said in names.items()
             ],
-            "_chem_comp_bond.": list(_drawn(structure)),
+            "_chem_comp_bond.": list(_drawn(structure, tables.known(own))),
+            tables.CATEGORY: own,
             _MODIFIED: mods,
             "_database_PDB_remark.": [{"id": f"{_TERMS}", "text": _quoted("\n".join(remarks))}]
             if remarks
@@ -84,7 +91,9 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
     )
 
 
-def cif_rows(header: str, out: gemmi.Structure, label: Mapping[Label, Label]) -> dict[str, Rows]:
+def cif_rows(
+    header: str, out: gemmi.Structure, label: Mapping[Label, Label], ligands: Mapping[str, Rows]
+) -> dict[str, Rows]:
     """Return the categories of a header, about what a structure has, under the names that it has there.
 
     Parameters
@@ -94,10 +103,12 @@ def cif_rows(header: str, out: gemmi.Structure, label: Mapping[Label, Label]) ->
         With its entities.
     label : mapping of Label to Label
         Label ids in the file written of those in the file read.
+    ligands : mapping of str to list
+        Chemistry of ligands by category, in the place of what the header says of the same components.
     """
     names = {residue.name: None for model in out for chain in model for residue in chain}
     there = _There(out, label, names)
-    found = {} if not header else _categories(gemmi.cif.read_string(header).sole_block())
+    found = _with(ligands, _categories(gemmi.cif.read_string(header).sole_block()) if header else {})
     kept = {
         category: rows
         for category, given in found.items()
@@ -107,9 +118,19 @@ def cif_rows(header: str, out: gemmi.Structure, label: Mapping[Label, Label]) ->
     return kept | {"_chem_comp.": list(_components(kept.get("_chem_comp.", []), names))}
 
 
-def pdb_lines(header: str, out: gemmi.Structure) -> tuple[list[str], list[str]]:
-    """Return the records of a PDB file of its citation and terms, and those of its ligands' names."""
-    found = cif_rows(header, out, {})
+def _with(ligands: Mapping[str, Rows], found: Mapping[str, Rows]) -> dict[str, Rows]:
+    """Categories with the chemistry of ligands in the place of others of the same components."""
+    named = {row["comp_id"] for given in ligands.values() for row in given}
+    kept = {
+        category: [row for row in given if row.get("comp_id") not in named] if category in ligands else given
+        for category, given in found.items()
+    }
+    return kept | {category: kept.get(category, []) + given for category, given in ligands.items()}
+
+
+def pdb_lines(header: str, out: gemmi.Structure, ligands: Mapping[str, Rows]) -> tuple[list[str], list[str]]:
+    """Return the records of a PDB file of citation, terms and ligands, and those of the ligands' names."""
+    found = cif_rows(header, out, {}, ligands)
     citation = [
         f"JRNL        {name:<4}{k if k > 1 else '':>2} {line}"
         for name, text in _cited(found)
@@ -133,15 +154,15 @@ def pdb_lines(header: str, out: gemmi.Structure) -> tuple[list[str], list[str]]:
         if _plain(row["id"]) in het and _is_given(row, "name")
         for k, line in enumerate(textwrap.wrap(_plain(row["name"]), _NAME_WIDTH), 1)
     ]
-    return [*citation, *(f"REMARK {_TERMS:3} {line}".rstrip() for line in terms)], names
+    stated = [f"REMARK {_TERMS:3} {line}".rstrip() for line in terms]
+    return [*citation, *stated, *tables.as_remarks(found.get(tables.CATEGORY, []))], names
 
 
-def orders(header: str) -> dict[tuple[str, str, str], int]:
-    """Order of each bond of the components of a header, by component and its atoms in alphabetic order."""
+def orders(header: str, ligands: Mapping[str, Rows]) -> dict[tuple[str, str, str], int]:
+    """Order of each bond of components, by component and its atoms in alphabetic order."""
     known = {name: order for order, name in _ORDERS.items()}
-    rows = (
-        _categories(gemmi.cif.read_string(header).sole_block()).get("_chem_comp_bond.", []) if header else []
-    )
+    said = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
+    rows = _with(ligands, said).get("_chem_comp_bond.", [])
     found = {}
     for row in rows:
         first, second = sorted(_plain(row.get(f"atom_id_{k}", "")) for k in (1, 2))
@@ -229,8 +250,11 @@ def component_type(name: str) -> str:
     return _KINDS.get(info.kind, "non-polymer") if info is not None else "non-polymer"
 
 
-def _drawn(structure: gemmi.Structure) -> Iterator[dict[str, str]]:
-    """Bonds of the components whose CONECT records tell their orders, by giving a bond more than once."""
+def _drawn(structure: gemmi.Structure, known: set[str]) -> Iterator[dict[str, str]]:
+    """Bonds of the components whose CONECT records tell their orders, by giving a bond more than once.
+
+    Of those that are known to tell them, all bonds may be single.
+    """
     at = {
         place.atom.serial: (place.residue.name, str(place.residue.seqid), place.chain.name, place.atom.name)
         for place in structure[0].all()
@@ -243,7 +267,7 @@ def _drawn(structure: gemmi.Structure) -> Iterator[dict[str, str]]:
                 if pair[::-1] not in drawn.setdefault(at[one][0], {}):
                     drawn[at[one][0]].setdefault(pair, ends.count(other))
     for name, bonds in drawn.items():
-        if max(bonds.values()) > 1:
+        if name in known or max(bonds.values()) > 1:
             for (first, second), order in bonds.items():
                 yield {
                     "comp_id": _quoted(name), "atom_id_1": _quoted(first), "atom_id_2": _quoted(second),

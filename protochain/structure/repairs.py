@@ -150,6 +150,12 @@ class Kind(Enum):
     CHARGED = Words("{residue}: charged for pH {ph:g}: {atoms}")
     INVERTED = Words("{residue}: of the other hand than in its source: {atoms}", rank=Rank.LOSS)
     MOBILE = Words("{counts} with parameters of the force field: free to move, in torsions as a rigid body")
+    STRAND = Words(
+        "strand of {count:n nucleotide}, {first} to {last}: free to move, in torsions as a rigid body"
+    )
+    STRAND_STAYS = Words(
+        "strand of {count:n nucleotide} stays in place: the force field has no parameters for {residues:6}"
+    )
     # Heavy atoms.
     ATOMS_RENAMED = Words("atoms renamed: {changes:4}")
     WRONG_HAND = Words("of the wrong hand in the file: {atoms:6}")

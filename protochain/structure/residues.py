@@ -108,6 +108,21 @@ ROTORS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
 ROTOR_N_TERMINAL = ("C", "CA", "N", "H1")
 """The charged amine at the start of a chain."""
 
+_BACKBONE_TORSIONS = {
+    "alpha": ("O3'-", "P", "O5'", "C5'"), "beta": ("P", "O5'", "C5'", "C4'"),
+    "gamma": ("O5'", "C5'", "C4'", "C3'"), "epsilon": ("C4'", "C3'", "O3'", "P+"),
+    "zeta": ("C3'", "O3'", "P+", "O5'+"),
+}  # fmt: skip
+NUCLEIC = {
+    name: {
+        **_BACKBONE_TORSIONS,
+        "base": ("O4'", "C1'", *(("N9", "C4") if name[-1] in "AG" else ("N1", "C2"))),
+    }
+    for name in sorted(NUCLEOTIDES)
+}
+"""Torsions of nucleotides (IUPAC-IUB, Eur. J. Biochem. 131:9, 1983) but delta and those of the sugar, whose
+ring is rigid; ``base`` is chi."""
+
 
 BLANK = "(blank)"
 """What a chain without an id is called."""

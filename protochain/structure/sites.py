@@ -16,7 +16,7 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import neighbours
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.kept import JOINED
-from protochain.structure.linkage import COVALENT_SLACK, Link, told_apart, usual_length
+from protochain.structure.linkage import COVALENT_SLACK, Link, is_metal, told_apart, usual_length
 from protochain.structure.model import Tie
 from protochain.structure.repairs import Apart, Count, Kind
 
@@ -168,8 +168,9 @@ def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
 def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
     """Leave mobile only molecules that are whole, not bonded to the protein or another, and report them."""
     tied = {id(link.other) for link in links}
-    beside = [(part, a) for part in draft.parts if part.obstacle for m in part.members for a in _heavy(m)]
+    beside = [(part, a) for part, _, a in beside_of(draft)]
     tree = KDTree([a.pos.tolist() for _, a in beside]) if beside else None
+    metals = {_address(m, a) for _, m, a in beside_of(draft) if is_metal(a.element.name)}
     names: Counter[str] = Counter()
     for part in draft.parts:
         if tree is None or not part.mobile:
@@ -178,17 +179,42 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
             k for m in part.members for a in _heavy(m) for k in tree.query_ball_point(a.pos.tolist(), JOINED)
         }
         joined = any(beside[k][0] is not part for k in near)
-        if part.ligand is not None:
+        if part.ligand is not None or part.is_strand:
             # Of a whole molecule near others are no bonds, unless the file says so.
             its = {(m.chain_id, m.seqid) for m in part.members}
-            joined = any(len({a[:2], b[:2]} & its) == 1 for a, b in draft.stated)
+            joined = any(len({a[:2], b[:2]} & its) == 1 and not {a, b} & metals for a, b in draft.stated)
         if joined or tied & {id(m) for m in part.members}:
             part.mobile = False
             draft.note(Kind.STAYS, residue=part.members[0].residue)
+        elif part.is_strand:
+            first, last = part.members[0].residue, part.members[-1].residue
+            draft.note(Kind.STRAND, first=first, last=last, count=len(part.members))
         elif part.ligand is None:
             names[part.members[0].name] += 1
     if names:
         draft.note(Kind.MOBILE, counts=tuple(Count(n, name) for name, n in names.items()))
+
+
+def beside_of(draft: Draft) -> list[tuple[Part, Member, gemmi.Atom]]:
+    """Heavy atoms of the molecules beside the protein."""
+    return [(part, m, a) for part in draft.parts if part.obstacle for m in part.members for a in _heavy(m)]
+
+
+def metal_ties(draft: Draft, at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, ...]:
+    """Springs between metals and the donors of ligands and strands that move, as of those of the protein."""
+    atoms = beside_of(draft)
+    metals = [(m, a) for part, m, a in atoms if is_metal(a.element.name) and not part.mobile]
+    if not metals:
+        return ()
+    tree = KDTree([a.pos.tolist() for _, a in metals])
+    found = []
+    for part, member, donor in atoms:
+        for k in sorted(tree.query_ball_point(donor.pos.tolist(), STATED)) if part.mobile else ():
+            link = Link(member, donor, *metals[k])
+            if _is_coordinated(link):
+                ends = at[id(member)][donor.name], at[id(link.other)][link.other_atom.name]
+                found.append(Tie(ends, 0.1 * link.length, _METAL_BOND))
+    return tuple(found)
 
 
 def _heavy(member: Member) -> list[gemmi.Atom]:

@@ -28,7 +28,9 @@ def superpose(x: Floats, reference: Floats) -> Floats:
 
 
 def motion(x: Floats, reference: Floats) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and translation (3,) that superpose points onto a reference."""
+    """Rotation (3, 3) and translation (3,) that superpose points onto a reference; of none, no motion."""
+    if not len(x):
+        return np.eye(3), np.zeros(3)
     centre, own_centre = reference.mean(axis=0), x.mean(axis=0)
     return motion_of((reference - centre).T @ (x - own_centre), own_centre, centre)
 
@@ -52,13 +54,18 @@ def rmsd(x: Floats, reference: Floats) -> float:
     Returns
     -------
     float
-        In double precision; mdtraj's in single is noise below about 1e-3 of the size of the molecule.
+        In double precision; mdtraj's in single is noise below about 1e-3 of the size of the molecule. NaN of
+        no points, as of the C-alphas of nucleic acids.
     """
+    if not len(x):
+        return np.nan
     return float(np.sqrt(np.mean(np.sum((superpose(x, reference) - reference) ** 2, axis=1))))
 
 
 def deviation_angstrom(x: Floats, reference: Floats) -> float:
     """Root-mean-square deviation in angstrom of points (n, 3) in nm as they are, without superposition."""
+    if not len(x):
+        return np.nan
     return float(ANGSTROM_PER_NM * np.sqrt(np.mean(np.sum((x - reference) ** 2, axis=1))))
 
 

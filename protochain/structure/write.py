@@ -2,6 +2,7 @@
 
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,13 @@ from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError
 from protochain.core.storage import write_atomically
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.ligands.tables import rows
 from protochain.structure.convert import as_structure
 from protochain.structure.files import PACKINGS, SUFFIXES, format_of, split_name
 from protochain.structure.header import NO_LABEL, Label, settle, with_header
 from protochain.structure.linkage import is_metal
 from protochain.structure.model import Structure
-from protochain.structure.records import cif_rows, orders, pdb_lines, put, with_names
+from protochain.structure.records import Rows, cif_rows, orders, pdb_lines, put, with_names
 from protochain.structure.residues import NUCLEOTIDES
 from protochain.structure.springs import CATEGORY, Spring, as_remarks, as_rows, of_structure
 
@@ -318,7 +320,7 @@ def _mmcif(
     head.cell = head.symmetry = out.cell.is_crystal()
     document = _whole(out).make_mmcif_document(head)
     block = document.sole_block()
-    put(block, cif_rows(models[0].header, out, _moved(models[0], out)))
+    put(block, cif_rows(models[0].header, out, _moved(models[0], out), _chemistry(models[0])))
     put(block, {CATEGORY: as_rows(_springs(models))})
     for category, lines in (("provenance", remarks), ("repair", repairs)):
         loop = block.init_loop(f"_protochain_{category}.", ["ordinal", "text"])
@@ -332,8 +334,9 @@ def _mmcif(
 def _pdb(
     out: gemmi.Structure, models: Sequence[Structure], remarks: Iterable[str], repairs: Iterable[str]
 ) -> str:
-    before, names = pdb_lines(models[0].header, out)
-    out.raw_remarks = [
+    chemistry = _chemistry(models[0])
+    before, names = pdb_lines(models[0].header, out, chemistry)
+    lines = [
         *before,
         *(
             f"REMARK   3 {line}"
@@ -342,7 +345,8 @@ def _pdb(
         ),
         *as_remarks(_springs(models)),
     ]
-    _draw(out, models[0], orders(models[0].header))
+    out.raw_remarks = sorted(lines, key=lambda line: int(line[6:10]) if line.startswith("REMARK") else 0)
+    _draw(out, models[0], orders(models[0].header, chemistry))
     head = gemmi.PdbWriteOptions(
         atom_records=False, end_record=False, cryst1_record=out.cell.is_crystal(), cispep_records=True
     )
@@ -367,6 +371,20 @@ def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, 
             out.add_conect(
                 ends[0], ends[1], 1 if is_link else order.get((component, min(names), max(names)), 1)
             )
+
+
+def _chemistry(structure: Structure) -> dict[str, Rows]:
+    """Tables of the ligands whose chemistry is known, of each component once."""
+    found: dict[str, Rows] = {}
+    named: set[str] = set()
+    for each in structure.ligands:
+        component = str(structure.residue_name[structure.atom_residue[each.atoms[0]]])
+        if component not in named:
+            named.add(component)
+            names = tuple(structure.atom_name[each.atoms].tolist())
+            for category, its in rows(component, replace(each.ligand.molecule, names=names)).items():
+                found.setdefault(category, []).extend(its)
+    return found
 
 
 def _springs(models: Sequence[Structure]) -> list[Spring]:

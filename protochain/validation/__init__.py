@@ -3,6 +3,7 @@
 from protochain.validation.api import measures, validate
 from protochain.validation.clashes import Clashes, clashes
 from protochain.validation.findings import MEASURES
+from protochain.validation.ligands import LigandFound
 from protochain.validation.likeness import LIKENESS, likeness
 from protochain.validation.result import Validation
 from protochain.validation.rings import ThreadedRing, threaded_rings
@@ -13,6 +14,7 @@ __all__ = [
     "LIKENESS",
     "MEASURES",
     "Clashes",
+    "LigandFound",
     "Strain",
     "ThreadedRing",
     "Validation",

@@ -5,9 +5,11 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats, floats
+from protochain.core.checks import flag
 from protochain.structure.convert import as_structure
 from protochain.structure.matching import measurable
 from protochain.validation.findings import MEASURES, Found
+from protochain.validation.ligands import with_posebusters
 from protochain.validation.likeness import likeness
 from protochain.validation.result import Validation
 
@@ -39,7 +41,7 @@ def measures(structure: Any, x: Floats | None = None) -> dict[str, Any]:
     return Found(structure, x).measures()
 
 
-def validate(source: Any, reference: Any = None, **settings: Any) -> Validation:
+def validate(source: Any, reference: Any = None, posebusters: bool = True, **settings: Any) -> Validation:
     """Find what is wrong with a structure by itself, and how like a reference it is.
 
     Heavy atoms are measured where the file has them. Those that it lacks are added, as by
@@ -52,6 +54,8 @@ def validate(source: Any, reference: Any = None, **settings: Any) -> Validation:
     reference : the same, optional
         Structure to compare with; residues are matched as by :func:`protochain.rmsd`. A file may hold only
         C-alphas.
+    posebusters : bool
+        Whether PoseBusters' tests are run on the ligands. For a large one they take half a minute.
     **settings
         Options of :func:`protochain.load`, for the source.
 
@@ -65,6 +69,7 @@ def validate(source: Any, reference: Any = None, **settings: Any) -> Validation:
     ProtochainError
         If a file cannot be used, or no residue matches the reference.
     """
+    posebusters = flag(posebusters, "posebusters")
     structure = as_structure(source, **settings)
     found = Found(structure, structure.positions)
     values, table = found.measures(), found.table()
@@ -74,4 +79,9 @@ def validate(source: Any, reference: Any = None, **settings: Any) -> Validation:
         values |= alike.measures
         mapping = alike.match.chain_mapping
         table["lddt"] = alike.lddt[table.index]
-    return Validation(structure, values, table, found.violations, tuple(found.listing()), mapping)
+    ligands, why = found.ligands, ""
+    if posebusters:
+        ligands, why = with_posebusters(structure, structure.positions, ligands)
+    return Validation(
+        structure, values, table, found.violations, tuple(found.listing()), mapping, ligands, why
+    )

@@ -15,6 +15,7 @@ from protochain.structure.model import Structure
 from protochain.validation.cbeta import cbeta_deviations
 from protochain.validation.clashes import clashes
 from protochain.validation.fixed import fixed_faults
+from protochain.validation.ligands import LigandFound, ligand_findings
 from protochain.validation.omega import omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran
 from protochain.validation.rings import threaded_rings
@@ -57,6 +58,11 @@ class Found(Value):
     rings = _measured(threaded_rings)
     fixed = _measured(fixed_faults)
     strain = _measured(strain)
+
+    @cached_property
+    def ligands(self) -> tuple[LigandFound, ...]:
+        """What is found of each ligand, but PoseBusters' tests."""
+        return ligand_findings(self.structure, self.x, self.clashes)
 
     def measures(self) -> dict[str, Any]:
         """Values of all ``MEASURES``; None where nothing can be measured."""
@@ -203,6 +209,9 @@ MEASURES = {
         "angles beyond 4 sigma of the force field's", "angle", lambda f: len(f.strain.angles)
     ),
     "threaded_rings": Measure("rings that a bond goes through", "ring", lambda f: len(f.rings)),
+    "ligand_clashes": Measure(
+        "clashes of ligands with the protein", "", lambda f: sum(each.clashes for each in f.ligands)
+    ),
     "fixed_broken_bonds": Measure(
         "broken bonds of what is fixed beside the protein", "", lambda f: len(f.fixed.bonds)
     ),

@@ -11,6 +11,7 @@ from protochain.core.markup import counted, facts
 from protochain.structure.model import Structure
 from protochain.structure.repairs import Kind
 from protochain.validation.findings import MEASURES
+from protochain.validation.ligands import LIGAND_COLUMNS, LigandFound
 from protochain.validation.likeness import LIKENESS
 from protochain.validation.violations import Violations
 
@@ -43,6 +44,10 @@ class Validation(Value):
         Index of a residue, and what is wrong with it.
     chain_mapping : str, optional
         Chains of the reference and those that they match, as ``A:B,B:A``; None without a reference.
+    ligands : tuple of LigandFound
+        What is found of each ligand of known chemistry.
+    posebusters_missing : str
+        Why PoseBusters' tests were not run though asked for; empty if they were.
     """
 
     structure: Structure
@@ -51,6 +56,8 @@ class Validation(Value):
     violations: Violations
     findings: tuple[tuple[int, str], ...]
     chain_mapping: str | None = None
+    ligands: tuple[LigandFound, ...] = ()
+    posebusters_missing: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "measures", MappingProxyType(dict(self.measures)))
@@ -61,6 +68,17 @@ class Validation(Value):
         for residue, what in self.findings:
             of[residue].append(what)
         return [f"{self.structure.describe_residue(r)}: {', '.join(of[r])}" for r in sorted(of)]
+
+    @property
+    def ligand_table(self) -> "pd.DataFrame":
+        """A row for each ligand.
+
+        ``chain``, ``residue``, ``name``, ``source``, ``strain_kj_mol``, ``contacts``, ``clashes``,
+        ``inverted``, ``posebusters_passed`` and ``posebusters_failed``, names of tests.
+        """
+        import pandas as pd
+
+        return pd.DataFrame([each.record() for each in self.ligands], columns=LIGAND_COLUMNS)
 
     @property
     def added(self) -> str:

@@ -75,6 +75,7 @@ REQUIRED = {
     "relax": lambda: (S(),),
     "rmsd": lambda: (S(), S()),
     "save": lambda: (S(), "never-written.pdb"),
+    "save_ligands": lambda: (S(), "never-written.sdf"),
     "simulate": lambda: (C(), vacuum()),
     "solve_mass": lambda: (C(), at(), np.zeros(C().n_v)),
     "to_ase": lambda: (S(), vacuum()),

@@ -1,0 +1,188 @@
+"""protochain relax on complexes: poses of ligands against PoseBusters' minimisation, and whole models.
+
+    python analysis/benchmarks/complexes.py [poses] [models] [-o DIR] [--quick] [--complexes FOLDER]
+
+poses: each crystal pose of a ligand, and two that were turned and shifted, in its protein, judged by
+PoseBusters before and after. `relax` moves the whole complex; the rival is the way of PoseBusters' paper
+(Buttenschoen, Morris, Deane, Chem. Sci. 15:3130, 2024): the protein stands still, the ligand moves in Sage
+(with MMFF94 charges, as here) and ff14SB in vacuum, by OpenMM's minimiser on the CPU platform until the RMS
+force is 10 kJ/mol/nm. Both begin from the same prepared structure, on two threads; seconds are from the file
+to the end.
+
+models: predictions and crystal structures with ligands, DNA, RNA and glycans, each by one `protochain relax`;
+clashes of 0.4 angstrom and more per 1000 atoms, base pairs (N1 to N3 within 3.3 angstrom, at the end 3.5),
+motion of P atoms and of ligands, stereocentres of the wrong hand.
+
+FOLDER has astex/NAME_protein.pdb, astex/NAME_moved*.sdf, ligands/NAME.sdf and models/.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+from time import perf_counter
+
+import made
+import numpy as np
+import openmm
+import pandas as pd
+from made import ROOT
+from posebusters import PoseBusters
+from rdkit import Chem
+
+import protochain as pc
+from protochain.contacts import overlaps
+from protochain.energies.factory import build_system
+from protochain.ligands.molecule import to_rdkit
+from protochain.ligands.sources import from_dictionary
+from protochain.structure.chirality import wrong_atoms
+
+COMPLEXES = ROOT.parent / "shared" / "complexes"
+MODELS = {
+    "boltz1_6bj9_model_0.cif": None, "chai1_6bj9_model_0.cif": "ACO", "5ugo.cif": None, "1ysa.pdb": None,
+    "2r5z.pdb": None, "1bna.pdb": None, "4gxy.cif": None, "3ave.pdb": None, "1a0i.cif": None,
+    "5h73.cif": None, "clash_dna.pdb": None, "clash_ligand.cif": None, "charges.cif": None,
+}  # fmt: skip
+"""Models, and for one whose ligands have no names the component that they are."""
+THREADS = 2
+
+
+def without(structure: pc.Structure, x: np.ndarray, atoms: np.ndarray, path: Path) -> None:
+    """Write a complex without a ligand, for PoseBusters."""
+    other = np.ones(structure.n_atoms, dtype=bool)
+    other[atoms] = False
+    topology = openmm.app.Topology()
+    for chain in structure.topology.chains():
+        new_chain = topology.addChain(chain.id)
+        for residue in chain.residues():
+            mine = [a for a in residue.atoms() if other[a.index]]
+            new = topology.addResidue(residue.name, new_chain, residue.id) if mine else None
+            for a in mine:
+                topology.addAtom(a.name, a.element, new)
+    with path.open("w") as file:
+        openmm.app.PDBFile.writeFile(topology, 10.0 * x[other], file, keepIds=True)
+
+
+def frozen(structure: pc.Structure, atoms: np.ndarray) -> np.ndarray:
+    """Ends (na, 3) of PoseBusters' way."""
+    system = build_system(structure, solvent="vacuum")
+    for k in set(range(structure.n_atoms)) - {*atoms.tolist()}:
+        system.setParticleMass(k, 0.0)
+    platform = openmm.Platform.getPlatformByName("CPU")
+    properties = {"Threads": f"{THREADS}", "DeterministicForces": "true"}
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, properties)
+    context.setPositions(structure.positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
+    return np.array(context.getState(getPositions=True).getPositions(asNumpy=True)._value)
+
+
+def failed(busters: PoseBusters, molecule, true, protein: Path) -> list[str]:
+    """Tests of PoseBusters that a pose fails, its distance to the crystal's left out."""
+    row = busters.bust([molecule], true, Chem.MolFromPDBFile(str(protein), sanitize=False)).iloc[0]
+    return [str(name) for name, passed in row.items() if not passed and "rmsd" not in str(name)]
+
+
+def poses(options: argparse.Namespace) -> pd.DataFrame:
+    """Poses that PoseBusters takes, before and after."""
+    folder, busters, rows = options.complexes, PoseBusters("redock"), []
+    names = sorted(
+        path.name.removesuffix("_protein.pdb") for path in (folder / "astex").glob("*_protein.pdb")
+    )
+    for name in names[: 1 if options.quick else None]:
+        protein = folder / "astex" / f"{name}_protein.pdb"
+        true = Chem.MolFromMolFile(str(folder / "ligands" / f"{name}.sdf"))
+        kinds = {"crystal": folder / "ligands" / f"{name}.sdf"}
+        kinds |= {f"moved {k}": folder / "astex" / f"{name}_moved{k}.sdf" for k in (0, 1)}
+        for kind, path in kinds.items():
+            rows.append({"complex": name, "pose": kind, **one_pose(busters, protein, path, true)})
+            print(rows[-1], flush=True)
+    return pd.DataFrame(rows)
+
+
+def one_pose(busters: PoseBusters, protein: Path, path: Path, true) -> dict[str, object]:
+    with tempfile.TemporaryDirectory() as scratch:
+        beside = Path(scratch) / "protein.pdb"
+        began = perf_counter()
+        start = pc.load(protein, ligands=path)
+        bound, prepared = start.ligands[-1], perf_counter() - began
+        ends, seconds = {"before": start.positions}, {}
+        for way in ("relax", "frozen"):
+            began = perf_counter()
+            ends[way] = pc.relax(start, threads=THREADS).x if way == "relax" else frozen(start, bound.atoms)
+            seconds[way] = prepared + perf_counter() - began
+        heavy = bound.atoms[bound.ligand.molecule.heavy]
+        row: dict[str, object] = {"residues": start.n_protein_residues}
+        for way, x in ends.items():
+            without(start, x, bound.atoms, beside)
+            molecule = Chem.RemoveHs(to_rdkit(bound.ligand.molecule, x[bound.atoms]))
+            bad = failed(busters, molecule, true, beside)
+            row |= {f"valid_{way}": not bad, f"failed_{way}": ";".join(bad)}
+            if way in seconds:
+                moved = 10.0 * np.linalg.norm(x[heavy] - start.positions[heavy], axis=1)
+                row |= {f"seconds_{way}": round(seconds[way], 2), f"moved_{way}_angstrom": np.median(moved)}
+        return row
+
+
+def base_pairs(s: pc.Structure, x: np.ndarray, within: float) -> set[tuple[int, int]]:
+    """Watson-Crick pairs by the distance (nm) of N1 to N3, of bases that are no neighbours in sequence."""
+    base = s.residue_name[s.atom_residue]
+    purine = np.flatnonzero((s.atom_name == "N1") & np.isin(base, ["DA", "DG", "A", "G"]))
+    other = np.flatnonzero((s.atom_name == "N3") & np.isin(base, ["DT", "DC", "U", "C"]))
+    near = np.linalg.norm(x[purine][:, None] - x[other], axis=2) < within
+    pairs = s.atom_residue[purine][:, None] - s.atom_residue[other]
+    near &= np.abs(pairs) > 2
+    return {(int(purine[i]), int(other[j])) for i, j in np.argwhere(near)}
+
+
+def models(options: argparse.Namespace) -> pd.DataFrame:
+    """Models of complexes, each relaxed once."""
+    rows = []
+    for name, component in list(MODELS.items())[-1 if options.quick else 0 :]:
+        began = perf_counter()
+        path, ligands = options.complexes / "models" / name, None
+        if component:
+            known = Chem.MolToSmiles(Chem.RemoveHs(to_rdkit(from_dictionary(component))))
+            ligands = {"LIG3": known, "LIG4": known}
+            began = perf_counter()
+        start = pc.load(path, ligands=ligands)
+        prepared = perf_counter() - began
+        done = pc.relax(start, threads=THREADS)
+        seconds, x = perf_counter() - began, done.x
+        pairs = base_pairs(start, start.positions, 0.33)
+        record = done.record()
+        phosphorus = np.isin(start.residue_name[start.atom_residue], [*"ACGU", "DA", "DC", "DG", "DT"])
+        phosphorus &= (start.atom_element == "P") & ~start.obstacle
+        heavy = [b.atoms[b.ligand.molecule.heavy] for b in start.ligands]
+        moved = 10.0 * np.linalg.norm(x - start.positions, axis=1)
+        wrong = [len(wrong_atoms(start, at, start.mirrored)) for at in (start.positions, x)]
+        rows.append(
+            {
+                "model": name, "residues": start.n_residues, "atoms": start.n_atoms,
+                "status": str(done.status), "ligands_that_move": len(start.ligands),
+                "atoms_fixed": int(start.obstacle.sum()),
+                "seconds_prepared": round(prepared, 2), "seconds": round(seconds, 2),
+                "clashes_start": record["clashscore_per_1000_atoms_start"],
+                "clashes_end": record["clashscore_per_1000_atoms_end"],
+                "overlaps_start": len(overlaps(start, start.positions)),
+                "overlaps_end": len(overlaps(start, x)), "base_pairs": len(pairs),
+                "base_pairs_kept": len(pairs & base_pairs(start, x, 0.35)),
+                "p_moved_median_angstrom": np.median(moved[phosphorus]) if phosphorus.any() else np.nan,
+                "ligand_moved_median_angstrom": np.median(moved[np.concatenate(heavy)]) if heavy else np.nan,
+                "wrong_hands_start": wrong[0], "wrong_hands_end": wrong[1],
+            }
+        )  # fmt: skip
+        print(rows[-1], flush=True)
+    return pd.DataFrame(rows)
+
+
+STUDIES = {"poses": poses, "models": models}
+
+
+def main() -> None:
+    parser = made.parser(__doc__, STUDIES)
+    parser.add_argument("--complexes", type=Path, default=COMPLEXES, metavar="FOLDER")
+    options = parser.parse_args()
+    made.study(options, STUDIES, "complexes", lambda _, table: table.iloc[:, 0].unique(), THREADS)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,137 @@
+"""Chemistry of a small molecule as tables of mmCIF, from which :mod:`protochain.ligands.sources` reads it.
+
+Beside the PDB's own tables of atoms and bonds, one of stereo names neighbours in their order: R and S are
+for readers, as programs differ in the finer rules of these letters.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
+
+import gemmi
+import numpy as np
+
+from protochain.core.graph import neighbours
+from protochain.ligands.molecule import Molecule, to_rdkit
+
+Rows = list[dict[str, str]]
+
+CATEGORY = "_protochain_ligand."
+_REMARK = "REMARK 981"
+"""A number that the PDB does not use."""
+_ORDERS = {1: "sing", 2: "doub", 3: "trip"}
+_KNOWN, _CLOCKWISE, _COUNTER, _CIS, _TRANS = "known", "clockwise", "counterclockwise", "cis", "trans"
+
+
+def rows(component: str, molecule: Molecule) -> dict[str, Rows]:
+    """Rows of ``_chem_comp_atom``, ``_chem_comp_bond`` and of our own table of stereo.
+
+    Parameters
+    ----------
+    component : str
+        Name of the residue.
+    molecule : Molecule
+        With the names of the atoms in the file.
+    """
+    made, letters = to_rdkit(molecule), dict(molecule.stereo)
+    names = [_quoted(name) for name in molecule.names]
+    of = _quoted(component)
+    atoms = [
+        {
+            "comp_id": of, "atom_id": names[k], "type_symbol": each.GetSymbol().upper(),
+            "charge": f"{each.GetFormalCharge()}", "pdbx_aromatic_flag": _flag(each.GetIsAromatic()),
+            "pdbx_stereo_config": letters.get(molecule.names[k], "N"), "pdbx_ordinal": f"{k + 1}",
+        }
+        for k, each in enumerate(made.GetAtoms())
+    ]  # fmt: skip
+    bonds = []
+    for k, ((i, j), order) in enumerate(zip(molecule.bonds.tolist(), molecule.orders.tolist(), strict=True)):
+        ends = (f"{molecule.names[a]}={molecule.names[b]}" for a, b in ((i, j), (j, i)))
+        bonds.append({
+            "comp_id": of, "atom_id_1": names[i], "atom_id_2": names[j], "value_order": _ORDERS[order],
+            "pdbx_aromatic_flag": _flag(made.GetBondBetweenAtoms(i, j).GetIsAromatic()),
+            "pdbx_stereo_config": next((letters[end] for end in ends if end in letters), "N"),
+            "pdbx_ordinal": f"{k + 1}",
+        })  # fmt: skip
+    own = [
+        {"comp_id": of, "kind": kind, "atoms": _quoted(" ".join(theirs)) if theirs else "."}
+        for kind, theirs in _own(molecule)
+    ]
+    return {"_chem_comp_atom.": atoms, "_chem_comp_bond.": bonds, CATEGORY: own}
+
+
+def _own(molecule: Molecule) -> Iterator[tuple[str, list[str]]]:
+    """That the bonds are known, with orders; stereocentres, and double bonds, with what is about them."""
+    near = neighbours(molecule.bonds, molecule.n_atoms)
+    yield _KNOWN, []
+    for centre in np.flatnonzero(molecule.handedness).tolist():
+        kind = _CLOCKWISE if molecule.handedness[centre] == 1 else _COUNTER
+        yield kind, [molecule.names[i] for i in (centre, *near[centre])]
+    for *about, cis in molecule.double_bonds.tolist():
+        yield _CIS if cis else _TRANS, [molecule.names[i] for i in about]
+
+
+def stereo(
+    table: Iterable[Mapping[str, str]], names: Sequence[str], bonds: Iterable[Sequence[int]]
+) -> tuple[list[int], list[list[int]]]:
+    """Handedness of each atom and rows of double bonds, as a molecule has them.
+
+    Parameters
+    ----------
+    table : iterable of mapping
+        Rows of our own table for one component, without quotes. What does not fit the bonds is left out.
+    names : sequence of str
+    bonds : iterable of (int, int)
+        In the molecule's order.
+    """
+    place = {name: k for k, name in enumerate(names)}
+    near = neighbours(np.array(list(bonds), dtype=np.int64).reshape(-1, 2), len(names))
+    hand, double = [0] * len(names), []
+    for row in table:
+        kind, atoms = row.get("kind", ""), [place.get(name, -1) for name in row.get("atoms", "").split()]
+        if kind in (_CLOCKWISE, _COUNTER) and atoms and atoms[0] >= 0:
+            around = near[atoms[0]]
+            # A hydrogen that the file has not gets another name.
+            unnamed = [i for i in around if i not in atoms]
+            theirs = [unnamed[0] if i < 0 and len(unnamed) == 1 else i for i in atoms[1:]]
+            if sorted(theirs) == sorted(around):
+                same = (kind == _CLOCKWISE) == _even([theirs.index(i) for i in around])
+                hand[atoms[0]] = 1 if same else 2
+        bonded = -1 not in atoms and all(j in near[i] for i, j in pairwise(atoms))
+        if kind in (_CIS, _TRANS) and len(atoms) == 4 and bonded:
+            double.append([*atoms, int(kind == _CIS)])
+    return hand, double
+
+
+def _even(order: Sequence[int]) -> bool:
+    return sum(order[i] > order[j] for j in range(len(order)) for i in range(j)) % 2 == 0
+
+
+def as_remarks(found: Iterable[Mapping[str, str]]) -> list[str]:
+    """Return the remarks of a PDB file that tell the rows of our own table."""
+    plain = [{item: gemmi.cif.as_string(value) for item, value in row.items()} for row in found]
+    return [f"{_REMARK} {row['comp_id']:>3} {row['kind']} {row['atoms']}".rstrip() for row in plain]
+
+
+def of_remarks(lines: Iterable[str]) -> Rows:
+    """Return the rows that the remarks of a PDB file tell."""
+    cells = [line[len(_REMARK) :].split() for line in lines if line.startswith(_REMARK)]
+    return [
+        {
+            "comp_id": _quoted(each[0]), "kind": _quoted(each[1]),
+            "atoms": _quoted(" ".join(each[2:])) if each[2:] else ".",
+        }
+        for each in cells if len(each) > 1
+    ]  # fmt: skip
+
+
+def known(table: Iterable[Mapping[str, str]]) -> set[str]:
+    """Components whose bonds a file states completely, with their orders."""
+    return {gemmi.cif.as_string(row["comp_id"]) for row in table if row["kind"] == _KNOWN}
+
+
+def _flag(is_so: bool) -> str:
+    return "Y" if is_so else "N"
+
+
+def _quoted(value: str) -> str:
+    return str(gemmi.cif.quote(value))

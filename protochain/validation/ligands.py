@@ -1,0 +1,214 @@
+"""Ligands of known chemistry, one by one: PoseBusters' tests, strain, contacts, clashes, stereo."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from protochain.core.arrays import Floats, Value
+from protochain.core.errors import ProtochainError
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.ligands.matching import inverted_atoms
+from protochain.ligands.molecule import library, quietly, to_rdkit
+from protochain.ligands.strain import strain
+from protochain.structure.model import BoundLigand, Structure
+from protochain.structure.residues import Residue
+from protochain.validation.clashes import Clashes, clashes
+
+CONTACT = 4.0
+"""Angstrom between heavy atoms."""
+_RECEPTOR = 10.0
+"""Angstrom from the ligand; what is farther away is nothing to PoseBusters' tests."""
+LIGAND_COLUMNS = (
+    "chain", "residue", "name", "source", "strain_kj_mol", "contacts", "clashes", "inverted",
+    "posebusters_passed", "posebusters_failed",
+)  # fmt: skip
+_NOT_TESTS = ("file", "molecule", "position")
+
+
+@dataclass(frozen=True, eq=False)
+class LigandFound(Value):
+    """What is found of a ligand in its place.
+
+    Parameters
+    ----------
+    residue : Residue
+        What the file calls it.
+    source : str
+        Where its chemistry is from.
+    strain_kj_mol : float, optional
+        Energy of its bonds, angles, torsions and Lennard-Jones above that of the nearest minimum, in vacuum,
+        hydrogens put first where it is lowest; None where it is not finite.
+    contacts : int
+        Its heavy atoms within 4 angstrom of one of the protein.
+    clashes : int
+        Overlaps with the protein of 0.4 angstrom and more, as of :func:`protochain.validation.clashes`.
+    inverted : tuple of str
+        Stereocentres, and double bonds as ``C1=C2``, that are not those of the source.
+    posebusters : mapping of str to bool, optional
+        Whether it passes each test of PoseBusters' configuration ``dock`` (Buttenschoen et al., Chem. Sci.
+        15:3130, 2024) with everything beside it as the receptor; None if they were not run.
+    """
+
+    residue: Residue
+    source: str
+    strain_kj_mol: float | None
+    contacts: int
+    clashes: int
+    inverted: tuple[str, ...]
+    posebusters: Mapping[str, bool] | None = None
+
+    def __post_init__(self) -> None:
+        if self.posebusters is not None:
+            object.__setattr__(self, "posebusters", MappingProxyType(dict(self.posebusters)))
+
+    @property
+    def failed(self) -> tuple[str, ...] | None:
+        """PoseBusters' tests that it fails; None if they were not run."""
+        if self.posebusters is None:
+            return None
+        return tuple(name for name, passed in self.posebusters.items() if not passed)
+
+    def record(self) -> dict[str, Any]:
+        """Flat row: residue, source, and what is found."""
+        return {
+            "chain": self.residue.chain, "residue": self.residue.number, "name": self.residue.name,
+            "source": self.source, **self.measures(),
+        }  # fmt: skip
+
+    def measures(self) -> dict[str, Any]:
+        """What is found, without what it is found of."""
+        failed = self.failed
+        return {
+            "strain_kj_mol": self.strain_kj_mol,
+            "contacts": self.contacts,
+            "clashes": self.clashes,
+            "inverted": list(self.inverted),
+            "posebusters_passed": None if failed is None else not failed,
+            "posebusters_failed": None if failed is None else list(failed),
+        }
+
+    def __str__(self) -> str:
+        said = [
+            "strain unknown" if self.strain_kj_mol is None else f"strain {self.strain_kj_mol:.0f} kJ/mol",
+            f"{self.contacts} heavy atoms within {CONTACT:g} angstrom of the protein",
+            f"{self.clashes} clashes with it",
+        ]
+        if self.inverted:
+            said.append(f"inverted: {', '.join(self.inverted)}")
+        if self.failed is not None:
+            said.append(
+                f"PoseBusters fails {', '.join(self.failed)}" if self.failed else "PoseBusters passes"
+            )
+        return f"{self.residue}: {', '.join(said)}"
+
+
+def ligand_findings(structure: Structure, x: Floats, clashing: Clashes) -> tuple[LigandFound, ...]:
+    """Find out about each ligand of a structure at positions, without PoseBusters.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm
+    clashing : Clashes
+        Of the structure at these positions.
+    """
+    protein = np.flatnonzero(~structure.kept & (structure.atom_element != "H"))
+    tree = cKDTree(ANGSTROM_PER_NM * x[protein])
+    return tuple(
+        LigandFound(
+            structure.residue(int(structure.atom_residue[each.atoms[0]])),
+            each.ligand.molecule.source,
+            _strain(each, x),
+            int(np.isfinite(_distances(tree, each, x)).sum()),
+            int((np.isin(clashing.pairs, each.atoms) & ~structure.kept[clashing.pairs[:, ::-1]]).sum()),
+            _inverted(each, x),
+        )
+        for each in structure.ligands
+    )
+
+
+def _distances(tree: cKDTree, bound: BoundLigand, x: Floats) -> Floats:
+    heavy = bound.atoms[bound.ligand.molecule.heavy]
+    return np.asarray(tree.query(ANGSTROM_PER_NM * x[heavy], distance_upper_bound=CONTACT)[0])
+
+
+def _strain(bound: BoundLigand, x: Floats) -> float | None:
+    its = bound.ligand
+    found = strain(its.parameters, x[bound.atoms], its.molecule.elements)
+    return found if np.isfinite(found) else None
+
+
+def _inverted(bound: BoundLigand, x: Floats) -> tuple[str, ...]:
+    molecule = bound.ligand.molecule
+    found = inverted_atoms(molecule, x[bound.atoms[molecule.heavy]])
+    return tuple("=".join(molecule.names[i] for i in atoms) for atoms in found)
+
+
+def _posebusters(structure: Structure, bound: BoundLigand, x: Floats) -> dict[str, bool]:
+    """Results by name of the test; one that has none is not passed."""
+    busters = library("posebusters").PoseBusters(config="dock")
+    pose = to_rdkit(bound.ligand.molecule, x[bound.atoms])
+    row = quietly(busters.bust, [pose], None, _receptor(structure, bound, x)).iloc[0]
+    return {name: value is True or value == 1 for name, value in row.items() if name not in _NOT_TESTS}
+
+
+def _receptor(structure: Structure, bound: BoundLigand, x: Floats) -> Any:
+    """Heavy atoms near a ligand, or all if none is, as RDKit's molecule without bonds."""
+    chem = library("rdkit.Chem")
+    there = structure.atom_element != "H"
+    there[bound.atoms] = False
+    far = cKDTree(x[bound.atoms]).query(x)[0] * ANGSTROM_PER_NM > _RECEPTOR
+    near = there & ~far
+    taken = np.flatnonzero(near if near.any() else there).tolist()
+    made, conformer = chem.RWMol(), chem.Conformer(len(taken))
+    for number, k in enumerate(taken):
+        atom = chem.Atom(str(structure.atom_element[k]))
+        name = str(structure.residue_name[structure.atom_residue[k]])
+        is_hetero = bool(structure.kept[k])
+        atom.SetMonomerInfo(
+            chem.AtomPDBResidueInfo(str(structure.atom_name[k]), residueName=name, isHeteroAtom=is_hetero)
+        )
+        made.AddAtom(atom)
+        conformer.SetAtomPosition(number, (ANGSTROM_PER_NM * x[k]).tolist())
+    made.AddConformer(conformer)
+    return made
+
+
+def with_posebusters(
+    structure: Structure, x: Floats, found: tuple[LigandFound, ...]
+) -> tuple[tuple[LigandFound, ...], str]:
+    """Add the results of PoseBusters' tests; also return why they were not run, empty if they were."""
+    try:
+        made = [_posebusters(structure, each, x) for each in structure.ligands]
+    except ProtochainError as error:
+        return found, str(error)
+    return tuple(replace(each, posebusters=its) for each, its in zip(found, made, strict=True)), ""
+
+
+def findings_of(
+    structure: Structure, x: Floats, *, posebusters: bool = False
+) -> tuple[tuple[LigandFound, ...], str]:
+    """Find out about each ligand at positions; also why PoseBusters' tests were not run, though asked for."""
+    if not structure.ligands or not np.isfinite(x).all():
+        return (), ""
+    found = ligand_findings(structure, x, clashes(structure, x))
+    return with_posebusters(structure, x, found) if posebusters else (found, "")
+
+
+def at_both_ends(start: LigandFound, end: LigandFound) -> dict[str, Any]:
+    """Flat row of a ligand at the start and the end of a run."""
+    told = {key: value for key, value in start.record().items() if key not in start.measures()}
+    for key in start.measures():
+        for when, found in (("start", start), ("end", end)):
+            told[_at(key, when)] = found.measures()[key]
+    return told
+
+
+def _at(key: str, when: str) -> str:
+    """Name of a column at the start or end; the unit comes last."""
+    unit = "_kj_mol"
+    return f"{key.removesuffix(unit)}_{when}{unit}" if key.endswith(unit) else f"{key}_{when}"

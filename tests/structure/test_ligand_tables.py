@@ -1,0 +1,169 @@
+"""Ligands in the files written, read again: tables of atoms and bonds, CONECT records, SDF."""
+
+import json
+
+import gemmi
+import numpy as np
+import pytest
+from fixtures.command_line import refusal, run
+from fixtures.samples import STRUCTURES
+
+import protochain as pc
+from protochain.ligands.molecule import to_rdkit
+from protochain.structure.repairs import Kind
+
+Chem = pytest.importorskip("rdkit.Chem")
+AllChem = pytest.importorskip("rdkit.Chem.AllChem")
+pytest.importorskip("biotite")
+
+PROTEIN = STRUCTURES / "1l2y.pdb"
+SMILES = {
+    "nitro": "C[C@H](O)[C@@H](C)c1ccc(cc1)[N+](=O)[O-]",
+    "double bond": "C/C=C/C(=O)[O-]",
+    "single bonds": "OC[C@@H](O)C",
+    "no stereo, single bonds": "CCOCC",
+    "phosphate": "C[C@@H]([NH3+])COP(=O)([O-])[O-]",
+    "sulphone and alkyne": "C#CCS(=O)(=O)c1cc[nH]c1",
+}
+
+
+def posed(tmp_path, smiles, name="pose.sdf", away=0.3):
+    """A file of a molecule beside the sample protein."""
+    made = Chem.AddHs(Chem.MolFromSmiles(smiles))
+    assert AllChem.EmbedMolecule(made, randomSeed=7) == 0
+    x, protein = made.GetConformer().GetPositions(), 10.0 * pc.load(PROTEIN).positions
+    x += [protein[:, 0].max() + 10.0 * away - x[:, 0].min(), *(protein.mean(0) - x.mean(0))[1:]]
+    made.GetConformer().SetPositions(x)
+    path = tmp_path / name
+    Chem.MolToMolFile(made, str(path))
+    return path
+
+
+def of(molecule):
+    """Its chemistry by the names of atoms: independent of their order."""
+    names = np.array(molecule.names)
+    atoms = {
+        name: (z, charge)
+        for name, z, charge in zip(names, molecule.elements, molecule.formal_charges, strict=True)
+    }
+    bonds = {
+        frozenset(pair): order
+        for pair, order in zip(names[molecule.bonds].tolist(), molecule.orders, strict=True)
+    }
+    return atoms, bonds, {(frozenset(atom.split("=")), letter) for atom, letter in molecule.stereo}
+
+
+@pytest.mark.parametrize("suffix", [".cif", ".pdb"])
+@pytest.mark.parametrize("kind", SMILES)
+def test_the_chemistry_written_is_read_again(tmp_path, kind, suffix):
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, SMILES[kind]))
+    (bound,) = s.ligands
+    pc.save(s, tmp_path / f"saved{suffix}")
+    again = pc.load(tmp_path / f"saved{suffix}")
+    (read,) = again.ligands
+    assert "file's bonds" in read.ligand.molecule.source
+    assert of(read.ligand.molecule) == of(bound.ligand.molecule)
+    assert again.atom_name.tolist() == s.atom_name.tolist()
+    assert np.allclose(again.positions, s.positions, atol=1e-4)
+    assert read.inverted == bound.inverted == ()
+    terms, before = read.ligand.terms(s.positions[read.atoms]), bound.ligand.terms(s.positions[bound.atoms])
+    assert terms == pytest.approx(before, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("suffix", [".cif", ".pdb"])
+@pytest.mark.parametrize("hydrogens", [True, False])
+def test_a_centre_that_is_inverted_stays_told(tmp_path, suffix, hydrogens):
+    """What the output states is the source's stereo, not that of the positions."""
+    pose = posed(tmp_path, "C[C@H](O)[C@@H](N)C(=O)OC")
+    s = pc.load(PROTEIN, ligands=pose)
+    pc.save(s, tmp_path / "first.cif")
+    wrong = pc.load(tmp_path / "first.cif", ligands={"LIG": "C[C@@H](O)[C@@H](N)C(=O)OC"})
+    assert len(wrong.ligands[0].inverted) == 1
+    pc.save(wrong, tmp_path / f"second{suffix}", hydrogens=hydrogens)
+    again = pc.load(tmp_path / f"second{suffix}")
+    assert again.ligands[0].inverted == wrong.ligands[0].inverted
+    assert Kind.INVERTED in {each.kind for each in again.repairs}
+
+
+def test_other_programs_read_the_tables(tmp_path):
+    """gemmi's monomer library reads the component; biotite its bonds, by their orders."""
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, SMILES["nitro"]))
+    pc.save(s, tmp_path / "saved.cif")
+    molecule = s.ligands[0].ligand.molecule
+    block = gemmi.cif.read(str(tmp_path / "saved.cif")).sole_block()
+    table = block.find("_chem_comp_atom.", ["atom_id", "type_symbol", "charge", "pdbx_aromatic_flag"])
+    assert [row.str(0) for row in table] == list(molecule.names)
+    assert sum(row.str(3) == "Y" for row in table) == 6
+    assert sum(int(row.str(2)) for row in table) == molecule.charge
+    assert gemmi.read_structure(str(tmp_path / "saved.cif"))[0].count_atom_sites() == s.n_atoms
+    ours = {key: order for key, order in of(molecule)[1].items() if "H" not in "".join(key)}
+    rows = block.find("_chem_comp_bond.", ["atom_id_1", "atom_id_2", "value_order"])
+    orders = {frozenset((row.str(0), row.str(1))): row.str(2) for row in rows}
+    assert {key: {1: "sing", 2: "doub", 3: "trip"}[order] for key, order in ours.items()} == {
+        key: orders[key] for key in ours
+    }
+
+
+def test_conect_records_repeat_bonds_by_their_order(tmp_path):
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, SMILES["sulphone and alkyne"]))
+    pc.save(s, tmp_path / "saved.pdb")
+    made = Chem.MolFromPDBBlock(
+        "".join(
+            line for line in (tmp_path / "saved.pdb").read_text().splitlines(True)
+            if line.startswith(("HETATM", "CONECT"))
+        ),
+        removeHs=False, proximityBonding=False,
+    )  # fmt: skip
+    molecule = s.ligands[0].ligand.molecule
+    assert made.GetNumAtoms() == molecule.n_atoms and made.GetNumBonds() == len(molecule.bonds)
+    assert Chem.MolToSmiles(Chem.RemoveHs(made)) == Chem.MolToSmiles(Chem.RemoveHs(to_rdkit(molecule)))
+
+
+@pytest.mark.parametrize("kind", SMILES)
+def test_the_sdf_has_orders_charges_stereo_and_the_order_given(tmp_path, kind):
+    pose = posed(tmp_path, SMILES[kind])
+    s = pc.load(PROTEIN, ligands=pose)
+    moved = s.with_positions(s.positions + 0.1)
+    pc.save_ligands(moved, tmp_path / "out.sdf")
+    (made,) = Chem.SDMolSupplier(str(tmp_path / "out.sdf"), removeHs=False)
+    given = Chem.MolFromMolFile(str(pose), removeHs=False)
+    elements = [
+        [each.GetSymbol() for each in mol.GetAtoms() if each.GetAtomicNum() > 1] for mol in (made, given)
+    ]
+    assert elements[0] == elements[1]
+    assert Chem.MolToSmiles(Chem.RemoveHs(made)) == Chem.MolToSmiles(Chem.RemoveHs(given))
+    assert np.allclose(
+        made.GetConformer().GetPositions(), 10.0 * moved.positions[s.ligands[0].atoms], atol=1e-4
+    )
+    assert made.GetProp("_Name").split()[0] == "LIG"
+
+
+def test_ligands_that_are_not_there_are_no_file(tmp_path):
+    with pytest.raises(pc.ProtochainError, match="no ligand"):
+        pc.save_ligands(pc.load(PROTEIN), tmp_path / "out.sdf")
+    with pytest.raises(pc.ProtochainError, match="sdf"):
+        pc.save_ligands(pc.load(PROTEIN), tmp_path / "out.mol2")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "command", [["relax"], ["minimise", "--method", "cartesian", "--max-evaluations", "30"]]
+)
+def test_commands_write_the_ligands(tmp_path, command, capsys):
+    pose = posed(tmp_path, SMILES["phosphate"])
+    saved, sdf = tmp_path / "saved.cif", tmp_path / "out.sdf"
+    run(*command, PROTEIN, "--ligand", pose, "-o", saved, "--ligand-out", sdf, "--json")
+    record = json.loads(capsys.readouterr().out)
+    assert record["ligands_written"] == str(sdf)
+    (made,) = Chem.SDMolSupplier(str(sdf), removeHs=False)
+    end = pc.load(saved)
+    x = 10.0 * end.positions[end.ligands[0].atoms]
+    assert np.abs(np.sort(x, axis=0) - np.sort(made.GetConformer().GetPositions(), axis=0)).max() < 2e-4
+
+
+def test_a_protein_alone_has_no_sdf(tmp_path):
+    said = refusal("relax", PROTEIN, "-o", tmp_path / "out.pdb", "--ligand-out", tmp_path / "out.sdf")
+    assert "no ligand" in said
+    said = refusal("relax", PROTEIN, "-o", tmp_path / "out.pdb", "--ligand-out", tmp_path / "out.mol2")
+    assert ".sdf" in said
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,141 @@
+"""DNA and RNA: strands that move, with and without a protein."""
+
+import mdtraj
+import numpy as np
+import openmm
+import pytest
+from fixtures.samples import ROOT, STRUCTURES
+
+import protochain as pc
+from protochain.contacts import overlaps
+from protochain.energies.factory import build_system
+from protochain.structure.repairs import Kind
+from protochain.structure.residues import NUCLEIC
+
+COMPLEXES = ROOT.parent / "shared" / "complexes" / "models"
+
+
+def model(name):
+    if not (COMPLEXES / name).exists():
+        pytest.skip(f"{name} is not here")
+    return COMPLEXES / name
+
+
+@pytest.fixture(scope="module")
+def duplex():
+    return pc.load(STRUCTURES / "1bna.pdb")
+
+
+@pytest.fixture(scope="module")
+def gcn4():
+    return pc.load(STRUCTURES / "1ysa.pdb")
+
+
+def watson_crick(structure, x, within):
+    """Pairs of nucleotides of two chains with N1 of a purine this near (nm) to N3 of a pyrimidine."""
+    name, residue = structure.atom_name, structure.atom_residue
+    bases = structure.residue_name[residue]
+    purine = np.flatnonzero((name == "N1") & np.isin(bases, ["DA", "DG", "A", "G"]))
+    other = np.flatnonzero((name == "N3") & np.isin(bases, ["DT", "DC", "U", "C"]))
+    near = np.linalg.norm(x[purine][:, None] - x[other], axis=2) < within
+    chain = structure.residue_chain[residue]
+    near &= chain[purine][:, None] != chain[other]
+    return {(int(residue[purine[i]]), int(residue[other[j]])) for i, j in np.argwhere(near)}
+
+
+def test_a_duplex_without_protein_moves_and_has_all_hydrogens(duplex):
+    assert duplex.mobile.all() and not duplex.obstacle.any() and duplex.n_chains == 0
+    assert [each.kind for each in duplex.repairs].count(Kind.STRAND) == 2
+    topology = mdtraj.Topology.from_openmm(duplex.topology)
+    # By hand: seven of the sugar and those of the base; hydroxyls at the four ends, without 5' phosphates.
+    assert sum(a.element.symbol == "P" for a in topology.atoms) == 22
+    per_base = {"DA": 11, "DT": 12, "DG": 11, "DC": 11}
+    expected = sum(per_base[str(name)] for name in duplex.residue_name) + 4
+    assert (duplex.atom_element == "H").sum() == expected
+
+
+@pytest.mark.parametrize(("forcefield", "solvent"), [("amber14", "obc2"), ("amber19", "vacuum")])
+def test_the_energy_is_that_of_openmms_reference_platform(gcn4, forcefield, solvent):
+    value, forces = pc.energy(gcn4, forcefield, solvent, "native")(gcn4.positions)
+    system = build_system(gcn4, forcefield, solvent)
+    context = openmm.Context(
+        system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference")
+    )
+    context.setPositions(gcn4.positions)
+    state = context.getState(getEnergy=True, getForces=True)
+    assert value == pytest.approx(state.getPotentialEnergy()._value, rel=1e-8)
+    reference = np.array(state.getForces(asNumpy=True)._value)
+    assert np.abs(forces - reference).max() < 1e-8 * np.abs(reference).max()
+
+
+def test_dna_has_ol21_beside_ff19sb_and_ol15_beside_ff14sb(duplex):
+    """Their torsions differ (Zgarbova et al., J. Chem. Theory Comput. 17:6292, 2021); bonds do not."""
+    energies = {}
+    for forcefield in ("amber14", "amber19"):
+        system = build_system(duplex, forcefield, "vacuum")
+        for k, force in enumerate(system.getForces()):
+            force.setForceGroup(k)
+        context = openmm.Context(
+            system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference")
+        )
+        context.setPositions(duplex.positions)
+        energies[forcefield] = {
+            type(force).__name__: context.getState(getEnergy=True, groups={k}).getPotentialEnergy()._value
+            for k, force in enumerate(system.getForces())
+        }
+    ol15, ol21 = energies.values()
+    assert ol15["HarmonicBondForce"] == pytest.approx(ol21["HarmonicBondForce"], rel=1e-6)
+    assert abs(ol15["PeriodicTorsionForce"] - ol21["PeriodicTorsionForce"]) > 1.0
+
+
+def test_strands_are_rigid_bodies_in_torsions_unless_their_hinges_are_opened(gcn4):
+    rigid = pc.build_chain(gcn4)
+    assert len(rigid.loops) == 0
+    strands = [np.flatnonzero(gcn4.residue_chain[gcn4.atom_residue] == chain) for chain in "AB"]
+    assert all(len({*rigid.atom_body[atoms].tolist()}) == 1 for atoms in strands)
+    opened = pc.build_chain(gcn4, "phi psi chi nucleic")
+    mine = [hinge for hinge in opened.hinges if hinge.residue_name in NUCLEIC]
+    # 20 nucleotides a strand: alpha and zeta 19 each, beta 19, gamma 20, epsilon 19, base 20.
+    kinds = [hinge.kind for hinge in mine]
+    assert {kind: kinds.count(kind) for kind in set(kinds)} == {
+        "alpha": 38, "beta": 38, "gamma": 40, "epsilon": 38, "zeta": 38, "base": 40,
+    }  # fmt: skip
+
+
+def test_torsions_keep_bonds_and_sugars(duplex):
+    chain = pc.build_chain(duplex, "nucleic")
+    found = pc.minimise(chain, method="lbfgs", max_evaluations=40)
+    i, j = duplex.bonds.T
+    before, after = (np.linalg.norm(x[i] - x[j], axis=1) for x in (duplex.positions, found.x))
+    assert np.abs(after - before).max() < 1e-9
+    assert np.abs(found.x - duplex.positions).max() > 1e-3
+    sugar = np.flatnonzero(np.isin(duplex.atom_name, ["C1'", "C2'", "C3'", "C4'", "O4'"]))
+    for residue in range(duplex.n_residues):
+        atoms = sugar[duplex.atom_residue[sugar] == residue]
+        apart = [np.linalg.norm(x[atoms][:, None] - x[atoms], axis=2) for x in (duplex.positions, found.x)]
+        assert np.abs(apart[0] - apart[1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["1bna.pdb", "1ysa.pdb"])
+def test_relax_keeps_base_pairs_and_phosphates(name):
+    s = pc.load(STRUCTURES / name)
+    relaxed = pc.relax(s)
+    before, after = watson_crick(s, s.positions, 0.33), watson_crick(s, relaxed.x, 0.35)
+    assert len(before) > 8 and len(before & after) >= 0.98 * len(before)
+    phosphorus = s.atom_element == "P"
+    moved = np.linalg.norm(relaxed.x - s.positions, axis=1)[phosphorus]
+    assert 10.0 * np.median(moved) < 0.3
+
+
+def test_a_strand_pushed_into_the_protein_comes_free():
+    s = pc.load(model("clash_dna.pdb"))
+    relaxed = pc.relax(s)
+    assert str(relaxed.status) == "converged"
+    assert overlaps(s, s.positions) and not overlaps(s, relaxed.x)
+
+
+def test_a_strand_with_a_modified_nucleotide_stays_in_place_and_says_which():
+    s = pc.load(model("4gxy.cif"))
+    told = [each for each in s.repairs if each.kind is Kind.STRAND_STAYS]
+    assert [residue.name for each in told for residue in each.facts["residues"]] == ["CCC"]
+    assert s.mobile.any() and s.obstacle.any()

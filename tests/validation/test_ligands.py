@@ -1,0 +1,147 @@
+"""What is found of ligands in their places: strain, contacts, clashes, stereo, PoseBusters' tests."""
+
+import json
+
+import numpy as np
+import pytest
+from fixtures.command_line import run
+from fixtures.samples import STRUCTURES
+
+import protochain as pc
+from protochain.ligands.strain import energy_and_gradient, nearest_minimum, strain
+
+Chem = pytest.importorskip("rdkit.Chem")
+AllChem = pytest.importorskip("rdkit.Chem.AllChem")
+
+PROTEIN = STRUCTURES / "1l2y.pdb"
+SMILES = "C[C@H](O)[C@@H](N)C(=O)OC"
+SDF = sorted(STRUCTURES.glob("*.sdf"))
+
+
+def posed(tmp_path, smiles=SMILES, away=0.3):
+    """A file of a molecule whose nearest atom is beyond the outermost of the sample protein."""
+    made = Chem.AddHs(Chem.MolFromSmiles(smiles))
+    assert AllChem.EmbedMolecule(made, randomSeed=7) == 0
+    x, protein = made.GetConformer().GetPositions(), 10.0 * pc.load(PROTEIN).positions
+    x += [protein[:, 0].max() + 10.0 * away - x[:, 0].min(), *(protein.mean(0) - x.mean(0))[1:]]
+    made.GetConformer().SetPositions(x)
+    Chem.MolToMolFile(made, str(tmp_path / "pose.sdf"))
+    return tmp_path / "pose.sdf"
+
+
+@pytest.mark.parametrize("path", SDF, ids=lambda path: path.stem)
+def test_the_energy_of_strain_is_that_of_the_terms_and_its_gradient_the_derivative(path):
+    ligand = pc.ligand(path)
+    x, rng = ligand.molecule.positions, np.random.default_rng(4)
+    x = x + 0.005 * rng.standard_normal(x.shape)
+    energy, gradient = energy_and_gradient(ligand.parameters, x)
+    terms = ligand.terms(x)
+    assert energy == pytest.approx(sum(terms.values()) - terms["coulomb"], rel=1e-12)
+    way, h = rng.standard_normal(x.shape), 1e-6
+    up, down = (energy_and_gradient(ligand.parameters, x + sign * h * way)[0] for sign in (1, -1))
+    assert np.sum(gradient * way) == pytest.approx((up - down) / (2 * h), rel=1e-6)
+
+
+@pytest.mark.parametrize("path", SDF, ids=lambda path: path.stem)
+def test_strain_is_that_of_heavy_atoms_and_none_at_the_minimum(path):
+    ligand = pc.ligand(path)
+    parameters, x, z = ligand.parameters, np.array(ligand.molecule.positions), ligand.molecule.elements
+    found = strain(parameters, x, z)
+    assert found > 1.0
+    shaken = x.copy()
+    shaken[z == 1] += 0.005 * np.random.default_rng(1).standard_normal((int((z == 1).sum()), 3))
+    assert strain(parameters, shaken, z) == pytest.approx(found, abs=0.2)
+    least = nearest_minimum(parameters, x, np.ones(len(x), dtype=bool))
+    assert strain(parameters, least, z) == pytest.approx(0.0, abs=0.05)
+    stretched = x.copy()
+    pair = next(pair for pair in ligand.molecule.bonds if (z[pair] > 1).all())
+    stretched[pair[0]] += 0.3 * (x[pair[0]] - x[pair[1]])
+    assert strain(parameters, stretched, z) > found
+    stretched[pair[0]] = x[pair[1]]
+    assert not strain(parameters, stretched, z) < found
+
+
+def test_contacts_and_clashes_are_those_of_the_distances(tmp_path):
+    s = pc.load(PROTEIN, ligands=posed(tmp_path))
+    atoms = s.ligands[0].atoms
+    heavy = s.atom_element != "H"
+    for closer in (0.0, 0.2, 0.45, 3.0):
+        x = s.positions.copy()
+        x[atoms] -= [closer, 0.0, 0.0]
+        moved = s.with_positions(x)
+        (found,) = pc.validate(moved, posebusters=False).ligands
+        apart = np.linalg.norm(
+            x[atoms][heavy[atoms]][:, None] - x[(~s.kept & heavy).nonzero()[0]], axis=2
+        ).min(1)
+        assert found.contacts == (apart <= 0.4).sum()
+        assert (found.clashes > 0) == (closer == 3.0) or closer == 0.45
+        assert found.inverted == () and found.failed is None
+
+
+def test_a_mirrored_centre_is_named(tmp_path):
+    s = pc.load(PROTEIN, ligands=posed(tmp_path))
+    atoms = s.ligands[0].atoms
+    x = s.positions.copy()
+    x[atoms] *= [1.0, -1.0, 1.0]
+    (found,) = pc.validate(s.with_positions(x), posebusters=False).ligands
+    centres = {name for name, _ in s.ligands[0].ligand.molecule.stereo}
+    assert set(found.inverted) == centres and len(centres) == 2
+
+
+def test_posebusters_tests_are_those_of_its_own_reader(tmp_path):
+    busters = pytest.importorskip("posebusters")
+    for closer in (0.0, 1.0):
+        s = pc.load(PROTEIN, ligands=posed(tmp_path, away=0.3 - closer))
+        (found,) = pc.validate(s).ligands
+        pc.save_ligands(s, tmp_path / "pose_of.sdf")
+        pc.save(pc.load(PROTEIN), tmp_path / "protein.pdb")
+        bust = busters.PoseBusters(config="dock").bust(
+            tmp_path / "pose_of.sdf", None, tmp_path / "protein.pdb"
+        )
+        row = bust.iloc[0]
+        assert dict(found.posebusters) == {name: bool(value) for name, value in row.items()}
+        assert ("minimum_distance_to_protein" in found.failed) == bool(closer)
+
+
+def test_without_posebusters_one_line_says_so_and_the_rest_is_found(tmp_path, monkeypatch, capsys):
+    pose = posed(tmp_path)
+    monkeypatch.setitem(__import__("sys").modules, "posebusters", None)
+    v = pc.validate(pc.load(PROTEIN, ligands=pose))
+    assert v.ligands[0].posebusters is None and v.ligands[0].strain_kj_mol > 0
+    assert "posebusters" in v.posebusters_missing and "pip install" in v.posebusters_missing
+    assert run("validate", PROTEIN, "--ligand", pose) == 0
+    assert capsys.readouterr().out.count("pip install") == 1
+
+
+def test_table_json_and_terminal_tell_the_same(tmp_path, capsys):
+    pytest.importorskip("posebusters")
+    pose = posed(tmp_path)
+    v = pc.validate(pc.load(PROTEIN, ligands=pose))
+    (row,) = v.ligand_table.to_dict("records")
+    assert run("validate", PROTEIN, "--ligand", pose, "--json") == 0
+    (said,) = json.loads(capsys.readouterr().out)["results"]
+    assert said["ligands"] == [row] == [v.ligands[0].record()]
+    assert said["ligand_clashes"] == row["clashes"]
+    assert run("validate", PROTEIN, "--ligand", pose, "--csv", tmp_path / "t.csv") == 0
+    out = capsys.readouterr().out
+    assert "PoseBusters" in out and f"{row['strain_kj_mol']:.0f} kJ/mol" in out
+    assert pc.validate(PROTEIN).ligands == () and pc.validate(PROTEIN).ligand_table.empty
+
+
+def test_relax_records_each_ligand_before_and_after(tmp_path, capsys):
+    pose, out = posed(tmp_path), tmp_path / "out.cif"
+    result = pc.relax(pc.load(PROTEIN, ligands=pose))
+    record = result.record()
+    (row,) = record["ligands"]
+    (start,), (end,) = (
+        pc.validate(each, posebusters=False).ligands for each in (result.start, result.structure)
+    )
+    for when, found in (("start", start), ("end", end)):
+        assert row[f"strain_{when}_kj_mol"] == record[f"ligand_strain_{when}_kj_mol"] == found.strain_kj_mol
+        assert row[f"clashes_{when}"] == record[f"ligand_clashes_{when}"] == found.clashes
+        assert row[f"contacts_{when}"] == found.contacts and row[f"posebusters_passed_{when}"] is None
+    assert row["strain_end_kj_mol"] < row["strain_start_kj_mol"]
+    run("relax", PROTEIN, "--ligand", pose, "-o", out, "--json", "--posebusters")
+    (said,) = json.loads(capsys.readouterr().out)["ligands"]
+    assert type(said["posebusters_passed_end"]) is bool
+    assert said["strain_end_kj_mol"] == pytest.approx(row["strain_end_kj_mol"], rel=1e-6)
