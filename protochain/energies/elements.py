@@ -22,6 +22,7 @@ from protochain.core.errors import ForceFieldError
 from protochain.energies.native.terms import TIES
 from protochain.structure.linkage import is_metal
 from protochain.structure.model import BoundLigand, Structure, Tie
+from protochain.structure.residues import OF_ALANINE
 
 _UFF = {
     "H": (2.886, 0.044), "He": (2.362, 0.056), "Li": (2.451, 0.025), "Be": (2.745, 0.085),
@@ -86,16 +87,22 @@ def create_system(
     topology, unknown = _recognised(force_field, structure, small)
     _refuse_unknown_mobile(structure, unknown)
     linked = _linked(structure)
-    if unknown or linked or small:
+    if unknown or linked or small or structure.modified:
         force_field = fresh()
     residues = list(topology.residues())
     chosen = {residues[r]: _register(force_field, structure, residues[r]) for r in unknown}
     chosen |= {residues[r]: _register(force_field, structure, residues[r], small[r]) for r in small}
     for r, atoms in linked.items():
         chosen[residues[r]] = _variant(force_field, residues[r], atoms)
+    for bound in structure.modified:
+        place = _place(structure, bound)
+        residue = residues[int(structure.atom_residue[min(place)])]
+        chosen[residue] = _register_modified(force_field, residue, bound, place)
     system = force_field.createSystem(topology, rigidWater=False, residueTemplates=chosen, **pairs)
     for ligand in structure.ligands:
         add_ligand(system, ligand)
+    for bound in structure.modified:
+        _add_modified(system, structure, bound)
     _refuse_unheld(structure, system)
     by_element = np.isin(structure.atom_residue, list(unknown))
     _exclude(system, _not_interacting(structure, by_element))
@@ -203,15 +210,19 @@ def _register(
     for bond in residue.internal_bonds():
         ends = {f"atomName{i}": f"{a.index}" for i, a in enumerate(bond, 1)}
         ElementTree.SubElement(template, "Bond", ends)
-    for kind, of in kinds.items():
-        if kind not in force_field._atomTypes:
-            mass = app.Element.getBySymbol(of.symbol).mass._value
-            ElementTree.SubElement(
-                types, "Type", {"name": kind, "class": kind, "element": of.symbol, "mass": f"{mass}"}
-            )
+    _add_types(types, {kind: of for kind, of in kinds.items() if kind not in force_field._atomTypes})
     _add_pairs(root, force_field, kinds)
     force_field.loadFile(io.StringIO(ElementTree.tostring(root, encoding="unicode")))
     return name
+
+
+def _add_types(node: ElementTree.Element, kinds: Mapping[str, "_Kind"]) -> None:
+    """Add atom types to the list of them."""
+    for kind, of in kinds.items():
+        mass = app.Element.getBySymbol(of.symbol).mass._value
+        ElementTree.SubElement(
+            node, "Type", {"name": kind, "class": kind, "element": of.symbol, "mass": f"{mass}"}
+        )
 
 
 class _Kind(NamedTuple):
@@ -276,6 +287,92 @@ def add_ligand(system: openmm.System, bound: BoundLigand) -> None:
                 if i in place and j in place:
                     depth = np.sqrt(its.epsilon[place[i]] * its.epsilon[place[j]])
                     force.setBondParameters(k, i, j, [sigma, its.scale_lj * depth])
+
+
+def _place(structure: Structure, bound: BoundLigand) -> dict[int, int]:
+    """Atoms of a modified residue, by those of the structure; without its caps."""
+    alpha = bound.atoms[bound.ligand.molecule.names.index("CA")]
+    own = structure.atom_residue[alpha]
+    return {k: i for i, k in enumerate(bound.atoms.tolist()) if k >= 0 and structure.atom_residue[k] == own}
+
+
+def _register_modified(
+    force_field: app.ForceField, residue: Any, bound: BoundLigand, place: Mapping[int, int]
+) -> str:
+    """Add the template of a modified residue to a force field; return its name.
+
+    Types and charges of its backbone are alanine's; a nitrogen without hydrogen has the charge of proline's.
+    C-beta has alanine's type. The other charges are those of the capped residue, and what lacks to a whole
+    charge is spread over them.
+    """
+    its = bound.ligand.parameters
+    atoms = {a.name: a for a in residue.atoms()}
+    end = "N" if "H1" in atoms else "C" if "OXT" in atoms else ""
+    base = force_field._templates.get(end + ("ALA" if "CB" in atoms else "GLY"))
+    known = {a.name: a for a in base.atoms} if base else {}
+    backbone = OF_ALANINE & atoms.keys()
+    with_charge = {name for name, a in known.items() if "charge" in a.parameters}
+    if not backbone | ({"CB"} & atoms.keys()) <= with_charge:
+        raise ForceFieldError(f"residue {residue.name} has parameters beside amber14 and amber19 only")
+    charge = {name: known[name].parameters["charge"] for name in backbone}
+    if not end and not {"H", "H1"} & atoms.keys():
+        charge["N"] = next(a for a in force_field._templates["PRO"].atoms if a.name == "N").parameters[
+            "charge"
+        ]
+    rest = [name for name in atoms if name not in backbone]
+    charge |= {name: float(its.charge[place[atoms[name].index]]) for name in rest}
+    lacking = bound.ligand.molecule.charge + (end == "N") - (end == "C") - sum(charge.values())
+    charge |= {name: charge[name] + lacking / len(rest) for name in rest}
+    kinds = {}
+    for name in (name for name in rest if name != "CB"):
+        i = place[atoms[name].index]
+        pair = float(its.sigma[i]), float(its.epsilon[i])
+        kinds[f"modified-{residue.index}-{name}"] = _Kind(atoms[name].element.symbol, charge[name], *pair)
+    root = ElementTree.Element("ForceField")
+    _add_types(ElementTree.SubElement(root, "AtomTypes"), kinds)
+    _add_pairs(root, force_field, kinds)
+    force_field.loadFile(io.StringIO(ElementTree.tostring(root, encoding="unicode")))
+    made = type(base)(f"modified-{residue.index}")
+    for name, a in atoms.items():
+        kind = (
+            known[name].type
+            if name in known and (name in backbone or name == "CB")
+            else (f"modified-{residue.index}-{name}")
+        )
+        made.addAtom(type(base.atoms[0])(name, kind, a.element, {"charge": charge[name]}))
+    for bond in residue.internal_bonds():
+        made.addBondByName(bond[0].name, bond[1].name)
+    for bond in residue.external_bonds():
+        made.addExternalBondByName(next(a.name for a in bond if a.residue is residue))
+    force_field.registerResidueTemplate(made)
+    return str(made.name)
+
+
+def _add_modified(system: openmm.System, structure: Structure, bound: BoundLigand) -> None:
+    """Add the bonded terms of the side chain of a modified residue, in place of those of the force field."""
+    its, at = bound.ligand.parameters, bound.atoms
+    names = np.array(bound.ligand.molecule.names)
+    own = ~np.isin(names, [*OF_ALANINE, "CB"])
+    side = {*at[own & (at >= 0)].tolist()} & _place(structure, bound).keys()
+    torsions = _force(system, openmm.PeriodicTorsionForce)
+    for k in range(torsions.getNumTorsions()):
+        *atoms, n, phase, _ = torsions.getTorsionParameters(k)
+        if side & {*atoms}:  # By a rule for any atoms about a bond.
+            torsions.setTorsionParameters(k, *atoms, n, phase, 0.0)
+    bonds, angles = _force(system, openmm.HarmonicBondForce), _force(system, openmm.HarmonicAngleForce)
+    for term, add in (
+        (its.bonds, bonds.addBond),
+        (its.angles, angles.addAngle),
+        (its.torsions, _torsion(torsions)),
+    ):
+        for atoms, values in zip(at[term.atoms].tolist(), term.parameters.tolist(), strict=True):
+            if min(atoms) >= 0 and side & {*atoms}:
+                add(*atoms, *values)
+
+
+def _torsion(force: openmm.PeriodicTorsionForce) -> Callable[..., Any]:
+    """Adder of torsions whose periodicity comes as a real number."""
+    return lambda i, j, k, m, n, *values: force.addTorsion(i, j, k, m, round(n), *values)
 
 
 def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:

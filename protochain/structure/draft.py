@@ -39,6 +39,8 @@ class Member:
         Label ids of the file.
     given : str
         Its name in the file, where another.
+    capped : Ligand, optional
+        Chemistry and parameters of a modified residue that no force field has, with its caps.
     parent : str
         Standard amino acid that it becomes as part of a chain; empty if it has a template.
     """
@@ -55,6 +57,7 @@ class Member:
     metals: list[gemmi.Atom] = field(default_factory=list)
     label: Label = NO_LABEL
     given: str = ""
+    capped: Ligand | None = None
     parent: str = ""
 
     def __str__(self) -> str:

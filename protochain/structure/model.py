@@ -142,6 +142,7 @@ class Structure(Value):
     mirrored: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
     built: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
     ligands: tuple[BoundLigand, ...] = ()
+    modified: tuple[BoundLigand, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions))
@@ -278,7 +279,7 @@ class Structure(Value):
         seen.update(repr(self.ties).encode())
         if self.mobile.any():
             seen.update(self.mobile.tobytes())
-        for each in self.ligands:
+        for each in (*self.ligands, *self.modified):
             seen.update(each.in_energy().encode())
         return seen.hexdigest()
 

@@ -4,7 +4,7 @@ Atoms are placed by geometry, missing side chains on rotamers: the same file giv
 for bit.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import gemmi
@@ -193,7 +193,23 @@ def prepare(
         mirrored=np.array([member.is_d for member in draft.members]),
         built=np.array([id(atom) not in given and not atom.is_hydrogen() for atom in atoms]),
         ligands=tuple(_bound(part, at) for part in draft.parts if part.ligand is not None),
+        modified=tuple(_modified(draft, at)),
     )
+
+
+def _modified(draft: Draft, at: dict[int, dict[str, int]]) -> Iterator[BoundLigand]:
+    """Modified residues, whose caps are atoms of their neighbours in the chain."""
+    for part in draft.parts:
+        for i, member in enumerate(part.members):
+            if member.capped is None:
+                continue
+            before, after = (part.members[(i + step) % len(part.members)] for step in (-1, 1))
+            index = dict(at[id(member)])
+            index |= {f"{name}-": k for name, k in at[id(before)].items() if name in ("C", "O", "CA")}
+            index |= {"CA-": at[id(before)]["CH3"]} if "CH3" in at[id(before)] else {}
+            index |= {"N+": at[id(after)]["N"]} if "N" in at[id(after)] else {}
+            atoms = np.array([index.get(name, -1) for name in member.capped.molecule.names])
+            yield BoundLigand(member.capped, atoms)
 
 
 def _bound(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:

@@ -25,6 +25,7 @@ from protochain.structure.draft import Address, Draft, Member, Part, losses
 from protochain.structure.files import STANDARD_INPUT, parse, split_name
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, water_named
+from protochain.structure.modified import settle
 from protochain.structure.repairs import Kind, Repair, Why
 from protochain.structure.springs import springs
 from protochain.structure.templates import (
@@ -332,7 +333,19 @@ class _Reader:
         """Why a modified residue of a chain becomes its standard parent, if it does."""
         member = part.members[i]
         if member.parent:
-            return Why.PARENT
+            if self.reading.standard_residues:
+                return Why.ASKED
+            if member.name == "MSE" or member.is_d or hand(member) < 0:
+                return Why.PARENT
+            why = settle(part, i, self.reading.chemistry)
+            if why is None:
+                member.parent = ""
+                assert member.capped is not None
+                of = member.capped.molecule
+                self.draft.note(
+                    Kind.MODIFIED, residue=member.residue, source=of.source, charge=f"{of.charge:+d}"
+                )
+            return why
         if member.name not in residues.PHOSPHORYLATED:
             return None
         if self.reading.standard_residues:

@@ -147,6 +147,12 @@ class Kind(Enum):
         "{residue} moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
         "moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
     )
+    MODIFIED = Words(
+        "{residue}: kept, with the force field of small molecules for its side chain: chemistry of {source}, "
+        "charge {charge}",
+        "kept, with the force field of small molecules for its side chain: chemistry of {source}, charge "
+        "{charge}",
+    )
     CHARGED = Words("{residue}: charged for pH {ph:g}: {atoms}")
     INVERTED = Words("{residue}: of the other hand than in its source: {atoms}", rank=Rank.LOSS)
     MOBILE = Words("{counts} with parameters of the force field: free to move, in torsions as a rigid body")

@@ -55,6 +55,9 @@ PKA = {
 PKA_BASE = {"CYS": (8.5, "CYM"), "LYS": (10.0, "LYN")}
 """pKa, and the state above it."""
 
+OF_ALANINE = frozenset({"N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT"})
+"""Atoms of a modified residue with the parameters of alanine, or of glycine where it has no CB."""
+
 BACKBONE = ("N", "CA", "C")
 """Atoms required to rebuild a residue."""
 

@@ -28,12 +28,13 @@ CHANGES = {
 }
 """Residue number to the new name, the atom at which others hang, these (angstrom from it), and what goes."""
 LOST = (
-    Loss("A", "1", "PCA", ("OE",), Why.PARENT),
-    Loss("A", "3", "SEP", ("P", "O1P", "O2P"), Why.INCOMPLETE),
-    Loss("A", "5", "TPO", ("P", "O1P"), Why.INCOMPLETE),
-    Loss("A", "7", "TYS", ("S", "O1", "O2"), Why.PARENT),
-    Loss("A", "9", "MLE", ("CN",), Why.PARENT),
+    Loss("A", "1", "PCA", ("OE",), Why.ASKED),
+    Loss("A", "3", "SEP", ("P", "O1P", "O2P"), Why.ASKED),
+    Loss("A", "5", "TPO", ("P", "O1P"), Why.ASKED),
+    Loss("A", "7", "TYS", ("S", "O1", "O2"), Why.ASKED),
+    Loss("A", "9", "MLE", ("CN",), Why.ASKED),
 )
+ASKED = ("--standard-residues",)
 SAID = "A:1 PCA OE; A:3 SEP P, O1P, O2P; A:5 TPO P, O1P; A:7 TYS S, O1, O2; A:9 MLE CN"
 
 
@@ -84,7 +85,7 @@ def protochain(tmp_path, monkeypatch, capsys):
 
 
 def test_atoms_of_modified_residues_are_named_and_counted(modified, tmp_path):
-    s = pc.load(modified)
+    s = pc.load(modified, standard_residues=True)
     assert s.losses == LOST and tuple(s.residue_name[[0, 2, 4, 6, 8]]) == ("GLU", "SER", "THR", "TYR", "LEU")
     counts = {"atoms of PCA": 1, "atoms of SEP": 3, "atoms of TPO": 2, "atoms of TYS": 3, "atoms of MLE": 1}
     assert dict(s.left_out) == counts
@@ -95,10 +96,12 @@ def test_atoms_of_modified_residues_are_named_and_counted(modified, tmp_path):
 
 @pytest.mark.parametrize("command", [("relax",), ("minimise", "--max-evaluations", 5)])
 def test_the_last_lines_of_a_run_say_what_is_lost(command, modified, protochain):
-    _, out = protochain(*command, modified, "-o", "out.pdb", "--threads", 1)
+    _, out = protochain(*command, *ASKED, modified, "-o", "out.pdb", "--threads", 1)
     lines = out.splitlines()
     assert f"lost atoms: {SAID}" in lines[-4:] and "written: out.pdb" in lines[-2:]
-    _, out = protochain(*command, modified, "-o", "out.cif", "--threads", 1, "--json", "--report", "r.html")
+    _, out = protochain(
+        *command, *ASKED, modified, "-o", "out.cif", "--threads", 1, "--json", "--report", "r.html"
+    )
     record = json.loads(out)
     assert record["lost_atoms"] == SAID.split("; ") and record["n_lost_atoms"] == 10
     assert f"lost atoms: {SAID}." in (modified.parent.parent / "r.html").read_text()
@@ -106,7 +109,10 @@ def test_the_last_lines_of_a_run_say_what_is_lost(command, modified, protochain)
 
 def test_a_folder_says_it_in_its_last_lines_its_table_its_summary_and_its_pages(modified, tmp_path, capsys):
     (modified.parent / "whole.pdb").write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
-    settings, folder = BatchSettings(("relax",), setup=Setup(solvent="vacuum")), tmp_path / "out"
+    settings, folder = (
+        BatchSettings(("relax",), setup=Setup(solvent="vacuum", standard_residues=True)),
+        tmp_path / "out",
+    )
     jobs = find_jobs([modified.parent], settings, None, folder)
     tables = Tables(folder, False, "relaxed", {"relax"})
     tables.finished(jobs)

@@ -1,0 +1,170 @@
+"""Modified residues that no force field has: alanine's backbone, side chains by SMIRNOFF."""
+
+import numpy as np
+import openmm
+import pytest
+from fixtures.modified import component, modified
+
+import protochain as pc
+from protochain.core.graph import bond_angles
+from protochain.energies.factory import build_system
+from protochain.ligands import molecule
+from protochain.structure.repairs import Kind, Why
+
+pytest.importorskip("rdkit")
+pytest.importorskip("dimorphite_dl")
+
+AMINE = ("CD", "CE", "NZ")
+CASES = {
+    "M3L": ("AAKAAA", 3, AMINE, 1),
+    "MLY": ("AAKAAA", 3, AMINE, 1),
+    "MLZ": ("AAKAAA", 3, AMINE, 1),
+    "ALY": ("AAKAAA", 3, AMINE, 0),
+    "NLE": ("AAMAAA", 3, ("CA", "CB", "CG"), 0),
+    "MLE": ("AALAAA", 3, ("CA", "N", "CB"), 0),
+    "SAR": ("AAGAAA", 3, ("CA", "N", "C"), 0),
+    "AIB": ("AAAAAA", 3, ("N", "CA", "C"), 0),
+    "PCA": ("EAAA", 1, ("CB", "CG", "CD"), 0),
+}
+"""Sequence, number, three atoms at which the others are put, and charge."""
+ENDS = {"start": ("KAAA", 1, 2), "end": ("AAAK", 4, 0)}
+
+
+def made(name, tmp_path, sequence="", number=0, **options):
+    given, at, joint, _ = CASES[name]
+    pc.save(pc.from_sequence(sequence or given), tmp_path / "plain.pdb")
+    path = modified(
+        tmp_path / "plain.pdb", {("A", number or at): (name, joint)}, tmp_path, name=f"{name}.pdb"
+    )
+    return pc.load(path, **options)
+
+
+def own(s, name):
+    return np.flatnonzero(s.residue_name[s.atom_residue] == name)
+
+
+def reference(s, forcefield, solvent):
+    system = build_system(s, forcefield, solvent)
+    platform = openmm.Platform.getPlatformByName("Reference")
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform)
+    context.setPositions(s.positions)
+    state = context.getState(getEnergy=True, getForces=True)
+    return system, state.getPotentialEnergy()._value, state.getForces(asNumpy=True)._value
+
+
+def of_kind(system, kind):
+    return next(force for force in system.getForces() if isinstance(force, kind))
+
+
+def charges(s, system):
+    force = of_kind(system, openmm.NonbondedForce)
+    return np.array([force.getParticleParameters(i)[0]._value for i in range(s.n_atoms)])
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_nothing_is_lost_and_every_bond_and_angle_has_its_term(name, tmp_path):
+    s = made(name, tmp_path)
+    assert s.losses == () and name in s.residue_name
+    assert [each.kind for each in s.repairs if each.facts.get("residue")] == [Kind.MODIFIED]
+    system, _, _ = reference(s, "amber14", "vacuum")
+    assert charges(s, system)[own(s, name)].sum() == pytest.approx(CASES[name][3], abs=1e-6)
+    bonds, angles = of_kind(system, openmm.HarmonicBondForce), of_kind(system, openmm.HarmonicAngleForce)
+    pairs = sorted(tuple(sorted(bonds.getBondParameters(k)[:2])) for k in range(bonds.getNumBonds()))
+    assert pairs == sorted(map(tuple, s.bonds.tolist()))
+    triples = [angles.getAngleParameters(k)[:3] for k in range(angles.getNumAngles())]
+    triples = sorted(tuple(row if row[0] < row[2] else row[::-1]) for row in triples)
+    assert triples == sorted(map(tuple, bond_angles(s.bonds, s.n_atoms).tolist()))
+
+
+@pytest.mark.parametrize("forcefield", ["amber14", "amber19"])
+@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
+@pytest.mark.parametrize("name", ["M3L", "MLE", "PCA"])
+def test_the_native_energy_is_that_of_openmm(name, forcefield, solvent, tmp_path):
+    s = made(name, tmp_path)
+    energy, forces = pc.energy(s, forcefield, solvent, engine="native")(s.positions)
+    _, expected, expected_forces = reference(s, forcefield, solvent)
+    assert energy == pytest.approx(expected, rel=1e-8)
+    assert np.abs(forces - expected_forces).max() <= 1e-8 * np.abs(expected_forces).max()
+
+
+def test_forces_are_the_slope_of_the_energy(tmp_path):
+    s = pc.minimise(made("ALY", tmp_path), max_evaluations=50).structure
+    energy, step = pc.energy(s), 1e-5
+    x, forces = s.positions, energy(s.positions)[1]
+    for atom in own(s, "ALY")[::4].tolist():
+        for axis in range(3):
+            ends = []
+            for sign in (1, -1):
+                moved = x.copy()
+                moved[atom, axis] += sign * step
+                ends.append(energy(moved)[0])
+            slope = (ends[0] - ends[1]) / (2 * step)
+            assert -slope == pytest.approx(forces[atom, axis], abs=1e-3 * np.abs(forces).max() + 0.1)
+
+
+@pytest.mark.parametrize("name", ["M3L", "ALY", "NLE"])
+def test_a_relaxed_side_chain_has_the_geometry_of_the_dictionary(name, tmp_path):
+    """That of the backbone is alanine's."""
+    s = made(name, tmp_path)
+    x = 10.0 * pc.minimise(s, method="hybrid").x
+    at = {str(s.atom_name[k]): x[k] for k in own(s, name) if s.atom_element[k] != "H"}
+    ideal = component(name)
+    index = {k: str(s.atom_name[k]) for k in own(s, name)}
+    bonds = [(index[i], index[j]) for i, j in s.bonds.tolist() if {i, j} <= index.keys()]
+    side = [pair for pair in bonds if {*pair} <= ideal.keys() and not {*pair} <= {"N", "CA", "C", "O"}]
+    assert len(side) >= 4
+    for a, b in side:
+        off = np.linalg.norm(at[a] - at[b]) - np.linalg.norm(ideal[a] - ideal[b])
+        assert abs(off) < 0.036, (a, b, off)
+    for middle in at:
+        ends = sorted({end for pair in side if middle in pair for end in pair} - {middle})
+        for i, a in enumerate(ends):
+            for b in ends[i + 1 :]:
+                turned = [
+                    np.degrees(np.arccos(np.dot(u, v) / np.linalg.norm(u) / np.linalg.norm(v)))
+                    for of in (at, ideal)
+                    for u, v in [(of[a] - of[middle], of[b] - of[middle])]
+                ]
+                assert abs(turned[0] - turned[1]) < 5.0, (a, middle, b, turned)
+
+
+@pytest.mark.parametrize("place", ENDS)
+def test_at_the_ends_of_a_chain_it_has_charged_ends(place, tmp_path):
+    sequence, number, charge = ENDS[place]
+    s = made("M3L", tmp_path, sequence, number)
+    system, expected, _ = reference(s, "amber14", "obc2")
+    assert charges(s, system)[own(s, "M3L")].sum() == pytest.approx(charge, abs=1e-6)
+    assert pc.energy(s)(s.positions)[0] == pytest.approx(expected, rel=1e-8)
+
+
+@pytest.mark.parametrize("suffix", [".pdb", ".cif"])
+@pytest.mark.parametrize("name", ["M3L", "PCA", "MLE"])
+def test_written_and_read_again_it_is_the_same(name, suffix, tmp_path):
+    s = pc.minimise(made(name, tmp_path), max_evaluations=100).structure
+    pc.save(s, tmp_path / f"out{suffix}")
+    again = pc.load(tmp_path / f"out{suffix}")
+    assert again.fingerprint == s.fingerprint and [each.kind for each in again.repairs] == [Kind.MODIFIED]
+
+
+def test_its_side_chain_turns_but_not_its_amide(tmp_path):
+    s = made("ALY", tmp_path)
+    hinges = [h for h in pc.build_chain(s, "chi").hinges if h.residue_name == "ALY"]
+    assert [h.kind for h in hinges] == ["chi1", "chi2", "chi3", "chi4", "chi5"]
+    assert not any({*s.atom_name[list(h.on_axis)]} == {"NZ", "CH"} for h in hinges)
+
+
+def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
+    s = made("M3L", tmp_path, standard_residues=True)
+    assert s.residue_name[2] == "LYS" and s.losses[0].why is Why.ASKED
+    with pytest.raises(pc.ProtochainError, match="standard_residues=True"):
+        pc.energy(made("M3L", tmp_path), "charmm36")
+
+    def absent(name):
+        raise ImportError(name)
+
+    from protochain.structure import modified as kept
+
+    kept._capped.cache_clear()
+    monkeypatch.setattr(molecule.importlib, "import_module", absent)
+    s = made("M3L", tmp_path)
+    assert s.residue_name[2] == "LYS" and [each.why for each in s.losses] == [Why.PARENT]
