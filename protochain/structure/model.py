@@ -118,6 +118,9 @@ class Structure(Value):
         Heavy atoms that the file lacks.
     ligands : tuple of BoundLigand
         Small molecules beside the protein that move with parameters of their own.
+    modified : tuple of BoundLigand
+        Modified residues of the protein whose side chains have the force field of small molecules; atoms of
+        the molecule that cap it are those of its neighbours, or -1.
 
     Raises
     ------
