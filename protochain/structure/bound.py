@@ -174,7 +174,8 @@ def _as_filed(molecule: Molecule, member: Member) -> Molecule:
 
     SMIRNOFF's impropers depend on the order: a file written of a structure is to have the same energy.
     """
-    place = {each.name: k for k, each in enumerate(member.atoms) if not each.is_hydrogen()}
+    heavy = (each.name for each in member.atoms if not each.is_hydrogen())
+    place = {name: k for k, name in enumerate(heavy)}
     order = sorted(
         range(molecule.n_atoms), key=lambda i: (place.get(molecule.names[i], len(place)), molecule.names[i])
     )
