@@ -1,13 +1,13 @@
 """Hinges of a structure: its rotatable bonds, and the rigid groups of atoms that they join."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.core.graph import Neighbours, components, neighbours
+from protochain.core.graph import Neighbours, beyond, components, neighbours
 from protochain.ligands.molecule import Molecule
 from protochain.structure import residues
 from protochain.structure.model import Structure
@@ -87,6 +87,7 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
             return None
         return index[other].get(name.rstrip("+-"))
 
+    modified = _modified(structure)
     for r, residue_name in enumerate(structure.residue_name):
         table: list[tuple[str, str, tuple[str, ...]]] = [("phi", "phi", residues.PHI)]
         terminal = atom_at(r, "N+") is None
@@ -97,8 +98,10 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
         rotors = (*residues.ROTORS.get(str(residue_name), ()), residues.ROTOR_N_TERMINAL)
         table += [("rotors", "rotor", names) for names in rotors]
         table += [("nucleic", *torsion) for torsion in residues.NUCLEIC.get(str(residue_name), {}).items()]
-        for kind, label, names in table:
-            a, b, c, d = (atom_at(r, name) for name in names)
+        found = [(kind, label, [atom_at(r, name) for name in names]) for kind, label, names in table]
+        if r in modified and {*residues.BACKBONE} <= index[r].keys():
+            found += _by_graph(structure, index[r])
+        for kind, label, (a, b, c, d) in found:
             if kind in kinds and a is not None and b is not None and c is not None and d is not None:
                 yield _hinge(structure, r, label, (a, b, c, d))
     if "ligand" in kinds:
@@ -136,6 +139,47 @@ def _is_amide(molecule: Molecule, near: Neighbours, b: int, c: int) -> bool:
         and any(molecule.elements[k] in (7, 8, 16) and frozenset((o, k)) in double for k in near[o])
         for n, o in ((b, c), (c, b))
     )
+
+
+def _modified(structure: Structure) -> set[int]:
+    """Residues of the protein whose side chains are in no table."""
+    own = np.unique(structure.atom_residue[~structure.kept])
+    known = [*residues.STANDARD, *residues.CAPS]
+    return {*own[~np.isin(structure.residue_name[own], known)].tolist()}
+
+
+def _by_graph(structure: Structure, index: Mapping[str, int]) -> Iterator[tuple[str, str, list[int | None]]]:
+    """Yield kind, name and atoms of the bonds that turn in a side chain, from the backbone outwards.
+
+    Bonds of rings do not turn, nor those between two planar atoms, as of amides.
+    """
+    atoms = [*index.values()]
+    bonds = structure.bonds[np.isin(structure.bonds, atoms).all(axis=1)].tolist()
+    near: Mapping[int, list[int]] = {atom: [] for atom in atoms}
+    for a, b in bonds:
+        near[a].append(b)
+        near[b].append(a)
+    element, number = structure.atom_element, 0
+    trigonal = {a for a in atoms if element[a] == "C" and len(near[a]) == 3}
+    planar = trigonal | {a for a in atoms if element[a] == "N" and {*near[a]} & trigonal}
+    before = {index["N"]: index["CA"], index["CA"]: index["N"]}
+    queue = [*before]
+    seen = {*queue, index["C"]}
+    for a in queue:
+        for b in (each for each in near[a] if each not in seen):
+            seen.add(b)
+            queue.append(b)
+            before[b] = a
+            tips = sorted((each for each in near[b] if each != a), key=lambda each: element[each] == "H")
+            in_ring = bool({*near[a]} - {b} & beyond(near, a, b))
+            if not tips or {a, b} <= planar or in_ring:
+                continue
+            is_chi = element[tips[0]] != "H"
+            number += is_chi
+            yield (
+                "chi" if is_chi else "rotors", f"chi{number}" if is_chi else "rotor",
+                [before[a], a, b, tips[0]],
+            )  # fmt: skip
 
 
 def turning_hinges(

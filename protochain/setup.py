@@ -81,6 +81,8 @@ class Setup(Settings):
         Sources of ligands' chemistry, and poses to add, as in :func:`protochain.load`.
     ligand_charges : str
         As in :func:`protochain.load`.
+    standard_residues : bool
+        Convert modified residues to their standard parents, also those that have parameters.
 
     Raises
     ------
@@ -160,6 +162,9 @@ class Setup(Settings):
     ligand_charges: str = setting(
         "mmff94", "Partial charges of ligands: mmff94, gasteiger, or a file.", file_name
     )
+    standard_residues: bool = setting(
+        False, "Convert modified residues to their standard parents: SEP to SER.", flag, bool
+    )
 
     def prepare(
         self, source: Any, name: str = "structure", build_energy: "Callable[..., Energy] | None" = None
@@ -198,6 +203,7 @@ class Setup(Settings):
             source, name, model=self.model, altloc=self.altloc, keep=self.keep, disulfide=self.disulfide,
             ph=self.ph, strict=self.strict, forcefield=self.forcefield, chains=self.chains,
             ligands=self.ligands, ligand_charges=self.ligand_charges,
+            standard_residues=self.standard_residues,
         )  # fmt: skip
 
     def chain(self, structure: "Structure") -> "Chain":

@@ -1,6 +1,6 @@
 """Graphs of bonds: who is bonded to whom, what hangs together, and what is few bonds away."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from itertools import combinations
 from typing import Any, TypeVar
 
@@ -63,7 +63,7 @@ def within(bonded: Any, start: _Node, most: int) -> set[_Node]:
     return found
 
 
-def beyond(bonded: Sequence[Sequence[int]], first: int, second: int) -> set[int]:
+def beyond(bonded: Any, first: int, second: int) -> set[int]:
     """Atoms on the second's side of a bond, without the second.
 
     If it is of a ring, the atoms beyond lead back to the first, which is left out.

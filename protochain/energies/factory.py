@@ -2,6 +2,7 @@
 
 import io
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +23,7 @@ from protochain.core.checks import (
     optional,
     text,
 )
-from protochain.core.errors import ForceFieldError
+from protochain.core.errors import Argument, ForceFieldError
 from protochain.core.storage import regular
 from protochain.core.units import COULOMB
 from protochain.energies.elements import create_system
@@ -33,7 +34,8 @@ from protochain.energies.protocol import Energy
 from protochain.energies.untrusted import check_passive
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
-from protochain.structure.templates import CONVERT, NO_OPENMM, NO_XML, SMIRNOFF
+from protochain.structure.residues import PHOSPHORYLATED
+from protochain.structure.templates import CONVERT, NO_OPENMM, NO_XML, PHOSPHATES, SMIRNOFF, defined
 
 DATA = Path(app.__file__).parent / "data"
 """Files bundled with OpenMM, named by full path: OpenMM looks for a bare name in the working directory first,
@@ -200,6 +202,7 @@ def build_system(
     files = [
         its or _checked_file(Path(part), trust_forcefield) for its, part in zip(bundled, parts, strict=True)
     ]
+    files += _phosphates(structure, parts)
     if structure.kept.any():
         beside = [str(DATA / name) for part in parts for name in _BESIDE.get(part, ())]
         files += [name for name in dict.fromkeys(beside) if Path(name).exists()]
@@ -214,13 +217,30 @@ def build_system(
             system = force_field.createSystem(structure.topology, rigidWater=False, **pairs)
     except Exception as error:
         reason = " ".join(f"{error}".split()) or type(error).__name__
+        remedy = ("; without modified residues: ", Argument("standard_residues", True))
         raise ForceFieldError(
-            f"{structure.name}: force field {forcefield!r} with solvent {solvent!r} does not fit: {reason}"
+            f"{structure.name}: force field {forcefield!r} with solvent {solvent!r} does not fit: {reason}",
+            *(remedy if _phosphorylated(structure) else ()),
         ) from None
     _number_types(system)
     for atom in np.flatnonzero(structure.obstacle).tolist():
         system.setParticleMass(atom, 0.0)
     return system
+
+
+def _phosphorylated(structure: Structure) -> set[str]:
+    """Names of the phosphorylated residues of the protein."""
+    return {*structure.residue_name[structure.atom_residue[~structure.kept]].tolist()} & PHOSPHORYLATED
+
+
+def _phosphates(structure: Structure, parts: Sequence[str]) -> list[str]:
+    """Files with the parameters of phosphorylated residues, if it has any that the user's files lack."""
+    names = _phosphorylated(structure)
+    if not names:
+        return []
+    if names <= defined([Path(part) for part in parts if _bundled_file(part) is None]):
+        return []
+    return [str(PHOSPHATES[part]) for part in parts if part in PHOSPHATES]
 
 
 def _number_types(system: openmm.System) -> None:

@@ -1,4 +1,4 @@
-"""Handedness of C-alpha, of C-beta of threonine and isoleucine, and of ligands."""
+"""Handedness of C-alpha, of C-beta of threonine, its phosphate and isoleucine, and of ligands."""
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
@@ -19,6 +19,7 @@ WELL_FORMED = 2.2e-3
 _ALPHA = {"CA": ("N", "C", "CB")}
 _CENTRES = {
     "THR": {**_ALPHA, "CB": ("CA", "OG1", "CG2")},
+    "TPO": {**_ALPHA, "CB": ("CA", "OG1", "CG2")},
     "ILE": {**_ALPHA, "CB": ("CA", "CG1", "CG2")},
 }
 """Chiral atoms and three neighbours, seen clockwise from the fourth in an L-amino acid."""

@@ -55,14 +55,15 @@ def load(
     chains: str | Sequence[str] = (),
     ligands: Mapping[str, str | Path] | str | Path | Sequence[str | Path] | None = None,
     ligand_charges: str | Path = "mmff94",
+    standard_residues: bool = False,
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
     Waters and other alternate locations are left out, molecules near the protein kept beside it;
-    chains are split at breaks, head-to-tail cyclic peptides closed; modified residues become their standard
-    parents; missing side-chain atoms are built on rotamers, of the hand that the residue's name says;
-    disulfides and metal sites are found by distance, missing hydrogens placed by geometry. The same file
-    gives the same coordinates, bit for bit.
+    chains are split at breaks, head-to-tail cyclic peptides closed; modified residues without parameters
+    become their standard parents; missing side-chain atoms are built on rotamers, of the hand that the
+    residue's name says; disulfides and metal sites are found by distance, missing hydrogens placed by
+    geometry. The same file gives the same coordinates, bit for bit.
 
     Parameters
     ----------
@@ -98,6 +99,9 @@ def load(
         It needs ``pip install "protochain[ligands]"``.
     ligand_charges : str or path-like
         Their partial charges, as ``charges`` of :func:`protochain.ligand`.
+    standard_residues : bool
+        Convert modified residues to their standard parents, also phosphorylated ones, which amber14 and
+        amber19 have parameters for.
 
     Returns
     -------
@@ -112,7 +116,9 @@ def load(
     acidity(ph, "ph")
     residues = user_files(forcefield)
     chemistry = Chemistry(ligands_of(ligands, "ligands"), file_name(ligand_charges, "ligand_charges"), ph)
-    reading = Reading(model, altloc, words(keep), strict, residues, words(chains, "chains"), chemistry)
+    reading = Reading(
+        model, altloc, words(keep), strict, residues, words(chains, "chains"), chemistry, standard_residues
+    )
     return prepare(read(as_path(path, "path"), reading), disulfide, ph, residues)
 
 

@@ -16,6 +16,8 @@ _BONDED = 1.5
 _HYDROGEN_BOND = 3.5
 """Angstrom, donor to acceptor, as in OpenMM's Modeller."""
 _STRAIGHT = np.cos(np.deg2rad(50.0))
+_HYDROXYL = 1.3
+"""Angstrom: a hydrogen nearer than this to an oxygen of a phosphate is bonded to it."""
 _UNPLACED = [float("nan")] * 3
 
 
@@ -80,6 +82,8 @@ def _template(
     elif state and not shown:
         draft.note(Kind.STATE_CHOSEN, residue=member.residue, state=state)
     template = template or usual
+    if shown and member.name in residues.PHOSPHORYLATED:
+        template = template.exchanged("O1P", _acid_oxygens(member)[0])
     for linked in member.links:
         if linked.name != "N":
             template = template.without_hydrogen(linked.name)
@@ -115,7 +119,16 @@ def _shown(member: Member) -> str:
         return "LYN"
     if member.name == "CYS" and any(a.name == "SG" and a.charge < 0 for a in member.atoms):
         return "CYM"
+    if member.name in residues.PHOSPHORYLATED and _acid_oxygens(member):
+        return residues.PKA[member.name][1]
     return ""
+
+
+def _acid_oxygens(member: Member) -> list[str]:
+    """Names of the oxygens of a phosphate that have a hydrogen in the file."""
+    hydrogens = [a for a in member.atoms if a.is_hydrogen()]
+    oxygens = [a for a in member.atoms if a.name in ("O1P", "O2P", "O3P")]
+    return [a.name for a in oxygens if any(a.pos.dist(h.pos) <= _HYDROXYL for h in hydrogens)]
 
 
 def _at_ph(member: Member, ph: float) -> str:

@@ -70,6 +70,8 @@ class Reading:
         Names of the chains to take; all by default.
     chemistry : Chemistry
         Of ligands.
+    standard_residues : bool
+        Convert modified residues to their standard parents, also those that have parameters.
     """
 
     model: int | None = None
@@ -79,9 +81,13 @@ class Reading:
     forcefield: tuple[Path, ...] = ()
     chains: tuple[str, ...] = ()
     chemistry: Chemistry = AS_KNOWN
+    standard_residues: bool = False
 
     def __post_init__(self) -> None:
-        check_fields(self, model=optional(integer), altloc=text, keep=words, strict=flag, chains=words)
+        check_fields(
+            self, model=optional(integer), altloc=text, keep=words, strict=flag, chains=words,
+            standard_residues=flag,
+        )  # fmt: skip
 
 
 def read(path: str | Path, reading: Reading | None = None) -> Draft:
@@ -303,10 +309,10 @@ class _Reader:
             is_d=gemmi.find_tabulated_residue(name).kind == gemmi.ResidueKind.AAD,
             label=(residue.subchain, residue.label_seq), given=given,
         )  # fmt: skip
+        if state or (name in residues.STANDARD and given[-3:] in residues.LINKED):
+            kind = Kind.STATE_NAMED if state else Kind.RENAMED
+            self.draft.note(kind, residue=self._in_file(residue), name=name, state=state)
         if name in residues.STANDARD or name in residues.CAPS:
-            if state or given[-3:] in residues.LINKED:
-                kind = Kind.STATE_NAMED if state else Kind.RENAMED
-                self.draft.note(kind, residue=self._in_file(residue), name=name, state=state)
             if member.is_cap:
                 rename(member.atoms, self.known[template_name(name)])
             return member
@@ -322,9 +328,26 @@ class _Reader:
         self.beside.append(Candidate(water_named(member, given), given, self.notes))
         return None
 
-    def _convert(self, member: Member) -> None:
+    def _why_converted(self, part: Part, i: int) -> Why | None:
+        """Why a modified residue of a chain becomes its standard parent, if it does."""
+        member = part.members[i]
+        if member.parent:
+            return Why.PARENT
+        if member.name not in residues.PHOSPHORYLATED:
+            return None
+        if self.reading.standard_residues:
+            return Why.ASKED
+        template = part.template(self.known, i)
+        if template is None:
+            return Why.END
+        there = {
+            template.synonyms.get(atom.name, atom.name) for atom in member.atoms if not atom.is_hydrogen()
+        }
+        return None if there - {"OXT"} == {*template.heavy} else Why.INCOMPLETE
+
+    def _convert(self, member: Member, why: Why) -> None:
         """Convert a modified residue of a chain to its standard parent."""
-        residue, parent, given = member.residue, member.parent, member.name
+        residue, parent, given = member.residue, member.parent or archive_parent(member.name), member.name
         # HIP has the atoms of every state of histidine.
         named = self.known["HIP" if parent == "HIS" else parent]
         expected = {*named.element, *other_names(member.atoms, named), "OXT", "H1", "H2", "H3", "H"}
@@ -337,9 +360,9 @@ class _Reader:
         member.atoms = [
             atom for atom in member.atoms if atom.name in expected and not (strange and atom.is_hydrogen())
         ]
-        member.name, member.parent = parent, ""
+        member.name, member.parent, member.state = parent, "", ""
         gone = tuple(a.name for a in strange)
-        lost = losses(member, strange, Why.PARENT)
+        lost = losses(member, strange, why)
         if gemmi.find_tabulated_residue(given).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
             # The table does not say of which hand it is.
             member.is_d = hand(member, least=WELL_FORMED) < 0
@@ -414,11 +437,11 @@ class _Reader:
         elif strange:
             self.refused += strange
         elif part:
-            for member in part:
-                if member.parent:
-                    self._convert(member)
             made = Part(self.chain_id, part)
             made.cyclic = len(part) >= SMALLEST_RING and _gap(part[-1], part[0]) < PEPTIDE_BREAK
+            for i, member in enumerate(part):
+                if why := self._why_converted(made, i):
+                    self._convert(member, why)
             if made.cyclic:
                 ends = tuple(
                     (self.chain_id, member.seqid, name) for member, name in ((part[-1], "C"), (part[0], "N"))

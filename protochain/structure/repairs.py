@@ -238,6 +238,9 @@ class Why(StrEnum):
     """Why atoms of a file are lost."""
 
     PARENT = "the force fields have only its standard parent"
+    END = "the force fields have only its standard parent at the end of a chain"
+    INCOMPLETE = "other atoms of the modified residue are missing or unknown"
+    ASKED = "standard residues are asked for"
     PHOSPHATE = "the force fields have no 5' phosphate"
     INNER = "the chain continues"
     BACKBONE = "an atom of its backbone is missing"

@@ -26,11 +26,15 @@ STATE_PARENT = {
     "HISA": ("HIS", "HID"), "HISD": ("HIS", "HID"), "HISB": ("HIS", "HIE"), "HISE": ("HIS", "HIE"),
     "HISH": ("HIS", "HIP"), "LYSH": ("LYS", ""), "CYSH": ("CYS", ""), "CYS2": ("CYS", ""),
     "ASPH": ("ASP", "ASH"), "GLUH": ("GLU", "GLH"),
+    "S1P": ("SEP", "S1P"), "T1P": ("TPO", "T1P"), "Y1P": ("PTR", "Y1P"),
 }  # fmt: skip
 """Standard residue and protonation state of the names that Amber, CHARMM and GROMACS give to states."""
 
 LINKED = {"NLN": "ASN", "OLS": "SER", "OLT": "THR", "OLP": "HYP"}
 """What GLYCAM calls the residues that bear a sugar."""
+
+PHOSPHORYLATED = frozenset({"SEP", "TPO", "PTR"})
+"""Phosphates of serine, threonine and tyrosine."""
 
 D_NAMES = {
     "ALA": "DAL", "ARG": "DAR", "ASN": "DSG", "ASP": "DAS", "CYS": "DCY", "GLN": "DGN", "GLU": "DGL",
@@ -42,8 +46,12 @@ D_NAMES = {
 VAN_DER_WAALS = {"H": 0.110, "C": 0.170, "N": 0.155, "O": 0.152, "S": 0.180}
 """nm: Mantina, Chamberlin, Valero, Cramer, Truhlar, J. Phys. Chem. A 113:5806 (2009)."""
 
-PKA = {"ASP": (4.4, "ASH"), "GLU": (4.4, "GLH"), "HIS": (6.5, "HIP")}
-"""pKa, and the state at or below it; values of OpenMM's ``hydrogens.xml``."""
+PKA = {
+    "ASP": (4.4, "ASH"), "GLU": (4.4, "GLH"), "HIS": (6.5, "HIP"),
+    "SEP": (5.6, "S1P"), "TPO": (5.9, "T1P"), "PTR": (5.9, "Y1P"),
+}  # fmt: skip
+"""pKa, and the state at or below it; values of OpenMM's ``hydrogens.xml``, and the second pKa of phosphates
+(Xie, Jiang, Ben-Amotz, Anal. Biochem. 343:223, 2005)."""
 PKA_BASE = {"CYS": (8.5, "CYM"), "LYS": (10.0, "LYN")}
 """pKa, and the state above it."""
 

@@ -17,6 +17,11 @@ from protochain.core.errors import StructureError
 from protochain.structure.residues import CAPS, LINKED, NUCLEOTIDES, STANDARD, STATE_PARENT
 
 _DATA = Path(app.__file__).parent / "data"
+PHOSPHATES = {
+    name: Path(__file__).parent / "forcefields" / file
+    for name, file in (("amber14", "phosaa14SB.xml"), ("amber19", "phosaa19SB.xml"))
+}
+"""Parameters of phosphorylated residues, by the force field of the others."""
 PROTEIN = _DATA / "amber14" / "protein.ff14SB.xml"
 """The default force field of proteins."""
 DNA, RNA = _DATA / "amber14" / "DNA.OL15.xml", _DATA / "amber14" / "RNA.OL3.xml"
@@ -77,6 +82,16 @@ class Template:
         kept = {name: element for name, element in self.element.items() if name not in gone}
         return replace(self, element=kept, bonds=tuple(bond for bond in self.bonds if not {*bond} & {*gone}))
 
+    def exchanged(self, first: str, second: str) -> "Template":
+        """Return the template with the names of two atoms of one element exchanged."""
+        new = {first: second, second: first}
+        return replace(
+            self,
+            charge={new.get(name, name): charge for name, charge in self.charge.items()},
+            bonds=tuple((new.get(a, a), new.get(b, b)) for a, b in self.bonds),
+            type={new.get(name, name): its for name, its in self.type.items()},
+        )
+
     @cached_property
     def hydrogens(self) -> dict[str, list[str]]:
         """Names of the hydrogens bonded to each heavy atom."""
@@ -103,7 +118,18 @@ def templates(user_files: Sequence[Path] = ()) -> Mapping[str, Template]:
     """
     # A user's file may change between calls.
     own = {name: replace(each, is_users=True) for name, each in _read(user_files).items()}
-    return {**own, **_amber()}
+    return {**own, **_phosphates(), **_amber()}
+
+
+def defined(user_files: Sequence[Path]) -> set[str]:
+    """Names of the residues of force-field files."""
+    return {*_read(user_files)}
+
+
+@cache
+def _phosphates() -> Mapping[str, Template]:
+    known = _read([PROTEIN, PHOSPHATES["amber14"]])
+    return {name: template for name, template in known.items() if name not in _amber()}
 
 
 @cache

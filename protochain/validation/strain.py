@@ -12,7 +12,7 @@ from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.graph import bond_angles
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure
-from protochain.structure.templates import PROTEIN, Template, standard_name, templates
+from protochain.structure.templates import PHOSPHATES, PROTEIN, Template, standard_name, templates
 from protochain.validation.layout import positions
 
 BEYOND = 4.0
@@ -139,7 +139,7 @@ class _Terms:
 @lru_cache(maxsize=16)
 def _terms(structure: Structure, hydrogens: bool = False) -> _Terms:
     names, kind = np.unique(_types(structure), return_inverse=True)
-    lengths, angles = _parameters()
+    lengths, angles = _parameters(PROTEIN, PHOSPHATES["amber14"])
     bonds, triples = structure.bonds, bond_angles(structure.bonds, structure.n_atoms)
     found = []
     for atoms, table in ((bonds, lengths), (triples, angles)):
@@ -193,13 +193,13 @@ def bond_lengths(file: Path) -> dict[tuple[str, ...], float]:
 
 
 @cache
-def _parameters(file: Path = PROTEIN) -> tuple[Mapping[tuple[str, ...], tuple[float, float]], ...]:
+def _parameters(*files: Path) -> tuple[Mapping[tuple[str, ...], tuple[float, float]], ...]:
     """Equilibrium values of bonds and angles, nm and rad, with their thermal widths, by atom types."""
-    root = ElementTree.parse(file).getroot()
+    roots = [ElementTree.parse(file).getroot() for file in files]
     found: list[dict[tuple[str, ...], tuple[float, float]]] = []
     for path, value, n in (("HarmonicBondForce/Bond", "length", 2), ("HarmonicAngleForce/Angle", "angle", 3)):
         table: dict[tuple[str, ...], tuple[float, float]] = {}
-        for node in root.iterfind(path):
+        for node in (node for root in roots for node in root.iterfind(path)):
             types = tuple(node.get(f"type{k + 1}", "") for k in range(n))
             norm = float(node.get(value, "nan")), float(np.sqrt(_THERMAL / float(node.get("k", "nan"))))
             table[types] = table[types[::-1]] = norm

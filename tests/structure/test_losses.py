@@ -29,8 +29,8 @@ CHANGES = {
 """Residue number to the new name, the atom at which others hang, these (angstrom from it), and what goes."""
 LOST = (
     Loss("A", "1", "PCA", ("OE",), Why.PARENT),
-    Loss("A", "3", "SEP", ("P", "O1P", "O2P"), Why.PARENT),
-    Loss("A", "5", "TPO", ("P", "O1P"), Why.PARENT),
+    Loss("A", "3", "SEP", ("P", "O1P", "O2P"), Why.INCOMPLETE),
+    Loss("A", "5", "TPO", ("P", "O1P"), Why.INCOMPLETE),
     Loss("A", "7", "TYS", ("S", "O1", "O2"), Why.PARENT),
     Loss("A", "9", "MLE", ("CN",), Why.PARENT),
 )
