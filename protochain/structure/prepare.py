@@ -120,9 +120,7 @@ def load(
     """
     acidity(ph, "ph")
     residues = user_files(forcefield)
-    chemistry = Chemistry(
-        ligands_of(ligands, "ligands"), charges_of_ligands(ligand_charges, "ligand_charges"), ph
-    )
+    chemistry = Chemistry.asked(ligands, ligand_charges, ph)
     reading = Reading(
         model, altloc, words(keep), strict, residues, words(chains, "chains"), chemistry, standard_residues
     )
