@@ -13,6 +13,7 @@ from protochain.core.checks import (
     acidity,
     at_least,
     bonds,
+    charges_of_ligands,
     cutoff_of,
     file_name,
     flag,
@@ -160,7 +161,7 @@ class Setup(Settings):
         metavar="NAME=SDF|MOL2|SMILES",
     )
     ligand_charges: str = setting(
-        "mmff94", "Partial charges of ligands: mmff94, gasteiger, or a file.", file_name
+        "mmff94", "Partial charges of ligands: mmff94, gasteiger, or a file.", charges_of_ligands
     )
     standard_residues: bool = setting(
         False, "Convert modified residues to their standard parents: SEP to SER.", flag, bool

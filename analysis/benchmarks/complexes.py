@@ -1,6 +1,6 @@
 """protochain relax on complexes: poses of ligands against PoseBusters' minimisation, and whole models.
 
-    python analysis/benchmarks/complexes.py [poses] [models] [-o DIR] [--quick] [--complexes FOLDER]
+    python analysis/benchmarks/complexes.py [poses] [models] [-o DIR] [--quick] [--more FOLDER]
 
 poses: each crystal pose of a ligand, and two that were turned and shifted, in its protein, judged by
 PoseBusters before and after. `relax` moves the whole complex; the rival is the way of PoseBusters' paper
@@ -13,7 +13,7 @@ models: predictions and crystal structures with ligands, DNA, RNA and glycans, e
 clashes of 0.4 angstrom and more per 1000 atoms, base pairs (N1 to N3 within 3.3 angstrom, at the end 3.5),
 motion of P atoms and of ligands, stereocentres of the wrong hand.
 
-FOLDER has astex/NAME_protein.pdb, astex/NAME_moved*.sdf, ligands/NAME.sdf and models/.
+FOLDER/../complexes has astex/NAME_protein.pdb, astex/NAME_moved*.sdf, ligands/NAME.sdf and models/.
 """
 
 import argparse
@@ -25,25 +25,29 @@ import made
 import numpy as np
 import openmm
 import pandas as pd
-from made import ROOT
 from posebusters import PoseBusters
 from rdkit import Chem
 
 import protochain as pc
-from protochain.contacts import overlaps
-from protochain.energies.factory import build_system
-from protochain.ligands.molecule import to_rdkit
-from protochain.ligands.sources import from_dictionary
-from protochain.structure.chirality import wrong_atoms
 
-COMPLEXES = ROOT.parent / "shared" / "complexes"
+ACO = (
+    "CC(=O)SCCNC(=O)CCNC(=O)[C@H](O)C(C)(C)COP(=O)(O)OP(=O)(O)OC[C@H]1O[C@@H](n2cnc3c(N)ncnc32)[C@H](O)[C@@H]1"
+    "OP(=O)(O)O"
+)
+"""Acetyl-CoA."""
 MODELS = {
-    "boltz1_6bj9_model_0.cif": None, "chai1_6bj9_model_0.cif": "ACO", "5ugo.cif": None, "1ysa.pdb": None,
+    "boltz1_6bj9_model_0.cif": None, "chai1_6bj9_model_0.cif": {"LIG3": ACO, "LIG4": ACO},
+    "5ugo.cif": None, "1ysa.pdb": None,
     "2r5z.pdb": None, "1bna.pdb": None, "4gxy.cif": None, "3ave.pdb": None, "1a0i.cif": None,
     "5h73.cif": None, "clash_dna.pdb": None, "clash_ligand.cif": None, "charges.cif": None,
 }  # fmt: skip
-"""Models, and for one whose ligands have no names the component that they are."""
+"""Models, and what the ligands of one are, whose names tell nothing."""
 THREADS = 2
+
+
+def complexes(options: argparse.Namespace) -> Path:
+    """Folder of the complexes, beside that of further structures."""
+    return options.more.parent / "complexes"
 
 
 def without(structure: pc.Structure, x: np.ndarray, atoms: np.ndarray, path: Path) -> None:
@@ -64,7 +68,7 @@ def without(structure: pc.Structure, x: np.ndarray, atoms: np.ndarray, path: Pat
 
 def frozen(structure: pc.Structure, atoms: np.ndarray) -> np.ndarray:
     """Ends (na, 3) of PoseBusters' way."""
-    system = build_system(structure, solvent="vacuum")
+    system = pc.energy(structure, solvent="vacuum", engine="openmm").system
     for k in set(range(structure.n_atoms)) - {*atoms.tolist()}:
         system.setParticleMass(k, 0.0)
     platform = openmm.Platform.getPlatformByName("CPU")
@@ -72,7 +76,8 @@ def frozen(structure: pc.Structure, atoms: np.ndarray) -> np.ndarray:
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, properties)
     context.setPositions(structure.positions)
     openmm.LocalEnergyMinimizer.minimize(context, 10.0)
-    return np.array(context.getState(getPositions=True).getPositions(asNumpy=True)._value)
+    found = context.getState(getPositions=True).getPositions(asNumpy=True)
+    return np.array(found.value_in_unit(openmm.unit.nanometer))
 
 
 def failed(busters: PoseBusters, molecule, true, protein: Path) -> list[str]:
@@ -83,7 +88,7 @@ def failed(busters: PoseBusters, molecule, true, protein: Path) -> list[str]:
 
 def poses(options: argparse.Namespace) -> pd.DataFrame:
     """Poses that PoseBusters takes, before and after."""
-    folder, busters, rows = options.complexes, PoseBusters("redock"), []
+    folder, busters, rows = complexes(options), PoseBusters("redock"), []
     names = sorted(
         path.name.removesuffix("_protein.pdb") for path in (folder / "astex").glob("*_protein.pdb")
     )
@@ -113,7 +118,8 @@ def one_pose(busters: PoseBusters, protein: Path, path: Path, true) -> dict[str,
         row: dict[str, object] = {"residues": start.n_protein_residues}
         for way, x in ends.items():
             without(start, x, bound.atoms, beside)
-            molecule = Chem.RemoveHs(to_rdkit(bound.ligand.molecule, x[bound.atoms]))
+            pc.save_ligands(start.with_positions(x), Path(scratch) / "ligands.sdf")
+            molecule = [*Chem.SDMolSupplier(str(Path(scratch) / "ligands.sdf"))][-1]
             bad = failed(busters, molecule, true, beside)
             row |= {f"valid_{way}": not bad, f"failed_{way}": ";".join(bad)}
             if way in seconds:
@@ -136,14 +142,9 @@ def base_pairs(s: pc.Structure, x: np.ndarray, within: float) -> set[tuple[int, 
 def models(options: argparse.Namespace) -> pd.DataFrame:
     """Models of complexes, each relaxed once."""
     rows = []
-    for name, component in list(MODELS.items())[-1 if options.quick else 0 :]:
+    for name, ligands in list(MODELS.items())[-1 if options.quick else 0 :]:
         began = perf_counter()
-        path, ligands = options.complexes / "models" / name, None
-        if component:
-            known = Chem.MolToSmiles(Chem.RemoveHs(to_rdkit(from_dictionary(component))))
-            ligands = {"LIG3": known, "LIG4": known}
-            began = perf_counter()
-        start = pc.load(path, ligands=ligands)
+        start = pc.load(complexes(options) / "models" / name, ligands=ligands)
         prepared = perf_counter() - began
         done = pc.relax(start, threads=THREADS)
         seconds, x = perf_counter() - began, done.x
@@ -153,7 +154,6 @@ def models(options: argparse.Namespace) -> pd.DataFrame:
         phosphorus &= (start.atom_element == "P") & ~start.obstacle
         heavy = [b.atoms[b.ligand.molecule.heavy] for b in start.ligands]
         moved = 10.0 * np.linalg.norm(x - start.positions, axis=1)
-        wrong = [len(wrong_atoms(start, at, start.mirrored)) for at in (start.positions, x)]
         rows.append(
             {
                 "model": name, "residues": start.n_residues, "atoms": start.n_atoms,
@@ -162,12 +162,13 @@ def models(options: argparse.Namespace) -> pd.DataFrame:
                 "seconds_prepared": round(prepared, 2), "seconds": round(seconds, 2),
                 "clashes_start": record["clashscore_per_1000_atoms_start"],
                 "clashes_end": record["clashscore_per_1000_atoms_end"],
-                "overlaps_start": len(overlaps(start, start.positions)),
-                "overlaps_end": len(overlaps(start, x)), "base_pairs": len(pairs),
+                "overlaps_start": record["overlaps_start"],
+                "overlaps_end": record["overlaps_end"], "base_pairs": len(pairs),
                 "base_pairs_kept": len(pairs & base_pairs(start, x, 0.35)),
                 "p_moved_median_angstrom": np.median(moved[phosphorus]) if phosphorus.any() else np.nan,
                 "ligand_moved_median_angstrom": np.median(moved[np.concatenate(heavy)]) if heavy else np.nan,
-                "wrong_hands_start": wrong[0], "wrong_hands_end": wrong[1],
+                "wrong_hands_start": record["wrong_hands_start"],
+                "wrong_hands_end": record["wrong_hands_end"],
             }
         )  # fmt: skip
         print(rows[-1], flush=True)
@@ -177,10 +178,12 @@ def models(options: argparse.Namespace) -> pd.DataFrame:
 STUDIES = {"poses": poses, "models": models}
 
 
+def parser() -> argparse.ArgumentParser:
+    return made.parser(__doc__, STUDIES, more=True)
+
+
 def main() -> None:
-    parser = made.parser(__doc__, STUDIES)
-    parser.add_argument("--complexes", type=Path, default=COMPLEXES, metavar="FOLDER")
-    options = parser.parse_args()
+    options = parser().parse_args()
     made.study(options, STUDIES, "complexes", lambda _, table: table.iloc[:, 0].unique(), THREADS)
 
 

@@ -273,6 +273,17 @@ def _pair(bond: Any, name: str) -> tuple[str, str]:
     raise refused(name, shown(bond), "give chain:number-chain:number, as A:3-A:40")
 
 
+CHARGE_RULES = ("mmff94", "gasteiger")
+"""Ways to the charges of ligands, beside a file."""
+
+
+def charges_of_ligands(given: Any, name: str) -> str:
+    """Return a rule for charges, or the path of a file of them, as text."""
+    if file_name(given, name) in CHARGE_RULES or Path(given).is_file():
+        return str(given)
+    raise refused(name, shown(given), f"is no file; give one, or {' or '.join(CHARGE_RULES)}")
+
+
 LigandSource = tuple[str, str]
 """Name of a residue, or none for a molecule that is added; SMILES, or the path of a file."""
 MOLECULE_SUFFIXES = (".sdf", ".mol", ".mol2")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from protochain.core.arrays import Floats, Value, floats
-from protochain.core.checks import acidity, checked, file_name, optional, path, text
+from protochain.core.checks import CHARGE_RULES, acidity, checked, file_name, optional, path, text
 from protochain.core.errors import Argument, StructureError
 from protochain.ligands import charges as charging
 from protochain.ligands import energy, smirnoff
@@ -129,7 +129,7 @@ def parametrised(
     charged: tuple[Charged, ...] = (),
 ) -> Ligand:
     """Give a molecule its parameters; arguments as for :func:`ligand`."""
-    by_rule = charges in charging.RULES
+    by_rule = charges in CHARGE_RULES
     found = (
         partial(charging.by_rule, rule=str(charges))
         if by_rule

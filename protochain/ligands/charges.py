@@ -9,7 +9,6 @@ from protochain.core.errors import Argument, ForceFieldError
 from protochain.ligands.molecule import Molecule, library, quietly, to_rdkit
 from protochain.ligands.sources import read, text_of
 
-RULES = ("mmff94", "gasteiger")
 _ROUNDING = 0.01
 """e. Sums of charges in files are off by their rounded digits."""
 

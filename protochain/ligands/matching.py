@@ -80,6 +80,12 @@ def placed(
         if len(kept) == len(heavy)
         else ()
     )
+    here, whole = Counter(elements[kept].tolist()), Counter(molecule.elements[heavy].tolist())
+    if not matches and here < whole:
+        raise StructureError(
+            f"{molecule.source}: the model has {_formula(elements[kept])} of "
+            f"{_formula(molecule.elements[heavy])}; complete it"
+        )
     if not matches:
         raise StructureError(
             f"{molecule.source}: is another molecule than the model has: {_formula(elements[kept])}, not "

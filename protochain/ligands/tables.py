@@ -109,7 +109,11 @@ def _even(order: Sequence[int]) -> bool:
 def as_remarks(found: Iterable[Mapping[str, str]]) -> list[str]:
     """Return the remarks of a PDB file that tell the rows of our own table."""
     plain = [{item: gemmi.cif.as_string(value) for item, value in row.items()} for row in found]
-    return [f"{_REMARK} {row['comp_id']:>3} {row['kind']} {row['atoms']}".rstrip() for row in plain]
+    return [
+        f"{_REMARK} {row['comp_id']:>3} {row['kind']} {row['atoms']}".rstrip()
+        for row in plain
+        if row.keys() >= {"comp_id", "kind", "atoms"}
+    ]
 
 
 def of_remarks(lines: Iterable[str]) -> Rows:

@@ -41,6 +41,8 @@ class RelaxSettings(Settings):
         Whether files have hydrogens.
     repack : bool
         Whether side chains in the way of others are put into other rotamers first.
+    posebusters : bool
+        Whether PoseBusters' tests are run on ligands before and after; half a minute for a large one.
 
     Raises
     ------

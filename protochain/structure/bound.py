@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from string import ascii_lowercase, ascii_uppercase, digits
+from typing import Any
 
 import gemmi
 import numpy as np
 
 from protochain.core import defaults
 from protochain.core.arrays import read_only
-from protochain.core.checks import LigandSource
+from protochain.core.checks import CHARGE_RULES, LigandSource, charges_of_ligands
+from protochain.core.checks import ligands as ligands_of
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands import Ligand, parametrised
@@ -48,6 +50,11 @@ class Chemistry:
     sources: tuple[LigandSource, ...] = ()
     charges: str = "mmff94"
     ph: float = defaults.PH
+
+    @classmethod
+    def asked(cls, ligands: Any, ligand_charges: Any, ph: float) -> "Chemistry":
+        """Chemistry of the options of :func:`protochain.load`, checked."""
+        return cls(ligands_of(ligands, "ligands"), charges_of_ligands(ligand_charges, "ligand_charges"), ph)
 
     @property
     def named(self) -> dict[str, str]:
@@ -116,7 +123,8 @@ class Chemist:
             molecule = _as_filed(_as_shown(at.molecule, member), member)
             part.ligand = parametrised(molecule, self.chemistry.charges, charged=charged)
         except ProtochainError as error:
-            if name in self.chemistry.named:
+            # What the user gives is not left aside.
+            if name in self.chemistry.named or self.chemistry.charges not in CHARGE_RULES:
                 raise StructureError(f"{self.draft.source}: {member}: ", *error.parts) from None
             self.draft.note(Kind.STAYS_UNKNOWN, residue=member.residue, why=error)
             return
@@ -174,7 +182,8 @@ def _as_filed(molecule: Molecule, member: Member) -> Molecule:
 
     SMIRNOFF's impropers depend on the order: a file written of a structure is to have the same energy.
     """
-    place = {each.name: k for k, each in enumerate(member.atoms) if not each.is_hydrogen()}
+    heavy = (each.name for each in member.atoms if not each.is_hydrogen())
+    place = {name: k for k, name in enumerate(heavy)}
     order = sorted(
         range(molecule.n_atoms), key=lambda i: (place.get(molecule.names[i], len(place)), molecule.names[i])
     )

@@ -12,7 +12,7 @@ from protochain.core.graph import neighbours
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.draft import Member
 from protochain.structure.model import BoundLigand, Structure
-from protochain.structure.residues import Atom
+from protochain.structure.residues import NUCLEOTIDES, Atom
 
 WELL_FORMED = 2.2e-3
 """nm^3. Volume at a C-alpha below which its hand may be noise; 2.5e-3 in ideal residues."""
@@ -23,6 +23,10 @@ _CENTRES = {
     "ILE": {**_ALPHA, "CB": ("CA", "CG1", "CG2")},
 }
 """Chiral atoms and three neighbours, seen clockwise from the fourth in an L-amino acid."""
+_SUGAR = {"C3'": ("C4'", "C2'", "O3'"), "C4'": ("C5'", "C3'", "O4'")}
+for _name in NUCLEOTIDES:
+    _ribose = {} if _name.startswith("D") else {"C2'": ("C3'", "C1'", "O2'")}
+    _CENTRES[_name] = {"C1'": ("O4'", "C2'", "N9" if _name[-1] in "AG" else "N1"), **_SUGAR, **_ribose}
 
 
 def centres(residue: str) -> dict[str, tuple[str, str, str]]:
@@ -107,12 +111,13 @@ def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) ->
 
 @lru_cache(maxsize=16)
 def chiral_atoms(structure: Structure) -> Integers:
-    """(n, 4) int: every chiral atom of the protein and of ligands, and three neighbours.
+    """(n, 4) int: every chiral atom of the protein, of nucleotides and of ligands, and three neighbours.
 
     Those of a ligand are in the order that spans a positive volume if the hand is that of its source.
     """
     names: list[dict[str, int]] = [{} for _ in range(structure.n_residues)]
-    for i in np.flatnonzero(~structure.kept).tolist():
+    nucleic = np.isin(structure.residue_name, [*NUCLEOTIDES])[structure.atom_residue]
+    for i in np.flatnonzero(~structure.kept | (structure.mobile & nucleic)).tolist():
         names[int(structure.atom_residue[i])][str(structure.atom_name[i])] = i
     found = [
         [at[name] for name in (centre, *neighbours)]

@@ -12,7 +12,7 @@ from openmm import app, unit
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, floats
-from protochain.core.checks import acidity, ligands, plain, shown
+from protochain.core.checks import acidity, plain, shown
 from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.bound import Chemistry
@@ -64,8 +64,8 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     disulfide = settings.pop("disulfide", None)
     settings.setdefault("keep", defaults.KEEP)
     acidity(ph, "ph")
-    asked = ligands(settings.pop("ligands", None), "ligands")
-    settings["chemistry"] = Chemistry(asked, settings.pop("ligand_charges", "mmff94"), ph)
+    given, charges = settings.pop("ligands", None), settings.pop("ligand_charges", "mmff94")
+    settings["chemistry"] = Chemistry.asked(given, charges, ph)
     draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=forcefield))
     return prepare(draft, disulfide, ph, forcefield)
 

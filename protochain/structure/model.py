@@ -65,10 +65,16 @@ class BoundLigand(Value):
         rows = []
         for term in (its.bonds, its.angles, its.torsions):
             for atoms, values in zip(self.atoms[term.atoms].tolist(), term.parameters, strict=True):
-                rows.append((min(atoms, atoms[::-1]), np.round(values, _DIGITS).tolist()))
+                rows.append((min(atoms, atoms[::-1]), _rounded(values)))
         single = np.column_stack([its.charge, its.sigma, its.epsilon])
-        rows += zip(([k] for k in self.atoms.tolist()), np.round(single, _DIGITS).tolist(), strict=True)
+        rows += zip(([k] for k in self.atoms.tolist()), _rounded(single), strict=True)
         return repr(sorted(rows))
+
+
+def _rounded(values: Floats) -> list[Any]:
+    """Numbers without the digits that differ with the order of sums, and without negative zeros."""
+    found: list[Any] = (np.round(values, _DIGITS) + 0.0).tolist()
+    return found
 
 
 _DIGITS = 9

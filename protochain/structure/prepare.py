@@ -13,9 +13,14 @@ from openmm import app
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
-from protochain.core.checks import acidity, checked, file_name, force_field_parts, words
+from protochain.core.checks import (
+    acidity,
+    checked,
+    file_name,
+    force_field_parts,
+    words,
+)
 from protochain.core.checks import bonds as bonds_of
-from protochain.core.checks import ligands as ligands_of
 from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
@@ -115,7 +120,7 @@ def load(
     """
     acidity(ph, "ph")
     residues = user_files(forcefield)
-    chemistry = Chemistry(ligands_of(ligands, "ligands"), file_name(ligand_charges, "ligand_charges"), ph)
+    chemistry = Chemistry.asked(ligands, ligand_charges, ph)
     reading = Reading(
         model, altloc, words(keep), strict, residues, words(chains, "chains"), chemistry, standard_residues
     )

@@ -209,7 +209,7 @@ class _There:
     def renamed(self, category: str, row: dict[str, str]) -> dict[str, str] | None:
         """A row under the present names; none if what it tells of is not there."""
         if category in _COMPONENT:
-            return row if _plain(row[_COMPONENT[category]]) in self.names else None
+            return row if _plain(row.get(_COMPONENT[category], "?")) in self.names else None
         row = dict(row)
         for end in ("", "_1", "_2"):
             if f"label_asym_id{end}" in row:

@@ -213,7 +213,7 @@ MEASURES = {
         "clashes of ligands with the protein", "", lambda f: sum(each.clashes for each in f.ligands)
     ),
     "fixed_broken_bonds": Measure(
-        "broken bonds of what is fixed beside the protein", "", lambda f: len(f.fixed.bonds)
+        "broken bonds beside the protein", "", lambda f: len(f.fixed.bonds)
     ),
     "fixed_clashes": Measure(
         "overlaps of what is fixed, by 1.5 angstrom", "", lambda f: len(f.fixed.clashes)

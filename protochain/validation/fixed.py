@@ -1,4 +1,4 @@
-"""Faults of what stands still beside the protein: broken bonds and clashes, which no run mends."""
+"""Faults beside the protein: broken bonds of nucleotides and of what is fixed, and clashes of the latter."""
 
 from collections import Counter
 from functools import lru_cache
@@ -32,7 +32,7 @@ _BOND_SLACK = 0.3
 
 
 class FixedFaults(NamedTuple):
-    """What is wrong with molecules that stand still.
+    """What is wrong with molecules beside the protein.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class FixedFaults(NamedTuple):
         ]
         if not counts:
             return ""
-        return f"{' and '.join(counts)} of what is fixed: {listed(self.lines(structure, x))}"
+        return f"{' and '.join(counts)} beside the protein: {listed(self.lines(structure, x))}"
 
 
 def fixed_counts(structure: Structure) -> dict[str, int]:
@@ -79,26 +79,28 @@ def fixed_faults(structure: Structure, x: Floats | None = None) -> FixedFaults:
     the bonds are only known by distance, so that a torn one shows when it leaves the molecule in pieces.
 
     """
-    if not structure.obstacle.any():
-        none = np.empty((0, 2), dtype=np.int64)
+    none = np.empty((0, 2), dtype=np.int64)
+    if not structure.kept.any():
         return FixedFaults(none, none)
     x = positions(structure, x)
     atoms, usual = _usual_bonds(structure)
     off = np.abs(np.linalg.norm(x[atoms[:, 0]] - x[atoms[:, 1]], axis=1) - usual) > _BROKEN
+    if not structure.obstacle.any():
+        return FixedFaults(atoms[off], none)
     broken = np.array([*atoms[off].tolist(), *_torn(structure, x)], dtype=np.int64).reshape(-1, 2)
     return FixedFaults(broken, _clashes(structure, x))
 
 
 @lru_cache(maxsize=16)
 def _usual_bonds(structure: Structure) -> tuple[Integers, Floats]:
-    """Bonds (n, 2) of heavy atoms of fixed nucleotides, and their usual lengths (n,), nm."""
+    """Bonds (n, 2) of heavy atoms of nucleotides, and their usual lengths (n,), nm."""
     lengths, known = {**bond_lengths(DNA), **bond_lengths(RNA)}, templates()
     pairs: list[tuple[int, int]] = []
     kind: dict[int, str] = {}
-    of, fixed = structure.atom_residue, structure.obstacle
+    of, kept = structure.atom_residue, structure.kept
     for residue in np.flatnonzero(_of_nucleotides(structure)).tolist():
         template = known[str(structure.residue_name[residue])]
-        its = np.flatnonzero(fixed & (of == residue)).tolist()
+        its = np.flatnonzero(kept & (of == residue)).tolist()
         names = structure.atom_name[its].tolist()
         at = {template.synonyms.get(name, name): i for name, i in zip(names, its, strict=True)}
         kind |= {i: template.type[name] for name, i in at.items() if name in template.type}
@@ -110,10 +112,10 @@ def _usual_bonds(structure: Structure) -> tuple[Integers, Floats]:
 
 
 def _of_nucleotides(structure: Structure) -> NDArray[np.bool_]:
-    """(nr,) bool: residues that are fixed nucleotides of DNA or RNA."""
-    fixed = np.zeros(structure.n_residues, dtype=bool)
-    fixed[structure.atom_residue[structure.obstacle]] = True
-    return np.asarray(fixed & np.isin(structure.residue_name, [*NUCLEOTIDES]))
+    """(nr,) bool: residues that are nucleotides of DNA or RNA."""
+    kept = np.zeros(structure.n_residues, dtype=bool)
+    kept[structure.atom_residue[structure.kept]] = True
+    return np.asarray(kept & np.isin(structure.residue_name, [*NUCLEOTIDES]))
 
 
 def _torn(structure: Structure, x: Floats) -> list[list[int]]:

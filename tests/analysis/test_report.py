@@ -87,3 +87,34 @@ def test_a_notebooks_view_draws_in_its_frame(browser, tmp_path):
     page.goto((tmp_path / "notebook.html").as_uri())
     page.frame_locator("iframe").locator("#viewer[data-models='2'] canvas").wait_for()
     assert said == []
+
+
+def test_the_page_of_a_relaxation_shows_ligands_in_their_pockets(browser, tmp_path):
+    Chem = pytest.importorskip("rdkit.Chem")
+    AllChem = pytest.importorskip("rdkit.Chem.AllChem")
+    from fixtures.command_line import run
+    from fixtures.samples import STRUCTURES
+
+    protein, made = STRUCTURES / "1l2y.pdb", Chem.AddHs(Chem.MolFromSmiles("CC(=O)[O-]"))
+    assert AllChem.EmbedMolecule(made, randomSeed=7) == 0
+    x, there = made.GetConformer().GetPositions(), 10.0 * pc.load(protein).positions
+    x += [there[:, 0].max() + 3.0 - x[:, 0].min(), *(there.mean(0) - x.mean(0))[1:]]
+    made.GetConformer().SetPositions(x)
+    Chem.MolToMolFile(made, str(tmp_path / "pose.sdf"))
+    page_file = tmp_path / "page.html"
+    run(
+        "relax", protein, "--ligand", tmp_path / "pose.sdf", "-o", tmp_path / "out.pdb", "--report", page_file
+    )
+    page = browser.new_page()
+    said = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto(page_file.as_uri())
+    # Four heavy atoms, before and after; the viewer leaves hydrogens out.
+    page.wait_for_selector("#pocket-viewer[data-shown='8'] canvas")
+    assert "LIG" in page.locator("#pocket option").first.inner_text()
+    page.wait_for_timeout(500)
+    drawn = matplotlib.image.imread(io.BytesIO(page.locator("#pocket-viewer").screenshot()))[5:-5, 5:-5, :3]
+    assert np.mean(np.abs(drawn - drawn[0, 0]).max(axis=-1) > 0.1) > 0.003
+    page.locator("#pocket-shown input").first.uncheck()
+    assert said == []

@@ -24,13 +24,15 @@ PLAIN = {
     "hinges": "phi psi chi", "root": "auto", "move": "all", "forcefield": "amber14", "solvent": "obc2",
     "engine": "auto", "terms": "all", "cutoff": "auto", "trust_forcefield": False, "model": None,
     "altloc": "",
-    "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (),
+    "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (), "ligands": (),
+    "ligand_charges": "mmff94",
 }  # fmt: skip
 """All settings of a minimisation by name, at their defaults."""
 
 OF_RELAX = {
     "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
     "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False,
+    "posebusters": False,
 }  # fmt: skip
 """Those of ``relax`` alone."""
 
@@ -42,7 +44,7 @@ MINIMISING = {
 
 FIELDS = {
     "restrain": "restraint", "starts": "n_starts", "hop": "hop_temperature",
-    "hop-temperature": "hop_temperature", "chain": "chains", "energy": "terms",
+    "hop-temperature": "hop_temperature", "chain": "chains", "energy": "terms", "ligand": "ligands",
 }  # fmt: skip
 """Fields by names of columns that are others."""
 
@@ -165,6 +167,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "cutoff": "2.5", "model": "2", "altloc": "B", "keep": "ZN,CA",
         "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chain": "A, B", "energy": "nonbonded",
+        "ligand": "ABC=CCO", "ligand_charges": "gasteiger",
     }  # fmt: skip
     assert BatchSettings().read(row).record() == {
         "methods": ("kcm", "lbfgs"), "tolerance": 2.0, "max_rmsd": 0.5, "max_evaluations": 7, "seed": 3,
@@ -173,7 +176,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "engine": "native", "cutoff": 2.5, "model": 2, "altloc": "B", "keep": ("ZN", "CA"),
         "disulfide": (("A:3", "A:40"),), "ph": 6.5, "strict": True, "trust_forcefield": False,
         "terms": "nonbonded",
-        "chains": ("A", "B"),
+        "chains": ("A", "B"), "ligands": (("ABC", "CCO"),), "ligand_charges": "gasteiger",
     }  # fmt: skip
     # Columns have the names of the options or of the fields, and angles are in degrees.
     starts = {"n_starts": 4, "spread": math.pi / 2, "hop_temperature": 300.0}

@@ -140,6 +140,7 @@ def test_minimise_hands_its_options_on_and_writes_what_is_asked(asked, tmp_path,
     assert {path.name for path in tmp_path.iterdir()} == {"out", "t.csv", "t.dcd"}
     assert json.loads(capsys.readouterr().out) == Solution().record() | {
         "input": "in/a.pdb", "output": "out/b.cif", "seconds_preparation": 1.5, "model": 2,
+        "confidences": [],
     }  # fmt: skip
 
 

@@ -31,14 +31,15 @@ SETUP = {
     "cutoff": "auto", "threads": None, "trust_forcefield": False, "terms": "all", "model": None,
     "chains": None, "altloc": "",
     "keep": None, "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
+    "ligands": None, "ligand_charges": "mmff94",
 }  # fmt: skip
 OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}
 OWN = {**RUN, "tolerance": None}
 MINIMISE = {
     "source": None, **OUTPUT, "method": "cartesian", "angle": None, **OWN, "restraint": "", "max_rmsd": None,
     "n_starts": 1, "spread": None, "hop_temperature": None, "checkpoint": None, "resume": None, "trace": None,
-    "trajectory": None, "report": None, "curvature": False, "one_file": False, "seed": 0, **AS_JSON,
-    "force": False, **SETUP,
+    "trajectory": None, "report": None, "curvature": False, "ligand_out": None, "one_file": False, "seed": 0,
+    **AS_JSON, "force": False, **SETUP,
 }  # fmt: skip
 NOT_IN_BATCH = ("threads", "trust_forcefield")
 NOT_IN_VALIDATE = ("hinges", "move", "forcefield", "solvent", "engine", "cutoff", *NOT_IN_BATCH)
@@ -56,7 +57,8 @@ COMMANDS = {
         "dry_run": False, **OWN, "max_rmsd": None, "restraint": "", "n_starts": 1, "spread": None,
         "hop_temperature": None, "curvature": False, "seed": 0,
         "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
-        "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False, **AS_JSON,
+        "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False,
+        "posebusters": False, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_BATCH},
     },
     "simulate": {
@@ -68,15 +70,15 @@ COMMANDS = {
         "resume": False, "force": False, "seed": 0, **AS_JSON, **SETUP,
     },
     "validate": {
-        "inputs": None, "reference": None, "csv": None, "residues": None, **AS_JSON,
+        "inputs": None, "reference": None, "csv": None, "residues": None, "posebusters": True, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_VALIDATE},
     },
     "relax": {
         "inputs": None, **OUTPUT, "manifest": None, "preset": "predicted", "protocol": "", "tolerance": None,
         "stiffness": None,
         "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
-        "repack": False, "report": None, "workers": None, "scheduler": None,
-        "time_limit": 3600.0, "resume": False, **AS_JSON,
+        "repack": False, "posebusters": False, "report": None, "ligand_out": None,
+        "workers": None, "scheduler": None, "time_limit": 3600.0, "resume": False, **AS_JSON,
         "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "terms")},
     },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
@@ -100,15 +102,20 @@ METAVARS = {
     ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
     "bench"): "[IN...]",
     ("sequence", "build"): "SEQUENCE", ("disulfide", None): "A:3-A:40", ("chains", None): "A,B",
+    ("ligands", None): "NAME=SDF|MOL2|SMILES",
 }  # fmt: skip
 FLAGS = {
+    "ligands": ["--ligand"],
     "as_json": ["--json"], "output": ["-o", "--output"], "chains": ["--chain", "--chains"],
     "null": ["--null", "-0"], "restraint": ["--restrain"], "n_starts": ["--starts"],
     "hop_temperature": ["--hop"], "curvature": ["--no-curvature"], "n_steps": ["--steps"],
     "between": ["--pull"], "speed": ["--pull-speed"], "hinge_springs": ["--hinge-spring"],
     ("stiffness", "simulate"): ["--pull-stiffness"], "terms": ["--energy"],
 }  # fmt: skip
-SECONDARY = {"relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"]}
+SECONDARY = {
+    "relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"],
+    ("posebusters", "validate"): ["--no-posebusters"],
+}  # fmt: skip
 ARGUMENTS = {
     ("source", None),
     ("inputs", None),
@@ -137,7 +144,7 @@ def test_every_option_has_its_name_default_and_help():
             opts = FLAGS.get((name, command), FLAGS.get(name, usual))
             assert each.opts == opts, (command, name)
             assert each.metavar == METAVARS.get((name, command), METAVARS.get((name, None))), (command, name)
-            assert each.secondary_opts == SECONDARY.get(name, [])
+            assert each.secondary_opts == SECONDARY.get((name, command), SECONDARY.get(name, []))
 
 
 @pytest.mark.parametrize(

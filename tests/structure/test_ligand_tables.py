@@ -167,3 +167,53 @@ def test_a_protein_alone_has_no_sdf(tmp_path):
     said = refusal("relax", PROTEIN, "-o", tmp_path / "out.pdb", "--ligand-out", tmp_path / "out.mol2")
     assert ".sdf" in said
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"kind": ["clockwise"], "atoms": ["C1 C2"]},
+        {"comp_id": ["LIG"]},
+        {"comp_id": ["LIG"], "kind": ["clockwise"], "atoms": ["C1"]},
+        {"comp_id": ["LIG"] * 3, "kind": ["clockwise", "cis", ""], "atoms": ["", "C1 C1 C1 C1", "C1 " * 999]},
+        {"comp_id": ["LIG"], "kind": ["clockwise"], "atoms": ["C1 C1 C1 C1 C1"]},
+        {"comp_id": ["LIG"], "kind": ["trans"], "atoms": ["X Y Z W"]},
+    ],
+)
+def test_a_table_of_stereo_that_makes_no_sense_is_nothing(tmp_path, table):
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, SMILES["single bonds"]))
+    pc.save(s, tmp_path / "saved.cif")
+    document = gemmi.cif.read(str(tmp_path / "saved.cif"))
+    document.sole_block().find_mmcif_category("_protochain_ligand.").erase()
+    document.sole_block().set_mmcif_category("_protochain_ligand.", table)
+    document.write_file(str(tmp_path / "spoilt.cif"))
+    again = pc.load(tmp_path / "spoilt.cif")
+    assert of(again.ligands[0].ligand.molecule)[:2] == of(s.ligands[0].ligand.molecule)[:2]
+    for suffix in (".cif", ".pdb"):
+        pc.save(again, tmp_path / f"again{suffix}")
+        assert len(pc.load(tmp_path / f"again{suffix}").ligands) == 1
+
+
+def test_confidence_of_a_ligand_stays(tmp_path):
+    """As AlphaFold 3 writes it: of a residue without a place in a sequence."""
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, SMILES["nitro"]))
+    pc.save(s, tmp_path / "saved.cif")
+    document = gemmi.cif.read(str(tmp_path / "saved.cif"))
+    block = document.sole_block()
+    asym = next(
+        row.str(0)
+        for row in block.find("_atom_site.", ["label_asym_id", "label_comp_id"])
+        if row.str(1) == "LIG"
+    )
+    block.set_mmcif_category("_ma_qa_metric_local.", {
+        "label_asym_id": [asym], "label_comp_id": ["LIG"], "label_seq_id": [False], "metric_id": ["2"],
+        "metric_value": ["87.1"], "model_id": ["1"], "ordinal_id": ["1"],
+    })  # fmt: skip
+    document.write_file(str(tmp_path / "model.cif"))
+    pc.save(pc.load(tmp_path / "model.cif"), tmp_path / "again.cif")
+    table = (
+        gemmi.cif.read(str(tmp_path / "again.cif"))
+        .sole_block()
+        .find("_ma_qa_metric_local.", ["label_asym_id", "label_seq_id", "metric_value"])
+    )
+    assert [list(row) for row in table] == [[asym, ".", "87.1"]]

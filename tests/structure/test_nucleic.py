@@ -9,6 +9,7 @@ from fixtures.samples import ROOT, STRUCTURES
 import protochain as pc
 from protochain.contacts import overlaps
 from protochain.energies.factory import build_system
+from protochain.structure.chirality import chiral_atoms, volume
 from protochain.structure.repairs import Kind
 from protochain.structure.residues import NUCLEIC
 
@@ -139,3 +140,19 @@ def test_a_strand_with_a_modified_nucleotide_stays_in_place_and_says_which():
     told = [each for each in s.repairs if each.kind is Kind.STRAND_STAYS]
     assert [residue.name for each in told for residue in each.facts["residues"]] == ["CCC"]
     assert s.mobile.any() and s.obstacle.any()
+
+
+def test_sugars_have_their_hands_and_a_mirrored_one_is_told_and_turned(duplex):
+    """Cahn, Ingold, Prelog by RDKit's dictionary entry: C1' R, C3' S, C4' R of deoxyguanosine."""
+    centres = chiral_atoms(duplex)
+    assert len(centres) == 3 * duplex.n_residues and (volume(duplex.positions[centres]) > 0.0).all()
+    x = duplex.positions.copy()
+    hydrogen, carbon = (
+        int(np.flatnonzero((duplex.atom_residue == 4) & (duplex.atom_name == name))[0])
+        for name in ("H3'", "O3'")
+    )
+    x[[hydrogen, carbon]] = x[[carbon, hydrogen]]
+    wrong = duplex.with_positions(x)
+    assert pc.validate(wrong).measures["wrong_hands"] == 1
+    relaxed = pc.relax(wrong)
+    assert (volume(relaxed.x[centres]) > 0.0).all()

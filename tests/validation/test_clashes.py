@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from fixtures.samples import load, shared
+from fixtures.samples import load, shared, still
 from openmm import app
 
 import protochain as pc
@@ -151,7 +151,7 @@ def test_one_atom_put_onto_another_is_named():
 
 
 def test_molecules_held_fixed_count_against_the_protein_alone():
-    s = pc.load(shared("4cup_missing.cif"))
+    s = still(pc.load(shared("4cup_missing.cif")))
     fixed = np.flatnonzero(s.obstacle)
     x = s.positions.copy()
     x[fixed] = x[fixed].mean(axis=0) + 0.3 * (x[fixed] - x[fixed].mean(axis=0))

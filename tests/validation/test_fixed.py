@@ -6,7 +6,7 @@ import gemmi
 import numpy as np
 import pytest
 from fixtures.repairs import sentences
-from fixtures.samples import STRUCTURES, load, shared
+from fixtures.samples import STRUCTURES, load, shared, still
 
 import protochain as pc
 from protochain.validation.fixed import fixed_counts, fixed_faults
@@ -39,7 +39,7 @@ def loaded(structure, folder, numbers=(), by=(0.0, 0.0, 0.0), atoms=(), chain="A
     made = structure.clone()
     moved([residue for residue in made[0][chain] if residue.seqid.num in numbers], by, atoms)
     made.make_mmcif_document().write_file(str(folder / "made.cif"))
-    return pc.load(folder / "made.cif", keep="all")
+    return still(pc.load(folder / "made.cif", keep="all"))
 
 
 @pytest.mark.parametrize("name", ["1ysa.pdb", "2r5z.pdb", "5ugo.cif", "3ave.pdb", "5h73.cif"])
@@ -47,7 +47,7 @@ def test_crystal_structures_have_no_faults(name):
     """DNA, nucleotides with calcium, glycans, cofactors; hydrogens of these as they are placed."""
     s = pc.load(shared(f"../complexes/models/{name}"))
     faults = fixed_faults(s)
-    assert s.obstacle.sum() > 50 and (len(faults.bonds), len(faults.clashes)) == (0, 0)
+    assert s.kept.sum() > 50 and (len(faults.bonds), len(faults.clashes)) == (0, 0)
     assert faults.said(s, s.positions) == ""
 
 
@@ -65,7 +65,7 @@ def test_a_bond_within_a_nucleotide_is_known_by_its_name(dodecamer, tmp_path):
     (pair,) = fixed_faults(s).bonds
     assert {*s.atom_name[pair].tolist()} == {"C4'", "C5'"}
     found = pc.validate(s)
-    assert found.measures["fixed_broken_bonds"] == 1 and "1 broken bonds of what is fixed" in repr(found)
+    assert found.measures["fixed_broken_bonds"] == 1 and "1 broken bonds beside the protein" in repr(found)
     assert any(
         line.startswith("residue 5 DA of chain A: C5' to C4' broken (2.39") for line in found.listing()
     )
@@ -96,7 +96,7 @@ def test_molecules_in_one_place_are_counted(dodecamer, tmp_path):
 
 def test_a_ligand_in_pieces_is_said():
     """Its bonds are known by distance: what is torn off is not bonded, and shows by that."""
-    s = pc.load(shared("../complexes/models/1a0i.cif"))
+    s = still(pc.load(shared("../complexes/models/1a0i.cif")))
     x, torn = s.positions.copy(), ["PG", "O1G", "O2G", "O3G"]
     assert not len(fixed_faults(s).bonds)
     x[s.obstacle & np.isin(s.atom_name, torn)] += 0.15
@@ -109,7 +109,7 @@ def test_the_end_of_a_relaxation_says_what_is_fixed_and_broken(dodecamer, tmp_pa
     r = pc.relax(s, threads=1)
     assert r.status == "violations" and r.measures_end["violations"] == 0
     at = "residue 5 DA of chain A"
-    said = f"1 broken bond of what is fixed: C5' of {at} and C4' of {at}, 2.39"
+    said = f"1 broken bond beside the protein: C5' of {at} and C4' of {at}, 2.39"
     assert r.message.startswith(f"violations: {said} angstrom apart; RMS force")
     assert r.message.endswith("; fixed, not relaxed: 8 DC, 8 DG, 4 DA, 4 DT")
     record = r.record()

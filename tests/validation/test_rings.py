@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from fixtures.molecules import atom
-from fixtures.samples import SAMPLES, load, shared
+from fixtures.samples import SAMPLES, load, shared, still
 
 import protochain as pc
 from protochain.validation.rings import _least_area, rings, threaded_rings
@@ -171,7 +171,7 @@ def test_a_bond_through_both_sides_of_a_folded_ring_threads_it_not(end, crosses)
 
 
 def test_molecules_held_fixed_are_not_held_against_the_protein():
-    s = pc.load(shared("4cup_missing.cif"))
+    s = still(pc.load(shared("4cup_missing.cif")))
     inside = [ring for ring in rings(s) if s.obstacle[list(ring)].all()]
     bonds = s.bonds[s.obstacle[s.bonds].all(axis=1)]
     ring = inside[0]
