@@ -7,9 +7,9 @@ from functools import lru_cache
 
 import gemmi
 
+from protochain.core.checks import CHARGE_RULES
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.ligands import Ligand, parametrised
-from protochain.ligands.charges import RULES
 from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library, quietly
 from protochain.ligands.protonation import at_ph
 from protochain.ligands.sources import from_dictionary
@@ -29,16 +29,17 @@ def settle(part: Part, i: int, chemistry: Chemistry) -> Why | None:
     member, first, last = part.members[i], i == 0 and not part.cyclic, i == len(part.members) - 1
     try:
         ligand = _capped(
-            member.name, chemistry.charges if chemistry.charges in RULES else RULES[0], chemistry.ph
+            member.name,
+            chemistry.charges if chemistry.charges in CHARGE_RULES else CHARGE_RULES[0],
+            chemistry.ph,
         )
     except (ProtochainError, ValueError):  # RDKit's, of rings that it cannot kekulize once charged.
         return Why.PARENT
     molecule = ligand.molecule
-    lactam = PREVIOUS[1] not in molecule.names
-    tertiary = "H" not in molecule.names
-    if lactam != first if lactam else first and tertiary:
+    is_lactam, is_tertiary = PREVIOUS[1] not in molecule.names, "H" not in molecule.names
+    if (is_lactam and not first) or (first and is_tertiary):
         return Why.END
-    template = _template(member, ligand, first and not lactam, last and not part.cyclic)
+    template = _template(member, ligand, first and not is_lactam, last and not part.cyclic)
     heavy = {atom.name for atom in member.atoms if not atom.is_hydrogen()}
     if heavy - {"OXT"} != {*template.heavy} - {"OXT"}:
         return Why.INCOMPLETE
