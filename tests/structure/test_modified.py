@@ -9,6 +9,8 @@ import protochain as pc
 from protochain.core.graph import bond_angles
 from protochain.energies.factory import build_system
 from protochain.ligands import molecule
+from protochain.ligands.protonation import Charged, at_ph
+from protochain.ligands.sources import from_dictionary
 from protochain.structure.repairs import Kind, Why
 
 pytest.importorskip("rdkit")
@@ -168,3 +170,10 @@ def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
     monkeypatch.setattr(molecule.importlib, "import_module", absent)
     s = made("M3L", tmp_path)
     assert s.residue_name[2] == "LYS" and [each.why for each in s.losses] == [Why.PARENT]
+
+
+@pytest.mark.parametrize(("name", "atom", "charge"), [("HIS", "ND1", -1), ("HIP", "NE2", -3)])
+def test_histidinium_is_made_neutral(name, atom, charge):
+    """Its ring has a hydrogen too many for a Kekule form until that is gone."""
+    made, charged = at_ph(from_dictionary(name), 9.0)
+    assert made.charge == charge and Charged(atom, 1, 0) in charged
