@@ -70,7 +70,9 @@ def at_ph(molecule: Molecule, ph: float) -> tuple[Molecule, tuple[Charged, ...]]
         atom.SetNumExplicitHs(max(0, n - len(hydrogens)))
     if not surplus and not any(atom.GetNumExplicitHs() for atom in made.GetAtoms()):
         return molecule, ()
-    chem.Kekulize(made, clearAromaticFlags=True)
+    # Not by Kekulize: a ring with a hydrogen too many, as of histidinium made neutral, has no such form yet.
+    for each in (*made.GetAtoms(), *made.GetBonds()):
+        each.SetIsAromatic(False)
     for bond in bonds:
         ends = (bond.GetBeginAtom().GetIsotope() - 1, bond.GetEndAtom().GetIsotope() - 1)
         made.GetBondBetweenAtoms(*ends).SetBondType(bond.GetBondType())

@@ -36,11 +36,10 @@ def settle(part: Part, i: int, chemistry: Chemistry) -> Why | None:
     except (ProtochainError, ValueError):  # RDKit's, of rings that it cannot kekulize once charged.
         return Why.PARENT
     molecule = ligand.molecule
-    lactam = PREVIOUS[1] not in molecule.names
-    tertiary = "H" not in molecule.names
-    if lactam != first if lactam else first and tertiary:
+    is_lactam, is_tertiary = PREVIOUS[1] not in molecule.names, "H" not in molecule.names
+    if (is_lactam and not first) or (first and is_tertiary):
         return Why.END
-    template = _template(member, ligand, first and not lactam, last and not part.cyclic)
+    template = _template(member, ligand, first and not is_lactam, last and not part.cyclic)
     heavy = {atom.name for atom in member.atoms if not atom.is_hydrogen()}
     if heavy - {"OXT"} != {*template.heavy} - {"OXT"}:
         return Why.INCOMPLETE

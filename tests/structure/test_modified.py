@@ -9,7 +9,10 @@ import protochain as pc
 from protochain.core.graph import bond_angles
 from protochain.energies.factory import build_system
 from protochain.ligands import molecule
+from protochain.ligands.protonation import Charged, at_ph
+from protochain.ligands.sources import from_dictionary
 from protochain.structure.repairs import Kind, Why
+from protochain.structure.residues import OF_ALANINE
 
 pytest.importorskip("rdkit")
 pytest.importorskip("dimorphite_dl")
@@ -74,6 +77,29 @@ def test_nothing_is_lost_and_every_bond_and_angle_has_its_term(name, tmp_path):
     triples = [angles.getAngleParameters(k)[:3] for k in range(angles.getNumAngles())]
     triples = sorted(tuple(row if row[0] < row[2] else row[::-1]) for row in triples)
     assert triples == sorted(map(tuple, bond_angles(s.bonds, s.n_atoms).tolist()))
+
+
+@pytest.mark.parametrize("name", ["M3L", "MLE", "PCA"])
+def test_torsions_of_a_side_chain_are_those_of_the_small_molecule_alone(name, tmp_path):
+    """Rules of the force field for any atoms about a bond, as about N-CA, would else count beside them."""
+    s = made(name, tmp_path)
+    (bound,) = s.modified
+    side = {k for k in own(s, name).tolist() if str(s.atom_name[k]) not in {*OF_ALANINE, "CB"}}
+    force = of_kind(build_system(s, "amber14", "vacuum"), openmm.PeriodicTorsionForce)
+    there = []
+    for k in range(force.getNumTorsions()):
+        *atoms, n, phase, size = force.getTorsionParameters(k)
+        if side & {*atoms} and size._value:
+            there.append((*atoms, n, phase._value, size._value))
+    torsions = bound.ligand.parameters.torsions
+    meant = [
+        (*atoms, round(n), phase, size)
+        for atoms, (n, phase, size) in zip(
+            bound.atoms[torsions.atoms].tolist(), torsions.parameters.tolist(), strict=True
+        )
+        if min(atoms) >= 0 and side & {*atoms} and size
+    ]
+    assert np.array(sorted(there)) == pytest.approx(np.array(sorted(meant))) and len(meant) > 10
 
 
 @pytest.mark.parametrize("forcefield", ["amber14", "amber19"])
@@ -168,3 +194,10 @@ def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
     monkeypatch.setattr(molecule.importlib, "import_module", absent)
     s = made("M3L", tmp_path)
     assert s.residue_name[2] == "LYS" and [each.why for each in s.losses] == [Why.PARENT]
+
+
+@pytest.mark.parametrize(("name", "atom", "charge"), [("HIS", "ND1", -1), ("HIP", "NE2", -3)])
+def test_histidinium_is_made_neutral(name, atom, charge):
+    """Its ring has a hydrogen too many for a Kekule form until that is gone."""
+    made, charged = at_ph(from_dictionary(name), 9.0)
+    assert made.charge == charge and Charged(atom, 1, 0) in charged

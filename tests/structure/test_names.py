@@ -45,7 +45,7 @@ def amino_acid(letter, name, gone=(), more=()):
         ("N", "NLN", ("OD1", "ND2"), ("CD", "CE"), "LEU", ("CD", "CE")),  # Norleucine's amide
         ("H", "HSE", (), (), "HIS", ()),
         ("H", "HIP", (), (), "HIS", ()),
-        ("H", "HIP", (), ("P", "O1P", "O2P", "O3P"), "HIS", ("P", "O1P", "O2P", "O3P")),
+        ("H", "HIP", (), ("P", "O1P", "O2P", "O3P"), "HIP", ()),
         ("H", "HIP", ("CD2",), ("P",), "HIS", ("P",)),
         ("C", "CYM", (), (), "CYS", ()),
         ("C", "CYM", (), ("OD",), "CYS", ("OD",)),
