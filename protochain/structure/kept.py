@@ -226,7 +226,11 @@ def _parts(
 
 def _trim(draft: Draft, part: Part) -> None:
     """Leave out the end of a strand of which only the phosphate was seen."""
-    while len(part.members) > 1 and part.is_strand and not part.members[-1].atom("C1'"):
+    while (
+        len(part.members) > 1
+        and part.is_strand
+        and all(atom.name in (*_PHOSPHATE, "O5'") for atom in part.members[-1].atoms)
+    ):
         last = part.members.pop()
         lost = losses(last, last.atoms, Why.BACKBONE)
         draft.note(Kind.NO_BACKBONE, lost, residue=last.residue, atom="C1'")

@@ -58,7 +58,7 @@ def load(
     strict: bool = False,
     forcefield: str | Path | None = None,
     chains: str | Sequence[str] = (),
-    ligands: Mapping[str, str | Path] | str | Path | Sequence[str | Path] | None = None,
+    ligands: Mapping[str, str | Path] | str | Path | Sequence[str | Path] = (),
     ligand_charges: str | Path = "mmff94",
     standard_residues: bool = False,
 ) -> Structure:
@@ -96,7 +96,7 @@ def load(
         bundled ones. A molecule beside the protein whose parameters it has moves.
     chains : str or sequence of str
         Chains to take, as ``"A,B"`` or ``("A", "B")``; all by default.
-    ligands : mapping of str to path-like or str, optional
+    ligands : mapping of str to path-like or str, or sequence
         Chemistry of molecules beside the protein by the name of their residue: an SDF or MOL2 file, or
         SMILES. ``"NAME=FILE"`` is taken, too, and a list of such; a file without a name is a pose, which is
         added. Others have the bonds that the file states (``_chem_comp_bond``, CONECT records with orders),

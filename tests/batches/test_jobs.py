@@ -25,7 +25,7 @@ PLAIN = {
     "engine": "auto", "terms": "all", "cutoff": "auto", "trust_forcefield": False, "model": None,
     "altloc": "",
     "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (), "ligands": (),
-    "ligand_charges": "mmff94",
+    "ligand_charges": "mmff94", "standard_residues": False,
 }  # fmt: skip
 """All settings of a minimisation by name, at their defaults."""
 
@@ -167,7 +167,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "cutoff": "2.5", "model": "2", "altloc": "B", "keep": "ZN,CA",
         "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chain": "A, B", "energy": "nonbonded",
-        "ligand": "ABC=CCO", "ligand_charges": "gasteiger",
+        "ligand": "ABC=CCO", "ligand_charges": "gasteiger", "standard_residues": "yes",
     }  # fmt: skip
     assert BatchSettings().read(row).record() == {
         "methods": ("kcm", "lbfgs"), "tolerance": 2.0, "max_rmsd": 0.5, "max_evaluations": 7, "seed": 3,
@@ -177,6 +177,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "disulfide": (("A:3", "A:40"),), "ph": 6.5, "strict": True, "trust_forcefield": False,
         "terms": "nonbonded",
         "chains": ("A", "B"), "ligands": (("ABC", "CCO"),), "ligand_charges": "gasteiger",
+        "standard_residues": True,
     }  # fmt: skip
     # Columns have the names of the options or of the fields, and angles are in degrees.
     starts = {"n_starts": 4, "spread": math.pi / 2, "hop_temperature": 300.0}

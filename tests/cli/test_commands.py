@@ -31,7 +31,7 @@ SETUP = {
     "cutoff": "auto", "threads": None, "trust_forcefield": False, "terms": "all", "model": None,
     "chains": None, "altloc": "",
     "keep": None, "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
-    "ligands": None, "ligand_charges": "mmff94",
+    "ligands": None, "ligand_charges": "mmff94", "standard_residues": False,
 }  # fmt: skip
 OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}
 OWN = {**RUN, "tolerance": None}

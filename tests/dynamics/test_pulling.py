@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fixtures.command_line import protochain
-from fixtures.samples import STRUCTURES, chain, energy, load, shared
+from fixtures.samples import STRUCTURES, chain, energy, load, shared, still
 from fixtures.tolerances import ROUND_OFF
 from scipy.integrate import solve_ivp
 
@@ -548,7 +548,7 @@ def test_an_atom_that_the_file_lacks_is_pulled_where_it_was_added(tmp_path):
 
 
 def test_a_ligand_is_a_place_too():
-    s = pc.load(shared("4cup_missing.cif"))
+    s = still(pc.load(shared("4cup_missing.cif")))
     ligand = (s.residue_name == "ZYB")[s.atom_residue]
     assert (ligand & s.obstacle).any()
     c = pc.build_chain(s)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from fixtures.command_line import protochain
-from fixtures.samples import chain, energy, load, shared
+from fixtures.samples import chain, energy, load, shared, still
 
 import protochain as pc
 from protochain.articulate import turned_atoms
@@ -60,7 +60,7 @@ def test_what_selects_nothing_is_refused_wherever_it_is_given():
         pc.ProtochainError, match=r"'within 5 of chain B' cannot be read: .*'around 5 chainID B'"
     ):
         pc.relax(s, move="within 5 of chain B")
-    haem = pc.load(shared("1hpv_oldformat.pdb"))
+    haem = still(pc.load(shared("1hpv_oldformat.pdb")))
     assert haem.obstacle.any()
     kept = haem.residue_name[haem.atom_residue[haem.obstacle]][0]
     with pytest.raises(pc.ProtochainError, match="selects only molecules that stand still"):

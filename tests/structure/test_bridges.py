@@ -14,6 +14,7 @@ from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.kept import Candidate, check_words, choose, water_named
 from protochain.structure.linkage import is_metal
 from protochain.structure.recognise import by_element
+from protochain.structure.repairs import Kind
 from protochain.structure.sites import find_links, measure, moves, ties
 from protochain.structure.templates import Template
 
@@ -309,9 +310,9 @@ def test_a_strand_that_the_templates_do_not_fit_is_kept_whole_and_by_element():
     choose(draft, [Candidate(first, "DA"), Candidate(second, "DA")], ("all",), DNA)
     assert [a.name for a in first.atoms] == ["P", "O3'"] and first.own.element == {"P": "P", "O3'": "O"}
     assert second.own.element == {"P": "P", "O3'": "O", "CX": "C"}
-    assert sentences(draft) == [
-        "2 DA kept beside the protein (DA by element, unless the force field has parameters)"
-    ]
+    kept, stays = draft.repairs
+    assert kept.kind is Kind.KEPT_BY_ELEMENT and stays.kind is Kind.STRAND_STAYS
+    assert [each.number for each in stays.facts["residues"]] == ["2"]
 
 
 def test_a_template_fits_the_same_heavy_atoms_by_any_name_and_no_amino_acid():

@@ -289,7 +289,7 @@ def test_nucleic_acids_are_kept_as_strands(tmp_path):
     far = pc.load(path)
     assert dict(far.left_out) == {"DG": 2} and "further than 5 angstrom from the protein" in sentences(far)[0]
     s = pc.load(path, keep=("nucleic",))
-    assert s.n_residues == 12 and s.n_chains == 1 and s.obstacle.sum() == 31 + 34
+    assert s.n_residues == 12 and s.n_chains == 1 and s.mobile.sum() == 31 + 34
     assert any("5' phosphate left out" in line for line in sentences(s))
     (phosphate,) = s.losses
     assert (phosphate.name, phosphate.number, phosphate.why) == ("DG", "1", Why.PHOSPHATE)

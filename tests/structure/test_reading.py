@@ -110,7 +110,7 @@ def test_a_file_without_a_protein_says_what_there_is():
     heavy, other = residue("DOD", 3, atoms=["O", ("D1", "D")]), residue("XQQ", 4, atoms=["S"])
     third = residue("SOL", 5, atoms=["O"])
     assert refused(water, iron, heavy, other) == (
-        "x: no protein found, only 2 waters, 2 residues XQQ; give a file with amino acids"
+        "x: no protein found, only 2 waters, 2 residues XQQ; give a file with protein, DNA or RNA"
     )
     assert refused(residue("ALA", 1), water) == (
         "x: no protein found, only 1 water, 1 residue ALA; a chain has two amino acids or more"
