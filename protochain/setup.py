@@ -129,7 +129,7 @@ class Setup(Settings):
     altloc: str = setting("", "Alternate location to prefer [default: of highest occupancy].", text)
     keep: tuple[str, ...] = setting(
         defaults.KEEP,
-        "Molecules to keep in place, with commas: near (all but waters within 5 angstrom of it), "
+        "Molecules to keep beside it, with commas: near (all but waters within 5 angstrom of it), "
         "none, all, water, ions, nucleic, ligands, or names of residues [default: near].",
         words,
     )
