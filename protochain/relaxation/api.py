@@ -87,7 +87,7 @@ def relax_structure(
     move: str = defaults.MOVE,
 ) -> Relaxation:
     """Relax a structure whose energy is built; the settings' force field is that of the energy."""
-    excluded = _excluded(structure, settings.exclude)
+    excluded = _excluded(structure, settings)
     mobile = read_only(moving(structure, move), np.bool_)
     held_by = _held_by(mobile, settings)
     check_dihedrals(energy, "relax")
@@ -144,11 +144,14 @@ class _Trace:
             self.watch(row, at.x)
 
 
-def _excluded(structure: Structure, exclude: str) -> NDArray[np.bool_]:
-    """(nr,) bool: residues with an atom in a selection."""
+def _excluded(structure: Structure, settings: RelaxSettings) -> NDArray[np.bool_]:
+    """(nr,) bool: residues without springs: with an atom in the selection, and ligands if they are free."""
     free = np.zeros(structure.n_residues, dtype=bool)
-    if exclude:
-        free[structure.atom_residue[select(structure, exclude)]] = True
+    if settings.exclude:
+        free[structure.atom_residue[select(structure, settings.exclude)]] = True
+    if settings.free_ligands:
+        for each in structure.ligands:
+            free[structure.atom_residue[each.atoms]] = True
     return free
 
 

@@ -60,6 +60,7 @@ COLUMNS = (
     Column("max_iterations", lambda r: r.settings.max_iterations),
     Column("max_outer_iterations", lambda r: r.settings.max_outer_iterations),
     Column("exclude", lambda r: r.settings.exclude),
+    Column("free_ligands", lambda r: r.settings.free_ligands),
     Column("hydrogens", lambda r: "kept" if r.settings.keep_hydrogens else "stripped"),
     Column("repacked", lambda r: r.settings.repack),
     Column("side_chains_turned", lambda r: [str(each) for each in r.turned]),

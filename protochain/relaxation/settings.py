@@ -43,6 +43,8 @@ class RelaxSettings(Settings):
         Whether side chains in the way of others are put into other rotamers first.
     posebusters : bool
         Whether PoseBusters' tests are run on ligands before and after; half a minute for a large one.
+    free_ligands : bool
+        Whether ligands have no springs.
 
     Raises
     ------
@@ -92,6 +94,7 @@ class RelaxSettings(Settings):
     posebusters: bool = setting(
         False, "Run PoseBusters' tests on ligands before and after: seconds for each.", flag, bool
     )
+    free_ligands: bool = setting(False, "No springs on ligands.", flag, bool)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -214,3 +214,13 @@ def test_what_makes_no_sense_is_refused_in_one_line(tmp_path, ligands, said):
     with pytest.raises(pc.ProtochainError, match=said) as refused:
         pc.load(path, ligands=ligands)
     assert "\n" not in str(refused.value)
+
+
+def test_free_ligands_are_excluded_by_their_kind(tmp_path):
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, "CC(=O)[O-]"))
+    free, excluded, held = (
+        pc.relax(s, threads=1, **options)
+        for options in ({"free_ligands": True}, {"exclude": "resname LIG"}, {})
+    )
+    assert np.array_equal(free.x, excluded.x) and free.record()["free_ligands"]
+    assert np.abs(free.x - held.x).max() > 1e-4
