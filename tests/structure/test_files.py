@@ -366,7 +366,7 @@ def test_modified_residues_become_their_parents_and_d_stays_d(tmp_path):
     methionine = pc.load(shared("1a8o_mse.pdb"))
     assert np.count_nonzero(methionine.residue_name == "MET") == 4
     assert "M3L of chain W: converted to its standard parent LYS, CM1, CM2, CM3 left out" in "".join(
-        sentences(pc.load(shared("1kyo_m3l.pdb")))
+        sentences(pc.load(shared("1kyo_m3l.pdb"), standard_residues=True))
     )
 
 
@@ -396,7 +396,7 @@ def test_every_amino_acid_becomes_its_parent_or_is_refused_by_name(extra_atom, t
             lines.append(line)
         path = written(tmp_path, "".join(lines))
         try:
-            s = pc.load(path)
+            s = pc.load(path, standard_residues=True)
         except pc.ProtochainError as error:
             assert f"{path}: residue " in str(error) and "\n" not in str(error)
             refused.add(name)
@@ -437,7 +437,7 @@ def test_a_sulphate_is_no_end_of_a_chain(last, has_oxygen, tmp_path):
                     here = "".join(f"{a + b:8.3f}" for a, b in zip(at, off, strict=True))
                     lines.append(f"{line[:12]} {name:<3s}{line[16:30]}{here}{line[54:76]} {name[0]}\n")
         lines.append(line)
-    made = pc.load(written(tmp_path, "".join(lines)))
+    made = pc.load(written(tmp_path, "".join(lines)), standard_residues=True)
     assert made.residue_name.tolist() == s.residue_name.tolist() and made.n_atoms == s.n_atoms
     said = "converted to its standard parent TYR, S, O1, O2, O3 left out"
     assert f"residue {place} TYS of chain A: {said}" in sentences(made)
@@ -458,7 +458,7 @@ def test_modified_histidines_are_read_with_their_own_atoms(name, tmp_path):
             x = [float(line[k : k + 8]) + 0.85 for k in (30, 38, 46)]
             at = "".join(f"{value:8.3f}" for value in x)
             lines.append(f"HETATM{line[6:12]} CZ  HIC{line[20:30]}{at}{line[54:76]} C\n")
-    made = pc.load(written(tmp_path, "".join(lines)))
+    made = pc.load(written(tmp_path, "".join(lines)), standard_residues=True)
     assert made.residue_name.tolist() == ["ALA", "HIS", "ALA"]
     assert any(f"residue 2 {name} of chain A" in line for line in sentences(made))
     assert np.isfinite(pc.energy(made, solvent="vacuum")(made.positions)[0])
