@@ -1,5 +1,6 @@
 """Ligands of known chemistry, one by one: PoseBusters' tests, strain, contacts, clashes, stereo."""
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -151,6 +152,8 @@ def _inverted(bound: BoundLigand, x: Floats) -> tuple[str, ...]:
 def _posebusters(structure: Structure, bound: BoundLigand, x: Floats) -> dict[str, bool]:
     """Results by name of the test; one that has none is not passed."""
     busters = library("posebusters").PoseBusters(config="dock")
+    # It flushes the stream of the call before, which may be closed by now, and would report failed tests.
+    library("rdkit").log_handler.stream = sys.stderr
     pose = to_rdkit(bound.ligand.molecule, x[bound.atoms])
     row = quietly(busters.bust, [pose], None, _receptor(structure, bound, x)).iloc[0]
     return {name: value is True or value == 1 for name, value in row.items() if name not in _NOT_TESTS}

@@ -1,5 +1,6 @@
 """What is found of ligands in their places: strain, contacts, clashes, stereo, PoseBusters' tests."""
 
+import io
 import json
 
 import numpy as np
@@ -8,7 +9,6 @@ from fixtures.command_line import run
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
-from protochain.ligands.molecule import quietly
 from protochain.ligands.strain import energy_and_gradient, nearest_minimum, strain
 
 Chem = pytest.importorskip("rdkit.Chem")
@@ -96,11 +96,9 @@ def test_posebusters_tests_are_those_of_its_own_reader(tmp_path):
         (found,) = pc.validate(s).ligands
         pc.save_ligands(s, tmp_path / "pose_of.sdf")
         pc.save(pc.load(PROTEIN), tmp_path / "protein.pdb")
-        # Its logs go to a stream of the test before, which is closed.
-        bust = quietly(
-            busters.PoseBusters(config="dock").bust,
-            tmp_path / "pose_of.sdf", None, tmp_path / "protein.pdb",
-        )  # fmt: skip
+        bust = busters.PoseBusters(config="dock").bust(
+            tmp_path / "pose_of.sdf", None, tmp_path / "protein.pdb"
+        )
         row = bust.iloc[0]
         assert dict(found.posebusters) == {name: bool(value) for name, value in row.items()}
         assert ("minimum_distance_to_protein" in found.failed) == bool(closer)
@@ -148,3 +146,17 @@ def test_relax_records_each_ligand_before_and_after(tmp_path, capsys):
     (said,) = json.loads(capsys.readouterr().out)["ligands"]
     assert type(said["posebusters_passed_end"]) is bool
     assert said["strain_end_kj_mol"] == pytest.approx(row["strain_end_kj_mol"], rel=1e-6)
+
+
+def test_posebusters_pass_after_the_stream_of_another_call_was_closed(tmp_path):
+    """As notebooks and test runners replace the standard error."""
+    pytest.importorskip("posebusters")
+    import rdkit
+
+    s = pc.load(PROTEIN, ligands=posed(tmp_path))
+    (before,) = pc.validate(s).ligands
+    stream = io.StringIO()
+    rdkit.log_handler.stream = stream
+    stream.close()
+    (after,) = pc.validate(s).ligands
+    assert dict(after.posebusters) == dict(before.posebusters)
