@@ -4,7 +4,8 @@ import gemmi
 import numpy as np
 import openmm
 import pytest
-from fixtures.samples import ROOT, STRUCTURES
+from fixtures.oracles import assert_equals_reference
+from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.energies.factory import build_system
@@ -17,7 +18,6 @@ pytest.importorskip("dimorphite_dl")
 
 
 PROTEIN = STRUCTURES / "1l2y.pdb"
-COMPLEXES = ROOT.parent / "shared" / "complexes"
 THREONINE_LIKE = "C[C@H](O)[C@@H](N)C(=O)OC"
 
 
@@ -83,16 +83,7 @@ def test_a_pose_is_added_and_moves_with_all_its_hydrogens(tmp_path):
 @pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
 def test_the_energy_is_that_of_openmms_reference_platform(tmp_path, solvent):
     s = pc.load(PROTEIN, ligands=posed(tmp_path, THREONINE_LIKE))
-    value, forces = pc.energy(s, solvent=solvent, engine="native")(s.positions)
-    system = build_system(s, solvent=solvent)
-    context = openmm.Context(
-        system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference")
-    )
-    context.setPositions(s.positions)
-    state = context.getState(getEnergy=True, getForces=True)
-    assert value == pytest.approx(state.getPotentialEnergy()._value, rel=1e-8)
-    reference = np.array(state.getForces(asNumpy=True)._value)
-    assert np.abs(forces - reference).max() < 1e-8 * np.abs(reference).max()
+    assert_equals_reference(pc.energy(s, solvent=solvent, engine="native"), s.positions)
 
 
 @pytest.mark.parametrize("forcefield", ["amber14", "amber19", "charmm36"])

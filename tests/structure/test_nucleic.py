@@ -4,6 +4,7 @@ import mdtraj
 import numpy as np
 import openmm
 import pytest
+from fixtures.oracles import assert_equals_reference
 from fixtures.samples import ROOT, STRUCTURES
 
 import protochain as pc
@@ -57,16 +58,7 @@ def test_a_duplex_without_protein_moves_and_has_all_hydrogens(duplex):
 
 @pytest.mark.parametrize(("forcefield", "solvent"), [("amber14", "obc2"), ("amber19", "vacuum")])
 def test_the_energy_is_that_of_openmms_reference_platform(gcn4, forcefield, solvent):
-    value, forces = pc.energy(gcn4, forcefield, solvent, "native")(gcn4.positions)
-    system = build_system(gcn4, forcefield, solvent)
-    context = openmm.Context(
-        system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference")
-    )
-    context.setPositions(gcn4.positions)
-    state = context.getState(getEnergy=True, getForces=True)
-    assert value == pytest.approx(state.getPotentialEnergy()._value, rel=1e-8)
-    reference = np.array(state.getForces(asNumpy=True)._value)
-    assert np.abs(forces - reference).max() < 1e-8 * np.abs(reference).max()
+    assert_equals_reference(pc.energy(gcn4, forcefield, solvent, "native"), gcn4.positions)
 
 
 def test_dna_has_ol21_beside_ff19sb_and_ol15_beside_ff14sb(duplex):
