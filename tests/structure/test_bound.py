@@ -159,8 +159,16 @@ def test_a_mirrored_stereocentre_is_told_and_relax_turns_it_right(tmp_path):
     centres = chiral_atoms(s)
     mine = centres[np.isin(centres[:, 0], bound.atoms)]
     assert len(mine) == 2 and sorted(np.sign(volume(s.positions[mine]))) == [-1.0, 1.0]
+    (wrong,) = mine[volume(s.positions[mine]) < 0.0, 0]
+    assert (str(s.atom_name[wrong]),) == bound.inverted
     relaxed = pc.relax(s)
     assert (volume(relaxed.x[mine]) > 0.0).all()
+    # Hands of the end, by RDKit from its positions.
+    pc.save_ligands(relaxed, tmp_path / "end.sdf")
+    end = Chem.MolFromMolFile(str(tmp_path / "end.sdf"), removeHs=True)
+    Chem.AssignStereochemistryFrom3D(end)
+    neutral = Chem.AddHs(Chem.MolFromSmiles(THREONINE_LIKE.replace("(N)", "([NH3+])")))
+    assert end.HasSubstructMatch(Chem.RemoveHs(neutral), useChirality=True)
     right = pc.load(path, ligands={"LIG": other})
     assert right.ligands[0].inverted == () and Kind.INVERTED not in kinds(right)
 
