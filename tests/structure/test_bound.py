@@ -5,7 +5,7 @@ import numpy as np
 import openmm
 import pytest
 from fixtures.oracles import assert_equals_reference
-from fixtures.samples import STRUCTURES
+from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
 from protochain.energies.factory import build_system
@@ -223,3 +223,17 @@ def test_free_ligands_are_excluded_by_their_kind(tmp_path):
     )
     assert np.array_equal(free.x, excluded.x) and free.record()["free_ligands"]
     assert np.abs(free.x - held.x).max() > 1e-4
+
+
+def test_donors_of_a_ligand_that_hold_a_metal_are_tied_to_it():
+    """APC of 1HQ2 holds two magnesium ions by its phosphates."""
+    s = pc.load(shared("../complexes/astex/1HQ2_PH2_protein.pdb"))
+    (bound,) = [each for each in s.ligands if s.residue_name[s.atom_residue[each.atoms[0]]] == "APC"]
+    ends = [tie for tie in s.ties if len(tie.atoms) == 2 and tie.atoms[0] in bound.atoms]
+    assert len({tie.atoms[1] for tie in ends}) == 2
+    relaxed = pc.relax(s)
+    for tie in ends:
+        i, j = tie.atoms
+        assert s.atom_element[i] == "O" and s.atom_element[j] == "Mg"
+        assert np.linalg.norm(s.positions[i] - s.positions[j]) == pytest.approx(tie.rest, abs=1e-6)
+        assert np.linalg.norm(relaxed.x[i] - relaxed.x[j]) == pytest.approx(tie.rest, abs=0.02)
