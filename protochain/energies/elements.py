@@ -133,9 +133,10 @@ def _recognised(
             return _topology(structure, bonds), sorted(unknown)
         unknown |= found
         # Radii of hydrogens depend on what they are bonded to; other bonds would only give constants.
-        # A strand with an unknown nucleotide falls apart.
         light = (structure.atom_element[bonds] == "H").any(axis=1)
-        bonds = bonds[light | ~np.isin(residue[bonds], list(unknown)).any(axis=1)]
+        # Beyond a nucleotide without parameters, the strand goes on.
+        goes_on = structure.mobile[bonds].sum(axis=1) == 1
+        bonds = bonds[light | goes_on | ~np.isin(residue[bonds], list(unknown)).any(axis=1)]
 
 
 def _refuse_unknown_mobile(structure: Structure, unknown: Iterable[int]) -> None:
@@ -210,6 +211,9 @@ def _register(
     for bond in residue.internal_bonds():
         ends = {f"atomName{i}": f"{a.index}" for i, a in enumerate(bond, 1)}
         ElementTree.SubElement(template, "Bond", ends)
+    for bond in residue.external_bonds():
+        mine = next(a.index for a in bond if a.residue is residue)
+        ElementTree.SubElement(template, "ExternalBond", atomName=f"{mine}")
     _add_types(types, {kind: of for kind, of in kinds.items() if kind not in force_field._atomTypes})
     _add_pairs(root, force_field, kinds)
     force_field.loadFile(io.StringIO(ElementTree.tostring(root, encoding="unicode")))
@@ -462,8 +466,8 @@ def _without(base: Any, have: Mapping[str, int]) -> Any:
 
 def _not_interacting(structure: Structure, by_element: np.ndarray) -> set[tuple[int, int]]:
     """Pairs joined across bonds to obstacles, and touching pairs of obstacles without parameters."""
-    n, bonds, kept = structure.n_atoms, structure.bonds, structure.kept
-    across = kept[bonds[:, 0]] != kept[bonds[:, 1]]
+    n, bonds = structure.n_atoms, structure.bonds
+    across = (np.diff(structure.kept[bonds]) | np.diff(structure.obstacle[bonds])).ravel()
     pairs = _joined(n, bonds) - _joined(n, bonds[~across]) if across.any() else set()
     atoms = np.flatnonzero(structure.obstacle)
     if len(atoms):

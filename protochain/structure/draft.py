@@ -126,9 +126,9 @@ class Part:
         if member.own is not None:
             return member.own
         name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
-        # An end that is bonded to a molecule beside the chain has no charge.
+        # An end that is bonded to a molecule beside the chain is none.
         linked = {atom.name for atom in member.links}
-        ends = (i == 0 and "N" not in linked, i == len(self.members) - 1 and "C" not in linked)
+        ends = (i == 0 and not linked & {"N", "P"}, i == len(self.members) - 1 and not linked & {"C", "O3'"})
         if member.name in residues.NUCLEOTIDES:
             return known.get(
                 member.name + {(True, True): "N", (True, False): "5", (False, True): "3"}.get(ends, "")

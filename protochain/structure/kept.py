@@ -190,19 +190,17 @@ def _parts(
             parts.append(Part(member.chain_id, [member], obstacle=True))
     for part in parts:
         _trim(draft, part)
-        first = part.members[0]
-        gone = [atom.name for atom in first.atoms if atom.name in _PHOSPHATE]
-        whole = [*first.atoms]
-        if first.name in residues.NUCLEOTIDES and gone:
-            first.atoms = [atom for atom in first.atoms if atom.name not in gone]
+    parts = [piece for part in parts for piece in _pieces(draft, part, known)]
+    for part in parts:
+        first, whole = part.members[0], [*part.members[0].atoms]
+        if first.own is not None:
+            continue
+        first.atoms = _without_phosphate(first)
         found = [part.template(known, i) for i in range(len(part.members))]
         fits = all(_fits(member, its) for member, its in zip(part.members, found, strict=True))
         is_users = len(found) == 1 and found[0] is not None and found[0].is_users
         part.mobile = fits and (is_users or part.is_strand)
         if not fits:
-            if part.is_strand and len(part.members) > 1:
-                strange = [m.residue for m, its in zip(part.members, found, strict=True) if not _fits(m, its)]
-                draft.note(Kind.STRAND_STAYS, count=len(part.members), residues=tuple(strange))
             first.atoms = whole
             for member in part.members:
                 if len(member.atoms) > _LARGEST:
@@ -219,7 +217,7 @@ def _parts(
                 if not part.mobile and n_heavy > 1 and first.name not in residues.NUCLEOTIDES:
                     chemist.settle(part)
         elif len(whole) > len(first.atoms):
-            lost = losses(first, [atom for atom in whole if atom.name in gone], Why.PHOSPHATE)
+            lost = losses(first, [atom for atom in whole if atom not in first.atoms], Why.PHOSPHATE)
             draft.note(Kind.PHOSPHATE, lost, residue=first.residue)
     return parts
 
@@ -234,6 +232,41 @@ def _trim(draft: Draft, part: Part) -> None:
         last = part.members.pop()
         lost = losses(last, last.atoms, Why.BACKBONE)
         draft.note(Kind.NO_BACKBONE, lost, residue=last.residue, atom="C1'")
+
+
+def _pieces(draft: Draft, part: Part, known: Mapping[str, Template]) -> list[Part]:
+    """Cut a strand at the nucleotides without parameters, which stay in place, tied to the others."""
+    if len(part.members) == 1:
+        return [part]
+    fit = []
+    for i, member in enumerate(part.members):
+        atoms = member.atoms if i else _without_phosphate(member)
+        fit.append(_fits(replace(member, atoms=atoms), part.template(known, i)))
+    pieces: list[Part] = []
+    for i, (member, its) in enumerate(zip(part.members, fit, strict=True)):
+        if i and its == fit[i - 1]:
+            pieces[-1].members.append(member)
+            continue
+        pieces.append(Part(part.chain_id, [member], obstacle=True))
+        if i:
+            before = part.members[i - 1]
+            # Beside it, the strand goes on.
+            one, name = (member, "P") if its else (before, "O3'")
+            one.links += [atom for atom in one.atoms if atom.name == name]
+    strange = [member for member, its in zip(part.members, fit, strict=True) if not its]
+    for member in strange:
+        member.own = by_element(member)
+    if strange:
+        draft.note(
+            Kind.NUCLEOTIDES_STAY, count=len(strange), residues=tuple(each.residue for each in strange)
+        )
+    return pieces
+
+
+def _without_phosphate(member: Member) -> list[gemmi.Atom]:
+    """Atoms of the first nucleotide of a strand, the force fields of which have no 5' phosphate."""
+    is_end = member.name in residues.NUCLEOTIDES and not any(atom.name == "P" for atom in member.links)
+    return [atom for atom in member.atoms if not (is_end and atom.name in _PHOSPHATE)]
 
 
 def _is_bonded(last: Member, first: Member) -> bool:

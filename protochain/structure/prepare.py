@@ -41,6 +41,7 @@ from protochain.structure.sites import (
     settle_mobile,
     stated_beside,
     stated_ties,
+    strand_links,
     ties,
 )
 from protochain.structure.templates import Template, templates
@@ -150,6 +151,7 @@ def prepare(
     known = templates(forcefield)
     links, beside = find_links(draft), stated_beside(draft)
     settle_mobile(draft, links)
+    links += strand_links(draft)
     take_up(draft, ph)
     # Before oxygens that the file lacks are added.
     refuse_crosslinks(draft)

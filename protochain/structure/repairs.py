@@ -159,8 +159,8 @@ class Kind(Enum):
     STRAND = Words(
         "strand of {count:n nucleotide}, {first} to {last}: free to move, in torsions as a rigid body"
     )
-    STRAND_STAYS = Words(
-        "strand of {count:n nucleotide} stays in place: the force field has no parameters for {residues:6}"
+    NUCLEOTIDES_STAY = Words(
+        "{count:n nucleotide} of a strand without parameters: {residues:6}; in place, the rest tied to them"
     )
     # Heavy atoms.
     ATOMS_RENAMED = Words("atoms renamed: {changes:4}")

@@ -6,7 +6,7 @@ atoms it joins do not repel one another.
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import gemmi
 import numpy as np
@@ -171,6 +171,7 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
     beside = [(part, a) for part, _, a in beside_of(draft)]
     tree = KDTree([a.pos.tolist() for _, a in beside]) if beside else None
     metals = {_address(m, a) for _, m, a in beside_of(draft) if is_metal(a.element.name)}
+    along = {frozenset(_ends(link)) for link in strand_links(draft)}
     names: Counter[str] = Counter()
     for part in draft.parts:
         if tree is None or not part.mobile:
@@ -182,7 +183,10 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
         if part.ligand is not None or part.is_strand:
             # Of a whole molecule near others are no bonds, unless the file says so.
             its = {(m.chain_id, m.seqid) for m in part.members}
-            joined = any(len({a[:2], b[:2]} & its) == 1 and not {a, b} & metals for a, b in draft.stated)
+            joined = any(
+                len({a[:2], b[:2]} & its) == 1 and not {a, b} & metals and {a, b} not in along
+                for a, b in draft.stated
+            )
         if joined or tied & {id(m) for m in part.members}:
             part.mobile = False
             draft.note(Kind.STAYS, residue=part.members[0].residue)
@@ -198,6 +202,21 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
 def beside_of(draft: Draft) -> list[tuple[Part, Member, gemmi.Atom]]:
     """Heavy atoms of the molecules beside the protein."""
     return [(part, m, a) for part in draft.parts if part.obstacle for m in part.members for a in _heavy(m)]
+
+
+def strand_links(draft: Draft) -> list[Link]:
+    """Bonds between strands that move and the nucleotides within them that stay in place."""
+    found = []
+    for before, after in pairwise(part for part in draft.parts if part.obstacle):
+        (end, o3), (start, p) = (
+            (m, m.atom(name)) for m, name in ((before.members[-1], "O3'"), (after.members[0], "P"))
+        )
+        if o3 and p and before.mobile != after.mobile:
+            if before.mobile and o3 in end.links:
+                found.append(Link(end, o3, start, p))
+            elif after.mobile and p in start.links:
+                found.append(Link(start, p, end, o3))
+    return found
 
 
 def metal_ties(draft: Draft, at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, ...]:

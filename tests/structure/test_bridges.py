@@ -264,6 +264,7 @@ def template(name, *heavy):
 
 
 DNA = {
+    "DA": template("DA", "P", "O3'"),
     "DA5": template("DA5", "O3'"),
     "DA3": template("DA3", "P", "O3'"),
     "DAN": template("DAN", "O3'"),
@@ -303,15 +304,23 @@ def test_each_strand_is_one_part_and_ends_of_two_are_not_joined():
     assert [part.members for part in choose(Draft("x", "x"), given, ("all",), DNA)] == strands
 
 
-def test_a_strand_that_the_templates_do_not_fit_is_kept_whole_and_by_element():
+def test_of_a_strand_the_nucleotides_that_the_templates_do_not_fit_are_kept_by_element():
     first = member("DA", 1, ("P", -5.0), ("O3'", 0.0))
     second = member("DA", 2, ("P", 1.6), ("O3'", 9.0), ("CX", 10.0))
+    third = member("DA", 3, ("P", 10.6), ("O3'", 18.0))
     draft = Draft("x", "x")
-    choose(draft, [Candidate(first, "DA"), Candidate(second, "DA")], ("all",), DNA)
-    assert [a.name for a in first.atoms] == ["P", "O3'"] and first.own.element == {"P": "P", "O3'": "O"}
+    parts = choose(draft, [Candidate(each, "DA") for each in (first, second, third)], ("all",), DNA)
+    assert [(part.members, part.mobile) for part in parts] == [
+        ([first], True),
+        ([second], False),
+        ([third], True),
+    ]
+    assert (first.own, third.own) == (None, None)
     assert second.own.element == {"P": "P", "O3'": "O", "CX": "C"}
-    kept, stays = draft.repairs
-    assert kept.kind is Kind.KEPT_BY_ELEMENT and stays.kind is Kind.STRAND_STAYS
+    assert [[a.name for a in each.links] for each in (first, second, third)] == [["O3'"], [], ["P"]]
+    # The 5' end loses its phosphate, the middle of the strand does not.
+    assert [a.name for a in first.atoms] == ["O3'"] and third.atom("P") is not None
+    (stays,) = (each for each in draft.repairs if each.kind is Kind.NUCLEOTIDES_STAY)
     assert [each.number for each in stays.facts["residues"]] == ["2"]
 
 

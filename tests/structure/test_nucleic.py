@@ -1,5 +1,6 @@
 """DNA and RNA: strands that move, with and without a protein."""
 
+import gemmi
 import mdtraj
 import numpy as np
 import openmm
@@ -127,11 +128,52 @@ def test_a_strand_pushed_into_the_protein_comes_free():
     assert overlaps(s, s.positions) and not overlaps(s, relaxed.x)
 
 
-def test_a_strand_with_a_modified_nucleotide_stays_in_place_and_says_which():
-    s = pc.load(model("4gxy.cif"))
-    told = [each for each in s.repairs if each.kind is Kind.STRAND_STAYS]
-    assert [residue.name for each in told for residue in each.facts["residues"]] == ["CCC"]
-    assert s.mobile.any() and s.obstacle.any()
+@pytest.fixture(scope="module")
+def modified(tmp_path_factory):
+    """The dodecamer with one base brominated, as 5-bromouracil is: the force fields do not have it."""
+    given = gemmi.read_structure(str(STRUCTURES / "1bna.pdb"))
+    residue = given[0]["A"]["7"][0]
+    residue.name = "BRU"
+    (methyl,) = (each for each in residue if each.name == "C7")
+    methyl.name, methyl.element = "BR", gemmi.Element("Br")
+    given.remove_hydrogens()
+    path = tmp_path_factory.mktemp("modified") / "bru.pdb"
+    given.write_pdb(str(path))
+    return pc.load(path)
+
+
+def test_only_a_nucleotide_without_parameters_stays_and_the_strand_is_tied_to_it(modified, tmp_path):
+    (told,) = (each for each in modified.repairs if each.kind is Kind.NUCLEOTIDES_STAY)
+    assert [str(residue.name) for residue in told.facts["residues"]] == ["BRU"]
+    stays = modified.residue_name[modified.atom_residue] == "BRU"
+    assert (modified.obstacle == stays).all() and (modified.mobile == ~stays).all()
+    # Of phosphates, only the two at the 5' ends of the file are none.
+    assert (modified.atom_element == "P").sum() == 22
+    lengths = [tie for tie in modified.ties if len(tie.atoms) == 2]
+    names = [[str(modified.atom_name[k]) for k in tie.atoms] for tie in lengths]
+    assert names == [["O3'", "P"], ["P", "O3'"]]
+    assert_equals_reference(pc.energy(modified, "amber14", "obc2", "native"), modified.positions)
+    relaxed = pc.relax(modified)
+    for tie in lengths:
+        i, j = tie.atoms
+        assert np.linalg.norm(relaxed.x[i] - relaxed.x[j]) == pytest.approx(0.16, abs=0.01)
+    for name in ("x.cif", "x.pdb"):
+        relaxed.save(tmp_path / name)
+        again = pc.load(tmp_path / name)
+        assert (again.obstacle == modified.obstacle).all()
+        assert [tie.atoms for tie in again.ties] == [tie.atoms for tie in modified.ties]
+        # As the file first said, not as long as they have become.
+        assert [tie.rest for tie in again.ties] == pytest.approx(
+            [tie.rest for tie in modified.ties], abs=1e-4
+        )
+
+
+def test_the_charge_of_a_strand_is_whole_though_a_nucleotide_of_it_stays(modified):
+    system = build_system(modified, "amber14", "vacuum")
+    (force,) = (each for each in system.getForces() if isinstance(each, openmm.NonbondedForce))
+    charge = sum(force.getParticleParameters(k)[0]._value for k in range(modified.n_atoms))
+    # 22 phosphates, that of the nucleotide without parameters has no charge.
+    assert charge == pytest.approx(-21.0, abs=1e-6)
 
 
 def test_sugars_have_their_hands_and_a_mirrored_one_is_told_and_turned(duplex):
