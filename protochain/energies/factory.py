@@ -35,7 +35,15 @@ from protochain.energies.untrusted import check_passive
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 from protochain.structure.residues import PHOSPHORYLATED
-from protochain.structure.templates import CONVERT, NO_OPENMM, NO_XML, PHOSPHATES, SMIRNOFF, defined
+from protochain.structure.templates import (
+    CONVERT,
+    NO_OPENMM,
+    NO_XML,
+    PHOSPHATES,
+    SMIRNOFF,
+    defined,
+    phosphate_ends,
+)
 
 DATA = Path(app.__file__).parent / "data"
 """Files bundled with OpenMM, named by full path: OpenMM looks for a bare name in the working directory first,
@@ -206,6 +214,8 @@ def build_system(
     if structure.kept.any():
         beside = [str(DATA / name) for part in parts for name in _BESIDE.get(part, ())]
         files += [name for name in dict.fromkeys(beside) if Path(name).exists()]
+        has_nucleotides = any("/DNA." in name for name in beside)
+        files += [phosphate_ends()] if has_nucleotides and (structure.atom_name == "OP3").any() else []
     if SOLVENTS[solvent] is not None:
         files.append(str(DATA / str(SOLVENTS[solvent])))
     try:

@@ -15,8 +15,9 @@ from protochain.structure.sidechains.ideal import Places, bridged, dihedral, ide
 from protochain.structure.sidechains.packing import Site, packed
 from protochain.structure.templates import Template, rename
 
-_CARBOXYLATE = 1.25
-"""Angstrom: C-O of ff14SB's carboxylate."""
+_ENDS = {"OXT": ("C", ("CA", "O"), 1.25), "OP3": ("P", ("O5'", "OP1", "OP2"), 1.48)}
+"""Oxygens at the ends of chains: the atom that each is bonded to, its other neighbours, and the length of
+the bond, angstrom, in ff14SB and OL15."""
 _CARBONYL, _TRIGONAL = 1.23, float(np.deg2rad(120.4))
 """Angstrom, rad: C=O of a peptide bond, and its angle with CA."""
 _FLAT = 0.1
@@ -56,6 +57,11 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
             if "OXT" in missing:
                 missing.remove("OXT")
                 open_ended.append(member)
+            if "OP3" in missing:
+                missing.remove("OP3")
+                if not missing:
+                    draft.note(Kind.ATOMS_ADDED, residue=member.residue, atoms=("OP3",))
+                    member.atoms.insert(1, _terminal_oxygen(draft, member, "OP3"))
             if missing:
                 lacking.append((part, i, missing))
     if renamed:
@@ -66,7 +72,7 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
     _rebuild(draft, lacking)
     for member in open_ended:
         draft.note(Kind.OXT_ADDED, residue=member.residue)
-        member.atoms.append(_terminal_oxygen(draft, member))
+        member.atoms.append(_terminal_oxygen(draft, member, "OXT"))
 
 
 def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> None:
@@ -85,15 +91,19 @@ def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> None
         member.atoms = [a for a in member.atoms if a.name != "OXT"]
 
 
-def _terminal_oxygen(draft: Draft, member: Member) -> gemmi.Atom:
-    """Build the second oxygen of a carboxylate, in the plane of CA, C and O."""
-    c, alpha, o = (np.array(a.pos.tolist()) for name in ("C", "CA", "O") if (a := member.atom(name)))
-    arms = np.array([alpha - c, o - c])
+def _terminal_oxygen(draft: Draft, member: Member, name: str) -> gemmi.Atom:
+    """Build the last oxygen of a carboxylate, or of a 5' phosphate, opposite to the other neighbours."""
+    centre, others, distance = _ENDS[name]
+    at, *near = (np.array(a.pos.tolist()) for each in (centre, *others) if (a := member.atom(each)))
+    arms = np.array(near) - at
     away = -(arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)).sum(axis=0)
     length = np.linalg.norm(away)
-    if not 1e-3 < length < 1.999:
-        raise StructureError(f"{draft.source}: {member}: CA, C and O are collinear; correct the coordinates")
-    return atom("OXT", "O", (c + _CARBOXYLATE * away / length).tolist(), member.atoms[0].b_iso)
+    if not 1e-3 < length < len(arms) - 1e-3:
+        raise StructureError(
+            f"{draft.source}: {member}: no place for {name} beside {', '.join(others)}; "
+            "correct the coordinates"
+        )
+    return atom(name, "O", (at + distance * away / length).tolist(), member.atoms[0].b_iso)
 
 
 def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> None:

@@ -12,7 +12,7 @@ from protochain.ligands import Ligand
 from protochain.structure import residues
 from protochain.structure.header import NO_LABEL, Label
 from protochain.structure.repairs import Kind, Loss, Repair, Why
-from protochain.structure.templates import Template, template_name
+from protochain.structure.templates import PHOSPHATE_END, Template, template_name
 
 Address = tuple[str, str, str]
 """Chain id, number with insertion code, and atom name in the file."""
@@ -129,6 +129,8 @@ class Part:
         # An end that is bonded to a molecule beside the chain is none.
         linked = {atom.name for atom in member.links}
         ends = (i == 0 and not linked & {"N", "P"}, i == len(self.members) - 1 and not linked & {"C", "O3'"})
+        if ends == (True, False) and member.name in residues.NUCLEOTIDES and member.atom("P"):
+            return known.get(PHOSPHATE_END + member.name)
         if member.name in residues.NUCLEOTIDES:
             return known.get(
                 member.name + {(True, True): "N", (True, False): "5", (False, True): "3"}.get(ends, "")

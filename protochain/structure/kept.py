@@ -195,7 +195,8 @@ def _parts(
         first, whole = part.members[0], [*part.members[0].atoms]
         if first.own is not None:
             continue
-        first.atoms = _without_phosphate(first)
+        if len(part.members) == 1 and part.is_strand and not first.links:
+            first.atoms = [atom for atom in whole if atom.name not in _PHOSPHATE]
         found = [part.template(known, i) for i in range(len(part.members))]
         fits = all(_fits(member, its) for member, its in zip(part.members, found, strict=True))
         is_users = len(found) == 1 and found[0] is not None and found[0].is_users
@@ -238,10 +239,7 @@ def _pieces(draft: Draft, part: Part, known: Mapping[str, Template]) -> list[Par
     """Cut a strand at the nucleotides without parameters, which stay in place, tied to the others."""
     if len(part.members) == 1:
         return [part]
-    fit = []
-    for i, member in enumerate(part.members):
-        atoms = member.atoms if i else _without_phosphate(member)
-        fit.append(_fits(replace(member, atoms=atoms), part.template(known, i)))
+    fit = [_fits(member, part.template(known, i)) for i, member in enumerate(part.members)]
     pieces: list[Part] = []
     for i, (member, its) in enumerate(zip(part.members, fit, strict=True)):
         if i and its == fit[i - 1]:
@@ -263,12 +261,6 @@ def _pieces(draft: Draft, part: Part, known: Mapping[str, Template]) -> list[Par
     return pieces
 
 
-def _without_phosphate(member: Member) -> list[gemmi.Atom]:
-    """Atoms of the first nucleotide of a strand, the force fields of which have no 5' phosphate."""
-    is_end = member.name in residues.NUCLEOTIDES and not any(atom.name == "P" for atom in member.links)
-    return [atom for atom in member.atoms if not (is_end and atom.name in _PHOSPHATE)]
-
-
 def _is_bonded(last: Member, first: Member) -> bool:
     end, start = last.atom("O3'"), first.atom("P")
     of_strand = {last.name, first.name} <= {*residues.NUCLEOTIDES}
@@ -282,7 +274,8 @@ def _fits(member: Member, template: Template | None) -> bool:
     if template is None or member.name in residues.STANDARD or member.name in residues.CAPS:
         return False
     heavy = {template.synonyms.get(a.name, a.name) for a in member.atoms if not a.is_hydrogen()}
-    return heavy == {*template.heavy}
+    # The third oxygen of a 5' phosphate can be built.
+    return heavy | {"OP3"} == {*template.heavy, "OP3"}
 
 
 def _report(

@@ -123,7 +123,9 @@ class Kind(Enum):
     KEPT_BY_ELEMENT = Words(
         "{counts:8} kept beside the protein ({bare:8} by element, unless the force field has parameters)"
     )
-    PHOSPHATE = Words("{residue}: 5' phosphate left out: the force fields do not have it", rank=Rank.LOSS)
+    PHOSPHATE = Words(
+        "{residue}: phosphate of a lone nucleotide left out: the force fields do not have it", rank=Rank.LOSS
+    )
     COORDINATED = Words("{atom} is coordinated by {ends}: held at these distances by springs")
     ION_HELD = Words(
         "{atom} is coordinated by {ends}: held at these distances by springs; the ion stays in place"
@@ -247,7 +249,7 @@ class Why(StrEnum):
     END = "the force fields have only its standard parent at the end of a chain"
     INCOMPLETE = "other atoms of the modified residue are missing or unknown"
     ASKED = "standard residues are asked for"
-    PHOSPHATE = "the force fields have no 5' phosphate"
+    PHOSPHATE = "the force fields have no phosphate of a lone nucleotide"
     INNER = "the chain continues"
     BACKBONE = "an atom of its backbone is missing"
     CAP = "a cap that is not at the end of a chain"

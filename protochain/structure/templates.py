@@ -35,6 +35,8 @@ CONVERT = (
     "give OpenMM XML: for a ligand with GAFF or OpenFF parameters that which openmmforcefields writes "
     "(debug_ffxml_filename), as amber14,ligand.xml"
 )
+PHOSPHATE_END = "5'-P-"
+"""Before the name of a nucleotide: the first one of a strand, with its phosphate."""
 _FILES = ("protein.ff14SB.xml", "DNA.OL15.xml", "RNA.OL3.xml", "tip3p.xml")
 
 
@@ -137,7 +139,44 @@ def _amber() -> Mapping[str, Template]:
     known: dict[str, Template] = {}
     for name in _FILES:
         known = {**_read([_DATA / "amber14" / name]), **known}
-    return known
+    ends = (_with_phosphate(known[name], known[f"{name}5"]) for name in sorted(NUCLEOTIDES))
+    return known | {each.name: each for each in ends}
+
+
+def _with_phosphate(inner: Template, end: Template) -> Template:
+    """Template of the 5' end of a strand with its phosphate, which has lost both hydrogens (pKa 1 and 6).
+
+    Charges are those of a nucleotide within a strand, but of the phosphate's three oxygens, which are equal;
+    in all it has the charge of the end without phosphate, and that of the phosphate.
+    """
+    oxygens = ("OP1", "OP2", "OP3")
+    rest = sum(charge for name, charge in inner.charge.items() if name not in oxygens)
+    share = (sum(end.charge.values()) - 2.0 - rest) / len(oxygens)
+    return replace(
+        inner,
+        name=PHOSPHATE_END + inner.name,
+        element={**inner.element, "OP3": "O"},
+        charge={**inner.charge, **dict.fromkeys(oxygens, share)},
+        bonds=(*inner.bonds, ("P", "OP3")),
+        synonyms={**inner.synonyms, "O3P": "OP3"},
+        type={**inner.type, "OP3": inner.type["OP1"]},
+    )
+
+
+@cache
+def phosphate_ends() -> bytes:
+    """Return the 5' ends with phosphates as OpenMM XML, with the atom types of OL15, OL21 and OL3."""
+    root = ElementTree.Element("ForceField")
+    residues = ElementTree.SubElement(root, "Residues")
+    for name in sorted(NUCLEOTIDES):
+        its = _amber()[PHOSPHATE_END + name]
+        node = ElementTree.SubElement(residues, "Residue", name=its.name)
+        for each, charge in its.charge.items():
+            ElementTree.SubElement(node, "Atom", name=each, type=its.type[each], charge=repr(charge))
+        for first, second in its.bonds:
+            ElementTree.SubElement(node, "Bond", atomName1=first, atomName2=second)
+        ElementTree.SubElement(node, "ExternalBond", atomName="O3'")
+    return ElementTree.tostring(root)
 
 
 def _read(files: Sequence[Path]) -> dict[str, Template]:

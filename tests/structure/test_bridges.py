@@ -265,6 +265,7 @@ def template(name, *heavy):
 
 DNA = {
     "DA": template("DA", "P", "O3'"),
+    "5'-P-DA": template("5'-P-DA", "P", "O3'"),
     "DA5": template("DA5", "O3'"),
     "DA3": template("DA3", "P", "O3'"),
     "DAN": template("DAN", "O3'"),
@@ -285,12 +286,14 @@ def test_bonded_nucleotides_are_a_strand_and_others_stand_alone(far, bonded):
     assert [part.members for part in parts] == [*strands, [water], [last]]
     assert all(part.obstacle and not part.cyclic for part in parts)
     assert [part.chain_id for part in parts] == ["B"] * (len(parts) - 1) + ["C"]
-    said = "residue {} of chain B: 5' phosphate left out: the force fields do not have it"
+    said = (
+        "residue {} DA of chain B: phosphate of a lone nucleotide left out: the force fields do not have it"
+    )
     assert sentences(draft) == [
         "2 DA, 2 LIG kept beside the protein",
-        said.format("1 DA"), *([] if bonded else [said.format("2 DA")]),
+        *([] if bonded else [said.format(k) for k in (1, 2)]),
     ]  # fmt: skip
-    assert (second.atom("P") is not None) is bonded and first.atom("P") is None
+    assert all((each.atom("P") is not None) is bonded for each in (first, second))
     assert all(each.own is None for each in (first, second, water, last))
 
 
@@ -318,8 +321,7 @@ def test_of_a_strand_the_nucleotides_that_the_templates_do_not_fit_are_kept_by_e
     assert (first.own, third.own) == (None, None)
     assert second.own.element == {"P": "P", "O3'": "O", "CX": "C"}
     assert [[a.name for a in each.links] for each in (first, second, third)] == [["O3'"], [], ["P"]]
-    # The 5' end loses its phosphate, the middle of the strand does not.
-    assert [a.name for a in first.atoms] == ["O3'"] and third.atom("P") is not None
+    assert first.atom("P") and third.atom("P")
     (stays,) = (each for each in draft.repairs if each.kind is Kind.NUCLEOTIDES_STAY)
     assert [each.number for each in stays.facts["residues"]] == ["2"]
 

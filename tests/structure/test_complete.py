@@ -71,7 +71,8 @@ def carboxyl(alpha, oxygen):
 
 
 def test_the_second_oxygen_halves_the_angle_outside():
-    made = module._terminal_oxygen(Draft("x", "x"), carboxyl(np.array([-1.5, 0, 0]), np.array([0, 1.2, 0])))
+    bent = carboxyl(np.array([-1.5, 0, 0]), np.array([0, 1.2, 0]))
+    made = module._terminal_oxygen(Draft("x", "x"), bent, "OXT")
     diagonal = 1.25 / np.sqrt(2.0)
     assert (made.name, made.element.name, made.b_iso) == ("OXT", "O", 5.0)
     assert made.pos.tolist() == pytest.approx([1.0 + diagonal, 2.0 - diagonal, 3.0], abs=1e-9)
@@ -85,13 +86,14 @@ def test_the_second_oxygen_needs_an_angle(angle, possible):
     """Two unit vectors add up to 2 cos(angle / 2): 0.001 or 1.999 and more are refused."""
     bent = carboxyl(np.array([1.5, 0, 0]), 1.2 * np.array([np.cos(angle), np.sin(angle), 0.0]))
     if possible:
-        made = module._terminal_oxygen(Draft("x", "x"), bent)
+        made = module._terminal_oxygen(Draft("x", "x"), bent, "OXT")
         assert made.pos.dist(bent.atom("C").pos) == pytest.approx(1.25, abs=1e-9)
         return
     with pytest.raises(pc.ProtochainError) as error:
-        module._terminal_oxygen(Draft("x", "x"), bent)
+        module._terminal_oxygen(Draft("x", "x"), bent, "OXT")
     assert (
-        str(error.value) == "x: residue 7 GLY of chain A: CA, C and O are collinear; correct the coordinates"
+        str(error.value)
+        == "x: residue 7 GLY of chain A: no place for OXT beside CA, O; correct the coordinates"
     )
 
 

@@ -168,6 +168,47 @@ def test_only_a_nucleotide_without_parameters_stays_and_the_strand_is_tied_to_it
         )
 
 
+@pytest.fixture(scope="module")
+def phosphorylated(tmp_path_factory):
+    """The dodecamer without the first nucleotide of each strand, whose successor has its phosphate."""
+    given = gemmi.read_structure(str(STRUCTURES / "1bna.pdb"))
+    for chain in given[0]:
+        del chain[0]
+    given.remove_hydrogens()
+    path = tmp_path_factory.mktemp("ends") / "ends.pdb"
+    given.write_pdb(str(path))
+    return pc.load(path)
+
+
+def test_a_strand_keeps_its_5_phosphate_whose_third_oxygen_is_built(phosphorylated):
+    s = phosphorylated
+    assert not s.losses and s.mobile.all() and (s.atom_element == "P").sum() == 22
+    for oxygen in np.flatnonzero(s.atom_name == "OP3").tolist():
+        residue = s.atom_residue == s.atom_residue[oxygen]
+        p, *others = (
+            s.positions[np.flatnonzero(residue & (s.atom_name == name))[0]]
+            for name in ("P", "O5'", "OP1", "OP2")
+        )
+        arms = np.array([s.positions[oxygen], *others]) - p
+        arms /= np.linalg.norm(arms, axis=1)[:, None]
+        # Tetrahedral, as far as the crystal's other three bonds are: cosines of -1/3.
+        assert arms[1:] @ arms[0] == pytest.approx(np.full(3, -1 / 3), abs=0.2)
+
+
+@pytest.mark.parametrize("forcefield", ["amber14", "amber19"])
+def test_a_5_phosphate_has_lost_both_its_hydrogens(phosphorylated, forcefield):
+    """An energy equal to the Reference platform's, and charges -2 at the 5' phosphates, -1 between."""
+    s = phosphorylated
+    assert_equals_reference(pc.energy(s, forcefield, "gbn2", "native"), s.positions)
+    system = build_system(s, forcefield, "vacuum")
+    (force,) = (each for each in system.getForces() if isinstance(each, openmm.NonbondedForce))
+    charge = [force.getParticleParameters(k)[0]._value for k in range(s.n_atoms)]
+    assert sum(charge) == pytest.approx(2 * (-2 - 10), abs=1e-6)
+    oxygens = [charge[k] for k in np.flatnonzero(np.isin(s.atom_name, ["OP1", "OP2", "OP3"]))[:3]]
+    # As of phosphoserine's dianion (Homeyer et al., J. Mol. Model. 12:281, 2006: -0.95).
+    assert oxygens == pytest.approx([-0.95] * 3, abs=0.03)
+
+
 def test_the_charge_of_a_strand_is_whole_though_a_nucleotide_of_it_stays(modified):
     system = build_system(modified, "amber14", "vacuum")
     (force,) = (each for each in system.getForces() if isinstance(each, openmm.NonbondedForce))
