@@ -67,6 +67,7 @@ def validate(
         told = {
             "added": result.added, "findings": result.listing(), "message": "",
             "ligands": [each.record() for each in result.ligands],
+            "nucleotides": result.nucleotide_table.to_dict("records"),
         }  # fmt: skip
         notes[name] = [*map(str, result.ligands), *filter(None, [result.posebusters_missing])]
         rows.append({"file": name, **result.record(), **told})
@@ -75,7 +76,11 @@ def validate(
     if outputs:
         import pandas as pd
     if csv:
-        table = pd.DataFrame(rows).drop(columns=["findings", "ligands"], errors="ignore").convert_dtypes()
+        table = (
+            pd.DataFrame(rows)
+            .drop(columns=["findings", "ligands", "nucleotides"], errors="ignore")
+            .convert_dtypes()
+        )
         write_atomically(csv, lambda to: table.to_csv(to, index=False))
     if residues:
         every = pd.concat(tables) if tables else pd.DataFrame()

@@ -16,6 +16,7 @@ from protochain.validation.cbeta import cbeta_deviations
 from protochain.validation.clashes import clashes
 from protochain.validation.fixed import fixed_faults
 from protochain.validation.ligands import LigandFound, ligand_findings
+from protochain.validation.nucleic import nucleotides
 from protochain.validation.omega import omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran
 from protochain.validation.rings import threaded_rings
@@ -58,6 +59,7 @@ class Found(Value):
     rings = _measured(threaded_rings)
     fixed = _measured(fixed_faults)
     strain = _measured(strain)
+    nucleotides = _measured(nucleotides)
 
     @cached_property
     def ligands(self) -> tuple[LigandFound, ...]:
@@ -144,6 +146,9 @@ class Found(Value):
             first, counts = np.unique(of[atoms].min(axis=1), return_counts=True)
             for r, count in zip(first.tolist(), counts.tolist(), strict=True):
                 yield r, f"{counted(count, what)} strained"
+        sugars = self.nucleotides
+        for k in np.flatnonzero(sugars.outlier).tolist():
+            yield int(sugars.residue[k]), f"sugar {sugars.pucker[k]} with delta {sugars.delta[k]:.0f}"
         for ring in self.rings:
             yield ring.residue, str(ring)
         for said, pairs in (("broken", self.fixed.bonds), ("a clash", self.fixed.clashes)):
@@ -207,6 +212,12 @@ MEASURES = {
     ),
     "angle_outliers": Measure(
         "angles beyond 4 sigma of the force field's", "angle", lambda f: len(f.strain.angles)
+    ),
+    "pucker_outliers": Measure(
+        "sugars of nucleotides with a rare pucker", "", lambda f: int(f.nucleotides.outlier.sum())
+    ),
+    "base_pairs": Measure(
+        "base pairs", "", lambda f: np.nan if f.nucleotides.pairs is None else len(f.nucleotides.pairs)
     ),
     "threaded_rings": Measure("rings that a bond goes through", "ring", lambda f: len(f.rings)),
     "ligand_clashes": Measure(

@@ -13,6 +13,7 @@ from protochain.structure.repairs import Kind
 from protochain.validation.findings import MEASURES
 from protochain.validation.ligands import LIGAND_COLUMNS, LigandFound
 from protochain.validation.likeness import LIKENESS
+from protochain.validation.nucleic import NUCLEOTIDE_COLUMNS, nucleotide_rows, nucleotides
 from protochain.validation.violations import Violations
 
 if TYPE_CHECKING:
@@ -81,6 +82,20 @@ class Validation(Value):
         return pd.DataFrame([each.record() for each in self.ligands], columns=LIGAND_COLUMNS)
 
     @property
+    def nucleotide_table(self) -> "pd.DataFrame":
+        """A row for each nucleotide with a whole sugar.
+
+        ``chain``, ``residue``, ``name``, ``pucker``, ``phase_degrees`` and ``amplitude_degrees`` of its
+        pseudorotation, ``delta_degrees``, ``pucker_outlier`` and ``paired_with``, the residues of its pairs.
+        """
+        import pandas as pd
+
+        return pd.DataFrame(
+            nucleotide_rows(self.structure, nucleotides(self.structure, self.structure.positions)),
+            columns=NUCLEOTIDE_COLUMNS,
+        )
+
+    @property
     def added(self) -> str:
         """What preparation added to the file, in words; empty if nothing."""
         heavy = self.residues["atoms_added"]
@@ -105,7 +120,7 @@ class Validation(Value):
         wrong = [
             f"{self.measures[key]} {measure.what}"
             for key, measure in MEASURES.items()
-            if measure.whole and key != "cis_prolines" and self.measures[key]
+            if measure.whole and key not in ("cis_prolines", "base_pairs") and self.measures[key]
         ]
         return f"<Validation of {self.structure.name}: {'; '.join(wrong) or 'nothing wrong'}>"
 

@@ -1,0 +1,160 @@
+"""Nucleotides: how their sugars are puckered, and which bases are paired."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.errors import ProtochainError
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.ligands.molecule import library
+from protochain.structure.model import Structure
+from protochain.structure.residues import NUCLEOTIDES
+from protochain.validation.layout import dihedrals
+
+NUCLEOTIDE_COLUMNS = (
+    "chain", "residue", "name", "pucker", "phase_degrees", "amplitude_degrees", "delta_degrees",
+    "pucker_outlier", "paired_with",
+)  # fmt: skip
+"""Columns of :attr:`Validation.nucleotide_table`."""
+_RING = (("C4'", "O4'", "C1'", "C2'"), ("O4'", "C1'", "C2'", "C3'"), ("C1'", "C2'", "C3'", "C4'"),
+         ("C2'", "C3'", "C4'", "O4'"), ("C3'", "C4'", "O4'", "C1'"))  # fmt: skip
+"""Torsions nu0 to nu4 of the sugar (IUPAC-IUB, Eur. J. Biochem. 131:9, 1983)."""
+_DELTA = ("C5'", "C4'", "C3'", "O3'")
+_NAMES = ("C3'-endo", "C4'-exo", "O4'-endo", "C1'-exo", "C2'-endo", "C3'-exo", "C4'-endo", "O4'-exo",
+          "C1'-endo", "C2'-exo")  # fmt: skip
+"""By tenths of the circle of phases."""
+_LEAST, _MIDDLE, _MOST = 55.0, 110.0, 175.0
+"""Degrees of delta: of sugars, and between those with C3' and those with C2' on the side of C5'."""
+_PERPENDICULAR = 2.9
+"""Angstrom: from the phosphate after a ribose to the line of its glycosidic bond; with C3'-endo it is more
+(Richardson et al., RNA 14:465, 2008)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nucleotides(Value):
+    """Sugars and base pairs of a structure.
+
+    Parameters
+    ----------
+    residue : (n,) int
+        Nucleotides whose sugar is whole.
+    phase, amplitude : (n,) float, degrees
+        Of its pseudorotation: Altona, Sundaralingam, J. Am. Chem. Soc. 94:8205 (1972).
+    delta : (n,) float, degrees
+    outlier : (n,) bool
+        Delta is that of no sugar, or of a ribose not that which the phosphate after it asks for.
+    pairs : (k, 2) int, optional
+        Residues whose bases are paired by the criteria of DSSR (Lu, Bussemaker, Olson, Nucleic Acids Res.
+        43:e142, 2015), as biotite finds them; None without biotite.
+    """
+
+    residue: Integers
+    phase: Floats
+    amplitude: Floats
+    delta: Floats
+    outlier: NDArray[np.bool_]
+    pairs: Integers | None
+
+    @property
+    def pucker(self) -> list[str]:
+        """Name of each pucker."""
+        return [_NAMES[int(phase // 36.0)] for phase in self.phase]
+
+
+def nucleotides(structure: Structure, x: Floats) -> Nucleotides:
+    """Measure sugars, and find base pairs.
+
+    Parameters
+    ----------
+    structure : Structure
+    x : (na, 3) float, nm
+
+    Returns
+    -------
+    Nucleotides
+    """
+    at = _atoms(structure)
+    ring = {name for torsion in _RING for name in torsion} | {*_DELTA}
+    whole = [r for r, its in at.items() if ring <= its.keys()]
+    nu = [_torsions(x, at, whole, names) for names in _RING]
+    delta = _torsions(x, at, whole, _DELTA)
+    # Equation 3 of Altona and Sundaralingam.
+    across = (nu[4] + nu[1] - nu[3] - nu[0]) / (2.0 * np.sin(np.deg2rad([36.0, 72.0])).sum())
+    phase, amplitude = np.rad2deg(np.arctan2(across, nu[2])) % 360.0, np.hypot(across, nu[2])
+    far = np.array([_from_glycosidic_bond(structure, x, at, r) for r in whole])
+    contradicts = np.isfinite(far) & ((far < _PERPENDICULAR) == (delta <= _MIDDLE))
+    outlier = (delta < _LEAST) | (delta > _MOST) | contradicts
+    pairs = _pairs(structure, x, at)
+    return Nucleotides(np.array(whole, dtype=np.int64), phase, amplitude, delta, outlier, pairs)
+
+
+def nucleotide_rows(structure: Structure, found: Nucleotides) -> list[dict[str, Any]]:
+    """Rows of a table of nucleotides: ``NUCLEOTIDE_COLUMNS``."""
+    of: dict[int, list[int]] = {}
+    for i, j in () if found.pairs is None else found.pairs.tolist():
+        of.setdefault(i, []).append(j)
+        of.setdefault(j, []).append(i)
+    s = structure
+    number = np.char.add(s.residue_number, s.residue_insertion_code)
+    values = (found.residue, found.phase, found.amplitude, found.delta, found.outlier)
+    rows = []
+    for pucker, r, *its in zip(found.pucker, *(each.tolist() for each in values), strict=True):
+        others = ", ".join(f"{s.residue_chain[k]}:{number[k]}" for k in sorted(of.get(r, ())))
+        each = (str(s.residue_chain[r]), str(number[r]), str(s.residue_name[r]), pucker, *its, others)
+        rows.append(dict(zip(NUCLEOTIDE_COLUMNS, each, strict=True)))
+    return rows
+
+
+def _atoms(structure: Structure) -> dict[int, dict[str, int]]:
+    """Heavy atoms of each nucleotide, by name."""
+    of = np.isin(structure.residue_name, [*NUCLEOTIDES])[structure.atom_residue]
+    found: dict[int, dict[str, int]] = {}
+    for k in np.flatnonzero(of & (structure.atom_element != "H")).tolist():
+        found.setdefault(int(structure.atom_residue[k]), {})[str(structure.atom_name[k])] = k
+    return found
+
+
+def _torsions(
+    x: Floats, at: dict[int, dict[str, int]], residues: list[int], names: tuple[str, ...]
+) -> Floats:
+    """(n,) float, degrees: a torsion of each residue."""
+    atoms = np.array([[at[r][name] for name in names] for r in residues], dtype=np.int64).reshape(-1, 4)
+    return dihedrals(x, atoms)
+
+
+def _from_glycosidic_bond(
+    structure: Structure, x: Floats, at: dict[int, dict[str, int]], residue: int
+) -> float:
+    """Angstrom from the phosphate after a ribose to the line of its glycosidic bond; NaN of others."""
+    its, after = at[residue], at.get(residue + 1, {})
+    base = next((its[name] for name in ("N9", "N1") if name in its), None)
+    if "O2'" not in its or base is None or "P" not in after:
+        return np.nan
+    out, to = x[base] - x[its["C1'"]], x[after["P"]] - x[its["C1'"]]
+    if np.linalg.norm(x[after["P"]] - x[its["O3'"]]) > _BONDED:
+        return np.nan
+    return ANGSTROM_PER_NM * float(np.linalg.norm(np.cross(out, to)) / np.linalg.norm(out))
+
+
+_BONDED = 0.25
+"""nm: O3' and P that are further apart belong to two strands."""
+
+
+def _pairs(structure: Structure, x: Floats, at: dict[int, dict[str, int]]) -> Integers | None:
+    atoms = [k for its in at.values() for k in its.values()]
+    if not atoms:
+        return np.empty((0, 2), dtype=np.int64)
+    try:
+        biotite = library("biotite.structure")
+    except ProtochainError:
+        return None
+    array = biotite.AtomArray(len(atoms))
+    array.coord = ANGSTROM_PER_NM * x[atoms]
+    array.atom_name, array.element = structure.atom_name[atoms], structure.atom_element[atoms]
+    array.res_id = structure.atom_residue[atoms]
+    array.res_name = structure.residue_name[structure.atom_residue[atoms]]
+    first = biotite.base_pairs(array)
+    return np.array(array.res_id[first], dtype=np.int64).reshape(-1, 2)
