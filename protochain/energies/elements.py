@@ -99,8 +99,8 @@ def create_system(
         residue = residues[int(structure.atom_residue[min(place)])]
         chosen[residue] = _register_modified(force_field, residue, bound, place)
     system = force_field.createSystem(topology, rigidWater=False, residueTemplates=chosen, **pairs)
-    for ligand in structure.ligands:
-        add_ligand(system, ligand)
+    if structure.ligands:
+        _add_ligands(system, structure.ligands)
     for bound in structure.modified:
         _add_modified(system, structure, bound)
     _refuse_unheld(structure, system)
@@ -261,24 +261,26 @@ def _add_pairs(root: ElementTree.Element, force_field: app.ForceField, kinds: Ma
             ElementTree.SubElement(node, "Atom", values)
 
 
-def add_ligand(system: openmm.System, bound: BoundLigand) -> None:
-    """Add the bonded terms of a ligand to a System, and scale its pairs three bonds apart as they ask for."""
-    its, at = bound.ligand.parameters, bound.atoms
+def _add_ligands(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
+    """Add the bonded terms of ligands to a System, and scale their pairs three bonds apart as they ask for."""
     bonds, angles = _force(system, openmm.HarmonicBondForce), _force(system, openmm.HarmonicAngleForce)
     torsions = _force(system, openmm.PeriodicTorsionForce)
-    for term, add in ((its.bonds, bonds.addBond), (its.angles, angles.addAngle)):
-        for atoms, values in zip(at[term.atoms].tolist(), term.parameters.tolist(), strict=True):
-            add(*atoms, *values)
-    for atoms, (n, *values) in zip(
-        at[its.torsions.atoms].tolist(), its.torsions.parameters.tolist(), strict=True
-    ):
-        torsions.addTorsion(*atoms, round(n), *values)
-    place = {int(k): i for i, k in enumerate(at)}
+    owner: dict[int, tuple[Any, int]] = {}
+    for bound in ligands:
+        its, at = bound.ligand.parameters, bound.atoms
+        owner |= {int(k): (its, i) for i, k in enumerate(at)}
+        for term, add in (
+            (its.bonds, bonds.addBond),
+            (its.angles, angles.addAngle),
+            (its.torsions, _torsion(torsions)),
+        ):
+            for atoms, values in zip(at[term.atoms].tolist(), term.parameters.tolist(), strict=True):
+                add(*atoms, *values)
     nonbonded = _force(system, openmm.NonbondedForce)
     for k in range(nonbonded.getNumExceptions()):
         i, j, product, _, epsilon = nonbonded.getExceptionParameters(k)
-        if i in place and j in place and (product._value or epsilon._value):
-            a, b = place[i], place[j]
+        if i in owner and j in owner and (product._value or epsilon._value):
+            (its, a), (_, b) = owner[i], owner[j]
             charges = its.scale_coulomb * its.charge[a] * its.charge[b]
             sigma = 0.5 * (its.sigma[a] + its.sigma[b])
             depth = its.scale_lj * np.sqrt(its.epsilon[a] * its.epsilon[b])
@@ -288,8 +290,9 @@ def add_ligand(system: openmm.System, bound: BoundLigand) -> None:
         if isinstance(force, openmm.CustomBondForce) and force.getNumPerBondParameters() == 2:
             for k in range(force.getNumBonds()):
                 i, j, (sigma, epsilon) = force.getBondParameters(k)
-                if i in place and j in place:
-                    depth = np.sqrt(its.epsilon[place[i]] * its.epsilon[place[j]])
+                if i in owner and j in owner:
+                    (its, a), (_, b) = owner[i], owner[j]
+                    depth = np.sqrt(its.epsilon[a] * its.epsilon[b])
                     force.setBondParameters(k, i, j, [sigma, its.scale_lj * depth])
 
 
@@ -518,6 +521,8 @@ def _share_charges(system: openmm.System, structure: Structure) -> None:
     for tie in structure.ties:
         if len(tie.atoms) == 2 and is_metal(str(structure.atom_element[tie.atoms[1]])):
             donors.setdefault(tie.atoms[1], []).append(tie.atoms[0])
+    if not donors:
+        return
     (nonbonded,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
     old = np.array([nonbonded.getParticleParameters(i)[0]._value for i in range(structure.n_atoms)])
     new = old.copy()
@@ -526,18 +531,18 @@ def _share_charges(system: openmm.System, structure: Structure) -> None:
             share = min(_DONATED, (1.0 - _RETAINED) * old[metal] / len(its))
             new[metal] -= share * len(its)
             new[its] += share
-    changed = np.flatnonzero(new != old).tolist()
-    for i in changed:
+    changed = {*np.flatnonzero(new != old).tolist()}
+    for i in sorted(changed):
         _, sigma, epsilon = nonbonded.getParticleParameters(i)
         nonbonded.setParticleParameters(i, new[i], sigma, epsilon)
     for k in range(nonbonded.getNumExceptions()):
         i, j, product, sigma, epsilon = nonbonded.getExceptionParameters(k)
-        if product._value and {i, j} & {*changed}:
+        if product._value and (i in changed or j in changed):
             scaled = product._value * new[i] * new[j] / (old[i] * old[j])
             nonbonded.setExceptionParameters(k, i, j, scaled, sigma, epsilon)
     for force in system.getForces():
         if isinstance(force, openmm.CustomGBForce):
-            for i in changed:
+            for i in sorted(changed):
                 force.setParticleParameters(i, [new[i], *force.getParticleParameters(i)[1:]])
 
 
