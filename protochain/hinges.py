@@ -12,8 +12,8 @@ from protochain.ligands.molecule import Molecule
 from protochain.structure import residues
 from protochain.structure.model import Structure
 
-HINGES = ("phi", "psi", "omega", "chi", "rotors", "angles", "nucleic", "ligand")
-"""Kinds of hinge that can be opened."""
+HINGES = ("phi", "psi", "omega", "chi", "polar", "rotors", "angles", "nucleic", "ligand")
+"""Kinds of hinge that can be opened; ``polar`` are those of the rotors that turn hydrogens of O, S and N."""
 
 ON_AXIS = np.deg2rad(5.0)
 """A hinge is closed if all atoms beyond it lie this near its axis: threshold of cctbx's scitbx/rigid_body."""
@@ -102,7 +102,10 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
         if r in modified and {*residues.BACKBONE} <= index[r].keys():
             found += _by_graph(structure, index[r])
         for kind, label, (a, b, c, d) in found:
-            if kind in kinds and a is not None and b is not None and c is not None and d is not None:
+            if a is None or b is None or c is None or d is None:
+                continue
+            is_polar = kind == "rotors" and structure.atom_element[c] != "C"
+            if kind in kinds or (is_polar and "polar" in kinds):
                 yield _hinge(structure, r, label, (a, b, c, d))
     if "ligand" in kinds:
         for bound in structure.ligands:

@@ -92,7 +92,9 @@ class Setup(Settings):
     """
 
     hinges: str = setting(
-        defaults.HINGES, "Degrees of freedom: any of phi psi omega chi rotors angles nucleic ligand.", kinds
+        defaults.HINGES,
+        "Degrees of freedom: any of phi psi omega chi polar rotors angles nucleic ligand.",
+        kinds,
     )
     root: str = setting(defaults.ROOT, "", text)
     move: str = setting(
@@ -154,7 +156,8 @@ class Setup(Settings):
     )
     ligands: tuple[LigandSource, ...] = setting(
         (),
-        "Chemistry of a ligand by the name of its residue, or a pose to add (FILE alone); repeat for more.",
+        "Chemistry of a ligand by the name of its residue, or a pose to add (FILE alone; relax and batch "
+        "take a folder of poses, each of which they add by itself); repeat for more.",
         ligands_of,
         list[str],
         option="--ligand",

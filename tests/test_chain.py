@@ -204,6 +204,16 @@ def test_every_body_can_be_inverted_even_with_every_hinge_open():
     assert c.tree.mass.sum() == pytest.approx(c.structure.atom_mass.sum(), rel=1e-13)
 
 
+def test_polar_hinges_are_the_rotors_whose_hydrogens_can_be_donated():
+    s = load("1ubq.pdb")
+    polar, rotors = (pc.build_chain(s, f"phi {kind}").hinges for kind in ("polar", "rotors"))
+    donated = [hinge for hinge in rotors if hinge.kind == "rotor" and s.atom_element[hinge.atoms[2]] != "C"]
+    assert [hinge for hinge in polar if hinge.kind == "rotor"] == donated
+    # 3 serines, 7 threonines, one tyrosine, 7 lysines, and the amine of the first residue.
+    assert len(donated) == 19
+    assert len(pc.build_chain(s, "phi polar rotors").hinges) == len(rotors)
+
+
 def test_a_hinge_that_turns_nothing_is_closed():
     """An amine whose one hydrogen lies on the line of CA and N: no torque is needed to turn it."""
     from openmm import app

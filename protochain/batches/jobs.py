@@ -15,7 +15,7 @@ from typing import Any
 
 from protochain.batches.naming import Earlier, Wanted, absolute, named_apart
 from protochain.core import defaults
-from protochain.core.checks import check_fields, force_field_parts, instance, several
+from protochain.core.checks import MOLECULE_SUFFIXES, check_fields, force_field_parts, instance, several
 from protochain.core.errors import ProtochainError
 from protochain.core.settings import Setting, setting, settings_of
 from protochain.core.storage import regular
@@ -219,11 +219,14 @@ class Job:
 
     @property
     def anywhere(self) -> "Job":
-        """The same job for a worker that was started in another folder: its force field by whole paths."""
-        given = self.settings.setup.forcefield
-        files = {str(file): str(file.absolute()) for file in user_files(given)}
-        whole = ",".join(files.get(part, part) for part in force_field_parts(given))
-        return replace(self, settings=self.settings.changed(forcefield=whole)) if files else self
+        """The same job for a worker that was started in another folder: its other files by whole paths."""
+        setup = self.settings.setup
+        files = {str(file): str(file.absolute()) for file in _files(setup)}
+        whole = ",".join(files.get(part, part) for part in force_field_parts(setup.forcefield))
+        ligands = tuple((name, files.get(given, given)) for name, given in setup.ligands)
+        charges = files.get(setup.ligand_charges, setup.ligand_charges)
+        moved = {"forcefield": whole, "ligands": ligands, "ligand_charges": charges}
+        return replace(self, settings=self.settings.changed(**moved)) if files else self
 
 
 @dataclass(frozen=True)
@@ -265,6 +268,7 @@ class _Found:
     settings: BatchSettings
     root: Path
     """Folder below which its own folders are named."""
+    pose: str = ""
 
     def job(self) -> Job:
         """Its job, without a name."""
@@ -309,7 +313,7 @@ def find_jobs(
     if manifest:
         found += _from_manifest(manifest, settings)
     unique: dict[tuple[Path, BatchSettings], _Found] = {}
-    for each in (each for one in found for each in _models(one)):
+    for each in (each for one in found for with_pose in _poses(one) for each in _models(with_pose)):
         unique.setdefault((each.path.absolute(), each.settings), each)
     found = list(unique.values())
     for path in (*(each.path for each in found), *([manifest] if manifest else [])):
@@ -329,7 +333,7 @@ def find_jobs(
     )
     jobs = [each.job() for each in found]
     wanted = [
-        Wanted(job.path, each.root, job.settings.setup.model, job.key, job.settings.methods)
+        Wanted(job.path, each.root, job.settings.setup.model, job.key, job.settings.methods, each.pose)
         for each, job in zip(found, jobs, strict=True)
     ]
     return [replace(job, name=name) for job, name in zip(jobs, named_apart(wanted, earlier), strict=True)]
@@ -399,6 +403,24 @@ def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
         return found
 
 
+def _poses(found: _Found) -> list[_Found]:
+    """The structure with each pose of a folder that was given as a ligand."""
+    given = found.settings.setup.ligands
+    folder = next((Path(source) for name, source in given if not name and Path(source).is_dir()), None)
+    if folder is None:
+        return [found]
+    poses = sorted(each for each in folder.iterdir() if each.suffix.lower() in MOLECULE_SUFFIXES)
+    if not poses:
+        raise ProtochainError(f"{folder}: no poses in it; give a folder of {', '.join(MOLECULE_SUFFIXES)}")
+    others = tuple(each for each in given if each != ("", str(folder)))
+    return [
+        replace(
+            found, settings=found.settings.changed(ligands=(*others, ("", str(pose)))), pose=pose.stem
+        )
+        for pose in poses
+    ]  # fmt: skip
+
+
 def _models(found: _Found) -> list[_Found]:
     asked = found.settings.setup.model
     if not isinstance(asked, str):
@@ -415,6 +437,12 @@ def _models(found: _Found) -> list[_Found]:
     return [replace(found, settings=found.settings.changed(model=model)) for model in models]
 
 
+def _files(setup: Setup) -> list[Path]:
+    """Other files that a structure is prepared with: of force fields, of ligands and their charges."""
+    given = (*(source for _, source in setup.ligands), setup.ligand_charges)
+    return [*user_files(setup.forcefield), *(Path(each) for each in given if Path(each).is_file())]
+
+
 def _hash(path: Path) -> str:
     try:
         with regular(path).open("rb") as file:
@@ -424,6 +452,6 @@ def _hash(path: Path) -> str:
 
 
 def _key(path: Path, settings: BatchSettings) -> str:
-    own = "".join(map(_hash, user_files(settings.setup.forcefield)))
+    own = "".join(map(_hash, _files(settings.setup)))
     parts = [version("protochain"), _hash(path), settings.record(), own]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

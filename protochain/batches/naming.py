@@ -29,6 +29,8 @@ class Wanted:
         Hash of content and settings.
     methods : tuple of str
         What is done to it: each result is a file.
+    pose : str
+        Name of the pose of a ligand that is added to it, one of several.
     """
 
     path: Path
@@ -36,6 +38,7 @@ class Wanted:
     model: int | str | None
     key: str
     methods: tuple[str, ...]
+    pose: str = ""
 
     @property
     def source(self) -> tuple[str, str]:
@@ -52,6 +55,7 @@ class Wanted:
         stem, suffix, packing = split_name(self.place)
         ending = f"{suffix}{packing}" if level == _WITH_ENDING else ""
         model = "" if self.model is None else f".{self.model}"
+        model += f".{self.pose}" if self.pose else ""
         more = ("", "", f"-{self.key[:8]}", f"-{self.key}-{position}")[level]
         return (self.place.parent.relative_to(home) / f"{stem}{ending}{model}{more}").as_posix()
 

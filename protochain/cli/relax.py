@@ -75,11 +75,12 @@ def relax(
 ) -> None:
     """Make predicted models clean: overlaps and broken bonds gone, the fold kept.
 
-    Several files, a folder, a pattern or a manifest go to a folder, with the table relaxed.csv; so does what
-    a cluster does.
+    Several files, a folder, a pattern, a manifest or one file with a folder of poses (--ligand POSES) go to a
+    folder, with the table relaxed.csv; so does what a cluster does.
     """
     setup = relaxing.setup(setup)
-    several = manifest or scheduler or isinstance(setup.model, str)
+    poses = any(not name and Path(given).is_dir() for name, given in setup.ligands)
+    several = manifest or scheduler or poses or isinstance(setup.model, str)
     if inputs and len(inputs) == 1 and _is_one_file(inputs[0]) and not several:
         if resume:
             raise ProtochainError(f"resume: {inputs[0]} is one file, which is not resumed; leave it out")

@@ -322,7 +322,7 @@ def _ligand(given: Any, name: str) -> LigandSource:
             and not (is_file and Path(str(given)).exists())
         ):
             its, source = before, after
-        elif not is_file:
+        elif not is_file and not Path(str(given)).is_dir():
             raise refused(name, shown(given), f"give NAME=SMILES, NAME=FILE, or a file of {_SUFFIXES}")
     if isinstance(its, str) and isinstance(source, str | Path) and str(source).strip():
         return its.strip().upper(), str(source).strip()

@@ -135,8 +135,10 @@ class HingeSpring:
 
         unit = "kilojoule_per_mole/radian/radian"
         check_fields(self, kind=text, stiffness=quantity(unit), damping=number)
-        if self.kind not in HINGES:
-            raise ProtochainError(f"kind {self.kind!r} is no kind of hinge; choose from {', '.join(HINGES)}")
+        # Polar hinges are rotors.
+        known = [kind for kind in HINGES if kind != "polar"]
+        if self.kind not in known:
+            raise ProtochainError(f"kind {self.kind!r} is no kind of hinge; choose from {', '.join(known)}")
         for name, value in (("stiffness", self.stiffness), ("damping", self.damping)):
             if not 0.0 <= value < math.inf:
                 raise ProtochainError(f"{name} {value:g}: give 0 or more")

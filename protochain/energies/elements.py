@@ -262,7 +262,7 @@ def _add_pairs(root: ElementTree.Element, force_field: app.ForceField, kinds: Ma
 
 
 def _add_ligands(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
-    """Add the bonded terms of ligands to a System, and scale their pairs three bonds apart as they ask for."""
+    """Add the bonded terms of ligands to a System, and scale their pairs three bonds apart as theirs are."""
     bonds, angles = _force(system, openmm.HarmonicBondForce), _force(system, openmm.HarmonicAngleForce)
     torsions = _force(system, openmm.PeriodicTorsionForce)
     owner: dict[int, tuple[Any, int]] = {}

@@ -358,3 +358,35 @@ def test_the_row_of_a_failure_says_where_and_why_in_one_line():
         [],
     )  # fmt: skip
     assert failure(job, "kcm", "refused", "").record["seconds"] == 0.0
+
+
+def test_a_folder_of_poses_is_a_job_for_each_which_is_done_anew_if_its_pose_changes(tmp_path):
+    (tmp_path / "protein.pdb").write_text((STRUCTURES / "ala10.pdb").read_text())
+    poses = tmp_path / "poses"
+    poses.mkdir()
+    for name in ("b.sdf", "a.MOL2", "notes.txt"):
+        (poses / name).write_text(name)
+    settings = BatchSettings(setup=pc.Setup(ligands=(str(poses), "ABC=CCO")))
+    jobs = find_jobs([tmp_path / "protein.pdb"], settings)
+    assert [job.name for job in jobs] == ["protein.a", "protein.b"]
+    assert [job.settings.setup.ligands for job in jobs] == [
+        (("ABC", "CCO"), ("", str(poses / name))) for name in ("a.MOL2", "b.sdf")
+    ]
+    (poses / "b.sdf").write_text("moved")
+    again = find_jobs([tmp_path / "protein.pdb"], settings)
+    assert [old.key == new.key for old, new in zip(jobs, again, strict=True)] == [True, False]
+    for name in ("b.sdf", "a.MOL2"):
+        (poses / name).unlink()
+    with pytest.raises(pc.ProtochainError, match=r"poses: no poses in it; give a folder of \.sdf"):
+        find_jobs([tmp_path / "protein.pdb"], settings)
+
+
+def test_a_worker_in_another_folder_finds_poses_and_charges(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("x.pdb", "pose.sdf", "q.csv"):
+        Path(name).write_text("")
+    (job,) = find_jobs(
+        ["x.pdb"], BatchSettings(setup=pc.Setup(ligands=("pose.sdf",), ligand_charges="q.csv"))
+    )
+    assert job.anywhere.settings.setup.ligands == (("", str(tmp_path / "pose.sdf")),)
+    assert job.anywhere.settings.setup.ligand_charges == str(tmp_path / "q.csv")
