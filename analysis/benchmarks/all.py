@@ -134,6 +134,7 @@ JOBS = (
         threads=1,
     ),
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
+    Job("polar", f"{HERE}/polar.py {SAMPLES} {SMALL} {LARGER} -o DIR", 4, threads=1),
     Job("compliance", f"{HERE}/compliance.py -o DIR", 4),
     Job(
         "runs-kcm", f"protochain bench kcm {STARTED} {SMALL} -o DIR --jobs 2 --minutes 240", 240,

@@ -184,6 +184,20 @@ def metric(rows: pd.DataFrame) -> str:
     return f"{said}\n{shown}\n{ended}"
 
 
+@table("polar", "polar.csv")
+def polar(rows: pd.DataFrame) -> str:
+    """Energy gained by polar rotors, and evaluations, medians and quartiles."""
+    gained = (rows["end_polar_kj_mol"] - rows["end_usual_kj_mol"]) / rows["residues"]
+    cost = rows["evaluations_polar"] / rows["evaluations_usual"]
+    more = rows["bonds_polar"] - rows["bonds_usual"]
+    lines = []
+    for method, part in rows.groupby("method"):
+        quartiles = (each[part.index].quantile([0.5, 0.25, 0.75]) for each in (gained, cost, more))
+        lines.append((f"`{method}`", *(f"{m:.2g} ({low:.2g} to {high:.2g})" for m, low, high in quartiles)))
+    heads = ("method", "kJ/mol a residue", "evaluations, with over without", "hydrogen bonds more")
+    return markdown(heads, lines)
+
+
 @table("compliance-evaluations", "compliance_evaluations.csv")
 def compliance_evaluations(rows: pd.DataFrame) -> str:
     """Evaluations to 1 kJ/mol/rad."""
